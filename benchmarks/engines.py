@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: MIT
 """Speed and labels of the network by every engine that is installed, on this CPU, for one scan.
 
-Compared with eager torch in float32 and NCHW: torch with channels last, ONNX Runtime (needs onnx
-and onnxruntime), OpenVINO as the toolkit uses it, and in int8 as `export-onnx --int8` makes it
-(needs nncf), quantised from this scan alone. All cores for each. The engines
-take turns in every round; a turn is the fastest of three calls after one that is not timed. Printed
-are the median time, the median, lowest and highest ratio of a round to eager, and the share of
-pixels with a point that have eager's label.
+Eager torch in float32 and NCHW is compared with torch with channels last, ONNX Runtime (needs onnx
+and onnxruntime) and OpenVINO as the toolkit uses it, each on all cores. The engines take turns in
+every round; a turn is the fastest of three calls after one that is not timed. The script prints the
+median time, the median, lowest and highest ratio of a round to eager, and the share of pixels with
+a point that have the label of eager.
 
 Run: python benchmarks/engines.py 000000.bin [--rounds 5 --sensors hdl64-512 hdl64]
 """
@@ -16,7 +15,6 @@ import io
 import statistics
 import warnings
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
 
@@ -26,8 +24,7 @@ from speed_hardware import seconds_of
 
 import salsanext_cli as sn
 from salsanext_cli.compiled import thread_count
-from salsanext_cli.engines.device import bfloat16_instructions, openvino_core
-from salsanext_cli.engines.graphs import HINTS, Graph
+from salsanext_cli.engines.device import bfloat16_instructions
 from salsanext_cli.engines.network import Network
 
 KINDS = ("float32", "bfloat16") if bfloat16_instructions() else ("float32",)
@@ -62,18 +59,6 @@ def by_openvino(network: Network) -> Engine:
     return lambda image: graph(image)[0]
 
 
-def by_openvino_in_int8(network: Network, image: np.ndarray) -> Engine:
-    from salsanext_cli.engines.loading import read_onnx
-    from salsanext_cli.engines.onnx_export import exported, quantised
-
-    card = replace(network.card, sensor=network.sensor)
-    content = quantised(exported(network.module, card), [image], lambda given: given)
-    model = read_onnx(content.SerializeToString(), "int8", card, network.backend.size)
-    hints = {"INFERENCE_PRECISION_HINT": HINTS[KINDS[-1]], "INFERENCE_NUM_THREADS": thread_count()}
-    graph = Graph(openvino_core().compile_model(model, "CPU", hints))
-    return lambda image: graph(image)[0]
-
-
 def engines(load: Callable[[str, str], Network], image: np.ndarray) -> dict[str, Engine]:
     """Return the engines by name, the eager one first."""
     plain = load("torch", "float32").module
@@ -85,8 +70,6 @@ def engines(load: Callable[[str, str], Network], image: np.ndarray) -> dict[str,
         found["ONNX Runtime float32"] = by_onnx_runtime(plain, image)
     for kind in KINDS:
         found[f"OpenVINO {kind}"] = by_openvino(load("openvino", kind))
-    if find_spec("nncf"):
-        found["OpenVINO int8"] = by_openvino_in_int8(load("openvino", "float32"), image)
     return found
 
 

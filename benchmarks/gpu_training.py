@@ -15,9 +15,9 @@ from scene_pool import KINDS, ScenePool
 from training_speed import Laps
 
 from salsanext_cli.classes.label_space import label_space
-from salsanext_cli.network import salsanext
 from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.registry import ARCHITECTURES, build
+from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.weights import save_weights
 from salsanext_cli.training.data.class_counts import class_weights, count_classes, rare_classes
 from salsanext_cli.training.data.dataset import Batch, Samples, batches
@@ -61,9 +61,8 @@ def measure(figures: Figures, weights: Path, scratch: Path, *, small: bool = Fal
 
 def small_weights(path: Path, weights: Path) -> Path:
     """Write random weights of few channels and pixels; salsanext has these in this process now."""
-    salsanext.CONTEXT_WIDTH = 8
-    design = replace(salsanext.SALSANEXT, widths=(8, 16), decoder_widths=(16,))
-    ARCHITECTURES["salsanext"] = partial(salsanext.SalsaNext, design=design)
+    few = {"context_width": 8, "widths": (8, 16), "decoder_widths": (16,)}
+    ARCHITECTURES["salsanext"] = partial(SalsaNext, **few)
     architecture = {"name": "salsanext", "class_count": label_space().class_count, "dropout": 0.1}
     sensor = replace(read_card(weights).sensor, height=16, width=64)
     save_weights(path, build(architecture), WeightsCard(architecture, label_space(), sensor))

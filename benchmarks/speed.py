@@ -32,7 +32,7 @@ from salsanext_cli.files.json_files import write_json
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import encode_bin
 from salsanext_cli.geometry.network_input import noise_of
-from salsanext_cli.network.card import WeightsCard, read_card, require_tensors
+from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.report.tables import ABSENT, table_of
 from salsanext_cli.results.selection import select_scans
@@ -73,7 +73,6 @@ def benchmark(
         if value is not None and value < 1:
             raise UsageError(f"--{name}", str(value), "at least 1")
     weights = network.path
-    require_tensors(weights)
     card = read_card(weights)
     sensor = network.named_sensor() or card.sensor
     _require(weights, card, sensor, parts)

@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: MIT
-"""Train the networks of the ablation study (Table II of the paper) alike, and print their scores.
+"""Train every network of the paper's ablation (Table II) alike, and print their scores.
 
-All networks get the same samples in the same order. The weights of the last step are evaluated, so
-that the evaluation does not choose them. Finished trainings are skipped, interrupted ones resumed.
+All networks see the same samples in the same order for the same number of steps. The weights of the
+last step are scored, so that nothing is chosen on the scans that score. A finished training is not
+repeated; an interrupted one is resumed.
 
-Run: python examples/ablation.py streets/ ladder/ [steps [recipe [rung ...]]]
+Install the networks first: pip install examples/paper_networks
+
+Run: python examples/ablation.py scenes/ ladder/ [steps [recipe [network ...]]]
 """
 
 import sys
@@ -12,10 +15,11 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import torch
+from paper_networks.figures import paper_figures
 
 import salsanext_cli as sn
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.network.complexity import multiply_accumulates, paper_figures, parameter_count
+from salsanext_cli.network.complexity import multiply_accumulates, parameter_count
 from salsanext_cli.network.registry import build
 from salsanext_cli.option_fields import KnnParameters, ScanSelection
 from salsanext_cli.parallel.run import RunOptions
@@ -34,17 +38,17 @@ LADDER = {
     "+ pixel shuffle": ("salsanet-shuffle", False),
     "+ Lovász-Softmax": ("salsanext", True),
 }
-"""Rung by rung: the network, and whether the loss has the Lovász term."""
+"""Network of each row, and whether the loss has the Lovász term."""
 SENSOR = "hdl64-512"
 """Sensor of all trainings."""
 BATCH = 2
 """Samples per step, few because in a short training the number of steps counts."""
 VOTES = {"w/o kNN": KnnParameters(k=1, window=1), "with kNN": KnnParameters()}
-"""Parameters of kNN; in a window of one pixel only the point's own pixel votes."""
+"""Parameters of kNN; in a window of one pixel only the pixel of the point votes."""
 
 
 def learn(dataset: Path, run: Path, rung: str, steps: int, plan: str) -> Path:
-    """Train a rung, and return the weights of the last step."""
+    """Train a network, and return the weights of the last step."""
     architecture, lovasz = LADDER[rung]
     equal = recipe(plan).with_changes(
         architecture=architecture,
@@ -74,13 +78,13 @@ def mean_iou(dataset: Path, out: Path, weights: Path, knn: KnnParameters) -> flo
 
 
 def row(rung: str, scores: Iterable[float]) -> str:
-    """Return a rung's line of the table, the paper's figures in brackets."""
+    """Return a row of the table, with the paper's figures in brackets."""
     architecture, lovasz = LADDER[rung]
     with torch.device("meta"):
         module = build({"name": architecture}).eval()
     paper = paper_figures()["salsanext" if lovasz else architecture]
-    printed = (paper.miou_pixels, paper.miou)
-    ious = [f"{score:.1f} ({theirs})" for score, theirs in zip(scores, printed, strict=True)]
+    printed = zip(scores, (paper.miou_pixels, paper.miou), strict=True)
+    ious = [f"{score:.1f} ({figure})" for score, figure in printed]
     parameters = f"{parameter_count(module) / 1e6:.2f} ({paper.parameters})"
     operations = f"{multiply_accumulates(module) / 1e9:.1f} ({paper.flops})"
     return " | ".join(("", rung, *ious, parameters, operations, "")).strip()
@@ -88,7 +92,7 @@ def row(rung: str, scores: Iterable[float]) -> str:
 
 def main(dataset: str, folder: str, steps: str = "600", plan: str = "street", *rungs: str) -> None:
     if unknown := [rung for rung in rungs if rung not in LADDER]:
-        sys.exit(f"no rung {', '.join(unknown)}; there are {', '.join(LADDER)}")
+        sys.exit(f"unknown: {', '.join(unknown)} (expected {', '.join(LADDER)})")
     titles = (*VOTES, "parameters, 10⁶", "multiply-accumulates, 10⁹ (FLOPs)")
     print(f"| | {' | '.join(titles)} |\n|---|{len(titles) * '---|'}", flush=True)
     for rung in rungs or LADDER:

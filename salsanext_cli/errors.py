@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Errors that the user can correct, and the text of messages.
 
-The library raises these; only the command line prints them and chooses the exit status.
-Anything else that escapes is a bug and keeps its traceback.
+The library raises them; only the command line prints them and chooses the exit status. Any other
+exception is a bug and keeps its traceback.
 """
 
 import logging
@@ -14,10 +14,10 @@ NOTICE = 25  # Log level of messages for every user that are not warnings
 MAX_NAMES_SHOWN = 3  # Files or scans that a message names
 SHOWN_CHARACTERS = 100  # Longest text of a wrong value in an error
 UNDECODED = {code: f"\\x{code & 0xFF:02x}" for code in range(0xDC80, 0xDD00)}
-"""Bytes of names that are no text, as Python decodes them."""
+"""Escapes of the bytes in file names that are not text, as Python decodes them."""
 CONTROL = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160))}
 DIRECTION = {0x061C, 0x200E, 0x200F, *range(0x2028, 0x202F), *range(0x2066, 0x206A)}
-"""Characters that end lines or turn the direction of text, so that a name shows as another one."""
+"""Characters that end lines or change the direction of text, and so disguise a name."""
 ESCAPES = UNDECODED | CONTROL | {code: f"\\u{code:04x}" for code in DIRECTION}
 NO_MEMORY = (
     *("allocate memory", "bad_alloc", "bad allocation", "can't alloc"),
@@ -25,16 +25,16 @@ NO_MEMORY = (
     *("cuda out of memory", "cuda error: out of memory"),
     *("cublas_status_alloc_failed", "cudnn_status_alloc_failed", "cublas_status_not_initialized"),
 )
-"""Words of the system, of Python, torch, CUDA and OpenVINO where memory runs out."""
+"""Words of the system, Python, torch, CUDA and OpenVINO when memory runs out."""
 
 
 def printable(text: str) -> str:
-    """Return a text with what is no text escaped, which the name of a file may hold."""
+    """Return a text, such as a file name, with all unprintable characters escaped."""
     return text.translate(ESCAPES)
 
 
 def escaped(data: Any) -> Any:
-    """Return plain data with the bytes of names that are no text escaped, for other programs."""
+    """Return plain data for other programs, with undecodable bytes of file names escaped."""
     if isinstance(data, str):
         return data.translate(UNDECODED)
     if isinstance(data, Mapping):
@@ -43,12 +43,12 @@ def escaped(data: Any) -> Any:
 
 
 def counted(count: int, noun: str) -> str:
-    """Return a number and a noun, in the plural unless it is one: "1 scan", "2,000 scans"."""
+    """Return a number and a noun, such as "1 scan" or "2,000 scans"."""
     return f"{count:,} {noun}{'' if count == 1 else 's'}"
 
 
 def first_few(names: Sequence[object]) -> str:
-    """Return the first names, and how many more there are."""
+    """Return the first names and the number of further ones."""
     more = len(names) - MAX_NAMES_SHOWN
     shown = ", ".join(map(str, names[:MAX_NAMES_SHOWN]))
     return f"{shown} and {more} more" if more > 0 else shown
@@ -64,7 +64,7 @@ def error_text(error: BaseException) -> str:
 def shortened(value: object, length: int = SHOWN_CHARACTERS) -> str:
     """Return the text of a value, shortened to a length."""
     if isinstance(value, int) and value.bit_length() > 4 * length:
-        # Python refuses to write out numbers of thousands of digits.
+        # Python refuses to convert numbers of thousands of digits.
         return f"a number of {value.bit_length()} bits"
     try:
         text = value if isinstance(value, str) else repr(value)
@@ -74,17 +74,17 @@ def shortened(value: object, length: int = SHOWN_CHARACTERS) -> str:
 
 
 def quoted(value: object) -> str:
-    """Return the text of a value, shortened, and of a text in quotation marks."""
+    """Return the shortened text of a value; a string gets quotation marks."""
     return shortened(repr(value) if isinstance(value, str) else value)
 
 
 def with_hint(headline: str, hint: str) -> str:
-    """Return a message with a line for its hint, if there is one."""
+    """Return a message, with its hint, if any, on a second line."""
     return f"{headline}\nhint: {hint}" if hint else headline
 
 
 class SalsanextError(Exception):
-    """A mistake explained as ``SUBJECT: problem (expected X)``, and a line ``hint: what to do``.
+    """A mistake: ``SUBJECT: problem (expected X)``, and ``hint: what to do`` on a second line.
 
     Parameters
     ----------
@@ -100,9 +100,9 @@ class SalsanextError(Exception):
     Attributes
     ----------
     code : str
-        Kind of the mistake, for programs; it stays when messages change.
+        Kind of the mistake, for programs; it is stable when messages change.
     reported_elsewhere : bool
-        Whether another process of the run reports the error, so that it is reported once.
+        Whether another process of the run reports the error.
     """
 
     code: ClassVar[str] = "error"
@@ -134,19 +134,19 @@ class UsageError(SalsanextError):
 
 
 class NoInputError(SalsanextError):
-    """There is nothing to work on."""
+    """The input contains nothing to process."""
 
     code = "no-input"
 
 
 class FormatError(SalsanextError):
-    """A file does not hold what its format promises."""
+    """A file is damaged or not of its format."""
 
     code = "format"
 
 
 class LabelError(SalsanextError):
-    """Labels and scans, or labels and label space, do not fit."""
+    """Labels do not match their scan or their label space."""
 
     code = "label"
 
@@ -158,24 +158,24 @@ class WeightsError(SalsanextError):
 
 
 class OutputError(SalsanextError):
-    """A result cannot be written, or would overwrite another."""
+    """A result cannot be written, or would replace another."""
 
     code = "output"
 
 
 class TrainingError(SalsanextError):
-    """Training cannot start or cannot go on."""
+    """Training cannot start or continue."""
 
     code = "training"
 
 
-class WorkersLost(SalsanextError):  # noqa: N818 - the name says what is wrong
+class WorkersLost(SalsanextError):  # noqa: N818 - the name states the problem
     """Worker processes died."""
 
     code = "workers-lost"
 
 
-class MissingDependency(SalsanextError):  # noqa: N818 - the name says what is wrong
+class MissingDependency(SalsanextError):  # noqa: N818 - the name states the problem
     """An optional package or a system library is absent."""
 
     code = "missing-dependency"
@@ -183,18 +183,18 @@ class MissingDependency(SalsanextError):  # noqa: N818 - the name says what is w
 
 @cache
 def warn_once(log: logging.Logger, message: str) -> None:
-    """Log a warning that this process has not had yet."""
+    """Log a warning once per process."""
     log.warning("%s", message)
 
 
 @cache
 def notice_once(message: str, level: int = NOTICE) -> None:
-    """Log what a reader assumes, which this process has not logged yet."""
+    """Log an assumption of a reader once per process."""
     logging.getLogger(__name__).log(level, "%s", message)
 
 
 def out_of_memory(error: BaseException | None) -> bool:
-    """Say whether memory ran out, by an error that is not yet explained or one that it followed."""
+    """Return whether an unexplained error, or one of its causes, means that memory ran out."""
     while error is not None and not isinstance(error, SalsanextError):
         text = str(error).lower()
         is_named = isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError"

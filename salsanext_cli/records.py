@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Records that stages exchange, with their shapes, dtypes, units and frames.
 
-Frame: the sensor's own, x forward, y left, z up. Lengths are metres, angles radians unless a
-name says degrees. N is the number of points of a scan, H × W the size of its range image, C the
-number of classes including the unlabelled class 0.
+Coordinates are in the frame of the sensor: x forward, y left, z up. Lengths are in metres, angles
+in radians unless a name contains ``deg``. N is the number of points of a scan, H × W the size of
+its range image, C the number of classes including class 0, unlabelled.
 """
 
 from dataclasses import dataclass
@@ -18,9 +18,9 @@ Double = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
 
-CHANNELS = ("range", "x", "y", "z", "intensity")  # Of a range image, in the published order
+CHANNELS = ("range", "x", "y", "z", "intensity")  # In the published order
 MAX_RANGE_M = MAX_INTENSITY = np.float32(1e6)
-"""Largest range in metres, and largest intensity, that count as measurements of a range image."""
+"""Largest range, in metres, and intensity of a measurement in a range image."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,8 +30,8 @@ class Scan:
     Attributes
     ----------
     points : (N, 3) float32
-        Cartesian coordinates in metres. May hold NaN, infinity or the origin: such points carry
-        no measurement, belong to no pixel and get label 0.
+        Cartesian coordinates in metres. Points at NaN, infinity or the origin are no
+        measurements, belong to no pixel and get label 0.
     intensity : (N,) float32
         Returned intensity (remission), nominally 0…1.
     """
@@ -51,14 +51,14 @@ class Scan:
         return len(self.points)
 
     def take(self, index: npt.NDArray[np.intp]) -> "Scan":
-        """Return the points of an index (K,), in its order."""
+        """Return the points at the indices (K,), in their order."""
         return Scan(self.points.take(index, 0), self.intensity.take(index))
 
 
 def normalised_intensity(values: npt.NDArray[Any], scale: float) -> Float:
-    """Return intensities (N,) of a file as float32, nominally 0…1; bytes are divided by 255."""
+    """Return intensities (N,) float32, nominally 0…1: bytes divided by 255, others by `scale`."""
     divisor = 255.0 if values.dtype == np.uint8 else scale
-    # A signalling NaN is a point without an intensity.
+    # Signalling NaNs are valid: points without an intensity.
     with np.errstate(over="ignore", invalid="ignore"):
         return values.astype(np.float32) / np.float32(divisor)
 
@@ -70,11 +70,11 @@ class RangeImage:
     Attributes
     ----------
     channels : (5, H, W) float32
-        Range, x, y, z in metres and intensity of the nearest point of each pixel; 0 where empty.
+        Range, x, y, z in metres and intensity of the nearest point per pixel; 0 where empty.
     pixel_of_point : (N,) int32
-        Flat pixel index ``v * W + u`` of every point, -1 where the point has none.
+        Flat pixel index ``v * W + u`` of every point, -1 for none.
     point_of_pixel : (H, W) int32
-        Index of the nearest point of every pixel, -1 where the pixel is empty.
+        Index of the nearest point of every pixel, -1 where empty.
     point_range : (N,) float32
         Distance of every point from the sensor in metres; 0 for points without a pixel.
     """

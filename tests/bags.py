@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""ROS bags for tests, written by rosbags' own writers."""
+"""ROS bags for tests, written by rosbags."""
 
 from __future__ import annotations
 
@@ -18,22 +18,14 @@ TOPIC = "/velodyne_points"
 CODES = {np.dtype(kind): code for code, kind in TYPES.items()}
 KINDS = (".bag", ".db3", ".mcap")
 Message = tuple[str, int, Any]
-"""Topic, time, and what makes the message of the types of a version of ROS."""
+"""Topic, time, and function from the types of a version of ROS to the message."""
 
 
 def cloud(points: np.ndarray, *, height: int = 1, row_padding: int = 0, **changed: Any) -> Any:
-    """Return what makes a PointCloud2 of a structured array, (N,), of one byte order.
+    """Return a function that makes a PointCloud2 of a structured array (N,) of one byte order.
 
-    Parameters
-    ----------
-    points : (N,) structured array
-        With offsets and padding as they are to be in the message.
-    height : int
-        Rows of an organised cloud.
-    row_padding : int
-        Bytes at the end of each row.
-    **changed : object
-        Fields of the message that are to be wrong.
+    The message has its offsets and padding, `height` rows with `row_padding` bytes at their ends,
+    and `changed` fields.
     """
 
     def make(types: Any) -> Any:
@@ -67,7 +59,7 @@ def cloud(points: np.ndarray, *, height: int = 1, row_padding: int = 0, **change
 
 
 def text(types: Any) -> Any:
-    """Make a message that is no cloud."""
+    """Make a message that is not a cloud."""
     return types["std_msgs/msg/String"]("drive")
 
 

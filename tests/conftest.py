@@ -114,7 +114,7 @@ def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from salsanext_cli.files import user_cache
 
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(user_cache, "_said", [])
+    monkeypatch.setattr(user_cache, "_warnings", [])
 
 
 @pytest.fixture(autouse=True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Clouds with scalars, written as labelling tools write them, not by salsanext."""
+"""Clouds with scalars in the form of labelling tools, not written by salsanext."""
 
 from collections.abc import Callable, Mapping
 from functools import partial

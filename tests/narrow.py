@@ -3,7 +3,6 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -13,12 +12,11 @@ from world import Stored, World
 
 from salsanext_cli.engines import loading
 from salsanext_cli.files.identity import fingerprint
-from salsanext_cli.network import salsanext
 from salsanext_cli.network.registry import ARCHITECTURES
-from salsanext_cli.network.salsanext import SALSANEXT, SalsaNext
+from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.segmentation import SegmentationNetwork
 
-NARROW = replace(SALSANEXT, widths=(8, 16, 32, 32, 32), decoder_widths=(32, 32, 16, 16))
+NARROW = {"context_width": 8, "widths": (8, 16, 32, 32, 32), "decoder_widths": (32, 32, 16, 16)}
 """Few channels: a network of full size would take most of the time of a test."""
 
 
@@ -26,8 +24,7 @@ NARROW = replace(SALSANEXT, widths=(8, 16, 32, 32, 32), decoder_widths=(32, 32, 
 def narrow_salsanext() -> Iterator[None]:
     """Have few channels in the network that is called salsanext, in this process."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(salsanext, "CONTEXT_WIDTH", 8)
-        patch.setitem(ARCHITECTURES, "salsanext", partial(SalsaNext, design=NARROW))
+        patch.setitem(ARCHITECTURES, "salsanext", partial(SalsaNext, **NARROW))
         yield
 
 

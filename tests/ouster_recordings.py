@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Recordings of an Ouster sensor for tests, written by ouster-sdk itself."""
+"""Recordings of an Ouster sensor for tests, written by ouster-sdk."""
 
 from __future__ import annotations
 

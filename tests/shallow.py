@@ -2,18 +2,16 @@
 """Fixtures of a SalsaNext of two levels, whose graphs compile in a third of the time."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import pytest
 from scans import write_weights
 
-from salsanext_cli.network import salsanext
 from salsanext_cli.network.registry import ARCHITECTURES
-from salsanext_cli.network.salsanext import SALSANEXT, SalsaNext
+from salsanext_cli.network.salsanext import SalsaNext
 
-SHALLOW = replace(SALSANEXT, widths=(8, 16), decoder_widths=(16,))
+SHALLOW = {"context_width": 8, "widths": (8, 16), "decoder_widths": (16,)}
 
 slow_on_openvino = pytest.mark.parametrize(
     "network", ["torch", pytest.param("openvino", marks=pytest.mark.slow)], indirect=True
@@ -25,8 +23,7 @@ slow_on_openvino = pytest.mark.parametrize(
 def shallow() -> Iterator[None]:
     """Have two levels and few channels in the network that is called salsanext."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(salsanext, "CONTEXT_WIDTH", 8)
-        patch.setitem(ARCHITECTURES, "salsanext", partial(SalsaNext, design=SHALLOW))
+        patch.setitem(ARCHITECTURES, "salsanext", partial(SalsaNext, **SHALLOW))
         yield
 
 

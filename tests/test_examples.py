@@ -9,7 +9,6 @@ import runpy
 import sys
 import tomllib
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,7 @@ from scans import make_scan, write_array, write_bin, write_sequence
 from salsanext_cli import read_labels
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.registry import ARCHITECTURES
-from salsanext_cli.network.salsanext import SALSANET, SalsaNext
+from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.results.paths import output_path
 from salsanext_cli.training.log import write_log
 
@@ -118,9 +117,9 @@ def test_uncertainty_figures(scan, weights, tmp_path, capsys):
 
 @pytest.mark.slow
 def test_ablation(tmp_path, capsys, monkeypatch):
-    narrow = replace(SALSANET, widths=5 * (4,), decoder_widths=4 * (4,))
+    narrow = partial(SalsaNext, context_width=4, widths=5 * (4,), decoder_widths=4 * (4,))
     for name in ("salsanet", "salsanext"):
-        monkeypatch.setitem(ARCHITECTURES, name, partial(SalsaNext, design=narrow))
+        monkeypatch.setitem(ARCHITECTURES, name, narrow)
     for name in ("00", "08"):
         write_sequence(tmp_path / "data" / "sequences" / name, count=600)
     arguments = (str(tmp_path / "data"), str(tmp_path / "ladder"), "2", "street")

@@ -164,7 +164,7 @@ def test_damage_belongs_to_one_scan(weights, tmp_path):
 
 
 @pytest.mark.usefixtures("plugged")
-def test_a_wrong_suffix_is_told_by_the_first_bytes(tmp_path):
+def test_the_first_bytes_reveal_a_wrong_suffix(tmp_path):
     write_rad(tmp_path / "0.rad", make_scan(), 0)
     with pytest.raises(FormatError) as caught:
         read_scan((tmp_path / "0.rad").rename(tmp_path / "0.bin"))
@@ -219,7 +219,7 @@ def test_processes_of_a_run_see_plug_ins(weights, site, tmp_path):
 def test_weights_name_the_distribution_of_their_network(weights, site, engine):
     network = load_network(weights, "cpu", engine=engine)
     assert network.card.architecture["distribution"] == ORIGIN
-    # What was compiled is of no use when the code changes, which the version need not tell.
+    # Compiled graphs are not reused if the code changes but not the version.
     (site / "radian_network.py").write_text((site / "radian_network.py").read_text() + "# new\n")
     changed = load_network(weights, "cpu", engine=engine)
     assert changed.backend.code != network.backend.code
@@ -252,7 +252,7 @@ MISTAKES: dict[str, tuple[str, dict[str, dict[str, str]], str]] = {
     "no module": ("", {"formats": {"odd": "odd_absent:FORMAT"}}, "ModuleNotFoundError"),
     "no object": ("", {"networks": {"odd": "odd_plug_in:Net"}}, "AttributeError"),
     "an error": ("1 / 0", {"label_spaces": {"odd": "odd_plug_in:SPACE"}}, "ZeroDivisionError"),
-    "a built-in network": ("Net = print", {"networks": {"salsanet": "odd_plug_in:Net"}}, "taken"),
+    "a built-in network": ("Net = print", {"networks": {"salsanext": "odd_plug_in:Net"}}, "taken"),
     "a built-in space": ("S = 1", {"label_spaces": {"coarse": "odd_plug_in:S"}}, "taken"),
     "a built-in format": (GOOD, {"formats": {"ply": "odd_plug_in:FORMAT"}}, "taken"),
     "a built-in suffix": (
@@ -281,7 +281,7 @@ MISTAKES: dict[str, tuple[str, dict[str, dict[str, str]], str]] = {
 
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_a_plug_in_with_a_mistake_is_one_warning(plugged, tmp_path, caplog, mistake):
-    module, groups, says = MISTAKES[mistake]
+    module, groups, problem = MISTAKES[mistake]
     points = {f"salsanext.{kind}": named for kind, named in groups.items()}
     install(plugged, {"odd_plug_in.py": module}, points, "zz-odd")  # sorted after the page's
     for _ in range(2):
@@ -293,12 +293,12 @@ def test_a_plug_in_with_a_mistake_is_one_warning(plugged, tmp_path, caplog, mist
             build({"name": "unknown"})
     (record,) = caplog.records
     assert record.levelname == "WARNING"
-    assert says in record.getMessage()
+    assert problem in record.getMessage()
     assert "zz-odd 1.0" in record.getMessage()
-    # The others are there, and what is built in is as it was.
+    # Other plug-ins and built-in objects still work.
     assert [[*lookup()] for lookup in LOOKUPS] == [["radian"], ["radian-net"], ["radian-two"]]
     assert label_space("coarse").class_count == 8
-    assert build({"name": "salsanet"}).stride == (16, 16)
+    assert build({"name": "salsanext"}).stride == (16, 16)
 
 
 @pytest.mark.usefixtures("clean")
@@ -313,7 +313,7 @@ def test_a_reader_that_returns_no_scan_fails_the_scan(tmp_path, monkeypatch):
 
 
 @pytest.mark.usefixtures("clean")
-def test_a_network_that_is_none_is_refused(tmp_path, monkeypatch):
+def test_a_plug_in_that_returns_no_network_is_refused(tmp_path, monkeypatch):
     points = {"salsanext.networks": {"odd": "odd_plug_in:Net"}}
     install(tmp_path / "site", {"odd_plug_in.py": "def Net(**_): return 1"}, points, "zz-odd")
     monkeypatch.syspath_prepend(tmp_path / "site")
@@ -329,7 +329,7 @@ def test_a_run_without_need_of_plug_ins_imports_none(tmp_path, monkeypatch, capl
     write_bin(tmp_path / "seq/velodyne/0.bin", make_scan())
     assert run("inspect", tmp_path / "seq").exit_code == 0
     assert run("predict", "--help").exit_code == 0
-    assert build({"name": "salsanet"}).stride == (16, 16)
+    assert build({"name": "salsanext"}).stride == (16, 16)
     assert "odd_plug_in" not in sys.modules
     assert not [record for record in caplog.records if "zz-odd" in record.getMessage()]
 

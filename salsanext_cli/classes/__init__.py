@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Label spaces, their YAML, and merging of classes."""
+"""Label spaces and merging of classes."""

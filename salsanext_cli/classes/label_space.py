@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Label spaces: classes, their names, and the mapping of raw ids to train ids.
 
-Label files hold raw ids (uint32, the low 16 bits are the class, the high 16 the instance). The
-network predicts train ids: 0…C-1, 0 being "unlabelled".
+Label files contain raw ids: uint32, the class in the low 16 bits, the instance in the high 16. The
+network predicts train ids: 0…C-1, where 0 is "unlabelled".
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ RawIds = npt.NDArray[np.uint32]
 
 BUILT_IN = ("semantic-kitti", "coarse")
 RAW_ID_COUNT = 1 << 16
-UNKNOWN = 255  # Mark of raw ids without a train id
-SHOWN_DIGITS = 20  # Of an id in an error
+UNKNOWN = 255  # Train id of unknown raw ids
+SHOWN_DIGITS = 20  # Longest text of an id in an error
 ALTERNATIVES = "learning_alternatives"
 KEYS = (
     *("labels", "learning_map", "learning_map_inv", "learning_ignore", "color_map", "split"),
     *(ALTERNATIVES, "movable"),
 )
 MAX_UNKNOWN_SHARE = 0.1
-"""Largest tolerated share of points of unknown ids; other data sets had 0.4 or more."""
-MOVING = "moving-"  # Start of the names of moving things, classes of their own over several scans
+"""Largest tolerated share of points with unknown ids; other data sets had 0.4 or more."""
+MOVING = "moving-"  # Start of the names of moving classes, which only multi-scan tasks distinguish
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,24 +47,23 @@ class LabelSpace:
     Attributes
     ----------
     name : str
-        Name in messages and weights.
+        Name in messages and weights files.
     labels : dict of int to str
         Name of every raw id.
     learning_map : dict of int to int
         Train id of every raw id.
     learning_map_inv : dict of int to int
-        The raw id that stands for each train id, keys 0…C-1.
+        Raw id that represents each train id, keys 0…C-1.
     ignored : tuple of bool, length C
-        Train ids that neither training nor evaluation counts.
+        Whether training and evaluation ignore each train id.
     colours : (C, 3) uint8
         Red, green, blue of every train id.
     splits : dict of str to tuple of str
         Sequence names of every split.
     alternatives : dict of int to tuple of int
-        Raw ids that do not tell some classes apart: all train ids that a point of each may have.
-        Only training takes them into account.
+        Ambiguous raw ids: all train ids that a point may have. Only training uses them.
     movable_ids : tuple of int, optional
-        Train ids of movable objects; None if the label space does not state them.
+        Train ids of movable classes; None if the label space does not state them.
     """
 
     name: str
@@ -80,7 +79,7 @@ class LabelSpace:
 
     def __post_init__(self) -> None:
         table = np.full(RAW_ID_COUNT, UNKNOWN, np.uint8)
-        # What `to_raw` writes for unlabelled points is known, also where the map does not list it.
+        # `to_raw` writes this id for unlabelled points; the map may not list it.
         table[self.learning_map_inv[0]] = 0
         table[list(self.learning_map)] = list(self.learning_map.values())
         object.__setattr__(self, "_train_of_raw", table)
@@ -97,15 +96,15 @@ class LabelSpace:
 
     @property
     def scored(self) -> npt.NDArray[np.bool_]:
-        """Mask of the train ids that count, (C,) bool."""
+        """Mask of the train ids that are not ignored, (C,) bool."""
         return ~np.array(self.ignored)
 
     @property
     def movable(self) -> npt.NDArray[np.bool_]:
-        """Mask of the train ids of movable objects, (C,) bool.
+        """Mask of the train ids of movable classes, (C,) bool.
 
-        Without a statement they are those with the movable raw ids of SemanticKITTI, if most raw
-        ids have its names, else none.
+        If the label space does not state them, they are the classes of the movable raw ids of
+        SemanticKITTI, provided that most raw ids have its names; else there are none.
         """
         ids = self._usual_movable_ids() if self.movable_ids is None else self.movable_ids
         return np.isin(np.arange(self.class_count), ids)
@@ -120,46 +119,46 @@ class LabelSpace:
     def require_movable(self, subject: str) -> None:
         """Raise `UsageError` for an option that needs movable classes if there are none."""
         if not self.movable.any():
+            problem = f"label space {self.name} has no movable classes"
             hint = "state their train ids in its yaml file, as `movable: [1, 2]`, and predict"
-            found = f"label space {self.name} has no movable classes"
-            raise UsageError(subject, found, "at least one", f"{hint} with --classes FILE")
+            raise UsageError(subject, problem, "at least one", f"{hint} with --classes FILE")
 
     def unknown_ids(self, raw: RawIds) -> dict[int, int]:
-        """Return the number of points of each raw id (without instance) that is unknown here."""
+        """Return the number of points by unknown raw id, without instances."""
         classes = (raw & 0xFFFF)[self._train_of_raw[raw & 0xFFFF] == UNKNOWN]
         ids, counts = np.unique(classes, return_counts=True)
         return {int(i): int(n) for i, n in zip(ids, counts, strict=True)}
 
     def to_train(self, raw: RawIds, *, strict: bool = True, source: object = "labels") -> TrainIds:
-        """Map raw ids, uint32 of any shape, to train ids, uint8; instance bits are dropped.
+        """Map raw ids, uint32 of any shape, to train ids, uint8, without instances.
 
-        An unknown id raises `LabelError`, or becomes 0 unless `strict`, as in the official
+        An unknown id raises `LabelError` if `strict`; else it becomes 0, as in the official
         evaluator, and the caller reports `unknown_ids`. More than `MAX_UNKNOWN_SHARE` of the
-        labelled points are never tolerated: these are ids of something else.
+        labelled points always raise it: these are ids of another label space.
         """
         train: TrainIds = self._train_of_raw[raw & 0xFFFF]
         unknown = train == UNKNOWN
         if count := np.count_nonzero(unknown):
-            certain = count - 2 * count**0.5  # less two standard errors of a small number
+            certain = count - 2 * count**0.5  # minus two standard errors of a small number
             if strict or certain > MAX_UNKNOWN_SHARE * np.count_nonzero(train):
                 raise self._unknown(raw, source)
             train[unknown] = 0
         return train
 
     def _unknown(self, raw: RawIds, source: object) -> LabelError:
-        """Return the error that names the commonest unknown ids, and what they look like."""
+        """Return the error with the commonest unknown ids."""
         counts = self.unknown_ids(raw)
         ids = first_few([f"{i} ({counts[i]}×)" for i in sorted(counts, key=lambda i: -counts[i])])
         of_labelled = sum(counts.values()) / np.count_nonzero(self._train_of_raw[raw & 0xFFFF])
-        found = f"unknown label ids {ids}: {100 * of_labelled:.0f} % of the labelled points"
-        hint = "give the label space of this data with --label-space"
+        problem = f"has unknown label ids {ids}: {100 * of_labelled:.0f} % of the labelled points"
+        hint = "set the label space of this data with --label-space"
         if (raw & 0xFFFF).max() < self.class_count:
-            found += f", and no id above {self.class_count - 1}: train ids?"
-            hint = f"write raw ids in place of train ids, or {hint}"
-        return LabelError(source, found, f"raw ids of {self.name}", hint)
+            problem += f"; they are probably train ids, since none is above {self.class_count - 1}"
+            hint = f"write raw ids instead of train ids, or {hint}"
+        return LabelError(source, problem, f"raw ids of {self.name}", hint)
 
     def to_raw(self, train: npt.NDArray[Any]) -> RawIds:
-        """Map train ids to the raw ids that stand for them, uint32."""
+        """Map train ids, integers of any shape, to their raw ids, uint32."""
         table = np.array([self.learning_map_inv[i] for i in range(self.class_count)], np.uint32)
         return table[train]
 
@@ -171,31 +170,31 @@ class LabelSpace:
         return self.splits[name]
 
     def split_of(self, sequence: str) -> str | None:
-        """Return the split of a sequence, None without one."""
+        """Return the split of a sequence; None without one."""
         return next((name for name, members in self.splits.items() if sequence in members), None)
 
     def fits(self, other: LabelSpace) -> bool:
-        """Return whether weights for one serve the other: names and raw ids of train ids agree."""
+        """Return whether weights fit both: names and raw ids of the train ids are equal."""
         same_ids = self.learning_map_inv == other.learning_map_inv
         return same_ids and self.names == other.names
 
     def differences(self, other: LabelSpace) -> list[str]:
-        """Name what another label space has otherwise, the classes first."""
+        """Return descriptions of the differences from another label space, classes first."""
         tables = [
             {
-                "train id": dict(enumerate(each.names)),
-                **each.to_dict(),
-                "name": {"": each.name},
-                "movable": dict(enumerate(each.movable.tolist())),
+                "train id": dict(enumerate(space.names)),
+                **space.to_dict(),
+                "name": {"": space.name},
+                "movable": dict(enumerate(space.movable.tolist())),
             }
-            for each in (self, other)
+            for space in (self, other)
         ]
         return [
-            f"{table} {key}: {own.get(key, 'none')} ≠ {others.get(key, 'none')}"
+            f"{table} {key}: {first.get(key, 'none')} ≠ {second.get(key, 'none')}"
             for table in dict.fromkeys(chain(*tables))
-            for own, others in [[each.get(table, {}) for each in tables]]
-            for key in sorted(own.keys() | others)
-            if own.get(key) != others.get(key)
+            for first, second in [[entries.get(table, {}) for entries in tables]]
+            for key in sorted(first.keys() | second)
+            if first.get(key) != second.get(key)
         ]
 
     def to_dict(self) -> dict[str, Any]:
@@ -240,8 +239,8 @@ class LabelSpace:
                 for name, members in data.get("split", {}).items()
             }
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-            found = f"not a label space: {shortened(error)}"
-            raise UsageError(source, found, f"keys {', '.join(KEYS)}") from error
+            problem = f"is not a label space: {shortened(error)}"
+            raise UsageError(source, problem, f"keys {', '.join(KEYS)}") from error
         if problem := _contradiction(labels, learning_map, inverse, alternatives, movable or ()):
             raise UsageError(source, problem, "a consistent label space")
         ids = range(len(inverse))
@@ -268,24 +267,24 @@ def _contradiction(
 ) -> str:
     """Return a description of an inconsistency, empty without one."""
     if not inverse or sorted(inverse) != list(range(len(inverse))) or len(inverse) > UNKNOWN:
-        return f"train ids {_some(inverse)} are not 0…C-1 with C ≤ {UNKNOWN}"
+        return f"has train ids {_some(inverse)}, not 0…C-1 with C ≤ {UNKNOWN}"
     if bad := [i for i in (*learning_map, *labels) if not 0 <= i < RAW_ID_COUNT]:
-        return f"raw ids {_some(bad)} do not fit 16 bits"
+        return f"has raw ids {_some(bad)} beyond 16 bits"
     if bad := sorted(set(learning_map.values()) - set(inverse)):
-        return f"learning_map leads to train ids {_some(bad)} that learning_map_inv lacks"
+        return f"has train ids {_some(bad)} in learning_map but not in learning_map_inv"
     if bad := sorted(set(inverse.values()) - set(labels)):
-        return f"raw ids {_some(bad)} have no name in labels"
+        return f"lacks names of raw ids {_some(bad)} in labels"
     if bad := sorted({*chain(*alternatives.values())} - set(inverse)):
-        return f"{ALTERNATIVES} lead to train ids {_some(bad)} that learning_map_inv lacks"
+        return f"has train ids {_some(bad)} in {ALTERNATIVES} but not in learning_map_inv"
     if bad := sorted({*movable} - ({*inverse} - {0})):
-        return f"movable has train ids {_some(bad)}, which are none of 1…C-1"
+        return f"has train ids {_some(bad)} in movable, not 1…C-1"
     if bad := [i for i, several in alternatives.items() if learning_map.get(i) not in several]:
-        return f"{ALTERNATIVES} of raw ids {_some(bad)} lack the train id of their learning_map"
+        return f"lacks the train ids of raw ids {_some(bad)} in their {ALTERNATIVES}"
     return ""
 
 
 def _some(ids: Iterable[int]) -> str:
-    """Return a short list of the first ids, for any number and size of them."""
+    """Return a short text of ids of any number and size."""
     return first_few([shortened(i, SHOWN_DIGITS) for i in sorted(ids)])
 
 
@@ -304,7 +303,7 @@ def _colour(channels: Any) -> list[int]:
 
 
 def _spare_colour(train_id: int) -> list[int]:
-    """Return a stable blue, green, red for a class without a colour; unlabelled is black."""
+    """Return a fixed blue, green, red for a class without a colour; unlabelled is black."""
     return [0, 0, 0] if train_id == 0 else [(train_id * step) % 206 + 50 for step in (67, 109, 151)]
 
 
@@ -321,18 +320,27 @@ def plugged_label_spaces() -> dict[str, PlugIn]:
 
 
 def label_space(name_or_file: str | Path = "semantic-kitti") -> LabelSpace:
-    """Return a label space: a built-in one, one of a SemanticKITTI-style yaml, or of a plug-in.
+    """Return a label space by name or file.
+
+    Parameters
+    ----------
+    name_or_file : str or Path
+        Built-in label space, YAML file in the form of SemanticKITTI, or plug-in.
+
+    Returns
+    -------
+    LabelSpace
 
     Raises
     ------
     UsageError
-        If there is no such name or file, or the file is not of that form.
+        If there is no such name or file, or the file is invalid.
     """
     if str(name_or_file) in BUILT_IN:
         return _built_in(str(name_or_file))
     path = Path(name_or_file)
     try:
-        data = read_yaml(path, "a yaml file in SemanticKITTI's form")
+        data = read_yaml(path, "a yaml file in the form of SemanticKITTI")
     except FileNotFoundError as error:
         plug_ins = plugged_label_spaces()
         if str(name_or_file) in plug_ins:
@@ -342,5 +350,5 @@ def label_space(name_or_file: str | Path = "semantic-kitti") -> LabelSpace:
         raise UsageError(path, "no such file", f"a .yaml file or one of {names}") from error
     if not isinstance(data, dict):
         expected = f"a mapping with the keys {', '.join(KEYS)}"
-        raise UsageError(path, f"a {type(data).__name__}", expected)
+        raise UsageError(path, f"contains a {type(data).__name__}", expected)
     return LabelSpace.from_dict(data, path)

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Merging of classes: several of a label space become one of another, and their probabilities add.
+"""Merging of classes: several classes become one of another label space; probabilities add up.
 
-Which becomes which follows from the raw ids: each class goes where the other label space puts the
-raw ids of which it consists.
+Classes become the class of their raw ids in the other label space.
 """
 
 from __future__ import annotations
@@ -18,50 +17,54 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import UsageError, first_few
 
 MIN_MERGED_CLASSES = 2
-"""Classes that merging must leave, "unlabelled" and other ignored ones aside."""
+"""Least number of classes after merging, ignored ones aside."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClassMerging:
-    """Merging of C classes into K."""
+    """Merging of C classes into K.
 
-    # The K merged classes. Its splits are those of the other label space if it has none; its
-    # alternatives are those of both, where they are still of several classes
+    Attributes
+    ----------
+    space : LabelSpace
+        The K merged classes, with splits and ambiguous raw ids of both label spaces.
+    targets : tuple of int, length C
+        Merged train id, 0…K-1, of every train id.
+    """
+
     space: LabelSpace
-    targets: tuple[int, ...]  # Train id, 0…K-1, that each train id becomes
+    targets: tuple[int, ...]
 
     @classmethod
-    def between(cls, own: LabelSpace, merged: LabelSpace) -> ClassMerging:
-        """Merge the classes of a label space into those of another one."""
-        # An ignored class stands for what has no class of its own, some of which the other may
-        # have: it goes where the other puts the raw id that stands for it.
-        if problem := contradiction(own, merged):
-            expected = f"the classes of {own.name}, merged"
+    def between(cls, space: LabelSpace, merged: LabelSpace) -> ClassMerging:
+        """Merge the classes of a label space into the classes of another one."""
+        if problem := contradiction(space, merged):
+            expected = f"merged classes of {space.name}"
             raise UsageError(f"label space {merged.name}", problem, expected)
-        targets = tuple(_targets(own, merged, i)[0] for i in range(own.class_count))
-        alternatives = _alternatives(own, merged, targets) | merged.alternatives
-        splits = merged.splits or own.splits
+        targets = tuple(_targets(space, merged, i)[0] for i in range(space.class_count))
+        alternatives = _alternatives(space, merged, targets) | merged.alternatives
+        splits = merged.splits or space.splits
         return cls(replace(merged, splits=splits, alternatives=alternatives), targets)
 
     @classmethod
-    def needed(cls, own: LabelSpace, merged: LabelSpace | None) -> ClassMerging | None:
-        """Merge classes as `between`; None if no others are given or they are the same."""
+    def needed(cls, space: LabelSpace, merged: LabelSpace | None) -> ClassMerging | None:
+        """Merge classes as `between`; None without other classes."""
         if merged is None:
             return None
-        is_same = own.fits(merged) and np.array_equal(own.movable, merged.movable)
-        if is_same and own.learning_map == merged.learning_map:
+        is_same = space.fits(merged) and np.array_equal(space.movable, merged.movable)
+        if is_same and space.learning_map == merged.learning_map:
             return None
-        merging = cls.between(own, merged)
+        merging = cls.between(space, merged)
         return None if is_same else merging
 
     @property
     def groups(self) -> tuple[tuple[int, ...], ...]:
-        """Train ids that become each of the K; of some classes there may be none."""
+        """Train ids of each of the K classes, possibly none."""
         every = range(self.space.class_count)
         return tuple(tuple(i for i, t in enumerate(self.targets) if t == k) for k in every)
 
     def add(self, probabilities: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """Add the probabilities of merged classes, (C, …) to (K, …), in the order of train ids."""
+        """Return probabilities (K, …) as sums of those of the classes, (C, …), in their order."""
         shape = (self.space.class_count, *probabilities.shape[1:])
         merged = np.zeros(shape, probabilities.dtype)
         for target, of_class in zip(self.targets, probabilities, strict=True):
@@ -70,39 +73,37 @@ class ClassMerging:
         return np.minimum(merged, 1, out=merged)
 
 
-def is_merged(merged: LabelSpace, own: LabelSpace) -> bool:
-    """Say whether the classes of a label space are merged ones of another's."""
-    return not own.fits(merged) and not contradiction(own, merged)
+def is_merged(merged: LabelSpace, space: LabelSpace) -> bool:
+    """Return whether the classes of a label space are merged classes of another."""
+    return not space.fits(merged) and not contradiction(space, merged)
 
 
-def contradiction(own: LabelSpace, merged: LabelSpace) -> str:
-    """Return why the classes of a label space cannot be merged into another's, empty if they can.
-
-    Where most raw ids of both have other names, they are of two systems of ids.
-    """
-    known, standing = merged.learning_map, _standing_for_several(own, merged)
-    if missing := sorted({*own.learning_map, *own.learning_map_inv.values()} - known.keys()):
-        return f"no raw id {first_few([_named(own, i) for i in missing])}"
-    both = sorted((own.labels.keys() & merged.labels.keys()) - standing)
-    other = [i for i in both if own.labels[i] != merged.labels[i]]
+def contradiction(space: LabelSpace, merged: LabelSpace) -> str:
+    """Return why the classes of a label space cannot be merged into another; empty if they can."""
+    known, standing = merged.learning_map, _standing_for_several(space, merged)
+    if missing := sorted({*space.learning_map, *space.learning_map_inv.values()} - known.keys()):
+        return f"lacks raw ids {first_few([_named(space, i) for i in missing])}"
+    # Ids whose names mostly differ have other meanings.
+    both = sorted((space.labels.keys() & merged.labels.keys()) - standing)
+    other = [i for i in both if space.labels[i] != merged.labels[i]]
     if 2 * len(other) > len(both):
-        shown = [f"{merged.labels[i]} for raw id {_named(own, i)}" for i in other]
-        return first_few(shown)
-    every = range(own.class_count)
-    split = [i for i in every if not own.ignored[i] and len(_targets(own, merged, i)) > 1]
+        shown = [f"{merged.labels[i]} for raw id {_named(space, i)}" for i in other]
+        return f"has other raw ids: {first_few(shown)}"
+    every = range(space.class_count)
+    split = [i for i in every if not space.ignored[i] and len(_targets(space, merged, i)) > 1]
     if split:
-        names = (merged.names[k] for k in _targets(own, merged, split[0]))
-        return f"{own.names[split[0]]} is split into {' and '.join(names)}"
-    left = {_targets(own, merged, i)[0] for i in every if not own.ignored[i]}
+        names = (merged.names[k] for k in _targets(space, merged, split[0]))
+        return f"splits {space.names[split[0]]} into {' and '.join(names)}"
+    left = {_targets(space, merged, i)[0] for i in every if not space.ignored[i]}
     count = len({k for k in left if not merged.ignored[k]})
-    if count < MIN_MERGED_CLASSES and not own.fits(merged):
+    if count < MIN_MERGED_CLASSES and not space.fits(merged):
         few = first_few([merged.names[k] for k in sorted(left)])
-        return f"all {len(every)} classes become {few}"
+        return f"merges all {len(every)} classes into {few}"
     return ""
 
 
 def _standing_for_several(*spaces: LabelSpace) -> set[int]:
-    """Return the raw ids that stand for a class of several in one of the label spaces."""
+    """Return the raw ids that represent a class of several raw ids in a label space."""
     return {
         raw
         for space in spaces
@@ -111,25 +112,26 @@ def _standing_for_several(*spaces: LabelSpace) -> set[int]:
     }
 
 
-def _targets(own: LabelSpace, merged: LabelSpace, train_id: int) -> list[int]:
-    """Return the train ids that the raw ids of a class become; of an ignored class only one."""
-    standing = own.learning_map_inv[train_id]
-    of_class = {raw for raw, train in own.learning_map.items() if train == train_id}
-    chosen = of_class - {standing} if not own.ignored[train_id] else set()
+def _targets(space: LabelSpace, merged: LabelSpace, train_id: int) -> list[int]:
+    """Return the merged train ids of the raw ids of a class; only one for an ignored class."""
+    # An ignored class contains everything without a class, some of which the other space may have.
+    standing = space.learning_map_inv[train_id]
+    of_class = {raw for raw, train in space.learning_map.items() if train == train_id}
+    chosen = of_class - {standing} if not space.ignored[train_id] else set()
     first = merged.learning_map[standing]
     return [first, *sorted({merged.learning_map[raw] for raw in chosen} - {first})]
 
 
 def _alternatives(
-    own: LabelSpace, merged: LabelSpace, targets: Sequence[int]
+    space: LabelSpace, merged: LabelSpace, targets: Sequence[int]
 ) -> dict[int, tuple[int, ...]]:
-    """Return what the alternatives become; several that become one class are none any more."""
+    """Return the merged alternatives; those that become one class are omitted."""
     merged_ids = {
         raw: {
             merged.learning_map[raw],
-            *(targets[i] for i in several if i != own.learning_map[raw]),
+            *(targets[i] for i in several if i != space.learning_map[raw]),
         }
-        for raw, several in own.alternatives.items()
+        for raw, several in space.alternatives.items()
     }
     return {raw: tuple(sorted(several)) for raw, several in merged_ids.items() if len(several) > 1}
 

@@ -15,7 +15,7 @@ NAMES_WIDTH = 24  # Columns of the names of options; longer ones get a line
 HIDDEN = {
     "": "--aleatoric --backend --batch --ego --engine --highest --install-completion --intensity "
     "--knn-cutoff --knn-k --knn-sigma --knn-window --lowest --map-voxel --min-range --on-error "
-    "--movable-reach --pixel-labels --precision --scheduler --shard --show-completion --steps",
+    "--movable-reach --pixel-labels --precision --shard --show-completion --steps",
     "pick": "--seed",
     **dict.fromkeys(("export-ply", "picture", "report", "view"), "--label-space"),
 }

@@ -128,7 +128,7 @@ def view(
     *,
     port: int = option("Port on this machine; 0: any free port.", default=8765, min=0, max=65535),
     query: ResultQuery,
-    running: Annotated[RunOptions, Without({"backend", "scheduler", "shard", "overwrite"})],
+    running: Annotated[RunOptions, Without({"backend", "shard", "overwrite"})],
     output: console.Output,
 ) -> None:
     """Show all scans of a run in the browser, until Ctrl-C.

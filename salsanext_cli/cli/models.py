@@ -5,8 +5,7 @@ from pathlib import Path
 
 from salsanext_cli.cli import arguments, console
 from salsanext_cli.engines.settings import DEFAULT_WEIGHTS, weights_file
-from salsanext_cli.errors import UsageError, counted
-from salsanext_cli.option_fields import ScanSelection, argument, option
+from salsanext_cli.option_fields import argument, option
 from salsanext_cli.results.query import named_label_space
 
 
@@ -92,11 +91,6 @@ def export_onnx(
     *,
     sensor: str | None = arguments.sensor_option(show_default="the sensor of the weights"),
     dynamic_width: bool = option("Accept any width that is a multiple of 16 or 32.", default=False),
-    int8: bool = option("Quantise to bytes, with ranges from --calibrate.", default=False),
-    calibrate: Path | None = option(
-        "Scans for --int8, without labels: some tens.", metavar="SCANS"
-    ),
-    limit: int = option("At most this number of scans to calibrate, evenly spaced.", default=40),
     overwrite: bool = arguments.OVERWRITE,
     output: console.Output,
 ) -> None:
@@ -106,21 +100,18 @@ def export_onnx(
     """
     from salsanext_cli.stages.export_onnx import export_onnx as stage
 
-    if int8 != (calibrate is not None):
-        given, lacking = ("--int8", "--calibrate") if int8 else ("--calibrate", "--int8")
-        raise UsageError(given, f"without {lacking}", "both or neither")
     done = stage(
         weights_file(weights),
         target,
         view=arguments.sensor(sensor),
         dynamic_width=dynamic_width,
-        calibrate=calibrate,
-        selection=ScanSelection(limit=limit),
         overwrite=overwrite,
     )
     output.result(done)
-    output.print(f"largest difference from torch: {done['difference']:.1e} of the largest logit")
-    if int8:
-        scanned = counted(done["scans"], "scan")
-        output.print(f"int8: {done['equal_labels']:.2%} of the labels of {scanned} equal")
+    if done["difference"] is None:
+        output.print("the model was not compared with torch, because onnxruntime is not installed")
+    else:
+        output.print(
+            f"largest difference from torch: {done['difference']:.1e} of the largest logit"
+        )
     output.print(f"export-onnx: {weights} → {target}")

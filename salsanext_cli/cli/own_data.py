@@ -80,7 +80,7 @@ def convert(
     topic: str | None = arguments.TOPIC,
     every: int = option("Take only every Nth scan.", default=1),
     limit: int | None = option("Only the first N scans."),
-    running: Annotated[RunOptions, Without({"backend", "scheduler", "shard"})],
+    running: Annotated[RunOptions, Without({"backend", "shard"})],
     output: console.Output,
 ) -> None:
     """Write the scans of a recording as `.bin` files, in the layout of SemanticKITTI.
@@ -190,8 +190,6 @@ def import_labels(
         print_line(f"error: {with_hint(failure.reason, failure.hint)}")
     for line in imported_lines(made, dataset):
         output.print(printable(line))
-    if merged := sum(len(scan.files) > 1 for scan in made.scans):
-        output.print(f"merged from several files: {counted(merged, 'scan')}")
     raise typer.Exit(console.FAILED if made.failures else console.DONE)
 
 

@@ -9,14 +9,18 @@ from salsanext_cli.errors import UsageError
 
 REMOVED = {
     ("", "--out"): "give the folder as the argument OUT",
+    ("", "--backend dask"): "use `--shard I/N` on each machine",
     ("", "--backend ray"): "use `--shard I/N` on each machine",
+    ("", "--scheduler"): "use `--shard I/N` on each machine",
     ("compare", "--by-distance"): "use `eval --by-distance` on both folders",
     ("convert", "--backend"): "use `--jobs`",
-    ("convert", "--scheduler"): "use `--jobs`",
     ("demo", "--engine"): "use `predict --engine` on your own scans",
     ("demo", "--intensity"): "use `predict --intensity` on your own scans",
     ("demo", "--precision"): "use `predict --precision` on your own scans",
     ("demo", "--weights"): "use `predict --weights` on your own scans",
+    ("export-onnx", "--calibrate"): "quantise the exported model with other software",
+    ("export-onnx", "--int8"): "quantise the exported model with other software",
+    ("export-ply", "--format"): "use no option: clouds are PLY, which PDAL converts to LAS or LAZ",
     ("export-rrd", ""): "use examples/rerun_recording.py",
     ("filter", "--split"): "use `--by-class`",
     ("fuse", "--strict"): "use the key `warnings` of `--json`",
@@ -29,7 +33,6 @@ REMOVED = {
     ("uncertainty", "--method"): "use fewer passes, such as `--samples 5`, to save time",
     ("view", "--backend"): "use `--jobs`",
     ("view", "--by-distance"): "use `report --by-distance`",
-    ("view", "--scheduler"): "use `--jobs`",
 }
 """Hint by command and option, with its value if other values remain; "" stands for all commands, or
 for the command itself."""

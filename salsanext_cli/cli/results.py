@@ -4,7 +4,7 @@
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 from salsanext_cli.cli import arguments, console, summary
 from salsanext_cli.cli.console import over_scans
@@ -196,9 +196,6 @@ def export_ply(
     max_error: float | None = option(
         "Write points as unlabelled whose probability of error is above this."
     ),
-    form: Literal["ply", "las", "laz"] = option(
-        "Format; las and laz contain the classes of the ASPRS.", "--format", default="ply"
-    ),
     as_map: bool = option(
         "Write one cloud for each drive, with the labels of `fuse`.", "--map", default=False
     ),
@@ -226,7 +223,6 @@ def export_ply(
             colour=colour,
             scale=scale,
             max_error=max_error,
-            form=form,
             voxel=map_voxel,
             query=query,
             options=run,

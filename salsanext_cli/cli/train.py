@@ -29,7 +29,7 @@ class Start:
     recipe: str = network_option(
         "Recipe of the training.",
         default="paper",
-        metavar="paper|paper-v1|modern|street|finetune|quick|FILE",
+        metavar="paper|modern|street|finetune|quick|FILE",
     )
     changes: list[str] | None = network_option(
         "Change a key of the recipe; may be given several times.", "--set", metavar="KEY=VALUE"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Interface of the libraries that compute a network: images in, predictions and moments out."""
+"""Interface of the libraries that compute a network."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
@@ -24,15 +24,25 @@ if TYPE_CHECKING:
 
 
 class PixelPrediction(NamedTuple):
-    """Prediction for the pixels of a range image."""
+    """Prediction for the pixels of a range image.
 
-    labels: TrainIds  # (H, W) uint8: the likeliest class, the first of equal ones
-    confidence: Float  # (H, W) float32: its probability
-    softmax: Float | None = None  # (C, H, W) float32, if it was wanted
+    Attributes
+    ----------
+    labels : (H, W) uint8
+        The likeliest class, the first of equal ones.
+    confidence : (H, W) float32
+        Its probability.
+    softmax : (C, H, W) float32, optional
+        Probabilities of all classes, if requested.
+    """
+
+    labels: TrainIds
+    confidence: Float
+    softmax: Float | None = None
 
     @classmethod
     def of(cls, softmax: Float, *, keep: bool = False) -> "PixelPrediction":
-        """Reduce a softmax (C, H, W), which may be overwritten later unless it is to `keep`."""
+        """Reduce a softmax (C, H, W) float32; `keep` puts a copy of it into the prediction."""
         values = argument(softmax, np.float32).reshape(len(softmax), -1)
         labels = np.zeros(values.shape[1], np.uint8)
         confidence = np.empty(values.shape[1], np.float32)
@@ -42,18 +52,18 @@ class PixelPrediction(NamedTuple):
 
         parallel_for_slices(reduce, len(labels))
         size = softmax.shape[1:]
-        kept = softmax.copy() if keep else None
-        return cls(labels.reshape(size), confidence.reshape(size), kept)
+        copy = softmax.copy() if keep else None
+        return cls(labels.reshape(size), confidence.reshape(size), copy)
 
 
 @compiled
 def largest(softmax: Float, labels: TrainIds, confidence: Float) -> None:
-    """Write the class of the largest value of each column, which is 0 before, and the value."""
+    """Write class and value of the largest value of each column; the labels are 0 before."""
     confidence[:] = softmax[0]
     for k in range(1, len(softmax)):
         values = softmax[k]
         for i in range(len(labels)):
-            # What is not finite is to be seen.
+            # NaN wins, so that it can be detected.
             larger = values[i] > confidence[i] or values[i] != values[i]
             confidence[i] = values[i] if larger else confidence[i]
             labels[i] = k if larger else labels[i]
@@ -61,22 +71,38 @@ def largest(softmax: Float, labels: TrainIds, confidence: Float) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Backend(ABC):
-    """Weights on a device, in evaluation mode, computed by one library; it knows no scans.
+    """Weights on a device, in evaluation mode, computed by one library.
 
     Images are inputs of the network, (1, 5, H, W) float32, normalised.
+
+    Attributes
+    ----------
+    load_module : callable
+        Returns the network in torch, float32, on the device; called when it is first needed.
+    card : WeightsCard
+        Metadata of the weights.
+    size : tuple of int
+        Height and width of the images.
+    device : str
+        ``"cpu"``, ``"cuda"``, ``"cuda:1"`` …
+    precision : {"float32", "bfloat16", "float16"}
+        Number type of most layers.
+    name, sha256 : str
+        Name of the weights file, for errors, and its digest; None for weights without a file.
+    code : str
+        Digest of the source of a plug-in's network.
     """
 
     library: ClassVar[str]
 
-    # Returns the network in torch, float32, on the device; called when it is first needed
     load_module: "Callable[[], SegmentationNetwork]"
     card: WeightsCard
-    size: tuple[int, int]  # Rows and columns of the images
-    device: str = "cpu"  # "cpu", "cuda", "cuda:1" …
-    precision: str = "float32"  # "float32", "bfloat16" or "float16"
-    name: str = "the weights"  # Of the weights file, for errors
-    sha256: str | None = None  # Of the weights file; None for weights that no file holds
-    code: str = ""  # Digest of the code of a plug-in's network
+    size: tuple[int, int]
+    device: str = "cpu"
+    precision: str = "float32"
+    name: str = "the weights"
+    sha256: str | None = None
+    code: str = ""
 
     @cached_property
     def module(self) -> "SegmentationNetwork":
@@ -97,32 +123,23 @@ class Backend(ABC):
     def sample(
         self, image: Float, seeds: Sequence[int], merging: ClassMerging | None = None
     ) -> Moments:
-        """Return the moments of the softmax over passes of dropout, whose masks have seeds."""
+        """Return the moments of the softmax over dropout passes, one per seed of the masks."""
 
     @abstractmethod
     def spread(self, images: Iterable[Float], merging: ClassMerging | None = None) -> Moments:
-        """Return the moments of the softmax over images; the entropies are left out."""
+        """Return the moments of the softmax over images, without entropies."""
 
     @abstractmethod
     def run(
         self, name: str, function: Callable[..., Any], *images: Float, exact: bool = False
     ) -> "tuple[Tensor, ...]":
-        """Return ``function(module, *images)``, tensors on the device.
+        """Return ``function(module, *images)``, a tuple of tensors on the device.
 
-        Parameters
-        ----------
-        name : str
-            Identifies the function: what was compiled under this name is used again.
-        function : callable
-            Takes the network and tensors; returns a tuple of tensors.
-        *images : (1, 5, H, W) float32
-            Its inputs.
-        exact : bool
-            Compute in float32, whatever the precision.
+        The name identifies the function in the cache of graphs; `exact` computes in float32.
         """
 
     def require_finite(self, values: Float, source: object) -> None:
-        """Raise `WeightsError`, naming weights and scan, if a result is not finite."""
+        """Raise `WeightsError` with weights and scan if a result is not finite."""
         if not np.isfinite(values).all():
-            wrong = f"their logits for {source} are not finite"
-            raise WeightsError(self.name, wrong, "finite logits", "use other weights")
+            problem = f"the logits of {source} are not finite"
+            raise WeightsError(self.name, problem, hint="use other weights")

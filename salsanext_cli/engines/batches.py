@@ -16,15 +16,15 @@ log = logging.getLogger(__name__)
 
 @dataclass(slots=True)
 class BatchSize:
-    """Number of items that are computed together; it is halved for good when memory runs out."""
+    """Number of items that are computed together, halved permanently when memory runs out."""
 
     most: int
-    name: str  # Of the items, in the plural
+    name: str  # Noun for the items, in the plural
 
     def in_batches(
         self, function: Callable[[Sequence[Item]], Result], items: Sequence[Item]
     ) -> Iterator[Result]:
-        """Yield the result of each batch; `MemoryError` if there is no room for one item."""
+        """Yield the result of each batch; raise `MemoryError` if one item does not fit."""
         done = 0
         while done < len(items):
             batch = items[done : done + self.most]
@@ -34,9 +34,9 @@ class BatchSize:
                 if not out_of_memory(error):
                     raise
                 if len(batch) == 1:
-                    raise MemoryError(f"no room for one of the {self.name}") from error
+                    raise MemoryError(f"not enough memory for one of the {self.name}") from error
                 self.most = min(self.most, len(batch) // 2)
-                text = "not enough memory for %d %s at once: %d now"
+                text = "batch: not enough memory for %d %s at once; continuing with %d"
                 log.warning(text, len(batch), self.name, self.most)
             else:
                 done += len(batch)

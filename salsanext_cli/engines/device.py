@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Choice of device, engine and number type by what this machine has; torch only if needed."""
+"""Choice of device, engine and number type on this machine; torch is imported only if needed."""
 
 import logging
 import os
@@ -9,14 +9,14 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from salsanext_cli.errors import MissingDependency, UsageError, error_text, warn_once
+from salsanext_cli.errors import MissingDependency, UsageError, counted, error_text, warn_once
 from salsanext_cli.files.optional_packages import OPENVINO_ERRORS, import_openvino
 
 PRECISIONS = ("auto", "float32", "bfloat16", "float16")
 ENGINES = ("auto", "openvino", "torch")
-MAX_BATCH_PIXELS = 16 * 64 * 2048  # Pixels that a GPU computes side by side
+MAX_BATCH_PIXELS = 16 * 64 * 2048  # Pixels in a batch of a GPU
 GPU_FILES = ("/dev/nvidiactl", "/dev/nvidia0", "/dev/nvhost-ctrl", "/dev/kfd", "/dev/dxg")
-"""Devices of Linux without one of which torch finds no GPU."""
+"""Device files of Linux; without any of them torch finds no GPU."""
 CPUINFO = Path("/proc/cpuinfo")
 ISA_VARIABLES = ("ONEDNN_MAX_CPU_ISA", "DNNL_MAX_CPU_ISA")
 BFLOAT16_ISA = {
@@ -24,7 +24,7 @@ BFLOAT16_ISA = {
     "avx512_bf16": ("BF16", "FP16", "AMX", "AVX10", "ALL", "DEFAULT"),
     "bf16": ("BF16", "FP16", "AMX", "AVX10", "ALL", "DEFAULT"),
 }
-"""x86 and ARM flags of bfloat16 multiplication, and the `ISA_VARIABLES` values that allow it."""
+"""x86 and ARM flags of bfloat16 multiplication, with the `ISA_VARIABLES` values that allow it."""
 
 log = logging.getLogger(__name__)
 
@@ -41,45 +41,47 @@ def choose_device(name: str) -> str:
     try:
         device = torch.device(name)
     except RuntimeError as error:
-        raise UsageError(f"device {name}", "no such device", "cpu, cuda, cuda:0 …") from error
+        raise UsageError("--device", f"unknown device {name}", "cpu, cuda or cuda:0 …") from error
     if device.type == "cuda":
         count = torch.cuda.device_count()
         if (device.index or 0) >= count:
-            found = f"{count} GPUs visible to torch"
-            raise UsageError(f"device {name}", found, "one of them, or cpu")
+            problem = f"no {name}, because torch finds {counted(count, 'GPU')}"
+            raise UsageError("--device", problem, hint="use --device cpu")
     elif device.type != "cpu":
-        raise UsageError(f"device {name}", "not supported", "cpu or cuda")
+        raise UsageError("--device", f"unsupported device {name}", "cpu or cuda")
     return "cpu" if device.type == "cpu" else str(device)
 
 
 def choose_engine(name: str, device: str) -> str:
     """Return the engine of a name; ``"auto"`` is OpenVINO on CPUs on which it starts."""
     if name not in ENGINES:
-        raise UsageError("--engine", name, ", ".join(ENGINES))
+        raise UsageError("--engine", f"unknown engine {name}", ", ".join(ENGINES))
     if device != "cpu":
         if name == "openvino":
-            raise UsageError("--engine", f"openvino on {device}", "torch, or --device cpu")
+            problem = f"OpenVINO does not compute on {device}"
+            raise UsageError("--engine", problem, hint="use --device cpu")
         return "torch"
     if name == "torch":
         return name
     if not (failure := _openvino_fails()):
         return "openvino"
     if name == "openvino":
-        raise MissingDependency(name, failure, hint="install it again, or --engine torch")
-    warn_once(log, f"openvino {failure}; computing with torch, which is slower")
+        hint = "install it again, or use --engine torch"
+        raise MissingDependency(name, failure, hint=hint)
+    warn_once(log, f"openvino: {failure}; computing with torch, which is slower")
     return "torch"
 
 
 @cache
 def openvino_core() -> Any:
-    """Return OpenVINO for this process, until it ends."""
-    # The CPU plugin gives the thread that loads it a stack for signal handlers, and takes the
-    # memory back when it is unloaded: the next signal would end the process.
+    """Return the OpenVINO of this process."""
+    # It stays loaded: the CPU plugin installs a stack for signal handlers and frees it when it is
+    # unloaded, so that the next signal would end the process.
     openvino = import_openvino()
-    # Two threads that ask for this first would wait for each other for ever.
+    # Called here, because two threads that call it first would deadlock.
     openvino.Type.f32.to_dtype()
     core = openvino.Core()
-    # While they compute, the threads of every worker would be bound to the same first cores.
+    # Without this, the threads of all workers would be bound to the same cores.
     core.set_property("CPU", {"ENABLE_CPU_PINNING": False})
     return core
 
@@ -97,13 +99,14 @@ def _openvino_fails() -> str:
 
 
 def choose_precision(name: str, device: str) -> str:
-    """Return the number type of a name on a device; ``"auto"`` is the fastest that it has."""
+    """Return the number type of a name on a device; ``"auto"`` is the fastest one."""
     if name not in PRECISIONS:
-        raise UsageError("--precision", name, ", ".join(PRECISIONS))
+        raise UsageError("--precision", f"unknown precision {name}", ", ".join(PRECISIONS))
     if device == "cpu":
         possible = ("float32", "bfloat16") if bfloat16_instructions() else ("float32",)
         if name not in ("auto", *possible):
-            raise UsageError("--precision", f"{name} on this CPU", " or ".join(possible))
+            problem = f"this CPU does not compute {name}"
+            raise UsageError("--precision", problem, " or ".join(possible))
         return possible[-1] if name == "auto" else name
     if name != "auto":
         return name
@@ -114,24 +117,24 @@ def choose_precision(name: str, device: str) -> str:
 
 @cache
 def flags() -> frozenset[str]:
-    """Return the processor's flags; empty where the system does not tell them (not Linux)."""
+    """Return the flags of the processor; empty on other systems than Linux."""
     text = CPUINFO.read_text("utf-8") if CPUINFO.exists() else ""
     lines = [line for line in text.splitlines() if line.startswith(("flags", "Features"))]
     return frozenset(lines[0].partition(":")[2].split() if lines else ())
 
 
 def bfloat16_instructions() -> list[str]:
-    """Return the flags of instructions that multiply bfloat16, as far as the environment allows."""
+    """Return the flags of instructions that multiply bfloat16 and that the environment allows."""
     limit = _isa_limit()
     return [f for f in BFLOAT16_ISA if f in flags() and any(p in limit for p in BFLOAT16_ISA[f])]
 
 
 def _isa_limit() -> str:
-    """Return the instructions that the environment holds the libraries to, "ALL" for any."""
+    """Return the instruction set to which the environment limits the libraries, else "ALL"."""
     named = (os.environ.get(variable) for variable in ISA_VARIABLES)
     return next(filter(None, named), "ALL").upper()
 
 
 def processor() -> str:
-    """Return what code that is compiled for this processor depends on."""
+    """Return a text that identifies the instructions available to compiled code."""
     return f"{platform.machine()} {sorted(flags())} {_isa_limit()}"

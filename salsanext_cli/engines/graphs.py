@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Parts of a network as OpenVINO graphs: traced once, compiled for this CPU, kept in the cache.
+"""Parts of a network as OpenVINO graphs: traced once, compiled for this CPU, stored in the cache.
 
-A graph is made from the torch module by OpenVINO's own front end, in this process and without its
-command-line converter, which reports its use. What was compiled before is loaded without torch.
+OpenVINO's front end converts the torch module in this process, without the command-line converter,
+which reports its use. A graph in the cache is loaded without torch.
 """
 
 import hashlib
@@ -22,22 +22,22 @@ from salsanext_cli.files.user_cache import cached, store
 from salsanext_cli.records import CHANNELS, Float
 from salsanext_cli.version import __version__
 
-GRAPH_VERSION = 1  # Raise it when the code that makes graphs makes other ones
+GRAPH_VERSION = 1  # Raise it when the network or the code that makes graphs changes
 HINTS = {"float32": "f32", "bfloat16": "bf16"}
 LOGITS = "logits"  # Name of the last convolution, in every architecture
 PRECISE = "precise_0"  # Mark of a layer that stays float32
 NO_LAYERS = ("Constant", "Parameter", "Result")
-OF_LOGITS = re.compile(rf"[./]{LOGITS}/")  # Part of the names of its layers
+OF_LOGITS = re.compile(rf"[./]{LOGITS}/")  # In the names of its layers
 ERFC = (
     *(0.17087277, -0.82215223, 1.48851587, -1.13520398, 0.27886807),
     *(-0.18628806, 0.09678418, 0.37409196, 1.00002368, -1.26551223),
 )
 """ln(erfc(x)/t) + x² in t = 1/(1 + x/2), highest power first (Numerical Recipes, 1992, 6.2)."""
-_COMPILING = threading.Lock()  # Held while a thread traces and compiles: torch has global state
+_COMPILING = threading.Lock()  # For one thread at a time, because tracing has global state
 
 
 class Graph:
-    """Compiled part of a network: float32 arrays in, float32 arrays out, the same bits always."""
+    """Compiled part of a network: float32 arrays in, float32 arrays out, reproducible bits."""
 
     def __init__(self, compiled: Any) -> None:
         self.compiled = compiled
@@ -50,21 +50,21 @@ class Graph:
 
     def __call__(self, *inputs: Float, share: bool = False) -> list[Float]:
         """Compute once; shared outputs are overwritten by the next call of this graph."""
-        given = dict(enumerate(inputs))
-        outputs = self.request.infer(given, share_inputs=True, share_outputs=share)
+        numbered = dict(enumerate(inputs))
+        outputs = self.request.infer(numbered, share_inputs=True, share_outputs=share)
         return list(outputs.values())
 
-    def each(self, calls: Sequence[Sequence[Float]]) -> list[list[Float]]:
-        """Compute several times side by side; return the outputs in the order of the calls."""
+    def in_parallel(self, calls: Sequence[Sequence[Float]]) -> list[list[Float]]:
+        """Compute several calls in parallel; return the outputs in their order."""
         from openvino import AsyncInferQueue
 
         outputs: list[list[Float]] = [[]] * len(calls)
 
-        def keep(request: Any, number: int) -> None:
+        def copy_outputs(request: Any, number: int) -> None:
             outputs[number] = [tensor.data.copy() for tensor in request.output_tensors]
 
         queue = AsyncInferQueue(self.compiled)
-        queue.set_callback(keep)
+        queue.set_callback(copy_outputs)
         for number, inputs in enumerate(calls):
             queue.start_async(dict(enumerate(inputs)), number, share_inputs=True)
         queue.wait_all()
@@ -78,11 +78,11 @@ def compiled_graph(
     threads: int = 1,
     streams: int = 1,
 ) -> Any:
-    """Return a model, compiled; from the cache if it was compiled before.
+    """Return a compiled model, from the cache if possible; else `make` returns the model.
 
-    `make` is called only if the cache does not hold it; `key` is what the model depends on, with a
-    `repr` of its own. Layers that see the range image or make the logits compute in float32 in any
-    precision. `threads` in all compute `streams` calls side by side; no bit depends on them.
+    The `repr` of `key` identifies the model. The layers of the range image and of the logits
+    compute in float32 in any precision. `threads` in all compute `streams` calls in parallel,
+    which do not change a bit.
     """
     import openvino
 
@@ -93,7 +93,7 @@ def compiled_graph(
     }
     core = openvino_core()
 
-    def compile_anew() -> bytes:
+    def compile_model() -> bytes:
         model = make()
         if precision != "float32":
             model = partly_float32(core, model)
@@ -104,14 +104,14 @@ def compiled_graph(
     depends = repr((key, precision, *made_by, processor()))
     name = f"graphs/{hashlib.sha256(depends.encode()).hexdigest()[:32]}.blob"
     with _COMPILING:
-        content = cached(name, compile_anew)
+        content = cached(name, compile_model)
         try:
             return core.import_model(content, "CPU", hints)
         except RuntimeError as error:
             if out_of_memory(error):
                 raise
-            # Made by a build of the same version that compiles otherwise.
-            return core.import_model(store(name, compile_anew()), "CPU", hints)
+            # Another build of the same version of OpenVINO compiled it.
+            return core.import_model(store(name, compile_model()), "CPU", hints)
 
 
 def converted(module: Any, function: Callable[..., Any], inputs: Sequence[Any]) -> Any:
@@ -126,11 +126,11 @@ def converted(module: Any, function: Callable[..., Any], inputs: Sequence[Any]) 
             super().__init__()
             self.module = module
 
-        def forward(self, *given: torch.Tensor) -> Any:
-            return function(self.module, *given)
+        def forward(self, *tensors: torch.Tensor) -> Any:
+            return function(self.module, *tensors)
 
     with torch.inference_mode(), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # sizes become constants, as they should
+        warnings.simplefilter("ignore")  # Sizes become constants, as intended.
         traced = torch.jit.trace(Function().eval(), tuple(inputs), check_trace=False)  # type: ignore[no-untyped-call]
         front_end = FrontEndManager().load_by_framework("pytorch")
         front_end.add_extension(ConversionExtension("aten::special_erfc", _erfc))
@@ -142,7 +142,7 @@ def converted(module: Any, function: Callable[..., Any], inputs: Sequence[Any]) 
 
 
 def _erfc(node: Any) -> Any:
-    """Translate erfc of numbers from 0 on, for which OpenVINO has no operation."""
+    """Translate erfc of numbers ≥ 0, for which OpenVINO has no operation."""
     from openvino import opset13 as ops
 
     def number(value: float) -> Any:
@@ -158,8 +158,8 @@ def _erfc(node: Any) -> Any:
 
 def partly_float32(core: Any, model: Any) -> Any:
     """Return a model whose layers of the range image, of the logits and after them are float32."""
-    # Without the marks, bfloat16 would round ranges to the metre. OpenVINO obeys them in a model
-    # that it reads, not in one that is in memory.
+    # Otherwise bfloat16 would round ranges to the metre. OpenVINO ignores the marks of a model in
+    # memory, so the model is written and read.
     import openvino
 
     after_logits = False
@@ -179,5 +179,5 @@ def partly_float32(core: Any, model: Any) -> Any:
             openvino.save_model(model, file, compress_to_fp16=False)
             return core.read_model(file.read_bytes(), file.with_suffix(".bin").read_bytes())
     except (OSError, RuntimeError) as error:
-        full = f"cannot hold the network for a moment: {error_text(error)}"
-        raise OutputError("folder for temporary files", full, "room for weights") from error
+        problem, hint = f"cannot store the network: {error_text(error)}", "free some space"
+        raise OutputError("folder for temporary files", problem, hint=hint) from error

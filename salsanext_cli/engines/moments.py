@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Sums of the softmax over passes or noisy copies, in float64 so that the variance is exact."""
+"""Sums of the softmax over passes or noisy copies, in float64 for an exact variance."""
 
 from dataclasses import dataclass
 from typing import Self, TypeVar
@@ -15,20 +15,20 @@ Values = TypeVar("Values", Float, Double)
 
 @dataclass(slots=True)
 class Moments:
-    """Sums over a number of softmax."""
+    """Sums (C, H, W) of the softmax and its squares, and (H, W) of its entropy in nats; float64."""
 
     count: int
-    sum: Double  # (C, H, W) float64
-    sum_of_squares: Double  # (C, H, W) float64
-    sum_of_entropies: Double  # (H, W) float64, nats
+    sum: Double
+    sum_of_squares: Double
+    sum_of_entropies: Double
 
     @classmethod
     def none(cls, shape: tuple[int, ...]) -> Self:
-        """Begin the sums of softmax (C, H, W)."""
+        """Return sums of 0 for a softmax (C, H, W)."""
         return cls(0, np.zeros(shape), np.zeros(shape), np.zeros(shape[1:]))
 
     def add(self, softmax: Float, nats: Float | None, merging: ClassMerging | None) -> None:
-        """Add a softmax (C, H, W), and if wanted the entropy (H, W), both before classes merge."""
+        """Add a softmax (C, H, W) and optionally its entropy (H, W), both of unmerged classes."""
         if merging is not None:
             softmax = merging.add(softmax)
             nats = None if nats is None else entropy(softmax)
@@ -59,7 +59,7 @@ def _add_up(values: Float, total: Double, squares: Double) -> None:
 
 def entropy(probabilities: Values) -> Values:
     """Return the entropy over the first dimension in nats, (C, …) to (…) of the same type."""
-    # The logarithm of the smallest stands for that of 0, which counts 0 times.
+    # 0 · log 0 is 0: the logarithm of the smallest number makes it so.
     logarithms = np.log(np.maximum(probabilities, np.finfo(probabilities.dtype).tiny))
-    # A softmax rounded up to above 1 would have a negative one.
+    # A softmax that was rounded to above 1 would have a negative entropy.
     return np.maximum(-(probabilities * logarithms).sum(axis=0), 0)

@@ -28,7 +28,7 @@ class Network:
     sensor : Sensor
         Geometry and normalisation of the range images: the card's unless another was named.
     merging : ClassMerging, optional
-        Merges the classes of the card into those of all results but the logits.
+        Merges the classes of the card into the classes of all results but the logits.
     """
 
     backend: Backend
@@ -42,7 +42,7 @@ class Network:
 
     @property
     def device(self) -> str:
-        """Device that computes, such as ``"cpu"``, ``"cuda"`` and ``"cuda:1"``."""
+        """Device that computes, such as ``"cpu"`` and ``"cuda:1"``."""
         return self.backend.device
 
     @property
@@ -52,12 +52,12 @@ class Network:
 
     @property
     def space(self) -> LabelSpace:
-        """Classes of the results: those of the card, merged if that was asked for."""
+        """Classes of the results: the classes of the card, merged if requested."""
         return self.card.space if self.merging is None else self.merging.space
 
     @property
     def groups(self) -> tuple[tuple[int, ...], ...] | None:
-        """Train ids of the card that are merged into each class, None if none are."""
+        """Train ids of the card that are merged into each class; None without merging."""
         return None if self.merging is None else self.merging.groups
 
     def for_sensor(self, sensor: Sensor) -> "Network":
@@ -65,21 +65,23 @@ class Network:
         return replace(self, sensor=sensor)
 
     def input(self, channels: Float) -> Float:
-        """Return (5, H, W) channels of the sensor as the weights take them, (1, 5, H, W)."""
+        """Return the input (1, 5, H, W) of the weights from channels (5, H, W) of the sensor."""
         return network_input(channels, self.sensor, self.card.sensor)
 
     def predict(self, inputs: Sequence[Float], *, softmax: bool = False) -> list[PixelPrediction]:
         """Predict the pixels of inputs (1, 5, H, W), in the classes of `space`.
 
-        The logits are divided by the card's temperature, which leaves their order as it is; the
-        probabilities of merged classes are added. The softmax is returned if it is wanted.
+        The logits are divided by the card's temperature, which preserves their order; the
+        probabilities of merged classes are added. `softmax` adds the probabilities of all classes.
         """
         temperature, merging = self.card.temperature, self.merging
         if merging is None:
             return self.backend.predict(inputs, temperature, softmax=softmax)
         of_card = self.backend.predict(inputs, temperature, softmax=True)
-        merged = (merging.add(each.softmax) for each in of_card if each.softmax is not None)
-        return [PixelPrediction.of(each, keep=softmax) for each in merged]
+        return [
+            PixelPrediction.of(merging.add(cast(Float, pixels.softmax)), keep=softmax)
+            for pixels in of_card
+        ]
 
     def logits(self, image: RangeImage) -> Float:
         """Return the logits of every pixel, (C, H, W) float32, of the classes of the card."""
@@ -87,19 +89,9 @@ class Network:
         return logits
 
     def probabilities(self, image: RangeImage, source: object = "a scan") -> Float:
-        """Return the softmax of every pixel, (C, H, W) float32, sum over C = 1, as `predict` does.
+        """Return the softmax (C, H, W) float32 of `predict`, with sum 1 over C.
 
-        Parameters
-        ----------
-        image : RangeImage
-            One scan.
-        source : object
-            What to call it in an error.
-
-        Raises
-        ------
-        WeightsError
-            If the softmax is not finite.
+        A softmax that is not finite raises a `WeightsError` with the source.
         """
         (prediction,) = self.predict([self.input(image.channels)], softmax=True)
         self.backend.require_finite(prediction.confidence, source)

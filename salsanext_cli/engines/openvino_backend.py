@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Backend that computes with OpenVINO on CPUs, from graphs of the torch module or an ONNX file."""
+"""Backend that computes with OpenVINO on CPUs, from graphs of the torch module."""
 
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -20,21 +20,18 @@ if TYPE_CHECKING:
 
     from salsanext_cli.network.segmentation import SegmentationNetwork
 
-
-PASSES_PER_THREAD = 4  # Passes before results are added up, in order
+PASSES_PER_THREAD = 4  # Passes between two additions of results, in order
 
 
 @dataclass(frozen=True, eq=False)
 class OpenVinoBackend(Backend):
     """Weights compiled for this CPU.
 
-    Images are computed one after the other, so that no bit depends on the others.
+    Images are computed one after the other, so that a result does not depend on its batch.
     """
 
     library: ClassVar[str] = "openvino"
 
-    # Reads the model of an ONNX file, of images to logits; None for weights of torch
-    read_model: Callable[[], Any] | None = None
     graphs: dict[Any, Graph] = field(default_factory=dict, repr=False)  # Compiled so far
 
     def predict(
@@ -54,7 +51,7 @@ class OpenVinoBackend(Backend):
     def sample(
         self, image: Float, seeds: Sequence[int], merging: ClassMerging | None = None
     ) -> Moments:
-        """Return the moments of the softmax over passes of dropout, whose masks have seeds."""
+        """Return the moments of the softmax over dropout passes, one per seed of the masks."""
         from salsanext_cli.network.segmentation import SegmentationNetwork as Module
 
         features = self.graph("trunk", Module.padded_trunk, [image])(image)
@@ -65,7 +62,7 @@ class OpenVinoBackend(Backend):
         return moments
 
     def spread(self, images: Iterable[Float], merging: ClassMerging | None = None) -> Moments:
-        """Return the moments of the softmax over images; the entropies are left out."""
+        """Return the moments of the softmax over images, without entropies."""
         graph, moments = self.output_graph(1.0), self._no_moments(merging)
         for image in images:
             moments.add(graph(image, share=True)[0][0], None, merging)
@@ -84,18 +81,12 @@ class OpenVinoBackend(Backend):
     def output_graph(self, temperature: float | None) -> Graph:
         """Return the graph of the softmax at a temperature, or of the logits."""
 
-        def of_module(module: "SegmentationNetwork", image: "Tensor") -> "Tensor":
+        def output(module: "SegmentationNetwork", image: "Tensor") -> "Tensor":
             logits: Tensor = module(image)
             return logits if temperature is None else (logits / temperature).softmax(dim=1)
 
-        def make() -> Any:
-            if self.read_model is None:
-                return converted(self.module, of_module, [self._empty()])
-            model = self.read_model()
-            return model if temperature is None else _with_softmax(model, temperature)
-
         name = "logits" if temperature is None else f"softmax at {temperature}"
-        return self._compiled(name, make, self.precision)
+        return self.graph(name, output, [np.zeros((1, len(CHANNELS), *self.size), np.float32)])
 
     def graph(
         self,
@@ -106,9 +97,10 @@ class OpenVinoBackend(Backend):
         precision: str | None = None,
     ) -> Graph:
         """Return a named function of the module and of images as a graph."""
-        import torch
 
         def make() -> Any:
+            import torch
+
             return converted(self.module, function, [*map(torch.from_numpy, images)])
 
         return self._compiled(name, make, precision or self.precision)
@@ -123,8 +115,8 @@ class OpenVinoBackend(Backend):
         threads, rate = thread_count(), require_dropout(self.module)
 
         def make() -> Any:
-            given = [*map(torch.from_numpy, features)]
-            inputs = [*given, *dropout_factors(self.module, given)]
+            tensors = [*map(torch.from_numpy, features)]
+            inputs = [*tensors, *dropout_factors(self.module, tensors)]
             return converted(self.module, rest_with_factors, inputs)
 
         rest = self._compiled("rest", make, self.precision, threads)
@@ -135,12 +127,12 @@ class OpenVinoBackend(Backend):
                 draw = random_masks([torch.Generator().manual_seed(seed)])
                 factors = [draw(shape[1], rate).numpy() for shape in rest.shapes[len(features) :]]
                 calls.append([*features, *factors])
-            yield from rest.each(calls)
+            yield from rest.in_parallel(calls)
 
     def _compiled(
         self, name: str, make: Callable[[], Any], precision: str, streams: int = 1
     ) -> Graph:
-        """Return a model that is compiled once for each thread; `streams` calls run together."""
+        """Return a model, compiled once per thread; `streams` calls run in parallel."""
         settings = (precision, thread_count(), streams)
         key = (name, settings, threading.get_ident())
         if key not in self.graphs:
@@ -148,22 +140,6 @@ class OpenVinoBackend(Backend):
             self.graphs[key] = Graph(model)
         return self.graphs[key]
 
-    def _empty(self) -> "Tensor":
-        """Return an empty range image, (1, 5, H, W)."""
-        import torch
-
-        return torch.zeros(1, len(CHANNELS), *self.size)
-
     def _no_moments(self, merging: ClassMerging | None) -> Moments:
         space = self.card.space if merging is None else merging.space
         return Moments.none((space.class_count, *self.size))
-
-
-def _with_softmax(model: Any, temperature: float) -> Any:
-    """Return the model that ends with the softmax of its logits divided by a temperature."""
-    import openvino
-    from openvino import opset13 as ops
-
-    logits = model.output(0).get_node().input_value(0)
-    scaled = ops.divide(logits, ops.constant(np.float32(temperature)))
-    return openvino.Model([ops.softmax(scaled, 1)], model.get_parameters(), "softmax")

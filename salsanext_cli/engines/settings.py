@@ -25,7 +25,7 @@ log = logging.getLogger(__name__)
 
 @option_group
 class NetworkSettings:
-    """Settings of a network to load; small enough to be sent to another process."""
+    """Settings of a network to load; they can be pickled."""
 
     weights: Path | None = network_option(
         "Weights file (.safetensors).", show_default="the weights of the package"
@@ -48,7 +48,7 @@ class NetworkSettings:
         envvar="SALSANEXT_ENGINE",
         typed=Literal["auto", "openvino", "torch"],
     )
-    # A `Sensor` is taken as it is, whatever `columns`, `min_range` and `ego` say
+    # A `Sensor` is used unchanged, whatever `columns`, `min_range` and `ego` are
     sensor: "Sensor | str | None" = network_option(
         "Sensor of the scans; auto estimates field of view and mounting. A named sensor sets only "
         "intensity scale and noise.",
@@ -75,24 +75,22 @@ class NetworkSettings:
         default=AUTO,
         typed=Literal["auto", "match", "raw", "none"],
     )
-    # Whether a view and a mounting that differ much from the sensor's are those of the scans;
-    # None: unless a sensor with a view of its own is named
+    # Whether to fit field of view and mounting to the scans; None: unless `sensor` defines them
     fit: bool | None = None
-    sha256: str | None = None  # Of the weights file that a run began with; others are refused
+    sha256: str | None = None  # Of the weights file when the run began; other files are refused
     classes: "LabelSpace | None" = None  # As `load_network` takes them
 
     @property
     def path(self) -> Path:
-        """The weights file that was asked for."""
+        """The weights file."""
         return weights_file(self.weights)
 
     @property
     def fits_view(self) -> bool:
-        """True if the view is to be fitted to the scans."""
+        """Whether to fit the field of view to the scans."""
         from salsanext_cli.sensors.sensor import presets
 
-        own_view = self.sensor not in (None, AUTO, *presets())
-        return not own_view if self.fit is None else self.fit
+        return self.sensor in (None, AUTO, *presets()) if self.fit is None else self.fit
 
     def trained_sensor(self) -> "Sensor":
         """Return the sensor that the weights were trained with."""
@@ -101,8 +99,7 @@ class NetworkSettings:
         return read_card(self.path).sensor
 
     def named_sensor(self) -> "Sensor | None":
-        """Return the sensor that was asked for, None if none was."""
-        # A built-in sensor tells noise and scale of intensity only.
+        """Return the requested sensor, if any; of a built-in one noise and intensity scale only."""
         from salsanext_cli.sensors.sensor import OF_DEVICE, presets, sensor
 
         named = self.sensor or AUTO
@@ -110,18 +107,18 @@ class NetworkSettings:
             return named
         if (named, self.columns, self.min_range, self.ego) == (AUTO, None, None, AUTO):
             return None
-        own = trained = self.trained_sensor()
+        chosen = trained = self.trained_sensor()
         if named != AUTO:
-            own = sensor(named, trained)
+            chosen = sensor(named, trained)
         if named in presets():
-            own = replace(trained, **{key: getattr(own, key) for key in OF_DEVICE})
-        own = with_columns(own, self.columns)
+            chosen = replace(trained, **{key: getattr(chosen, key) for key in OF_DEVICE})
+        chosen = with_columns(chosen, self.columns)
         if self.min_range is not None:
-            own = replace(own, min_range=self.min_range)
+            chosen = replace(chosen, min_range=self.min_range)
         if self.ego != AUTO:
-            own = replace(own, ego_box=_ego_box(self.ego))
-        # Those of training are not those of the scans.
-        return replace(own, intensity_quantiles=(), row_gaps=None)
+            chosen = replace(chosen, ego_box=_ego_box(self.ego))
+        # The scans have another intensity and other gaps than the training.
+        return replace(chosen, intensity_quantiles=(), row_gaps=None)
 
     def load(self) -> "Network":
         """Load the network."""
@@ -141,22 +138,19 @@ class NetworkSettings:
         )
 
     def announce(self, network: "Network") -> None:
-        """Log what computes, and on what the default weights were trained."""
+        """Log weights, device, engine and precision, and parts fitted to other weights."""
         default = self.weights in (None, DEFAULT_WEIGHTS)
         name = network.card.title(self.path) if default else self.weights
         merged = f", merged into the classes of {network.space.name}" if network.merging else ""
-        computing = (
-            f"on {network.device} by {network.backend.library} in {network.backend.precision}"
-        )
+        backend = network.backend
+        computing = f"on {backend.device} by {backend.library} in {backend.precision}"
         log.log(NOTICE, "%s %s%s", name, computing, merged)
         if inherited := network.card.inherited():
-            hint = ": `salsanext tune error`" if inherited.startswith("error") else ""
+            hint = ": run `salsanext tune error`" if inherited.startswith("error") else ""
             log.log(NOTICE, "%s; not fitted to these weights%s", inherited, hint)
 
     def resolved(self, network: "Network") -> "NetworkSettings":
-        """Log what computes, and return the settings for workers: all the same, same weights."""
-        # What is "auto" here might be something else on their machines, and a training that goes on
-        # may replace its best weights.
+        """Announce the network, and return settings with which each worker loads the same one."""
         self.announce(network)
         return replace(
             self,
@@ -169,14 +163,14 @@ class NetworkSettings:
 
 
 def weights_file(path: Path | None) -> Path:
-    """Return a weights file, that of the package for none or for the name `DEFAULT_WEIGHTS`."""
+    """Return a weights file; None and `DEFAULT_WEIGHTS` stand for the weights of the package."""
     from salsanext_cli.network.card import default_weights
 
     return default_weights() if path in (None, DEFAULT_WEIGHTS) else path
 
 
 def with_columns(sensor: "Sensor", columns: str | None) -> "Sensor":
-    """Return a sensor whose files have other columns, if some were named."""
+    """Return a sensor with other columns of its files, if they are named."""
     if columns is None:
         return sensor
     from salsanext_cli.sensors.sensor import COLUMNS_EXPECTED, are_columns
@@ -188,7 +182,7 @@ def with_columns(sensor: "Sensor", columns: str | None) -> "Sensor":
 
 
 def _ego_box(text: str) -> tuple[float, ...]:
-    """Return the box that a text tells, nothing for ``none``."""
+    """Return the numbers of a box, () for ``none``."""
     from salsanext_cli.sensors.sensor import BOX_EXPECTED, is_box
 
     box: tuple[float, ...] = ()

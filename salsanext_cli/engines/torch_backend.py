@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Backend that computes with torch, on GPUs and where OpenVINO does not run.
 
-In a shorter number type, layers that see the range image itself stay float32: eight bits of a range
+In a shorter number type, the layers of the range image stay float32, because eight bits of a range
 are metres. So do the logits.
 """
 
@@ -28,8 +28,8 @@ from salsanext_cli.records import CHANNELS, Float
 
 @cache
 def set_up_cuda() -> None:
-    """Let cuDNN compute the same bits always, and all those of float32, in this process."""
-    # Threads share these settings, so that each call cannot have its own.
+    """Let cuDNN compute reproducible bits in full float32, in this process."""
+    # Threads share these settings, so a context for each call would affect other threads.
     torch.backends.cudnn.benchmark = False
     torch.backends.cudnn.deterministic = True
     torch.backends.cudnn.allow_tf32 = False
@@ -38,7 +38,7 @@ def set_up_cuda() -> None:
 
 @dataclass(frozen=True, eq=False)
 class TorchBackend(Backend):
-    """Weights as a torch module. What is reduced on the device is copied to the host once."""
+    """Weights as a torch module. Results are reduced on the device and copied to the host once."""
 
     library: ClassVar[str] = "torch"
 
@@ -59,7 +59,7 @@ class TorchBackend(Backend):
 
     @cached_property
     def _side_by_side(self) -> BatchSize:
-        """Number of passes or noisy copies of a scan that are computed together."""
+        """Number of passes or noisy copies of a scan in a batch."""
         pixels = self.size[0] * self.size[1]
         return BatchSize(max(1, MAX_BATCH_PIXELS // pixels) if self._on_gpu else 1, "passes")
 
@@ -72,7 +72,7 @@ class TorchBackend(Backend):
         confidence, labels = probabilities.max(dim=1)
         reduced = (labels.to(torch.uint8), confidence)
         arrays = self._to_host(*reduced, *([probabilities] if softmax else []))
-        return [PixelPrediction(*of_image) for of_image in zip(*arrays, strict=True)]
+        return [PixelPrediction(*parts) for parts in zip(*arrays, strict=True)]
 
     @torch.inference_mode()
     def logits(self, images: Sequence[Float]) -> list[Float]:
@@ -83,13 +83,13 @@ class TorchBackend(Backend):
     def sample(
         self, image: Float, seeds: Sequence[int], merging: ClassMerging | None = None
     ) -> Moments:
-        """Return the moments of the softmax over passes of dropout, whose masks have seeds."""
+        """Return the moments of the softmax over dropout passes, one per seed of the masks."""
         features = self.torch_module.padded_trunk(self.tensor([image]))
 
-        def passes(some: Sequence[int]) -> tuple[Tensor, Tensor | None]:
-            with sampling(random_masks([torch.Generator().manual_seed(seed) for seed in some])):
+        def passes(batch: Sequence[int]) -> tuple[Tensor, Tensor | None]:
+            with sampling(random_masks([torch.Generator().manual_seed(seed) for seed in batch])):
                 logits = self.torch_module.rest(
-                    *(f.expand(len(some), -1, -1, -1) for f in features)
+                    *(f.expand(len(batch), -1, -1, -1) for f in features)
                 )
             height, width = image.shape[-2:]
             return softmax_and_entropy(logits.float()[..., :height, :width])
@@ -98,10 +98,10 @@ class TorchBackend(Backend):
 
     @torch.inference_mode()
     def spread(self, images: Iterable[Float], merging: ClassMerging | None = None) -> Moments:
-        """Return the moments of the softmax over images; the entropies are left out."""
+        """Return the moments of the softmax over images, without entropies."""
 
-        def copies(some: Sequence[Float]) -> tuple[Tensor, Tensor | None]:
-            return self.torch_module(self.tensor(some)).softmax(dim=1), None
+        def copies(batch: Sequence[Float]) -> tuple[Tensor, Tensor | None]:
+            return self.torch_module(self.tensor(batch)).softmax(dim=1), None
 
         return self._moments(copies, [*images], merging)
 
@@ -111,7 +111,7 @@ class TorchBackend(Backend):
     ) -> tuple[Tensor, ...]:
         """Return ``function(module, *images)``, tensors on the device."""
         module = self.module if exact else self.torch_module
-        outputs: tuple[Tensor, ...] = function(module, *(self.tensor([each]) for each in images))
+        outputs: tuple[Tensor, ...] = function(module, *(self.tensor([image]) for image in images))
         return outputs
 
     def tensor(self, images: Sequence[Float]) -> Tensor:
@@ -122,11 +122,9 @@ class TorchBackend(Backend):
 
     def _to_host(self, *tensors: Tensor) -> list[Any]:
         """Return tensors as arrays, copied together."""
-        hosts = [
-            torch.empty(each.shape, dtype=each.dtype, pin_memory=self._on_gpu) for each in tensors
-        ]
-        for host, each in zip(hosts, tensors, strict=True):
-            host.copy_(each, non_blocking=True)
+        hosts = [torch.empty(t.shape, dtype=t.dtype, pin_memory=self._on_gpu) for t in tensors]
+        for host, tensor in zip(hosts, tensors, strict=True):
+            host.copy_(tensor, non_blocking=True)
         if self._on_gpu:
             torch.cuda.current_stream(self.device).synchronize()
         return [host.numpy() for host in hosts]
@@ -139,14 +137,14 @@ class TorchBackend(Backend):
     ) -> Moments:
         """Add up the softmax of batches of items on the device, and copy the sums once."""
 
-        def add_up(some: Sequence[Any]) -> list[Tensor]:
-            softmax, nats = compute(some)
+        def add_up(batch: Sequence[Any]) -> list[Tensor]:
+            softmax, nats = compute(batch)
             if merging is not None:
                 softmax = merged(softmax, merging)
                 nats = None if nats is None else torch.special.entr(softmax).sum(dim=1)
             exact = softmax.double()
             nats = exact.new_zeros(exact[:, 0].shape) if nats is None else nats.double()
-            return [each.sum(dim=0) for each in (exact, exact.square(), nats)]
+            return [values.sum(dim=0) for values in (exact, exact.square(), nats)]
 
         batches = self._side_by_side.in_batches(add_up, items)
         total = next(batches)
@@ -173,7 +171,7 @@ def softmax_and_entropy(logits: Tensor) -> tuple[Tensor, Tensor]:
 
 def rest_with_factors(module: SegmentationNetwork, *inputs: Tensor) -> tuple[Tensor, Tensor]:
     """Return softmax and entropy from features (B, C, H, W) and factors of channels (B, C)."""
-    factors = (given for given in inputs if given.dim() == 2)
+    factors = (tensor for tensor in inputs if tensor.dim() == 2)
     with sampling(lambda *_: next(factors)):
         return softmax_and_entropy(module.rest(*(f for f in inputs if f.dim() == 4)))
 
@@ -193,15 +191,15 @@ def dropout_factors(module: SegmentationNetwork, features: Sequence[Tensor]) -> 
 
 
 class Float32Convolution(nn.Conv2d):
-    """Convolution in float32, of features and into features of any type; autocast leaves it.
+    """Float32 convolution from and into features of any type, also within autocast.
 
-    It has the weight and the bias of another convolution, not copies of them.
+    It shares weight and bias with another convolution.
     """
 
     def __init__(self, layer: nn.Conv2d, output: torch.dtype) -> None:
         size = (layer.in_channels, layer.out_channels, layer.kernel_size)
         geometry = (layer.stride, layer.padding, layer.dilation, layer.groups)
-        # On "meta" nothing is drawn: torch's global generator stays as it is.
+        # On "meta" no weights are drawn: torch's global generator does not change.
         super().__init__(*size, *geometry, device="meta")  # type: ignore[arg-type]
         self.weight, self.bias, self.output = layer.weight, layer.bias, output
         self.train(layer.training)
@@ -217,12 +215,12 @@ class Float32Convolution(nn.Conv2d):
 
 
 def keep_ends_in_float32(module: nn.Module, hidden: torch.dtype = torch.float32) -> None:
-    """Let the layers of the range image, into features of a type, and of the logits be float32."""
+    """Compute the layers of the range image, into `hidden` features, and the logits in float32."""
     for name, layer in [*module.named_modules()]:
         if type(layer) is nn.Conv2d and (name == LOGITS or layer.in_channels == len(CHANNELS)):
-            parent, _, own = name.rpartition(".")
+            parent, _, attribute = name.rpartition(".")
             output = torch.float32 if name == LOGITS else hidden
-            setattr(module.get_submodule(parent), own, Float32Convolution(layer, output))
+            setattr(module.get_submodule(parent), attribute, Float32Convolution(layer, output))
 
 
 def in_precision(module: SegmentationNetwork, dtype: torch.dtype) -> SegmentationNetwork:

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Bytes on disk, and nothing of the method."""
+"""Files on disk: reading, atomic writing, locks, records and plug-ins."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Identity of a file: its digest, and what tells it from a later file of its name."""
+"""Identity of a file: its digest, and its state on disk."""
 
 import hashlib
 from functools import cache
@@ -14,7 +14,7 @@ def fingerprint(path: Path) -> str:
 
 
 def identity(path: Path) -> tuple[object, ...]:
-    """Return what tells a file from its successor of the same name, empty if there is none."""
+    """Return path, inode, size and time of a file, which change with it; empty without a file."""
     try:
         status = path.stat()
     except OSError:

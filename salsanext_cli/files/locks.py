@@ -1,17 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""Locks between processes, also of several machines, and temporary folders.
-
-Both end with the process that holds them.
-"""
+"""Locks between processes and machines, which end with their process, and temporary folders."""
 
 import errno
 import logging
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from shutil import rmtree
-from tempfile import TemporaryDirectory, gettempdir
+from tempfile import TemporaryDirectory
 
 from filelock import FileLock, Timeout
 
@@ -21,64 +16,45 @@ from salsanext_cli.files.reading import reason
 
 UNSUPPORTED = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL)
 """Error numbers of file systems without locks."""
-PREFIX, LOCK = ".salsanext-", ".lock"
-"""Start of the names of temporary folders, and the file in each that its process has locked."""
-
-STALE_AFTER_S = 3600.0  # Age of a lock's file from which on its folder may be removed
 
 log = logging.getLogger(__name__)
 
 
 @contextmanager
 def locked(path: Path, timeout_s: float = 0.0, *, stage: str = "") -> Iterator[None]:
-    """Hold the system's lock on a file, made and removed here, while the body runs.
+    """Lock a file, which is created and removed, while the body runs.
 
-    Without locks in the file system it runs all the same. A `stage` that fills the folder is named.
+    On a file system without locks the body runs unlocked. The error names the `stage`, if any, that
+    fills the folder.
     """
     lock = FileLock(path, timeout=timeout_s, fallback_to_soft=False)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         lock.acquire()
     except Timeout as error:
-        subject, found, hint = path, "held by another process", "wait until it has ended"
+        subject, problem, hint = path, "is locked by another process", "wait until it has ended"
         if stage:
-            subject, found = path.parent, f"another run of `{stage}` is at work in it"
+            subject, problem = path.parent, f"is in use by another run of `{stage}`"
             hint += ", or use another folder"
-        raise OutputError(subject, found, hint=hint) from error
+        raise OutputError(subject, problem, hint=hint) from error
     except OSError as error:
         if error.errno not in UNSUPPORTED:
             raise refusal(path, error) from error
-        why = f"output folders are not locked ({reason(error)})"
-        warn_once(log, f"{why}: do not run two stages in one at a time")
+        problem = f"output folders cannot be locked ({reason(error)})"
+        warn_once(log, f"{problem}: do not run two stages in one folder at the same time")
         yield
         return
     try:
         yield
     finally:
-        # Still held: who waits for it notices that the file has gone, and makes another.
+        # While it is locked: waiting processes notice that it is gone and create another.
         with suppress(OSError):
             path.unlink()
         lock.release()
 
 
 @contextmanager
-def temporary_folder(parent: Path | None = None) -> Iterator[Path]:
-    """Make a folder that is gone after the body, by default in the system's temporary one.
-
-    Those of killed processes, whose locks have ended for an hour or more, are removed first.
-    """
-    parent = parent or Path(gettempdir())
-    # A folder without the file of a lock, or of a process that is about to lock it, stays.
-    for path in parent.glob(f"{PREFIX}*/{LOCK}"):
-        with suppress(OSError):
-            if time.time() - path.stat().st_mtime > STALE_AFTER_S:
-                with FileLock(path, timeout=0, fallback_to_soft=False):
-                    rmtree(path.parent)
-    with TemporaryDirectory(prefix=PREFIX, dir=parent) as name:
-        lock = FileLock(Path(name, LOCK), fallback_to_soft=False)
-        with suppress(OSError):  # A file system without locks, where nothing is removed either.
-            lock.acquire()
-        try:
-            yield Path(name)
-        finally:
-            lock.release()
+def temporary_folder() -> Iterator[Path]:
+    """Create a folder that is removed after the body."""
+    with TemporaryDirectory(prefix="salsanext-") as name:
+        yield Path(name)

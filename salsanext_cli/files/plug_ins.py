@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Plug-ins: objects of other distributions, which their entry points name."""
+"""Plug-ins: objects of other distributions, found by their entry points."""
 
 import hashlib
 import logging
@@ -14,7 +14,7 @@ from typing import Any
 from salsanext_cli.errors import error_text, warn_once
 
 DISTRIBUTION = "distribution"
-"""Key of the plug-in's distribution among what weights files state about their network."""
+"""Key of the plug-in's distribution in the description of a network in weights files."""
 
 log = logging.getLogger(__name__)
 
@@ -60,7 +60,7 @@ def load_plug_ins(
     expected: Any,
     fault: Callable[[Any, Collection[PlugIn]], str] = lambda *_: "",
 ) -> dict[str, PlugIn]:
-    """Import the plug-ins of a kind, sorted by name; warn of each that cannot be used.
+    """Import the plug-ins of a kind, sorted by name; warn of unusable ones.
 
     Parameters
     ----------
@@ -71,7 +71,12 @@ def load_plug_ins(
     expected : type
         Type of the objects.
     fault : callable
-        Function of an object and the plug-ins before it that returns what is wrong with it, or "".
+        Function of an object and the earlier plug-ins; returns a problem with the object, or "".
+
+    Returns
+    -------
+    dict of str to PlugIn
+        Usable plug-ins by the name of their entry point.
     """
     from importlib.metadata import entry_points
 
@@ -84,14 +89,14 @@ def load_plug_ins(
         try:
             if not problem:
                 target = point.load()
-                is_one, kind_of = isinstance(target, expected), type(target).__name__
-                found = f"it is a {kind_of}, not a {expected.__name__}"
-                problem = fault(target, accepted.values()) if is_one else found
+                problem = f"it is a {type(target).__name__}, not a {expected.__name__}"
+                if isinstance(target, expected):
+                    problem = fault(target, accepted.values())
         except (KeyboardInterrupt, MemoryError):
             raise
         except BaseException as error:  # noqa: BLE001 - a module may raise anything, or exit
             problem = f"{type(error).__name__}: {error_text(error)}"
-        if problem and current_process().name == "MainProcess":  # Once a run, not in each worker
+        if problem and current_process().name == "MainProcess":  # Not again in each worker
             warn_once(log, f"plug-in {point.name} ({distribution}) is not used: {problem}")
         elif not problem:
             accepted[point.name] = PlugIn(point.name, distribution, point.module, target)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Opening of files and tests for their presence, where names may be anything."""
+"""Opening of files, and tests of their presence, for any path."""
 
 import os
 import stat
@@ -14,27 +14,26 @@ import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError, SalsanextError, error_text
 
-NO_FILE = "neither a file nor a link to one"
-PANIC = "PanicException"  # Error of libraries in Rust, no `Exception`, whose class no module has
+PANIC = "PanicException"  # Error of libraries in Rust: a BaseException that cannot be imported
 
 
 @contextmanager
 def reading(path: Path | str) -> Iterator[BufferedReader]:
-    """Open a file for reading; whatever the system refuses becomes a `FormatError`."""
+    """Open a file for reading; errors of the system become a `FormatError`."""
     try:
         # A pipe would block, and a device may never end.
         if not stat.S_ISREG(Path(path).stat().st_mode):
-            kind = "cannot be read: is a directory" if Path(path).is_dir() else NO_FILE
-            raise FormatError(path, kind, "a readable file")
+            kind = "a directory" if Path(path).is_dir() else "not a regular file"
+            raise FormatError(path, f"cannot be read: is {kind}", "a readable file")
         with Path(path).open("rb") as file:
             yield file
     except OSError as error:
-        raise FormatError(path, f"cannot be read: {reason(error)}", "a readable file") from error
+        raise _unreadable(path, error) from error
 
 
 @contextmanager
 def refusing_damage(path: Path, expected: str, hint: str = "") -> Iterator[None]:
-    """Turn whatever a library raises at a damaged file into a `FormatError`."""
+    """Turn the errors of a library at a damaged file into a `FormatError`."""
     try:
         yield
     except SalsanextError:
@@ -44,31 +43,30 @@ def refusing_damage(path: Path, expected: str, hint: str = "") -> Iterator[None]
             not isinstance(error, Exception) and type(error).__name__ != PANIC
         ):
             raise
-        found = f"damaged or cut off: {error_text(error)}"
+        problem = f"is damaged or cut off: {error_text(error)}"
         if isinstance(error, OSError) and error.errno:  # of the system, not of a library
-            found = f"cannot be read: {reason(error)}"
-        raise FormatError(path, found, expected, hint) from error
+            problem = f"cannot be read: {reason(error)}"
+        raise FormatError(path, problem, expected, hint) from error
 
 
 def read_values(
     file: BufferedIOBase, path: Path, dtype: npt.DTypeLike, count: int
 ) -> npt.NDArray[Any]:
-    """Read values (count,) from the current position of an open file that holds as many."""
+    """Read values (count,) from the current position of an open file that is long enough."""
     values = np.empty(count * np.dtype(dtype).itemsize, np.uint8)
     if file.readinto(values.data) != len(values):
-        raise FormatError(path, "changed while it was read", "a file that no program is writing")
+        raise FormatError(path, "changed while it was read", hint="wait until it is complete")
     return values.view(dtype)
 
 
 def present(path: Path) -> bool:
-    """Return whether a name exists; `FormatError` where the system does not say."""
+    """Return whether a path exists; `FormatError` if the system refuses to answer."""
     return _status(path) is not None
 
 
 def filled(path: Path) -> bool:
-    """Return whether a name is that of a file with content; a power cut can leave it empty."""
-    status = _status(path)
-    return status is not None and status.st_size > 0
+    """Return whether a file exists and has content; a power cut can leave it empty."""
+    return bool((status := _status(path)) and status.st_size > 0)
 
 
 def _status(path: Path) -> os.stat_result | None:
@@ -77,11 +75,15 @@ def _status(path: Path) -> os.stat_result | None:
     except (FileNotFoundError, NotADirectoryError):
         return None
     except OSError as error:
-        raise FormatError(path, f"cannot be read: {reason(error)}", "a readable file") from error
+        raise _unreadable(path, error) from error
+
+
+def _unreadable(path: Path | str, error: OSError) -> FormatError:
+    return FormatError(path, f"cannot be read: {reason(error)}", "a readable file")
 
 
 def is_folder(path: Path | os.DirEntry[str]) -> bool:
-    """Return whether a name is that of a folder; a link to itself or too long a name is not."""
+    """Return whether a path is a folder; a link to itself or too long a path is not."""
     try:
         return path.is_dir()
     except OSError:

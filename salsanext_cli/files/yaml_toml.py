@@ -13,21 +13,21 @@ from salsanext_cli.errors import FormatError, UsageError, error_text, shortened
 from salsanext_cli.files.reading import reading
 
 MAX_YAML_BYTES, MAX_TOML_BYTES = 1 << 18, 1 << 14
-"""Largest files; the time to read some texts grows with the square of their length."""
+"""Largest files; the time to read some texts is quadratic in their length."""
 MAX_LINE_CHARACTERS = 1000  # A TOML key of thousands of parts takes hundreds of megabytes
 MAX_NESTED_BRACKETS = 20  # Each YAML bracket makes later characters slower to read
 YAML_ERRORS = (
     *(yaml.YAMLError, ArithmeticError, AttributeError, LookupError, TypeError, ValueError),
     RecursionError,
 )
-"""Errors of PyYAML, its own and those of invalid dates and numbers."""
+"""Errors of PyYAML, including those of invalid dates and numbers."""
 
 
 class _PlainLoader(yaml.SafeLoader):
-    """Loader of plain values; a few lines of references to references would stand for billions."""
+    """Loader of plain values; nested references could expand a few lines to billions."""
 
     def fetch_flow_collection_start(self, kind: Any) -> None:
-        """Refuse brackets in too many brackets."""
+        """Refuse brackets that are nested too deeply."""
         if self.flow_level >= MAX_NESTED_BRACKETS:
             raise RecursionError
         super().fetch_flow_collection_start(kind)
@@ -50,15 +50,16 @@ def read_yaml(path: Path, expected: str) -> Any:
 
 
 def read_toml(path: Path, kind: str, presets: Iterable[str]) -> dict[str, Any]:
-    """Read the TOML file of a setting, a "sensor" say, that is no preset."""
-    expected = f"a TOML file with a {kind}'s keys"
+    """Read the TOML file of a setting, such as a "sensor", that is not a preset."""
+    expected = f"a TOML file with the keys of a {kind}"
     try:
         text = _text(path, MAX_TOML_BYTES, expected)
     except FileNotFoundError as error:
-        found, names = "no preset and no file of that name", f"one of {', '.join(presets)}"
-        raise UsageError(f"{kind} {path}", found, f"{names}, or a .toml file") from error
+        expected = f"one of {', '.join(presets)}, or a .toml file"
+        raise UsageError(f"{kind} {path}", "no such preset or file", expected) from error
     if any(len(line) > MAX_LINE_CHARACTERS for line in text.splitlines()):
-        raise UsageError(path, f"a line of more than {MAX_LINE_CHARACTERS} characters", expected)
+        problem = f"has a line of more than {MAX_LINE_CHARACTERS} characters"
+        raise UsageError(path, problem, expected)
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:
@@ -69,30 +70,25 @@ def _text(path: Path, largest: int, expected: str) -> str:
     try:
         with reading(path) as file:
             content = file.read(largest + 1)
-    except ValueError as error:  # a path with a NUL
+        if len(content) <= largest:
+            return content.decode("utf-8").replace("\r\n", "\n")
+    except ValueError as error:  # a path with a NUL, or not UTF-8
         raise UsageError(path, error_text(error), expected) from error
     except FormatError as error:
         if isinstance(error.__cause__, FileNotFoundError):
             raise error.__cause__ from None
         raise UsageError(path, error.problem, expected) from error
-    if len(content) > largest:
-        raise UsageError(path, f"more than {largest} bytes", expected)
-    try:
-        return content.decode("utf-8").replace("\r\n", "\n")
-    except UnicodeDecodeError as error:
-        raise UsageError(path, error_text(error), expected) from error
+    raise UsageError(path, f"has more than {largest} bytes", expected)
 
 
 def refuse_unknown(data: Iterable[str], kind: type, source: object) -> None:
-    """Raise `UsageError` naming the fields of a dataclass if `data` has a key that is none."""
+    """Raise `UsageError` if `data` has a key that is not a field of a dataclass."""
     known = sorted(field.name for field in fields(kind))
     if unknown := sorted(set(data) - set(known)):
-        found = f"unknown key {shortened(', '.join(unknown))}"
-        raise UsageError(source, found, f"keys {', '.join(known)}")
+        problem = f"has unknown keys {shortened(', '.join(unknown))}"
+        raise UsageError(source, problem, f"keys {', '.join(known)}")
 
 
 def are_numbers(values: object) -> bool:
-    """Say whether a value is a list of numbers."""
-    if not isinstance(values, list | tuple):
-        return False
-    return all(isinstance(value, int | float) for value in values)
+    """Return whether a value is a list of numbers."""
+    return isinstance(values, list | tuple) and all(isinstance(v, int | float) for v in values)

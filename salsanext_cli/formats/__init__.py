@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Formats of scan files by suffix: the built-in ones, and those of plug-ins.
+"""Formats of scan files by suffix: built-in ones and plug-ins.
 
-The functions of a format are imported when they are first used, so that this table costs nothing.
+The functions of a built-in format are imported when they are first used.
 """
 
 from __future__ import annotations
@@ -35,17 +35,17 @@ class Format:
         Suffixes of the files, in lower case, such as ``.pcd``; longer ones first.
     read : callable
         Reader: path, names of the columns (``--columns``, may be empty) and divisor of the
-        intensity to `Scan`. It raises `FormatError` for a file that is not of the format.
+        intensity to `Scan`. It raises `FormatError` for a file of another format.
     magic : tuple of bytes
-        What the files begin with; empty if that varies.
+        First bytes of the files; empty if they vary.
     names_columns : bool
-        Whether the files name their columns, so that ``--columns`` does not apply.
+        Whether the files name their columns; ``--columns`` does not apply then.
     is_table : bool
-        Whether files with these suffixes often hold something else. Such files in a folder are
-        scans only if there are no others.
+        Whether files with these suffixes often contain something else. Such files in a folder
+        are scans only if it has no others.
     subset : callable, optional
         Writer of some points, for `filter`: path and names of the columns to a function from a
-        mask (N,) bool to the content, bytes, of a file with the points that stay.
+        mask (N,) bool of the remaining points to the content, bytes, of a file.
     label_columns : callable, optional
         Reader for `import-labels`: path to all columns, (N,) each, by name; x, y, z in metres.
     """
@@ -70,44 +70,42 @@ def _read_columns(function: str, path: Path, names: Names, intensity_scale: floa
 
 
 def _built_in(
-    name: str, suffixes: str, reader: str, *magic: bytes, labels: str = "", **flags: Any
+    suffixes: str, reader: str, *magic: bytes, labels: str = "", subset: str = "", **flags: bool
 ) -> Format:
-    """Return a format by the names of the functions that read a scan, or its columns."""
+    """Return a format by the names of functions: the reader returns a scan or its columns."""
     return Format(
         suffixes=tuple(suffixes.split()),
         read=partial(_call if ":read_" in reader else _read_columns, reader),
         magic=magic,
-        subset=partial(_call, f"subsets:{name}_subset"),
+        subset=partial(_call, f"subsets:{subset}") if subset else None,
         label_columns=partial(_call, labels) if labels else None,
         **flags,
     )
 
 
-UNNAMED: Mapping[str, Any] = {"names_columns": False}
-TABLE: Mapping[str, Any] = {"is_table": True}
+BIN, PCD, PLY, LAS = "kitti:read_bin", "pcd:pcd_columns", "ply:ply_columns", "las:las_columns"
+NPY, NPZ, TEXT = "numpy_scans:npy_columns", "numpy_scans:npz_columns", "text:text_columns"
+UNNAMED: dict[str, Any] = {"names_columns": False}
+TABLE: dict[str, Any] = {"names_columns": False, "is_table": True}
 FORMATS: Mapping[str, Format] = {
-    "bin": _built_in("bin", ".pcd.bin.gz .bin.gz .pcd.bin .bin", "kitti:read_bin", **UNNAMED),
-    "pcd": _built_in(
-        "pcd", ".pcd", "pcd:pcd_columns", b"# .PCD", b"VERSION ", labels="pcd:pcd_columns"
-    ),
-    "ply": _built_in("ply", ".ply", "ply:ply_columns", b"ply", labels="ply:ply_columns"),
-    "las": _built_in("las", ".las .laz", "las:read_las", b"LASF", labels="las:las_columns"),
-    "xyz": _built_in("text", ".xyz", "text:text_columns", **UNNAMED),
-    "npy": _built_in("npy", ".npy", "numpy_scans:npy_columns", b"\x93NUMPY", **UNNAMED, **TABLE),
-    "npz": _built_in("npz", ".npz", "numpy_scans:npz_columns", b"PK\x03\x04", **UNNAMED, **TABLE),
-    "feather": _built_in(
-        "feather", ".feather", "feather:feather_columns", b"ARROW1", b"FEA1", **TABLE
-    ),
-    "text": _built_in("text", ".csv .txt .asc .pts", "text:text_columns", **UNNAMED, **TABLE),
+    "bin": _built_in(".pcd.bin .bin", BIN, subset="bin_subset", **UNNAMED),
+    "pcd": _built_in(".pcd", PCD, b"# .PCD", b"VERSION ", labels=PCD, subset="pcd_subset"),
+    "ply": _built_in(".ply", PLY, b"ply", labels=PLY, subset="ply_subset"),
+    "las": _built_in(".las .laz", "las:read_las", b"LASF", labels=LAS),
+    "xyz": _built_in(".xyz", TEXT, subset="text_subset", **UNNAMED),
+    "npy": _built_in(".npy", NPY, b"\x93NUMPY", subset="npy_subset", **TABLE),
+    "npz": _built_in(".npz", NPZ, b"PK\x03\x04", subset="npz_subset", **TABLE),
+    "feather": _built_in(".feather", "feather:feather_columns", b"ARROW1", b"FEA1", is_table=True),
+    "text": _built_in(".csv .txt .asc .pts", TEXT, subset="text_subset", **TABLE),
 }
-"""Built-in formats by name, in the order in which a folder is searched; plug-ins come last."""
+"""Built-in formats by name, in the order of precedence in a folder; plug-ins come last."""
 SCAN_SUFFIXES = tuple(suffix for form in FORMATS.values() for suffix in form.suffixes)
 """Suffixes of the built-in formats."""
 BAG_SUFFIXES = (".bag", ".mcap", ".db3")
 RECORDING_SUFFIXES = (*BAG_SUFFIXES, ".pcap", ".osf")
 """Suffixes of recordings that are files."""
 OTHER_SUFFIXES = (".label", ".json", ".jsonl", ".toml", ".yaml", ".yml", ".md", ".safetensors")
-"""Suffixes of files beside scans that are no scans."""
+"""Suffixes that plug-ins cannot have, beside those of scans and recordings."""
 MAX_MAGIC_BYTES = 64
 
 
@@ -120,7 +118,7 @@ def plugged_formats() -> Mapping[str, PlugIn]:
 
 
 def _fault(target: Format, others: Collection[PlugIn]) -> str:
-    """Return why a format cannot be added to others, empty if it can."""
+    """Return why a format cannot be added to others; empty if it can."""
     taken = (*SCAN_SUFFIXES, *RECORDING_SUFFIXES, *OTHER_SUFFIXES)
     taken += tuple(suffix for other in others for suffix in other.target.suffixes)
     wrong = [s for s in target.suffixes if s[:1] != "." or s != s.lower() or s.endswith(taken)]
@@ -128,7 +126,7 @@ def _fault(target: Format, others: Collection[PlugIn]) -> str:
 
 
 def _find(name: str) -> tuple[str, Format | None]:
-    """Return suffix and format of a file name; import plug-ins only for one of no built-in."""
+    """Return suffix and format of a file name; import plug-ins only if no built-in fits."""
     lower = name.lower()
     for form in FORMATS.values():
         if suffix := next(filter(lower.endswith, form.suffixes), ""):
@@ -141,23 +139,23 @@ def _find(name: str) -> tuple[str, Format | None]:
 
 
 def scan_suffix(name: str) -> str:
-    """Return the suffix that makes a file a scan, in lower case; empty if it is none."""
+    """Return the suffix, in lower case, of the format of a file name; empty without a format."""
     return _find(name)[0]
 
 
 def format_of(name: str) -> Format | None:
-    """Return the format of a file of some name; None if its suffix is unknown."""
+    """Return the format of a file name; None if its suffix is unknown."""
     return _find(name)[1]
 
 
 def is_table(name: str) -> bool:
-    """Say whether a file of some name is a scan that often is something else."""
+    """Return whether the format of a file name is a table (`Format.is_table`)."""
     form = format_of(name)
     return form is not None and form.is_table
 
 
 def suffixes_in_words(fits: Callable[[Format], object] = bool) -> str:
-    """Return the suffixes of the formats that fit, those of plug-ins with their distribution."""
+    """Return the suffixes of the formats that fit; those of plug-ins name the distribution."""
     words = [suffix for form in FORMATS.values() if fits(form) for suffix in form.suffixes]
     for plug_in in plugged_formats().values():
         suffixes = plug_in.target.suffixes if fits(plug_in.target) else ()
@@ -167,23 +165,23 @@ def suffixes_in_words(fits: Callable[[Format], object] = bool) -> str:
 
 @contextmanager
 def errors_of_plug_ins(path: Path) -> Iterator[None]:
-    """Turn whatever a plug-in raises at a file into a `FormatError`."""
+    """Turn any exception of a plug-in that reads a file into a `FormatError`."""
     from salsanext_cli.files.reading import refusing_damage
 
     suffix = scan_suffix(path.name)
-    guard = refusing_damage(path, f"a whole {suffix} file")
+    guard = refusing_damage(path, f"a complete {suffix} file")
     with nullcontext() if suffix in SCAN_SUFFIXES else guard:
         yield
 
 
 def _plugged_kind(path: Path) -> PlugIn | None:
-    """Return the format of a plug-in whose files begin as a file does, None if there is none."""
+    """Return the plugged format whose magic bytes a file begins with; None without one."""
     from salsanext_cli.files.reading import reading
 
     with reading(path) as file:
         start = file.read(MAX_MAGIC_BYTES)
     plug_ins = plugged_formats().values()
-    return next((each for each in plug_ins if start.startswith(each.target.magic)), None)
+    return next((p for p in plug_ins if start.startswith(p.target.magic)), None)
 
 
 def read_scan(path: Path | str, sensor: Sensor | None = None) -> Scan:
@@ -194,14 +192,19 @@ def read_scan(path: Path | str, sensor: Sensor | None = None) -> Scan:
     path : Path or str
         A file with the suffix of a format, or a scan of a recording as `find_scans` names it.
     sensor : Sensor, optional
-        Its `intensity_scale` divides the intensity, except where the type of the values tells
-        their range: bytes are divided by 255, those of LAS by 65535. Its `columns` name the
-        columns of files that do not.
+        Its `intensity_scale` divides the intensity, except where the type of the values
+        determines their range: bytes are divided by 255, those of LAS by 65535. Its `columns`
+        name the columns of files without names.
+
+    Returns
+    -------
+    Scan
+        N points, in the order of the file.
 
     Raises
     ------
     FormatError
-        If the suffix is unknown or the file is not of that format.
+        If the suffix is unknown or the file is damaged.
     MissingDependency
         If the format needs a package that cannot be imported.
     """
@@ -211,7 +214,7 @@ def read_scan(path: Path | str, sensor: Sensor | None = None) -> Scan:
     form = format_of(path.name)
     if form is None:
         if _call("recordings:recording_of", path) in (None, path):
-            raise FormatError(path, "not a known scan format", f"a {suffixes_in_words()} file")
+            raise FormatError(path, "unknown scan format", f"a {suffixes_in_words()} file")
         return _read_columns("recordings:recorded_columns", path, names, scale)
     try:
         with errors_of_plug_ins(path):
@@ -223,5 +226,5 @@ def read_scan(path: Path | str, sensor: Sensor | None = None) -> Scan:
         other = _plugged_kind(path)
         if other and other.target is not form:
             hint = f"rename it to {other.target.suffixes[0]}"
-            raise FormatError(path, f"is a file of {other}", hint=hint) from error
+            raise FormatError(path, f"is a file of plug-in {other}", hint=hint) from error
         raise

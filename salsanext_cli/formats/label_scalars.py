@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Labels in point clouds of other programs: coordinates and the scalar that holds the label."""
+"""Labels in point clouds of other programs: coordinates and the scalar with the label."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from salsanext_cli.errors import FormatError, LabelError, UsageError, quoted, sh
 from salsanext_cli.files.yaml_toml import read_yaml
 from salsanext_cli.formats import errors_of_plug_ins, format_of, suffixes_in_words
 from salsanext_cli.formats.columns import Columns, coordinates, listed
-from salsanext_cli.formats.las import LAST_STANDARD_CLASS, UNASSIGNED
 from salsanext_cli.records import Float
 
 LABEL_READER = attrgetter("label_columns")  # Of a format; None without one
@@ -25,14 +24,15 @@ LABEL_NAMES = (
     *("label", "labels", "class", "classes", "class_id", "classification", "category"),
     *("semantic", "semantics", "semantic_label", "sem_class", "sem_label", "segmentation"),
 )
-"""Names of scalars that hold labels, in lower case, without the prefix."""
+"""Names of label scalars, in lower case, without the prefix."""
 OF_ASPRS = "classification"  # Scalar with classes of the ASPRS in LAS files
-PREFIX = "scalar_"  # Start of the names of scalars in what CloudCompare writes
-NO_VALUE = np.iinfo(np.int64).min  # Id of a point without a value, for which programs write NaN
-MAX_ID = 0xFFFFFFFF  # Largest number that a label file holds, the instance in its upper 16 bits
+ASPRS_CLASSES = range(2, 23)  # Classes that the ASPRS defines; 0 and 1 are unassigned
+PREFIX = "scalar_"  # Start of the names of scalars in files of CloudCompare
+NO_VALUE = np.iinfo(np.int64).min  # Id of a point without a value, which programs write as NaN
+MAX_ID = 0xFFFFFFFF  # Largest id of a label file, with the instance in its upper 16 bits
 Ids = npt.NDArray[np.int64]
 CLASS_BITS = 0xFFFF
-EXPECTED_MAP = "a mapping of a tool's ids to names or raw ids of the label space, such as 3: car"
+EXPECTED_MAP = "a mapping of tool ids to names or raw ids of the label space, such as 3: car"
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,16 +40,16 @@ class LabelledCloud:
     """Points that another program labelled, in any order."""
 
     points: Float  # (M, 3) float32: metres, in the frame of the scan
-    ids: Ids  # (M,) int64: ids of the program; `NO_VALUE` where it has none
+    ids: Ids  # (M,) int64: ids of the program; `NO_VALUE` for none
     scalar: str  # Name of the scalar in the file
 
 
 def read_labelled_cloud(path: Path, scalar: str | None = None) -> LabelledCloud:
-    """Read coordinates and labels, by default those of `LABEL_NAMES`, of a cloud."""
+    """Read coordinates and labels of a cloud, by default from the scalar in `LABEL_NAMES`."""
     form = format_of(path.name)
     if form is None or form.label_columns is None:
         expected = f"a {suffixes_in_words(LABEL_READER)} file"
-        raise FormatError(path, "not a cloud with labels", expected)
+        raise FormatError(path, "is not a cloud with labels", expected)
     with errors_of_plug_ins(path):
         columns = form.label_columns(path)
     columns = {name: values for name, values in columns.items() if values.dtype.kind in "iuf"}
@@ -57,32 +57,32 @@ def read_labelled_cloud(path: Path, scalar: str | None = None) -> LabelledCloud:
     name = _label_column(columns, scalar, path)
     ids = whole_numbers(columns[name], path, name)
     largest = int(ids.max(initial=0))
-    if scalar is None and _plain(name) == OF_ASPRS and UNASSIGNED < largest <= LAST_STANDARD_CLASS:
-        found = f"{name} up to {largest}, which may be classes of the ASPRS"
-        hint = f"for raw ids, or with --map, give --scalar {name}"
-        raise LabelError(path, found, "raw ids of the label space", hint)
+    if scalar is None and _plain(name) == OF_ASPRS and largest in ASPRS_CLASSES:
+        problem = f"has {name} up to {largest}, probably classes of the ASPRS"
+        hint = f"for raw ids, or with --map, add --scalar {name}"
+        raise LabelError(path, problem, "raw ids of the label space", hint)
     return LabelledCloud(points, ids, name)
 
 
 def _label_column(columns: Columns, scalar: str | None, path: Path) -> str:
-    """Return the name of the column that holds the labels."""
+    """Return the name of the column with the labels."""
     if scalar is not None:
         alike = [name for name in columns if _plain(name) == _plain(scalar)]
         fitting = [scalar] if scalar in columns else alike
         if len(fitting) != 1:
-            found = f"{'several scalars' if fitting else 'no scalar'} of that name"
-            raise FormatError(path, f"{found}: {listed(columns)}", f"one called {scalar}")
+            problem = f"has {'several scalars' if fitting else 'no scalar'} of that name"
+            raise FormatError(path, f"{problem}: {listed(columns)}", f"one named {scalar}")
         return fitting[0]
     fitting = [name for name in columns if _plain(name) in LABEL_NAMES]
-    # LAS has a classification, whoever labels; where nobody did, all of it is 0.
+    # Every LAS file has a classification, all 0 if nobody labelled it.
     used = [name for name in fitting if columns[name].any()] or fitting[:1]
     if not used:
-        found = f"no label among the scalars {listed(columns)}"
-        expected = f"one called {', '.join(LABEL_NAMES)}"
-        raise FormatError(path, found, expected, "name it with --scalar")
+        problem = f"has no label among the scalars {listed(columns)}"
+        expected = f"one named {', '.join(LABEL_NAMES)}"
+        raise FormatError(path, problem, expected, "name it with --scalar")
     if len(used) > 1:
-        found = f"several scalars that may be labels: {', '.join(used)}"
-        raise LabelError(path, found, "one", f"choose with --scalar, as --scalar {used[0]}")
+        problem = f"has several scalars that may be labels: {', '.join(used)}"
+        raise LabelError(path, problem, "one", f"choose one with --scalar, as --scalar {used[0]}")
     return used[0]
 
 
@@ -105,9 +105,9 @@ def whole_numbers(values: npt.NDArray[Any], path: Path, name: str) -> Ids:
     for sound, expected, advice in conditions:
         if (wrong := known & ~sound).any():
             first, count = int(wrong.argmax()), int(wrong.sum())
-            found = f"{name} of point {first} is {values[first]}"
-            found += f", and so are {count - 1:,} more" if count > 1 else ""
-            raise LabelError(path, found, expected, advice)
+            others = f", and {count - 1:,} more" if count > 1 else ""
+            problem = f"has {name} {values[first]} at point {first}{others}"
+            raise LabelError(path, problem, expected, advice)
     ids = np.full(len(values), NO_VALUE, np.int64)
     ids[known] = values[known].astype(np.int64)
     return ids
@@ -123,35 +123,35 @@ class LabelIds:
 
     @classmethod
     def of_space(cls, space: LabelSpace, tool: Path | None = None) -> LabelIds:
-        """Take the raw ids of a label space, or those that the YAML file of a tool maps to them."""
+        """Return the raw ids of a label space, or of the map in the YAML file of a tool."""
         raw_of = {i: i for i in _raw_ids(space)} if tool is None else _read_map(tool, space)
         if not space.ignored[0]:
-            found = f"class 0, {space.names[0]}, counts"
-            expected = "one that is ignored, for points without a label"
-            raise UsageError(f"label space {space.name}", found, expected)
+            expected = "an ignored class 0, for points without a label"
+            problem = f"counts class 0, {space.names[0]}"
+            raise UsageError(f"label space {space.name}", problem, expected)
         names = {i: space.labels.get(raw, str(raw)) for i, raw in sorted(raw_of.items())}
         return cls(raw_of, names, space.learning_map_inv[0])
 
     def unknown(self, ids: Ids) -> dict[int, int]:
         """Return the number of points of each id (without instance) that has no meaning."""
-        found, counts = np.unique(_classes(ids), return_counts=True)
-        pairs = zip(found.tolist(), counts.tolist(), strict=True)
+        unique, counts = np.unique(_classes(ids), return_counts=True)
+        pairs = zip(unique.tolist(), counts.tolist(), strict=True)
         return {i: n for i, n in pairs if i != NO_VALUE and i not in self.raw_of}
 
     def to_raw(self, ids: Ids) -> RawIds:
-        """Return the raw ids (M,) of known ids; instances, the upper 16 bits, are kept."""
-        found, index = np.unique(_classes(ids), return_inverse=True)
-        of_class = [self.raw_of.get(i, self.unlabelled) for i in found.tolist()]
+        """Return the raw ids (M,) of known ids, with their instances in the upper 16 bits."""
+        unique, index = np.unique(_classes(ids), return_inverse=True)
+        of_class = [self.raw_of.get(i, self.unlabelled) for i in unique.tolist()]
         instances = np.where(ids > 0, ids, 0) & ~CLASS_BITS
         return (np.array(of_class, np.int64)[index] | instances).astype(np.uint32)
 
     def described(self) -> str:
-        """Return all known ids and their names in one line."""
+        """Return all known ids and their names on one line."""
         return ", ".join(f"{i} {name}" for i, name in self.names.items())
 
 
 def _classes(ids: Ids) -> Ids:
-    """Return ids without the instances in their upper 16 bits; negative ones have none."""
+    """Return ids without the instances in their upper 16 bits; negative ids have none."""
     return np.where(ids >= 0, ids & CLASS_BITS, ids)
 
 
@@ -160,27 +160,26 @@ def _raw_ids(space: LabelSpace) -> list[int]:
 
 
 def _read_map(path: Path, space: LabelSpace) -> dict[int, int]:
-    """Read the raw id of each id of a tool; a class's name stands for the raw id of the class."""
+    """Read the raw id of each id of a tool, from raw ids or names of classes."""
     try:
         data = read_yaml(path, EXPECTED_MAP)
     except FileNotFoundError as error:
         raise UsageError(f"--map {path}", "no such file", EXPECTED_MAP) from error
     if not isinstance(data, Mapping) or not data:
-        raise UsageError(path, f"a {type(data).__name__}", EXPECTED_MAP)
+        raise UsageError(path, f"contains a {type(data).__name__}", EXPECTED_MAP)
     by_name = {name: raw for raw, name in reversed(space.labels.items())}
     by_name |= {space.labels[raw]: raw for raw in space.learning_map_inv.values()}
     known = _raw_ids(space)
-    raw_of: dict[int, int] = {}
-    wrong = []
-    for key, value in data.items():
-        raw = by_name.get(value) if isinstance(value, str) else value
-        usable = type(key) is int and key <= CLASS_BITS
-        if not usable or type(raw) is not int or raw not in known:
-            wrong.append(f"{quoted(key)}: {quoted(value)}")
-        else:
-            raw_of[key] = raw
+    raw_of: dict[Any, Any] = {
+        key: by_name.get(value) if isinstance(value, str) else value for key, value in data.items()
+    }
+    wrong = [
+        f"{quoted(key)}: {quoted(data[key])}"
+        for key, raw in raw_of.items()
+        if type(key) is not int or key > CLASS_BITS or type(raw) is not int or raw not in known
+    ]
     if wrong:
         named = ", ".join(f"{raw} {space.labels.get(raw, '')}" for raw in known)
-        found = f"unknown {shortened(', '.join(wrong))}"
-        raise UsageError(path, found, f"whole numbers for {named}")
+        problem = f"has unknown entries {shortened(', '.join(wrong))}"
+        raise UsageError(path, problem, f"whole numbers for {named}")
     return raw_of

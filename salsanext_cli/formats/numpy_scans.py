@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Scans in numpy's files: `.npy` tables, plain or with named fields, and `.npz` archives."""
+"""Scans in NumPy files: `.npy` tables, plain or with named fields, and `.npz` archives."""
 
 import io
 import re
 import zipfile
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +17,9 @@ from salsanext_cli.formats.npy import load_array, load_npy
 EXPECTED = "a table (N, columns), or columns x, y, z, of numbers"
 TABLE_NAMES = ("points", "xyz")  # Names of the table in an archive of several
 USUAL_WIDTHS = range(3, 17)  # Lengths of the last axis of an array of points
-UNNAMED = re.compile(r"arr_\d+")  # Name that numpy gives to an array without one
+UNNAMED = re.compile(r"arr_\d+")  # Name that numpy gives to an unnamed array
 MAX_RATIO = 100  # Largest size of an archive's content, as a multiple of its own
+Arrays = dict[str, npt.NDArray[Any]]
 
 
 def npy_columns(path: Path, names: tuple[str, ...]) -> Columns:
@@ -28,7 +28,7 @@ def npy_columns(path: Path, names: tuple[str, ...]) -> Columns:
 
 
 def npz_columns(path: Path, names: tuple[str, ...]) -> Columns:
-    """Read a `.npz` file: columns with or without names, or a table and further columns."""
+    """Read a `.npz` file: named or unnamed columns, or a table and further columns."""
     arrays = npz_arrays(path)[0]
     single = {name: values.ravel() for name, values in arrays.items() if _is_column(values)}
     if len(single) == len(arrays) > 1 and all(map(UNNAMED.fullmatch, single)):
@@ -43,19 +43,19 @@ def npz_columns(path: Path, names: tuple[str, ...]) -> Columns:
         if not names and [*table] == ["x", "y", "z"]:
             single = _beside_points(single, len(table["x"]))
         single |= table
-    counts = sorted({len(each) for name, each in single.items() if name.lower() in USED_NAMES})
+    counts = sorted({len(values) for name, values in single.items() if name.lower() in USED_NAMES})
     if len(counts) > 1:
-        found = f"columns of {counts[0]} and of {counts[-1]} points"
-        raise FormatError(path, found, "one length")
-    others = [name for name, each in single.items() if counts and len(each) != counts[0]]
+        problem = f"has columns of {counts[0]} and of {counts[-1]} points"
+        raise FormatError(path, problem, "one length")
+    others = [name for name, values in single.items() if counts and len(values) != counts[0]]
     if others:
         notice_once(f"arrays of another length than the points are skipped: {first_few(others)}")
     return {name: values for name, values in single.items() if name not in others}
 
 
-def _beside_points(single: dict[str, npt.NDArray[Any]], count: int) -> dict[str, npt.NDArray[Any]]:
-    """Return the columns beside x, y, z; a lone one without a name is the intensity."""
-    unnamed = [n for n, each in single.items() if UNNAMED.fullmatch(n) and len(each) == count]
+def _beside_points(single: Arrays, count: int) -> Arrays:
+    """Return the columns beside x, y, z; a single unnamed one of floats is the intensity."""
+    unnamed = [n for n, values in single.items() if UNNAMED.fullmatch(n) and len(values) == count]
     if unnamed == [*single] and len(unnamed) == 1 and single[unnamed[0]].dtype.kind == "f":
         notice_once("an array without a name beside x, y, z is read as intensity")
         return {"intensity": single[unnamed[0]]}
@@ -64,12 +64,12 @@ def _beside_points(single: dict[str, npt.NDArray[Any]], count: int) -> dict[str,
     return single
 
 
-def npz_arrays(path: Path) -> tuple[dict[str, npt.NDArray[Any]], bool]:
-    """Read the arrays of a `.npz` file by name; also say whether they are compressed."""
+def npz_arrays(path: Path) -> tuple[Arrays, bool]:
+    """Return the arrays of a `.npz` file by name, and whether they are compressed."""
     arrays = {}
     with reading(path) as file, refusing_damage(path, EXPECTED), zipfile.ZipFile(file) as archive:
         if sum(member.file_size for member in archive.infolist()) > MAX_RATIO * size_of(file):
-            raise ValueError("not a whole .npz file: it promises more than it can hold")
+            raise ValueError("its header states more data than it can contain")
         for name in archive.namelist():
             content = archive.read(name)
             array = load_array(io.BytesIO(content), len(content), path, EXPECTED)
@@ -78,18 +78,18 @@ def npz_arrays(path: Path) -> tuple[dict[str, npt.NDArray[Any]], bool]:
 
 
 def is_transposed(table: npt.NDArray[Any], columns: int = 0) -> bool:
-    """Say whether a table has a column for each point, so (C, N), of 3 or 4 values or so many."""
+    """Return whether a table is (C, N): rows of 3 or 4, or `columns`, values of many points."""
     rows, width = table.shape if table.ndim == 2 else (0, 0)
     return rows in ((columns,) if columns else (3, 4)) and width >= USUAL_WIDTHS.stop
 
 
 def _is_column(values: npt.NDArray[Any]) -> bool:
-    """Say whether an array holds one number per point: (N,) or (N, 1)."""
+    """Return whether an array has one number per point: (N,) or (N, 1)."""
     return values.dtype.kind in "iuf" and (values.ndim == 1 or values.shape[1:] == (1,))
 
 
-def _table(arrays: Mapping[str, npt.NDArray[Any]], path: Path) -> npt.NDArray[Any]:
-    """Return the table of an archive: its only one, else the one of the usual name."""
+def _table(arrays: Arrays, path: Path) -> npt.NDArray[Any]:
+    """Return the only table of an archive, else the one with a usual name."""
     tables = {
         name: values
         for name, values in arrays.items()
@@ -98,9 +98,9 @@ def _table(arrays: Mapping[str, npt.NDArray[Any]], path: Path) -> npt.NDArray[An
     if len(tables) > 1:
         tables = {name: values for name, values in tables.items() if name in TABLE_NAMES}
     if len(tables) != 1:
-        found = shortened(", ".join(arrays)) or "nothing"
-        expected = "columns x, y, z, or one table of points, or one of the name points"
-        raise FormatError(path, f"arrays {found}", expected)
+        expected = "columns x, y, z, or one table of points, or one named points"
+        problem = f"has arrays {shortened(', '.join(arrays))}" if arrays else "is empty"
+        raise FormatError(path, problem, expected)
     return next(iter(tables.values()))
 
 
@@ -111,7 +111,7 @@ def _columns(table: npt.NDArray[Any], names: tuple[str, ...], path: Path) -> Col
     is_plain = table.dtype.kind in "iuf"
     if is_plain and is_transposed(table, len(names)):
         notice_once("tables of shape (columns, N) are transposed to (N, columns)")
-        return unnamed_columns(table.T, names, path)
+        table = table.T
     if is_plain and table.ndim == 2:
         return unnamed_columns(table, names, path)
     hint = ""
@@ -119,6 +119,5 @@ def _columns(table: npt.NDArray[Any], names: tuple[str, ...], path: Path) -> Col
         hint = "save array.ravel()"
     elif is_plain and table.ndim > 2 and table.shape[-1] in USUAL_WIDTHS:
         hint = f"save array.reshape(-1, {table.shape[-1]})"
-    sizes, kind = "×".join(map(str, table.shape)), shortened(str(table.dtype))
-    found = f"{sizes} values of {kind}" if sizes else f"a single {kind}"
-    raise FormatError(path, found, EXPECTED, hint)
+    kind = shortened(f"{table.dtype} {table.shape}")
+    raise FormatError(path, f"contains {kind}", EXPECTED, hint)

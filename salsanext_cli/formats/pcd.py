@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
 """PCD clouds: ascii, binary and binary_compressed.
 
-open3d only unpacks compressed data, of a copy with a header in the usual form: it writes beyond its
-memory where HEIGHT comes after POINTS and on padding fields (`_` with COUNT ≠ 1), and fills clouds
-with uninitialised values where ascii files are short or DATA is in upper case.
+open3d only unpacks compressed data, from a copy with a regular header. On other headers it writes
+beyond its memory or returns uninitialised values.
 """
 
 import io
@@ -29,10 +28,9 @@ TYPES = {
     **{kind + size: f"<{kind.lower()}{size}" for kind in "IU" for size in "1248"},
     **{"F4": "<f4", "F8": "<f8", "D8": "<f8"},
 }
-"""numpy's type of each TYPE and SIZE."""
+"""NumPy's type by TYPE and SIZE."""
 COMMAS = "commas in .pcd files are read as blanks"
 MAX_SHORT_SHARE = 0.01  # Largest share of lines that lack values
-PADDING = "_"
 MAX_HEADER_BYTES = 1 << 16
 MAX_RATIO = 264 / 3  # Largest compression ratio of LZF: three bytes stand for up to 264
 
@@ -47,35 +45,32 @@ class Header(NamedTuple):
 
     @property
     def scalars(self) -> list[str]:
-        """Names of the fields with one named value per point; the others have a space."""
+        """Names of the fields with one value per point; the others have a space."""
         return [name for name in self.point.names or () if " " not in name]
 
     def encode(self) -> bytes:
-        """Return the header in its usual form and order, of scalars in one row."""
+        """Return a regular header of the scalars, in one row."""
         kinds = [self.point[name].str for name in self.scalars]
         return (
             f"VERSION 0.7\nFIELDS {' '.join(self.scalars)}\n"
             f"SIZE {' '.join(kind[2] for kind in kinds)}\n"
             f"TYPE {' '.join(kind[1].upper() for kind in kinds)}\n"
-            f"COUNT {' '.join('1' for _ in kinds)}\n"
             f"WIDTH {self.point_count}\nHEIGHT 1\nPOINTS {self.point_count}\nDATA {self.kind}\n"
         ).encode()
 
 
 def pcd_columns(path: Path, _: tuple[str, ...] = ()) -> Columns:
-    """Read the fields of a PCD file with one value per point, and the rows of an organised one."""
-    with reading(path) as file, refusing_damage(path, "a whole PCD file"):
+    """Read the fields of a PCD file with one value per point, row by row if it is organised."""
+    with reading(path) as file, refusing_damage(path, "a complete .pcd file"):
         header = read_header(file)
         match header.kind:
             case "ascii":
-                columns = _read_ascii(file, path, header)
+                return _read_ascii(file, path, header)
             case "binary":
-                columns = _read_binary(file, path, header)
+                return _read_binary(file, path, header)
             case "binary_compressed":
-                columns = read_compressed(file, header)
-            case _:
-                raise ValueError(f"PCD data of kind {header.kind}, not ascii or binary")
-    return columns
+                return read_compressed(file, header)
+        raise ValueError(f"DATA {header.kind}, not ascii or binary")
 
 
 def _read_ascii(file: BufferedReader, path: Path, header: Header) -> Columns:
@@ -86,15 +81,14 @@ def _read_ascii(file: BufferedReader, path: Path, header: Header) -> Columns:
     line = file.read(start).count(b"\n") + 1
     values = _numbers(file.read(), int(first[-1]), header.point_count, path, line)
     column_of = dict(zip(header.point.names or (), first[:-1], strict=True))
-    # A NaN in an integer field that is not used is no reason to fail.
-    with np.errstate(invalid="ignore", over="ignore"):
+    with np.errstate(invalid="ignore", over="ignore"):  # of a NaN in an unused integer field
         return {
             name: values[:, column_of[name]].astype(header.point[name]) for name in header.scalars
         }
 
 
 def _numbers(text: bytes, width: int, count: int, path: Path, first: int) -> Double:
-    """Return the numbers of the lines from `first` on, (N, width) float64; N may not be `count`."""
+    """Return the numbers from line `first` on, (N, width) float64; N may differ from `count`."""
     plain = text.replace(b",", b" ")
     values = np.empty((0, width))
     if plain.strip():
@@ -108,15 +102,15 @@ def _numbers(text: bytes, width: int, count: int, path: Path, first: int) -> Dou
         raise ValueError(f"{len(values)} of {count} points")
     if len(values) != count:
         missing = "; the file may be cut off" if len(values) < count else ""
-        found = f"{len(values)} lines of points are read, but the header says {count}{missing}"
-        warn_once(log, f"{path}: {found}")
+        problem = f"has {len(values)} lines of points, but its header states {count}{missing}"
+        warn_once(log, f"{path}: {problem}")
     if plain != text:
         notice_once(COMMAS)
     return values
 
 
 def _irregular(text: bytes, width: int, count: int, path: Path, first: int) -> Double:
-    """Return the numbers of lines of which a few lack the last ones, which are NaN."""
+    """Return the numbers of lines, a few of which lack the last ones; these are NaN."""
     rows, faults, fault = [], [], ""
     for number, line in enumerate(text.splitlines(), first):
         words = line.replace(b",", b" ").decode("latin-1").split()
@@ -124,7 +118,7 @@ def _irregular(text: bytes, width: int, count: int, path: Path, first: int) -> D
         if len(words) == 2 * width:
             require_decimal_points(line, path)
         if wrong := [word for word in words if not is_number(word)]:
-            raise ValueError(f"line {number} has {shortened(wrong[0])!r} in place of a number")
+            raise ValueError(f"line {number} has {shortened(wrong[0])!r} instead of a number")
         if len(words) > width:
             raise ValueError(fault)
         if words:
@@ -134,30 +128,29 @@ def _irregular(text: bytes, width: int, count: int, path: Path, first: int) -> D
         raise ValueError(f"{len(rows) - 1} of {count} points; {fault}")
     if len(faults) > MAX_SHORT_SHARE * len(rows):
         raise ValueError(f"{len(faults)} of {len(rows)} lines are too short; {faults[0]}")
-    for each in faults:
-        notice_once(f"{path}: {each}; the others are read as NaN")
+    for fault in faults:
+        notice_once(f"{path}: {fault}; the others are read as NaN")
     return np.array(rows)
 
 
 def _read_binary(file: BufferedReader, path: Path, header: Header) -> Columns:
-    promised = header.point_count * header.point.itemsize
-    if (held := size_of(file) - file.tell()) < promised:
-        raise ValueError(f"{held} bytes of data, not {promised}")
+    stated = header.point_count * header.point.itemsize
+    if (actual := size_of(file) - file.tell()) < stated:
+        raise ValueError(f"{actual} bytes of data, not {stated}")
     points = read_values(file, path, header.point, header.point_count)
     return {name: points[name] for name in header.scalars}
 
 
 def read_compressed(file: BufferedIOBase, header: Header) -> Columns:
-    """Unpack compressed columns with open3d, which leaves out or converts some."""
+    """Unpack compressed columns with open3d, which omits or converts some."""
     if header.scalars != [*(header.point.names or ())]:
         raise ValueError("compressed PCD data with fields of several values")
     sizes = np.frombuffer(file.read(8), "<u4")
-    promised = header.point_count * header.point.itemsize
+    stated = header.point_count * header.point.itemsize
     packed = file.read()
-    if len(sizes) < 2 or len(packed) < sizes[0] or sizes[1] != promised:
-        raise ValueError(f"{len(packed)} bytes of compressed data, not of {promised}")
-    if promised > MAX_RATIO * sizes[0]:
-        raise ValueError(f"{sizes[0]} bytes of compressed data that cannot be of {promised}")
+    is_cut = len(sizes) < 2 or len(packed) < sizes[0] or sizes[1] != stated
+    if is_cut or stated > MAX_RATIO * sizes[0]:
+        raise ValueError(f"{len(packed)} bytes of compressed data cannot contain {stated}")
     if header.point_count == 0:
         return {name: np.empty(0, header.point[name]) for name in header.scalars}
     open3d = import_open3d()
@@ -169,7 +162,7 @@ def read_compressed(file: BufferedIOBase, header: Header) -> Columns:
         copy.flush()
         cloud = open3d.t.io.read_point_cloud(copy.name, format="pcd")
     if "positions" not in cloud.point or len(cloud.point.positions) != header.point_count:
-        raise ValueError("compressed PCD data that does not unpack")
+        raise ValueError("compressed data that cannot be unpacked")
     columns = {name: cloud.point[name].numpy()[:, 0] for name in cloud.point}
     return columns | dict(zip("xyz", cloud.point.positions.numpy().T, strict=True))
 
@@ -186,7 +179,7 @@ def read_header(file: BufferedIOBase) -> Header:
         point = np.dtype(
             [
                 (name, TYPES[kind + size])
-                if count == 1 and name != PADDING
+                if count == 1 and name != "_"  # padding
                 else (f"{name} {place}", TYPES[kind + size], (count,))
                 for place, (name, kind, size, count) in enumerate(fields)
             ]

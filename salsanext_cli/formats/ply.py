@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""PLY clouds through plyfile, which is GPL and therefore imported here only, when it is used."""
+"""PLY clouds through plyfile, which is GPL and therefore only imported here, when it is used."""
 
 import io
 import re
@@ -18,8 +18,8 @@ from salsanext_cli.files.reading import reading, refusing_damage
 from salsanext_cli.formats.columns import Columns
 
 MAX_HEADER_BYTES = 1 << 20
-COUNT = re.compile(rb"(?:^|[\r\n])\s*element\s+\S+\s+(\S+)")  # Number of elements of a kind
-VERTICES = re.compile(rb"(?:^|[\r\n])\s*element\s+vertex\s")
+COUNT = re.compile(rb"(?:^|[\r\n])\s*element\s+(\S+)\s+(\S+)")
+"""Name and number of the elements of a kind."""
 BLANKS = re.compile(rb"[ \t]+(?=[\r\n])")  # Blanks at the end of a line, which plyfile refuses
 
 
@@ -32,34 +32,29 @@ def ply_columns(path: Path, _: tuple[str, ...] = ()) -> Columns:
 
 
 def read_ply(path: Path, content: bytes) -> Any:
-    """Return what plyfile finds in the content of a file with vertices."""
+    """Return the elements of a PLY file with vertices, as `plyfile.PlyData`."""
     plyfile = import_package("plyfile")
-    with refusing_damage(path, "a whole .ply file"), warnings.catch_warnings():
+    with refusing_damage(path, "a complete .ply file"), warnings.catch_warnings():
         # plyfile warns of empty lines before it refuses them.
         warnings.simplefilter("ignore")
-        head, body = _header(content)
-        if not VERTICES.search(head):
-            raise FormatError(path, "no vertices", "a PLY file with an element vertex")
-        return plyfile.PlyData.read(io.BytesIO(BLANKS.sub(b"", head) + body))
-
-
-def _header(content: bytes) -> tuple[bytes, bytes]:
-    """Divide a PLY file; refuse a header that states more than it has: plyfile allocates it."""
-    end = content.find(b"end_header", 0, MAX_HEADER_BYTES)
-    if end < 0:
-        raise ValueError("no PLY header")
-    counts = [int(count) for count in COUNT.findall(content[:end])]
-    if min(counts, default=0) < 0 or sum(counts) > len(content):
-        raise ValueError("its header promises more than it holds")
-    return content[:end], content[end:]
+        end = content.find(b"end_header", 0, MAX_HEADER_BYTES)
+        if end < 0:
+            raise ValueError("no PLY header")
+        elements = [(name, int(count)) for name, count in COUNT.findall(content[:end])]
+        # plyfile allocates the stated numbers.
+        if any(n < 0 for _, n in elements) or sum(n for _, n in elements) > len(content):
+            raise ValueError("its header states more than it contains")
+        if not any(name == b"vertex" for name, _ in elements):
+            raise FormatError(path, "has no vertices", "a PLY file with an element vertex")
+        return plyfile.PlyData.read(io.BytesIO(BLANKS.sub(b"", content[:end]) + content[end:]))
 
 
 def encode_ply(columns: Mapping[str, npt.NDArray[Any]], comments: Iterable[str] = ()) -> bytes:
-    """Return vertices as a binary little endian PLY file, one property per column, in order.
+    """Return vertices as a binary little-endian PLY file, one property per column, in order.
 
     `columns` (N,) of any real dtype become uchar, int, float or double, the only types that open3d
-    reads: integers wider than a byte become int, or double beyond its range. Of `comments`, lines
-    of the header, anything outside ASCII is escaped.
+    reads: integers wider than a byte become int, or double beyond its range. In `comments`, lines
+    of the header, all but ASCII is escaped.
     """
     plyfile = import_package("plyfile")
     readable = {name: _readable(values) for name, values in columns.items()}
@@ -78,7 +73,18 @@ def encode_ply(columns: Mapping[str, npt.NDArray[Any]], comments: Iterable[str] 
 def write_ply(
     path: Path, columns: Mapping[str, npt.NDArray[Any]], comments: Iterable[str] = ()
 ) -> None:
-    """Write a `.ply` file of columns and comments as `encode_ply` takes them."""
+    """Write points and their scalars as a binary little-endian PLY file.
+
+    Parameters
+    ----------
+    path : Path
+        The `.ply` file.
+    columns : dict of str to (N,) array
+        Properties by name, x, y, z in metres first. Integers wider than a byte become int, or
+        double beyond its range.
+    comments : iterable of str, optional
+        Lines of the header; all but ASCII is escaped.
+    """
     write_bytes(path, encode_ply(columns, comments))
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Scans as text: a point in each line, its values separated by commas, semicolons or blanks."""
+"""Scans as text: a point per line, its values separated by commas, semicolons or blanks."""
 
 import io
 import re
@@ -20,10 +20,10 @@ MAX_HEADER_BYTES = 1 << 16
 AXES = {
     f"{name}:{place}": "xyz"[place] for name in ("points_m_xyz", "points") for place in range(3)
 }
-"""Axes by the names of their columns, in lower case, in what VeloView and ParaView write."""
-EXPECTED = "a point in each line, with the same number of columns"
+"""Axes by the names of their columns, in lower case, in files of VeloView and ParaView."""
+EXPECTED = "a point per line, with the same number of columns"
 DECIMAL_COMMA = re.compile(rb'(?:^|[;\s"])-?\d*,\d+(?:[;\s"]|$)')
-"""Number whose comma separates no columns, since blanks or semicolons do."""
+"""Number with a comma between blanks or semicolons, which separate the columns."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,28 +34,28 @@ class Layout:
     delimiter: str | None  # Character between values; None for blanks
     width: int  # Number of columns
     names: tuple[str, ...]  # Names of the columns in lower case; empty if the file has none
-    count: int | None = None  # Number of points, where the first line is nothing else
+    count: int | None = None  # Number of points, if the first line consists of it
 
 
 def text_columns(path: Path, names: tuple[str, ...]) -> Columns:
-    """Read coordinates and intensity from text; `names` or the usual ones if it has none itself."""
+    """Read coordinates and intensity from text; without a header the columns are `names`."""
     with reading(path) as file:
         content = file.read().removeprefix(BYTE_ORDER_MARK)
     if CONTROL.search(content[:TEXT_BYTES]):
-        raise FormatError(path, "not text", "a point in each line, in ASCII or UTF-8")
+        raise FormatError(path, "is not text", "a point per line, in ASCII or UTF-8")
     try:
         layout = layout_of(content, has_names=bool(names))
         if layout.names and names and layout.names != names:
-            notice_once("--columns is not used for files whose first line names the columns")
+            notice_once("--columns is ignored for files whose first line names the columns")
         names = layout.names or columns_of_width(layout.width, names, path)
         used = {name: i for i, name in enumerate(names) if name in USED_NAMES}
         if len(used) < sum(name in USED_NAMES for name in names):
-            raise ValueError(f"a column twice among {shortened(', '.join(names))}")
+            raise ValueError(f"repeats a column in {shortened(', '.join(names))}")
         if not {"x", "y", "z"} & set(used):
-            raise ValueError(f"points of {shortened(', '.join(names))}")
+            raise ValueError(f"has columns {shortened(', '.join(names))}")
         table = _numbers(content, layout, tuple(used.values()))
         if layout.count not in (None, len(table)):
-            raise ValueError(f"{len(table)} of the {layout.count} points that its first line says")
+            raise ValueError(f"has {len(table)} of the {layout.count} points in its first line")
     except ValueError as error:
         require_decimal_points(content, path)
         raise FormatError(path, shortened(str(error)), EXPECTED) from error
@@ -63,15 +63,15 @@ def text_columns(path: Path, names: tuple[str, ...]) -> Columns:
 
 
 def require_decimal_points(content: bytes, path: Path) -> None:
-    """Refuse text with a decimal comma, as the reason why it is no table."""
-    if found := DECIMAL_COMMA.search(content):
-        number = found[0].strip(b'; \t\r\n"').decode()
-        hint = "write the file again with decimal points"
-        raise FormatError(path, f"decimal commas: {number}", "decimal points", hint)
+    """Refuse text with a decimal comma."""
+    if match := DECIMAL_COMMA.search(content):
+        number = match[0].strip(b'; \t\r\n"').decode()
+        hint = "rewrite the file with decimal points"
+        raise FormatError(path, f"has decimal commas: {number}", "decimal points", hint)
 
 
 def layout_of(content: bytes, has_names: bool) -> Layout:
-    """Find the first point, after a header or a number alone and what text follows that."""
+    """Return the layout from the first point, after a header or a number and further text."""
     at, names, count = 0, tuple[str, ...](), None
     while at < min(len(content), MAX_HEADER_BYTES):
         end = content.find(b"\n", at) + 1 or len(content)
@@ -91,14 +91,14 @@ def layout_of(content: bytes, has_names: bool) -> Layout:
             return Layout(end, delimiter, len(words), words, count)
         elif line and count is None:
             if not has_names:
-                raise ValueError(f"{shortened(line)} in place of numbers, or of names with x, y, z")
+                raise ValueError(f"has {shortened(line)} instead of numbers or names x, y, z")
             return Layout(end, delimiter, len(words), (), count)
         at = end
-    raise ValueError("no points")
+    raise ValueError("has no points")
 
 
 def _words(line: str, delimiter: str | None) -> tuple[str, ...]:
-    """Return the fields of a line, in lower case, without blanks and quotes around them."""
+    """Return the fields of a line, in lower case, without surrounding blanks and quotes."""
     words = [word.strip(' "\t').lower() for word in line.split(delimiter)]
     if not AXES.keys().isdisjoint(words):
         notice_once("columns Points:0, Points:1, Points:2 are read as x, y, z")
@@ -106,7 +106,7 @@ def _words(line: str, delimiter: str | None) -> tuple[str, ...]:
 
 
 def is_number(word: str) -> bool:
-    """Say whether a word is a number, in decimal notation."""
+    """Return whether a word is a decimal number."""
     try:
         float(word)
     except ValueError:
@@ -115,11 +115,11 @@ def is_number(word: str) -> bool:
 
 
 def _numbers(content: bytes, layout: Layout, used: tuple[int, ...]) -> Double:
-    """Return some columns of the table, (N, len(used)) float64."""
+    """Return the used columns of the table, (N, len(used)) float64."""
     body = content[layout.start :]
     if not body.strip():
         return np.empty((0, len(used)))
-    # Of delimited columns others may hold text; blanks may be in it, so then all are numbers.
+    # Other delimited columns may contain text; without delimiters it could contain blanks.
     try:
         table = np.loadtxt(
             io.BytesIO(body),
@@ -135,12 +135,12 @@ def _numbers(content: bytes, layout: Layout, used: tuple[int, ...]) -> Double:
     if layout.delimiter:
         width = 1 + body.count(layout.delimiter.encode()) / len(table)
     if width != layout.width:
-        raise ValueError(f"lines of more or fewer than {layout.width} columns")
+        raise ValueError(f"has lines of more or fewer than {layout.width} columns")
     return table if layout.delimiter else table[:, used]
 
 
 def _first_fault(content: bytes, layout: Layout, used: tuple[int, ...]) -> str:
-    """Say where the table does not go on as it began."""
+    """Return a description of the first line that differs from the layout."""
     before = content[: layout.start].count(b"\n")
     lines = content[layout.start :].decode("latin-1").split("\n")
     for number, line in enumerate(map(str.strip, lines), before + 1):
@@ -149,5 +149,5 @@ def _first_fault(content: bytes, layout: Layout, used: tuple[int, ...]) -> str:
             return f"line {number} has {len(words)} columns, not {layout.width}"
         wrong = [words[i] for i in used if line and not is_number(words[i])]
         if wrong:
-            return f"line {number} has {shortened(wrong[0])!r} in place of a number"
-    return "no table of numbers"
+            return f"line {number} has {shortened(wrong[0])!r} instead of a number"
+    return "is not a table of numbers"

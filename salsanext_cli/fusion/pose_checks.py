@@ -145,7 +145,19 @@ def require_fitting(path: Path, poses: Poses, read: ReadPoints) -> Parts:
         hint = f"add the {CALIBRATION} of poses of a camera, or remove the file to compute poses"
         expected = "poses from each scan to the world, in metres"
         raise FormatError(path, f"does not fit {misfit:.0%} of the scans", expected, hint)
+    if 2 * len(np.unique(parts)) > len(poses) + 1:
+        _require_metres(path, poses, read)
     return parts
+
+
+def _require_metres(path: Path, poses: Poses, read: ReadPoints) -> None:
+    """Refuse poses by which the scans fit only in another unit."""
+    # The last 1 is scaled too, which cancels in the step from one pose to another.
+    readings = [poses, poses * [1, 1, 1, 0.01], poses * [1, 1, 1, 0.001]]
+    shares = _mean_overlaps(readings, read)
+    if shares.max() >= max(MIN_OVERLAP, shares[0] + MARGIN):
+        unit = ("", "centimetres", "millimetres")[int(shares.argmax())]
+        raise FormatError(path, f"positions in {unit}", "metres", "convert the positions")
 
 
 def best_reading(readings: Sequence[Poses], read: ReadPoints) -> int:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,10 +13,8 @@ from salsanext_cli.files.optional_packages import import_open3d
 from salsanext_cli.records import Double, Float, Indices, Mask
 
 TOLERANCE_M = 1e-3  # Largest distance of a copy; millimetres rounded per axis differ by 0.87
-MAX_NEIGHBOURS = 16  # Locations searched around a point; no LiDAR resolves so many
-CLASS = np.uint32(0xFFFF)  # Bits of a label that are the class; the others are the instance
-NO_INSTANCE = np.uint32(1 << 16)  # Above every instance
-NOTHING = np.iinfo(np.int64).max  # Minimum of no labels; their maximum is -1
+MAX_NEIGHBOURS = 16  # Nearest places around a point; no LiDAR resolves so many
+NOTHING = np.iinfo(np.int64).max  # Lowest of no labels; the highest is -1, below it
 
 Labels = npt.NDArray[np.uint32]
 
@@ -27,18 +24,12 @@ class LabelTransfer:
     """Labels of N points, taken from a labelled cloud."""
 
     labels: Labels  # (N,) uint32: 0 where `known` is not set
-    known: Mask  # (N,) bool: points with a label in the cloud
-    ambiguous: Mask  # (N,) bool: points with several labels in the cloud
-    exact: Mask  # (N,) bool: points with a copy of the same coordinates
-    # (U,) float64: distance of each cloud point that is not a copy to the nearest point in metres;
-    # infinite without points
+    known: Mask  # (N,) bool: points that have a label of the cloud
+    ambiguous: Mask  # (N,) bool: points at which the cloud has several labels
+    # (U,) float64: distance of each point of the cloud that is a copy of none to the nearest point,
+    # metres; infinite without any
     unmatched: Double
     cloud_points: int  # Number of cloud points with finite coordinates
-
-    @property
-    def is_rounded(self) -> bool:
-        """Whether most points with a copy in the cloud have one of other coordinates."""
-        return int(self.exact.sum()) < int((~self.missing & ~self.exact).sum())
 
     @property
     def missing(self) -> Mask:
@@ -73,42 +64,11 @@ def transfer_labels(points: Float, cloud: Float, labels: Labels) -> LabelTransfe
     of_points, first = np.unique(place, return_index=True)
     distances = _nearest(cloud[~np.isin(place_of_cloud, of_points)], wanted[first])
     transferred = np.zeros(len(points), np.uint32)
-    known, ambiguous, exact = np.zeros((3, len(points)), bool)
-    known[finite], ambiguous[finite], exact[finite] = low == high, low < high, ~alone
+    known, ambiguous = np.zeros((2, len(points)), bool)
+    known[finite], ambiguous[finite] = low == high, low < high
     transferred[known] = low[low == high]
     unmatched = distances[distances > TOLERANCE_M]
-    return LabelTransfer(transferred, known, ambiguous, exact, unmatched, len(cloud))
-
-
-def merged_transfers(parts: Sequence[LabelTransfer], unlabelled: int) -> LabelTransfer:
-    """Return the labels of the same points in several clouds.
-
-    A point with labels of several classes has no label, but the class `unlabelled` does not count.
-    A point of one class with several instances has instance 0. For a point with an exact copy in
-    some cloud, inexact copies count only in clouds with rounded coordinates.
-    """
-    if len(parts) == 1:
-        return parts[0]
-    exact = np.any([part.exact for part in parts], axis=0)
-    classes, most = np.zeros((2, len(exact)), np.uint32)
-    least = np.full(len(exact), NO_INSTANCE)
-    known, given, ambiguous = np.zeros((3, len(exact)), bool)
-    for part in parts:
-        counts = part.exact | ~exact | part.is_rounded
-        of_class, instance = part.labels & CLASS, part.labels >> 16
-        labelled = part.known & counts & (of_class != unlabelled)
-        ambiguous |= (part.ambiguous & counts) | (labelled & given & (classes != of_class))
-        open_yet = part.known & counts & ~given
-        classes[open_yet] = of_class[open_yet]
-        numbered = labelled & (instance > 0)
-        least[numbered] = np.minimum(least, instance)[numbered]
-        most[numbered] = np.maximum(most, instance)[numbered]
-        known, given = known | open_yet, given | labelled
-    labels = classes | (np.where(least == most, most, 0).astype(np.uint32) << np.uint32(16))
-    labels[ambiguous] = 0
-    unmatched = np.concatenate([part.unmatched for part in parts])
-    clouds = sum(part.cloud_points for part in parts)
-    return LabelTransfer(labels, known & ~ambiguous, ambiguous, exact, unmatched, clouds)
+    return LabelTransfer(transferred, known, ambiguous, unmatched, len(cloud))
 
 
 def _places(points: Float) -> Indices:

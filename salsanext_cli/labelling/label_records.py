@@ -1,16 +1,15 @@
 # SPDX-License-Identifier: MIT
-"""Imports of labels, their record, and label files that still hold the pre-labels of a network.
+"""Records of imported labels, and label files that still contain the pre-labels of a network.
 
 ``ROOT/pick.json`` has the SHA-256 of each label file that `pick` wrote.
 ``ROOT/import-labels.jsonl`` has a line for each import of a scan, appended before its label file is
-written: in an import that is cut off, the label file counts as what it was. Older versions wrote
+written, so that an interrupted import changes nothing. Older versions wrote
 ``ROOT/import-labels.json``. A label file is a pre-label while it is as `pick` wrote it and was not
-imported; copies of a data set are no exception.
+imported, also in copies of a data set.
 """
 
 import hashlib
 import json
-from collections import Counter
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -32,25 +31,25 @@ from salsanext_cli.results.paths import SCAN_FOLDER, ScanFile
 from salsanext_cli.results.selection import data_set_of
 from salsanext_cli.version import __version__
 
-PICKED, GUESSES = "pick.json", "guesses"  # Record of `pick`, and its key for the digests
+PICKED = "pick.json"  # Record of `pick`
+PRE_LABELS = ("guesses", "pre_labels")  # Keys of the digests in it, of older versions and this one
 STAGE = "import-labels"
-IMPORTED = (f"{STAGE}.json", f"{STAGE}.jsonl")  # Record of older versions, and that of this one
+IMPORTED = (f"{STAGE}.json", f"{STAGE}.jsonl")  # Record of older versions, and of this one
 
 
 @dataclass(frozen=True, slots=True)
 class ImportedScan:
-    """Labels of one scan that were imported, in numbers of points."""
+    """Imported labels of one scan, in numbers of points."""
 
     scan: str  # Sequence and stem
-    files: tuple[str, ...]  # Files that the labels came from
+    files: tuple[str, ...]  # The edited file; in records of older versions possibly several
     points: int
-    labelled: int  # Points with a class that counts, and the others with a label
-    unlabelled: int
-    ambiguous: int  # Points of several labels
-    missing: int  # Points of the scan that no file has
-    unmatched: int  # Points of the files that are none of the scan's
-    contradicted: int  # Points that different files label differently
-    scalar: str  # Names of the scalars that held the labels
+    labelled: int  # Points with a class that is not ignored
+    unlabelled: int  # Other points with a label
+    ambiguous: int  # Points with several labels
+    missing: int  # Points of the scan that are not in the file
+    unmatched: int  # Points of the file that are not in the scan
+    scalar: str  # Name of the label scalar
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,46 +64,61 @@ class FailedImport:
 
 @dataclass(frozen=True, slots=True)
 class LabelOrigin:
-    """Origin of the labels in a label file, as the record of imports has it."""
+    """Origin of the labels in a label file, from the record of imports."""
 
     sha256: str = ""  # Of the label file
-    files: tuple[str, ...] = ("?",)  # Files that are not recorded may be any.
-    contradicted: int = 0
+    files: tuple[str, ...] = ()  # The edited file; empty if the record is damaged
 
 
 @dataclass(slots=True)
 class LabelImport:
-    """Result of an import of labels."""
+    """Result of an import of labels.
 
-    space: LabelSpace  # Classes of the labels
-    class_points: Counts  # (C,) int64: number of imported points by train id
+    Attributes
+    ----------
+    space : LabelSpace
+        Classes of the labels.
+    class_points : (C,) int64
+        Number of imported points by train id.
+    scans : list of ImportedScan
+        Scans with imported labels.
+    failures : list of FailedImport
+        Files that were not imported.
+    unedited : list of str
+        Files with unchanged pre-labels, which are not imported.
+    unchanged : int
+        Number of scans without an edited file.
+    pre_labelled : list of str
+        Scans whose label file still contains pre-labels, as sequence/stem.
+    """
+
+    space: LabelSpace
+    class_points: Counts
     scans: list[ImportedScan] = field(default_factory=list)
     failures: list[FailedImport] = field(default_factory=list)
-    # Files that hold the pre-labels of `pick`, all of them; they are not imported
     unedited: list[str] = field(default_factory=list)
-    kept: int = 0  # Number of scans of the data set that keep the labels they have, or have none
-    # Scans of the data set whose label file still holds pre-labels, as sequence/stem
-    first_guesses: list[str] = field(default_factory=list)
+    unchanged: int = 0
+    pre_labelled: list[str] = field(default_factory=list)
 
     def largest_classes(self) -> dict[str, float]:
         """Return the share of the labelled points, 0…1, of the largest classes, by name."""
         return largest_classes(self.space, np.where(self.space.scored, self.class_points, 0))
 
     def fail(self, files: Iterable[Path], error: SalsanextError) -> None:
-        """Note files that are not imported."""
+        """Record files that are not imported."""
         self.failures.append(
             FailedImport(tuple(map(str, files)), error.headline, error.hint, error.code)
         )
 
     def to_dict(self) -> dict[str, object]:
         """Return plain data for JSON."""
-        names = ("scans", "failures", "unedited", "kept", "first_guesses")
-        found = {name: plain(getattr(self, name)) for name in names}
-        return {"stage": STAGE, **found, "largest_classes": self.largest_classes()}
+        names = ("scans", "failures", "unedited", "unchanged", "pre_labelled")
+        results = {name: plain(getattr(self, name)) for name in names}
+        return {"stage": STAGE, **results, "largest_classes": self.largest_classes()}
 
 
 def labels_root(scan: ScanFile) -> Path:
-    """Return the folder whose records tell of the labels of a scan: above scan and labels."""
+    """Return the folder, above scan and labels, with the records of the labels of a scan."""
     folder = scan.path.parent
     return data_set_of(scan) or (folder.parent if folder.name == SCAN_FOLDER else folder)
 
@@ -116,8 +130,9 @@ class LabelRecords:
         self.owned = OwnedFolder(root, STAGE)
 
     @cached_property
-    def _guesses(self) -> Mapping[str, object]:
-        return _table(self.owned.root / PICKED, GUESSES)
+    def _pre_labels(self) -> dict[str, object]:
+        tables = (_table(self.owned.root / PICKED, key) for key in PRE_LABELS)
+        return {name: digest for table in tables for name, digest in table.items()}
 
     @cached_property
     def _imported(self) -> dict[str, LabelOrigin]:
@@ -126,7 +141,7 @@ class LabelRecords:
         if present(lines):
             with reading(lines) as file:
                 for line in file:
-                    with suppress(*MALFORMED):  # A line that was cut off says nothing.
+                    with suppress(*MALFORMED):  # A line that was cut off.
                         entry = json.loads(line)
                         entries[entry["scan"]] = entry
         return {name: _origin(entry) for name, entry in entries.items()}
@@ -135,56 +150,53 @@ class LabelRecords:
     def _states(self) -> States:
         return self.owned.states()
 
-    def is_guess(self, scan: ScanFile, digest: str) -> bool:
-        """Say whether labels with a SHA-256 are those that a network guessed for a scan."""
-        return self._guesses.get(scan.name) == digest
+    def is_pre_label(self, scan: ScanFile, digest: str) -> bool:
+        """Return whether a label file with a SHA-256 is the pre-label of a scan."""
+        return self._pre_labels.get(scan.name) == digest
 
-    def holds_guess(self, scan: ScanFile) -> bool:
-        """Say whether the label file of a scan is still the first guess."""
-        if scan.name not in self._guesses or not present(scan.label_path):
+    def has_pre_label(self, scan: ScanFile) -> bool:
+        """Return whether the label file of a scan is still its pre-label."""
+        if scan.name not in self._pre_labels or not present(scan.label_path):
             return False
         digest = fingerprint(scan.label_path)
         imported = self._imported.get(scan.name)
-        return self.is_guess(scan, digest) and not (imported and imported.sha256 == digest)
+        return self.is_pre_label(scan, digest) and not (imported and imported.sha256 == digest)
 
-    def is_replaceable(self, scan: ScanFile, edited: Iterable[Path], contradicted: int = 0) -> bool:
-        """Say whether the label file of a scan, if there is one, may give way to edited files."""
-        path, earlier = scan.label_path, self._imported.get(scan.name, LabelOrigin(files=()))
-        imported = Counter(Path(file).name for file in earlier.files)
-        lost = imported - Counter(file.name for file in edited)
-        more = imported and contradicted > earlier.contradicted
-        if (lost or more) and present(path):
+    def is_replaceable(self, scan: ScanFile, edited: Path) -> bool:
+        """Return whether labels from an edited file may replace the label file of a scan, if any.
+
+        Labels from a file of another name may be newer, or be of other parts of the scan.
+        """
+        origin = self._imported.get(scan.name)
+        is_other = origin and {Path(file).name for file in origin.files} != {edited.name}
+        if is_other and present(scan.label_path):
             return False
-        changed = self.owned.foreign_files([path], self._states)
-        return not changed or self.holds_guess(scan)
+        changed = self.owned.foreign_files([scan.label_path], self._states)
+        return not changed or self.has_pre_label(scan)
 
     def write(self, scan: ScanFile, content: bytes, imported: ImportedScan) -> None:
-        """Write the imported label file of a scan, and record it and what is known about it."""
+        """Record an import, and write the label file of the scan."""
         digest = hashlib.sha256(content).hexdigest()
         line = json.dumps({"sha256": digest, "version": __version__, **plain(imported)})
         append_line(self.owned.root / IMPORTED[1], line.encode(), durable=True)
-        self._imported[scan.name] = LabelOrigin(digest, imported.files, imported.contradicted)
+        self._imported[scan.name] = LabelOrigin(digest, imported.files)
         self.owned.write(scan.label_path, content, durable=True)
 
 
-def first_guesses(scans: Iterable[ScanFile]) -> list[ScanFile]:
-    """Return the scans whose label file is still the first guess of a network."""
-    records: dict[Path, LabelRecords] = {}
-    guesses = []
-    for scan in scans:
-        root = labels_root(scan)
-        if records.setdefault(root, LabelRecords(root)).holds_guess(scan):
-            guesses.append(scan)
-    return guesses
+def pre_labelled_scans(scans: Iterable[ScanFile]) -> list[ScanFile]:
+    """Return the scans whose label file still contains the pre-labels of a network."""
+    roots = {scan: labels_root(scan) for scan in scans}
+    records = {root: LabelRecords(root) for root in {*roots.values()}}
+    return [scan for scan, root in roots.items() if records[root].has_pre_label(scan)]
 
 
 def require_truth(scans: Iterable[ScanFile]) -> None:
-    """Raise `LabelError` naming the first scan whose labels are a network's first guess."""
-    if guesses := first_guesses(scans):
-        more = f", as of {counted(len(guesses) - 1, 'other scan')}" if len(guesses) > 1 else ""
-        found = f"a network's first guess, unchanged{more}"
-        hint = "label the scan, then `salsanext import-labels`"
-        raise LabelError(guesses[0].label_path, found, "labels by a person", hint)
+    """Raise `LabelError` if the labels of a scan are pre-labels."""
+    if unlabelled := pre_labelled_scans(scans):
+        more = f", like {counted(len(unlabelled) - 1, 'other file')}" if unlabelled[1:] else ""
+        problem = f"contains unchanged pre-labels{more}"
+        hint = "label the scan, then run `salsanext import-labels`"
+        raise LabelError(unlabelled[0].label_path, problem, "labels by a person", hint)
 
 
 def _origin(entry: object) -> LabelOrigin:

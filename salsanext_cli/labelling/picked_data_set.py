@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Data set of picked scans: its record, its files, and what a user changed in it."""
+"""Data set of picked scans: its record and its files, which the user may edit."""
 
 import hashlib
 import logging
@@ -14,7 +14,7 @@ import yaml
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import FormatError, OutputError, UsageError
 from salsanext_cli.files.identity import fingerprint
-from salsanext_cli.files.json_files import plain, read_record, write_json
+from salsanext_cli.files.json_files import plain, read_json, record_of, write_json
 from salsanext_cli.files.reading import filled, present, reading
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import encode_bin
@@ -30,22 +30,19 @@ from salsanext_cli.version import __version__
 
 STAGE = "pick"
 LABEL_SPACE, TABLE = "labels.yaml", "picked.csv"
-OLD_SHEET = "picked.png"  # Written by earlier versions
 
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
 class PickedScan:
-    """A picked scan, as record, table and JSON have it."""
+    """A picked scan in record, table and JSON."""
 
     rank: int  # From 1, the scan most worth labelling
-    sequence: str  # Its sequence and its name without suffix
-    scan: str
+    sequence: str
+    scan: str  # Stem of its file
     uncertainty: float  # Mean mutual information of its pixels, nats
-    # Distance to the nearest scan picked before, 1 being that of two scans of the source (root mean
-    # square); None for the first
-    distance: float | None
+    distance: float | None  # To the nearest earlier scan; 1 is the RMS distance between two scans
     nearest: str | None  # That scan, as sequence/scan
     reason: str  # In words
 
@@ -57,33 +54,31 @@ class PickedScan:
 
 @dataclass(frozen=True, slots=True)
 class PickSettings:
-    """Settings that decide which scans are picked."""
+    """Settings of the choice of scans."""
 
     network: StageSettings
     count: int  # Number of scans to pick
     seed: int
     scans: str  # Number and digest of the scans to choose from
-    labelled: str | None  # The same of those that are labelled already
+    labelled: str | None  # The same of scans that are already labelled
     samples: int  # Monte-Carlo passes of a scan
     strategy: str = "both"  # Earlier versions had others
 
     def to_dict(self) -> dict[str, object]:
         """Return all settings in one table."""
-        own = {each.name: getattr(self, each.name) for each in fields(self)}
-        return {**plain(own.pop("network")), **own}
+        settings = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {**plain(settings.pop("network")), **settings}
 
 
 @dataclass(frozen=True, slots=True)
 class PickRecord:
     """Record of a run of `pick`."""
 
-    settings: dict[str, object]  # As `settings_json` returns them
+    settings: dict[str, object]  # From `settings_json`
     picked: list[PickedScan]  # In the order of their rank
-    # `scan`, `reason` and `code` of each scan that could not be looked at
-    failures: list[dict[str, str]]
-    warnings: list[ScanWarning]  # Reasons to doubt scans
-    # SHA-256 of the guessed labels that were written, by name of the scan
-    guesses: dict[str, str] = field(default_factory=dict)
+    failures: list[dict[str, str]]  # `scan`, `reason`, `hint` and `code` of unreadable scans
+    warnings: list[ScanWarning]
+    pre_labels: dict[str, str] = field(default_factory=dict)  # SHA-256 by name of the scan
     stage: str = STAGE
     version: str = __version__
 
@@ -103,39 +98,39 @@ class PickedDataSet(OwnedFolder):
     stage: str = STAGE
 
     def paths(self, sequence: str, stem: str) -> ScanPaths:
-        """Return where the files of a scan lie."""
+        """Return the paths of the files of a scan."""
         cloud = output_path(self.root, sequence, "ply", stem)
         folder = cloud.parents[1]
         labels = folder / "labels" / f"{stem}.label"
         return ScanPaths(folder / SCAN_FOLDER / f"{stem}.bin", labels, cloud)
 
     def write_points(self, file: ScanFile, sensor: Sensor) -> None:
-        """Write a scan as `.bin`, with the intensity of its file."""
+        """Write a scan as `.bin`, with the intensity in its file."""
         scan = read_scan(file.path, replace(sensor, intensity_scale=1.0))
         self.write_missing(self.paths(file.sequence, file.stem).points, encode_bin(scan))
 
-    def write_guesses(self, record: PickRecord, labels: Mapping[ScanFile, bytes]) -> None:
-        """Write the labels of scans that the network guessed, and record that they are guesses."""
+    def write_pre_labels(self, record: PickRecord, labels: Mapping[ScanFile, bytes]) -> None:
+        """Record pre-labels of scans, and write those that are missing."""
         paths = {file: self.paths(file.sequence, file.stem).labels for file in labels}
         missing = {file: content for file, content in labels.items() if not filled(paths[file])}
         digests = {file.name: hashlib.sha256(missing[file]).hexdigest() for file in missing}
-        guesses = dict(sorted({**record.guesses, **digests}.items()))
-        # Recorded first: in a run that is cut off nothing passes for labels of a person.
-        self._write_record(replace(record, guesses=guesses))
+        pre_labels = dict(sorted({**record.pre_labels, **digests}.items()))
+        # Recorded first: an interrupted run must not leave labels that look like a person's.
+        self._write_record(replace(record, pre_labels=pre_labels))
         for file, content in missing.items():
             self.write_missing(paths[file], content)
 
     def write_label_space(self, space: LabelSpace, picked: Iterable[PickedScan]) -> None:
-        """Write the classes; all sequences are those for training."""
-        sequences = tuple(sorted({each.sequence for each in picked}))
+        """Write the classes; all sequences are in the split `train`."""
+        sequences = tuple(sorted({scan.sequence for scan in picked}))
         splits: dict[str, tuple[str, ...]] = {"train": sequences, "valid": (), "test": ()}
         described = replace(space, splits=splits).to_dict()
-        # Names of folders may be no text, which yaml can escape.
+        # Names of folders may not be text, which yaml escapes.
         text = yaml.safe_dump(described, sort_keys=False, allow_unicode=False)
         self.write_missing(self.root / LABEL_SPACE, text.encode())
 
     def write_poses(self, scans: Iterable[ScanFile]) -> None:
-        """Write poses and calibration of the sequences of picked scans, where they are known."""
+        """Write poses and calibration of the sequences of picked scans, if known."""
         ordered = sorted(scans)
         for name, group in groupby(ordered, lambda scan: scan.sequence):
             picked, folder = list(group), self.root / "sequences" / name
@@ -147,34 +142,33 @@ class PickedDataSet(OwnedFolder):
                 if present(poses):
                     with reading(poses) as file:
                         lines = [*filter(None, map(bytes.strip, file.read().splitlines()))]
-                    stems, wanted = (
-                        [s.stem for s in each] for each in (find_scans(source), picked)
-                    )
+                    stems = [scan.stem for scan in find_scans(source)]
+                    wanted = [scan.stem for scan in picked]
                     numbers, *others = line_numbers(poses, len(lines), stems, wanted)
                     if others:
-                        found = "names of scans that count lines from 0 or from 1"
-                        raise FormatError(poses, found, "a line for each scan")
+                        problem = "has lines that scans may number from 0 or from 1"
+                        raise FormatError(poses, problem, "a line for each scan")
                     chosen = b"".join(lines[number] + b"\n" for number in numbers)
                     self.write_missing(folder / POSES, chosen)
             except (FormatError, OutputError) as error:
-                log.warning("%s; poses are left out", error)
+                log.warning("%s: poses are skipped", error.headline)
             if present(calibration):
                 with reading(calibration) as file:
                     self.write_missing(folder / CALIBRATION, file.read())
 
     def is_complete(self, record: PickRecord) -> bool:
-        """Say whether all files are there, but for poses and calibration, which may be unknown."""
+        """Return whether all files exist; poses and calibration may be unknown."""
         return all(map(filled, self._certain_files(record)))
 
     def require_apart(self, scans: Iterable[ScanFile]) -> None:
         """Raise `UsageError` if the folder holds the scans to choose from."""
         out, folders = self.root.resolve(), {scan.path.parent.resolve() for scan in scans}
         if any(out in (folder, *folder.parents) for folder in folders):
-            found = f"{self.root} holds the scans to choose from"
-            raise UsageError("OUT", found, "another folder, for those that are picked")
+            problem = f"{self.root} contains the scans to choose from"
+            raise UsageError("OUT", problem, "another folder, for the picked scans")
 
     def earlier(self, settings: PickSettings, *, overwrite: bool) -> PickRecord | None:
-        """Return the record of an earlier run with the same settings; None to begin anew."""
+        """Return the record of an earlier run with the same settings; None for a new pick."""
         self.require_new()
         record = self._record()
         if record and overwrite:
@@ -184,16 +178,20 @@ class PickedDataSet(OwnedFolder):
             require_same_settings(self.record_path, record.settings, settings_json(settings))
         return record
 
-    def begin_anew(self, record: PickRecord) -> None:
-        """Record what is picked; remove what an earlier run wrote."""
+    def begin(self, record: PickRecord) -> None:
+        """Record the picked scans; remove the files of an earlier run."""
         if earlier := self._record():
-            # Labels may have been corrected while the scans were looked at.
+            # The user may have corrected labels in the meantime.
             self._require_unchanged(earlier)
             self.remove_written(self._files(earlier))
         self._write_record(record)
 
     def _record(self) -> PickRecord | None:
-        return read_record(PickRecord, self.record_path)
+        if (data := read_json(self.record_path)) is None:
+            return None
+        # Older versions had another key.
+        data = {"pre_labels": data.get("guesses", {}), **data}
+        return record_of(PickRecord, data, self.record_path)
 
     def _write_record(self, record: PickRecord) -> None:
         if record != self._record():
@@ -201,22 +199,22 @@ class PickedDataSet(OwnedFolder):
 
     def _certain_files(self, record: PickRecord) -> list[Path]:
         files = [self.root / name for name in (LABEL_SPACE, TABLE)]
-        return files + [p for each in record.picked for p in self.paths(each.sequence, each.scan)]
+        return files + [p for s in record.picked for p in self.paths(s.sequence, s.scan)]
 
     def _files(self, record: PickRecord) -> list[Path]:
-        folders = sorted({self.root / "sequences" / each.sequence for each in record.picked})
+        folders = sorted({self.root / "sequences" / scan.sequence for scan in record.picked})
         uncertain = [folder / name for folder in folders for name in (POSES, CALIBRATION)]
-        return [*self._certain_files(record), *uncertain, self.root / OLD_SHEET]
+        return [*self._certain_files(record), *uncertain]
 
     def _require_unchanged(self, record: PickRecord) -> None:
-        """Refuse to replace files that are not as `pick` wrote them, and imported labels."""
+        """Refuse to replace imported labels and files that changed since `pick` wrote them."""
         if imports := [path for path in map(self.root.joinpath, IMPORTED) if present(path)]:
-            found = "says that labels were imported, which are kept"
-            raise OutputError(imports[0], found, hint="choose another folder")
+            problem = "records imported labels, which are not replaced"
+            raise OutputError(imports[0], problem, hint="choose another folder")
         self.refuse_foreign(self._files(record))
-        for each in record.picked:
-            labels = self.paths(each.sequence, each.scan).labels
-            guess = record.guesses.get(each.name)
-            # Other commands write labels too, and those are no guesses any more.
-            if guess and present(labels) and fingerprint(labels) != guess:
+        for scan in record.picked:
+            labels = self.paths(scan.sequence, scan.scan).labels
+            digest = record.pre_labels.get(scan.name)
+            # Other commands write labels too.
+            if digest and present(labels) and fingerprint(labels) != digest:
                 raise foreign_file(labels)

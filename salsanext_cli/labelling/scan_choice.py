@@ -17,22 +17,22 @@ from salsanext_cli.errors import UsageError
 Double = npt.NDArray[np.float64]
 
 SHARE_OF_SPREAD = 0.5
-"""Least distance of a chosen scan from earlier ones, as a share of what is possible for so many.
-There are always enough scans for a share of 1/2 or less: each ball of that radius holds but one of
-the scans that are a whole spread apart."""
+"""Least distance of a chosen scan from earlier ones, as a share of `spread`.
+
+There are always enough scans for a share of at most 1/2: a ball of that radius contains only one of
+the scans that are a spread apart.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """A chosen scan."""
+    """A chosen scan; NaN and None if there is no earlier one."""
 
-    scan: int  # Its position among the scans to choose from
-    uncertainty: float  # Its uncertainty
-    uncertainty_rank: int  # Number of its uncertainty in decreasing order, from 1
-    # Distance to the nearest scan that was chosen before it, in units of the root mean square
-    # distance between two scans; NaN for the first
-    distance: float = math.nan
-    nearest: int | None = None  # Position of that scan; None for the first
+    scan: int  # Its index among the scans to choose from
+    uncertainty: float
+    uncertainty_rank: int  # From 1, the most uncertain scan
+    distance: float  # To the nearest earlier scan; 1 is the RMS distance between two scans
+    nearest: int | None  # Index of that scan
 
 
 def choose_scans(
@@ -43,8 +43,8 @@ def choose_scans(
 ) -> list[Choice]:
     """Choose the scans most worth labelling, the most valuable first.
 
-    `features` (S, F) weigh equally, by their standard deviation; `uncertainty` (S,) is at least 0;
-    `labelled` scans count as chosen before all others, and are not returned.
+    The weights of the `features` (S, F) are equal; `uncertainty` (S,) is at least 0; the indices in
+    `labelled` count as chosen before all others and are not returned.
     """
     weights = np.asarray(uncertainty, np.float64)
     points, before = standardised(features), list(labelled)
@@ -54,17 +54,19 @@ def choose_scans(
     ranks[np.argsort(-weights, kind="stable")] = np.arange(1, len(weights) + 1)
     chosen = []
     for number, scan in enumerate(order[len(before) :], start=len(before)):
-        nearest = _nearest(points, scan, order[:number])
-        chosen.append(Choice(scan, float(weights[scan]), int(ranks[scan]), *nearest))
+        apart = distances(points, scan)[order[:number]]
+        distance = float(apart.min()) if number else math.nan
+        nearest = order[int(apart.argmin())] if number else None
+        chosen.append(Choice(scan, float(weights[scan]), int(ranks[scan]), distance, nearest))
     return chosen
 
 
 def require_choice(count: int, seed: int) -> None:
-    """Refuse wrong settings of a choice, before any scan is read."""
+    """Raise `UsageError` for settings of a choice below their minimum."""
     if count < 1:
-        raise UsageError("--count", str(count), "at least 1")
+        raise UsageError("--count", f"is {count}", "at least 1")
     if seed < 0:
-        raise UsageError("--seed", str(seed), "a whole number of at least 0")
+        raise UsageError("--seed", f"is {seed}", "at least 0")
 
 
 def standardised(features: npt.ArrayLike) -> Double:
@@ -72,14 +74,14 @@ def standardised(features: npt.ArrayLike) -> Double:
     values = np.asarray(features, np.float64)
     centred = values - values.mean(axis=0)
     deviation = np.sqrt((centred**2).sum(axis=0) / max(1, len(values) - 1))
-    # What rounding leaves of a feature that is the same everywhere tells nothing.
+    # Constant features vary only by rounding.
     varies = deviation > 1e-9 * np.abs(values).max(axis=0, initial=0)
     scaled: Double = centred[:, varies] / deviation[varies]
     return scaled / math.sqrt(2 * max(1, int(varies.sum())))
 
 
 def distances(points: Double, scan: int) -> Double:
-    """Return the distance of every scan from one, (S,)."""
+    """Return the distances (S,) of all scans from one."""
     return np.linalg.norm(points - points[scan], axis=1)
 
 
@@ -95,7 +97,7 @@ def spread(points: Double, count: int) -> float:
 
 
 def _greedy(points: Double, weights: Double, count: int, before: Sequence[int]) -> list[int]:
-    """Choose by uncertainty times distance, among scans far enough from all that are chosen."""
+    """Choose by uncertainty times distance, among scans far enough from all chosen ones."""
     least = SHARE_OF_SPREAD * spread(points, count)
     order = list(before) or [int(weights.argmax())]
     apart = np.min([distances(points, scan) for scan in order], axis=0)
@@ -103,9 +105,9 @@ def _greedy(points: Double, weights: Double, count: int, before: Sequence[int]) 
     left[order] = False
     while len(order) < count:
         unlike = left & (apart > 0)
-        # Scans equal to chosen ones come last, and differ by their uncertainty only.
+        # Scans equal to chosen ones come last, in the order of their uncertainty.
         score = weights * apart if unlike.any() else weights
-        # Rounding may hide the one that must be far enough.
+        # By rounding, no scan may be far enough.
         levels = (unlike & (apart >= least), unlike, left)
         eligible = next(level for level in levels if level.any())
         scan = int(np.where(eligible, score, -math.inf).argmax())
@@ -113,12 +115,3 @@ def _greedy(points: Double, weights: Double, count: int, before: Sequence[int]) 
         left[scan] = False
         apart = np.minimum(apart, distances(points, scan))
     return order
-
-
-def _nearest(points: Double, scan: int, earlier: Sequence[int]) -> tuple[float, int | None]:
-    """Return the distance of a scan to the nearest of the earlier ones, and that one."""
-    if not earlier:
-        return math.nan, None
-    apart = np.linalg.norm(points[list(earlier)] - points[scan], axis=1)
-    nearest = int(apart.argmin())
-    return float(apart[nearest]), earlier[nearest]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Card of a weights file: the metadata that says what its tensors are and how to use them."""
+"""Card of a weights file: the metadata that describe its tensors and their use."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from importlib import resources
 from pathlib import Path
 
@@ -19,37 +19,36 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import FormatError, UsageError, WeightsError, error_text, shortened
 from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.json_files import Json, decoded, plain
-from salsanext_cli.files.optional_packages import import_openvino
 from salsanext_cli.files.reading import is_folder, present, reading, refusing_damage
 from salsanext_cli.network.error_model import ErrorModel, valid_temperature
 from salsanext_cli.records import Scan
 from salsanext_cli.sensors.sensor import FittedView, Sensor
 from salsanext_cli.version import __version__
 
-KEY = "salsanext"  # The only key: safetensors writes several in an order drawn each time
+KEY = "salsanext"  # The only key: safetensors writes several keys in random order
 FORMAT = "salsanext-2"
 TABLES = ("architecture", "label_space", "sensor", "recipe", "scores")  # Mappings of a card
 OF_ERROR = re.compile(r"The error is fitted to ([^.]*)\. ?")
-"""Sentence on the error model in the description of older files."""
+"""Sentence on the error model in the description of older files, such as the default weights."""
 INHERITED = "inherited_from"  # Key of an error model: names the weights that it was fitted to
 ONNX_SUFFIX = ".onnx"
-DIGITS = 24  # Of a digest: by chance, two of 20 000 scans agree once in 10¹¹ cases
+DIGITS = 24  # Of a digest: two of 20 000 scans agree by chance once in 10¹¹ cases
 
 
 def scan_digest(scan: Scan) -> str:
-    """Return the digest of a scan: of the number of its points, then of their coordinates."""
+    """Return the digest of a scan: number of its points, then digest of their coordinates."""
     of_points = hashlib.sha256(np.ascontiguousarray(scan.points).data).hexdigest()
     return f"{len(scan):08x}{of_points}"[:DIGITS]
 
 
 def is_among(digests: Collection[str], count: int, read: Callable[[], Scan]) -> bool:
-    """Return whether digests name a scan of so many points; it is read only where it may be one."""
-    some = any(digest.startswith(f"{count:08x}") for digest in digests)
-    return some and scan_digest(read()) in digests
+    """Return whether digests contain a scan; `read` is called only if its number of points fits."""
+    fits = any(digest.startswith(f"{count:08x}") for digest in digests)
+    return fits and scan_digest(read()) in digests
 
 
 def parted(text: object) -> list[str]:
-    """Return the digests that make up a text; anything else raises `ValueError`."""
+    """Return the digests that a text joins; anything else raises `ValueError`."""
     if not isinstance(text, str) or not re.fullmatch(f"([0-9a-f]{{{DIGITS}}})*", text):
         raise ValueError("no digests of scans")
     return [text[i : i + DIGITS] for i in range(0, len(text), DIGITS)]
@@ -57,45 +56,64 @@ def parted(text: object) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class RiskThreshold:
-    """Threshold above which `predict --reject risk` rejects a label, and its guarantee."""
+    """Threshold above which `predict --reject risk` rejects a label, and its guarantee.
 
-    kind: str  # Kind of uncertainty that the threshold is of
+    Attributes
+    ----------
+    kind : str
+        Kind of uncertainty that is compared with the threshold.
+    at_most : float
+        Largest share of the points that may be accepted and wrong, 0…1.
+    confidence : float, optional
+        Share of the units for which the guarantee holds; None if it is about their mean.
+    scans, sequences, digests
+        Number, sequences and joined digests of the scans on which the threshold was chosen.
+    unit : {"scan", "drive"}
+        Unit of the guarantee.
+    settings : dict
+        Settings as `labels_depend_on` returns them.
+    view, other_views
+        Fields of view fitted to these scans, of the first sensor and of further ones.
+    classes : mapping
+        Thresholds of classes that differ from `threshold`.
+    """
+
+    kind: str
     threshold: float
-    at_most: float  # Largest share of the points that may be accepted and wrong, 0…1
-    confidence: float | None  # That the guarantee holds for most units; None: for their mean
-    scans: int  # Number of scans that it was chosen on
-    sequences: tuple[str, ...]  # Their sequences
-    unit: str = "scan"  # {"scan", "drive"}: what the guarantee is about
-    digests: str = ""  # Digests of these scans, joined
-    settings: Json = field(default_factory=dict)  # As of `labels_depend_on`
-    view: FittedView | None = None  # Fitted to these scans
-    other_views: tuple[FittedView, ...] = ()  # Of the other sensors, if there are several
-    # Thresholds of classes that have one of their own
+    at_most: float
+    confidence: float | None
+    scans: int
+    sequences: tuple[str, ...]
+    unit: str = "scan"
+    digests: str = ""
+    settings: Json = field(default_factory=dict)
+    view: FittedView | None = None
+    other_views: tuple[FittedView, ...] = ()
     classes: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         numbers = (self.threshold, self.at_most, *self.classes.values())
         if not all(map(math.isfinite, numbers)):
             raise ValueError(f"risk holds {shortened(numbers)}")
-        parted(self.digests)  # Raises an error if these are no digests.
+        parted(self.digests)  # Raises an error for other text.
 
     @property
     def views(self) -> tuple[FittedView, ...]:
-        """Views of all sensors; empty where none was fitted."""
+        """Fields of view of all sensors; empty if none was fitted."""
         return (self.view, *self.other_views) if self.view else ()
 
 
 @dataclass(frozen=True, slots=True)
 class AccuracyLine:
-    """Line from the logit of a run's mean confidence to that of its accuracy."""
+    """Line from the logit of a run's mean confidence to the logit of its accuracy."""
 
     slope: float
     offset: float
     deviation: float  # Root mean square of the accuracy about the line, 0…1
-    inherited_from: str | None = None  # Weights that it was fitted to, if these are others
+    inherited_from: str | None = None  # Other weights to which the line was fitted
 
     def to_dict(self) -> Json:
-        """Return plain data, without what is not set."""
+        """Return plain data without fields that are None."""
         return {name: value for name, value in asdict(self).items() if value is not None}
 
     def __post_init__(self) -> None:
@@ -109,30 +127,43 @@ FITTED = {"error": ErrorModel, "risk": RiskThreshold, "accuracy": AccuracyLine}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WeightsCard:
-    """Metadata of a weights file."""
+    """Metadata of a weights file.
 
-    # Name and numbers of the network, as `registry.build` takes them
+    Attributes
+    ----------
+    architecture : dict
+        Name and numbers of the network, as `registry.build` takes them.
+    space : LabelSpace
+        Classes of the logits.
+    sensor : Sensor
+        Geometry and normalisation that the network was trained with.
+    recipe, scores : dict
+        Resolved training recipe, and measurements with these weights; empty if unknown.
+    temperature : float
+        Divisor of the logits that makes the softmax a probability.
+    error, risk, accuracy : optional
+        Error model, threshold with a guarantee, and estimate of the accuracy.
+    trained_on : frozenset of str
+        Digests of the scans that the weights were trained on, as far as known.
+    version : int, optional
+        Version of the default weights; None for other weights.
+    """
+
     architecture: Json
-    space: LabelSpace  # The classes that the logits stand for
-    sensor: Sensor  # The geometry and normalisation that the network was trained with
-    # The resolved training recipe; empty if unknown
+    space: LabelSpace
+    sensor: Sensor
     recipe: Json = field(default_factory=dict)
-    # Measurements with these weights, and the data; empty if there are none
     scores: Json = field(default_factory=dict)
-    description: str = ""  # A sentence or two on these weights
-    # Divides the logits before the softmax, so that its values are probabilities; 1 if none was
-    # fitted
+    description: str = ""
     temperature: float = 1.0
-    # Model of the probability that a label is wrong; None if none was fitted
     error: ErrorModel | None = None
-    risk: RiskThreshold | None = None  # None if none was chosen
-    accuracy: AccuracyLine | None = None  # None if none was fitted
-    # Digests of the scans that the weights were trained on, as far as they are known
+    risk: RiskThreshold | None = None
+    accuracy: AccuracyLine | None = None
     trained_on: frozenset[str] = frozenset()
-    version: int | None = None  # Version of the default weights; None for other weights
+    version: int | None = None
 
     def named(self, path: Path) -> str:
-        """Return the version of these weights, else the name of their file, and its SHA-256."""
+        """Return the version of these weights or the name of their file, and its SHA-256."""
         name = f"default weights version {self.version}" if self.version else path.name
         return f"{name} (SHA-256 {fingerprint(path)[:16]})"
 
@@ -143,22 +174,17 @@ class WeightsCard:
         return f"{self.named(path)}, {summary}," if self.version else f"default weights ({summary})"
 
     def inherited(self) -> str:
-        """Name the parts that were fitted to the weights that these began from; "" for none."""
+        """Name the parts that were fitted to the initial weights of the training; "" for none."""
         parts = {
             "error model": self.error and self.error.scores.get(INHERITED),
             "expected accuracy": self.accuracy and self.accuracy.inherited_from,
         }
-        of = {what: shortened(name) for what, name in parts.items() if name}
-        names = " and ".join(dict.fromkeys(of.values()))
-        return f"{' and '.join(of)} of {names}" if of else ""
-
-    def changed(self, done: str) -> WeightsCard:
-        """Return the card of changed weights, by a sentence: without scores and what was fitted."""
-        bare = replace(self, scores={}, error=None, risk=None, accuracy=None, version=None)
-        return replace(bare, description=f"{self.description} {done}".lstrip())
+        origins = {part: shortened(name) for part, name in parts.items() if name}
+        names = " and ".join(dict.fromkeys(origins.values()))
+        return f"{' and '.join(origins)} of {names}" if origins else ""
 
     def to_metadata(self) -> dict[str, str]:
-        """Return what a safetensors header holds; equal cards give equal text."""
+        """Return the metadata of a safetensors file; equal cards give equal text."""
         values = {
             "format": FORMAT,
             "version": __version__,
@@ -176,25 +202,25 @@ class WeightsCard:
 
     @classmethod
     def from_metadata(cls, metadata: Mapping[str, str], source: object) -> WeightsCard:
-        """Read what a safetensors header holds; anything amiss raises `WeightsError`."""
+        """Read the metadata of a safetensors file; invalid data raise `WeightsError`."""
         try:
             values = json.loads(metadata.get(KEY, "{}"))
             if not isinstance(values, dict):
-                raise TypeError(f"{KEY} is no table")
-            if (form := values.get("format")) is None:
-                expected = "a file that `train`, `import-weights` or `export-onnx` wrote"
-                raise WeightsError(source, "lacks what salsanext writes", expected)
-            if form != FORMAT:
-                hint = "use the version that wrote it"
-                raise WeightsError(source, f"format {shortened(form)}", FORMAT, hint)
+                raise TypeError(f"{KEY} is not a table")
+            if (version_of_format := values.get("format")) is None:
+                hint = "convert a published checkpoint with `salsanext import-weights`"
+                raise WeightsError(source, "has no metadata of salsanext", hint=hint)
+            if version_of_format != FORMAT:
+                problem, hint = f"has format {shortened(version_of_format)}", "update salsanext"
+                raise WeightsError(source, problem, FORMAT, hint)
             fitted = [name for name in FITTED if name in values]
             if bad := [key for key in (*TABLES, *fitted) if not isinstance(values[key], dict)]:
-                raise TypeError(f"{bad[0]} is no table")
+                raise TypeError(f"{bad[0]} is not a table")
             if type(version := values.get("weights_version", 1)) is not int or version < 1:
                 raise ValueError(f"weights_version is {shortened(version)}")
             description, error = str(values["description"]), values.get("error")
             if error and (statement := OF_ERROR.search(description)):
-                # It describes the error model, so it goes when the error model is replaced.
+                # The sentence must go when the error model is replaced.
                 description = OF_ERROR.sub("", description)
                 error["scores"] = {"fitted_to": statement[1], **error["scores"]}
             return cls(
@@ -210,9 +236,9 @@ class WeightsCard:
                 version=values.get("weights_version"),
             )
         except UsageError as error:
-            raise WeightsError(source, f"damaged metadata: {error.problem}") from error
+            raise WeightsError(source, f"has damaged metadata: {error.problem}") from error
         except (KeyError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
-            raise WeightsError(source, f"damaged metadata: {error_text(error)}") from error
+            raise WeightsError(source, f"has damaged metadata: {error_text(error)}") from error
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,7 +247,7 @@ class DescribedWeights:
 
     path: Path
     sha256: str
-    size: int  # In bytes
+    size: int  # Bytes
     card: WeightsCard
 
     def to_dict(self) -> dict[str, object]:
@@ -242,46 +268,26 @@ class DescribedWeights:
 
 
 def read_card(path: Path) -> WeightsCard:
-    """Read only the metadata of a weights file, or of an ONNX file of `export-onnx`."""
-    metadata_of, kind = _of_safetensors, "a .safetensors file"
+    """Read only the metadata of a weights file."""
     hint = "convert a published checkpoint with `salsanext import-weights`"
     if path.suffix == ONNX_SUFFIX:
-        metadata_of, kind = _of_onnx, "an ONNX file"
-        hint = "write it with `salsanext export-onnx`"
+        problem, hint = "is an ONNX model", "use the weights from which it was exported"
+        raise WeightsError(path, problem, "a .safetensors file", hint)
     try:
-        with reading(path), refusing_damage(path, kind):
-            metadata = metadata_of(path)
+        with (
+            reading(path),
+            refusing_damage(path, "a .safetensors file"),
+            safetensors.safe_open(path, framework="np") as file,
+        ):
+            metadata = file.metadata() or {}
     except FormatError as error:
-        found = error.problem if present(path) else "no such file"
+        problem = error.problem if present(path) else "no such file"
         if is_folder(path):
-            found, hint = "a folder", "name the file in it"
-        raise WeightsError(path, found, kind, hint) from error
+            problem, hint = "is a folder", "name the file in it"
+        raise WeightsError(path, problem, "a .safetensors file", hint) from error
     return WeightsCard.from_metadata(metadata, path)
 
 
-def _of_safetensors(path: Path) -> dict[str, str]:
-    with safetensors.safe_open(path, framework="np") as file:
-        return file.metadata() or {}
-
-
-def _of_onnx(path: Path) -> dict[str, str]:
-    # Of all frontends, that of ONNX alone says what is wrong, and nothing on the terminal.
-    frontend = import_openvino().frontend.FrontEndManager().load_by_framework("onnx")
-    try:
-        model, place = frontend.convert(frontend.load(path)), ["framework", KEY]
-    except RuntimeError as error:
-        # Its text names places in its own source.
-        raise FormatError(path, "no ONNX file that OpenVINO reads, or a cut one") from error
-    return {KEY: model.get_rt_info(place).astype(str)} if model.has_rt_info(place) else {}
-
-
-def require_tensors(path: Path) -> None:
-    """Raise `WeightsError` for an ONNX file, whose weights cannot be changed or taken apart."""
-    if path.suffix == ONNX_SUFFIX:
-        found = "an ONNX model: labels and probabilities only"
-        raise WeightsError(path, found, "a .safetensors file", "give the weights it was made from")
-
-
 def default_weights() -> Path:
-    """Return the place of the weights that come with the package."""
+    """Return the path of the weights of the package."""
     return Path(str(resources.files("salsanext_cli") / "presets/weights/default.safetensors"))

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from salsanext_cli.errors import WeightsError
 
 Draw = Callable[[int, float], Tensor]
-"""Function of a number of channels and a rate: factors of the channels, (B, C) float32."""
+"""Function of a number of channels and a rate, returns factors of the channels (B, C) float32."""
 _DRAW: ContextVar[Draw | None] = ContextVar("_DRAW", default=None)
 
 
@@ -22,7 +22,7 @@ class ChannelDropout(nn.Module):
     def __init__(self, rate: float) -> None:
         super().__init__()
         if not 0 <= rate < 1:
-            raise ValueError(f"a dropout rate in 0 ≤ rate < 1, not {rate}")
+            raise ValueError(f"0 ≤ dropout < 1, not {rate}")
         self.rate = rate
 
     def forward(self, x: Tensor) -> Tensor:
@@ -35,20 +35,20 @@ class ChannelDropout(nn.Module):
 
 
 def dropouts(module: nn.Module) -> list[ChannelDropout]:
-    """Return the dropout layers of a network that drop anything, in order of definition."""
+    """Return the dropout layers of a network with a rate above 0, in order of definition."""
     return [m for m in module.modules() if isinstance(m, ChannelDropout) and m.rate > 0]
 
 
 def require_dropout(module: nn.Module) -> float:
-    """Return the dropout rate; `WeightsError` for a network that drops nothing."""
+    """Return the dropout rate; raise `WeightsError` if it is 0."""
     if not (layers := dropouts(module)):
-        expected, hint = "a dropout rate above 0", "`salsanext tune dropout` finds one"
-        raise WeightsError("weights", "a network without dropout", expected, hint)
+        expected, hint = "a dropout rate above 0", "run `salsanext tune dropout`"
+        raise WeightsError("weights", "the network has no dropout", expected, hint)
     return layers[0].rate
 
 
 def random_masks(generators: Sequence[torch.Generator]) -> Draw:
-    """Return a function that draws the masks of each Monte-Carlo pass by its own CPU generator."""
+    """Return a function that draws the masks of Monte-Carlo passes, one CPU generator a pass."""
 
     def draw(channels: int, rate: float) -> Tensor:
         draws = torch.stack([torch.rand(channels, generator=g) for g in generators])
@@ -59,7 +59,7 @@ def random_masks(generators: Sequence[torch.Generator]) -> Draw:
 
 @contextmanager
 def sampling(draw: Draw) -> Iterator[None]:
-    """Make every dropout in this thread multiply by what a function gives; batch norm stays."""
+    """Multiply by the factors of a function in every dropout of this thread."""
     token = _DRAW.set(draw)
     try:
         yield

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Model of a label's error: a small network, kept as plain numbers in the card of weights."""
+"""Model of the probability that a label is wrong: a small network in the card of weights."""
 
 from __future__ import annotations
 
@@ -16,30 +16,29 @@ from salsanext_cli.records import Float
 
 TEMPERATURES = (1e-3, 1e3)
 """Lowest and highest; beyond, the logits of float32 overflow or all classes become equal."""
-BLOCK = 256  # Rows computed together: with 16 values in a layer, they stay in the first cache
+BLOCK = 256  # Rows computed together: layers of 16 values fit the first cache
 
 
 def valid_temperature(value: Any) -> float:
     """Return the temperature of a softmax; anything else raises `ValueError`."""
     lowest, highest = TEMPERATURES
     if type(value) not in (int, float) or not lowest <= value <= highest:
-        found = f"temperature {shortened(value)}"
-        raise ValueError(f"{found} is not between {lowest:g} and {highest:g}")
+        raise ValueError(f"temperature {shortened(value)} is not in {lowest:g}…{highest:g}")
     return float(value)
 
 
 def last_values(rows: Float, layers: Sequence[tuple[Float, Float]]) -> Float:
     """Return an `ErrorModel`'s last value for rows (N, F), (N,) float32; NaN for rows with NaN."""
     rows = argument(rows, np.float32)
-    given = tuple((argument(w, np.float32), argument(b, np.float32)) for w, b in layers)
+    arrays = tuple((argument(w, np.float32), argument(b, np.float32)) for w, b in layers)
     values = np.empty(len(rows), np.float32)
-    parallel_for_slices(lambda part: compute_rows(rows[part], given, values[part]), len(rows))
+    parallel_for_slices(lambda part: compute_rows(rows[part], arrays, values[part]), len(rows))
     return values
 
 
 @compiled
 def compute_rows(rows: Float, layers: tuple[tuple[Float, Float], ...], last: Float) -> None:
-    """Write what `last_values` returns, block by block; a layer's values are (O, BLOCK)."""
+    """Write the result of `last_values`, block by block; a layer's values are (O, BLOCK)."""
     widest = rows.shape[1]
     for _, bias in layers:
         widest = max(widest, len(bias))
@@ -68,32 +67,40 @@ def compute_rows(rows: Float, layers: tuple[tuple[Float, Float], ...], last: Flo
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ErrorModel:
-    """Perceptron whose last value is the logit of the probability that a label is wrong."""
+    """Perceptron whose last value is the logit of the probability that a label is wrong.
 
-    features: tuple[str, ...]  # Names of the F features, in order
-    # Weights and biases; between two layers, negative values become 0. The first takes F values,
-    # the last returns one
+    Attributes
+    ----------
+    features : tuple of str
+        Names of the F features, in order.
+    layers : sequence of (weights, biases)
+        Float32 layers from F values to one; between two layers, negative values become 0.
+    scores : mapping
+        Measurements on held-out labelled scans, and their number.
+    temperature : float, optional
+        Temperature of the softmax that the features describe; default: temperature of the weights.
+    """
+
+    features: tuple[str, ...]
     layers: Sequence[tuple[Float, Float]]
-    # Measurements of it on labelled scans that it was not fitted on, and their number
     scores: Mapping[str, Any] = field(default_factory=dict)
-    # Of the softmax that the features describe; None for that of the weights
     temperature: float | None = None
 
     def __post_init__(self) -> None:
         sizes = [len(self.features), *(len(bias) for _, bias in self.layers)]
         if not self.layers or sizes[-1] != 1:
-            raise ValueError("an error model has one output")
+            raise ValueError("the error model does not have one output")
         for (weight, bias), size in zip(self.layers, pairwise(sizes), strict=True):
             if weight.shape != size or bias.ndim != 1:
-                raise ValueError(f"a layer of an error model is {weight.shape}, not {size}")
+                raise ValueError(f"a layer of the error model is {weight.shape}, not {size}")
             if not (np.isfinite(weight).all() and np.isfinite(bias).all()):
-                raise ValueError("an error model holds values that are not finite")
+                raise ValueError("the error model has values that are not finite")
 
     def probability(self, features: Float) -> Float:
-        """Return the probability of an error, (N,) float32 in 0…1, of features (N, F), or NaN."""
+        """Return the probability of an error, (N,) float32 or NaN, from features (N, F)."""
         if features.shape[1:] != (len(self.features),):
             raise ValueError(f"features of {features.shape}, not of (N, {len(self.features)})")
-        # Beyond, the exponential overflows.
+        # Clipped, because the exponential would overflow.
         logits = np.clip(last_values(features, self.layers), -30, 30)
         return (1 / (1 + np.exp(-logits))).astype(np.float32, copy=False)
 
@@ -105,7 +112,7 @@ class ErrorModel:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> ErrorModel:
-        """Read what `to_dict` returns; anything amiss raises a `ValueError` or the like."""
+        """Read the result of `to_dict`; invalid data raise a `ValueError` or the like."""
         layers = [
             (np.array(weight, np.float32), np.array(bias, np.float32))
             for weight, bias in data["layers"]

@@ -31,17 +31,17 @@ UNREADABLE = (
     *(ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, MemoryError),
     *(RecursionError, RuntimeError, TypeError, ValueError, UnpicklingError, struct.error),
 )
-"""Errors over bytes that `torch.save` did not write."""
-MAX_IGNORED = 64  # Names of classes and functions that a checkpoint may mention beside its tensors
+"""Errors of `torch.load` in files of other programs."""
+MAX_IGNORED = 64  # Largest number of classes and functions that a checkpoint may name
 BUILTINS = ("builtins", "__builtin__")
 UNKNOWN_NAME = re.compile(r"GLOBAL ([\w.]+)")
 
 
 class Ignored:
-    """Stand-in for any class or function that a checkpoint names, such as that of a scheduler."""
+    """Stand-in for any class or function that a checkpoint names, such as a scheduler."""
 
     def __new__(cls, *_: object, **__: object) -> Self:
-        """Take any arguments, and do nothing with them."""
+        """Accept and ignore any arguments."""
         return super().__new__(cls)
 
     def __init__(self, *_: object, **__: object) -> None: ...
@@ -50,19 +50,19 @@ class Ignored:
 
 
 STAND_INS: dict[str, object] = {"collections.defaultdict": lambda *_: {}}
-"""Stand-ins that are filled as what they stand for: the state of an optimiser is one."""
+"""Stand-ins that torch fills with items, such as the state of an optimiser."""
 
 
 def read_published(path: Path) -> dict[str, Tensor]:
-    """Read the tensors of a published checkpoint under the names that our SalsaNext gives them."""
+    """Read the tensors of a published checkpoint, under the names in our SalsaNext."""
     checkpoint = _read_torch_file(path)
     state = checkpoint.get("state_dict", checkpoint) if isinstance(checkpoint, dict) else None
     if not isinstance(state, dict) or not any(isinstance(t, Tensor) for t in state.values()):
-        raise WeightsError(path, "no state_dict of tensors inside", "a checkpoint of SalsaNext")
+        raise WeightsError(path, "has no state_dict of tensors", "a checkpoint of SalsaNext")
     for key, value in state.items():
         if not _is_plain(value):
-            found = f"{shortened(key)} is no plain tensor but {type(value).__name__}"
-            raise WeightsError(path, found, "dense tensors of real numbers")
+            problem = f"{shortened(key)} is a {type(value).__name__}"
+            raise WeightsError(path, problem, "a dense tensor of real numbers")
     return {our_name(str(key).removeprefix("module."), path): t for key, t in state.items()}
 
 
@@ -74,18 +74,18 @@ def our_name(key: str, source: object = "checkpoint") -> str:
         match = pattern.fullmatch(key)
         if match and match[2] in units:
             number = int(match[1] or 1)
-            place = block.format(number=number, index=number - 1)
-            return f"{place}.{units[match[2]]}.{match[3]}"
-    expected = "the names of the published SalsaNext"
-    raise WeightsError(source, f"unknown tensor {shortened(key)}", expected)
+            name = block.format(number=number, index=number - 1)
+            return f"{name}.{units[match[2]]}.{match[3]}"
+    expected = "the tensors of the published SalsaNext"
+    raise WeightsError(source, f"has the unknown tensor {shortened(key)}", expected)
 
 
 def _read_torch_file(path: Path) -> Any:
-    """Return what was given to `torch.save`, `Ignored` for classes that torch refuses."""
+    """Return the content of a file of `torch.save`; `Ignored` replaces unsafe classes."""
     if path.exists() and not (path.is_file() or path.is_dir()):
-        raise WeightsError(path, "neither a file nor a link to one", "a file of torch.save")
+        raise WeightsError(path, "is not a regular file", "a file of torch.save")
     try:
-        # In memory: of a file, torch reserves as many bytes as a damaged length says.
+        # From a file, torch would reserve the number of bytes that a damaged header states.
         content = path.read_bytes()
     except OSError as error:
         raise WeightsError(path, f"cannot be read: {reason(error)}") from error
@@ -103,16 +103,14 @@ def _read_torch_file(path: Path) -> Any:
             name = unknown[1] if unknown else ""
             names = [name] if "." in name else [f"{module}.{name}" for module in BUILTINS]
             if not name or names[0] in ignored or len(ignored) > MAX_IGNORED:
-                # Torch's own text advises to run what the file says.
-                found = f"not readable safely: it names {name}" if name else "of another kind"
-                is_onnx = path.suffix.lower() == ".onnx"
-                hint = "give it to --weights if `export-onnx` wrote it" if is_onnx else ""
-                raise WeightsError(path, found, "a file of torch.save", hint) from error
+                # Torch's text advises to run the code in the file.
+                problem = f"cannot be read safely, it uses {name}" if name else "has another format"
+                raise WeightsError(path, problem, "a file of torch.save") from error
             ignored += names
 
 
 def _is_plain(value: object) -> bool:
-    """Say whether a value is a dense tensor of real numbers in memory."""
+    """Return whether a value is a dense tensor of real numbers in memory."""
     return (
         isinstance(value, Tensor)
         and value.layout is torch.strided

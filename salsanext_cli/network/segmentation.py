@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Interface of the networks, as training, prediction, sampling and the moments use it."""
+"""Interface of the networks, for training, prediction, sampling and assumed density filtering."""
 
 from abc import abstractmethod
 from typing import Any
@@ -20,7 +20,7 @@ class SegmentationNetwork(nn.Module):
     stride : tuple of int
         Divisors of height and width at the coarsest level; images are padded to multiples of them.
     logits : Conv2d
-        The last layer, which takes what `decoded` returns.
+        The last layer, which takes the result of `decoded`.
     """
 
     stride: tuple[int, int]
@@ -32,10 +32,10 @@ class SegmentationNetwork(nn.Module):
 
     @abstractmethod
     def decoded(self, *features: Any) -> Tensor:
-        """Compute the features (B, D, H, W) of the last layer but one from what `trunk` returns."""
+        """Compute the input (B, D, H, W) of the last layer from the result of `trunk`."""
 
     def rest(self, *features: Any) -> Tensor:
-        """Compute the logits (B, C, H, W) from what `trunk` returns."""
+        """Compute the logits (B, C, H, W) from the result of `trunk`."""
         return self.logits(self.decoded(*features))
 
     def forward(self, image: Tensor) -> Tensor:
@@ -44,8 +44,7 @@ class SegmentationNetwork(nn.Module):
         return self.rest(*self.padded_trunk(image))[..., :height, :width]
 
     def padded_trunk(self, image: Tensor) -> tuple[Tensor, ...]:
-        """Compute what `trunk` does of an image (B, 5, H, W) of any size, padded."""
-        # To what `stride` divides: around the circle, and by empty rows.
+        """Compute `trunk` of an image (B, 5, H, W), padded around the circle and by empty rows."""
         height, width = image.shape[-2:]
         padded_width = -(-width // self.stride[1]) * self.stride[1]
         if padded_width != width:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Weights files: tensors of a network beside the card that says how to use them."""
+"""Weights files: tensors of a network, and the card that describes them."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,22 +9,17 @@ import safetensors.torch
 import torch
 from torch import Tensor, nn
 
-from salsanext_cli.errors import UsageError, WeightsError, error_text, shortened
+from salsanext_cli.errors import UsageError, WeightsError, error_text, first_few, shortened
 from salsanext_cli.files.atomic import write_bytes, writing
-from salsanext_cli.network.card import WeightsCard, read_card, require_tensors
+from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.registry import build
 from salsanext_cli.network.segmentation import SegmentationNetwork
 
-DTYPES = (
-    *(torch.float32, torch.float64, torch.float16, torch.bfloat16),
-    *(torch.int64, torch.int32, torch.int16, torch.int8, torch.uint8, torch.bool),
-)
-"""Number types of tensors that can be loaded."""
 NORM_SUFFIXES = (".running_mean", ".running_var")
 
 
 def save_weights(path: Path, module: nn.Module, card: WeightsCard, *, half: bool = False) -> None:
-    """Write a weights file, atomically; by `half` in float16, but for statistics of batch norm."""
+    """Write a weights file; `half` stores all but the statistics of batch norm in float16."""
     tensors = {name: _stored(name, tensor, half) for name, tensor in module.state_dict().items()}
     write_bytes(path, safetensors.torch.save(tensors, card.to_metadata()), durable=True)
 
@@ -47,19 +42,19 @@ def _stored(name: str, tensor: Tensor, half: bool) -> Tensor:
 
 
 def read_weights(path: Path) -> tuple[SegmentationNetwork, WeightsCard]:
-    """Read a weights file: the network in evaluation mode, float32, on the CPU, and its card."""
-    require_tensors(path)
+    """Return the network of a weights file, float32 on the CPU in evaluation mode, and its card."""
     card = read_card(path)
     count = card.space.class_count
     try:
-        # Never of a size that somebody wrote into the file. On "meta" nothing is drawn.
+        # The size is that of the label space: a damaged file may state any number. On "meta"
+        # no weights are drawn.
         with torch.device("meta"):
             module = build({**card.architecture, "class_count": count}, path)
     except UsageError as error:
         raise WeightsError(path, error.problem, error.expected, error.hint) from error
     if (classes := card.architecture.get("class_count")) != count:
-        found = f"{shortened(classes)} outputs for the {count} classes of {card.space.name}"
-        raise WeightsError(path, found, "one output per class")
+        problem = f"has {shortened(classes)} outputs for the {count} classes of {card.space.name}"
+        raise WeightsError(path, problem, "one output per class")
     try:
         tensors = safetensors.torch.load_file(path)
     except (OSError, KeyError, ValueError, safetensors.SafetensorError) as error:
@@ -70,25 +65,27 @@ def read_weights(path: Path) -> tuple[SegmentationNetwork, WeightsCard]:
 
 def load_tensors(module: nn.Module, tensors: Mapping[str, Tensor], source: object) -> None:
     """Put tensors into a network, float32; names, shapes and values are checked."""
-    wanted = module.state_dict()
-    if missing := sorted(wanted.keys() - tensors.keys()):
-        raise WeightsError(source, f"lacks {len(missing)} tensors, such as {shortened(missing[0])}")
-    if surplus := sorted(tensors.keys() - wanted.keys()):
-        found = f"holds {len(surplus)} unknown tensors, such as {shortened(surplus[0])}"
-        raise WeightsError(source, found)
-    fitting = {name: _checked(name, t, wanted[name], source) for name, t in tensors.items()}
-    module.load_state_dict(fitting, assign=True)
+    expected = module.state_dict()
+    for names, problem in (
+        (expected.keys() - tensors.keys(), "lacks tensors"),
+        (tensors.keys() - expected.keys(), "has unknown tensors"),
+    ):
+        if names:
+            raise WeightsError(source, f"{problem}: {shortened(first_few(sorted(names)))}")
+    checked = {name: _checked(name, t, expected[name], source) for name, t in tensors.items()}
+    module.load_state_dict(checked, assign=True)
 
 
-def _checked(name: str, tensor: Tensor, wanted: Tensor, source: object) -> Tensor:
-    """Return a tensor in the number type that is wanted; anything amiss raises `WeightsError`."""
-    if tensor.shape != wanted.shape:
-        raise WeightsError(source, f"{name} is {tuple(tensor.shape)}", str(tuple(wanted.shape)))
-    if tensor.dtype not in DTYPES:
-        raise WeightsError(source, f"{name} is of {tensor.dtype}", "float32 or float16")
-    converted = tensor.to(wanted.dtype)
+def _checked(name: str, tensor: Tensor, expected: Tensor, source: object) -> Tensor:
+    """Return a tensor in the expected number type; invalid ones raise `WeightsError`."""
+    if tensor.shape != expected.shape:
+        problem = f"tensor {name} has shape {tuple(tensor.shape)}"
+        raise WeightsError(source, problem, str(tuple(expected.shape)))
+    if tensor.is_complex():
+        raise WeightsError(source, f"tensor {name} is complex", "float32 or float16")
+    converted = tensor.to(expected.dtype)
     if not torch.isfinite(converted).all():
-        raise WeightsError(source, f"{name} holds values that are not finite in {wanted.dtype}")
+        raise WeightsError(source, f"tensor {name} is not finite in {expected.dtype}")
     if name.endswith("running_var") and (converted < 0).any():
-        raise WeightsError(source, f"{name} holds variances below 0")
+        raise WeightsError(source, f"tensor {name} has variances below 0")
     return converted

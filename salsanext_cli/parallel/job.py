@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a run does with each scan: a plain function, or a job of three steps."""
+"""Work on a scan: a plain function, or a job of three steps."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -31,16 +31,16 @@ class Attempt(Generic[Value]):
 
 @runtime_checkable
 class ScanJob(Protocol[Prepared, Computed, Result]):
-    """Work on scans in three steps, each on threads of its own (see `pipeline`)."""
+    """Work on scans in three steps, on different threads (see `pipeline`)."""
 
     def prepare(self, file: ScanFile, /) -> Prepared:
-        """Read, check and project a scan; several threads do this at a time."""
+        """Read, check and project a scan, in one of several threads."""
 
     def compute(self, scans: Sequence[Prepared], /) -> Sequence[Computed]:
-        """Compute a batch of scans; the thread that calls the pipeline does this."""
+        """Compute a batch of scans, in the thread that runs the pipeline."""
 
     def finish(self, scan: Prepared, computed: Computed, /) -> Result:
-        """Refine and write the results of a scan; one thread does this, in the order of files."""
+        """Refine and write the results of a scan, in one thread, in the order of the files."""
 
 
 class Steps(NamedTuple, Generic[Prepared, Computed, Value]):
@@ -53,17 +53,16 @@ class Steps(NamedTuple, Generic[Prepared, Computed, Value]):
 
 @runtime_checkable
 class OpenableTask(Protocol):
-    """Task that each worker opens once, because opening is slow or scans share what they read."""
+    """Task that each worker opens once, because opening is slow or scans share data."""
 
     @property
     def max_chunk_scans(self) -> int:
-        """Largest number of scans that a worker is sent together."""
+        """Largest number of scans in a chunk, which a worker is sent together."""
 
     def open(self) -> Callable[[], Any]:
-        """Return what is called for each chunk of scans.
+        """Return a function that each chunk calls, from several threads at a time.
 
-        It returns a function of one scan, a `ScanJob` or a `Pipeline`; chunks may be worked on by
-        several threads at a time.
+        It returns a function of one scan, a `ScanJob` or a `Pipeline`.
         """
 
 

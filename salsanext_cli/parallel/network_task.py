@@ -1,8 +1,16 @@
 # SPDX-License-Identifier: MIT
-"""Jobs that need a network: each worker loads it once, on a GPU of its own if there are several."""
+"""Jobs that need a network: each worker loads it once, if possible on a GPU that no other uses."""
 
+import getpass
+import hashlib
+import logging
+import os
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cache
+from multiprocessing import current_process
+from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
 from salsanext_cli.compiled import thread_count
@@ -12,12 +20,13 @@ from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.parallel.job import Computed, Prepared, ScanJob
 from salsanext_cli.parallel.pipeline import Pipeline
-from salsanext_cli.parallel.worker import own_device
 
-MAX_BATCH_SCANS = 16  # Scans computed together on a GPU, as many as a worker is sent
+MAX_BATCH_SCANS = 16  # Scans computed together on a GPU, and sent to a worker
 MAX_READERS = 8  # Threads that prepare scans for a GPU
 
 Result = TypeVar("Result")
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,14 +34,13 @@ class NetworkTask:
     """Job of a network, opened once per worker."""
 
     max_chunk_scans: ClassVar[int] = MAX_BATCH_SCANS
-    job: Callable[[Network], ScanJob[Any, Any, Any]]  # Makes the job; picklable
-    settings: NetworkSettings  # Resolved: what the workers load
-    # The same, loaded in this process; it is not sent to others
-    network: Network | None = field(default=None, compare=False)
-    batch: int | None = None  # Scans computed together, None for what suits the device
+    job: Callable[[Network], ScanJob[Any, Any, Any]]  # Returns the job of a network; picklable
+    settings: NetworkSettings  # Resolved: each worker loads the same network
+    network: Network | None = field(default=None, compare=False)  # Of this process only
+    batch: int | None = None  # Scans computed together; None for a number that suits the device
 
     def open(self) -> Callable[[], Pipeline[Any, Any, Any]]:
-        """Load the network, unless it is there."""
+        """Load the network, if this process has none."""
         network = self.network or _loaded(self.settings)
         pipeline = network_pipeline(self.job(network), network, self.batch)
         return lambda: pipeline
@@ -44,7 +52,7 @@ class NetworkTask:
 def network_pipeline(
     job: ScanJob[Prepared, Computed, Result], network: Network, batch: int | None = None
 ) -> Pipeline[Prepared, Computed, Result]:
-    """Return the pipeline of a job: one scan at a time on a CPU, on a GPU as many as occupy it."""
+    """Return the pipeline of a job: one scan at a time on a CPU, a batch on a GPU."""
     if network.device == "cpu":
         return Pipeline(job, BatchSize(batch or 1, "scans"))
     pixels = network.sensor.height * network.sensor.width
@@ -54,10 +62,45 @@ def network_pipeline(
 
 
 def _loaded(settings: NetworkSettings) -> Network:
-    """Load the network of this process, on a GPU of its own if it is a worker."""
     device = choose_device(settings.device)
     if device != "cpu":
         import torch
 
-        device = own_device(settings.device, torch.cuda.device_count())
+        device = device_of_worker(settings.device, torch.cuda.device_count())
     return replace(settings, device=device).load()
+
+
+def device_of_worker(device: str, gpus: int) -> str:
+    """Return the device; in worker processes, "auto" and "cuda" are distributed over the GPUs."""
+    is_worker = current_process().name != "MainProcess"
+    if not is_worker or device not in ("auto", "cuda") or gpus < 2:
+        return device
+    return f"cuda:{_worker_number()[0] % gpus}"
+
+
+@cache
+def _worker_number() -> tuple[int, object]:
+    """Take the lowest number that no live worker of this machine has, and the lock on it."""
+    from filelock import FileLock, Timeout
+
+    try:
+        folder, number = _folder_of_numbers(), 0
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        while True:
+            lock = FileLock(folder / str(number))
+            try:
+                lock.acquire(timeout=0)
+            except Timeout:
+                number += 1
+            else:
+                return number, lock
+    except (OSError, NotImplementedError) as error:
+        log.warning("GPUs are assigned randomly, because workers cannot be counted: %s", error)
+        return os.getpid(), None
+
+
+def _folder_of_numbers() -> Path:
+    """Return a folder of this user; processes that see other GPUs are counted separately."""
+    visible = os.environ.get("CUDA_VISIBLE_DEVICES", "")
+    digest = hashlib.sha256(visible.encode()).hexdigest()[:12]
+    return Path(tempfile.gettempdir()) / f"salsanext-gpus-{getpass.getuser()}-{digest}"

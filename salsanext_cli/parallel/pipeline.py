@@ -2,7 +2,7 @@
 """The loop over scans: reader threads prepare, the calling thread computes, a writer finishes.
 
 While the calling thread computes a batch, the readers prepare the next scans and the writer
-finishes the batch before. An error belongs to one scan. The same loop runs on a CPU and on a GPU.
+finishes the previous batch. An error belongs to one scan. The loop is the same on CPUs and GPUs.
 """
 
 from collections import deque
@@ -15,11 +15,14 @@ from typing import Any, Generic, TypeVar
 
 from salsanext_cli.engines.batches import BatchSize
 from salsanext_cli.errors import FormatError, SalsanextError, out_of_memory
-from salsanext_cli.parallel.job import Attempt, Computed, Prepared, ScanJob
+from salsanext_cli.parallel.job import Attempt, Computed, OpenableTask, Prepared, ScanJob, Task
 from salsanext_cli.results.paths import ScanFile
 
 Result = TypeVar("Result")
 Value = TypeVar("Value")
+Report = Callable[[Attempt[Any]], object]
+AttemptFunction = Callable[[Iterable[ScanFile], Report], Iterator[Attempt[Any]]]
+"""Work on scans as `Pipeline.run`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,12 +46,15 @@ class Pipeline(Generic[Prepared, Computed, Result]):
     readers: int = 1
     device: str = "cpu"
 
-    def run(self, files: Iterable[ScanFile]) -> Iterator[Attempt[Result]]:
-        """Work on scans; yield the attempts in the order of the files.
+    def run(
+        self, files: Iterable[ScanFile], report: Report = lambda _: None
+    ) -> Iterator[Attempt[Result]]:
+        """Work on scans; report and yield the attempts in the order of the files.
 
-        In memory are a batch that is computed, a batch that is finished, and what is prepared: a
-        batch, or one scan per reader if that is more. An interrupt, or an exception that is not a
-        `SalsanextError`, ends the run after the scans that are being finished.
+        In memory are the batch that is computed, the batch that is finished, and the prepared
+        scans: a batch, or one scan per reader if that is more. An interrupt, or an exception that
+        is not a `SalsanextError`, ends the run after the scans that are being finished, which are
+        still reported.
         """
         waiting = iter(files)
         reading: deque[Future[Attempt[Prepared]]] = deque()
@@ -74,15 +80,14 @@ class Pipeline(Generic[Prepared, Computed, Result]):
                 while writing:
                     finished = writing[0].result()
                     writing.popleft()
+                    report(finished)
                     yield finished
                 while computed:
                     writing.append(_submit(writer, self._finish, *computed.popleft()))
-        except GeneratorExit:
-            raise
         except BaseException:
-            for each in writing:
-                if not each.exception():
-                    yield each.result()
+            for future in writing:
+                if not future.exception() and not future.result().error:
+                    report(future.result())
             raise
         finally:
             for pool in (readers, writer):
@@ -90,8 +95,8 @@ class Pipeline(Generic[Prepared, Computed, Result]):
 
     def results(self, files: Iterable[ScanFile]) -> Iterator[Result]:
         """Yield the results of scans; raise the first error."""
-        for each in self.run(files):
-            yield each.get()
+        for attempt in self.run(files):
+            yield attempt.get()
 
     def _compute(
         self, scans: Sequence[Attempt[Prepared]]
@@ -105,7 +110,7 @@ class Pipeline(Generic[Prepared, Computed, Result]):
         )
 
     def _together(self, scans: Sequence[Attempt[Prepared]]) -> list[Attempt[Computed]]:
-        """Compute scans in one batch; where one of them is an error, each alone."""
+        """Compute scans in one batch; if that fails, compute each of them alone."""
         if len(scans) == 1:
             alone = scans[0]
 
@@ -116,7 +121,7 @@ class Pipeline(Generic[Prepared, Computed, Result]):
         try:
             computed = self.job.compute([scan.get() for scan in scans])
         except SalsanextError:
-            return [each for scan in scans for each in self._together([scan])]
+            return [attempt for scan in scans for attempt in self._together([scan])]
         return [Attempt(scan.file, value) for scan, value in zip(scans, computed, strict=True)]
 
     def _finish(self, scan: Attempt[Prepared], computed: Attempt[Computed]) -> Attempt[Result]:
@@ -125,36 +130,48 @@ class Pipeline(Generic[Prepared, Computed, Result]):
         return self._attempt(scan.file, self.job.finish, scan.get(), computed.get())
 
     def _attempt(
-        self, file: ScanFile, function: Callable[..., Value], *given: Any, device: str = "cpu"
+        self, file: ScanFile, function: Callable[..., Value], *arguments: Any, device: str = "cpu"
     ) -> Attempt[Value]:
-        """Call a function of a scan; memory of a device that runs out is an error of the scan."""
+        """Call a function of a scan; a lack of memory on the device is an error of the scan."""
         try:
-            return attempt(file, function, *given)
+            return attempt(file, function, *arguments)
         except (MemoryError, RuntimeError) as error:
             if not out_of_memory(error):
                 raise
             on_cpu = device == "cpu"
             hint = "free some memory, or use fewer --jobs" if on_cpu else "use --device cpu"
-            found = f"is too large for the memory of {device}"
-            return Attempt(file, error=FormatError(file.path, found, hint=hint))
+            problem = f"is too large for the memory of {device}"
+            return Attempt(file, error=FormatError(file.path, problem, hint=hint))
 
 
-def attempt(file: ScanFile, function: Callable[..., Value], *given: Any) -> Attempt[Value]:
+def attempt(file: ScanFile, function: Callable[..., Value], *arguments: Any) -> Attempt[Value]:
     """Call a function of a scan; a `SalsanextError` is the error of the attempt."""
     try:
-        return Attempt(file, function(*given))
+        return Attempt(file, function(*arguments))
     except SalsanextError as error:
         return Attempt(file, error=error)
 
 
-def one_by_one(
-    function: Callable[[ScanFile], Value], files: Iterable[ScanFile]
-) -> Iterator[Attempt[Value]]:
-    """Call a function of one scan after the other."""
-    for file in files:
-        yield attempt(file, function, file)
+def opened(task: Task) -> AttemptFunction:
+    """Open a task, and return a function that works on the scans of a chunk."""
+    begin = task.open() if isinstance(task, OpenableTask) else lambda: task
+
+    def attempts(files: Iterable[ScanFile], report: Report) -> Iterator[Attempt[Any]]:
+        work = begin()
+        work = Pipeline(work) if isinstance(work, ScanJob) else work
+        if isinstance(work, Pipeline):
+            yield from work.run(files, report)
+            return
+        for file in files:
+            done = attempt(file, work, file)
+            report(done)
+            yield done
+
+    return attempts
 
 
-def _submit(pool: ThreadPoolExecutor, function: Callable[..., Value], *given: Any) -> Future[Value]:
-    """Call a function in a thread that has the context variables of this one."""
-    return pool.submit(copy_context().run, function, *given)
+def _submit(
+    pool: ThreadPoolExecutor, function: Callable[..., Value], *arguments: Any
+) -> Future[Value]:
+    """Call a function in a thread with the context variables of this one."""
+    return pool.submit(copy_context().run, function, *arguments)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Run of a task over many scans: which of them, here or by workers, failures and summary."""
+"""Run of a task over many scans, in this process or by workers; failures and summary."""
 
 import logging
 import time
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from typing import Any
@@ -11,8 +11,8 @@ from typing import Any
 from salsanext_cli.errors import SalsanextError, WorkersLost, first_few, with_hint
 from salsanext_cli.measures.scan_summary import RunSummary
 from salsanext_cli.parallel.job import Attempt, Task
+from salsanext_cli.parallel.pipeline import Report, opened
 from salsanext_cli.parallel.run_options import Progress, RunOptions
-from salsanext_cli.parallel.worker import opened
 from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.results.selection import MissingResults
 
@@ -48,18 +48,33 @@ class Failure:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """Numbers of a run."""
+    """Numbers of a run.
 
-    skipped: int  # Scans that were done already
-    failures: tuple[Failure, ...]  # Scans that failed, in order
-    done: int  # Scans that were worked on with success
-    # Scans left out for want of results to work on, by a stage that looks for them
+    Attributes
+    ----------
+    skipped, done : int
+        Number of scans with complete results before the run, and of scans that succeeded in it.
+    failures : tuple of Failure
+        Scans that failed, in order.
+    missing : MissingResults, optional
+        Scans without the results that the stage needs.
+    seconds : float
+        Duration of the work on scans.
+    summary : RunSummary, optional
+        Summary of the scans.
+    rejected_points : int, optional
+        Number of points that were left unlabelled because of their uncertainty.
+    kept_points : (int, int), optional
+        Number of points of the scans, and of points that passed a filter.
+    """
+
+    skipped: int
+    failures: tuple[Failure, ...]
+    done: int
     missing: MissingResults | None = None
-    seconds: float = 0.0  # Time of the work on scans, without the start of the command
-    summary: RunSummary | None = None  # Of the scans that were worked on
-    # Number of their points that were written as unlabelled for their error, if that was asked
+    seconds: float = 0.0
+    summary: RunSummary | None = None
     rejected_points: int | None = None
-    # Number of their points, and of those among them that a stage kept that leaves some out
     kept_points: tuple[int, int] | None = None
 
 
@@ -72,9 +87,25 @@ def run_over_scans(
     on_result: Callable[[Any], object] = lambda result: None,
     summary: RunSummary | None = None,
 ) -> Outcome:
-    """Run a task over this shard's scans that are not done; results go to `on_result`, here.
+    """Run a task over the scans of this shard that are not done.
 
-    `summary`: takes the results, which are numbers about each scan, in its place.
+    Parameters
+    ----------
+    task, scans, options
+        Work on each scan, all scans, and workers, shard and treatment of failures.
+    is_done, on_result : callable
+        Functions of a scan, whether it has results, and of each result; called in this thread.
+    summary : RunSummary, optional
+        Summary to which the results are added, instead of `on_result`.
+
+    Returns
+    -------
+    Outcome
+
+    Raises
+    ------
+    SalsanextError
+        If a worker died; or the first failure, if ``options.on_error`` is ``"stop"``.
     """
     on_result = summary.add if summary else on_result
     start = time.monotonic()
@@ -82,44 +113,41 @@ def run_over_scans(
     todo = [scan for scan in mine if options.overwrite or not is_done(scan)]
     failures: list[Failure] = []
     tried: set[ScanFile] = set()
+
+    def report(attempt: Attempt[Any]) -> None:
+        scan, error = attempt.file, attempt.error
+        log.info("%s: %s", scan.name, error.headline if error else "done")
+        if error is None or options.on_error == "stop":
+            on_result(attempt.get())
+        else:
+            failures.append(Failure.of(scan, error))
+        tried.add(scan)
+        if options.progress:
+            options.progress(len(tried), len(todo))
+
     try:
-        with closing(_attempts(task, todo, options)) as attempts:
-            for attempt in attempts:
-                scan, error = attempt.file, attempt.error
-                log.info("%s: %s", scan.name, error.headline if error else "done")
-                if error is None or options.on_error == "stop":
-                    on_result(attempt.get())
-                else:
-                    failures.append(Failure.of(scan, error))
-                tried.add(scan)
-                if options.progress:
-                    options.progress(len(tried), len(todo))
-        if len(tried) < len(todo):
-            found, hint = "not every scan was worked on", "use fewer jobs"
-            raise WorkersLost(f"--backend {options.backend}", found, hint=hint)
+        if todo:
+            _work(task, todo, options, report)
     except WorkersLost as lost:
         for failure in failures:
             log.error("%s", failure.text)
-        left = [scan for scan in todo if scan not in tried and not is_done(scan)]
-        names = first_few([scan.name for scan in left])
-        found = f"{lost.problem}; {len(left)} of {len(todo)} scans are missing: {names}"
+        names = [scan.name for scan in todo if scan not in tried and not is_done(scan)]
+        missing = f"{len(names)} of {len(todo)} scans are missing: {first_few(names)}"
         hint = f"{lost.hint}; run again for the rest"
-        raise WorkersLost(lost.subject, found, lost.expected, hint) from lost
+        raise WorkersLost(lost.subject, f"{lost.problem}; {missing}", hint=hint) from lost
     failures.sort(key=lambda failure: failure.scan)
     skipped, done = len(mine) - len(todo), len(todo) - len(failures)
-    seconds = time.monotonic() - start
-    return Outcome(skipped, tuple(failures), done, seconds=seconds, summary=summary)
+    return Outcome(skipped, tuple(failures), done, None, time.monotonic() - start, summary)
 
 
-def _attempts(
-    task: Task, scans: Sequence[ScanFile], options: RunOptions
-) -> Generator[Attempt[Any], None, None]:
-    """Yield the attempts of all scans, in no particular order where workers make them."""
-    if not scans:
-        return
-    if options.backend != "dask" and min(len(scans), options.workers_here()) == 1:
-        yield from opened(task)(scans)
+def _work(task: Task, scans: Sequence[ScanFile], options: RunOptions, report: Report) -> None:
+    """Report the attempts of all scans, in no particular order if workers make them."""
+    if min(len(scans), options.workers()) == 1:
+        for _ in opened(task)(scans, report):
+            pass
         return
     from salsanext_cli.parallel.pool import attempts_of_workers
 
-    yield from attempts_of_workers(task, scans, options)
+    with closing(attempts_of_workers(task, scans, options)) as attempts:
+        for attempt in attempts:
+            report(attempt)

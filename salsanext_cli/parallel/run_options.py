@@ -25,21 +25,21 @@ log = logging.getLogger(__name__)
 
 
 def cores() -> int:
-    """Return how many cores this process may use, which on a cluster are not all there are."""
+    """Return the number of cores that this process may use, which on a cluster are a share."""
     import joblib
 
     return int(joblib.cpu_count())
 
 
 def worker_count(jobs: int) -> int:
-    """Return how many workers `--jobs` asks for; -1 is one per core."""
+    """Return the number of workers of `--jobs`; -1 is one per core."""
     if jobs == 0 or jobs < -1:
         raise UsageError("--jobs", str(jobs), "a number of workers, or -1 for all cores")
     return cores() if jobs == -1 else jobs
 
 
 def use_threads(count: int) -> None:
-    """Let torch and our kernels, where loaded, use so many threads, here and in new threads."""
+    """Set the number of threads of torch and numba, if loaded, here and in new threads."""
     if torch := _if_loaded("torch"):
         torch.set_num_threads(count)
     if numba := _if_loaded("numba"):
@@ -47,13 +47,13 @@ def use_threads(count: int) -> None:
 
 
 def _if_loaded(name: str) -> Any:
-    """Return a module that was imported before, complete; None for another."""
+    """Return a module that is completely imported, else None."""
     return import_module(name) if sys.modules.get(name) else None
 
 
 @contextmanager
 def threads_of_workers(count: int) -> Iterator[None]:
-    """Let threads that are started in the body use so many each, and afterwards as before."""
+    """Set the number of threads of each thread that is started in the body."""
     torch, numba = _if_loaded("torch"), _if_loaded("numba")
     of_torch = torch.get_num_threads() if torch else 0
     of_kernels = numba.config.NUMBA_NUM_THREADS if numba else 0
@@ -69,10 +69,10 @@ def threads_of_workers(count: int) -> Iterator[None]:
 
 @dataclass(frozen=True, slots=True)
 class Shard:
-    """Share of the scans that a run works on."""
+    """Share of the scans of a run: `number` of `count`, from 1."""
 
-    number: int = 1  # From 1 to `count`
-    count: int = 1  # Number of shards
+    number: int = 1
+    count: int = 1
 
     def __post_init__(self) -> None:
         if not 1 <= self.number <= self.count:
@@ -96,12 +96,12 @@ class Shard:
             return cls.parse(text)
         if (of_array := cls.of_slurm(os.environ)) is None:
             return cls()
-        log.log(NOTICE, "shard %s of the scans, as this is a task of a Slurm array", of_array)
+        log.log(NOTICE, "shard %s of the scans: this is a task of a Slurm array", of_array)
         return of_array
 
     @classmethod
     def of_slurm(cls, environment: Mapping[str, str]) -> "Shard | None":
-        """Return the shard of a task of a Slurm array, which may start and step anyhow."""
+        """Return the shard of a task of a Slurm array with any start and step."""
         names = [SLURM_PREFIX + name for name in ("ID", "MIN", "COUNT")]
         if any(name not in environment for name in names):
             return None
@@ -110,9 +110,9 @@ class Shard:
         number, least, count, step = (int(t) if digits.fullmatch(t) else -1 for t in texts)
         index, rest = divmod(number - least, max(1, step))
         if rest or min(number, least, step) < 0 or not 0 <= index < count:
-            found = f"an array of {texts[2]} tasks from {texts[1]} in steps of {texts[3]}"
-            hint = "say which share with --shard i/n"
-            raise UsageError(f"{names[0]}={texts[0]}", found, "numbers without gaps", hint)
+            problem = f"the array has {texts[2]} tasks from {texts[1]} in steps of {texts[3]}"
+            hint = "name the share with --shard i/n"
+            raise UsageError(f"{names[0]}={texts[0]}", problem, "numbers without gaps", hint)
         return cls(index + 1, count)
 
     def of(self, scans: "Sequence[ScanFile]") -> "list[ScanFile]":
@@ -131,15 +131,11 @@ running_option = partial(option, panel="Running")
 class RunOptions:
     """Options of a run over scans."""
 
-    # None is one here, and all of a cluster
-    jobs: int | None = running_option(
-        "Number of worker processes; -1: one per core.", "--jobs", "-j", show_default="1"
+    jobs: int = running_option(
+        "Number of worker processes; -1: one per core.", "--jobs", "-j", default=1
     )
-    backend: Literal["loky", "threading", "dask"] = running_option(
-        "Workers: processes (loky), threads, or a Dask cluster.", default="loky"
-    )
-    scheduler: str | None = running_option(
-        "Address of the scheduler of the Dask cluster.", metavar="ADDRESS"
+    backend: Literal["loky", "threading"] = running_option(
+        "Workers: processes (loky) or threads.", default="loky"
     )
     shard: Shard = running_option(
         "Work on share I of N of the scans.",
@@ -152,22 +148,12 @@ class RunOptions:
     on_error: Literal["skip", "stop"] = running_option(
         "Skip a scan that fails, or stop.", default="skip"
     )
-    # Called after each scan, or for several together when a worker is done with them
+    # Called after each scan, or for several together when a worker has finished its chunk
     progress: Progress | None = None
 
     def __post_init__(self) -> None:
-        self.workers_here()
-        if self.scheduler is not None and self.backend != "dask":
-            subject = f"--scheduler {self.scheduler}"
-            raise UsageError(subject, f"--backend {self.backend}", "dask")
-        if self.scheduler is None and self.backend == "dask":
-            expected, hint = "the address of a running cluster", "use loky on one machine"
-            raise UsageError(f"--backend {self.backend}", "no --scheduler", expected, hint)
+        self.workers()
 
-    def workers_here(self) -> int:
-        """Return how many workers are wanted on this machine."""
-        return worker_count(1 if self.jobs is None else self.jobs)
-
-    def workers_of_cluster(self) -> int | None:
-        """Return how many workers of a cluster are wanted, None for all."""
-        return None if self.jobs in (None, -1) else self.jobs
+    def workers(self) -> int:
+        """Return the number of workers."""
+        return worker_count(self.jobs)

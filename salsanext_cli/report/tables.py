@@ -28,8 +28,6 @@ from salsanext_cli.records import CHANNELS
 from salsanext_cli.sensors.sensor import Sensor
 
 ABSENT = "–"
-NETWORK_NOTES = """* not the paper's number of parameters to the digit
-† the paper does not determine this network: the nearest reading"""
 BAND_HEADINGS = (
     *("distance", "mean IoU % of\nthe same classes", "accuracy %", "points", "absent classes"),
 )
@@ -192,25 +190,12 @@ def rate_table(rates: Sequence[float], objectives: Sequence[float], best: float)
 
 
 def network_table(networks: Sequence[NetworkCosts]) -> Table:
-    """Return a table of the costs of networks, with the papers' figures in brackets."""
-    rows = []
-    for network in networks:
-        paper = network.paper
-        marks = ("" if network.agrees else "*") + ("" if paper.determined else "†")
-        height, width = network.receptive_field
-        flops = f"({paper.flops} G)" if paper.flops else "(–)"
-        ious = (f"{iou or ABSENT:>4}" for iou in (paper.miou_pixels, paper.miou, paper.miou_test))
-        parameters = f"{network.parameters:,} ({paper.parameters} M)"
-        macs = f"{network.multiply_accumulates / 1e9:.2f} G {flops:>10}"
-        name, field = network.name + marks, f"{height}×{width}"
-        rows.append((name, parameters, macs, field, " ".join(ious)))
-    costs = ("parameters", "MACs at\n64×2048\n(FLOPs)", "receptive\nfield")
-    headings = ("name", *costs, "mIoU\nwithout kNN,\nwith, on test")
-    title = "Networks, with the papers' figures in brackets"
-    table = table_of(headings, rows, title=title, caption=NETWORK_NOTES)
-    for i, column in enumerate(table.columns):
-        column.no_wrap = i not in (1, 2)  # A narrow terminal has the brackets below the numbers.
-    return table
+    """Return a table of the costs of networks."""
+    rows = [
+        (network.name, f"{network.parameters:,}", f"{network.multiply_accumulates / 1e9:.2f} G")
+        for network in networks
+    ]
+    return table_of(("name", "parameters", "MACs at\n64×2048"), rows, title="Networks")
 
 
 def card_table(file: DescribedWeights) -> Table:
@@ -311,9 +296,9 @@ def imported_lines(made: LabelImport, dataset: Path) -> Iterator[str]:
         yield f"largest classes: {named}"
     if made.unedited:
         files = f"{counted(len(made.unedited), 'file')}: {first_few(made.unedited)}"
-        yield f"not imported, unedited pre-labels of `pick`: {files}"
-    if made.kept:
-        yield f"unchanged, without an edited file: {counted(made.kept, 'scan')}"
-    if made.first_guesses:
-        scans = f"{counted(len(made.first_guesses), 'scan')}: {first_few(made.first_guesses)}"
-        yield f"warning: labels are unedited pre-labels of `pick`, {scans}"
+        yield f"not imported, since they hold the first guess of `pick`, {files}"
+    if made.unchanged:
+        yield f"without an edited file, as they were: {counted(made.unchanged, 'scan')}"
+    if made.pre_labelled:
+        scans = f"{counted(len(made.pre_labelled), 'scan')}: {first_few(made.pre_labelled)}"
+        yield f"warning: labelled by the network only, as `pick` left them, {scans}"

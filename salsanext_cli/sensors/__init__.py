@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Geometry of a sensor; no statistics of scans."""
+"""Sensors: presets, TOML files and limits."""

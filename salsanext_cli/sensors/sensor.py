@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Sensors: the geometry of their range images and how these are normalised, within limits."""
+"""Sensors: geometry and normalisation of their range images."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import MISSING, asdict, dataclass, fields, replace
 from functools import cache, partial
 from importlib import resources
+from operator import lt
 from pathlib import Path
 from typing import Any
 
@@ -18,34 +19,30 @@ from salsanext_cli.files.yaml_toml import are_numbers, read_toml, refuse_unknown
 
 MAX_PIXELS = 1 << 21  # Largest range image: 64×32768, eight times the finest sensor
 BYTES_PER_PIXEL = 1000  # Approximate memory of a network per pixel
-MAX_NUMBER = 1e6
-"""Bound of means, deviations and scales, in metres and units of intensity, and of their inverse."""
+MAX_NUMBER = 1e6  # Bound of means, deviations, scales and their inverse
 SCALES = f"from {1 / MAX_NUMBER:g} to {MAX_NUMBER:g}"
 NOISE = ("range_noise", "intensity_noise")
-MIN_LENGTH = 1e-3  # Least length of a vector that tells a direction
+MIN_LENGTH = 1e-3  # Least length of a direction
 INTENSITY_LEVELS = 65  # Quantiles of intensity, evenly spaced
-BOX_EXPECTED = "six numbers in metres, the least x, y, z and then the largest, or none"
+BOX_EXPECTED = "six numbers in metres, least x, y, z and then largest, or none"
 MAX_COLUMNS = 64
-COLUMNS_EXPECTED = (
-    f"up to {MAX_COLUMNS} different names in lower case, with x, y and z, "
-    "such as x,y,z,intensity,ring"
-)
-UNUSED_COLUMN = "_"  # Name of columns without meaning; only it may occur twice
+COLUMNS_EXPECTED = f"up to {MAX_COLUMNS} different names in lower case, such as x,y,z,ring"
+UNUSED_COLUMN = "_"  # Name of unused columns, the only one that may occur twice
 
 SEMANTIC_KITTI_MEANS = (12.12, 10.88, 0.23, -1.04, 0.21)
 SEMANTIC_KITTI_STDS = (12.32, 11.47, 6.91, 0.86, 0.16)
 NO_VIEW = ("name", *NOISE, "intensity_quantiles", "row_gaps", "traits")
 OF_IMAGES = ("height", "width", "means", "stds")
-"""Fields that a network depends on, not a sensor: size and normalisation of its images."""
+"""Size and normalisation of range images, which belong to a network."""
 OF_DEVICE = ("name", "intensity_scale", *NOISE)  # Fields of a built-in sensor for any images
 UP = (0.0, 0.0, 1.0)  # Direction of the z axis, away from the ground
 ORIGIN = (0.0, 0.0, 0.0)
-FITTED_NAME = "fitted"  # Name of a sensor whose view or mounting was found from scans
+FITTED_NAME = "fitted"  # Name of a sensor whose field of view or mounting was fitted to scans
 OPTIONAL = (
     *(*NOISE, "columns", "up", "origin", "intensity_quantiles", "row_gaps", "min_range", "ego_box"),
     *("traits", "others"),
 )
-"""Fields that are written only where a sensor has another value than their default."""
+"""Fields that are only written if their value is not the default."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,43 +54,40 @@ class Sensor:
     name : str
         Name in messages and records.
     fov_up, fov_down : float
-        Upper and lower edge of the field of view in degrees, signed, above the horizon positive.
+        Upper and lower edge of the field of view in degrees, positive above the horizon.
     height, width : int
         Size of the range image in pixels.
     means, stds : 5 floats
         Normalisation of range, x, y, z (metres) and intensity.
     out_of_view : {"clamp", "drop"}
-        Treatment of points above or below the field of view: edge row, or no pixel.
+        Pixels of points outside the field of view: edge row, or none.
     intensity_scale : float
-        Divides the intensity of the files; 255 where a sensor writes bytes as numbers.
+        Divisor of the intensity of the files, such as 255.
     range_noise : float, optional
         Standard deviation of a range in metres, along the ray.
     intensity_noise : float, optional
-        Standard deviation of an intensity, as the network is given it.
+        Standard deviation of an intensity after the division.
     columns : tuple of str
-        Names of the columns of files that do not name them, in lower case, such as x, y, z,
-        intensity, ring; empty for the usual ones of each format.
+        Names, in lower case, of the columns of files without names, such as x, y, z, intensity,
+        ring; empty for the usual ones of each format.
     up : 3 floats
-        Direction away from the ground in the frame of the files; others than z are turned to it
-        before the projection.
+        Direction away from the ground in the frame of the files; the projection turns it to z.
     origin : 3 floats
-        Place of the sensor in the frame of the files, in metres; elsewhere than at their origin if
-        that is the vehicle's.
+        Position of the sensor in the frame of the files, in metres.
     intensity_quantiles : tuple of float
         Quantiles of the intensity in its range images, after the division, at `INTENSITY_LEVELS`
         evenly spaced levels; empty if unknown. A network maps them to those of its training.
     row_gaps : float, optional
-        Share of gaps in its range images (`geometry.row_gaps`); those of scans that have more than
-        training had are filled.
+        Share of gaps in its range images (`geometry.row_gaps`); gaps are filled if the training
+        scans had fewer.
     min_range : float, optional
-        Range in metres below which points are no measurements, but the housing and the mount of
-        the sensor. None if it is to be found; until then it leaves nothing out, as 0 does.
+        Range in metres below which points are the housing or mount of the sensor. None is to be
+        estimated, and counts as 0 until then.
     ego_box : 6 floats or none, optional
-        Box around what the sensor sees of its own vehicle, in its own frame, upright: least x, y,
-        z, largest x, y, z in metres. Points in it are no measurements. Empty if it sees nothing of
-        it, None if that is to be found.
+        Upright box around the vehicle in the frame of the sensor: least x, y, z, largest x, y, z
+        in metres. Points in it are ignored. Empty for no box; None is to be estimated.
     traits : tuple of float
-        Traits of the scans that it was fitted to, where scans of several sensors are labelled
+        Traits of the scans that it was fitted to, if scans of several sensors are labelled
         together (`geometry.scan_traits`).
     others : tuple of Sensor
         Sensors that were fitted to the other scans then.
@@ -126,15 +120,14 @@ class Sensor:
             value = getattr(self, field.name)
             is_possible, expected = POSSIBLE[field.name]
             if value != field.default and not is_possible(value):
-                raise UsageError(subject, f"{field.name} {quoted(value)}", expected)
+                raise UsageError(subject, f"has {field.name} {quoted(value)}", expected)
         if self.fov_up <= self.fov_down:
-            raise UsageError(subject, f"fov_up {self.fov_up} ≤ fov_down {self.fov_down}")
+            raise UsageError(subject, f"has fov_up {self.fov_up} ≤ fov_down {self.fov_down}")
         if (pixels := self.height * self.width) > MAX_PIXELS:
-            size = f"size {shortened(self.height)}×{shortened(self.width)}"
+            size = f"has {shortened(self.height)}×{shortened(self.width)} pixels"
             memory = f"{shortened(pixels * BYTES_PER_PIXEL // 10**9, 12)} GB"
-            found = f"{size}, of which an image takes {memory} in a network"
             expected = f"at most {MAX_PIXELS} pixels, such as 64×{MAX_PIXELS // 64}"
-            raise UsageError(subject, found, expected)
+            raise UsageError(subject, f"{size}, {memory} per image in a network", expected)
 
     @property
     def members(self) -> tuple[Sensor, ...]:
@@ -142,15 +135,15 @@ class Sensor:
         return replace(self, others=()), *self.others
 
     def without_noise(self) -> Sensor:
-        """Return the sensor with what labels depend on, and its name."""
-        others = tuple(each.without_noise() for each in self.others)
+        """Return the sensor without its noise, which labels do not depend on."""
+        others = tuple(other.without_noise() for other in self.others)
         return replace(self, others=others, range_noise=None, intensity_noise=None)
 
     def to_dict(self, without: Collection[str] = ()) -> dict[str, Any]:
         """Return plain data that `from_dict` accepts, without the defaults of `OPTIONAL`."""
-        values = asdict(self) | {"others": tuple(each.to_dict(without) for each in self.others)}
-        optional = [each for each in fields(self) if each.name in OPTIONAL]
-        usual = [each.name for each in optional if values[each.name] == each.default]
+        values = asdict(self) | {"others": tuple(other.to_dict(without) for other in self.others)}
+        optional = [field for field in fields(self) if field.name in OPTIONAL]
+        usual = [field.name for field in optional if values[field.name] == field.default]
         return {k: value for k, value in values.items() if k not in usual and k not in without}
 
     @classmethod
@@ -158,53 +151,52 @@ class Sensor:
         """Build a sensor from plain data; an unknown or missing key raises `UsageError`."""
         refuse_unknown(data, cls, source)
         if missing := [f.name for f in fields(cls) if f.default is MISSING and f.name not in data]:
-            hint = "`salsanext inspect SCANS --fit FILE.toml` finds the view of scans"
+            hint = "estimate them with `salsanext inspect SCANS --fit FILE.toml`"
             expected = "a sensor with fov_up, fov_down, height, width"
             raise UsageError(source, f"lacks {', '.join(missing)}", expected, hint)
         values: dict[str, Any] = {
             key: tuple(value) if isinstance(value, list) else value for key, value in data.items()
         }
         others = values.pop("others", ())
-        if not (isinstance(others, tuple) and all(isinstance(each, Mapping) for each in others)):
-            raise UsageError(source, f"others {quoted(others)}", "a list of sensors")
-        return cls(**values, others=tuple(cls.from_dict(each, source) for each in others))
+        if not (isinstance(others, tuple) and all(isinstance(other, Mapping) for other in others)):
+            raise UsageError(source, f"has others {quoted(others)}", "a list of sensors")
+        return cls(**values, others=tuple(cls.from_dict(other, source) for other in others))
 
     def to_toml(self, *, images: bool = True) -> str:
         """Return a TOML file that `sensor` reads; size and normalisation only with `images`."""
-        left_out = ("name",) if images else ("name", *OF_IMAGES)
-        values = {key: value for key, value in self.to_dict().items() if key not in left_out}
-        # What JSON writes for texts, numbers and lists of numbers is TOML as well.
+        values = self.to_dict(("name",) if images else ("name", *OF_IMAGES))
+        # JSON of texts, numbers and lists of numbers is TOML as well.
         known = {key: value for key, value in values.items() if value is not None}
         return "".join(f"{key} = {json.dumps(value)}\n" for key, value in known.items())
 
     def view(self) -> dict[str, Any]:
-        """Return plain data of the view of a network: all but name, noise and measured shares."""
+        """Return plain data of all fields but name, noise and statistics of scans."""
         return self.to_dict(NO_VIEW)
 
     def resized(self, height: int | None = None, width: int | None = None) -> Sensor:
-        """Return the same sensor with another image size."""
+        """Return the sensor with another image size, in pixels."""
         height = self.height if height is None else height
         return replace(self, height=height, width=self.width if width is None else width)
 
 
 @dataclass(frozen=True, slots=True)
 class FittedView:
-    """What a fit of the view to scans changes of a sensor."""
+    """Fields of a sensor that a fit to scans changes."""
 
     name: str
     fov_up: float  # Edges of the field of view in degrees
     fov_down: float
     up: tuple[float, ...] = UP  # Direction away from the ground
-    origin: tuple[float, ...] = ORIGIN  # Place of the sensor in the frame of the files, metres
+    origin: tuple[float, ...] = ORIGIN  # Position in the frame of the files, metres
 
     @classmethod
     def of(cls, sensor: Sensor) -> FittedView:
-        """Return the view of a sensor."""
+        """Return these fields of a sensor."""
         return cls(sensor.name, sensor.fov_up, sensor.fov_down, sensor.up, sensor.origin)
 
 
 def are_columns(names: tuple[str, ...]) -> bool:
-    """Say whether names can be those of the columns of a table of points."""
+    """Return whether names can name the columns of a table of points."""
     if not isinstance(names, tuple) or not all(isinstance(name, str) for name in names):
         return False
     used = [name for name in names if name != UNUSED_COLUMN]
@@ -214,18 +206,14 @@ def are_columns(names: tuple[str, ...]) -> bool:
 
 
 def is_box(values: Any) -> bool:
-    """Return whether these are the least and the largest coordinates of a box, or nothing."""
-    if values == ():
-        return True
-    return _are_in(values, count=6) and all(
-        a < b for a, b in zip(values[:3], values[3:], strict=True)
-    )
+    """Return whether values are the least and largest coordinates of a box, or none."""
+    return values == () or (_are_in(values, count=6) and all(map(lt, values[:3], values[3:])))
 
 
 def _are_in(
     values: Any, least: float = -MAX_NUMBER, most: float = MAX_NUMBER, *, count: int
 ) -> bool:
-    """Say whether values are so many numbers within bounds."""
+    """Return whether values are `count` numbers within bounds."""
     return are_numbers(values) and len(values) == count and all(least <= v <= most for v in values)
 
 
@@ -255,13 +243,13 @@ POSSIBLE: dict[str, tuple[Callable[[Any], bool], str]] = {
     "intensity_noise": (partial(_is_in, least=0), "a deviation"),
     "columns": (are_columns, COLUMNS_EXPECTED),
     "up": (_is_direction, "a direction, three numbers"),
-    "origin": (partial(_are_in, count=3), "a place, three numbers in metres"),
-    "intensity_quantiles": (_are_quantiles, f"{INTENSITY_LEVELS} numbers that rise"),
+    "origin": (partial(_are_in, count=3), "a position, three numbers in metres"),
+    "intensity_quantiles": (_are_quantiles, f"{INTENSITY_LEVELS} increasing numbers"),
     "row_gaps": (partial(_is_in, least=0, most=1), "a share"),
     "min_range": (partial(_is_in, least=0), "a range in metres"),
     "ego_box": (is_box, BOX_EXPECTED),
     "traits": (are_numbers, "numbers"),
-    "others": (lambda others: all(not each.others for each in others), "sensors of one kind each"),
+    "others": (lambda others: not any(s.others for s in others), "sensors without others"),
 }
 """Test and description of the possible values of each field of a sensor, its default aside."""
 
@@ -277,9 +265,18 @@ def presets() -> dict[str, Sensor]:
 
 
 def sensor(name_or_file: str | Path, base: Sensor | None = None) -> Sensor:
-    """Return the sensor of a preset's name or of a TOML file with one sensor's keys.
+    """Return a sensor by name or file.
 
-    Size and normalisation that the file does not tell are those of `base`, else of the HDL-64.
+    Parameters
+    ----------
+    name_or_file : str or Path
+        Name of a preset, or TOML file with the keys of a sensor.
+    base : Sensor, optional
+        Sensor whose size and normalisation are the defaults of a file; that of the HDL-64 if None.
+
+    Returns
+    -------
+    Sensor
 
     Raises
     ------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Recording to a folder of scans, in SemanticKITTI's layout."""
+"""Stage `convert`: a recording to a folder of scans in the layout of SemanticKITTI."""
 
 import logging
 from dataclasses import replace
@@ -29,17 +29,29 @@ def convert(
     limit: int | None = None,
     options: RunOptions = RunOptions(),
 ) -> Outcome:
-    """Write `FOLDER/sequences/NAME/velodyne/<time>.bin`, but of empty scans, and `times.txt`.
+    """Write `FOLDER/sequences/NAME/velodyne/<time>.bin` of scans with points, and `times.txt`.
 
-    Times are seconds since the first scan. Intensities are those that stages read: bytes divided by
-    255, others as they are.
+    Times are seconds since the first scan. Intensities of one byte are divided by 255.
+
+    Parameters
+    ----------
+    recording, folder : Path
+        ROS bag, Ouster recording or topic of one, and folder of the data set.
+    every, limit : int
+        Step between converted scans, and their largest number, by default all.
+    options : RunOptions
+        Workers and shards.
+
+    Returns
+    -------
+    Outcome
     """
     for name, value in {"--every": every, "--limit": 1 if limit is None else limit}.items():
         if value < 1:
-            raise UsageError(name, str(value), "at least 1")
+            raise UsageError(name, f"is {value}", "at least 1")
     if recording_of(recording.absolute()) is None:
-        found = "no recording" if recording.exists() else "no such recording"
-        raise UsageError(recording, found, "a ROS bag or an Ouster recording")
+        problem = "is not a recording" if recording.exists() else "no such recording"
+        raise UsageError(recording, problem, "a ROS bag or an Ouster recording")
     listed = find_scans(recording)
     chosen = listed[::every][:limit]
     sequence = Path("sequences", listed[0].sequence)
@@ -57,14 +69,14 @@ def convert(
             return filled(_target(place, scan))
 
         outcome = run_over_scans(task, chosen, options, is_done=is_done, on_result=empty.update)
-        # The name of a scan says its time, in nanoseconds.
-        there = [scan.stem for scan in listed if filled(_target(place, scan))]
-        times = [int(stem.partition("_")[0]) for stem in there]
+        # The name of a scan is its time in nanoseconds.
+        stems = [scan.stem for scan in listed if filled(_target(place, scan))]
+        times = [int(stem.partition("_")[0]) for stem in stems]
         lines = [f"{(time - times[0]) / 1e9:.9f}\n" for time in times]
         owned.write(folder / sequence / TIMES, "".join(lines).encode())
     if empty:
-        which = first_few(sorted(empty))
-        log.warning("%s left out, without points: %s", counted(len(empty), "scan"), which)
+        names = first_few(sorted(empty))
+        log.warning("%s without points skipped: %s", counted(len(empty), "scan"), names)
     return replace(outcome, done=outcome.done - len(empty))
 
 
@@ -82,14 +94,13 @@ def _convert_scan(scan: ScanFile, owned: OwnedFolder, place: Path) -> tuple[str,
 
 
 def _source_of(first: ScanFile, owned: OwnedFolder) -> StageRecord:
-    """Return the record of where scans come from; refuse a folder with those of another topic."""
+    """Return the record of the source of scans; refuse a folder with scans of another source."""
     recording = recording_of(first.path) or first.path
     topic = str(first.path.parent.relative_to(recording))
     wanted = {"recording": recording.name, "topic": topic, "first": first.stem}
     recorded = owned.manifest.record(owned.stage)
     if recorded and recorded.settings != wanted:
         of_topic = (shortened(recorded.settings.get(key)) for key in ("recording", "topic"))
-        found = f"scans of {', '.join(of_topic)}"
-        expected = f"those of {recording.name}, {topic}"
-        raise OutputError(owned.record_path.parent, found, expected, "choose another folder")
+        problem, expected = f"has scans of {', '.join(of_topic)}", f"{recording.name}, {topic}"
+        raise OutputError(owned.record_path.parent, problem, expected, "choose another folder")
     return recorded or StageRecord(owned.stage, wanted)

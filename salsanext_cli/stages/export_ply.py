@@ -8,12 +8,9 @@ from functools import partial
 from itertools import groupby
 from pathlib import Path
 
-import numpy as np
-
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import NOTICE, UsageError, counted
 from salsanext_cli.formats.label_scalars import PREFIX
-from salsanext_cli.formats.las import asprs_class, classification, encode_las, import_laspy
 from salsanext_cli.formats.ply import encode_ply
 from salsanext_cli.fusion.drive_map import (
     MERGED_POINTS,
@@ -36,7 +33,6 @@ from salsanext_cli.results.result_folder import ChosenResults, ResultFolder, sca
 from salsanext_cli.results.settings import StageSettings
 from salsanext_cli.sensors.sensor import Sensor
 
-FORMATS = ("ply", "las", "laz")
 MIN_VOXEL_M, MAX_VOXEL_M = 0.01, 10.0
 
 log = logging.getLogger(__name__)
@@ -64,26 +60,21 @@ def _export_scan(
     (folder,), points = output.folders, dict(zip("xyz", results.scan.points.T, strict=True))
     comments = [] if max_error is None else [f"unlabelled where error is above {max_error:g}"]
     comments += [text] if (text := results.accepted_text(colours.space)) else []
-    cloud = _encode_cloud(output.path(file, folder), points, columns, colours, comments)
+    cloud = _encode_cloud(points, columns, colours, comments)
     output.write(output.path(file, folder), cloud)
     return 0 if results.rejected is None else int(results.rejected.sum())
 
 
 def _encode_cloud(
-    path: Path, points: Columns, columns: Columns, colours: PointColours, notes: Sequence[str] = ()
+    points: Columns, columns: Columns, colours: PointColours, notes: Sequence[str] = ()
 ) -> bytes:
-    """Return a coloured cloud of `points`, x, y, z, and scalars in the format of its name."""
+    """Return a coloured PLY cloud of `points`, x, y, z, and scalars."""
     rgb = dict(zip(("red", "green", "blue"), colours.of_points(columns).T, strict=True))
     comments = [f"colour {colours.legend}", f"label space {colours.space.name}", *notes]
-    if path.suffix == ".ply":
-        # CloudCompare takes properties with this prefix for scalars, and shows the first.
-        shown = {colours.colour: columns[colours.colour]} | columns
-        named = {f"{PREFIX}{name}": values for name, values in shown.items()}
-        return encode_ply(points | rgb | named, comments)
-    space = colours.space
-    comments += [f"class {asprs_class(i, space)} {name}" for i, name in space.labels.items()]
-    labels = columns.get("label", np.zeros(len(points["x"]), np.uint32))
-    return encode_las(path, points | rgb | columns, classification(labels, space), comments)
+    # CloudCompare takes properties with this prefix for scalars, and shows the first.
+    shown = {colours.colour: columns[colours.colour]} | columns
+    named = {f"{PREFIX}{name}": values for name, values in shown.items()}
+    return encode_ply(points | rgb | named, comments)
 
 
 def export_ply(
@@ -92,7 +83,6 @@ def export_ply(
     colour: str = "label",
     scale: tuple[float, float] | None = None,
     max_error: float | None = None,
-    form: str = "ply",
     voxel: float | None = None,
     query: ResultQuery = ResultQuery(),
     options: RunOptions = RunOptions(),
@@ -112,8 +102,6 @@ def export_ply(
         Values at the ends of the colour map.
     max_error : float, optional
         Probability of error, 0…1, above which points become unlabelled.
-    form : str
-        One of `FORMATS`.
     voxel : float, optional
         Edge of the voxels of a map in metres; writes maps of fused drives instead of scans.
     query, options
@@ -124,7 +112,7 @@ def export_ply(
     Outcome
         Numbers of written and skipped scans and of rejected points, and the failures.
     """
-    _require_options(colour, scale, max_error, form)
+    _require_options(colour, scale, max_error)
     if voxel is not None:
         if max_error is not None or options.shard.count > 1 or colour in ("truth", "wrong"):
             problem = "does not work with --max-error, --shard or colours of the truth"
@@ -139,18 +127,14 @@ def export_ply(
         colour = results.meant_uncertainty(chosen.scans)
     results.require_column(colour, chosen.scans)
     if voxel is not None:
-        return _export_maps(results, chosen, colour, scale, form, voxel, options)
-    return _export_scans(results, chosen, colour, scale, max_error, form, query.classes, options)
+        return _export_maps(results, chosen, colour, scale, voxel, options)
+    return _export_scans(results, chosen, colour, scale, max_error, query.classes, options)
 
 
 def _require_options(
-    colour: str, scale: tuple[float, float] | None, max_error: float | None, form: str
+    colour: str, scale: tuple[float, float] | None, max_error: float | None
 ) -> None:
     require_colouring([colour], scale)
-    if form not in FORMATS:
-        raise UsageError("--format", form, f"one of {', '.join(FORMATS)}")
-    if form != "ply":
-        import_laspy(f"--format {form}", compressed=form == "laz")
     if max_error is not None and not 0 <= max_error <= 1:
         raise UsageError("--max-error", f"{max_error:g}", "a probability from 0 to 1")
 
@@ -171,13 +155,12 @@ def _export_scans(
     colour: str,
     scale: Scale | None,
     max_error: float | None,
-    form: str,
     classes: LabelSpace | None,
     options: RunOptions,
 ) -> Outcome:
     """Write the clouds of scans; a continued run keeps its scale."""
     out, scans = results.root, chosen.scans
-    stage, folder = _place(out, colour, form)
+    stage, folder = _place(out, colour)
     origins, earlier = results.origins(PREDICTION_STAGES), results.settings(stage)
     overwrite = options.overwrite or (earlier is not None and earlier.origins != origins)
     if scale is None and earlier and not overwrite:
@@ -202,12 +185,12 @@ def _export_scans(
     return replace(outcome, missing=chosen.missing, rejected_points=total)
 
 
-def _place(out: Path, colour: str, form: str) -> tuple[str, str]:
+def _place(out: Path, colour: str) -> tuple[str, str]:
     """Return the stage and the folder of a colouring."""
     first = Manifest(out).settings("export-ply")
     if first is None or first.colour == colour:
-        return "export-ply", form
-    return f"export-ply-{colour}", f"{form}/{colour}"
+        return "export-ply", "ply"
+    return f"export-ply-{colour}", f"ply/{colour}"
 
 
 def _export_maps(
@@ -215,7 +198,6 @@ def _export_maps(
     chosen: ChosenResults,
     colour: str,
     scale: Scale | None,
-    form: str,
     voxel: float,
     options: RunOptions,
 ) -> Outcome:
@@ -224,7 +206,7 @@ def _export_maps(
     folder, outcome = OwnedFolder(results.root), Outcome(0, (), 0, chosen.missing)
     scans = results.with_column("label", chosen.scans)
     for name, group in groupby(scans, lambda file: file.sequence):
-        files, path = tuple(group), results.root / "sequences" / name / f"map.{form}"
+        files, path = tuple(group), results.root / "sequences" / name / "map.ply"
         folder.refuse_foreign([path])
         columns, added = map_of_drive(results, files, colours.space, voxel, options)
         failures, done = outcome.failures + added.failures, outcome.done + added.done
@@ -234,7 +216,7 @@ def _export_maps(
             if colours.colour not in columns:
                 raise results.missing_column(colours.colour, files[0])
             points = {axis: columns.pop(axis) for axis in "xyz"}
-            folder.replace({path: _encode_cloud(path, points, columns, colours)})
+            folder.replace({path: _encode_cloud(points, columns, colours)})
             size = ", ".join(filter(None, (counted(len(points["x"]), "point"), apart(columns))))
             log.log(NOTICE, "%s: %s", path, size)
     return outcome

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Stage `import-labels`: labels that a tool wrote, to the label files of a data set."""
+"""Stage `import-labels`: labels of a labelling tool to the label files of a data set."""
 
 import hashlib
 import logging
 from collections.abc import Sequence
 from contextlib import ExitStack
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,6 @@ from salsanext_cli.errors import (
     OutputError,
     SalsanextError,
     UsageError,
-    counted,
     first_few,
 )
 from salsanext_cli.files.reading import is_folder
@@ -25,17 +23,13 @@ from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import encode_labels
 from salsanext_cli.formats.label_scalars import LabelIds
 from salsanext_cli.formats.recordings import recording_of
-from salsanext_cli.labelling.edited_files import (
-    edited_labels,
-    find_edited,
-    read_file_labels,
-    scan_of_edited,
-)
+from salsanext_cli.labelling.edited_files import find_edited, read_edited, scan_of_edited
 from salsanext_cli.labelling.label_records import (
+    ImportedScan,
     LabelImport,
     LabelRecords,
-    first_guesses,
     labels_root,
+    pre_labelled_scans,
 )
 from salsanext_cli.parallel.run_options import Progress
 from salsanext_cli.results.paths import ScanFile, find_scans
@@ -56,58 +50,79 @@ def import_labels(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> LabelImport:
-    """Write label files of the scans of a data set from files that a labelling tool wrote.
+    """Write label files of the scans of a data set from files of a labelling tool.
 
-    `ids`: YAML file that maps the tool's ids to names or raw ids.
+    Parameters
+    ----------
+    edited, dataset : Path
+        File of one scan or folder of such files, and data set of `pick` or folder of scans.
+    scalar : str, optional
+        Name of the scalar with the labels; by default the only one with a usual name.
+    ids : Path, optional
+        YAML file that maps the ids of the tool to class names or raw ids.
+    space : LabelSpace, optional
+        Classes of the labels; by default those of the data set.
+    sensor : Sensor, optional
+        Names of the columns of scan files without names.
+    overwrite : bool
+        Whether to replace labels that were changed or imported from another file.
+    progress : callable, optional
+        Function of the number of finished scans and of all.
+
+    Returns
+    -------
+    LabelImport
     """
     scans = find_scans(dataset)
-    if recording_of(scans[0].path) is not None:
-        hint = f"run `salsanext convert {dataset} FOLDER` first"
-        raise NoInputError(dataset, "a recording, which holds no labels", "scans", hint)
-    own = space_of(scans)
-    if space is not None and data_set_label_space(labels_root(scans[0])) and not space.fits(own):
-        found_space = f"{space.name}, but the data set's labels.yaml has other classes or ids"
-        hint = "map the ids of the tool with --map, or change labels.yaml"
-        raise UsageError("--label-space", found_space, own.name, hint)
-    space = space or own
-    meanings = LabelIds.of_space(space, ids)
+    space = _space_for(scans, space, dataset)
     imported = LabelImport(space, class_points=np.zeros(space.class_count, np.int64))
-    files = find_edited(edited)
-    if is_folder(edited):
-        # The scans and the label files of the data set itself are in use.
-        in_place = {path for scan in scans for path in (scan.path, scan.label_path)}
-        files = [path for path in files if path not in in_place]
-        if not files:
-            text = "holds no labels but those of the data set itself, which are in use"
-            raise NoInputError(edited, text, "what a tool wrote elsewhere")
-    of_scan = _matched(files, edited, scans, imported)
+    of_scan = _files_by_scan(edited, scans, imported)
     records = {root: LabelRecords(root) for root in sorted({*map(labels_root, of_scan)})}
-    task = partial(_import_scan, imported=imported, meanings=meanings, scalar=scalar)
-    task = partial(task, sensor=sensor, overwrite=overwrite, is_named=not is_folder(edited))
-    with ExitStack() as held:
-        for each in records.values():
-            held.enter_context(each.owned.open())
+    meanings, is_named = LabelIds.of_space(space, ids), not is_folder(edited)
+    with ExitStack() as locks:
+        for record in records.values():
+            locks.enter_context(record.owned.open())
         for done, (scan, paths) in enumerate(of_scan.items(), start=1):
             try:
-                task(scan, paths, records[labels_root(scan)])
+                points, record = read_scan(scan.path, sensor).points, records[labels_root(scan)]
+                labels = {p: read_edited(p, scan, points, meanings, space, scalar) for p in paths}
+                _import_scan(scan, labels, record, imported, overwrite=overwrite, named=is_named)
             except SalsanextError as error:
                 imported.fail(paths, error)
             if progress:
                 progress(done, len(of_scan))
     if imported.unedited and not imported.scans and not imported.failures:
-        text = "holds the first guess of `pick`, which nobody has corrected"
-        hint = "save the corrected labels; to take the guess as it is, name its file"
-        raise NoInputError(edited, text, "edited labels", hint)
-    imported.kept = len(scans) - len(of_scan)
-    imported.first_guesses = [scan.name for scan in first_guesses(scans)]
+        hint = "save the corrected labels; to accept a pre-label, name its file"
+        raise NoInputError(edited, "contains only unchanged pre-labels", "edited labels", hint)
+    imported.unchanged = len(scans) - len(of_scan)
+    imported.pre_labelled = [scan.name for scan in pre_labelled_scans(scans)]
     return imported
 
 
-def _matched(
-    files: Sequence[Path], edited: Path, scans: Sequence[ScanFile], imported: LabelImport
+def _space_for(scans: Sequence[ScanFile], space: LabelSpace | None, dataset: Path) -> LabelSpace:
+    """Return the label space of an import; refuse one that contradicts the data set."""
+    if recording_of(scans[0].path) is not None:
+        hint = f"run `salsanext convert {dataset} FOLDER` first"
+        raise NoInputError(dataset, "is a recording, which has no label files", "scans", hint)
+    known = space_of(scans)
+    if space is not None and data_set_label_space(labels_root(scans[0])) and not space.fits(known):
+        problem = f"{space.name} differs from labels.yaml of the data set in classes or ids"
+        hint = "map the ids of the tool with --map, or change labels.yaml"
+        raise UsageError("--label-space", problem, known.name, hint)
+    return space or known
+
+
+def _files_by_scan(
+    edited: Path, scans: Sequence[ScanFile], imported: LabelImport
 ) -> dict[ScanFile, list[Path]]:
-    """Return the files of each scan that has some; the others are failures."""
-    of_scan: dict[ScanFile, list[Path]] = {}
+    """Return the edited files by scan, in the order of the scans; other files are failures."""
+    files, of_scan = find_edited(edited), dict[ScanFile, list[Path]]()
+    if is_folder(edited):
+        in_place = {path for scan in scans for path in (scan.path, scan.label_path)}
+        files = [path for path in files if path not in in_place]
+        if not files:
+            problem = "contains only the labels of the data set itself"
+            raise NoInputError(edited, problem, "files of a labelling tool elsewhere")
     for path in files:
         try:
             of_scan.setdefault(scan_of_edited(path, edited, scans), []).append(path)
@@ -118,48 +133,37 @@ def _matched(
 
 def _import_scan(
     scan: ScanFile,
-    paths: Sequence[Path],
+    labels: dict[Path, tuple[RawIds, ImportedScan]],
     records: LabelRecords,
     imported: LabelImport,
     *,
-    meanings: LabelIds,
-    scalar: str | None,
-    sensor: Sensor | None,
     overwrite: bool,
-    is_named: bool,
+    named: bool,
 ) -> None:
-    """Write the labels of a scan, merged from those of some files that were edited."""
-    points = read_scan(scan.path, sensor).points
-    read = {path: read_file_labels(path, points, meanings, scalar) for path in paths}
-    none, space = meanings.unlabelled, imported.space
-
-    def is_guess(raw: RawIds) -> bool:
-        return records.is_guess(scan, hashlib.sha256(encode_labels(raw)).hexdigest())
-
-    edited = {
-        path: part for path, part in read.items() if is_named or not is_guess(part[0].filled(none))
-    }
-    if edited:
-        raw, numbers = edited_labels(scan, edited, space, none)
-        if is_guess(raw):
-            if is_named:
-                log.warning("%s: holds the first guess, all of it", paths[0])
-            else:
-                # Parts of it that nobody corrected.
-                edited = {}
-    imported.unedited += [str(path) for path in paths if path not in edited]
-    if not edited:
-        return
-    if contradicted := numbers.contradicted:
-        text = "%s: %s left unlabelled, of different labels in %s"
-        log.warning(text, scan.name, counted(contradicted, "point"), first_few([*edited]))
-    in_place = [*paths] == [scan.label_path]
-    if not (overwrite or in_place or records.is_replaceable(scan, paths, contradicted)):
-        text = "kept: changed, not written by salsanext, imported from another file, "
-        text += "or the files contradict each other"
-        hint = "leave out older files, move the labels, or replace them with --overwrite"
-        raise OutputError(scan.label_path, text, hint=hint)
-    records.write(scan, encode_labels(raw), numbers)
-    imported.scans.append(numbers)
-    train = space.to_train(raw, strict=False)
-    imported.class_points += np.bincount(train, minlength=space.class_count)
+    """Write the labels of a scan from the only file that differs from its pre-label."""
+    contents = {path: encode_labels(raw) for path, (raw, _) in labels.items()}
+    unedited = [
+        path
+        for path, content in contents.items()
+        if records.is_pre_label(scan, hashlib.sha256(content).hexdigest())
+    ]
+    if named and unedited:
+        log.warning("%s: contains unchanged pre-labels", unedited[0])
+    elif unedited:
+        imported.unedited += map(str, unedited)
+        contents = {path: contents[path] for path in contents if path not in unedited}
+    if len(contents) > 1:
+        problem = f"has {len(contents)} edited files: {first_few([*contents])}"
+        hint = "merge them in the labelling tool, or move the other files"
+        raise LabelError(f"scan {scan.name}", problem, "one file", hint)
+    for path, content in contents.items():
+        in_place = path == scan.label_path
+        if not (overwrite or in_place or records.is_replaceable(scan, path)):
+            problem = "was changed, not written by salsanext, or imported from another file"
+            hint = "move older files or the labels away, or replace the labels with --overwrite"
+            raise OutputError(scan.label_path, problem, hint=hint)
+        raw, numbers = labels[path]
+        records.write(scan, content, numbers)
+        imported.scans.append(numbers)
+        train = imported.space.to_train(raw, strict=False)
+        imported.class_points += np.bincount(train, minlength=imported.space.class_count)

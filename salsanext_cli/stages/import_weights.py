@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Import of a published checkpoint, or of weights of ours, as a weights file."""
+"""Stage `import-weights`: a published checkpoint, or weights of salsanext, as a weights file."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -27,16 +27,32 @@ def import_weights(
     half: bool = False,
     overwrite: bool = False,
 ) -> WeightsCard:
-    """Write a weights file from a checkpoint of ``torch.save``, or again from one of ours.
+    """Write a weights file.
 
-    A checkpoint is of SemanticKITTI's classes, the HDL-64 and `DROPOUT` unless told otherwise.
+    Parameters
+    ----------
+    source, target : Path
+        Checkpoint of ``torch.save`` or weights file of salsanext, and weights file to write.
+    space, dropout : optional
+        Classes and dropout rate of a checkpoint; default: SemanticKITTI's, and `DROPOUT`.
+    view : Sensor, optional
+        Sensor of the weights; default: the sensor of the source, for a checkpoint the HDL-64.
+    description : str
+        Description of the weights.
+    half, overwrite : bool
+        Store the tensors in float16; replace an existing target.
+
+    Returns
+    -------
+    WeightsCard
+        Card of the target.
     """
     require_target(target, overwrite)
     if source.suffix == WEIGHTS_SUFFIX:
         for option, value in {"--label-space": space, "--dropout": dropout}.items():
             if value is not None:
-                found = f"{source} says for itself"
-                raise UsageError(option, found, "a published checkpoint", f"leave {option} out")
+                problem = f"the weights file {source} contains this already"
+                raise UsageError(option, problem, "a published checkpoint", f"omit {option}")
         module, card = read_weights(source)
         described = description or card.description
         card = replace(card, description=described, sensor=view or card.sensor, version=None)
@@ -44,9 +60,9 @@ def import_weights(
         space, tensors = space or label_space(), read_published(source)
         outputs = tensors["logits.bias"].numel() if "logits.bias" in tensors else 0
         if outputs != space.class_count:
-            found = f"{outputs} outputs"
             expected = f"{space.class_count}, one per class of {space.name}"
-            raise WeightsError(source, found, expected, "give its label space with --label-space")
+            hint = "give its label space with --label-space"
+            raise WeightsError(source, f"has {outputs} outputs", expected, hint)
         rate = DROPOUT if dropout is None else dropout
         architecture = {"name": "salsanext", "class_count": outputs, "dropout": rate}
         module = build(architecture, source)

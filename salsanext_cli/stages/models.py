@@ -9,13 +9,7 @@ from salsanext_cli.classes.label_space import plugged_label_spaces
 from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.formats import plugged_formats
 from salsanext_cli.network.card import DescribedWeights, read_card
-from salsanext_cli.network.complexity import (
-    NetworkCosts,
-    agrees,
-    multiply_accumulates,
-    paper_figures,
-    parameter_count,
-)
+from salsanext_cli.network.complexity import NetworkCosts, multiply_accumulates, parameter_count
 from salsanext_cli.network.registry import ARCHITECTURES, build, plugged_networks
 
 HEIGHT, WIDTH = 64, 2048
@@ -33,12 +27,8 @@ def models() -> list[NetworkCosts]:
     for name in ARCHITECTURES:
         with torch.device("meta"):
             module = build({"name": name}).eval()
-        parameters, paper = parameter_count(module), paper_figures()[name]
         operations = multiply_accumulates(module, HEIGHT, WIDTH)
-        agree = agrees(parameters, paper.parameters)
-        costs.append(
-            NetworkCosts(name, parameters, operations, paper.receptive_field, paper, agree)
-        )
+        costs.append(NetworkCosts(name, parameter_count(module), operations))
     return costs
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Stage `pick`: the scans most worth labelling, as a data set that is ready to label."""
+"""Stage `pick`: a data set of the scans most worth labelling."""
 
 import hashlib
 import logging
@@ -36,6 +36,7 @@ from salsanext_cli.report.picked import picked_cloud, picked_csv, picked_scans
 from salsanext_cli.results.manifest import settings_json
 from salsanext_cli.results.paths import ScanFile, find_scans
 from salsanext_cli.results.selection import choose, evenly_spaced, scans_of, space_of
+from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.uncertainty.estimate import Estimate
 from salsanext_cli.uncertainty.monte_carlo import require_sampling
 from salsanext_cli.uncertainty.scan_description import (
@@ -44,7 +45,7 @@ from salsanext_cli.uncertainty.scan_description import (
     checked_sample,
 )
 
-SAMPLES = 8  # Passes of Monte-Carlo dropout, whose masks are the same for all scans
+SAMPLES = 8  # Passes of Monte-Carlo dropout, with the same masks for all scans
 
 log = logging.getLogger(__name__)
 
@@ -55,8 +56,8 @@ class Picking:
 
     picked: tuple[PickedScan, ...]  # The scan most worth labelling first
     scans: int  # Number of scans to choose from
-    outcome: Outcome  # Picked scans written and there already; all scans that failed, picked or not
-    warnings: list[ScanWarning]  # Reasons to doubt scans, picked or not
+    outcome: Outcome  # Of the picked scans, and failures of all scans
+    warnings: list[ScanWarning]  # Of all scans
 
     def to_dict(self) -> dict[str, object]:
         """Return plain data for JSON."""
@@ -71,7 +72,7 @@ class Picking:
 
 @dataclass(frozen=True, slots=True)
 class PickJob:
-    """Job that writes picked scans, and coloured clouds with the labels that a network guesses."""
+    """Job that writes picked scans, and coloured clouds with pre-labels."""
 
     network: Network
     seed: int
@@ -86,14 +87,13 @@ class PickJob:
         return [checked_sample(p, network, SAMPLES, self.seed) for p, network, _ in scans]
 
     def finish(self, scan: PreparedScan, estimate: Estimate) -> tuple[ScanFile, bytes]:
-        """Write the scan and its cloud; return the labels by the mean softmax, encoded."""
+        """Write the scan and its cloud; return the pre-labels by the mean softmax, encoded."""
         file, space = scan.projected.file, scan.network.space
-        guess = labelled(scan, PixelPrediction.of(estimate.probabilities), KnnParameters())
-        information = estimate.uncertainty.mutual_information
+        pre_labelled = labelled(scan, PixelPrediction.of(estimate.probabilities), KnnParameters())
         self.data_set.write_points(file, scan.network.sensor)
-        cloud = picked_cloud(guess, information, space)
+        cloud = picked_cloud(pre_labelled, estimate.uncertainty.mutual_information, space)
         self.data_set.write_missing(self.data_set.paths(file.sequence, file.stem).cloud, cloud)
-        return file, encode_labels(space.to_raw(guess.labels))
+        return file, encode_labels(space.to_raw(pre_labelled.labels))
 
 
 def pick(
@@ -107,10 +107,22 @@ def pick(
     options: RunOptions = RunOptions(),
     labelled: Sequence[Path] = (),
 ) -> Picking:
-    """Pick the scans most worth labelling; write a data set of them in SemanticKITTI's layout.
+    """Write a data set of the scans most worth labelling, in the layout of SemanticKITTI.
 
-    Files that are there stay; a pick that nobody changed may be overwritten. `labelled`: data sets
-    of scans that others are picked unlike.
+    Parameters
+    ----------
+    source, out : Path
+        Scans to choose from, and folder of the data set.
+    count, seed : int
+        Number of scans to pick, and seed of the dropout masks.
+    settings, selection, options : NetworkSettings, ScanSelection, RunOptions
+        Network; subset of the scans, evenly spaced if limited; workers and overwriting.
+    labelled : sequence of Path
+        Data sets of labelled scans, which the picked ones are to differ from.
+
+    Returns
+    -------
+    Picking
     """
     require_choice(count, seed)
     network = settings.load()
@@ -118,20 +130,15 @@ def pick(
     every, data_set = scans_of(source), PickedDataSet(out)
     data_set.require_apart(every)
     space = space_of(every, network.space)
-    scans = _candidates(every, selection, space, source)
+    chosen = choose(every, replace(selection, limit=None), space, source)
+    scans = evenly_spaced(chosen, selection.limit or 0)
     known = {scan.name for path in labelled for scan in find_scans(path)}
     if len(done := {scan for scan in scans if scan.name in known}) == len(scans):
-        raise NoInputError(source, "every scan is labelled already", "others to pick")
+        raise NoInputError(source, "has only labelled scans", "others to pick")
     with data_set.open():
         network = fit_scans(settings, network, ScanSample(every, network.sensor))
-        recorded = PickSettings(
-            network=settings_of_network(network),
-            count=count,
-            seed=seed,
-            scans=_digest(scans),
-            labelled=_digest(sorted(done)) if labelled else None,
-            samples=SAMPLES,
-        )
+        digests = _digest(scans), _digest(sorted(done)) if labelled else None
+        recorded = PickSettings(settings_of_network(network), count, seed, *digests, SAMPLES)
         record = data_set.earlier(recorded, overwrite=options.overwrite)
         if record and data_set.is_complete(record):
             log_recorded(record.warnings)
@@ -140,29 +147,21 @@ def pick(
         if record is None:
             describe = partial(DescribeJob, samples=SAMPLES, seed=seed)
             task = NetworkTask(describe, resolved, network, batch=1)
-            summary = RunSummary.of_scans(scans, network.sensor)
-            if not (record := _chosen(task, scans, recorded, done, summary, options)).picked:
+            record = _chosen(task, scans, recorded, done, network.sensor, options)
+            if not record.picked:
                 return _picking(record, scans)
-            data_set.begin_anew(record)
+            data_set.begin(record)
         write = partial(PickJob, seed=seed, data_set=data_set)
         task = NetworkTask(write, resolved, network, batch=1)
-        classes = space if space.fits(network.space) else space_of([], network.space)
-        outcome = _written(task, data_set, record, scans, options, classes)
+        space = space if space.fits(network.space) else space_of([], network.space)
+        outcome = _written(task, data_set, record, scans, options, space)
     return replace(_picking(record, scans), outcome=outcome)
 
 
 def _picking(record: PickRecord, scans: Sequence[ScanFile]) -> Picking:
-    """Return a result of which every scan was written before."""
+    """Return the result if every picked scan was written before."""
     outcome = Outcome(len(record.picked), _failures(record, scans), 0)
     return Picking(tuple(record.picked), len(scans), outcome, record.warnings)
-
-
-def _candidates(
-    every: list[ScanFile], selection: ScanSelection, space: LabelSpace, source: Path
-) -> list[ScanFile]:
-    """Return the scans to choose from, those of a limit evenly spaced."""
-    selected = choose(every, replace(selection, limit=None), space, source)
-    return evenly_spaced(selected, selection.limit or 0)
 
 
 def _digest(scans: Sequence[ScanFile]) -> str:
@@ -177,29 +176,30 @@ def _chosen(
     scans: Sequence[ScanFile],
     settings: PickSettings,
     done: set[ScanFile],
-    summary: RunSummary,
+    sensor: Sensor,
     options: RunOptions,
 ) -> PickRecord:
-    """Describe scans, and choose those unlike each other and unlike those that are done."""
+    """Describe scans; choose uncertain ones that differ from each other and from labelled ones."""
+    summary = RunSummary.of_scans(scans, sensor)
     of_scan: dict[ScanFile, ScanDescription] = {}
 
-    def keep(scan: ScanDescription) -> None:
+    def add(scan: ScanDescription) -> None:
         of_scan[scan.file] = scan
         summary.add(ScanSummary(scan.file, scan.check))
 
-    failures = run_over_scans(task, scans, options, on_result=keep).failures
+    failures = run_over_scans(task, scans, options, on_result=add).failures
     described = [of_scan[scan] for scan in scans if scan in of_scan]
     labelled = [index for index, scan in enumerate(described) if scan.file in done]
     picked: list[PickedScan] = []
-    if left := len(described) - len(labelled):
-        if settings.count > left:
-            log.log(NOTICE, "only %s: all are picked", counted(left, "scan"))
+    if unlabelled := len(described) - len(labelled):
+        if settings.count > unlabelled:
+            log.log(NOTICE, "all of only %s are picked", counted(unlabelled, "scan"))
         features = np.stack([scan.features for scan in described])
         uncertainty = [scan.uncertainty for scan in described]
         choices = choose_scans(features, uncertainty, settings.count, labelled)
         picked = picked_scans(choices, [scan.file for scan in described])
-    failed, warnings = [each.to_dict() for each in failures], summary.finished().warnings()
-    return PickRecord(settings_json(settings), picked, failed, warnings)
+    failed = [failure.to_dict() for failure in failures]
+    return PickRecord(settings_json(settings), picked, failed, summary.finished().warnings())
 
 
 def _written(
@@ -210,21 +210,21 @@ def _written(
     options: RunOptions,
     space: LabelSpace,
 ) -> Outcome:
-    """Write what is missing of a data set of picked scans."""
-    files, guesses = {scan.name: scan for scan in scans}, dict[ScanFile, bytes]()
-    picked = [files[each.name] for each in record.picked if each.name in files]
-    outcome = run_over_scans(task, picked, options, on_result=lambda each: guesses.update([each]))
-    data_set.write_guesses(record, guesses)
+    """Write the missing files of a data set of picked scans."""
+    files, pre_labels = {scan.name: scan for scan in scans}, dict[ScanFile, bytes]()
+    picked = [files[scan.name] for scan in record.picked if scan.name in files]
+    outcome = run_over_scans(task, picked, options, on_result=lambda r: pre_labels.update([r]))
+    data_set.write_pre_labels(record, pre_labels)
     data_set.write_label_space(space, record.picked)
     data_set.write_missing(data_set.root / TABLE, picked_csv(record.picked))
-    if len(guesses) == len(record.picked):
-        # Poses of a part would stay: what is there is not written again.
-        data_set.write_poses(guesses)
+    if len(pre_labels) == len(record.picked):
+        # Existing files are not replaced, so incomplete poses would remain.
+        data_set.write_poses(pre_labels)
     return replace(outcome, failures=(*_failures(record, scans), *outcome.failures))
 
 
 def _failures(record: PickRecord, scans: Sequence[ScanFile]) -> tuple[Failure, ...]:
-    """Return the scans that could not be looked at when the choice was made."""
+    """Return the scans that could not be read for the choice."""
     files = {str(scan.path): scan for scan in scans}
     known = (failure for failure in record.failures if failure["scan"] in files)
     return tuple(

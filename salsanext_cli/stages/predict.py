@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Stage `predict`: scans to labels in memory, or range images on disk to pixel labels."""
+"""Stage `predict`: scans to labels, or range images on disk to pixel labels."""
 
 import csv
 import io
@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -35,11 +35,9 @@ from salsanext_cli.fitting.sensor_fit import (
     settings_of_network,
 )
 from salsanext_cli.formats import read_scan
-from salsanext_cli.fusion.top_classes import top_classes
 from salsanext_cli.geometry.objects import BOX, Objects, find_objects, fit_boxes
 from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.geometry.scan_traits import sensor_of
-from salsanext_cli.measures.risk_control import guarantee
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.network.card import RiskThreshold
 from salsanext_cli.option_fields import KnnParameters, ScanSelection
@@ -60,8 +58,8 @@ from salsanext_cli.uncertainty.error_features import error_model, error_probabil
 
 OF_SOFTMAX = {"probabilities", "votes", ERROR}  # Results that need the whole softmax
 OTHER_VIEW = (
-    "the view fitted to these scans is not that of the scans that the threshold was chosen on: of "
-    "another sensor or mounting nothing is promised; choose it with `tune risk` on its own scans"
+    "the field of view of these scans differs from that of the scans of `tune risk`; the guarantee "
+    "does not cover another sensor or mounting; run `tune risk` on scans of this sensor"
 )
 
 log = logging.getLogger(__name__)
@@ -69,18 +67,26 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LabelRejection:
-    """Rule by which points are left unlabelled."""
+    """Rule by which labels are rejected."""
 
     kind: str  # Kind of uncertainty: error or least_confidence
+    threshold: float
     above: Float  # (C,): largest uncertainty of an accepted point, by its label
+    risk: RiskThreshold | None  # Origin of the thresholds
+
+    @property
+    def recorded(self) -> dict[str, Any]:
+        """Fields of the settings of the stage."""
+        kind = None if self.kind == "error" else self.kind
+        return {"reject": self.threshold, "reject_by": kind, "promised": self.risk}
 
 
 @dataclass(frozen=True, slots=True)
 class LabelWriter:
-    """Writer of the results that are asked for of a scan, the labels last."""
+    """Writer of the requested results of a scan, the labels last."""
 
-    knn: KnnParameters  # Neighbours in the kNN refinement
-    output: OutputRun  # Takes the results
+    knn: KnnParameters
+    output: OutputRun
     reject: LabelRejection | None = None
 
     def write(self, scan: LabelledScan, network: Network) -> ScanSummary:
@@ -93,11 +99,13 @@ class LabelWriter:
         if "pixel_labels" in output.folders:
             output.write_array(file, "pixel_labels", pixels.labels)
         if pixels.softmax is not None:
-            none = np.eye(1, space.class_count)  # certainly unlabelled
-            of_points = points_from_pixels(pixels.softmax, image.pixel_of_point, none)
+            unlabelled = np.eye(1, space.class_count)
+            of_points = points_from_pixels(pixels.softmax, image.pixel_of_point, unlabelled)
         if "probabilities" in output.folders:
             output.write_array(file, "probabilities", of_points.astype(np.float16))
         if "votes" in output.folders:
+            from salsanext_cli.fusion.top_classes import top_classes
+
             output.write_array(file, "votes", top_classes(of_points))
         if ERROR in output.folders and pixels.softmax is not None:
             values["error"] = error_probability(network, image, pixels.softmax, scan.labels)
@@ -119,7 +127,18 @@ class LabelWriter:
 
 
 def object_table(scan: LabelledScan, objects: Objects, space: LabelSpace) -> bytes:
-    """Return a table with class, number of points and box of each object, in its order."""
+    """Return the .csv table of the objects.
+
+    Parameters
+    ----------
+    scan, objects, space
+        Labelled scan, object number of each point (0 for none), and classes.
+
+    Returns
+    -------
+    bytes
+        Class, number of points and box of each object.
+    """
     file, sizes = io.StringIO(), np.bincount(objects)
     of_object = np.zeros(len(sizes), np.uint8)
     of_object[objects] = scan.labels
@@ -144,7 +163,7 @@ class PredictJob:
         return prepared_for(self.network, file)
 
     def compute(self, scans: Sequence[PreparedScan]) -> list[PixelPrediction]:
-        """Predict the pixels of scans; the softmax only where a result needs it."""
+        """Predict the pixels of scans, with the softmax if a result needs it."""
         softmax = bool(OF_SOFTMAX & {*self.writer.output.folders})
         return self.network.predict([scan.input for scan in scans], softmax=softmax)
 
@@ -165,46 +184,46 @@ def predict_scans(
     selection: ScanSelection = ScanSelection(),
     options: RunOptions = RunOptions(),
 ) -> Outcome:
-    """Label scans into `OUT/sequences/<seq>/predictions`, beside their least confidence.
+    """Label scans into `OUT/sequences/<seq>/predictions`, with their least confidence.
 
-    `extras`: further results, of "pixel_labels", "probabilities", "votes", "objects" and
-    "uncertainty/error"; `reject`: error, 0…1, above which points are unlabelled, or "risk" for the
-    thresholds in the weights; `batch`: scans computed together, None for what suits the device.
+    Parameters
+    ----------
+    source, out : Path
+        Scans, and folder of the results.
+    settings, knn, selection, options
+        Network, parameters of kNN, choice of the scans, and workers.
+    extras : tuple of str
+        Further results: pixel_labels, probabilities, votes, objects, uncertainty/error.
+    reject, batch : optional
+        Error above which points are unlabelled, or "risk"; number of scans computed together.
+
+    Returns
+    -------
+    Outcome
     """
     if batch is not None and batch < 1:
         raise UsageError("--batch", str(batch), "at least 1, or auto")
     network = settings.load()
-    found = scans_of(source)
-    scans = choose(found, selection, space_of(found, network.card.space), source)
-    risk = _chosen_threshold(settings, network, knn) if reject == "risk" else None
-    above = risk.threshold if risk else reject
-    if isinstance(above, str) or not 0 <= (above or 0) <= 1:
-        raise UsageError("--reject", f"{above}", "a probability from 0 to 1")
-    kind = risk.kind if risk else "error"
-    if above is not None and kind == "error":
+    listed = scans_of(source)
+    scans = choose(listed, selection, space_of(listed, network.card.space), source)
+    rejection = None if reject is None else _rejection(reject, settings, network, knn)
+    if rejection and rejection.kind == "error":
         extras = tuple(dict.fromkeys((*extras, ERROR)))
     if ERROR in extras:
         error_model(network)
     if "objects" in extras:
         network.space.require_movable("--objects")
-    network = network_of_run(settings, network, found, out, overwrite=options.overwrite)
-    _warn_of_other_view(risk, network)
-    accuracy = network.card.accuracy if above is None else None
+    network = network_of_run(settings, network, listed, out, overwrite=options.overwrite)
+    _warn_of_other_view(rejection, network)
+    accuracy = None if rejection else network.card.accuracy
     recorded = replace(
         settings_of_network(network),
         temperature=network.card.temperature,
         knn=knn,
-        reject=above,
-        reject_by=None if kind == "error" else kind,
         accuracy=accuracy,
-        guarantee=risk,
         objects="objects" in extras or None,
+        **(rejection.recorded if rejection else {}),
     )
-    rejection = None
-    if above is not None:
-        of_classes = risk.classes if risk else {}
-        limits = [of_classes.get(name, above) for name in network.space.names]
-        rejection = LabelRejection(kind, np.array(limits, np.float32))
     summary = RunSummary.of_scans(scans, network.sensor, network.space, accuracy)
     folders = (*extras, LEAST_CONFIDENCE, "predictions")
     run = output_run(out, "predict", recorded, folders, scans, overwrite=options.overwrite)
@@ -215,33 +234,50 @@ def predict_scans(
     return replace(outcome, rejected_points=summary.rejected_points if rejection else None)
 
 
+def _rejection(
+    reject: float | str, settings: NetworkSettings, network: Network, knn: KnnParameters
+) -> LabelRejection:
+    """Return the rule of `predict_scans`, which takes the same argument."""
+    risk = _chosen_threshold(settings, network, knn) if reject == "risk" else None
+    threshold = risk.threshold if risk else reject
+    if isinstance(threshold, str) or not 0 <= threshold <= 1:
+        raise UsageError("--reject", str(threshold), "a probability from 0 to 1")
+    of_classes = risk.classes if risk else {}
+    limits = [of_classes.get(name, threshold) for name in network.space.names]
+    kind = risk.kind if risk else "error"
+    return LabelRejection(kind, threshold, np.array(limits, np.float32), risk)
+
+
 def _chosen_threshold(
     settings: NetworkSettings, network: Network, knn: KnnParameters
 ) -> RiskThreshold:
     """Return the threshold in the weights; refuse settings that its guarantee does not cover."""
+    from salsanext_cli.measures.risk_control import guarantee
+
     risk = network.card.risk
     if risk is None:
-        hint = "`salsanext tune risk DATASET WEIGHTS_OUT --at-most 5%` chooses one"
-        raise WeightsError(network.backend.name, "no threshold of risk", "weights with one", hint)
-    tuned, given = risk.settings, labels_depend_on(settings, network)
+        hint = "choose one with `salsanext tune risk DATASET WEIGHTS_OUT --at-most 5%`"
+        raise WeightsError(network.backend.name, "has no threshold of risk", hint=hint)
+    tuned, current = risk.settings, labels_depend_on(settings, network)
     others = {"--classes": network.merging, "--knn-…": knn != KnnParameters()}
-    others |= {name: given[name] != tuned.get(name) for name in given}
+    others |= {name: current[name] != tuned.get(name) for name in current}
     if changed := [name for name, is_other in others.items() if is_other]:
-        found = "the guarantee of `--reject risk` does not cover other labels"
-        raise UsageError(changed[0], found, "the settings of `tune risk`")
+        problem = "the guarantee of `--reject risk` does not cover other labels"
+        raise UsageError(changed[0], problem, "the settings of `tune risk`")
     log.log(NOTICE, "--reject risk: %s", guarantee(risk))
     return risk
 
 
-def _warn_of_other_view(risk: RiskThreshold | None, network: Network) -> None:
-    """Warn if a sensor was fitted otherwise than those that the threshold was chosen for."""
-    views, members = risk.views if risk else (), network.sensor.members
-    if views and any(all(is_other_view(view, each) for view in views) for each in members):
+def _warn_of_other_view(rejection: LabelRejection | None, network: Network) -> None:
+    """Warn if a field of view differs from all fields of view of `tune risk`."""
+    views = rejection.risk.views if rejection and rejection.risk else ()
+    sensors = network.sensor.members
+    if views and any(all(is_other_view(view, sensor) for view in views) for sensor in sensors):
         log.warning("--reject risk: %s", OTHER_VIEW)
 
 
 class PreparedImage(NamedTuple):
-    """Range image that `project` wrote, ready for a network."""
+    """Range image of `project`, ready for a network."""
 
     file: ScanFile
     input: Float  # (1, 5, H, W) float32, normalised, for the sensor of the scan
@@ -257,7 +293,7 @@ class PredictImageJob:
     output: OutputRun
 
     def prepare(self, file: ScanFile) -> PreparedImage:
-        """Read and check a range image; its sensor may depend on the scan."""
+        """Read and check a range image, whose sensor may depend on the scan."""
         self.output.require_replaceable(file)
         network = self.network
         if network.sensor.others:
@@ -287,17 +323,29 @@ def predict_range_images(
     selection: ScanSelection = ScanSelection(),
     options: RunOptions = RunOptions(),
 ) -> Outcome:
-    """Label range images that `project` wrote into `OUT/sequences/<seq>/pixel_labels`."""
+    """Label range images of `project` into `OUT/sequences/<seq>/pixel_labels`.
+
+    Parameters
+    ----------
+    folder, out : Path
+        Output folder of `project`, and folder of the results.
+    settings, selection, options
+        Network, choice of the scans, and workers.
+
+    Returns
+    -------
+    Outcome
+    """
     network = settings.load()
     projected = projected_sensor(folder)
-    seen = fitted_view([], network.sensor, projected, view=settings.fits_view)
-    network = network.for_sensor(sensor_of_images(folder, projected, seen))
-    found = with_outputs(ResultFolder(folder).scans(), folder, "range")
-    scans = choose(found, selection, space_of(found, network.card.space), folder)
+    fitted = fitted_view([], network.sensor, projected, view=settings.fits_view)
+    network = network.for_sensor(sensor_of_images(folder, projected, fitted))
+    listed = with_outputs(ResultFolder(folder).scans(), folder, "range")
+    scans = choose(listed, selection, space_of(listed, network.card.space), folder)
     network = network_of_run(
         settings,
         network,
-        found,
+        listed,
         out,
         overwrite=options.overwrite,
         image_of=lambda file: range_image(file, folder, network.sensor),

@@ -11,7 +11,6 @@ from typing import Any
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE
 from salsanext_cli.files.atomic import require_absent, require_target, writing
-from salsanext_cli.network.card import require_tensors
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.run import Progress
@@ -70,7 +69,6 @@ def tune(
     dict
         Plain data for JSON.
     """
-    require_tensors(settings.path)
     network = settings.load()
     labelled, space = labelled_scans(source, selection, network.card)
     require_target(target, overwrite)

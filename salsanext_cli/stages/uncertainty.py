@@ -32,16 +32,16 @@ from salsanext_cli.uncertainty.error_features import error_probability, knows_er
 from salsanext_cli.uncertainty.estimate import Estimate
 from salsanext_cli.uncertainty.method import UncertaintyMethod
 
-METHOD = "sampling"  # Recorded: earlier versions had another method too
+METHOD = "sampling"  # Recorded, because earlier versions had another method
 
 log = logging.getLogger(__name__)
 
 
 class EstimatedScan(NamedTuple):
-    """What an `UncertaintyJob` computes of a scan."""
+    """Result of `UncertaintyJob.compute`."""
 
     estimate: Estimate
-    softmax: Float | None  # (C, H, W) of a single pass, which the model of errors was fitted to
+    softmax: Float | None  # (C, H, W) of a single pass, for the error model
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,12 +62,12 @@ class UncertaintyJob:
         """Estimate the uncertainty of the pixels of scans, one after the other."""
         return [self._estimate(*scan) for scan in scans]
 
-    def _estimate(self, projected: ProjectedScan, network: Network, given: Float) -> EstimatedScan:
+    def _estimate(self, projected: ProjectedScan, network: Network, image: Float) -> EstimatedScan:
         estimate = self.method.estimate(network, projected.image, projected.file)
         network.backend.require_finite(estimate.probabilities, projected.file.path)
         if ERROR not in self.output.folders:
             return EstimatedScan(estimate, None)
-        (pixels,) = network.predict([given], softmax=True)
+        (pixels,) = network.predict([image], softmax=True)
         network.backend.require_finite(pixels.confidence, projected.file.path)
         return EstimatedScan(estimate, pixels.softmax)
 
@@ -102,11 +102,22 @@ def uncertainty(
     """Estimate uncertainty into `OUT/sequences/<seq>/uncertainty/<kind>`.
 
     The labels of the mean softmax go to `predictions`, unless another stage has its labels there.
+
+    Parameters
+    ----------
+    source, out : Path
+        Scans, and folder of the results.
+    settings, knn, method, selection, options
+        Network, parameters of kNN, kinds of uncertainty, choice of the scans, and workers.
+
+    Returns
+    -------
+    Outcome
     """
     network = settings.load()
     listed = scans_of(source)
     scans = choose(listed, selection, space_of(listed, network.card.space), source)
-    # Labels of another stage stay, and with them what they were made with.
+    # Labels of another stage stay, and so must the sensor with which they were made.
     labels_too = Manifest(out).owner("predictions") in (None, "uncertainty")
     overwrite = options.overwrite and labels_too
     network = network_of_run(settings, network, listed, out, overwrite=overwrite)
@@ -125,7 +136,8 @@ def uncertainty(
     if knows_error(network) and labels_too:
         folders = (ERROR, *folders)
     elif knows_error(network) and Manifest(out).owner(ERROR) is None:
-        log.log(NOTICE, "no errors: the labels in %s are another stage's; see predict --error", out)
+        text = "no probability of error: the labels in %s are of another stage; use predict --error"
+        log.log(NOTICE, text, out)
     _require_network_of_labels(out, recorded)
     summary = RunSummary.of_scans(scans, network.sensor, network.space)
     run = output_run(out, "uncertainty", recorded, folders, scans, overwrite=options.overwrite)
@@ -136,15 +148,14 @@ def uncertainty(
 
 
 def _require_network_of_labels(out: Path, settings: StageSettings) -> None:
-    """Refuse to put the uncertainty of one network beside the labels of another."""
+    """Refuse to mix the uncertainty of one network with the labels of another."""
     records = Manifest(out)
     stage = records.owner("predictions")
     recorded = records.settings(stage) if stage not in (None, "uncertainty") else None
     if recorded is None or stage is None:
         return
     before, now = (
-        each.sensor and replace(each.sensor.without_noise(), name="")
-        for each in (recorded, settings)
+        of.sensor and replace(of.sensor.without_noise(), name="") for of in (recorded, settings)
     )
     same = {"sensor": before in (None, now)}
     # Labels of other programs may be in any classes.
@@ -153,6 +164,6 @@ def _require_network_of_labels(out: Path, settings: StageSettings) -> None:
         same["weights"] = weights == settings.weights
         same["classes"] = space is not None and space.fits(settings.label_space)
     for name in (name for name, is_same in same.items() if not is_same):
-        found, expected = f"labels made with other {name}", "the same for labels and uncertainty"
-        hint = f"give the same --{name}, or use another output folder"
-        raise OutputError(records.path(stage), found, expected, hint)
+        hint = f"use the same --{name}, or another output folder"
+        problem = f"the labels were made with other {name}"
+        raise OutputError(records.path(stage), problem, hint=hint)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Assumed density filtering: a network that maps means and variances (paper III-C.1).
 
-The network is not written a second time. A `Gaussian` stands in for a tensor, and every rule below
-says what one function of the network does to it.
+A `Gaussian` takes the place of a tensor in the unchanged network. Every rule below maps it through
+one function of the network.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from salsanext_cli.compiled import parallel_for
 
 NODES = 12  # Nodes of the Gauss-Hermite quadrature of the logistic function
 CHUNK_SIZE = 1 << 15
-"""Numbers per step on a CPU: too few to share among threads, which would round differently."""
+"""Numbers per step on a CPU: too few for torch to share among threads, which would change bits."""
 MAX_DEVIATIONS = 12.0
 """Standard deviations from the kink beyond which the other side changes no float64."""
-Groups = Sequence[Sequence[int]]  # Classes merged into each of fewer; none into some
-MIN_DIVISOR = 1e-30  # Least divisor: what it divides is 0 where it acts
+Groups = Sequence[Sequence[int]]  # Classes merged into each class, which may be none
+MIN_DIVISOR = 1e-30  # Lower bound of divisors whose dividend is 0
 DAMPING = 0.15
 """Damping of a second-order shift, so that it grows like √v for large v."""
 
@@ -38,8 +38,8 @@ def leaky_relu_moments(mean: Tensor, variance: Tensor, slope: float) -> tuple[Te
         mean     = LeakyReLU(m) + (1 − a) √v e
         variance = v [a² + (1 − a²) p − (1 − a)² e (τ + e)]     p = 1 − q if m > 0, else q
 
-    Nothing cancels, as it does in E[y²] − E[y]², which is 0 in float32 for m = 10, v = 10⁻⁶. The
-    slope a is from 0 to 1; of a half precision, float32 is used in between.
+    Nothing cancels, unlike in E[y²] − E[y]², which is 0 in float32 for m = 10, v = 10⁻⁶. The slope
+    a is from 0 to 1; half precision is computed in float32.
     """
     dtype, wide = mean.dtype, torch.promote_types(mean.dtype, torch.float32)
     m, v = mean.to(wide), variance.to(wide)
@@ -64,15 +64,15 @@ def softmax_moments(
     the others' exponentials. That sum is taken as log-normal: with weights w, the softmax among
     the others, its logarithm has mean log Σ exp(m) + ½ Σ w (1 − w) v, damped, and variance
     Σ w² v. The moments of the logistic function of a Gaussian come from quadrature. The usual
-    shortcut, a sum that is certain, makes the standard deviation of a confident class too large
-    by a factor of hundreds.
+    shortcut, a certain sum, makes the standard deviation of a confident class too large by a
+    factor of hundreds.
 
     The means p are divided by their sum; each variance keeps its share of p (1 − p), which no
-    variable between 0 and 1 exceeds. Of variance 0, they are the plain softmax.
+    variable between 0 and 1 exceeds. For variance 0, the means are the plain softmax.
 
-    Of merged classes, the mean is the sum of theirs. For the variance they have one logit, the
-    logarithm of the sum of their exponentials, taken as log-normal like that of the others; logits
-    of groups without a common class are independent. Every class is in one group.
+    The mean of a merged class is the sum of the means. For its variance, the logarithm of the sum
+    of exponentials is one log-normal logit; logits of disjoint groups are independent. Every class
+    is in one group.
     """
     wide = torch.promote_types(mean.dtype, torch.float32)
     m, v = (t.to(wide).movedim(dim, 0) for t in (mean, variance))
@@ -92,7 +92,7 @@ def softmax_moments(
 
 
 def _softmax_of_groups(m: Tensor, v: Tensor, *, groups: Groups | None) -> tuple[Tensor, Tensor]:
-    """Return the moments (K, N) from those of the logits, (C, N)."""
+    """Return the moments (K, N) from the moments (C, N) of the logits."""
     mean, variance = _softmax(m, v)
     if groups is None:
         return mean, variance
@@ -137,14 +137,14 @@ def _softmax(m: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
 
 def logistic_moments(d: Tensor, variance: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Return mean, 1 − mean and variance of the logistic function of N(d, variance)."""
-    # Everything is a rise or fall from the smaller of logistic(d) and 1 − logistic(d), so that a
-    # confident class keeps its digits.
+    # Differences from the smaller of logistic(d) and 1 − logistic(d) keep the digits of a
+    # confident class.
     near, deviation = -d.abs(), variance.sqrt()
     small, large = torch.sigmoid(near), torch.sigmoid(-near)
     slope = small * large
     first, second = torch.zeros_like(d), torch.zeros_like(d)
     nodes, weights = np.polynomial.hermite_e.hermegauss(NODES)
-    # The nodes lie in pairs around 0: one half gives steps up and down.
+    # The nodes are symmetric: one half gives steps up and down.
     half = slice(NODES // 2, None)
     pairs = zip(nodes[half].tolist(), (weights / weights.sum())[half].tolist(), strict=True)
     for node, weight in pairs:
@@ -164,7 +164,7 @@ def _margins(m: Tensor, v: Tensor, is_best: Tensor) -> tuple[Tensor, Tensor]:
     """Return mean and variance of each logit minus log Σ exp of the others."""
     top = m.amax(dim=0, keepdim=True)
     shares = (m - top).exp()
-    # Without the best class, whose share would hide the others, the scale is that of the second.
+    # The others of the best class are scaled by the second, because its share would hide theirs.
     rest = m.masked_fill(is_best, -math.inf)
     second = rest.amax(dim=0, keepdim=True)
     rest = (rest - second).exp()
@@ -177,9 +177,11 @@ def _margins(m: Tensor, v: Tensor, is_best: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _consistent(mean: Tensor, variance: Tensor) -> Tensor:
-    """Raise the variance of the likeliest class to what the sum of the others demands."""
-    # The classes sum to 1, so that one cannot vary by more than all others together. Where it seems
-    # to, a sum of the others that is taken as log-normal has hidden it from the class they rival.
+    """Raise the variance of the likeliest class to a value consistent with the others.
+
+    The classes sum to 1, so one cannot vary by more than all others together. Where it does, the
+    log-normal sum has hidden its variance from the likeliest class.
+    """
     deviation = variance.sqrt()
     largest, class_of_largest = deviation.max(dim=0, keepdim=True)
     lacking = (2 * largest - deviation.sum(dim=0, keepdim=True)).clamp(min=0)
@@ -195,18 +197,21 @@ def _sum_of_others(values: Tensor, rest: Tensor, is_best: Tensor) -> Tensor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gaussian:
-    """Independent Gaussians in place of a tensor; a function without a rule is an error."""
+    """Independent Gaussians in place of a tensor; a function without a rule raises an error.
 
-    # From a function to what it does to moments (Gast & Roth 2018), with the same arguments
+    Mean and variance have the same shape, dtype and device. `RULES` maps functions to their effect
+    on moments (Gast & Roth 2018), with the same arguments.
+    """
+
     RULES: ClassVar[Mapping[Callable[..., Any], Callable[..., Any]]] = {}
 
-    mean: Tensor  # Of the same shape, dtype and device; the variance is not negative
+    mean: Tensor
     variance: Tensor
 
     def __post_init__(self) -> None:
         if self.mean.shape != self.variance.shape:
-            found = f"mean {tuple(self.mean.shape)} and variance {tuple(self.variance.shape)}"
-            raise ValueError(f"{found} differ in shape")
+            shapes = f"mean {tuple(self.mean.shape)} and variance {tuple(self.variance.shape)}"
+            raise ValueError(f"{shapes} differ in shape")
 
     @classmethod
     def __torch_function__(
@@ -258,7 +263,7 @@ def _linear(function: Callable[..., Tensor]) -> Callable[..., Gaussian]:
     ) -> Gaussian:
         mean = function(x.mean, weight, bias, *geometry, **more)
         variance = function(x.variance, weight.square(), None, *geometry, **more)
-        # Convolving by way of a transform can round a certain 0 to less.
+        # Algorithms with a transform can round 0 to a negative number.
         return Gaussian(mean, variance.clamp(min=0))
 
     return rule
@@ -274,7 +279,7 @@ def _batch_norm(
     momentum: float = 0.1,
     eps: float = 1e-5,
 ) -> Gaussian:
-    """Var = v γ² / (σ² + ε), with the statistics that are stored."""
+    """Var = v γ² / (σ² + ε), with the stored statistics."""
     if training:
         raise NotImplementedError("no rule for the moments of batch_norm in training")
     mean = F.batch_norm(x.mean, running_mean, running_var, weight, bias, False, momentum, eps)
@@ -287,7 +292,7 @@ def _leaky_relu(x: Gaussian, negative_slope: float = 0.01, inplace: bool = False
 
 
 def _avg_pool2d(x: Gaussian, kernel: int, stride: int, padding: int, *count: Any) -> Gaussian:
-    """Var = Σv / k⁴, the mean of k² cells of which those outside are certain zeros."""
+    """Var = Σv / k⁴, the mean of k² cells; padding consists of certain zeros."""
     if count not in ((), (False, True, None)):
         raise NotImplementedError(f"average pooling with {count}")
     variance = F.avg_pool2d(x.variance, kernel, stride, padding) / kernel**2
@@ -295,7 +300,7 @@ def _avg_pool2d(x: Gaussian, kernel: int, stride: int, padding: int, *count: Any
 
 
 def _dropout2d(x: Gaussian, p: float, training: bool, inplace: bool = False) -> Gaussian:
-    """Change nothing: outside of training and sampling nothing is dropped."""
+    """Return the input: nothing is dropped outside of training and sampling."""
     if training:
         raise NotImplementedError("no rule for the moments of dropout2d in training")
     return x
@@ -307,7 +312,7 @@ def _concatenate(parts: Sequence[Gaussian], dim: int = 0) -> Gaussian:
 
 
 def _pad(x: Gaussian, pad: Sequence[int], mode: str = "constant", value: Any = None) -> Gaussian:
-    """Put certain values around, or move some there."""
+    """Pad by certain values, or by values of the input."""
     return Gaussian(F.pad(x.mean, pad, mode, value), F.pad(x.variance, pad, mode))
 
 

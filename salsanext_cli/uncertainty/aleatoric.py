@@ -14,11 +14,11 @@ from salsanext_cli.records import Float, RangeImage
 from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.uncertainty.adf import Gaussian
 
-COPIES = 8  # Noisy copies of a scan; 8 rank pixels as 256 do (correlation 0.97)
+COPIES = 8  # Noisy copies of a scan; 8 rank pixels like 256 (correlation 0.97)
 
 
 def _along_ray(channels: Float) -> Float:
-    """Return the change (4, H, W) of range, x, y, z by a metre of range; 0 of empty pixels."""
+    """Return the change (4, H, W) of range, x, y, z per metre of range; 0 for empty pixels."""
     occupied = channels[0] > 0
     change = np.zeros_like(channels[:4])
     change[0] = occupied
@@ -27,7 +27,7 @@ def _along_ray(channels: Float) -> Float:
 
 
 def noisy_copies(image: RangeImage, sensor: Sensor, seed: int) -> Iterator[Float]:
-    """Yield channels (5, H, W) float32 without end, each pixel moved along its ray by its noise."""
+    """Yield channels (5, H, W) float32 endlessly, with the noise of the sensor along each ray."""
     range_noise, intensity_noise = noise_of(sensor)
     random = np.random.default_rng(seed)
     occupied, step = image.channels[0] > 0, _along_ray(image.channels)
@@ -40,7 +40,7 @@ def noisy_copies(image: RangeImage, sensor: Sensor, seed: int) -> Iterator[Float
 
 
 def input_variance(channels: Float, sensor: Sensor) -> Float:
-    """Return the variance (5, H, W) float32 that channels (5, H, W) have when normalised."""
+    """Return the variance (5, H, W) float32 of normalised channels (5, H, W)."""
     range_noise, intensity_noise = noise_of(sensor)
     deviations = np.zeros_like(channels)
     deviations[:4] = _along_ray(channels)
@@ -51,14 +51,14 @@ def input_variance(channels: Float, sensor: Sensor) -> Float:
 
 
 def noise_variance(network: Network, image: RangeImage, seed: int) -> Float:
-    """Return the variance (C, H, W) of the softmax over noisy copies, without bias."""
+    """Return the unbiased variance (C, H, W) of the softmax over noisy copies."""
     copies = islice(noisy_copies(image, network.sensor, seed), COPIES)
     moments = network.backend.spread(map(network.input, copies), network.merging)
     return (moments.variance() * (COPIES / (COPIES - 1))).astype(np.float32)
 
 
 def aleatoric(network: Network, image: RangeImage) -> Float:
-    """Return the variance (C, H, W) of the softmax from noise of the input, by one pass."""
+    """Return the variance (C, H, W) of the softmax by assumed density filtering."""
     filled = with_filled_gaps(image.channels, network.sensor, network.card.sensor)
     variance = input_variance(filled, network.sensor)[None]
     mean = network.input(image.channels)
@@ -68,6 +68,6 @@ def aleatoric(network: Network, image: RangeImage) -> Float:
 
 
 def _moments(module: SegmentationNetwork, mean: Tensor, variance: Tensor) -> tuple[Tensor, Tensor]:
-    """Return mean and variance of the logits from those of the input, (B, 5, H, W)."""
+    """Return mean and variance of the logits from mean and variance (B, 5, H, W) of the input."""
     logits: Gaussian = module(Gaussian(mean, variance))
     return logits.mean, logits.variance

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Features of a point that tell how likely its label is wrong, from a single pass of the network.
+"""Features of a point that predict the error of its label, from a single pass of the network.
 
-They hold no class, so that they mean the same for any classes. All but the height mean the same
-for any sensor.
+They are independent of the classes, and all but the height of the sensor.
 """
 
 import numpy as np
@@ -17,14 +16,16 @@ from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.records import Float, Int, Mask, RangeImage
 
 ROWS, COLUMNS, STEP = 4, 8, 2
-"""Pixels of the window on each side, of which every second row and column counts."""
-NEAR_M, NEAR_SHARE = 1.0, 0.05  # Ranges of one surface differ less, or by less than this share
-COST = 8  # Time that a window takes, in those of a point's projection
+"""Rows and columns of the window on each side, and the step between them."""
+NEAR_M, NEAR_SHARE = 1.0, 0.05  # Ranges of one surface differ by less, in metres or relatively
+COST = 8  # Time of a window relative to the projection of a point
 
 
 def label_support(image: RangeImage, probabilities: Float, labels: TrainIds, pixels: Int) -> Float:
-    """Return the mean probability (M,) of labels (M,) around pixels (M,) at their range."""
-    # Every second row and column of 9 × 17 pixels; in a narrower image a column may count twice.
+    """Return the mean probability (M,) of labels (M,) around pixels (M,) at their range.
+
+    The window has every second row and column of 9 × 17 pixels; narrow images repeat columns.
+    """
     ranges, softmax = argument(image.channels[0], np.float32), argument(probabilities, np.float32)
     labels, pixels = argument(labels, np.uint8), argument(pixels, np.int32)
     support = np.empty(len(labels), np.float32)
@@ -40,38 +41,39 @@ def label_support(image: RangeImage, probabilities: Float, labels: TrainIds, pix
 def mean_in_windows(
     ranges: Float, probabilities: Float, labels: TrainIds, pixels: Int, support: Float
 ) -> None:
-    """Write what `label_support` returns."""
+    """Write the result of `label_support`."""
     height, width = ranges.shape
     # A table: a division for each pixel of a window would take longer than the rest.
     columns = np.arange(-COLUMNS, width + COLUMNS) % width
     for i in range(len(labels)):
         v, u = pixels[i] // width, pixels[i] % width
-        own, of_label = ranges[v, u], probabilities[labels[i]]
-        most = max(NEAR_M, NEAR_SHARE * own)
+        centre, of_label = ranges[v, u], probabilities[labels[i]]
+        most = max(NEAR_M, NEAR_SHARE * centre)
         count, total = 0, 0.0
         for row in range(v - ROWS, v + ROWS + 1, STEP):
             if 0 <= row < height:
                 for column in columns[u : u + 2 * COLUMNS + 1 : STEP]:
-                    if ranges[row, column] > 0 and abs(ranges[row, column] - own) <= most:
+                    if ranges[row, column] > 0 and abs(ranges[row, column] - centre) <= most:
                         count += 1
                         total += of_label[row, column]
         support[i] = total / count
 
 
 def region_means(image: RangeImage, classes: TrainIds, values: Float) -> Float:
-    """Return the mean (H, W) of a value over the region that each pixel belongs to."""
-    # A region is of occupied pixels of one class, each beside the next, in eight directions, or the
-    # next but one in its row or column. Regions go on around the image. Empty pixels keep their
-    # own.
+    """Return the mean (H, W) of a value over the region of each pixel; empty pixels are unchanged.
+
+    A region consists of occupied pixels of one class. Neighbours are adjacent, also diagonally and
+    around the image, or have one pixel of their row or column in between.
+    """
     means = np.empty(values.shape, np.float32)
-    given = argument(classes, np.uint8), argument(values, np.float32)
-    mean_of_regions(argument(image.channels[0] > 0, np.bool_), *given, means)
+    occupied = argument(image.channels[0] > 0, np.bool_)
+    mean_of_regions(occupied, argument(classes, np.uint8), argument(values, np.float32), means)
     return means
 
 
 @compiled
 def mean_of_regions(occupied: Mask, classes: TrainIds, values: Float, means: Float) -> None:
-    """Write what `region_means` returns: a union-find over the pixels, the lowest is the root."""
+    """Write the result of `region_means`, by union-find with the lowest pixel as the root."""
     height, width = occupied.shape
     parent = np.arange(height * width)
     for v in range(height):
@@ -105,12 +107,12 @@ FEATURES = (
     "log range",
     "height above the sensor",
 )
-NEAREST_M = 0.5  # Ranges are no less in logarithms
+NEAREST_M = 0.5  # Lower bound of ranges in logarithms
 
 
 def error_features(image: RangeImage, probabilities: Float, labels: TrainIds) -> Float:
     """Return the features of points, (N, 9) float32, NaN without a pixel; labels after kNN."""
-    # Most points have the label of their pixel: described once per pixel, the others on their own.
+    # Most points have the label of their pixel and are described once per pixel, others alone.
     classes, table = _of_pixels(image, probabilities)
     features = np.empty((len(labels), len(FEATURES)), np.float32)
     differs = np.empty(len(labels), bool)
@@ -124,9 +126,9 @@ def error_features(image: RangeImage, probabilities: Float, labels: TrainIds) ->
 
     parallel_for_slices(gather, len(labels))
     other = np.flatnonzero(differs & (image.pixel_of_point >= 0))
-    own, pixels = labels[other], image.pixel_of_point[other]
-    features[other, 0] = probabilities.reshape(len(probabilities), -1)[own, pixels]
-    features[other, 4] = label_support(image, probabilities, own, pixels)
+    other_labels, pixels = labels[other], image.pixel_of_point[other]
+    features[other, 0] = probabilities.reshape(len(probabilities), -1)[other_labels, pixels]
+    features[other, 4] = label_support(image, probabilities, other_labels, pixels)
     features[image.pixel_of_point < 0] = np.nan
     return features
 
@@ -135,10 +137,10 @@ def _of_pixels(image: RangeImage, probabilities: Float) -> tuple[TrainIds, Float
     """Return the class of each pixel, (H · W,), and features of its nearest point, (H · W, 9)."""
     largest, second = np.zeros((2, *probabilities.shape[1:]), np.float32)
     classes = np.zeros(largest.shape, np.uint8)
-    for train_id, each in enumerate(probabilities):
-        np.copyto(classes, train_id, where=each > largest)
-        np.maximum(second, np.minimum(largest, each), out=second)
-        np.maximum(largest, each, out=largest)
+    for train_id, of_class in enumerate(probabilities):
+        np.copyto(classes, train_id, where=of_class > largest)
+        np.maximum(second, np.minimum(largest, of_class), out=second)
+        np.maximum(largest, of_class, out=largest)
     table = np.zeros((classes.size, len(FEATURES)), np.float32)
     table[:, 0] = table[:, 1] = largest.reshape(-1)
     table[:, 2] = (largest - second).reshape(-1)
@@ -157,22 +159,22 @@ def _log_range(metres: Float) -> Float:
 
 
 def knows_error(network: Network) -> bool:
-    """Say whether weights have a model of errors by these features for the classes of results."""
+    """Return whether weights have an error model of these features and of the result's classes."""
     model = network.card.error
     return model is not None and model.features == FEATURES and network.merging is None
 
 
 def error_model(network: Network) -> ErrorModel:
-    """Return the model of errors of weights."""
+    """Return the error model of weights."""
     model, weights = network.card.error, network.backend.name
-    hint = "`salsanext tune error DATASET WEIGHTS_OUT` fits one to labelled scans"
+    hint = "fit one to labelled scans with `salsanext tune error DATASET WEIGHTS_OUT`"
     if model is None:
-        raise WeightsError(weights, "no probability of errors", "weights with one", hint)
+        raise WeightsError(weights, "has no error model", hint=hint)
     if model.features != FEATURES:
-        raise WeightsError(weights, "errors by other features", ", ".join(FEATURES), hint)
+        raise WeightsError(weights, "has an error model of other features", hint=hint)
     if network.merging is not None:
-        found = "the probability of errors is of labels before merging"
-        raise UsageError("--classes", found, "the classes of the weights")
+        problem = "the error model does not cover merged classes"
+        raise UsageError("--classes", problem, "the classes of the weights")
     return model
 
 

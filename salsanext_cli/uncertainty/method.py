@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Methods of estimating uncertainty, and their numbers."""
+"""Method of estimating uncertainty."""
 
 from dataclasses import dataclass, replace
 
@@ -20,31 +20,40 @@ ALEATORIC_METHODS = ("copies", "paper", "none")
 
 @dataclass(frozen=True, slots=True)
 class UncertaintyMethod:
-    """Way of estimating uncertainty, and its numbers."""
+    """Method of estimating uncertainty.
 
-    samples: int = 30  # Passes of Monte-Carlo dropout per scan, at least 2; the paper's number
-    seed: int = 0  # A scan's masks and noise depend on this, its sequence and its name only
-    # {"copies", "paper", "none"}: the sensor's noise: by passes over noisy copies of the scan, or
-    # carried through the network by assumed density filtering; or no aleatoric uncertainty
+    Attributes
+    ----------
+    samples : int
+        Passes of Monte-Carlo dropout per scan, at least 2; default: the paper's number.
+    seed : int
+        Masks and noise of a scan depend only on this seed and on sequence and name of the scan.
+    aleatoric : {"copies", "paper", "none"}
+        Effect of the sensor's noise: by passes over noisy copies of the scan, by assumed density
+        filtering, or not estimated.
+    """
+
+    samples: int = 30
+    seed: int = 0
     aleatoric: str = "copies"
 
     def __post_init__(self) -> None:
         if self.aleatoric not in ALEATORIC_METHODS:
-            raise UsageError("--aleatoric", str(self.aleatoric), ", ".join(ALEATORIC_METHODS))
+            raise UsageError("--aleatoric", self.aleatoric, " or ".join(ALEATORIC_METHODS))
         require_samples(self.samples)
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """Kinds of uncertainty that are estimated."""
+        """Kinds of uncertainty that `estimate` returns."""
         return (*EPISTEMIC_KINDS, *ALEATORIC_KINDS) if self.is_noisy else EPISTEMIC_KINDS
 
     @property
     def is_noisy(self) -> bool:
-        """True if the noise of the sensor counts."""
+        """Whether the noise of the sensor is needed."""
         return self.aleatoric != "none"
 
     def require(self, network: Network) -> None:
-        """Raise what `estimate` raises, before any scan is read."""
+        """Raise the errors of `estimate`, before any scan is read."""
         require_dropout(network.module)
         if self.is_noisy:
             noise_of(network.sensor)
@@ -55,7 +64,7 @@ class UncertaintyMethod:
         estimate = sample(network, image, samples=self.samples, seed=seed)
         if not self.is_noisy:
             return estimate
-        of_copies = self.aleatoric == "copies"
-        noise = noise_variance(network, image, seed) if of_copies else aleatoric(network, image)
-        own = replace(estimate.uncertainty, aleatoric=noise.mean(axis=0))
-        return replace(estimate, uncertainty=own)
+        by_copies = self.aleatoric == "copies"
+        noise = noise_variance(network, image, seed) if by_copies else aleatoric(network, image)
+        uncertainty = replace(estimate.uncertainty, aleatoric=noise.mean(axis=0))
+        return replace(estimate, uncertainty=uncertainty)

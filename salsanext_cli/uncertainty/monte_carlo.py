@@ -10,21 +10,20 @@ from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import UsageError
 from salsanext_cli.network.dropout import require_dropout
 from salsanext_cli.records import RangeImage
-from salsanext_cli.uncertainty.estimate import Estimate
+from salsanext_cli.uncertainty.estimate import Estimate, Uncertainty
 
 
 def sample(network: Network, image: RangeImage, *, samples: int, seed: int) -> Estimate:
-    """Run the network with dropout on and batch norm frozen, and sum up the passes.
+    """Estimate by passes of the network with dropout on and batch norm frozen.
 
-    What lies before the first dropout is computed once. Several passes run side by side, and no bit
-    depends on how many. The probabilities of merged classes are added in each pass, before variance
-    and entropy are computed.
+    The layers before the first dropout are computed once. Several passes run in parallel, without
+    influence on any bit. The probabilities of merged classes are added in each pass.
 
     Parameters
     ----------
     network : Network
-        With at least one dropout of a rate above 0. Its temperature is left out: the paper's
-        variance is that of the plain softmax, and ranks errors better.
+        With a dropout rate above 0. Its temperature is ignored: the paper takes the variance of the
+        plain softmax, which ranks errors better.
     image : RangeImage
         One scan.
     samples : int
@@ -32,42 +31,50 @@ def sample(network: Network, image: RangeImage, *, samples: int, seed: int) -> E
     seed : int
         Pass i draws its masks from a generator seeded with `pass_seed(seed, i)`.
 
+    Returns
+    -------
+    Estimate
+
     Raises
     ------
     UsageError
-        If `samples` is below 2: one pass has no variance.
+        If `samples` is below 2.
     WeightsError
-        If the network has no dropout to sample.
+        If the network has no dropout.
     """
     require_sampling(network, samples)
     seeds = [pass_seed(seed, number) for number in range(samples)]
-    given = network.input(image.channels)
-    moments = network.backend.sample(given, seeds, network.merging)
-    mean = moments.mean()
+    moments = network.backend.sample(network.input(image.channels), seeds, network.merging)
+    mean, variance = moments.mean(), moments.variance()
     total = entropy(mean)
     information = np.maximum(total - moments.sum_of_entropies / moments.count, 0)
-    return Estimate.of(mean, moments.variance(), total, information)
+    uncertainty = Uncertainty(
+        epistemic=variance.mean(axis=0).astype(np.float32),
+        entropy=total.astype(np.float32),
+        mutual_information=information.astype(np.float32),
+    )
+    return Estimate(mean.astype(np.float32), variance.astype(np.float32), uncertainty)
 
 
 def require_sampling(network: Network, samples: int) -> None:
-    """Raise what `sample` raises, before any scan is read."""
+    """Raise the errors of `sample`, before any scan is read."""
     require_samples(samples)
     require_dropout(network.module)
 
 
 def require_samples(samples: int) -> None:
-    """Raise `UsageError` for less than two passes."""
+    """Raise `UsageError` for fewer than two passes."""
     if samples < 2:
         raise UsageError("--samples", str(samples), "at least 2: one pass has no variance")
 
 
 def pass_seed(seed: int, number: int) -> int:
-    """Return the seed of one pass; with the sum of its parts, neighbours would share passes."""
+    """Return the seed of one pass; a sum would give neighbouring seeds the same passes."""
     return _hashed(f"{seed}/{number}")
 
 
 def scan_seed(seed: int, sequence: str, stem: str) -> int:
-    """Return the seed of one scan, whatever the order in which scans are worked on."""
+    """Return the seed of one scan, which does not depend on the order of scans."""
     return _hashed(f"{seed}/{sequence}/{stem}")
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Scan as the network sees it: described by features and uncertainty, or labelled."""
+"""Description of a scan by features and uncertainty of the network."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,28 +20,27 @@ from salsanext_cli.uncertainty.monte_carlo import sample
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScanDescription:
-    """Means over the pixels of a scan that hold a point."""
+    """Means over the occupied pixels of a scan."""
 
     file: ScanFile
-    # (D,) float64: of the layer before the logits, without dropout; 32 in SalsaNext
-    features: Double
-    uncertainty: float  # Mutual information of label and weights, nats
+    features: Double  # (D,) float64: input of the last layer, without dropout; 32 in SalsaNext
+    uncertainty: float  # Mutual information of label and weights in nats
     check: ScanCheck  # Reasons to doubt the scan
 
 
 @dataclass(frozen=True, slots=True)
 class DescribeJob:
-    """Job that describes scans by what a network makes of them."""
+    """Job that describes scans, with `samples` passes of dropout."""
 
     network: Network
-    samples: int  # Passes of dropout
+    samples: int
     seed: int
 
     def prepare(self, file: ScanFile) -> PreparedScan:
         """Read, check and project a scan."""
         scan = prepared_for(self.network, file)
         if not (scan.projected.image.point_of_pixel >= 0).any():
-            raise FormatError(file.path, "no point is in view of the sensor", "a scan with points")
+            raise FormatError(file.path, "has no point in the field of view of the sensor")
         return scan
 
     def compute(self, scans: Sequence[PreparedScan]) -> list[tuple[Float, Float]]:
@@ -49,21 +48,20 @@ class DescribeJob:
         return [self._compute(*scan) for scan in scans]
 
     def _compute(
-        self, projected: ProjectedScan, network: Network, given: Float
+        self, projected: ProjectedScan, network: Network, image: Float
     ) -> tuple[Float, Float]:
-        features = pixel_features(network, given)
-        # The masks of dropout are the same for every scan: between masks the mutual information
-        # varies more than between scans of one drive.
+        # Every scan has the same masks of dropout, because the mutual information varies more
+        # between masks than between scans of one drive.
         estimate = checked_sample(projected, network, self.samples, self.seed)
-        return features, estimate.uncertainty.mutual_information
+        return pixel_features(network, image), estimate.uncertainty.mutual_information
 
     def finish(self, scan: PreparedScan, computed: tuple[Float, Float]) -> ScanDescription:
-        """Return the means over the pixels with a point."""
-        (projected, network, _), (of_pixels, information) = scan, computed
-        filled = projected.image.point_of_pixel >= 0
-        features = of_pixels[:, filled].mean(axis=1, dtype=np.float64)
+        """Return the means over the occupied pixels."""
+        (projected, network, _), (features_of_pixel, information) = scan, computed
+        occupied = projected.image.point_of_pixel >= 0
+        features = features_of_pixel[:, occupied].mean(axis=1, dtype=np.float64)
         network.backend.require_finite(features, projected.file.path)
-        mean = float(information[filled].mean(dtype=np.float64))
+        mean = float(information[occupied].mean(dtype=np.float64))
         return ScanDescription(projected.file, features, mean, projected.check)
 
 
@@ -74,9 +72,9 @@ def checked_sample(projected: ProjectedScan, network: Network, samples: int, see
     return estimate
 
 
-def pixel_features(network: Network, given: Float) -> Float:
+def pixel_features(network: Network, image: Float) -> Float:
     """Return the features (D, H, W) float32 of an input (1, 5, H, W), without dropout."""
-    (features,) = network.backend.run("features", _decoded, given)
+    (features,) = network.backend.run("features", _decoded, image)
     return features[0].float().cpu().numpy()
 
 

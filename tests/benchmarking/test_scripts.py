@@ -72,7 +72,7 @@ SLOW_RUNS = {
         *("export-ply", "uncertainty, 2 passes"),
     ),
     "pipeline.py data 1 w.safetensors": ("round 0", "6 scans"),
-    "training_speed.py data --sensor tiny.toml --architecture salsanet --turns 1": (
+    "training_speed.py data --sensor tiny.toml --architecture salsanext --turns 1": (
         *("loss of the same batch", "data", "book-keeping", "step", "ours is "),
     ),
     "other_sensors.py --sensors vlp16 --weights w.safetensors": ("vlp16",),

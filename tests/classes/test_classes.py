@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Label spaces, and classes merged into fewer: derived from raw ids, nonsense refused."""
+"""Label spaces, and the merging of classes."""
 
 import json
 
@@ -76,13 +76,13 @@ def test_instance_bits_are_dropped_and_shapes_kept(raw, instance):
     np.testing.assert_array_equal(train, np.full((2, 3), space.learning_map[raw], np.uint8))
 
 
-def test_unknown_ids_and_train_ids_in_place_of_raw_ids_are_told() -> None:
+def test_unknown_ids_and_train_ids_instead_of_raw_ids_are_errors() -> None:
     raw = np.uint32([10, 7, 7 + (3 << 16), 65535, *[40] * 26, 0])
     space = label_space()
-    with pytest.raises(LabelError, match=r"a\.label: unknown label ids 7 \(2×\), 65535 \(1×\)"):
+    with pytest.raises(LabelError, match=r"a\.label: .* 7 \(2×\), 65535 \(1×\)"):
         space.to_train(raw, source="a.label")
     assert space.to_train(raw, strict=False).tolist() == [1, 0, 0, 0, *[9] * 26, 0]
-    # Few are taken for stray, of many points a tenth.
+    # A few, and up to a tenth of many points, are tolerated.
     assert not space.to_train(raw[1:4], strict=False).any()
     with pytest.raises(LabelError, match=r"7 \(200×\), 65535 \(100×\): 15 % of the labelled po"):
         space.to_train(np.uint32([7] * 200 + [65535] * 100 + [40] * 1700), strict=False)
@@ -91,11 +91,11 @@ def test_unknown_ids_and_train_ids_in_place_of_raw_ids_are_told() -> None:
     assert space.unknown_ids(np.uint32([10])) == {}
     train = space.to_train(np.uint32(sorted(space.learning_map)))
     for strict in (True, False):
-        with pytest.raises(LabelError, match=r"no id above 19: train ids.* write raw ids"):
+        with pytest.raises(LabelError, match=r"train ids.* 19"):
             space.to_train(train.astype(np.uint32), strict=strict)
 
 
-def test_own_space(small):
+def test_another_label_space(small):
     assert small.name == "small"
     assert small.names == ("nothing", "street", "wall")
     assert small.ignored == (True, False, True)
@@ -163,18 +163,18 @@ CAR_AND_STREET = {
 }
 
 
-def test_movable_classes_are_stated_or_those_of_semantic_kittis_raw_ids():
+def test_movable_classes_are_stated_or_by_raw_ids_of_semantic_kitti():
     assert names_of_movable(label_space()) == KITTI_MOVABLE
     assert names_of_movable(label_space("coarse")) == {"vehicle", "person-or-cycle"}
     for space in (label_space(), label_space("coarse")):
-        # Weights and records of before, and the file of the data set, state nothing.
+        # Older weights and records, and the file of the data set, do not state them.
         data = space.to_dict()
         assert "movable" not in data
         assert names_of_movable(LabelSpace.from_dict(data)) == names_of_movable(space)
         data["labels"] = data["labels"] | {15: "Motorrad"}
         renamed = LabelSpace.from_dict(data)
         np.testing.assert_array_equal(renamed.movable, space.movable)
-    # Words of names are no statement.
+    # Words of names do not count.
     own = LabelSpace.from_dict(CAR_AND_STREET)
     assert names_of_movable(own) == set()
     stated = LabelSpace.from_dict(CAR_AND_STREET | {"movable": [3, 1]})
@@ -186,7 +186,7 @@ def test_movable_classes_are_stated_or_those_of_semantic_kittis_raw_ids():
     assert own.differences(stated) == ["movable 1: False ≠ True", "movable 3: False ≠ True"]
 
 
-def test_what_needs_movable_classes_says_how_to_state_them(small):
+def test_options_that_need_movable_classes_have_a_hint(small):
     label_space("coarse").require_movable("--objects")
     with pytest.raises(UsageError) as caught:
         small.require_movable("--objects")
@@ -217,9 +217,9 @@ def test_missing_file_and_folder(tmp_path):
         label_space("semantic-kiti")
     with pytest.raises(UsageError, match="directory"):
         label_space(tmp_path)
-    # Which would never end.
+    # It would never end.
     (tmp_path / "zero.yaml").symlink_to("/dev/zero")
-    with pytest.raises(UsageError, match="neither a file"):
+    with pytest.raises(UsageError, match="regular file"):
         label_space(tmp_path / "zero.yaml")
 
 
@@ -278,13 +278,13 @@ def test_coarse_has_seven_classes_of_all_raw_ids_of_semantic_kitti():
     assert COARSE.to_train(raw).tolist() == list(range(8))
     # The colours are those of the benchmark's class of that raw id.
     np.testing.assert_array_equal(COARSE.colours, FULL.colours[FULL.to_train(raw)])
-    # Things that move, or that have no class of their own in the benchmark.
+    # Moving classes, and raw ids without a class in the benchmark.
     assert COARSE.to_train(np.uint32([252, 254, 259, 13, 16, 52, 60, 1, 99])).tolist() == [
         *(1, 2, 1, 1, 1, 4, 3, 0, 0)
     ]
 
 
-def test_classes_go_where_their_raw_ids_do():
+def test_raw_ids_determine_the_merged_classes():
     merging = ClassMerging.between(FULL, COARSE)
     groups = [" ".join(FULL.names[i] for i in group) for group in merging.groups]
     assert dict(zip(COARSE.names, groups, strict=True)) == MERGED
@@ -292,11 +292,11 @@ def test_classes_go_where_their_raw_ids_do():
 
 
 @given(st.lists(st.integers(0, 6), min_size=19, max_size=19), st.integers(0, 2**32 - 1))
-def test_sums_are_those_of_a_slow_loop_and_keep_the_total(targets, seed):
+def test_sums_are_those_of_a_slow_loop(targets, seed):
     targets = [0, *targets]
     merged = space_of(targets, 7)
     if len({*targets[1:]} - {0}) < 2:
-        assert "become" in contradiction(FULL, merged)
+        assert "all 20 classes" in contradiction(FULL, merged)
         return
     merging = ClassMerging.between(FULL, merged)
     assert list(merging.targets) == targets
@@ -319,7 +319,7 @@ ONE_CLASS = {
 }
 NO_MERGING = [
     ONE_CLASS,
-    # The raw id that stands for a class is none that labels have.
+    # Labels lack the raw id of a class.
     ONE_CLASS | {"learning_map": {0: 0, 252: 1}},
     FULL.to_dict() | {"learning_ignore": {i: i != 1 for i in range(20)}},
 ]
@@ -350,44 +350,40 @@ def test_alternatives_are_those_of_the_merged_classes(targets, others):
         if len(classes) > 1:
             expected[raw] = tuple(classes)
     assert merging.space.alternatives == expected
-    told = {70: [targets[FULL.learning_map[70]]]}
-    merged = space_of(targets, 4, learning_alternatives=told)
-    assert ClassMerging.between(own, merged).space.alternatives[70] == tuple(told[70])
+    stated = {70: [targets[FULL.learning_map[70]]]}
+    merged = space_of(targets, 4, learning_alternatives=stated)
+    assert ClassMerging.between(own, merged).space.alternatives[70] == tuple(stated[70])
 
 
-def test_splits_are_those_of_the_other_where_there_are_none():
+def test_splits_are_those_of_the_other_label_space_without_splits():
     targets = [0, *[1] * 8, *[2] * 11]
     assert ClassMerging.between(FULL, space_of(targets)).space.splits == FULL.splits
-    own = {"valid": [3]}
-    assert ClassMerging.between(FULL, space_of(targets, split=own)).space.splits == {
-        "valid": ("03",)
-    }
+    merging = ClassMerging.between(FULL, space_of(targets, split={"valid": [3]}))
+    assert merging.space.splits == {"valid": ("03",)}
 
 
 TWO = [0, *[1] * 8, *[2] * 11]
 
 
-def test_what_is_no_merging_is_refused_in_one_line():
-    for merged, found in (
-        (space_of([0, *[1] * 19]), "all 20 classes become car"),
-        (space_of([0] * 20), "all 20 classes become unlabeled"),
-        (space_of(TWO, learning_ignore={0: True, 2: True}), "become car, road"),
+def test_spaces_that_do_not_merge_classes_are_refused():
+    for merged, problem in (
+        (space_of([0, *[1] * 19]), "20 classes into car"),
+        (space_of([0] * 20), "20 classes into unlabeled"),
+        (space_of(TWO, learning_ignore={0: True, 2: True}), "into car, road"),
         (
             space_of(TWO, learning_map=space_of(TWO).learning_map | {252: 2}),
-            "car is split into car and road",
+            "car into car and road",
         ),
         (
             space_of(TWO, learning_map={0: 0, 10: 1, 40: 2}),
-            r"no raw id 1 \(outlier\), 11 \(bicycle\), 13 \(bus\) and 28 more",
+            r"1 \(outlier\), 11 \(bicycle\), 13 \(bus\) and 28 more",
         ),
         (
             space_of(TWO, labels={i: f"thing {i}" for i in FULL.labels}),
             r"thing 13 for raw id 13 \(bus\)",
         ),
     ):
-        with pytest.raises(UsageError, match=found) as caught:
-            ClassMerging.between(FULL, merged)
-        assert "expected the classes of semantic-kitti, merged" in str(caught.value)
-        assert "\n" not in str(caught.value)
-        with pytest.raises(UsageError, match=found):
-            ClassMerging.needed(FULL, merged)
+        for merge in (ClassMerging.between, ClassMerging.needed):
+            with pytest.raises(UsageError, match=problem) as caught:
+                merge(FULL, merged)
+            assert caught.value.subject == "label space made"

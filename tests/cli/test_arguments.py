@@ -48,7 +48,7 @@ def test_help_lists_the_formats_of_scans():
     (scans,) = (p for p in parsed("predict").params if p.name == "scans")
     listed = re.findall(r" (\.[a-z0-9.]*[a-z0-9])\b", scans.help)
     assert sorted(listed) == sorted((*SCAN_SUFFIXES, *RECORDING_SUFFIXES))
-    assert {".bin.gz", ".bag", ".osf"} <= {*listed}
+    assert {".bin", ".bag", ".osf"} <= {*listed}
 
 
 def test_the_default_weights_have_a_name():

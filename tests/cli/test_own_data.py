@@ -74,7 +74,7 @@ def test_imported_scans_are_listed_and_failed_files_are_errors(run, data, edited
     result = only_json(again)
     (row,) = result["scans"]
     assert row["points"] == 1500 == row["labelled"] + row["unlabelled"]
-    assert (result["stage"], result["kept"], result["failures"]) == ("import-labels", 1, [])
+    assert (result["stage"], result["unchanged"], result["failures"]) == ("import-labels", 1, [])
 
 
 def test_another_label_space_than_that_of_the_data_set_is_wrong_use(run, data, edited):

@@ -30,7 +30,7 @@ COMMANDS = [
     (("pick", "{data}", LONG), 1),
     (("import-labels", LONG, "{data}"), 1),
     (("import-labels", "{done}", LONG), 1),
-    (("import-labels", "{data}", "{data}", "--map", LONG), 2),
+    (("import-labels", "{data}", "{data}", "--map", LONG), 1),
     (("inspect", LONG), 1),
 ]
 

@@ -39,14 +39,14 @@ from salsanext_cli.engines.openvino_backend import OpenVinoBackend
 from salsanext_cli.engines.torch_backend import in_precision
 from salsanext_cli.errors import MissingDependency, UsageError, warn_once
 from salsanext_cli.network.card import WeightsCard
-from salsanext_cli.network.registry import ARCHITECTURES, build
+from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.scan_description import pixel_features
 
 
 @pytest.fixture
 def fresh():
-    """Forget what was found out about this machine, before and after."""
+    """Forget the properties of this machine, before and after."""
     caches = (device.flags, device._openvino_fails, warn_once)
     for cache in caches:
         cache.cache_clear()
@@ -89,8 +89,9 @@ def test_bfloat16_where_the_cpu_multiplies_it(fresh, tmp_path, monkeypatch, flag
     if expected:
         assert choose_precision("bfloat16", "cpu") == "bfloat16"
     else:
-        with pytest.raises(UsageError, match=r"bfloat16 on this CPU \(expected float32\)$"):
+        with pytest.raises(UsageError) as caught:
             choose_precision("bfloat16", "cpu")
+        assert (caught.value.subject, caught.value.expected) == ("--precision", "float32")
 
 
 @pytest.mark.parametrize("capability", [(6, 1), (7, 0), (9, 0)])
@@ -104,8 +105,9 @@ def test_engines():
     assert choose_engine("auto", "cpu") == choose_engine("openvino", "cpu") == "openvino"
     assert choose_engine("torch", "cpu") == choose_engine("auto", "cuda:1") == "torch"
     for name, place in (("openvino", "cuda"), ("onnx", "cpu")):
-        with pytest.raises(UsageError, match="--engine"):
+        with pytest.raises(UsageError) as caught:
             choose_engine(name, place)
+        assert caught.value.subject == "--engine"
 
 
 @pytest.mark.parametrize(
@@ -116,7 +118,7 @@ def test_engines():
         MissingDependency("openvino", "cannot be imported: libfoo.so", hint="install it again"),
     ],
 )
-def test_where_openvino_does_not_start_torch_computes_and_it_is_said_once(
+def test_where_openvino_does_not_start_torch_computes_with_one_warning(
     fresh, monkeypatch, caplog, error
 ):
     def fail():
@@ -124,10 +126,11 @@ def test_where_openvino_does_not_start_torch_computes_and_it_is_said_once(
 
     monkeypatch.setattr(device, "openvino_core", fail)
     assert choose_engine("auto", "cpu") == choose_engine("auto", "cpu") == "torch"
-    assert caplog.text.count("computing with torch, which is slower") == 1
-    assert caplog.text.count("install it again") == 0
-    with pytest.raises(MissingDependency, match="--engine torch"):
+    assert len(caplog.records) == 1
+    with pytest.raises(MissingDependency) as caught:
         choose_engine("openvino", "cpu")
+    assert caught.value.subject == "openvino"
+    assert "--engine torch" in caught.value.hint
 
 
 SIZE = (1, 5, 19, 70)
@@ -135,11 +138,11 @@ SIZE = (1, 5, 19, 70)
 pytestmark = pytest.mark.usefixtures("own_cache")
 
 
-def network(name):
-    """Return a network whose batch norms have statistics of their own."""
+def network():
+    """Return a network with random statistics of batch norm."""
     with torch.random.fork_rng():
         torch.manual_seed(3)
-        module = build({"name": name, "class_count": 20, "dropout": 0.2})
+        module = SalsaNext()
         for layer in module.modules():
             if isinstance(layer, torch.nn.BatchNorm2d):
                 layer.running_mean.normal_(std=0.1)
@@ -156,15 +159,8 @@ def compiled(module, x, **options):
     return Graph(compiled_graph(make, "test", **options))
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(name, marks=() if name == "salsanext" else pytest.mark.slow)
-        for name in sorted(ARCHITECTURES)
-    ],
-)
-def test_every_architecture_in_float32(name):
-    module, x = network(name), images(*SIZE)
+def test_a_graph_in_float32():
+    module, x = network(), images(*SIZE)
     (found,) = compiled(module, x)(x.numpy())
     with torch.inference_mode():
         expected = module.double()(x.double()).numpy()
@@ -173,10 +169,9 @@ def test_every_architecture_in_float32(name):
 
 
 @pytest.mark.skipif(not bfloat16_instructions(), reason="a CPU without bfloat16")
-@pytest.mark.parametrize("name", ["salsanext", pytest.param("rangenet53", marks=pytest.mark.slow)])
-def test_ends_stay_float32_when_the_rest_is_short(name):
+def test_ends_stay_float32_when_the_rest_is_short():
     """By OpenVINO and by torch; a range that was rounded would be metres away."""
-    module, x = network(name), images(1, 5, 16, 64)
+    module, x = network(), images(1, 5, 16, 64)
     short = compiled(module, x, precision="bfloat16")
     with torch.inference_mode():
         by_torch = in_precision(module, torch.bfloat16)(x)
@@ -199,18 +194,15 @@ def test_ends_stay_float32_when_the_rest_is_short(name):
 def test_the_bits_do_not_depend_on_threads_or_streams(precision):
     if precision == "bfloat16" and not bfloat16_instructions():
         pytest.skip("a CPU without bfloat16")
-    module, x = network("salsanext"), images(1, 5, 32, 96)
+    module, x = network(), images(1, 5, 32, 96)
     others = [images(1, 5, 32, 96).flip(axis).numpy() for axis in (2, 3)]
     (expected,) = compiled(module, x, precision=precision)(x.numpy())
     for threads, streams in ((2, 1), (2, 2), (3, 3)):
         run = compiled(module, x, precision=precision, threads=threads, streams=streams)
         assert np.array_equal(run(x.numpy())[0], expected)
-        found = run.each([[image] for image in (others[0], x.numpy(), others[1])] * 3)
-        assert [np.array_equal(outputs[0], expected) for outputs in found] == [
-            False,
-            True,
-            False,
-        ] * 3
+        found = run.in_parallel([[image] for image in (others[0], x.numpy(), others[1])] * 3)
+        equal = [np.array_equal(outputs[0], expected) for outputs in found]
+        assert equal == [False, True, False] * 3
 
 
 @pytest.mark.parametrize(
@@ -224,10 +216,10 @@ def test_computing_threads_are_not_bound_to_cores(threads, streams):
     tasks = Path("/proc/self/task")
     before = {task.name for task in tasks.iterdir()}
     x = images(1, 5, 32, 512)
-    run = compiled(network("salsanext"), x, threads=threads, streams=streams)
+    run = compiled(network(), x, threads=threads, streams=streams)
     found = []
     with ThreadPoolExecutor(1) as pool:
-        computing = pool.submit(run.each, [[x.numpy()]] * 5)
+        computing = pool.submit(run.in_parallel, [[x.numpy()]] * 5)
         while not computing.done():
             for task in {task.name for task in tasks.iterdir()} - before:
                 with suppress(ProcessLookupError):  # it has just ended
@@ -243,10 +235,10 @@ def test_inputs_that_do_not_fit_are_an_error():
     with pytest.raises(RuntimeError):
         run(images(1, 5, 16, 16).numpy())
     with pytest.raises(RuntimeError):
-        run.each([[images(1, 5, 16, 16).numpy()]])
+        run.in_parallel([[images(1, 5, 16, 16).numpy()]])
 
 
-def test_what_was_compiled_once_is_not_made_again(tmp_path, caplog):
+def test_a_compiled_graph_is_read_from_the_cache(tmp_path, caplog):
     module, x = nn.Conv2d(5, 8, 3).eval(), images(1, 5, 16, 32)
     (expected,) = compiled(module, x)(x.numpy())
     (blob,) = tmp_path.rglob("*.blob")
@@ -257,13 +249,13 @@ def test_what_was_compiled_once_is_not_made_again(tmp_path, caplog):
     assert np.array_equal(Graph(compiled_graph(refuse, "test"))(x.numpy())[0], expected)
     with pytest.raises(AssertionError, match="made again"):
         compiled_graph(refuse, "other")
-    # Cut, changed, or of another program: made again, and said.
+    # Cut, changed, or of another program: made again, with a warning.
     content = blob.read_bytes()
     for damaged in (b"", content[:100], content[:-40], content[:5000] + b"\0" + content[5001:]):
         blob.write_bytes(damaged)
         assert np.array_equal(compiled(module, x)(x.numpy())[0], expected)
         assert np.array_equal(Graph(compiled_graph(refuse, "test"))(x.numpy())[0], expected)
-    assert "is damaged: made again" in caplog.text
+    assert caplog.records
 
 
 def test_nothing_is_made_again_where_memory_runs_out(monkeypatch):
@@ -318,8 +310,9 @@ OPERATIONS = {
     "rest": "f2ebf5249d0e2682",
     "moments": "a2dbf455fd256f20",
     "features": "735b08ec6adff7bb",
+    "salsanext": "4e8b2bc6405ed7d7",
 }
-"""Digests of the operations of each graph of a small network, by these libraries."""
+"""Digests of the operations of graphs of a small network and of SalsaNext, by these versions."""
 
 
 def operations(model) -> str:
@@ -351,23 +344,23 @@ def test_the_version_of_graphs_changes_with_them():
     image = project(make_scan(), SMALL)
     card = WeightsCard({}, label_space(), SMALL)
     backend = Recording(lambda: Fixed().eval(), card, (16, 128), sha256="0")
-    network = Network(backend, SMALL)
-    network.probabilities(image)
-    network.logits(image)
-    sample(network, image, samples=2, seed=0)
-    aleatoric(network, image)
-    pixel_features(network, network.input(image.channels))
+    tiny = Network(backend, SMALL)
+    tiny.probabilities(image)
+    tiny.logits(image)
+    sample(tiny, image, samples=2, seed=0)
+    aleatoric(tiny, image)
+    pixel_features(tiny, tiny.input(image.channels))
+    made["salsanext"] = operations(converted(SalsaNext(), lambda m, x: m(x), [images(*SIZE)]))
     versions = (openvino.__version__.partition("-")[0], torch.__version__.partition("+")[0])
     if versions != OPERATIONS_BY:
         pytest.skip("other versions of the libraries, which are part of the key too")
-    # Where this differs, raise the version and put in the digests that are there now.
+    # If this differs, raise the version, and write down the new digests.
     assert (GRAPH_VERSION, made) == (1, OPERATIONS)
 
 
 def test_the_layers_of_the_image_and_of_the_logits_are_marked_as_float32():
-    """OpenVINO has read the marks: they are no longer what was written."""
-    module = network("salsanext")
-    softmax = converted(module, lambda m, image: m(image).softmax(dim=1), [images(1, 5, 16, 64)])
+    """OpenVINO replaces the marks that it has read."""
+    softmax = converted(network(), lambda m, image: m(image).softmax(dim=1), [images(1, 5, 16, 64)])
     read = partly_float32(device.openvino_core(), softmax)
     ops = read.get_ordered_ops()
     marked = [op for op in ops if {*op.get_rt_info().keys()} - {"fused_names_0", "precise_0"}]

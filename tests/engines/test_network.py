@@ -105,13 +105,14 @@ def test_threads_may_share_a_network(weights):
 
 
 def test_weights_that_are_replaced_before_they_are_needed_are_refused(tmp_path):
-    """Their graph would be kept under the name of the others for ever."""
+    """Otherwise the cache would store their graph under the name of the others."""
     path = write_weights(tmp_path / "w.safetensors", seed=11)
     network = load_network(path, "cpu", engine="openvino")
     vars(network.backend).pop("module", None)
     write_weights(path, seed=12)
-    with pytest.raises(WeightsError, match="replaced since the run began"):
+    with pytest.raises(WeightsError) as caught:
         _ = network.module
+    assert caught.value.subject == str(path)
 
 
 COARSE = label_space("coarse")
@@ -199,5 +200,6 @@ def test_groups_of_one_class_change_nothing_and_empty_ones_are_impossible():
 def test_other_classes_are_refused(weights):
     small = {"labels": {0: "no", 10: "yes"}, "learning_map": {0: 0, 10: 1}}
     space = type(COARSE).from_dict({**small, "learning_map_inv": {0: 0, 1: 10}, "name": "small"})
-    with pytest.raises(UsageError, match="label space small: no raw id 1"):
+    with pytest.raises(UsageError) as caught:
         load_network(weights, "cpu", classes=space)
+    assert "small" in caught.value.subject

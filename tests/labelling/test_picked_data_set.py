@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Settings of `pick`, and poses that go with picked scans."""
+"""Settings of `pick`, and poses of picked scans."""
 
 import pytest
 from scans import write_sequence
@@ -18,16 +18,14 @@ from salsanext_cli.results.settings import StageSettings
         (("000001", "000002"), 9, None),
     ],
 )
-def test_poses_whose_names_may_count_from_0_or_1_are_left_out(
-    tmp_path, caplog, stems, lines, picked
-):
+def test_poses_with_ambiguous_names_are_skipped(tmp_path, caplog, stems, lines, picked):
     folder = tmp_path / "data/sequences/08"
     write_sequence(folder, stems, labels=False)
     (folder / "poses.txt").write_text("".join(f"line {n}\n" for n in range(lines)))
     PickedDataSet(tmp_path / "out").write_poses(find_scans(tmp_path / "data"))
     target = tmp_path / "out/sequences/08/poses.txt"
     assert (target.read_text() if target.exists() else None) == picked
-    assert ("poses are left out" in caplog.text) == (picked is None)
+    assert ("poses.txt: " in caplog.text) == (picked is None)
 
 
 def test_the_settings_are_one_table_with_those_of_the_network():

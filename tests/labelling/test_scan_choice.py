@@ -11,7 +11,7 @@ from salsanext_cli.labelling.scan_choice import choose_scans, standardised
 
 
 def pool(scans: int, seed: int, features: int = 5) -> tuple[np.ndarray, np.ndarray]:
-    """Return features of very different scales, in clusters as drives make them, and weights."""
+    """Return clustered features of very different scales, and weights."""
     random = np.random.default_rng(seed)
     centres = random.normal(size=(max(1, scans // 4), features))
     points = centres[random.integers(0, len(centres), scans)]
@@ -65,7 +65,7 @@ def test_the_choice_is_that_of_a_slow_clear_loop(scans, count):
     assert order(features, weights, count) == slow(features, weights, count)
 
 
-def test_what_is_told_of_a_choice():
+def test_a_choice_has_rank_distance_and_nearest_scan():
     features, weights = np.array([[0.0], [1], [4]]), [0.1, 0.3, 0.2]
     first, second, third = choose_scans(features, weights, 3)
     assert (first.scan, first.uncertainty, first.uncertainty_rank) == (1, 0.3, 1)
@@ -106,7 +106,6 @@ def test_labelled_scans_count_as_chosen_and_are_not_chosen_again():
     first = [each.scan for each in choose_scans(features, uncertainty, 4)]
     more = choose_scans(features, uncertainty, 4, labelled=first)
     assert len({each.scan for each in more} - {*first}) == 4
-    # The next of a larger choice, but for the distance that it keeps.
     apart = np.linalg.norm(standardised(features)[more[0].scan] - standardised(features), axis=1)
     assert more[0].distance == pytest.approx(apart[first].min())
     assert more[0].nearest in first

@@ -85,20 +85,19 @@ def test_prefix_and_wrapping_do_not_matter(tmp_path, prefix, wrapped):
 
 
 def test_files_that_are_no_checkpoints(tmp_path):
-    for content, says in (
-        ({"state_dict": {"logits.weight": "text"}}, "no state_dict of tensors"),
-        ({"model": {"x": torch.zeros(1)}}, "no state_dict of tensors"),
-        (
-            {"state_dict": {**FEW, "logits.weight": "text"}},
-            "logits.weight is no plain tensor but str",
-        ),
-        ({"state_dict": {**FEW, "logits.weight": torch.ones(2).to_sparse()}}, "no plain tensor"),
-        ({"state_dict": {**FEW, "logits.weight": Path()}}, "no plain tensor but Ignored"),
-        ({"state_dict": {"unheard.of.weight": torch.zeros(1)}}, "unknown tensor unheard.of.weight"),
+    for content, part in (
+        ({"state_dict": {"logits.weight": "text"}}, "state_dict"),
+        ({"model": {"x": torch.zeros(1)}}, "state_dict"),
+        ({"state_dict": {**FEW, "logits.weight": "text"}}, "logits.weight"),
+        ({"state_dict": {**FEW, "logits.weight": torch.ones(2).to_sparse()}}, "logits.weight"),
+        ({"state_dict": {**FEW, "logits.weight": Path()}}, "logits.weight"),
+        ({"state_dict": {"unheard.of.weight": torch.zeros(1)}}, "unheard.of.weight"),
     ):
         path = save(tmp_path / "SalsaNext", content)
-        with pytest.raises(WeightsError, match=f"SalsaNext: .*{says}"):
+        with pytest.raises(WeightsError) as caught:
             read_published(path)
+        assert caught.value.subject == str(path)
+        assert part in caught.value.problem
 
 
 FORMS = pytest.mark.parametrize("as_zip", [True, False], ids=["zip", "legacy"])
@@ -142,29 +141,25 @@ def test_nothing_in_a_file_is_run(tmp_path, as_zip):
     proof, path = tmp_path / "touched", tmp_path / "SalsaNext"
     content = {"state_dict": FEW, "x": Touches(proof)}
     torch.save(content, path, _use_new_zipfile_serialization=as_zip)
-    with pytest.raises(WeightsError, match=r"it names posix\.system"):
+    with pytest.raises(WeightsError) as caught:
         read_published(path)
+    assert "posix.system" in caught.value.problem
     assert not proof.exists()
     torch.load(path, weights_only=False)
     assert proof.exists(), "the attack would not have worked"
 
 
-@pytest.mark.parametrize("content", [b"", b"no checkpoint", b"PK\x03\x04", bytes(100), None])
+OTHERS = (b"", b"no checkpoint", b"PK\x03\x04", bytes(100), b"\x08\x08\x12\x07pytorch" * 9, None)
+
+
+@pytest.mark.parametrize("content", OTHERS)
 def test_rubbish_is_refused(tmp_path, content):
     path = tmp_path / "SalsaNext"
     cut_off = save(path, {"state_dict": FEW}).read_bytes()[:-300]
     path.write_bytes(cut_off if content is None else content)
-    with pytest.raises(WeightsError, match=r"SalsaNext: "):
+    with pytest.raises(WeightsError) as caught:
         read_published(path)
-
-
-def test_another_file_is_no_error_of_a_library(tmp_path):
-    for name, hint in (("model.onnx", "give it to --weights"), ("model.h5", "")):
-        (tmp_path / name).write_bytes(b"\x08\x08\x12\x07pytorch" * 9)
-        with pytest.raises(WeightsError, match=r"of another kind \(expected a file of") as caught:
-            import_weights(tmp_path / name, tmp_path / "w.safetensors")
-        assert hint in str(caught.value)
-        assert ("--weights" in str(caught.value)) == bool(hint)
+    assert caught.value.subject == str(path)
 
 
 def test_a_damaged_length_reserves_no_memory(tmp_path):
@@ -172,7 +167,7 @@ def test_a_damaged_length_reserves_no_memory(tmp_path):
     path.write_bytes(b"X\xff\xff\xff\x7f" + bytes(100))
     tracemalloc.start()
     try:
-        with pytest.raises(WeightsError, match="SalsaNext"):
+        with pytest.raises(WeightsError):
             read_published(path)
         assert tracemalloc.get_traced_memory()[1] < 1 << 24
     finally:
@@ -184,7 +179,7 @@ def checkpoint(tmp_path, state):
     return save(tmp_path / "SalsaNext", {"state_dict": state})
 
 
-def test_ours_are_stored_anew_in_half_the_size(weights, tmp_path):
+def test_ours_are_stored_again_in_half_the_size(weights, tmp_path):
     tuned, target = tmp_path / "tuned.safetensors", tmp_path / "half.safetensors"
     save_with_card(weights, tuned, replace(read_card(weights), temperature=1.75))
     card = import_weights(tuned, target, half=True, description="halved")
@@ -193,28 +188,30 @@ def test_ours_are_stored_anew_in_half_the_size(weights, tmp_path):
     assert read_card(target).to_metadata() == card.to_metadata()
 
 
-def test_a_target_that_exists_is_kept_unless_overwriting(checkpoint, tmp_path):
+def test_an_existing_target_is_replaced_only_by_overwriting(checkpoint, tmp_path):
     target = tmp_path / "w.safetensors"
     target.write_bytes(b"precious")
-    with pytest.raises(OutputError, match="exists"):
-        import_weights(checkpoint, target)
-    with pytest.raises(OutputError, match=r"suffix \.pt \(expected \.safetensors"):
-        import_weights(checkpoint, tmp_path / "w.pt")
+    for refused in (target, tmp_path / "w.pt"):
+        with pytest.raises(OutputError) as caught:
+            import_weights(checkpoint, refused)
+        assert caught.value.subject == str(refused)
     assert target.read_bytes() == b"precious"
     import_weights(checkpoint, target, overwrite=True)
     assert read_weights(target)
 
 
 def test_a_checkpoint_without_usable_outputs_is_refused(tmp_path, state):
-    for bias, says in (
-        ({"logits.bias": torch.ones(5)}, "5 outputs (expected 20, one per class"),
-        ({"logits.bias": torch.tensor(3.0)}, "outputs"),
-        ({}, "outputs"),
+    for bias, outputs in (
+        ({"logits.bias": torch.ones(5)}, 5),
+        ({"logits.bias": torch.tensor(3.0)}, 1),
+        ({}, 0),
     ):
         others = {name: tensor for name, tensor in state.items() if name != "logits.bias"}
         path = save(tmp_path / "SalsaNext", {"state_dict": others | bias})
-        with pytest.raises(WeightsError, match=says):
+        with pytest.raises(WeightsError) as caught:
             import_weights(path, tmp_path / "w.safetensors")
+        assert f" {outputs} " in caught.value.problem
+        assert caught.value.expected.startswith("20")
 
 
 # The published weights, against outputs of the published implementation

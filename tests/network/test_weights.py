@@ -43,12 +43,12 @@ def module(shallow):
 
 
 def rewritten(source, target, change):
-    """Copy a weights file with what its card says and its tensors changed."""
+    """Copy a weights file with changed metadata and tensors."""
     with safetensors.safe_open(source, framework="pt") as file:
-        said = json.loads(file.metadata()[KEY])
+        metadata = json.loads(file.metadata()[KEY])
     tensors = safetensors.torch.load_file(source)
-    change(said, tensors)
-    target.write_bytes(safetensors.torch.save(tensors, {KEY: json.dumps(said)}))
+    change(metadata, tensors)
+    target.write_bytes(safetensors.torch.save(tensors, {KEY: json.dumps(metadata)}))
     return target
 
 
@@ -73,7 +73,7 @@ def test_round_trip_keeps_every_bit(module, tmp_path):
 
 
 def test_equal_weights_give_equal_files(tmp_path):
-    """Several keys of metadata would be written in an order drawn anew each time."""
+    """Several keys of metadata would be written in random order."""
     for number in range(8):
         save_weights(tmp_path / f"{number}.safetensors", torch.nn.BatchNorm1d(1), CARD)
     assert len({path.read_bytes() for path in tmp_path.iterdir()}) == 1
@@ -148,63 +148,63 @@ DAMAGED = {
 
 @pytest.mark.parametrize(("key", "value"), [(k, v) for k, each in DAMAGED.items() for v in each])
 def test_damaged_metadata_is_an_error_of_the_file(weights, tmp_path, key, value):
-    def change(said, tensors):
+    def change(metadata, _):
         if value is None:
-            del said[key]
+            del metadata[key]
         else:
-            said[key] = json.loads(value)
+            metadata[key] = json.loads(value)
 
     path = rewritten(weights, tmp_path / "w.safetensors", change)
     with pytest.raises(WeightsError) as caught:
         read_weights(path)
     assert caught.value.subject == str(path)
-    assert "\n" not in str(caught.value)
+    assert "\n" not in caught.value.headline
 
 
 def test_the_version_that_wrote_weights_need_not_be_known(weights, tmp_path):
-    read_weights(
-        rewritten(weights, tmp_path / "w.safetensors", lambda said, _: said.pop("version"))
-    )
+    read_weights(rewritten(weights, tmp_path / "w.safetensors", lambda m, _: m.pop("version")))
 
 
 def test_tensors_that_do_not_fit_are_named(weights, tmp_path):
-    for change, says in (
-        (lambda _, t: t.pop("logits.bias"), r"lacks 1 tensors, such as logits\.bias"),
-        (lambda _, t: t.update(spare=torch.zeros(1)), "1 unknown tensors, such as spare"),
-        (lambda _, t: t.update(bias(3)), r"logits\.bias is \(3,\).*\(20,\)"),
-        (lambda _, t: t["logits.bias"].fill_(torch.nan), r"logits\.bias holds .* not finite"),
-        (lambda _, t: t["logits.weight"].view(-1)[5:6].fill_(torch.inf), "not finite"),
-        (lambda _, t: t.update(bias(20, torch.float64)), r"bias holds .* not finite"),
-        (lambda _, t: t.update(bias(20, torch.float8_e5m2)), r"bias is of torch\.float8"),
-        (lambda _, t: t.update(bias(20, torch.complex64)), r"bias is of torch\.complex64"),
-        (lambda _, t: t["block1.stack.fuse.2.running_var"][:1].fill_(-1e-6), "variances below 0"),
-        (lambda m, _: m.clear(), "lacks what salsanext writes"),
+    variance = "block1.stack.fuse.2.running_var"
+    for change, name in (
+        (lambda _, t: t.pop("logits.bias"), "logits.bias"),
+        (lambda _, t: t.update(spare=torch.zeros(1)), "spare"),
+        (lambda _, t: t.update(bias(3)), "logits.bias"),
+        (lambda _, t: t["logits.bias"].fill_(torch.nan), "logits.bias"),
+        (lambda _, t: t["logits.weight"].view(-1)[5:6].fill_(torch.inf), "logits.weight"),
+        (lambda _, t: t.update(bias(20, torch.float64)), "logits.bias"),
+        (lambda _, t: t.update(bias(20, torch.complex64)), "logits.bias"),
+        (lambda _, t: t[variance][:1].fill_(-1e-6), variance),
+        (lambda m, _: m.clear(), "salsanext"),
     ):
         path = rewritten(weights, tmp_path / "w.safetensors", change)
-        with pytest.raises(WeightsError, match=says) as caught:
+        with pytest.raises(WeightsError) as caught:
             read_weights(path)
         assert caught.value.subject == str(path)
+        assert name in caught.value.problem
 
 
-def test_metadata_of_another_form_are_refused(tmp_path):
-    for metadata, says in (
-        (None, "lacks what salsanext writes"),
-        ({"format": "salsanext-1"}, "lacks what salsanext writes"),
-        ({KEY: "{"}, "damaged"),
-        ({KEY: "[]"}, "salsanext is no table"),
-        ({KEY: ""}, "damaged"),
-    ):
-        path = tmp_path / "w.safetensors"
-        path.write_bytes(safetensors.torch.save({"a": torch.zeros(1)}, metadata))
-        with pytest.raises(WeightsError, match=says):
-            read_card(path)
+@pytest.mark.parametrize(
+    "metadata", [None, {"format": "salsanext-1"}, {KEY: "{"}, {KEY: "[]"}, {KEY: ""}]
+)
+def test_metadata_of_another_form_are_refused(tmp_path, metadata):
+    path = tmp_path / "w.safetensors"
+    path.write_bytes(safetensors.torch.save({"a": torch.zeros(1)}, metadata))
+    with pytest.raises(WeightsError) as caught:
+        read_card(path)
+    assert caught.value.subject == str(path)
 
 
-def test_a_missing_file_and_a_folder_are_refused(tmp_path):
-    with pytest.raises(WeightsError, match="no such file"):
-        read_weights(tmp_path / "none.safetensors")
-    with pytest.raises(WeightsError, match=r"a folder: .*\nhint: name the file in it"):
-        read_weights(tmp_path)
+@pytest.mark.parametrize("name", ["none.safetensors", ".", "model.onnx", "rubbish.safetensors"])
+def test_other_files_are_refused(tmp_path, name):
+    for file in ("model.onnx", "rubbish.safetensors"):
+        (tmp_path / file).write_bytes(b"\x08\x08\x12\x07pytorch")
+    with pytest.raises(WeightsError) as caught:
+        read_weights(tmp_path / name)
+    assert caught.value.subject == str(tmp_path / name)
+    assert caught.value.hint
+    assert ("export" in caught.value.hint) == (name == "model.onnx")
 
 
 def layers(*sizes: int):
@@ -271,8 +271,6 @@ def test_a_card_keeps_it() -> None:
     # A card without one is what it was before there were any.
     assert "error" not in json.loads(card(None).to_metadata()[KEY])
     assert WeightsCard.from_metadata(card(None).to_metadata(), "w").error is None
-    # It judges the weights that it was fitted to.
-    assert card(wanted).changed("Quantised.").error is None
 
 
 def test_damaged_ones_are_one_line() -> None:
@@ -286,12 +284,10 @@ def test_damaged_ones_are_one_line() -> None:
     ):
         values = json.loads(card(model()).to_metadata()[KEY])
         damage(values["error"])
-        with pytest.raises(WeightsError, match=r"^w: damaged metadata: ") as caught:
-            WeightsCard.from_metadata({KEY: json.dumps(values)}, "w")
-        assert "\n" not in str(caught.value)
-        values["error"] = None
-        with pytest.raises(WeightsError, match="error is no table"):
-            WeightsCard.from_metadata({KEY: json.dumps(values)}, "w")
+        for error in (values["error"], None):
+            with pytest.raises(WeightsError) as caught:
+                WeightsCard.from_metadata({KEY: json.dumps(values | {"error": error})}, "w")
+            assert caught.value.subject == "w"
 
 
 RISK = {"kind": "error", "threshold": 0.2, "at_most": 0.1, "confidence": None}
@@ -308,5 +304,5 @@ def test_numbers_that_a_statement_rests_on_are_all_there(part, whole) -> None:
     numbers = [name for name in whole if isinstance(whole[name], float)]
     broken += [whole | {name: value} for name in numbers for value in ("x", math.nan, None)]
     for each in broken:
-        with pytest.raises(WeightsError, match="damaged metadata"):
+        with pytest.raises(WeightsError):
             WeightsCard.from_metadata({KEY: json.dumps(values | {part: each})}, "w")

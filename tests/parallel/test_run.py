@@ -13,7 +13,6 @@ from works import Write, run, scans_of
 
 from salsanext_cli.errors import FormatError
 from salsanext_cli.parallel.run import RunOptions, run_over_scans
-from salsanext_cli.parallel.worker import WORKER
 
 LOCAL = pytest.mark.parametrize(
     "options", [{}, {"jobs": 2}, {"jobs": 2, "backend": "threading"}], ids=["1", "2", "threads"]
@@ -21,10 +20,11 @@ LOCAL = pytest.mark.parametrize(
 
 
 @LOCAL
-def test_on_error_stop_raises_what_went_wrong(tmp_path, options):
+def test_on_error_stop_raises_the_error_of_the_scan(tmp_path, options):
     scans = scans_of("a", "bad", *(f"{n:03d}" for n in range(100)))
-    with pytest.raises(FormatError, match="bad"):
+    with pytest.raises(FormatError) as caught:
         run(Write(tmp_path, pause=0.05), scans, **options, on_error="stop")
+    assert caught.value.subject.endswith("bad.bin")
     written = [path.name for path in (tmp_path / "s").iterdir()]
     assert "a" in written or options
     assert len(written) < 50
@@ -32,7 +32,7 @@ def test_on_error_stop_raises_what_went_wrong(tmp_path, options):
 
 
 class Opens(Write):
-    """Note who opens this, and write as opened then."""
+    """Record the process that opens this."""
 
     max_chunk_scans = 16
 
@@ -44,7 +44,7 @@ class Opens(Write):
 
 @LOCAL
 def test_a_task_is_opened_once_by_each_worker_of_a_run(tmp_path, options):
-    # Ctrl-C does not reach processes: who runs them is interrupted too, and ends them.
+    # Ctrl-C does not reach processes, because the process that runs them ends them.
     stems = [*"abcdefg", "ctrl-c" if options == {"jobs": 2} else "h"]
     for sequence in ("first", "second"):
         outcome = run(Opens(tmp_path), scans_of(*stems, sequence=sequence), **options)
@@ -54,10 +54,9 @@ def test_a_task_is_opened_once_by_each_worker_of_a_run(tmp_path, options):
         assert len(opened) == len(set(opened)) <= 2
         if options.get("backend") == "threading" or not options:
             assert opened == [str(os.getpid())]
-    assert WORKER.run == ""
 
 
-def test_what_is_there_is_skipped_unless_overwriting(tmp_path):
+def test_existing_results_are_skipped_unless_overwriting(tmp_path):
     work = Write(tmp_path)
     run(work, scans_of("a", "b"))
     (tmp_path / "s" / "a").write_bytes(b"mine")
@@ -87,7 +86,7 @@ def test_results_can_be_handed_on_as_they_come(tmp_path):
 
 @LOCAL
 def test_an_interruption_leaves_whole_files_only(tmp_path, options):
-    """Workers are killed while they write; what they had begun is removed."""
+    """Workers are killed while they write; partial files are removed."""
     timer = threading.Timer(0.3, lambda: os.kill(os.getpid(), signal.SIGINT))
     count = 0
 
@@ -126,8 +125,8 @@ def peak_of(command, scans, out, weights, count):
     line = [command, scans, out, "--weights", weights, "--limit", count, "-q"]
     words = [sys.executable, "-c", PEAK, *map(str, line)]
     on_cpu = {**os.environ, "CUDA_VISIBLE_DEVICES": ""}
-    said = subprocess.run(words, env=on_cpu, check=True, capture_output=True, text=True).stdout
-    return int(said.splitlines()[-1])
+    printed = subprocess.run(words, env=on_cpu, check=True, capture_output=True, text=True).stdout
+    return int(printed.splitlines()[-1])
 
 
 @pytest.mark.slow

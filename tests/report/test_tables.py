@@ -16,7 +16,7 @@ from salsanext_cli.measures.paired import RunComparison, ScanPair
 from salsanext_cli.measures.scores import class_sums, confusion_matrix, scores
 from salsanext_cli.measures.survey import Survey
 from salsanext_cli.measures.uncertainty_evaluation import UncertaintyEvaluation
-from salsanext_cli.network.complexity import NetworkCosts, PaperFigures
+from salsanext_cli.network.complexity import NetworkCosts
 from salsanext_cli.report.comparison import comparison_tables
 from salsanext_cli.report.picked import picked_table
 from salsanext_cli.report.tables import (
@@ -133,10 +133,7 @@ def tables_of_a_large_data_set(weights):
     models = dict.fromkeys(("confidence", "existing", "error"), of_error)
     yield error_table({"folds": 5, **models})
     yield accepted_table({"person-or-cycle": (MANY, 1000)}, {"person-or-cycle": 0.0008049})
-    field, miou = (543, 543), dict.fromkeys(("miou_pixels", "miou", "miou_test"), "59.5")
-    paper = PaperFigures(field, "", "26.38", "125.68", **miou, determined=False)
-    costs = NetworkCosts("salsanext-v1-context", 26_406_196, 359_710_000_000, field, paper, True)
-    yield network_table([costs])
+    yield network_table([NetworkCosts("salsanext", 6_711_572, 62_297_997_312)])
     described = describe_weights(weights)
     card = replace(described.card, scores={"iou_other-vehicle": 0.5})
     yield card_table(replace(described, card=card))
@@ -156,6 +153,6 @@ def tables_of_a_large_data_set(weights):
 def test_no_table_is_cut_in_a_terminal_of_80_columns(weights):
     text = text_of(*tables_of_a_large_data_set(weights), width=80)
     assert "…" not in text.replace(" … ", "")
-    words = {"mutual_information", "salsanext-v1-context", "person-or-cycle", f"{MANY:,}", "4,071"}
-    words |= {"unlabelled", "117,000", "26,406,196", "(125.68 G)", "other-vehicle"}
+    words = {"mutual_information", "salsanext", "person-or-cycle", f"{MANY:,}", "4,071"}
+    words |= {"unlabelled", "117,000", "6,711,572", "62.30 G", "other-vehicle"}
     assert {word for word in words if word not in text} == set()

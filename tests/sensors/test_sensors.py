@@ -13,7 +13,7 @@ VALID = Sensor("valid", fov_up=3, fov_down=-25, height=64, width=2048)
 
 
 @pytest.mark.parametrize("name", presets())
-def test_presets_bear_their_name_know_their_noise_and_survive_json(name: str) -> None:
+def test_presets_have_a_name_and_noise_and_survive_json(name: str) -> None:
     preset = sensor(name)
     assert preset.name == name
     assert None not in (preset.range_noise, preset.intensity_noise)
@@ -60,46 +60,40 @@ def test_an_excessive_size_is_refused_with_its_memory() -> None:
     assert VALID.resized() == VALID
     assert VALID.resized(height=32) == replace(VALID, height=32)
     assert VALID.resized(width=32768) == replace(VALID, width=32768)
-    with pytest.raises(UsageError) as caught:
+    with pytest.raises(UsageError, match=r"4096×4096 pixels, 16 GB .*expected at most 2097152"):
         VALID.resized(4096, 4096)
-    assert str(caught.value) == (
-        "sensor valid: size 4096×4096, of which an image takes 16 GB in a network"
-        " (expected at most 2097152 pixels, such as 64×32768"
-    )
     with pytest.raises(UsageError, match=r"a number of \d+ bits"):
         VALID.resized(1 << 2000, 1 << 2000)
 
 
 def test_unknown_and_missing_keys() -> None:
-    with pytest.raises(UsageError, match="unknown key fov_upp"):
+    with pytest.raises(UsageError, match="fov_upp"):
         Sensor.from_dict(VALID.to_dict() | {"fov_upp": 3})
-    with pytest.raises(
-        UsageError, match=r"sensor: lacks fov_down, height \(expected a sensor with"
-    ):
+    with pytest.raises(UsageError, match="lacks fov_down, height"):
         Sensor.from_dict({"name": "s", "fov_up": 1, "width": 1})
 
 
-def test_columns_and_origin_belong_to_the_view_where_they_are_told(tmp_path: Path) -> None:
+def test_columns_and_origin_are_written_if_stated(tmp_path: Path) -> None:
     for key, value in (
         ("columns", ("x", "y", "z", "_", "ring", "_")),
         ("origin", (0.9, 0.0, 1.75)),
     ):
-        told = replace(VALID, **{key: value})
-        assert told.view() != VALID.view()
+        stated = replace(VALID, **{key: value})
+        assert stated.view() != VALID.view()
         assert key not in VALID.to_dict()
         assert key not in VALID.to_toml()
-        (tmp_path / "valid.toml").write_text(told.to_toml())
-        assert sensor(tmp_path / "valid.toml") == told
-        assert Sensor.from_dict(json.loads(json.dumps(told.to_dict()))) == told
+        (tmp_path / "valid.toml").write_text(stated.to_toml())
+        assert sensor(tmp_path / "valid.toml") == stated
+        assert Sensor.from_dict(json.loads(json.dumps(stated.to_dict()))) == stated
 
 
 def test_file(tmp_path: Path) -> None:
     path = tmp_path / "mein sensor.toml"
     path.write_text("fov_up = 10\nfov_down = -10.5\nheight = 16\nwidth = 900\n")
-    own = sensor(path)
-    assert own == Sensor("mein sensor", 10, -10.5, 16, 900)
+    read = sensor(path)
+    assert read == Sensor("mein sensor", 10, -10.5, 16, 900)
     path.write_text(path.read_text() + 'name = "eigen"\nmeans = [1, 2, 3, 4, 5]\n')
-    assert sensor(str(path)) == replace(own, name="eigen", means=(1, 2, 3, 4, 5))
+    assert sensor(str(path)) == replace(read, name="eigen", means=(1, 2, 3, 4, 5))
 
 
 @pytest.mark.parametrize(
@@ -113,14 +107,14 @@ def test_bad_files(tmp_path: Path, text: str) -> None:
 
 
 def test_neither_preset_nor_file(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="one of hdl64"):
-        sensor("hdl46")
-    with pytest.raises(UsageError, match=r"s\.toml: no preset and no file of that name"):
-        sensor(tmp_path / "s.toml")
-    with pytest.raises(UsageError, match="cannot be read: is a directory"):
-        sensor(tmp_path)
-    with pytest.raises(UsageError, match="cannot be read: file name too long"):
-        sensor("a" * 300)
+    for name, message in (
+        ("hdl46", "one of hdl64"),
+        (tmp_path / "s.toml", r"s\.toml: no such preset or file"),
+        (tmp_path, "is a directory"),
+        ("a" * 300, "file name too long"),
+    ):
+        with pytest.raises(UsageError, match=message):
+            sensor(name)
 
 
 def test_the_view_is_all_but_name_noise_and_quantiles():
@@ -128,5 +122,5 @@ def test_the_view_is_all_but_name_noise_and_quantiles():
     assert one.view() == replace(one, name="x", range_noise=None, intensity_noise=1.0).view()
     assert one.view() != replace(one, out_of_view="drop").view()
     one = replace(one, intensity_quantiles=(0.0,) * 65, row_gaps=0.2)
-    left_out = {"name", "range_noise", "intensity_noise", "intensity_quantiles", "row_gaps"}
-    assert set(one.to_dict()) - set(one.view()) == left_out
+    others = {"name", "range_noise", "intensity_noise", "intensity_quantiles", "row_gaps"}
+    assert set(one.to_dict()) - set(one.view()) == others

@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from command_line import python
 from scans import (
     SMALL,
     files_below,
     labels_below,
     make_scan,
     replace_points,
-    share_alike,
     write_bin,
     write_sequence,
     write_weights,
@@ -163,8 +163,10 @@ def test_in_three_steps_or_in_one_gives_the_same_bytes(on_openvino, tmp_path):
 
 def test_range_images_of_another_sensor_are_refused_and_damaged_ones_named(world, tmp_path):
     project_scans(world.data, tmp_path / "p", sensor=SMALL.resized(width=64))
-    with pytest.raises(UsageError, match="small, 16×64: width was 64 and is 128"):
+    with pytest.raises(UsageError) as caught:
         predict_range_images(tmp_path / "p", world.out, settings=world.network)
+    assert "64" in caught.value.problem
+    assert "128" in caught.value.problem + caught.value.expected
     project_scans(world.data, world.out, sensor=SMALL)
     path = world.result("range")
     path.write_bytes(path.read_bytes()[:-1])
@@ -196,6 +198,7 @@ def test_logits_that_are_not_finite_are_an_error_of_weights_and_scan(world, tmp_
         outcome = predict_scans(world.data, world.out, settings=network, batch=batch)
         assert outcome.done == 0
         for failure in outcome.failures:
+            assert failure.code == "weights"
             assert "absurd.safetensors" in failure.reason
             assert str(failure.scan.path) in failure.reason
     assert not labels_below(world.out)
@@ -204,7 +207,7 @@ def test_logits_that_are_not_finite_are_an_error_of_weights_and_scan(world, tmp_
 def test_objects_need_movable_classes(world):
     silent = LabelSpace.from_dict(label_space().to_dict() | {"movable": []})
     settings = replace(world.network, classes=silent)
-    with pytest.raises(UsageError, match="movable") as caught:
+    with pytest.raises(UsageError) as caught:
         predict_scans(world.data, world.out, settings=settings, extras=("objects",))
     assert caught.value.subject == "--objects"
     assert not world.out.exists()
@@ -213,7 +216,7 @@ def test_objects_need_movable_classes(world):
 def test_objects_are_numbered_in_the_upper_bits_and_have_a_row_each(world):
     run(world)
     plain = world.labels()
-    with pytest.raises(OutputError, match="objects was not set and is true"):
+    with pytest.raises(OutputError):
         run(world, extras=("objects",))
     run(world, extras=("objects",), options=RunOptions(overwrite=True))
     raw = world.labels()
@@ -238,8 +241,9 @@ def test_several_sources_are_one_run(world):
     twice = world.data / "other/sequences/08/velodyne/000001.bin"
     twice.parent.mkdir(parents=True)
     shutil.copy(world.scan("08", "000001"), twice)
-    with pytest.raises(OutputError, match="2 scans of that name"):
+    with pytest.raises(OutputError) as caught:
         run(world, [twice, world.scan("08", "000001")])
+    assert "2 scans" in caught.value.problem
 
 
 EXTRAS = ("pixel_labels", "probabilities")
@@ -275,49 +279,13 @@ def test_the_same_bytes_in_batches_of_any_size(nine, tmp_path):
 
 
 def test_scans_that_fail_do_not_keep_the_others(nine, tmp_path):
-    """Be it that they cannot be read, or that their result cannot be written."""
+    """They cannot be read, or their results cannot be written."""
     (nine.data / "sequences/05/velodyne/000003.bin").write_bytes(b"cut off")
     blocked = tmp_path / "out/sequences/05/predictions/000002.label"
     blocked.mkdir(parents=True)
     outcome = predict(nine, tmp_path / "out", batch=4, options=RunOptions(overwrite=True))
     assert [failure.scan.stem for failure in outcome.failures] == ["000002", "000003"]
     assert outcome.done == 7
-
-
-def test_batches_shrink_when_memory_is_short(nine, tmp_path, monkeypatch, caplog):
-    """By torch, which computes batches; OpenVINO takes one scan after the other."""
-    by_torch, softmax = replace(nine.network, engine="torch"), torch.Tensor.softmax
-    predict(nine, tmp_path / "expected", settings=by_torch)
-
-    def short_of_memory(logits, dim):
-        if len(logits) > 2:
-            raise torch.OutOfMemoryError("no room")
-        return softmax(logits, dim)
-
-    monkeypatch.setattr(torch.Tensor, "softmax", short_of_memory)
-    outcome = predict(nine, tmp_path / "out", batch=4, settings=by_torch)
-    assert (outcome.done, outcome.failures) == (9, ())
-    assert "not enough memory for 4 scans at once: 2 now" in caplog.text
-    assert share_alike(tmp_path / "out", tmp_path / "expected") > 0.999
-
-
-@pytest.mark.parametrize(
-    ("step", "batch"),
-    [
-        ("fitting.label_scan.knn_refine", 1),
-        ("engines.torch_backend.TorchBackend.tensor", 4),
-    ],
-)
-def test_scans_that_do_not_fit_into_memory_are_named(nine, tmp_path, monkeypatch, step, batch):
-    def no_room(*_args, **_options):
-        raise torch.OutOfMemoryError("no room")
-
-    monkeypatch.setattr(f"salsanext_cli.{step}", no_room)
-    by_torch = replace(nine.network, engine="torch")
-    outcome = predict(nine, tmp_path / "out", batch=batch, settings=by_torch)
-    assert len(outcome.failures) == 9
-    expected = "000000.bin: is too large for the memory of cpu\nhint: free some memory"
-    assert expected in outcome.failures[0].reason
 
 
 def test_the_files_hold_the_projection(world):
@@ -336,6 +304,12 @@ def test_the_files_hold_the_projection(world):
     }
     assert projected_sensor(world.out) == seen
     assert projected_sensor(world.data) is None
+
+
+def test_the_stage_imports_few_modules():
+    done = python("import sys, salsanext_cli.stages.predict; print(*sys.modules)")
+    names = [name for name in done.stdout.split() if name.startswith("salsanext_cli")]
+    assert len(names) <= 75, sorted(names)
 
 
 @pytest.mark.real

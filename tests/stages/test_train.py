@@ -4,6 +4,7 @@ import math
 import sys
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -25,6 +26,8 @@ from salsanext_cli.errors import (
 )
 from salsanext_cli.geometry.network_input import intensity_quantiles, row_gaps
 from salsanext_cli.network.card import WeightsCard, read_card
+from salsanext_cli.network.registry import ARCHITECTURES
+from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.weights import save_weights
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.stages.train import train
@@ -168,17 +171,19 @@ def test_from_a_checkpoint_within_an_epoch_it_goes_on_at_the_next_step(
     require_same(go(dataset, tmp_path / "whole", **wanted), parts)
 
 
-def test_another_network_by_its_name(dataset, tmp_path):
-    rung = {"recipe": TINY.with_changes(epochs=1, architecture="salsanet")}
+def test_another_network_by_its_name(dataset, tmp_path, monkeypatch):
+    other = partial(SalsaNext, context_width=4, widths=(4, 8), decoder_widths=(4,))
+    monkeypatch.setitem(ARCHITECTURES, "other", other)
+    rung = {"recipe": TINY.with_changes(epochs=1, architecture="other")}
     first = go(dataset, tmp_path / "first", **rung)
     network = load_network(first.best, "cpu")
-    assert network.card.architecture["name"] == "salsanet"
+    assert network.card.architecture["name"] == "other"
     assert network.card.space.fits(label_space())
-    assert recipe(tmp_path / "first/recipe.toml").architecture == "salsanet"
-    refused(WeightsError, first.best, dataset, tmp_path / "second", weights=first.best)
-    unknown = TINY.with_changes(architecture="resnet")
-    with pytest.raises(UsageError):
-        go(dataset, tmp_path / "second", recipe=unknown)
+    assert recipe(tmp_path / "first/recipe.toml").architecture == "other"
+    with pytest.raises(WeightsError, match='set architecture = "other" in the recipe'):
+        go(dataset, tmp_path / "second", weights=first.best)
+    with pytest.raises(UsageError, match=r"unknown architecture resnet"):
+        go(dataset, tmp_path / "second", recipe=TINY.with_changes(architecture="resnet"))
     assert not (tmp_path / "second").exists()
 
 

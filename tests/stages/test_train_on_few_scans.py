@@ -18,7 +18,7 @@ from salsanext_cli import label_space, read_labels, read_scan, write_labels
 from salsanext_cli.errors import NOTICE, LabelError, NoInputError
 from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.json_files import write_json
-from salsanext_cli.labelling.label_records import first_guesses
+from salsanext_cli.labelling.label_records import pre_labelled_scans
 from salsanext_cli.network.card import WeightsCard, read_card, scan_digest
 from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.network.registry import ARCHITECTURES
@@ -199,7 +199,7 @@ def test_pre_labels_are_not_trained_on(data, tmp_path, caplog):
     (data / "pick.json").write_text(json.dumps({"guesses": digests}))
     import_labels(files[0].label_path, data / "sequences/a")
     write_labels(files[1].label_path, np.roll(read_labels(files[1].label_path), 1))
-    assert first_guesses(files) == files[2:]
+    assert pre_labelled_scans(files) == files[2:]
     go(data, tmp_path / "run")
     assert "skipped without labels: 1 scan, 1 with pre-labels only" in caplog.messages
     write_splits(data, train=["a", "b"], valid=["c"])

@@ -70,4 +70,3 @@ def test_files_made_of_them_have_none(world: World, default: Path, tmp_path: Pat
     tune("temperature", world.data, tmp_path / "tuned.safetensors", settings=settings)
     assert read_card(tmp_path / "tuned.safetensors").version is None
     assert import_weights(default, tmp_path / "again.safetensors").version is None
-    assert read_card(default).changed("Quantised.").version is None

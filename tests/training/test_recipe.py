@@ -18,7 +18,6 @@ def test_the_papers_recipe_is_the_papers() -> None:
     assert paper.precision == "float32"
     assert (paper.dropout, paper.crop_width, paper.lovasz) == (0.2, 0, 1.0)
     assert (paper.rotate, paper.shift, paper.flip, paper.drop) == (0.5, 0.5, 0.5, 0.5)
-    assert recipe("paper-v1") == Recipe(architecture="salsanext-v1")
 
 
 @pytest.mark.parametrize("name", presets())

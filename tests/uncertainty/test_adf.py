@@ -119,7 +119,7 @@ def derived(function, x):
 
 def test_a_chain_without_shared_noise_against_monte_carlo():
     """A 1×1 unit, pooling and shuffling: no two numbers that meet depend on each other."""
-    chain = nn.Sequential(Unit(4, 8, 1), average_pooling(8, 0.0), nn.PixelShuffle(2))
+    chain = nn.Sequential(Unit(4, 8, 1), average_pooling(0.0), nn.PixelShuffle(2))
     function, x = lively(chain).double(), gaussian(*SHAPE)
     predicted = function(x)
     parts = []

@@ -19,7 +19,7 @@ from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.network_input import on_other_scale
 from salsanext_cli.geometry.projection import ego_points, in_sensor_frame, project
-from salsanext_cli.labelling.label_records import first_guesses
+from salsanext_cli.labelling.label_records import pre_labelled_scans
 from salsanext_cli.records import Float
 from salsanext_cli.results.paths import ScanFile, find_scans
 from salsanext_cli.results.selection import data_set_label_space, log_unused, with_splits
@@ -143,7 +143,7 @@ def scans_to_train_on(
         return classes, training, labelled_split(dataset, classes, "valid")[1]
     classes = _with_splits_of(dataset, space)
     files = find_scans(dataset)
-    unreviewed = {*first_guesses(files)}
+    unreviewed = {*pre_labelled_scans(files)}
     labelled = [file for file in files if file.label_path.is_file() and file not in unreviewed]
     text = f", {len(unreviewed)} with pre-labels only" if unreviewed else ""
     if not labelled:

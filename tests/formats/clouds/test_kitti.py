@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Files without header: scans in any number of columns, labels, and what cannot be either."""
+"""Headerless files: scans with any number of columns, labels, and other files."""
 
 import gzip
 import io
@@ -13,9 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scans import make_scan
 
-from salsanext_cli import read_scan
 from salsanext_cli.errors import FormatError, LabelError
-from salsanext_cli.formats import kitti
 from salsanext_cli.formats.kitti import (
     COUNTS,
     encode_bin,
@@ -24,33 +22,6 @@ from salsanext_cli.formats.kitti import (
     read_labels,
     write_labels,
 )
-from salsanext_cli.results.paths import find_scans
-
-
-@pytest.mark.parametrize("name", ["s.bin.gz", "S.BIN.GZ", "s.pcd.bin.gz"])
-def test_compressed_files_are_read_as_the_others(tmp_path, name):
-    width = 5 if "pcd" in name else 4
-    table = np.random.default_rng(0).uniform(1, 9, (300, width)).astype("<f4")
-    (tmp_path / name).write_bytes(gzip.compress(table.tobytes()))
-    scan = read_scan(tmp_path / name)
-    np.testing.assert_array_equal(scan.points, table[:, :3])
-    np.testing.assert_array_equal(scan.intensity, table[:, 3])
-    assert [file.stem for file in find_scans(tmp_path)] == ["S" if name[0] == "S" else "s"]
-
-
-def test_compressed_files_that_are_damaged_or_too_large(tmp_path, monkeypatch):
-    path, whole = tmp_path / "s.bin.gz", gzip.compress(bytes(1 << 16))
-    monkeypatch.setattr(kitti, "MAX_DECOMPRESSED_BYTES", 1 << 15)
-    for content, message in {
-        b"": "is empty",
-        gzip.compress(bytes(1 << 9))[:-9]: "damaged or cut off",
-        b"plain" * 9: "damaged or cut off",
-        gzip.compress(b""): "is empty",
-        whole: "more than 0 MiB when decompressed",
-    }.items():
-        path.write_bytes(content)
-        with pytest.raises(FormatError, match=message):
-            read_scan(path)
 
 
 @pytest.mark.parametrize("count", [40, 41, 42, 43])
@@ -60,15 +31,16 @@ def test_another_number_of_columns_is_recognised(tmp_path, count, columns, suffi
     random = np.random.default_rng(count)
     table = [random.normal(0, 20, (count, 3)), *random.integers(0, (256, 32), (1, count, 2))]
     path.write_bytes(np.hstack(table).astype("<f4")[:, :columns].tobytes())
-    with pytest.raises(FormatError, match=rf"suffix {'.pcd.bin' if columns == 5 else '.bin'}"):
-        kitti.read_bin(path)
+    with pytest.raises(FormatError) as caught:
+        read_bin(path)
+    assert caught.value.hint.startswith(f"rename it to {'.pcd.bin' if columns == 5 else '.bin'},")
 
 
 def test_negative_intensities_and_signalling_nans_are_read(tmp_path):
     table = np.random.default_rng(0).normal(0, 20, (59, 4)).astype("<f4")
     nan = struct.pack("<3f", 1, 2, 3) + b"\x01\x00\xa0\x7f"
     (tmp_path / "s.bin").write_bytes(table.tobytes() + nan)
-    scan = kitti.read_bin(tmp_path / "s.bin", intensity_scale=255)
+    scan = read_bin(tmp_path / "s.bin", intensity_scale=255)
     assert np.flatnonzero(np.isnan(scan.intensity)).tolist() == [59]
 
 
@@ -84,7 +56,7 @@ def test_no_real_scan_is_refused(real_data, tmp_path):
         columns = 5 if "five" in path.name else 4
         link = tmp_path / f"{len(list(tmp_path.iterdir()))}{'.pcd' * (columns == 5)}.bin"
         link.symlink_to(path)
-        scan = kitti.read_bin(link)
+        scan = read_bin(link)
         assert len(scan) == path.stat().st_size // (4 * columns)
         labels = path.parent.parent / "labels" / f"{path.stem}.label"
         if labels.exists():
@@ -109,10 +81,10 @@ def test_a_real_scan_with_other_columns_is_refused_with_names_to_try(real_data, 
         [table, 0 * ones, np.arange(len(table))[:, None] % 64, 0 * normals],
     ):
         path.write_bytes(np.hstack(columns).astype("<f4").tobytes())
-        with pytest.raises(FormatError, match=r"holds \d+ columns \(expected 4") as caught:
-            kitti.read_bin(path)
-        (names,) = re.findall(r"--columns (\S+)", str(caught.value))
-        scan = kitti.read_bin(path, columns=tuple(names.split(",")))
+        with pytest.raises(FormatError) as caught:
+            read_bin(path)
+        (names,) = re.findall(r"--columns (\S+)", caught.value.hint)
+        scan = read_bin(path, columns=tuple(names.split(",")))
         np.testing.assert_array_equal(scan.points, table[:, :3])
 
 
@@ -176,30 +148,31 @@ def npy(table):
 LINES = "".join(f"{x:.3f} {y:.3f} {z:.3f} {i:.2f}\n" for x, y, z, i in TABLE).encode()
 OTHERS = {
     "empty": (b"", "is empty"),
-    "text": (LINES[: len(LINES) // 16 * 16], r"is text .* rename it to \.csv"),
+    "text": (LINES[: len(LINES) // 16 * 16], "is text"),
     "a short text": ("Grüße aus Köln!\n".encode() * 16, "is text"),
-    "ply": (b"ply\nformat binary_little_endian 1.0\n" + bytes(16 * 99), r"is a \.ply file"),
-    "npy": (npy(TABLE), r"is a \.npy file"),
-    "gzip": (gzip.compress(encode_bin(SCAN)), r"is a \.bin\.gz file"),
-    "float64": (TABLE.astype("<f8").tobytes(), "holds float64"),
-    "float64, decimals": (TABLE.astype("<f8").round(3).tobytes(), "holds float64"),
-    "float64, dyadic": (np.rint(TABLE.astype("<f8") * 128) / 128, "holds float64"),
-    "float64, five columns": (np.hstack([TABLE, RING]).astype("<f8").tobytes(), "holds float64"),
-    "millimetres as int32": ((TABLE * 1000).astype("<i4").tobytes(), "no coordinates in metres"),
-    "big endian": (TABLE.astype(">f4").tobytes(), "no coordinates in metres"),
-    "random": (np.random.default_rng(0).bytes(48_000), "no coordinates in metres"),
+    "ply": (b"ply\nformat binary_little_endian 1.0\n" + bytes(16 * 99), "is a .ply file"),
+    "npy": (npy(TABLE), "is a .npy file"),
+    "gzip": (gzip.compress(encode_bin(SCAN)), "is a gzip file"),
+    "float64": (TABLE.astype("<f8").tobytes(), "float64"),
+    "float64, decimals": (TABLE.astype("<f8").round(3).tobytes(), "float64"),
+    "float64, dyadic": (np.rint(TABLE.astype("<f8") * 128) / 128, "float64"),
+    "float64, five columns": (np.hstack([TABLE, RING]).astype("<f8").tobytes(), "float64"),
+    "millimetres as int32": ((TABLE * 1000).astype("<i4").tobytes(), "not coordinates"),
+    "big endian": (TABLE.astype(">f4").tobytes(), "not coordinates"),
+    "random": (np.random.default_rng(0).bytes(48_000), "not coordinates"),
 }
 
 
 @pytest.mark.parametrize("name", OTHERS)
 @pytest.mark.parametrize("columns", [(), ("x", "y", "z", "intensity")])
-def test_what_cannot_be_points(tmp_path, name, columns):
-    content, message = OTHERS[name]
+def test_other_content_is_refused(tmp_path, name, columns):
+    content, problem = OTHERS[name]
     path = tmp_path / "s.bin"
     path.write_bytes(content if isinstance(content, bytes) else content.tobytes())
-    with pytest.raises(FormatError, match=message) as caught:
+    with pytest.raises(FormatError) as caught:
         read_bin(path, columns=columns)
-    assert "\n" not in str(caught.value)
+    assert problem in caught.value.problem
+    assert "\n" not in caught.value.headline
 
 
 UNUSUAL = {
@@ -213,7 +186,7 @@ UNUSUAL = {
 
 
 @pytest.mark.parametrize("name", UNUSUAL)
-def test_what_may_be_points_is_read(tmp_path, name):
+def test_unusual_points_are_read(tmp_path, name):
     path = tmp_path / "s.bin"
     table = UNUSUAL[name].astype("<f4")
     path.write_bytes(table.tobytes())
@@ -228,13 +201,10 @@ def test_any_columns(tmp_path):
     scan = read_bin(path, columns=names, intensity_scale=255)
     np.testing.assert_array_equal(scan.points, SCAN.points)
     np.testing.assert_allclose(scan.intensity, SCAN.intensity, rtol=1e-6)
-    with pytest.raises(
-        FormatError, match=r"7 columns \(expected 9 float32 per point\)\nhint: name"
-    ):
-        read_bin(path, columns=(*names, "_", "_"))
-    path.write_bytes(table.tobytes()[:-4])
-    with pytest.raises(FormatError, match=r"83996 bytes \(expected a multiple of 28 \(7 float32"):
-        read_bin(path, columns=names)
+    for columns, cut, sizes in (((*names, "_", "_"), 0, (7, 9)), (names, 4, (83996, 28))):
+        path.write_bytes(table.tobytes()[: table.nbytes - cut])
+        with pytest.raises(FormatError, match=r"{}.*expected .*{}".format(*sizes)):
+            read_bin(path, columns=columns)
     path.write_bytes(SCAN.points.tobytes())
     assert not read_bin(path, columns=("x", "y", "z")).intensity.any()
 
@@ -346,7 +316,7 @@ def test_points_without_a_return_change_nothing(lost):
         assert evident_count(values, 5) == 4
 
 
-def test_few_points_are_enough_or_nothing_is_said():
+def test_few_points_are_enough_or_undecided():
     points = np.random.default_rng(4).permutation(scan())
     for names in RECORDS:
         for count in (25, 50, 200):
@@ -359,13 +329,6 @@ def test_few_points_are_enough_or_nothing_is_said():
 def test_any_bytes_have_some_number_of_columns_or_none(content, expected):
     found = evident_count(content.view("<f4"), expected)
     assert found is None or (found in COUNTS and found != expected)
-
-
-def test_the_remedy_of_columns_that_the_file_has_not(tmp_path):
-    path = tmp_path / "s.bin"
-    path.write_bytes(table(("fraction",), scan()).tobytes())
-    with pytest.raises(FormatError, match=r"holds 4 columns \(expected 8 .* leave --columns out"):
-        read_bin(path, columns=("x", "y", "z", "intensity", *"____"))
 
 
 def wide_records(points, random):
@@ -400,12 +363,13 @@ def require_wide_records_are_read(path, points):
             path.write_bytes(values.tobytes())
             found = read_bin(path, columns=columns)
             np.testing.assert_array_equal(found.points, values.reshape(-1, 8)[:, :3], name)
-    # Rows of two points each, whose second point the columns would leave out.
+    # Rows of two points each, the second of which the columns would skip.
     pairs = table(("fraction",), points[: len(points) // 2 * 2])
     for values in in_both_orders(pairs):
         path.write_bytes(values.tobytes())
-        with pytest.raises(FormatError, match="holds 4 columns"):
+        with pytest.raises(FormatError, match="has 4 columns") as caught:
             read_bin(path, columns=columns)
+        assert caught.value.hint == "omit --columns"
 
 
 def test_columns_beside_one_point_are_no_second_point(tmp_path):

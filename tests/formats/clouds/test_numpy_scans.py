@@ -71,38 +71,40 @@ def test_archives(tmp_path, name, save):
 
 
 def test_other_arrays_are_refused(tmp_path):
-    for array, message in (
-        (np.zeros(9), r"9 values of float64 \(expected a table \(N, columns\)"),
-        (np.zeros((6, 5, 4), "<f4"), r"6×5×4 values of float32 .* array\.reshape\(-1, 4\)"),
-        (np.zeros((2, 3), [("x", "f4"), ("y", "f4")]), r"2×3 values of .* save array\.ravel\(\)"),
-        (np.zeros((5, 100)), "100 columns without names"),
-        (np.zeros((9, 4), np.complex64), "c"),
-        (np.array([[{}, 1, 2]], object), "of object"),
-        (np.zeros(3, [("a", "f4"), ("y", "f4")]), "points of a, y (expected also x, z"),
-        (np.full((9, 3), 5e5), "as of a map"),
-        (np.zeros((9, 3), "V0"), "of .V0"),
+    for array, problem, hint in (
+        (np.zeros(9), "float64 (9,)", ""),
+        (np.zeros((6, 5, 4), "<f4"), "float32 (6, 5, 4)", "save array.reshape(-1, 4)"),
+        (np.zeros((2, 3), [("x", "f4"), ("y", "f4")]), "(2, 3)", "save array.ravel()"),
+        (np.zeros((5, 100)), "100 columns", "--columns"),
+        (np.zeros((9, 4), np.complex64), "complex64", ""),
+        (np.array([[{}, 1, 2]], object), "object", ""),
+        (np.zeros(3, [("a", "f4"), ("y", "f4")]), "columns a, y", ""),
+        (np.full((9, 3), 5e5), "map coordinates", ""),
+        (np.zeros((9, 3), "V0"), "V0", ""),
     ):
         np.save(tmp_path / "s.npy", array, allow_pickle=True)
-        with pytest.raises(FormatError, match=message):
+        with pytest.raises(FormatError) as caught:
             read_scan(tmp_path / "s.npy")
+        assert problem in caught.value.problem
+        assert hint in caught.value.hint
 
 
 def test_archives_without_one_scan(tmp_path):
-    for arrays, message in (
-        ({}, "arrays nothing"),
-        ({"a": TABLE, "b": TABLE}, "arrays a, b (expected columns x, y, z, or one table"),
+    for arrays, problem in (
+        ({}, "empty"),
+        ({"a": TABLE, "b": TABLE}, "arrays a, b"),
         ({"points": TABLE[:, :3], "intensity": INTENSITY[:1]}, "columns of 1 and of 2 points"),
         ({"x": X, "y": Y[:1], "z": Z}, "columns of 1 and of 2 points"),
         ({f"arr_{i}": X[: 1 + i] for i in range(3)}, "columns of 1 and of 2 points"),
-        ({f"arr_{i}": X for i in range(6)}, "6 columns without names"),
+        ({f"arr_{i}": X for i in range(6)}, "6 columns"),
         ({"arr_0": X, "b": Y, "c": Z}, "arrays arr_0, b, c"),
     ):
         np.savez(tmp_path / "s.npz", **arrays)
-        with pytest.raises(FormatError, match=message):
+        with pytest.raises(FormatError, match=problem):
             read_scan(tmp_path / "s.npz")
 
 
-def test_archives_that_are_cut_or_promise_too_much(tmp_path):
+def test_archives_that_are_cut_or_state_too_much(tmp_path):
     path = tmp_path / "s.npz"
     np.savez(path, points=TABLE)
     content = path.read_bytes()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Layouts of other programs are read, with a notice; what is no scan is refused by its name."""
+"""Layouts of other programs are read with a notice; other files are refused by name."""
 
 import io
 import logging
@@ -52,14 +52,14 @@ LAYOUTS = {
     "kind_d.pcd": (pcd("F F F F F", "F F F F D"), "TYPE D"),
     "sizes.pcd": (pcd("4 4 4 4 8", "4, 4, 4, 4, 8"), "commas"),
     "values.pcd": (pcd(lines=[line.replace(" ", ",") for line in LINES]), "commas"),
-    "fewer.pcd": (pcd("300", "12466"), "300 lines of points are read, but the header says 12466; "),
-    "less.pcd": (pcd("300", "12"), "300 lines of points are read, but the header says 12"),
+    "fewer.pcd": (pcd("300", "12466"), "300 lines of points, but its header states 12466; "),
+    "less.pcd": (pcd("300", "12"), "300 lines of points, but its header states 12"),
 }
 
 
 @pytest.fixture
 def said(caplog):
-    """Return what is logged, by a process that has not read any file."""
+    """Return the log of a process that has not read any file."""
     notice_once.cache_clear()
     caplog.set_level(NOTICE, "salsanext_cli")
     return caplog
@@ -74,9 +74,9 @@ def test_layouts_are_read_with_a_notice_for_their_kind(tmp_path, said, name):
         np.testing.assert_array_equal(scan.points, SCAN.points)
         np.testing.assert_array_equal(scan.intensity, SCAN.intensity)
     assert notice in said.messages[0]
-    # What may be missing is said of each file.
-    warnings = [each.getMessage() for each in said.records if each.levelno == logging.WARNING]
-    paths = [str(tmp_path / name), str(tmp_path / f"other_{name}")] * ("header says" in notice)
+    # Missing points are reported for each file.
+    warnings = [record.getMessage() for record in said.records if record.levelno == logging.WARNING]
+    paths = [str(tmp_path / name), str(tmp_path / f"other_{name}")] * ("header" in notice)
     assert [message.split(": ")[0] for message in warnings] == paths
     assert len(said.messages) == max(1, len(paths))
 
@@ -131,21 +131,21 @@ def test_a_short_line_lacks_only_its_last_values(tmp_path, said):
 
 
 @pytest.mark.parametrize(
-    ("lines", "found"),
+    ("lines", "problem"),
     [
-        ([*LINES[:-1], "1.0 2.0\n"], "cut off: 299 of 300 points; line 310 has 2 of 5 values"),
-        ([*LINES[:200], LINES[200][:-1]], "cut off: 201 of 300 points"),
+        ([*LINES[:-1], "1.0 2.0\n"], "299 of 300 points; line 310 has 2 of 5 values"),
+        ([*LINES[:200], LINES[200][:-1]], "201 of 300 points"),
         ([*LINES, "1 2"], "300 of 300 points; line 311 has 2 of 5 values"),
         ([*LINES[:9], "1 2\n" * 4, *LINES[13:]], "4 of 300 lines .* line 20 has 2 of 5 values"),
-        ([*LINES[:9], "1 2 x\n", *LINES[10:]], "line 20 has 'x' in place of a number"),
+        ([*LINES[:9], "1 2 x\n", *LINES[10:]], "line 20 has 'x'"),
         ([*LINES[:9], "\n1 2 3 4 5 6\n", *LINES[10:]], "line 21 has 6 of 5 values"),
-        ([line.replace(".", ",") for line in LINES], "decimal commas: -?[0-9]+,[0-9]+: expected"),
+        ([line.replace(".", ",") for line in LINES], "decimal commas: -?[0-9]+,[0-9]+"),
     ],
 )
-def test_ascii_points_that_are_cut_off_or_no_table(tmp_path, lines, found):
+def test_ascii_points_that_are_cut_off_or_not_a_table(tmp_path, lines, problem):
     path = tmp_path / "s.pcd"
     path.write_bytes(pcd(lines=lines))
-    with pytest.raises(FormatError, match=found) as caught:
+    with pytest.raises(FormatError, match=problem) as caught:
         read_scan(path)
     assert "usecols" not in str(caught.value)
 
@@ -155,7 +155,7 @@ def test_labels_in_one_column_or_row(tmp_path, said, shape):
     np.save(tmp_path / "l.npy", np.arange(9, dtype=np.int32).reshape(shape))
     np.testing.assert_array_equal(read_integers(tmp_path / "l.npy"), np.arange(9))
     assert "(N, 1)" in said.text
-    with pytest.raises(FormatError, match=r"columns? \(expected x, y, z at least|9 columns"):
+    with pytest.raises(FormatError, match=rf"has {shape[1]} columns?"):
         read_scan(tmp_path / "l.npy")
 
 
@@ -166,8 +166,8 @@ def feather(table, **more):
 
 
 def test_scans_of_argoverse(tmp_path, said):
-    """Coordinates of 16 bits, intensities of a byte, as its data sets have them."""
-    path, kept = tmp_path / "315969904359876000.feather", tmp_path / "kept.feather"
+    """Coordinates have 16 bits, intensities a byte."""
+    path = tmp_path / "315969904359876000.feather"
     table = {axis: values.astype("<f2") for axis, values in zip("xyz", TABLE.T, strict=False)}
     intensity = np.arange(300).astype(np.uint8)
     path.write_bytes(feather(table, intensity=intensity, offset_ns=np.arange(300, dtype="i4")))
@@ -175,17 +175,13 @@ def test_scans_of_argoverse(tmp_path, said):
     np.testing.assert_array_equal(scan.points, SCAN.points.astype("<f2").astype("<f4"))
     np.testing.assert_array_equal(scan.intensity, intensity.astype("<f4") / np.float32(255))
     assert "16 bits" in said.text
-    kept.write_bytes(subsets_of(path)(intensity > 99))
-    np.testing.assert_array_equal(read_scan(kept).points, scan.points[intensity > 99])
-    path.write_bytes(path.read_bytes()[:-9])
-    with pytest.raises(FormatError, match=r"damaged or cut off: .* a whole \.feather file"):
-        read_scan(path)
-
-
-def test_the_first_version_of_feather_is_named(tmp_path):
-    (tmp_path / "s.feather").write_bytes(b"FEA1" + bytes(99))
-    with pytest.raises(FormatError, match=r"Feather version 1 \(expected Feather version 2"):
-        read_scan(tmp_path / "s.feather")
+    for content, problem in (
+        (path.read_bytes()[:-9], "damaged or cut off"),
+        (b"FEA1" + bytes(99), "Feather version 1"),
+    ):
+        path.write_bytes(content)
+        with pytest.raises(FormatError, match=problem):
+            read_scan(path)
 
 
 def rotation(turn=0.3):
@@ -202,14 +198,14 @@ MATRICES = {
 
 
 @pytest.mark.parametrize("name", MATRICES)
-def test_a_matrix_is_no_scan_of_three_points(tmp_path, name):
+def test_a_matrix_is_not_a_scan_of_three_points(tmp_path, name):
     matrix = MATRICES[name]
     np.savetxt(tmp_path / "m.txt", matrix)
     np.save(tmp_path / "m.npy", matrix)
     if matrix.shape[1] == 4:
         (tmp_path / "m.bin").write_bytes(matrix.astype("<f4").tobytes())
     for path in sorted(tmp_path.iterdir()):
-        with pytest.raises(FormatError, match="a pose or camera matrix"):
+        with pytest.raises(FormatError, match="matrix"):
             read_scan(path)
     # Three or four points are not refused for being few.
     np.savetxt(tmp_path / "p.txt", 2 * matrix)
@@ -219,11 +215,10 @@ def test_a_matrix_is_no_scan_of_three_points(tmp_path, name):
 KINDS = {
     "a message of ROS 2": b"\0\1\0\0" + struct.pack("<II", 9, 77) + b"\x0b\0\0\0lidar_link\0",
     "a TerraScan file": struct.pack("<II8sI", 56, 20020715, b"\xa1\xce\x0e\0CXYZ", 1000),
-    r"a \.feather file .* rename it to \.feather": b"ARROW1\0\0",
-    "a .feather file": b"FEA1",
+    "a .feather file": b"ARROW1\0\0",
     "an E57 file": b"ASTM-E57\1\0\0\0",
-    r"a \.mcap file .* rename it to \.mcap": b"\x89MCAP0\r\n",
-    r"a \.bag file": b"#ROSBAG V2.0\n",
+    "a .mcap file": b"\x89MCAP0\r\n",
+    "a .bag file": b"#ROSBAG V2.0\n",
 }
 
 
@@ -231,22 +226,24 @@ KINDS = {
 def test_files_of_other_kinds_are_named(tmp_path, kind):
     path = tmp_path / "s.bin"
     path.write_bytes(KINDS[kind] + TABLE.astype("<i4").tobytes())
-    with pytest.raises(FormatError, match=f"is {kind}"):
+    with pytest.raises(FormatError) as caught:
         read_bin(path)
+    assert caught.value.problem == f"is {kind}"
+    assert (kind.split()[1] in caught.value.hint) == (kind[2] == ".")
 
 
-def test_records_that_are_no_float32_have_no_columns_to_name(tmp_path):
-    """Integers in records of seven words, as of a file whose first bytes nobody knows."""
+def test_integers_have_no_columns_to_name(tmp_path):
+    """Records of seven words, in a file of an unknown format."""
     records = np.zeros(2000, [("time", "<u4"), ("xyz", "<i4", 3), ("kind", "u1", 12)])
     records["time"], records["kind"] = np.arange(2000), 3
     records["xyz"] = np.tile(SCAN.points * 1000, (7, 1))[:2000]
     (tmp_path / "s.bin").write_bytes(records.tobytes())
-    with pytest.raises(FormatError, match="no coordinates in metres, or no float32"):
+    with pytest.raises(FormatError, match="not coordinates"):
         read_bin(tmp_path / "s.bin")
 
 
 @pytest.mark.real
-def test_reported_files_have_the_points_of_the_scan_that_they_are_of(real_data):
+def test_reported_files_have_the_points_of_their_scan(real_data):
     folder = real_data / "data/reported"
     truth = np.load(folder / "reference_points_labels.npz")
     # Text has four decimals, "%.4f".
@@ -270,23 +267,24 @@ def test_reported_files_have_the_points_of_the_scan_that_they_are_of(real_data):
 
 
 @pytest.mark.real
-def test_reported_files_that_are_no_scans_are_named(real_data):
+def test_reported_files_that_are_not_scans_are_named(real_data):
     folder = real_data / "data/reported"
-    for name, found in {
+    for name, problem in {
         "not_scans/dds_message.bin": "is a message of ROS 2",
         "not_scans/20020715-time-color.bin": "is a TerraScan file",
-        "not_scans/epsg_4326.las": "coordinates in degrees",
+        "not_scans/epsg_4326.las": "degrees",
         "not_scans/no_vertex.ply": "no vertices",
-        "not_scans/pdrf10-1.5.laz": "LAS 1.5 (expected LAS 1.0 to 1.4",
-        "npy/five_cols_divisible.bin": "holds 5 columns",
-        "pcd/utm17_comma.pcd": "as of a map",
+        "not_scans/pdrf10-1.5.laz": "version 1.5",
+        "npy/five_cols_divisible.bin": "5 columns",
+        "pcd/utm17_comma.pcd": "map coordinates",
     }.items():
-        with pytest.raises(FormatError, match=found):
+        with pytest.raises(FormatError) as caught:
             read_scan(folder / name)
+        assert problem in caught.value.problem
 
 
 def test_columns_that_a_header_overrules_are_noticed(tmp_path, said):
     path = tmp_path / "s.csv"
     path.write_text("x,y,z\n1,2,3\n")
     assert read_scan(path, replace(SMALL, columns=("z", "y", "x"))).points.tolist() == [[1, 2, 3]]
-    assert "--columns is not used" in said.text
+    assert "--columns" in said.text

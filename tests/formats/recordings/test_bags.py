@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Scans of ROS bags that rosbags' own writers wrote, and PointCloud2 messages of any layout."""
+"""Scans of ROS bags that rosbags wrote, and PointCloud2 messages of any layout."""
 
 import sqlite3
 import struct
@@ -57,7 +57,7 @@ def test_clouds_of_one_time_are_numbered_in_their_order(tmp_path, kind):
         require_equal(read_scan(scan.path), points)
 
 
-def test_a_bag_that_is_replaced_is_opened_anew(tmp_path):
+def test_a_bag_that_is_replaced_is_opened_again(tmp_path):
     path = write_bag(tmp_path / "a", ".bag", messages(POINTS[:2]))
     (scan, _) = find_scans(path)
     require_equal(read_scan(scan.path), POINTS[0])
@@ -68,7 +68,7 @@ def test_a_bag_that_is_replaced_is_opened_anew(tmp_path):
 def test_one_of_several_topics_is_named(tmp_path):
     written = [*messages(POINTS[:2], "/front"), *messages(POINTS[2:], "/rear/points")]
     path = write_bag(tmp_path, ".mcap", written)
-    with pytest.raises(UsageError, match=r"2 topics of point clouds: /front, /rear/points"):
+    with pytest.raises(UsageError, match=r"2 topics .*: /front, /rear/points"):
         find_scans(path)
     scans = find_scans(path / "rear/points")
     assert [scan.stem for scan in scans] == TIMES[:3]
@@ -78,11 +78,9 @@ def test_one_of_several_topics_is_named(tmp_path):
             find_scans(path / wrong)
 
 
-def test_a_bag_without_clouds_says_what_it_holds(tmp_path):
+def test_topics_of_a_bag_without_clouds_are_named(tmp_path):
     path = write_bag(tmp_path, ".bag", [("/chatter", START, text)])
-    with pytest.raises(
-        NoInputError, match=r"no point clouds, but /chatter \(std_msgs/msg/String\)"
-    ):
+    with pytest.raises(NoInputError, match=r"/chatter \(std_msgs/msg/String\)"):
         find_scans(path)
     with pytest.raises(NoInputError, match="no messages"):
         find_scans(write_bag(tmp_path / "empty", ".db3", []))
@@ -90,24 +88,27 @@ def test_a_bag_without_clouds_says_what_it_holds(tmp_path):
 
 def test_a_folder_of_bags_asks_for_one(tmp_path):
     path = write_bag(tmp_path, ".bag", messages(POINTS[:1]))
-    with pytest.raises(NoInputError, match=rf"recordings: drive\.bag .* give one of these: {path}"):
+    with pytest.raises(NoInputError) as caught:
         find_scans(tmp_path)
+    assert str(path) in caught.value.hint
     write_bag(tmp_path, ".db3", messages(POINTS[:1]))
     exported = tmp_path / "drive" / "scans"
     exported.mkdir()
-    with pytest.raises(NoInputError, match="holds no scans"):
+    with pytest.raises(NoInputError) as caught:
         find_scans(exported)
+    assert caught.value.subject == str(exported)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_bag_that_was_cut_is_refused_with_a_remedy(tmp_path, kind):
+def test_a_bag_that_was_cut_is_refused(tmp_path, kind):
     points = [structured(2000, seed) for seed in range(12)]
     path = write_bag(tmp_path, kind, messages(points))
     data = path.read_bytes()
     for share in (0, 1, 30, 70, 99):
         path.write_bytes(data[: len(data) * share // 100])
-        with pytest.raises(FormatError, match=rf"drive{kind}: .* reindex"):
+        with pytest.raises(FormatError, match=rf"drive{kind}: ") as caught:
             find_scans(path)
+        assert "reindex" in caught.value.hint
 
 
 def test_damaged_metadata_are_refused_and_the_storage_itself_is_read(tmp_path):
@@ -121,10 +122,10 @@ def test_damaged_metadata_are_refused_and_the_storage_itself_is_read(tmp_path):
     assert len(find_scans(path)) == 5
 
 
-def test_what_the_recorder_left_in_its_log_is_missed(tmp_path):
+def test_messages_that_are_not_yet_in_the_database_are_missed(tmp_path):
     path = write_bag(tmp_path, ".db3", messages(POINTS))
     path.with_name("drive.db3-wal").write_bytes(b"pages")
-    with pytest.raises(FormatError, match=r"drive\.db3-wal: .* sqlite3"):
+    with pytest.raises(FormatError, match=r"drive\.db3-wal: "):
         find_scans(path)
 
 
@@ -141,17 +142,16 @@ def test_a_database_without_definitions_is_read(tmp_path):
 def test_the_package_that_is_missing_or_too_old_is_named(tmp_path, monkeypatch):
     path = write_bag(tmp_path, ".bag", messages(POINTS[:1]))
     monkeypatch.setattr("salsanext_cli.files.optional_packages.version", lambda name: "0.9.23")
-    with pytest.raises(MissingDependency, match=r"version 0\.9\.23 \(expected 0\.11 or newer"):
+    with pytest.raises(MissingDependency, match=r"0\.9\.23 \(expected 0\.11 or newer"):
         find_scans(path)
 
     def missing(name):
         raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
     monkeypatch.setattr("salsanext_cli.files.optional_packages.import_module", missing)
-    with pytest.raises(
-        MissingDependency, match=r"rosbags: not installed\nhint: pip install 'salsanext\[ros\]'"
-    ):
+    with pytest.raises(MissingDependency, match="rosbags") as caught:
         find_scans(path)
+    assert caught.value.hint == "pip install 'salsanext[ros]'"
 
 
 PATH = Path("drive.bag/points/1")
@@ -200,7 +200,7 @@ def message(**changed):
     return SimpleNamespace(**{**values, **changed})
 
 
-def test_a_field_of_several_values_and_a_second_one_of_a_name_are_passed_over():
+def test_fields_of_several_values_and_repeated_names_are_skipped():
     several = SimpleNamespace(name="normal", offset=0, datatype=7, count=3)
     old = SimpleNamespace(name="i", offset=0, datatype=2, count=0)
     second = SimpleNamespace(name="i", offset=4, datatype=7, count=1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Recordings of an Ouster sensor, which ouster-sdk itself wrote; skipped where it is missing."""
+"""Recordings of an Ouster sensor that ouster-sdk wrote."""
 
 import numpy as np
 import pytest
@@ -56,22 +56,23 @@ def test_damaged_recordings_are_refused(recording):
 def test_packets_without_metadata_are_refused(recording):
     if recording.suffix == ".pcap":
         recording.with_suffix(".json").unlink()
-        with pytest.raises(FormatError, match=r"metadata .* a \.json of the same name"):
+        with pytest.raises(FormatError) as caught:
             find_scans(recording)
+        assert ".json" in caught.value.hint
 
 
-def test_a_file_at_which_the_library_crashes_is_one_error(tmp_path, monkeypatch):
+def test_a_file_that_crashes_the_library_is_one_error(tmp_path, monkeypatch):
     monkeypatch.setattr("salsanext_cli.formats.ouster.PROBE", "import os; os.kill(os.getpid(), 11)")
     path = tmp_path / "drive.osf"
     path.write_bytes(b"x")
-    with pytest.raises(FormatError, match="crashes at it"):
+    with pytest.raises(FormatError, match="crashes"):
         find_scans(path)
 
 
 @pytest.mark.parametrize("suffix", [".osf", ".pcap"])
 def test_reflectivities_that_were_not_decoded_are_refused(tmp_path, suffix):
     (scan,) = find_scans(write_recording(tmp_path / f"drive{suffix}", 1, brightest=0))
-    with pytest.raises(FormatError, match=r"reflectivities that are all 0.*newer ouster-sdk"):
+    with pytest.raises(FormatError, match="reflectivities of 0"):
         read_scan(scan.path)
 
 
@@ -85,11 +86,11 @@ def test_packets_of_no_lidar_are_named(tmp_path):
 
 @pytest.mark.real
 def test_reported_recordings_are_refused_by_what_they_are(real_data):
-    for name, found in {
-        "bad_encoding.osf": "reflectivities that are all 0",
-        "bad_crc32.osf": "its checksum is wrong: .* newer ouster-sdk",
+    for name, problem in {
+        "bad_encoding.osf": "reflectivities of 0",
+        "bad_crc32.osf": "wrong checksum",
         "imu_zm_no_lidar.pcap": "no LiDAR packets",
-        "same_ports.pcap": "several sensors send to one port",
+        "same_ports.pcap": "several sensors on one port",
     }.items():
-        with pytest.raises(SalsanextError, match=found):
+        with pytest.raises(SalsanextError, match=problem):
             [read_scan(scan.path) for scan in find_scans(real_data / "data/reported/ouster" / name)]
