@@ -3,7 +3,7 @@
 
     python docs/range_pictures.py PICTURE.webp SCAN...
 
-Near is bright. The pictures of docs/synthetic.md were made so, with 64×512 pixels.
+Near is bright. The pictures of docs/how-to/synthetic.md were made so, with 64×512 pixels.
 """
 
 import sys

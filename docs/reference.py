@@ -24,7 +24,8 @@ INTRODUCTION = """\
 # Commands
 
 `salsanext --help` lists the commands, `salsanext COMMAND --help` says what is on this page. What
-all commands have in common, such as the exit status, is under [Data and results](data.md).
+all commands have in common, such as the exit status, is on the page
+[Data and results](reference/files.md).
 """
 
 

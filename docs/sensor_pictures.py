@@ -4,7 +4,7 @@
     python docs/sensor_pictures.py FOLDER NAME=SCAN...
 
 writes FOLDER/NAME.webp for each scan, and prints what was found of its sensor. The pictures of
-docs/sensors.md were made so.
+docs/how-to/sensors.md were made so.
 """
 
 from __future__ import annotations

@@ -182,7 +182,7 @@ def test_errors_are_their_parts_and_survive_the_way_from_a_worker_process():
 
 def test_every_kind_has_its_own_documented_code():
     kinds = [SalsanextError, *SalsanextError.__subclasses__()]
-    page = (Path(__file__).parents[1] / "docs/json.md").read_text("utf-8")
+    page = (Path(__file__).parents[1] / "docs/reference/json.md").read_text("utf-8")
     table = page.partition("| code | meaning |")[2].partition("\n\n")[0]
     codes = set(re.findall(r"`([a-z-]+)`", table)) - {"interrupted", "terminated"}
     assert codes == {kind.code for kind in kinds}

@@ -8,8 +8,8 @@ from salsanext_cli.cli.console import guarded
 from salsanext_cli.errors import UsageError
 
 REMOVED = {
-    ("picture", "--gif"): "use ffmpeg on the pictures, as docs/picture.md shows",
-    ("picture", "--fps"): "use ffmpeg on the pictures, as docs/picture.md shows",
+    ("picture", "--gif"): "use ffmpeg on the pictures, as docs/how-to/picture.md shows",
+    ("picture", "--fps"): "use ffmpeg on the pictures, as docs/how-to/picture.md shows",
     ("pick", "--strategy"): "use no option: picked scans are uncertain and unlike each other",
     ("pick", "--disagreement"): "use no option: the uncertainty is that of the network",
     ("", "--backend ray"): "use `--backend dask`, or `--shard I/N` for each machine",

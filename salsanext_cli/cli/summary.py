@@ -62,7 +62,7 @@ def finish(
 
 
 def _as_data(outcome: Outcome) -> dict[str, Any]:
-    """Return plain data for JSON; docs/json.md lists the keys."""
+    """Return plain data for JSON; docs/reference/json.md lists the keys."""
     each = outcome.seconds / outcome.done if outcome.done else None
     found: dict[str, Any] = {
         "done": outcome.done,

@@ -2,7 +2,7 @@
 """Checks of scans: units, mounting, view, intensity, from some of their points, and one sensor.
 
 A check that fails for certain is an error of the scan; one that only makes its labels doubtful is a
-finding, which becomes a warning of the run. docs/checks.md says where the thresholds come from.
+finding, which becomes a warning of the run. warnings.md says where the thresholds come from.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ from salsanext_cli.sensors.sensor import FITTED_NAME, OF_IMAGES, Sensor, presets
 class Finding(NamedTuple):
     """Reason to doubt the labels of a scan."""
 
-    code: str  # Name of the check, which stays; see docs/checks.md
+    code: str  # Name of the check, which stays; see warnings.md
     problem: str  # What is doubtful about this scan
     hint: str
 

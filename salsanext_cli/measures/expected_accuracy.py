@@ -12,7 +12,7 @@ from salsanext_cli.network.card import AccuracyLine
 
 DEVIATIONS = 2.0
 """Half the width of the interval, in root mean squares of expected minus measured accuracy. Of the
-ten labelled drives in docs/safety.md, each judged by the nine others, nine lie in it."""
+ten labelled drives in experiments/guarantee.md, each judged by the nine others, nine lie in it."""
 OF_RUN = ("mixed-sensors",)
 """Warnings that concern every scan of a run: the fit to its scans suits none of the sensors."""
 WITHHELD_FOR = (

@@ -39,8 +39,8 @@ def results(predict, tmp_path):
 
 
 def undocumented(found, stage):
-    """Return the keys of a result that docs/json.md does not list for its stage."""
-    page = (ROOT / "docs/json.md").read_text("utf-8")
+    """Return the keys of a result that docs/reference/json.md does not list for its stage."""
+    page = (ROOT / "docs/reference/json.md").read_text("utf-8")
     sections = dict(re.findall(r"^## (.+?)\n(.*?)(?=^## |\Z)", page, re.MULTILINE | re.DOTALL))
     (own,) = [text for title, text in sections.items() if stage in title.split(", ")]
     rows = re.findall(r"^\| (`.+?`) \|", sections["Keys of every result"] + own, re.MULTILINE)

@@ -57,7 +57,7 @@ DEFAULT_LIMITS = (
     "On real scans they find fences where there are none, take trucks for fence, sidewalk, "
     "building or car, hardly tell parking from road and sidewalk, and hardly ever find cyclists."
 )
-"""Failures of the default weights, as docs/model-card.md has them; it does not come with a page."""
+"""Failures of the default weights, as model-card.md has them; it does not come with a page."""
 SHOWN_DIGITS = 12  # Hexadecimal digits of a SHA-256 that are shown
 CHECKED_STAGES = ("project", *PREDICTION_STAGES)  # They keep reasons to doubt scans
 

@@ -38,7 +38,7 @@ MIN_STEPS = 400  # Few points are passed over more often
 LEARNING_RATE, WEIGHT_DECAY = 3e-3, 1e-4
 ECE_TOLERANCE = 0.005  # Larger calibration error that a better ranking is worth
 SEQUENCES_OF_START = 7
-"""Sequences that an existing model counts as much as; see docs/tune.md for what was tried."""
+"""Sequences that an existing model counts as much as; see tune.md for what was tried."""
 LEAST = 1e-6  # Least probability in a logarithm
 HEIGHT = FEATURES.index("height above the sensor")
 MIN_SPREAD = 1e-3  # Features that hardly differ are not blown up
