@@ -23,7 +23,7 @@ from pathlib import Path
 
 import guide
 from measurements import MEASURES
-from pictures import PICTURES
+from pictures import PICTURES, concepts
 from prepared import prepared_folder
 
 from salsanext_cli.network.card import default_weights
@@ -36,6 +36,7 @@ CAPTURED = (
     "tutorials/guarantee.md",
 )
 """Pages whose commands are run, each in a folder of its own."""
+MEASURED = MEASURES | {"pictures": concepts.measured}
 
 
 def main() -> None:
@@ -54,10 +55,10 @@ def figures(data: Path, names: list[str]) -> None:
     stored = guide.stored_figures()
     weights = hashlib.sha256(default_weights().read_bytes()).hexdigest()
     home = Path.cwd()
-    for name in names or MEASURES:
+    for name in names or MEASURED:
         with tempfile.TemporaryDirectory() as folder:
             os.chdir(folder)
-            values = MEASURES[name](data)
+            values = MEASURED[name](data)
             os.chdir(home)
         today = datetime.date.today().isoformat()
         stored[name] = {"weights": weights, "date": today} | values

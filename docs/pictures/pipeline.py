@@ -1,12 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Draw the pipeline of the front page: commands, and the files between them.
 
-    python docs/pipeline_picture.py docs/images/pipeline.svg
-
-Boxes have colours of their own, so that they can be read on light and on dark pages.
+Boxes have background colours, so that they can be read on light and on dark pages.
 """
 
-import sys
 from html import escape
 from pathlib import Path
 from typing import NamedTuple
@@ -93,7 +90,7 @@ def arrow(start: Box, end: Box) -> str:
     return f'<path d="M{path}" stroke="{ARROW}" stroke-width="2" marker-end="url(#head)"/>'
 
 
-def main(path: Path) -> None:
+def draw(_: Path, picture: Path) -> None:
     """Write the picture."""
     width = 2 * MARGIN + 4 * ACROSS + WIDTH
     height = 2 * MARGIN + 3 * DOWN + HEIGHT
@@ -107,8 +104,4 @@ def main(path: Path) -> None:
         *map(drawn, BOXES.values()),
         "</svg>",
     ]
-    path.write_text("\n".join(parts) + "\n", "utf-8")
-
-
-if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    picture.write_text("\n".join(parts) + "\n", "utf-8")
