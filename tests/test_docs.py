@@ -44,7 +44,7 @@ PAGES = [*guide.PAGES, ROOT / "CONTRIBUTING.md"]
 NAMES = list(every_command())
 WORDS = {word for commands in COMMANDS.values() for word in commands}
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
-RUN = ("../README.md", *refresh.CAPTURED)
+RUN = ("../README.md", "start/install.md", *refresh.CAPTURED)
 """Pages whose commands are run, in the folder of `prepared.py`."""
 CHECKED = [
     page
@@ -54,9 +54,9 @@ CHECKED = [
 ]
 """Pages whose words are checked."""
 BANNED = re.compile(
-    r"\bpromis|first guess|\bstreets?\b|\bleft out\b|\banew\b|\bbeside\b|one's own"
-    r"|\b(those|that) (of|which)\b|(?<!there )\b(is|are) no\b"
-    r"|^Of \w+ (classes|points|scans) \w+ (is|are)\b",
+    r"\bpromis|first guess|synthetic streets?\b|\bleft out\b|\banew\b|\bbeside\b|one's own"
+    r"|\b(those|that) which\b|\b(those|that) of (those|that|what|which)\b"
+    r"|(?<!there )\b(is|are) no\b|^Of \w+ (classes|points|scans) \w+ (is|are)\b",
     re.IGNORECASE,
 )
 """Words that the vocabulary of the project replaces."""
@@ -331,7 +331,7 @@ def test_every_page_is_in_the_navigation_and_the_version_in_the_changelog():
     assert f"## [{salsanext_cli.__version__}]" in text_of("CHANGELOG.md")
 
 
-@pytest.mark.parametrize("page", guide.PAGES, ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", guide.PAGES, ids=lambda page: page.name + "-" + page.parent.name)
 def test_the_figures_shown_are_those_measured_with_the_shipped_weights(page):
     stored, text = guide.stored_figures(), page.read_text("utf-8")
     weights = hashlib.sha256(default_weights().read_bytes()).hexdigest()
@@ -339,6 +339,8 @@ def test_the_figures_shown_are_those_measured_with_the_shipped_weights(page):
         assert stored[name.split(".")[0]]["weights"] == weights, "run docs/refresh.py figures"
     assert guide.with_figures(text, stored) == text, "run docs/refresh.py figures"
     assert text.count("<!-- / -->") == len(guide.FIGURE.findall(text))
+    # A comment at the beginning of a line would end the paragraph.
+    assert not re.search(r"^<!-- \w+\.", text, re.MULTILINE)
 
 
 def test_every_picture_is_shown_and_can_be_drawn_again():
@@ -353,11 +355,20 @@ def test_every_picture_is_shown_and_can_be_drawn_again():
     assert {DOCS / "images" / name for name in refresh.PICTURES} <= files
 
 
-@pytest.mark.parametrize("page", CHECKED, ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", CHECKED, ids=lambda page: page.name + "-" + page.parent.name)
 def test_sentences_are_short_and_avoid_words_of_the_laboratory(page):
     for sentence in sentences(page.read_text("utf-8")):
         assert len(sentence.split()) <= 40, sentence
         assert not BANNED.search(sentence), sentence
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_help_has_short_sentences_and_avoids_words_of_the_laboratory(name):
+    command = parsed(name)
+    for text in (command.help, *(parameter.help for parameter in command.params)):
+        for sentence in sentences(text):
+            assert len(sentence.split()) <= 40, sentence
+            assert not BANNED.search(sentence), sentence
 
 
 def test_the_checks_of_words_find_what_they_look_for():
