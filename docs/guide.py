@@ -4,8 +4,8 @@
 HTML comments, which readers do not see, control how a page is run:
 
     <!-- run: COMMAND -->      a hidden command, such as copying labels in place of a person
-    <!-- not run: REASON -->   the next `sh` block is not run
-    <!-- output -->            the next `text` block is the output of the `sh` block above it;
+    <!-- not run: REASON -->   the next `sh` or `python` block is not run
+    <!-- output -->            the next `text` block is the output of the block above it;
                                `first 5`, `last 5` or `first 3, last 5` limits its lines
     <!-- GROUP.KEY -->82.1<!-- / -->   a figure of docs/figures.json
 """
@@ -32,10 +32,11 @@ BLOCK = re.compile(
     re.MULTILINE | re.DOTALL,
 )
 OUTPUT = re.compile(r"<!-- output(?P<limit>[^\n]*?) -->\s*\Z")
+PROGRESS = re.compile(r": \d+/\d+ .* left$")
 FIGURE = re.compile(r"<!-- ([a-z0-9_]+\.[a-z0-9_]+) -->(.*?)<!-- / -->", re.DOTALL)
 
 
-class CommandFailed(Exception):
+class CommandError(Exception):
     """A command of a page ended with an error."""
 
 
@@ -73,21 +74,22 @@ def outputs(text: str, folder: Path) -> str:
     """Run the commands of a page in a folder; return the page with their outputs."""
     pieces, done, output = [], 0, ""
     for block in blocks(text):
-        if block.language == "sh" and block.run:
-            output = run(block.body, folder)
+        if block.language in ("sh", "python") and block.run:
+            output = run(block.body, folder, block.language)
         elif block.output is not None:
             pieces += [text[done : block.start], limited(output, block.output)]
             done = block.start + len(block.body)
     return "".join([*pieces, text[done:]])
 
 
-def run(commands: str, folder: Path) -> str:
-    """Run shell commands in a folder; return what they print on both streams."""
+def run(commands: str, folder: Path, language: str = "sh") -> str:
+    """Run commands of the shell, or Python code, in a folder; return what they print."""
+    shell = ["bash", "-euo", "pipefail", "-c"] if language == "sh" else [sys.executable, "-c"]
     tools = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     settings = {"PATH": tools, "COLUMNS": str(COLUMNS), "NO_COLOR": "1", "TERM": "dumb"}
     environment = {k: v for k, v in os.environ.items() if not k.startswith("SALSANEXT_")}
     done = subprocess.run(
-        ["bash", "-euo", "pipefail", "-c", commands],
+        [*shell, commands],
         cwd=folder,
         env=environment | settings,
         stdout=subprocess.PIPE,
@@ -96,8 +98,9 @@ def run(commands: str, folder: Path) -> str:
         check=False,
     )
     if done.returncode:
-        raise CommandFailed(f"{commands}\n{done.stdout}")
-    return "".join(f"{line.rstrip()}\n" for line in done.stdout.splitlines())
+        raise CommandError(f"{commands}\n{done.stdout}")
+    lines = (line.rstrip() for line in done.stdout.splitlines())
+    return "".join(f"{line}\n" for line in lines if not PROGRESS.search(line))
 
 
 def limited(output: str, limit: str) -> str:

@@ -48,7 +48,7 @@ def frame(scan: Path, labels: np.ndarray, error: np.ndarray) -> Image.Image:
     accepted = np.where((error > LIMIT)[:, None], np.uint8([70, 74, 82]), classes)
     views = {
         "labels": classes,
-        "probability of error (bright: likely wrong)": error_colours(error),
-        f"labels with an error below {LIMIT:.0%}": accepted,
+        "probability of error": error_colours(error),
+        f"labels with error below {LIMIT:.0%}": accepted,
     }
     return in_a_row([(t, rendered(points, c, WIDTH, HEIGHT)) for t, c in views.items()])

@@ -59,12 +59,12 @@ def rendered(
 
 
 def in_a_row(
-    panels: Sequence[tuple[str, Image.Image]], gap: int = 6, head: int = 24
+    panels: Sequence[tuple[str, Image.Image]], gap: int = 6, head: int = 34
 ) -> Image.Image:
     """Put titled pictures of one size side by side."""
     width, height = panels[0][1].size
     sheet = Image.new("RGB", (len(panels) * (width + gap) - gap, height + head), BACKGROUND)
-    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(15)
+    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(22)
     for number, (title, panel) in enumerate(panels):
         left = number * (width + gap)
         sheet.paste(panel, (left, head))
