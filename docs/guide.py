@@ -87,6 +87,8 @@ def run(commands: str, folder: Path, language: str = "sh") -> str:
     shell = ["bash", "-euo", "pipefail", "-c"] if language == "sh" else [sys.executable, "-c"]
     tools = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     settings = {"PATH": tools, "COLUMNS": str(COLUMNS), "NO_COLOR": "1", "TERM": "dumb"}
+    # Otherwise the lines of stdout would come after all lines of stderr.
+    settings["PYTHONUNBUFFERED"] = "1"
     environment = {k: v for k, v in os.environ.items() if not k.startswith("SALSANEXT_")}
     done = subprocess.run(
         [*shell, commands],
@@ -123,6 +125,7 @@ def with_figures(text: str, figures: dict[str, dict[str, Any]]) -> str:
 
     def value(match: re.Match[str]) -> str:
         group, key = match[1].split(".")
-        return f"<!-- {match[1]} -->{figures[group][key]}<!-- / -->"
+        stored = figures.get(group, {}).get(key, match[2])
+        return f"<!-- {match[1]} -->{stored}<!-- / -->"
 
     return FIGURE.sub(value, text)

@@ -326,6 +326,10 @@ def test_the_figures_shown_are_those_measured_with_the_shipped_weights(page):
     assert not re.search(r"^<!-- \w+\.", text, re.MULTILINE)
 
 
+def test_the_readme_stays_short():
+    assert len(text_of("README.md").splitlines()) <= 120
+
+
 def test_every_picture_is_shown_and_can_be_drawn_again():
     shown = {
         (page.parent / target).resolve()
