@@ -45,6 +45,7 @@ lint: $(INSTALLED)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+	git ls-files '*.md' '*.py' '*.toml' | xargs $(BIN)/codespell
 
 format: $(INSTALLED)
 	$(BIN)/ruff format .
