@@ -15,10 +15,11 @@ Table = Mapping[str, np.ndarray]
 
 
 def las(folder: Path, table: Table) -> list[bytes]:
-    """Return a cloud of laspy; lazrs aborts the process at some damaged compressed ones."""
+    """Return a cloud of laspy, compressed and not."""
     pytest.importorskip("laspy")
     points = np.column_stack([table[axis] for axis in "xyz"])
-    return [write_las(folder / "s.las", points, {"ring": table["ring"]}).read_bytes()]
+    paths = (folder / name for name in ("s.las", "s.laz"))
+    return [write_las(path, points, {"ring": table["ring"]}).read_bytes() for path in paths]
 
 
 def feather(table: Table) -> list[bytes]:
