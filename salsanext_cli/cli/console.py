@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec, cast
 import typer
 
 from salsanext_cli.cli.interruption import end_line, interruptible
-from salsanext_cli.errors import NOTICE, SalsanextError, UsageError, escaped, printable
+from salsanext_cli.errors import HINT, NOTICE, SalsanextError, UsageError, escaped, printable
 from salsanext_cli.option_fields import option, option_group
 
 if TYPE_CHECKING:
@@ -81,7 +81,8 @@ class StderrHandler(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Print a record."""
         level = "" if record.levelno < logging.WARNING else f"{record.levelname.lower()}: "
-        print_line(printable(f"{level}{record.getMessage()}"))
+        headline, mark, hint = f"{level}{record.getMessage()}".partition(HINT)
+        print_line(f"{printable(headline)}{mark}{printable(hint)}")
 
 
 def guarded(command: Callable[Parameters, None]) -> Callable[Parameters, None]:

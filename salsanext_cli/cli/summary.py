@@ -71,7 +71,7 @@ def _rejection_lines(outcome: Outcome, limit: float | str | None) -> Iterable[st
 
 
 def _as_data(outcome: Outcome) -> dict[str, Any]:
-    """Return plain data for JSON; docs/json.md lists the keys."""
+    """Return plain data for JSON; docs/reference/json.md lists the keys."""
     data: dict[str, Any] = {
         "done": outcome.done,
         "skipped": outcome.skipped,

@@ -18,7 +18,7 @@ from salsanext_cli import __version__
 from salsanext_cli.__main__ import main
 from salsanext_cli.cli import console, help, removed
 from salsanext_cli.cli.app import COMMANDS
-from salsanext_cli.errors import FormatError, UsageError
+from salsanext_cli.errors import FormatError, UsageError, with_hint
 
 ROOT = Path(__file__).parents[2]
 HEAVY = (
@@ -273,3 +273,11 @@ def test_a_log_file_gets_a_line_from_time_to_time(monkeypatch, capsys):
     assert err[0] == "predict: 910/1000 scans, 3.0 s/scan, 4 min left"
     assert len(err) == 9
     assert not any("1000/1000" in line for line in err)
+
+
+def test_a_warning_has_a_line_for_its_hint_and_no_other(capsys):
+    console.Output()
+    text = with_hint("two\nlines.bin: no intensity", "see the\nmanual")
+    logging.getLogger("salsanext_cli.x").warning("%s", text)
+    expected = "warning: two\\x0alines.bin: no intensity\nhint: see the\\x0amanual\n"
+    assert capsys.readouterr().err == expected

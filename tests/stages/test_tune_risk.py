@@ -26,7 +26,7 @@ from salsanext_cli.stages.report import read_run, report
 from salsanext_cli.training.tuning.risk import RiskLevel, _held_out
 
 ALL = ScanSelection()
-VOID = "nothing is promised"
+VOID = "the guarantee does not cover"
 
 
 @pytest.fixture
