@@ -20,11 +20,13 @@ WIDTH_PX = 1280
 
 def report(data: Path, picture: Path) -> None:
     """Take a screenshot of the page of a run, in Chromium."""
-    with tempfile.TemporaryDirectory() as folder:
-        predicted_drive(data, Path(folder), "--error")
-        salsanext("report", Path(folder, "out"))
-        screenshot(Path(folder, "out/report.html"), Path(folder, "page.png"))
-        shrink(Path(folder, "page.png"), picture, WIDTH_PX)
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary, "example")  # The page shows its name.
+        folder.mkdir()
+        predicted_drive(data, folder, "--error")
+        salsanext("report", folder / "out")
+        screenshot(folder / "out/report.html", folder / "page.png")
+        shrink(folder / "page.png", picture, WIDTH_PX)
 
 
 def screenshot(page: Path, png: Path, window: str = WINDOW) -> None:
