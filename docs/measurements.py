@@ -14,7 +14,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-FOLD_EPOCHS = 2
 """Epochs of the fine-tuning that is scored on other drives; `folds=0` needs their number."""
 NUSCENES = "0001", "0004"
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
@@ -120,42 +119,9 @@ def guarantee(data: Path) -> dict[str, str]:
     return values
 
 
-def finetune(data: Path) -> dict[str, str]:
-    """Fine-tune on two drives of SemanticKITTI; return the mean scores on the two others.
-
-    It takes about an hour on two cores.
-    """
-    import yaml
-
-    import salsanext_cli as sn
-
-    halves = ("00", "x1"), ("08", "x2")
-    scores: dict[str, list[dict[str, Any]]] = {"before": [], "after": []}
-    for number, (learnt, others) in enumerate([halves, halves[::-1]]):
-        root = Path(f"half-{number}")
-        root.mkdir(exist_ok=True)
-        link = root / "sequences"
-        if not link.exists():
-            link.symlink_to((data / "semantickitti/sequences").resolve())
-        space = sn.label_space().to_dict() | {"split": {"train": [*learnt], "valid": [*others]}}
-        (root / "labels.yaml").write_text(yaml.safe_dump(space), "utf-8")
-        epochs = ("--set", "folds=0", "--epochs", FOLD_EPOCHS)
-        salsanext("train", root, root / "run", "--recipe", "finetune", *epochs)
-        weights = {"before": "default", "after": root / "run/last.safetensors"}
-        for name, file in weights.items():
-            out = root / name
-            salsanext("predict", root, out, "--split", "valid", "--weights", file)
-            scores[name].append(salsanext("eval", out, "--split", "valid")["scores"])
-    return {
-        f"{key}_{name}": percent(sum(score[of] for score in both) / 2)
-        for name, both in scores.items()
-        for key, of in (("accuracy", "accuracy"), ("miou", "iou_mean_present"))
-    }
-
-
 MEASURES: dict[str, Callable[[Path], dict[str, str]]] = {
     measure.__name__: measure
     for measure in (
-        semantickitti, pandaset, simulated, simulated_sensors, nuscenes, guarantee, finetune
+        semantickitti, pandaset, simulated, simulated_sensors, nuscenes, guarantee
     )
 }  # fmt: skip
