@@ -1,4 +1,3 @@
-#!/usr/bin/env python3
 # SPDX-License-Identifier: MIT
 """Print constraints with the lowest version of every dependency in pyproject.toml.
 
