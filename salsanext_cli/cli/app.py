@@ -85,7 +85,10 @@ def salsanext(
 
         typer.echo("\n".join(version_lines()) if verbose else f"salsanext {__version__}")
         raise typer.Exit
-    if context.invoked_subcommand is None or verbose:
+    if verbose:
+        hint = "put it after the command, or add --version"
+        raise UsageError("--verbose", "is given before the command", hint=hint)
+    if context.invoked_subcommand is None:
         raise UsageError("salsanext", "no command", hint="run `salsanext --help`")
 
 
