@@ -56,6 +56,12 @@ def interruptible() -> Iterator[None]:
             raise KeyboardInterrupt from None
 
 
+def require_uninterrupted() -> None:
+    """Raise `KeyboardInterrupt` if a signal has arrived: Python drops it in some callbacks."""
+    if ARRIVED:
+        raise KeyboardInterrupt
+
+
 def end_line() -> tuple[str, int]:
     """Return the line to print after an interruption, and the exit status."""
     number = ARRIVED[0] if ARRIVED else signal.SIGINT

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from salsanext_cli.cli import arguments, console
 from salsanext_cli.cli.console import progress
+from salsanext_cli.cli.interruption import require_uninterrupted
 from salsanext_cli.engines.settings import COLUMNS_DEFAULT, COLUMNS_HELP, weights_file, with_columns
 from salsanext_cli.errors import counted
 from salsanext_cli.option_fields import argument, network_option, option_group
@@ -139,6 +140,7 @@ def _score_text(done: "TrainResult") -> str:
 
 def _show(report: "StepReport", bar: "Progress | None", output: console.Output) -> None:
     """Move the bar at every step; print a line at the end of an epoch."""
+    require_uninterrupted()
     if bar is not None:
         bar(report.step, report.steps)
     if report.row is not None:
