@@ -4,6 +4,7 @@
 import re
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -12,7 +13,7 @@ import typer
 from salsanext_cli.cli import arguments, console, summary
 from salsanext_cli.cli.console import over_scans
 from salsanext_cli.cli.expansion import Without
-from salsanext_cli.engines.settings import AUTO, COLUMNS_HELP, with_columns
+from salsanext_cli.engines.settings import AUTO, COLUMNS_HELP, NetworkSettings, with_columns
 from salsanext_cli.errors import UsageError, counted
 from salsanext_cli.option_fields import KnnParameters, ScanSelection, option_group, own_option
 from salsanext_cli.parallel.run_options import RunOptions
@@ -21,6 +22,7 @@ from salsanext_cli.results.query import ResultQuery, named_label_space
 if TYPE_CHECKING:
     from salsanext_cli.parallel.run import Outcome
 
+MANY_SCANS = 100  # Fewer take so little time that no faster option is named
 WAIT_S = 1.0  # Time between two looks at whether another run has ended
 
 
@@ -164,10 +166,26 @@ def predict(
             outcome = predict_range_images(
                 source, out, settings=settings, selection=selection, options=run
             )
-    results, split = out, selection.split
+    results, split, advice = out, selection.split, _advice(settings, outcome, out)
     if extras.fuse and outcome.done + outcome.skipped:
         outcome, results = _then_fused(outcome, out, selection, running, output)
-    summary.finish("predict", outcome, out, output, split=split, strict=strict, results=results)
+    end = partial(summary.finish, split=split, strict=strict, results=results, advice=advice)
+    end("predict", outcome, out, output)
+
+
+def _advice(settings: NetworkSettings, outcome: "Outcome", out: Path) -> str:
+    """Return a line about a faster option for a long run; an empty text if there is none."""
+    from salsanext_cli.engines.device import advises_int8
+    from salsanext_cli.network.card import read_card
+    from salsanext_cli.results.manifest import Manifest
+
+    if settings.precision != AUTO or outcome.done <= MANY_SCANS:
+        return ""
+    recorded = Manifest(out).settings("predict")
+    if recorded is None or recorded.engine != "openvino" or not advises_int8(recorded.precision):
+        return ""
+    how = "" if read_card(settings.path).int8 else ", after `salsanext tune int8`,"
+    return f"faster: --precision int8{how} takes about 60 % of the time; 1 % of the labels differ"
 
 
 def _then_fused(

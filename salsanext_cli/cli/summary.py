@@ -33,10 +33,12 @@ def finish(
     split: str | None = None,
     strict: bool = False,
     results: object = None,
+    advice: str = "",
 ) -> NoReturn:
     """Say what became of a run and leave with its exit status.
 
-    `more`: options to type next; `results`: folder for the next command, if not `out`.
+    `more`: options to type next; `results`: folder for the next command, if not `out`; `advice`: a
+    line before the next command.
     """
     name_failures(outcome.failures)
     following = next_command(stage, outcome, str(results or out), more, split)
@@ -55,8 +57,9 @@ def finish(
     if outcome.kept_points and outcome.done:
         points, kept = outcome.kept_points
         output.say(f"{kept:,} of {counted(points, 'point')} stay")
-    for line in _lines(outcome.summary, following):
-        output.say(line)
+    for line in (*_lines(outcome.summary), advice, following and f"next: {following}"):
+        if line:
+            output.say(line)
     doubted = strict and outcome.summary is not None and bool(outcome.summary.findings)
     leave(outcome.failures, missing, failed=doubted)
 
@@ -91,8 +94,8 @@ def _as_data(outcome: Outcome) -> dict[str, Any]:
     return found
 
 
-def _lines(summary: RunSummary | None, following: str | None) -> Iterable[str]:
-    """Yield what else is worth knowing: the sensor, the classes, the command to type next."""
+def _lines(summary: RunSummary | None) -> Iterable[str]:
+    """Yield what else is worth knowing: the sensor, the classes."""
     if summary is not None:
         sensor = summary.sensor
         from salsanext_cli.fitting.field_of_view import ego_text, view_text
@@ -111,8 +114,6 @@ def _lines(summary: RunSummary | None, following: str | None) -> Iterable[str]:
         if largest := summary.largest_classes():
             shares = ", ".join(f"{name} {100 * share:.1f} %" for name, share in largest.items())
             yield f"largest classes: {shares}"
-    if following is not None:
-        yield f"next: {following}"
 
 
 def next_command(

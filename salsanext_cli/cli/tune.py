@@ -9,7 +9,7 @@ import typer
 
 from salsanext_cli.cli import arguments, console
 from salsanext_cli.cli.console import guarded, progress
-from salsanext_cli.cli.expansion import Default, expanded
+from salsanext_cli.cli.expansion import Default, Shown, Without, expanded
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import counted
 from salsanext_cli.option_fields import ScanSelection
@@ -143,6 +143,28 @@ def tune_dropout(
     _end(output, summary, target, stage="uncertainty")
 
 
+def tune_int8(
+    scans: arguments.RequiredScans,
+    target: arguments.WeightsOut,
+    *,
+    selection: Annotated[ScanSelection, Shown(limit=arguments.EVENLY_SPACED)],
+    settings: Annotated[arguments.Network, Without({"precision"})],
+    overwrite: arguments.Overwrite = False,
+    output: console.Output,
+) -> None:
+    """Fit the ranges of `predict --precision int8` to scans without labels; write new weights.
+
+    Example: salsanext tune int8 seq/velodyne faster.safetensors
+    """
+    from salsanext_cli.stages.tune import tune_int8 as stage
+
+    report = stage(scans, target, settings=settings, selection=selection, overwrite=overwrite)
+    output.result(report | {"weights": str(target)})
+    equal = "" if report["equal"] is None else f", {report['equal']:.1%} of the labels equal"
+    summary = f"tune int8: {counted(report['scans'], 'scan')}{equal} → {target}"
+    _end(output, summary, target, "--precision int8 ")
+
+
 def _end(
     output: console.Output, summary: str, target: Path, option: str = "", stage: str = "predict"
 ) -> None:
@@ -181,9 +203,10 @@ def _tuned(
 
 tune = typer.Typer(
     no_args_is_help=True,
-    help="Fit weights to labelled scans: temperature, error, threshold of risk or dropout rate.",
+    help="Fit weights to scans: temperature, error, threshold of risk, dropout rate, int8 ranges.",
 )
 tune.command("error")(guarded(expanded(tune_error)))
 tune.command("risk")(guarded(expanded(tune_risk)))
 tune.command("temperature")(guarded(expanded(tune_temperature)))
 tune.command("dropout")(guarded(expanded(tune_dropout)))
+tune.command("int8")(guarded(expanded(tune_int8)))

@@ -21,6 +21,7 @@ from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.json_files import Json, decoded, plain
 from salsanext_cli.files.reading import is_folder, present, reading, refusing_damage
 from salsanext_cli.network.error_model import ErrorModel, valid_temperature
+from salsanext_cli.network.int8_inputs import Int8Inputs
 from salsanext_cli.records import Scan
 from salsanext_cli.sensors.sensor import FittedView, Sensor
 from salsanext_cli.version import __version__
@@ -121,7 +122,12 @@ class AccuracyLine:
             raise ValueError(f"accuracy holds {self}")
 
 
-FITTED = {"error": ErrorModel, "risk": RiskThreshold, "accuracy": AccuracyLine}
+FITTED = {
+    "error": ErrorModel,
+    "risk": RiskThreshold,
+    "accuracy": AccuracyLine,
+    "int8": Int8Inputs,
+}
 """Parts of a card that may be absent."""
 
 
@@ -141,8 +147,8 @@ class WeightsCard:
         Resolved training recipe, and measurements with these weights; empty if unknown.
     temperature : float
         Divisor of the logits that makes the softmax a probability.
-    error, risk, accuracy : optional
-        Error model, threshold with a guarantee, and estimate of the accuracy.
+    error, risk, accuracy, int8 : optional
+        Error model, threshold with a guarantee, estimate of the accuracy, and ranges for int8.
     trained_on : frozenset of str
         Digests of the scans that the weights were trained on, as far as known.
     version : int, optional
@@ -159,6 +165,7 @@ class WeightsCard:
     error: ErrorModel | None = None
     risk: RiskThreshold | None = None
     accuracy: AccuracyLine | None = None
+    int8: Int8Inputs | None = None
     trained_on: frozenset[str] = frozenset()
     version: int | None = None
 
@@ -263,6 +270,7 @@ class DescribedWeights:
             "label_space": card.space.name,
             "classes": list(card.space.names),
             "error": card.error and dict(card.error.scores),
+            "int8": card.int8 and {"layers": len(card.int8.layers), "scans": card.int8.scans},
             "trained_on": len(card.trained_on),
         }
 

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: MIT
+"""Ranges of the inputs of layers, for networks that compute in 8-bit integers."""
+
+from collections.abc import Iterable, Sequence
+from functools import partial
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from salsanext_cli.engines.graphs import LOGITS
+from salsanext_cli.engines.network import Network
+from salsanext_cli.geometry.projection import project
+from salsanext_cli.geometry.scan_traits import sensor_of
+from salsanext_cli.network.int8_inputs import Int8Input, Int8Inputs
+from salsanext_cli.network.segmentation import SegmentationNetwork
+from salsanext_cli.records import CHANNELS, Float, Scan
+
+OUTLIERS = 1e-4  # Share of the values of a channel beyond each end of its range
+MAX_PIXELS = 32768  # Pixels of a channel that are compared
+
+
+def int8_layers(module: SegmentationNetwork) -> dict[str, nn.Conv2d]:
+    """Return the convolutions that can compute in 8-bit integers, by name."""
+    return {
+        name: layer
+        for name, layer in module.named_modules()
+        if isinstance(layer, nn.Conv2d)
+        and (layer.groups, name.partition(".")[0] in (LOGITS, *module.precise)) == (1, False)
+        and layer.in_channels != len(CHANNELS)
+    }
+
+
+def inputs_of(network: Network, scans: Iterable[Scan]) -> list[Float]:
+    """Return the inputs (1, 5, H, W) float32 of a network for scans of its sensors."""
+    inputs = []
+    for scan in scans:
+        fitted = network.for_sensor(sensor_of(scan, network.sensor))
+        inputs.append(fitted.input(project(scan, fitted.sensor).channels))
+    return inputs
+
+
+@torch.inference_mode()
+def fit_int8(module: SegmentationNetwork, inputs: Sequence[Float]) -> Int8Inputs:
+    """Return ranges of the inputs of layers: means over images (1, 5, H, W) float32."""
+    layers = int8_layers(module)
+    ends: dict[str, list[Float]] = {name: [] for name in layers}
+
+    def measure(name: str, _: nn.Module, arguments: tuple[Tensor, ...]) -> None:
+        pixels = arguments[0].flatten(2)[0]
+        pixels = pixels[:, :: -(-pixels.shape[1] // MAX_PIXELS)]
+        few = int(OUTLIERS * pixels.shape[1]) + 1
+        low, high = (pixels.topk(few, largest=up).values[:, -1] for up in (False, True))
+        ends[name].append(torch.stack((low, high), dim=1).float().cpu().numpy())
+
+    hooks = [
+        layer.register_forward_pre_hook(partial(measure, name)) for name, layer in layers.items()
+    ]
+    device = next(module.parameters()).device
+    try:
+        for image in inputs:
+            module(torch.from_numpy(image).to(device))
+    finally:
+        for hook in hooks:
+            hook.remove()
+    means = {name: np.mean(of_images, axis=0) for name, of_images in ends.items()}
+    ranges = {name: Int8Input.of_ranges(*mean.T) for name, mean in means.items()}
+    return Int8Inputs(ranges, len(inputs))
