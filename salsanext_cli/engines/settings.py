@@ -36,7 +36,7 @@ class NetworkSettings:
     )
     _: KW_ONLY
     precision: str = network_option(
-        "float32, bfloat16, float16, or int8 on a CPU: faster, about 1 % of the labels differ; auto "
+        "float32, bfloat16, float16, or int8 on a CPU: faster, with about 1 % other labels; auto "
         "is the fastest of the others.",
         default="float32",
         envvar="SALSANEXT_PRECISION",

@@ -10,7 +10,7 @@ from typing import Any
 
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import NOTICE, NoInputError
+from salsanext_cli.errors import NOTICE, NoInputError, WeightsError
 from salsanext_cli.files.atomic import require_absent, require_target, writing
 from salsanext_cli.fitting.sensor_fit import ScanSample, fit_scans
 from salsanext_cli.network.weights import save_with_card
@@ -130,6 +130,8 @@ def tune_int8(
     ------
     NoInputError
         If no scan can be read.
+    WeightsError
+        If the network has no layer that int8 can compute.
     """
     network = replace(settings, precision="float32").load()
     files = select_scans(source, selection, network.card.space, evenly=True)
@@ -141,6 +143,8 @@ def tune_int8(
     if not inputs:
         raise NoInputError(source, "has no readable scan", "scans that `predict` can label")
     int8 = fit_int8(network.module, inputs)
+    if not int8.layers:
+        raise WeightsError(settings.path, "has no hidden layer that int8 can compute")
     card = replace(network.card, int8=int8, version=None)
     save_with_card(settings.path, target, card, overwrite=overwrite)
     equal = None

@@ -12,10 +12,15 @@ from evaluated import CAR, ROAD, World
 from scans import SMALL, make_scan, write_bin, write_sequence
 
 from salsanext_cli import label_space
+from salsanext_cli.cli.pipeline import MANY_SCANS, _advice
 from salsanext_cli.cli.summary import _lines, next_command
+from salsanext_cli.engines import device
+from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.measures.scan_summary import RunSummary
 from salsanext_cli.parallel.run import Outcome
+from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.results.paths import find_scans
+from salsanext_cli.results.settings import StageSettings
 
 
 def test_the_commands_to_type_next_lead_from_scans_to_scores(run, data, weights, tmp_path):
@@ -89,7 +94,7 @@ def test_equal_sensors_are_printed_once():
     """Such as two whose intensities alone were fitted otherwise."""
     darker, leaning = replace(SMALL, row_gaps=0.5), replace(SMALL, up=(0.5, 0.0, 0.9))
     for others, count in (((darker,), 1), ((darker, leaning), 2)):
-        lines = list(_lines(RunSummary(replace(SMALL, others=others)), None))
+        lines = list(_lines(RunSummary(replace(SMALL, others=others))))
         assert len([line for line in lines if line.startswith("sensor: ")]) == count
 
 
@@ -127,3 +132,29 @@ def test_the_command_says_where_the_page_is(run, world):
     assert run("report", "nowhere").exit_code == 1
     result = run(*given, "--scans", "08/000001", "--quiet")
     assert (result.exit_code, result.output) == (0, "")
+
+
+@pytest.mark.parametrize(
+    ("changes", "flags", "named"),
+    [
+        ({}, "avx2", True),
+        ({"done": MANY_SCANS}, "avx2", False),
+        ({"precision": "float32"}, "avx2", False),
+        ({"engine": "torch"}, "avx2", False),
+        ({}, "avx2 amx_bf16", False),
+        ({}, "", False),
+    ],
+)
+def test_a_long_run_on_a_cpu_without_bfloat16_names_the_faster_option(
+    changes, flags, named, weights, tmp_path, monkeypatch
+):
+    given = {"done": MANY_SCANS + 1, "precision": "auto", "engine": "openvino", **changes}
+    recorded = StageSettings(precision="float32", engine=given["engine"])
+    monkeypatch.setattr(Manifest, "settings", lambda *_: recorded)
+    monkeypatch.setattr(device, "flags", lambda: frozenset(flags.split()))
+    for variable in device.ISA_VARIABLES:
+        monkeypatch.delenv(variable, raising=False)
+    settings = NetworkSettings(weights, precision=given["precision"])
+    advice = _advice(settings, Outcome(0, (), given["done"]), tmp_path)
+    assert ("--precision int8" in advice) == named
+    assert ("tune int8" in advice) == named  # These weights have no ranges.
