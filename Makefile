@@ -5,10 +5,12 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/.installed
 DEMO ?= demo
+# Versions to install: constraints-lowest.txt tests the lowest ones.
+CONSTRAINTS ?= constraints.txt
 # Processes that test side by side; each takes half a gigabyte.
 WORKERS ?= 2
 
-.PHONY: help install demo test test-slow lint format docs clean
+.PHONY: help install demo test test-slow lint format docs wheel workflows clean
 
 help:
 	@echo "make demo       a small synthetic drive: predict, evaluate, export, look"
@@ -16,15 +18,17 @@ help:
 	@echo "make test-slow  the slow tests"
 	@echo "make lint       style and types"
 	@echo "make docs       the documentation, into site/"
+	@echo "make wheel      the distribution, into dist/, and a trial of it"
+	@echo "make workflows  check the workflows of continuous integration"
 	@echo "make clean      remove what the others made"
 
 install: $(INSTALLED)
 
-$(INSTALLED): pyproject.toml constraints.txt
+$(INSTALLED): pyproject.toml $(CONSTRAINTS)
 	@tools/system-libraries
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --requirement constraints.txt
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	$(BIN)/python -m pip install --quiet --requirement $(CONSTRAINTS)
+	$(BIN)/python -m pip install --quiet --constraint $(CONSTRAINTS) --editable '.[dev]'
 	@touch $@
 
 demo: $(INSTALLED)
@@ -35,24 +39,37 @@ test: $(INSTALLED)
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses $(WORKERS) --dist worksteal
 
 test-slow: $(INSTALLED)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
 	$(BIN)/python -m pytest -m 'slow or hypothesis' --hypothesis-profile=many
 
 lint: $(INSTALLED)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+	git ls-files '*.md' '*.py' '*.toml' | xargs $(BIN)/codespell
 
 format: $(INSTALLED)
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
 docs: $(INSTALLED)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[docs]'
+	$(BIN)/python -m pip install --quiet --constraint $(CONSTRAINTS) --editable '.[docs]'
 	$(BIN)/python docs/reference.py
 	$(BIN)/mkdocs build --strict
 	$(BIN)/salsanext demo $(DEMO)
 	install -D -m 644 $(DEMO)/out/report.html site/example/report.html
 
+wheel: $(INSTALLED)
+	rm -rf dist
+	$(BIN)/python -m build --quiet
+	$(BIN)/python -m twine check --strict dist/*
+	SALSANEXT_WHEEL=$$(echo dist/*.whl) $(BIN)/python -m pytest -m slow tests/test_wheel.py
+
+workflows: $(INSTALLED)
+	$(BIN)/python -m pip install --quiet check-jsonschema zizmor
+	$(BIN)/check-jsonschema --builtin-schema vendor.github-workflows .github/workflows/*.yml
+	$(BIN)/check-jsonschema --builtin-schema vendor.github-issue-forms $(filter-out %/config.yml,$(wildcard .github/ISSUE_TEMPLATE/*.yml))
+	$(BIN)/check-jsonschema --builtin-schema vendor.dependabot .github/dependabot.yml
+	$(BIN)/zizmor --offline .github
+
 clean:
-	rm -rf .venv site demo .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .venv dist site demo .pytest_cache .mypy_cache .ruff_cache .hypothesis

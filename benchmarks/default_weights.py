@@ -3,7 +3,7 @@
 
 PANDASET holds ``sequences/001`` and ``sequences/002``, each with velodyne/ and labels/: scans of
 the Pandar64 of two drives, x forward, y left, z up, intensity / 255, and labels in raw ids of
-SemanticKITTI (docs/model-card.md has the map). The last ten of 002 are never trained on. PANDARGT
+SemanticKITTI (model-card.md has the map). The last ten of 002 are never trained on. PANDARGT
 holds scans of the second sensor of both drives; those from the same time are never trained on
 either. AACHEN holds ``sequences/a0`` and ``sequences/a1``, front sectors of a VLP-32C. The same
 command continues an interrupted rebuild. What follows --train goes to `salsanext train`.
@@ -74,7 +74,7 @@ STREETS = ("--valid", "5", "--scans", SCANS_OF_STREET, "--spacing", "10", "--job
 DESCRIPTION = (
     "Trained on simulated streets and sensors and on two drives of PandaSet: {simulated} scans "
     "each of `salsanext synth` with an HDL-64 and with random sensors, {real} of PandaSet (Hesai "
-    "and Scale AI, CC BY 4.0).{aachen} See docs/model-card.md; not for use on real roads."
+    "and Scale AI, CC BY 4.0).{aachen} See model-card.md; not for use on real roads."
 )
 AACHEN = (
     " Also {sectors} front sectors of one drive in Aachen (ika, RWTH Aachen, MIT), whose labels "

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""Figures of docs/model-card.md: scores of weights on labelled data sets, as `predict` labels them.
+"""Figures of model-card.md: scores of weights on labelled data sets, as `predict` labels them.
 
 Prints the IoU per class; then accuracy, mean IoU over the classes present, expected calibration
 error, and mean IoU over the classes with at least 500 points, in %: as the scans are, without
 intensity, and in coarse classes.
 
 A data set whose labels have other classes needs two label spaces of the same classes: those that
-the predictions are merged into, and those of its labels (docs/label-spaces.md has both for
+the predictions are merged into, and those of its labels (docs/how-to/classes.md has both for
 nuScenes).
 
 Run: python benchmarks/model_card.py folder/ NAME=DATASET[,CLASSES.yaml,LABELS.yaml]…

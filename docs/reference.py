@@ -1,12 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Write docs/cli.md, the reference of all commands, from what the commands say of themselves.
-
-The text comes from the same declarations as `--help`, not from its printout, so that neither the
-width nor the colours of a terminal change it.
-"""
+"""Write docs/cli.md, the reference of all commands, from the declarations of their options."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,18 +11,27 @@ from typing import Any
 import typer
 
 from salsanext_cli.cli.app import COMMANDS, app
+from salsanext_cli.cli.help import by_panel, default_text, synopsis, usage
 
 PAGE = Path(__file__).with_name("cli.md")
-OWN = "Options"
-"""Heading of the options that only this command has."""
+PANELS = ("Options", "Selection", "Network", "Running", "Output")
+LEAST_SHARED = 3  # Commands with an option that is described once for all
 INTRODUCTION = """\
 <!-- Made by docs/reference.py. Change the help texts of the commands, not this page. -->
 
 # Commands
 
-`salsanext --help` lists the commands, `salsanext COMMAND --help` says what is on this page. What
-all commands have in common, such as the exit status, is under [Data and results](data.md).
+`salsanext --help` lists the commands, `salsanext COMMAND --help` the usual options of a command,
+and `salsanext COMMAND --help-all` all of its options. This page lists all of them. Options that
+several commands share are described [at the end](#shared-options).
 """
+SHARED = """\
+## Shared options
+
+A command takes the shared options that its section names.
+"""
+Row = tuple[str, str, str, str]
+"""Panel of the help, what to type, meaning, and default."""
 
 
 def main() -> None:
@@ -36,12 +42,17 @@ def main() -> None:
 def page() -> str:
     """Return the whole page."""
     group: Any = typer.main.get_command(app)
+    by_section = {
+        heading: dict(pair for name in names for pair in members(name, group.commands[name]))
+        for heading, names in COMMANDS.items()
+    }
+    shared = shared_rows([command for of in by_section.values() for command in of.values()])
     lines = [INTRODUCTION]
-    for panel, names in COMMANDS.items():
-        lines += [f"## {panel}", ""]
-        for name in names:
-            for full_name, command in members(name, group.commands[name]):
-                lines += [*section(full_name, command), ""]
+    for heading, commands in by_section.items():
+        lines += [f"## {heading}", ""]
+        for name, command in commands.items():
+            lines += [*section(name, command, shared), ""]
+    lines += [SHARED, *tables(shared)]
     return "\n".join(lines).rstrip() + "\n"
 
 
@@ -51,72 +62,55 @@ def members(name: str, command: Any) -> Iterator[tuple[str, Any]]:
     if inner is None:
         yield name, command
     else:
-        yield from ((f"{name} {member}", each) for member, each in inner.items())
+        yield from ((f"{name} {member}", command) for member, command in inner.items())
 
 
-def section(name: str, command: Any) -> Iterator[str]:
-    """Yield the lines about one command: what it does, an example, its arguments and options."""
-    what, _, example = str(command.help).partition("Example:")
-    arguments = [p for p in command.params if not p.opts[0].startswith("-")]
-    yield f"### salsanext {name}"
-    yield ""
-    yield " ".join(what.split())
-    yield ""
-    yield "```sh"
-    yield " ".join(example.split())
-    yield "```"
-    yield ""
-    yield " ".join(["Usage: `salsanext", name, *map(placeholder, arguments), "[OPTIONS]`"])
-    panels: dict[str, list[Any]] = {"Arguments": arguments, OWN: []}
-    for parameter in command.params:
-        if parameter not in arguments:
-            panels.setdefault(parameter.rich_help_panel or OWN, []).append(parameter)
-    for panel, parameters in panels.items():
-        if parameters:
-            yield ""
-            yield from table(panel, parameters)
+def shared_rows(commands: list[Any]) -> list[Row]:
+    """Return the options that several commands have, in the most common form of each name."""
+    counts = Counter(row for command in commands for row in rows_of(command))
+    usual = {row[1]: row for row, count in counts.most_common()[::-1] if count >= LEAST_SHARED}
+    rows = [row for row in counts if usual.get(row[1]) == row and row[0] != "Arguments"]
+    return sorted(rows, key=lambda row: PANELS.index(row[0]))
 
 
-def table(panel: str, parameters: list[Any]) -> Iterator[str]:
-    """Yield the lines of the table of one panel."""
-    yield f"| {panel} | | default |"
-    yield "|---|---|---|"
-    for parameter in parameters:
-        cells = (names(parameter), meaning(parameter), default(parameter))
-        yield f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
+def section(name: str, command: Any, shared: list[Row]) -> Iterator[str]:
+    """Yield the lines about one command: description, example, arguments and options."""
+    text, _, example = str(command.help).partition("Example:")
+    yield f"### salsanext {name}\n\n{' '.join(text.split())}\n"
+    yield f"```sh\n{' '.join(example.split())}\n```\n"
+    yield f"Usage: `salsanext {name} {usage(command)}`\n"
+    rows = rows_of(command)
+    yield from tables([row for row in rows if row not in shared])
+    if names := [row[1].split("`")[1].split()[0] for row in rows if row in shared]:
+        yield f"Shared options: {', '.join(f'`{option}`' for option in names)}"
 
 
-def placeholder(argument: Any) -> str:
-    """Return how the usage line shows an argument: in brackets if it may be left out."""
-    name = word(argument) + ("..." if argument.nargs == -1 else "")
-    return name if argument.required else f"[{name}]"
+def rows_of(command: Any) -> list[Row]:
+    """Return the rows of the tables of a command."""
+    return [row_of(panel, p) for panel, ps in by_panel(command.params).items() for p in ps]
 
 
-def word(argument: Any) -> str:
-    """Return the word that stands for an argument."""
-    return str(argument.metavar or argument.name.upper())
-
-
-def names(parameter: Any) -> str:
-    """Return what to type for a parameter."""
-    if not parameter.opts[0].startswith("-"):
-        return f"`{word(parameter)}`"
-    return ", ".join(f"`{option}`" for option in (*parameter.opts, *parameter.secondary_opts))
-
-
-def meaning(parameter: Any) -> str:
-    """Return what a parameter is for, and the variable of the environment that sets it."""
+def row_of(panel: str, parameter: Any) -> Row:
+    """Return the row of a parameter."""
     text = str(parameter.help)
-    return f"{text} Also `{parameter.envvar}`." if parameter.envvar else text
+    text += f" Also `{parameter.envvar}`." if parameter.envvar else ""
+    default = "required" if parameter.required else default_text(parameter)
+    plain = default and not isinstance(parameter.show_default, str) and not parameter.required
+    default = f"`{default}`" if plain else default
+    names = synopsis(parameter)
+    if parameter.param_type_name == "option":
+        *short, name = names.split(", ")
+        names = f"{name}`, `{short[0]}" if short else name
+    return panel, f"`{names}`", text, default
 
 
-def default(parameter: Any) -> str:
-    """Return what holds when a parameter is left out; nothing for what is off by default."""
-    if isinstance(parameter.show_default, str):
-        return parameter.show_default
-    if parameter.required:
-        return "required"
-    return "" if parameter.default in (None, False, "") else f"`{parameter.default}`"
+def tables(rows: list[Row]) -> Iterator[str]:
+    """Yield the lines of a table for each panel."""
+    for panel in dict.fromkeys(row[0] for row in rows):
+        yield f"| {panel} | | default |\n|---|---|---|"
+        for _, *cells in (row for row in rows if row[0] == panel):
+            yield f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
+        yield ""
 
 
 if __name__ == "__main__":

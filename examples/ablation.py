@@ -5,8 +5,9 @@ All networks see the same samples in the same order for the same number of steps
 last step are scored, so that nothing is chosen on the scans that score. A finished training is not
 repeated; an interrupted one is resumed.
 
-Run: pip install examples/paper_networks
-     python examples/ablation.py scenes/ ladder/ [steps [recipe [network ...]]]
+Install the networks first: pip install examples/paper_networks
+
+Run: python examples/ablation.py scenes/ ladder/ [steps [recipe [network ...]]]
 """
 
 import sys

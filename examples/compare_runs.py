@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Draw the validation mIoU of trainings over their training time, and print it at equal time.
+"""Plot the validation mIoU of trainings over the training time, and print it at equal times.
 
-The time is that of the training steps, without validation, so that recipes which validate more
-often are not at a disadvantage. Compare runs that had the same machine to themselves, or shared it.
+The time is that of the training steps, without validation. Compare runs on the same machine.
 
 Run: python examples/compare_runs.py curve.png runs/paper runs/modern
 """
@@ -31,7 +30,7 @@ def read_curve(run: Path) -> Curve:
 
 
 def at(minute: float, curve: Curve) -> float:
-    """Return the best mIoU that a training had reached by a minute; 0 before the first."""
+    """Return the best mIoU of a training up to a minute; 0 before the first validation."""
     return max((iou for time, iou in zip(*curve, strict=True) if time <= minute), default=0.0)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Draw the range image of a scan: what the network sees.
+"""Draw the range image of a scan, the input of the network.
 
 Run: python examples/draw_projection.py 000000.bin range.png [hdl64]
 """

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""From scans of another sensor to labels of one's own: pick, label, train, predict.
+"""Adapt the network to your own sensor with a few labelled scans: pick, label, train, predict.
 
-A synthetic drive through a sensor that the weights have not seen stands for one's own scans. Its
-last quarter is kept aside. Of the others some are picked, and the truth takes the place of the
-person.
+A simulated drive with a sensor that the weights have not seen stands for your own scans. Its last
+quarter is held out. Some of the other scans are picked, and the truth replaces manual labels.
 
 Run: python examples/few_labels.py folder/ [4 24 finetune weights.safetensors]
 """
@@ -28,11 +27,11 @@ from salsanext_cli.training.recipe import recipe
 SEED = 5
 
 
-def divide(drive: Path, mine: Path, aside: Path) -> None:
-    """Copy the scans of a drive without their labels, the last quarter to another folder."""
+def divide(drive: Path, mine: Path, held_out: Path) -> None:
+    """Copy the scans of a drive without labels, the last quarter to another folder."""
     files = find_scans(drive)
     for number, file in enumerate(files):
-        folder = (mine if number < len(files) * 3 // 4 else aside) / "velodyne"
+        folder = (mine if number < len(files) * 3 // 4 else held_out) / "velodyne"
         folder.mkdir(parents=True, exist_ok=True)
         shutil.copy(file.path, folder)
 
@@ -47,33 +46,35 @@ def score(scans: Path, out: Path, truth: Path, weights: Path | None) -> str:
         predicted = output_path(out, file.sequence, "predictions", file.stem)
         pair = (space.to_train(sn.read_labels(path)) for path in (labels[file.stem], predicted))
         confusion += confusion_matrix(*pair, space.class_count)
-    found = scores(confusion, space)
-    return f"accuracy {100 * found.accuracy:.1f} %, mean IoU {100 * found.iou_mean_present:.1f} %"
+    result = scores(confusion, space)
+    return f"accuracy {100 * result.accuracy:.1f} %, mean IoU {100 * result.iou_mean_present:.1f} %"
 
 
 def main(
     folder: str, count: str = "4", scans: str = "24", plan: str = "finetune", weights: str = ""
 ) -> None:
     root, start = Path(folder), Path(weights) if weights else None
-    drive, mine, aside, picked = (root / name for name in ("drive", "mine", "aside", "to-label"))
+    drive, mine, held_out, picked = (
+        root / name for name in ("drive", "mine", "held-out", "to-label")
+    )
     synthesise(drive, train=1, valid=0, scans=int(scans), spacing=8.0, sensor="random", seed=SEED)
-    divide(drive, mine, aside)
+    divide(drive, mine, held_out)
 
     choice = pick(mine, picked, count=int(count), settings=NetworkSettings(start))
-    print("picked", ", ".join(each.scan for each in choice.picked))
+    print("picked", ", ".join(scan.scan for scan in choice.picked))
 
     truth = {file.stem: file.label_path for file in find_scans(drive)}
     edited = root / "edited"
     edited.mkdir(exist_ok=True)
-    for each in choice.picked:
-        shutil.copy(truth[each.scan], edited)
+    for scan in choice.picked:
+        shutil.copy(truth[scan.scan], edited)
     import_labels(edited, picked)
 
     trained = train(picked, root / "run", recipe=recipe(plan), weights=start)
     if expected := trained.expected:
-        print(f"expect mean IoU {100 * expected.miou:.1f} %")
-    print("before", score(aside, root / "before", drive, start))
-    print("after", score(aside, root / "after", drive, trained.best))
+        print(f"estimated mean IoU {100 * expected.miou:.1f} %")
+    print("before", score(held_out, root / "before", drive, start))
+    print("after", score(held_out, root / "after", drive, trained.best))
 
 
 if __name__ == "__main__":

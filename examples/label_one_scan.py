@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Label one scan and count what is in it.
+"""Label one scan, write the labels, and count the points of each class.
 
 Run: python examples/label_one_scan.py 000000.bin [weights.safetensors]
 """

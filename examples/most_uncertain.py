@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Rank the scans of an output folder by epistemic uncertainty: which to label by hand first.
-
-Run `salsanext uncertainty` before.
+"""Rank the scans of an output folder of `salsanext uncertainty` by epistemic uncertainty.
 
 Run: python examples/most_uncertain.py out/
 """
@@ -16,6 +14,8 @@ from salsanext_cli.results.paths import find_outputs
 
 def main(out: str, count: int = 10) -> None:
     files = find_outputs(Path(out), "uncertainty/epistemic")
+    if not files:
+        sys.exit(f"{out} contains no uncertainty: run `salsanext uncertainty SCANS {out}` first")
     means = {scan: float(np.nanmean(np.load(path))) for scan, path in files.items()}
     for sequence, stem in sorted(means, key=means.__getitem__, reverse=True)[:count]:
         print(f"{means[sequence, stem]:.6f}  {sequence}/{stem}")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Fit a sensor to a folder of scans, keep it as a file, and label the scans with it.
+"""Fit a sensor to a folder of scans, write it to a file, and label the scans with it.
 
 Run: python examples/own_sensor.py my/scans out/ [weights.safetensors]
 """
@@ -16,16 +16,16 @@ HEIGHT, WIDTH = 32, 512
 
 
 def main(scans: str, out: str, weights: str | None = None) -> None:
-    found = inspect(Path(scans), sensor=sensor("hdl64").resized(HEIGHT, WIDTH))
-    mine = found.fitted_sensor("mine")
+    survey = inspect(Path(scans), sensor=sensor("hdl64").resized(HEIGHT, WIDTH))
+    mine = survey.fitted_sensor("mine")
     write_sensor(Path(out) / "mine.toml", mine)
-    print(f"{found.total.scans} scans, {mine.fov_up:+.1f}° to {mine.fov_down:+.1f}°")
+    print(f"{survey.total.scans} scans, {mine.fov_up:+.1f}° to {mine.fov_down:+.1f}°")
 
     choice = NetworkSettings(Path(weights) if weights else None, sensor=mine)
     outcome = predict_scans(Path(scans), Path(out), settings=choice)
     for failure in outcome.failures:
-        print(failure.reason)
-    print(f"{outcome.done} done, {outcome.skipped} done before")
+        print(failure.text)
+    print(f"{outcome.done} done, {outcome.skipped} done already")
 
 
 if __name__ == "__main__":

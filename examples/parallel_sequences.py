@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Label the sequences of a data set side by side, each in a process of its own.
+"""Label the sequences of a data set in parallel, one process for each.
 
-The same works with any backend of joblib, such as a cluster's: all processes write into one output
-folder. For a single machine `salsanext predict --jobs` is enough.
+Any backend of joblib works, also that of a cluster: all processes write into one output folder. On
+a single machine use `salsanext predict --jobs`.
 
 Run: python examples/parallel_sequences.py dataset/ out/ [weights.safetensors [loky]]
 """
@@ -19,7 +19,7 @@ from salsanext_cli.stages.predict import predict_scans
 
 
 def label_sequence(dataset: Path, out: Path, weights: Path | None, sequence: str) -> str:
-    """Label one sequence and say how it went; the network is loaded in this process."""
+    """Load the network, label one sequence, and return a summary."""
     selection = ScanSelection(sequences=(sequence,))
     outcome = predict_scans(dataset, out, settings=NetworkSettings(weights), selection=selection)
     return f"{sequence}: {outcome.done} done, {len(outcome.failures)} failed"

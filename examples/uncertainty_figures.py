@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Check both kinds of uncertainty on a scan against the slow way, and draw it.
+"""Compare both kinds of uncertainty of a scan with slow references, and plot the comparison.
 
-Aleatoric: eight noisy copies of the scan, and assumed density filtering, against many copies.
-Epistemic: fewer passes against many passes of Monte-Carlo dropout.
+Aleatoric: eight noisy copies and assumed density filtering, compared with many noisy copies.
+Epistemic: few passes of Monte-Carlo dropout, compared with many.
 
 Run: python examples/uncertainty_figures.py 000000.bin figures/ [256 200 weights.safetensors]
 """
@@ -29,10 +29,10 @@ PASSES = (2, 3, 5, 10, 20, 30, 50, 100)
 
 
 def deviation_of_copies(image: RangeImage, network: Network, count: int) -> Values:
-    """Return every pixel's standard deviation over noisy copies, √ of the mean over classes."""
+    """Return the standard deviation of pixels over noisy copies: √ of the mean over classes."""
     copies = islice(noisy_copies(image, network.sensor, 0), count)
-    given = (network.input(copy) for copy in copies)
-    passes = (network.predict([each], softmax=True)[0].softmax for each in given)
+    inputs = (network.input(copy) for copy in copies)
+    passes = (network.predict([image], softmax=True)[0].softmax for image in inputs)
     first = next(passes).astype(np.float64)
     # Differences from the first copy keep the digits of small variances.
     total, squares = np.zeros_like(first), np.zeros_like(first)
@@ -44,7 +44,7 @@ def deviation_of_copies(image: RangeImage, network: Network, count: int) -> Valu
 
 
 def scatter(axes: Axes, slow: Values, fast: Values, titles: tuple[str, str, str]) -> None:
-    """Draw one value per pixel against another, and the line where they would be equal."""
+    """Plot one value per pixel over another, and the line of equal values."""
     seen = (slow > 0) & (fast > 0)
     axes.hexbin(slow[seen], fast[seen], xscale="log", yscale="log", gridsize=60, bins="log")
     (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
@@ -56,7 +56,7 @@ def scatter(axes: Axes, slow: Values, fast: Values, titles: tuple[str, str, str]
 
 def main(scan: str, folder: str, copies: str = "256", passes: str = "200", *weights: str) -> None:
     network = sn.load_network(*weights, device="cpu")
-    # Uncertainties are those of the plain softmax.
+    # Uncertainty is estimated from the softmax at temperature 1.
     card = replace(network.card, temperature=1.0)
     network = replace(network, backend=replace(network.backend, card=card))
     image = sn.project(sn.read_scan(scan), network.sensor)
@@ -67,9 +67,9 @@ def main(scan: str, folder: str, copies: str = "256", passes: str = "200", *weig
         f"{COPIES} other copies": noise_variance(network, image, 1),
         "assumed density filtering": aleatoric(network, image),
     }
-    fast = {name: np.sqrt(each.mean(axis=0))[seen] for name, each in ways.items()}
-    for name, each in fast.items():
-        rank, scale = spearman(slow, each), np.median(each[slow > 0] / slow[slow > 0])
+    fast = {name: np.sqrt(values.mean(axis=0))[seen] for name, values in ways.items()}
+    for name, values in fast.items():
+        rank, scale = spearman(slow, values), np.median(values[slow > 0] / slow[slow > 0])
         print(f"aleatoric, {name}: rank correlation {rank:.3f}, scale of the deviation {scale:.3f}")
 
     many = sample(network, image, samples=int(passes), seed=1).uncertainty.epistemic[seen]
@@ -83,9 +83,9 @@ def main(scan: str, folder: str, copies: str = "256", passes: str = "200", *weig
 
     figure = Figure(figsize=(15, 4.6), layout="constrained")
     *left, right = figure.subplots(1, 3)
-    for axes, (name, each) in zip(left, fast.items(), strict=True):
-        title = f"aleatoric, rank correlation {spearman(slow, each):.2f}"
-        scatter(axes, slow, each, (title, f"σ over {copies} noisy copies", f"σ by {name}"))
+    for axes, (name, values) in zip(left, fast.items(), strict=True):
+        title = f"aleatoric, rank correlation {spearman(slow, values):.2f}"
+        scatter(axes, slow, values, (title, f"σ over {copies} noisy copies", f"σ by {name}"))
     right.semilogx(counts, ranks, "o-")
     right.set(title=f"epistemic, against {passes} passes", xlabel="passes")
     right.set(ylabel="rank correlation", xticks=counts, xticklabels=counts, ylim=(None, 1))

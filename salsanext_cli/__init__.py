@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: MIT
 """A class and an uncertainty for every point of a LiDAR scan.
 
-The names below are the public ones. Each is imported when it is first used, so that importing the
-package, and asking the command line for help, takes no time.
+The names in `__all__` are public. A name is imported at its first use, so that importing the
+package, and printing the help of the command line, takes no time.
 """
 
 from __future__ import annotations
 
 from salsanext_cli.version import __version__
 
-TYPE_CHECKING = False  # Of `typing`, which takes its time.
+TYPE_CHECKING = False  # Importing it from `typing` takes time.
 if TYPE_CHECKING:
     from typing import Any
 
@@ -74,7 +74,7 @@ _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name from its home."""
+    """Import a public name from its module."""
     import importlib
 
     if name not in _HOME_OF:

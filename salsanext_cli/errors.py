@@ -19,6 +19,7 @@ CONTROL = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160))}
 DIRECTION = {0x061C, 0x200E, 0x200F, *range(0x2028, 0x202F), *range(0x2066, 0x206A)}
 """Characters that end lines or change the direction of text, and so disguise a name."""
 ESCAPES = UNDECODED | CONTROL | {code: f"\\u{code:04x}" for code in DIRECTION}
+HINT = "\nhint: "  # Between a message and its hint
 NO_MEMORY = (
     *("allocate memory", "bad_alloc", "bad allocation", "can't alloc"),
     *("failed to map segment", "can't start new thread"),
@@ -80,7 +81,7 @@ def quoted(value: object) -> str:
 
 def with_hint(headline: str, hint: str) -> str:
     """Return a message, with its hint, if any, on a second line."""
-    return f"{headline}\nhint: {hint}" if hint else headline
+    return f"{headline}{HINT}{hint}" if hint else headline
 
 
 class SalsanextError(Exception):

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Labels in memory: of the points of one scan, and of the scans of a drive."""
 
+from __future__ import annotations
+
 import logging
 from collections.abc import Iterator
 from pathlib import Path
@@ -29,13 +31,13 @@ from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.uncertainty.error_features import error_probability, knows_error
 
 IN_MEMORY = ScanFile("scan", "points", Path("points"))
-"""Name of the points in warnings and errors."""
+"""File of the points in warnings and errors."""
 
 log = logging.getLogger(__name__)
 
 
 class PointLabels(NamedTuple):
-    """Result of `label`."""
+    """Labels, probabilities and error of the N points of a scan."""
 
     labels: TrainIds
     probabilities: Float
@@ -47,33 +49,35 @@ def label(
     intensity: npt.ArrayLike | None = None,
     weights: Path | str | Network | None = None,
 ) -> PointLabels:
-    """Label the points of one scan, as `predict` does: fitted, checked, refined.
+    """Label the points of one scan as `predict` does: fit the sensor, check, predict, refine.
 
-    Reasons to doubt the labels are logged as warnings of ``salsanext_cli``.
+    Warnings about the scan are logged by the logger ``salsanext_cli``.
 
     Parameters
     ----------
     points : (N, 3) numbers
-        Coordinates in metres around the sensor. Those that are NaN, infinite or 0 get label 0.
+        x, y, z in metres around the sensor. Points that are NaN, infinite or zero get label 0.
     intensity : (N,) numbers, optional
-        Of any scale; None where there is none.
+        Intensity on any scale.
     weights : Path, str or Network, optional
-        A weights file, None for the default weights: loaded, and fitted to these points. A network
-        is taken as it is, which saves both for many scans: fit it by `fit_network`.
+        Weights file, which is loaded and fitted to these points; by default that of the package. A
+        network is used without fitting, which is faster for many scans: see `fit_network`.
 
     Returns
     -------
     labels : (N,) uint8
-        Train ids of the label space of the weights, ``sn.label_space()`` for the default ones.
+        Train ids of the label space of the weights; ``sn.label_space()`` for the default weights.
     probabilities : (N, C) float32
-        Of the pixel of each point, of class 0 alone without one; labels are refined besides.
+        Softmax of the pixel of each point, class 0 without a pixel. The kNN refinement changes
+        `labels` only.
     error : (N,) float32 or None
-        Probability that each label is wrong, NaN without a pixel; None if the weights lack it.
+        Probability that each label is wrong, NaN without a pixel; None without an error model in
+        the weights.
 
     Raises
     ------
     SalsanextError
-        If the arrays cannot be points in metres around a sensor, or the weights cannot be used.
+        If the arrays are not points around a sensor, or the weights cannot be used.
     """
     scan = _scan(points, intensity)
     network = weights
@@ -86,32 +90,33 @@ def label(
     RunSummary(network.sensor).add(ScanSummary.of_scan(done, network.space))
     none = np.eye(1, network.space.class_count)
     of_points = points_from_pixels(softmax, done.image.pixel_of_point, none)
-    known = knows_error(network)
-    error = error_probability(network, done.image, softmax, done.labels) if known else None
+    error = None
+    if knows_error(network):
+        error = error_probability(network, done.image, softmax, done.labels)
     return PointLabels(done.labels, of_points, error)
 
 
 def _scan(points: npt.ArrayLike, intensity: npt.ArrayLike | None) -> Scan:
-    """Check the arrays and return the scan that they are; a scan without intensity has 0."""
+    """Return the scan of checked arrays; its intensity is 0 if there is none."""
     try:
         coordinates = np.asarray(points)
-    except ValueError:  # Lists of several lengths
-        coordinates = np.array("lists of several lengths")
+    except ValueError:
+        coordinates = np.array("lists of different lengths")
     if coordinates.ndim != 2 or coordinates.shape[1] != 3 or coordinates.dtype.kind not in "fiu":
-        found = f"an array {coordinates.shape} of {coordinates.dtype}"
-        hint = "of x, y, z, intensity: label(array[:, :3], array[:, 3])"
-        raise UsageError("points", found, "numbers (N, 3), in metres", hint)
+        problem = f"an array {coordinates.shape} of {coordinates.dtype}"
+        hint = "pass x, y, z and intensity separately: label(array[:, :3], array[:, 3])"
+        raise UsageError("points", problem, "numbers (N, 3), in metres", hint)
     values = np.zeros(len(coordinates)) if intensity is None else np.asarray(intensity)
     if values.shape != coordinates.shape[:1] or values.dtype.kind not in "fiu":
-        found = f"an array {values.shape} of {values.dtype}"
-        raise UsageError("intensity", found, f"numbers ({len(coordinates)},), one per point")
-    # What float32 cannot hold is infinite: no measurement.
+        problem = f"an array {values.shape} of {values.dtype}"
+        raise UsageError("intensity", problem, f"numbers ({len(coordinates)},), one per point")
+    # Numbers outside the range of float32 become infinite: no measurement.
     with np.errstate(over="ignore", invalid="ignore"):
         return Scan(coordinates.astype(np.float32), values.astype(np.float32))
 
 
 class FusedScan(NamedTuple):
-    """Scan of `label_drive`."""
+    """Scan that `label_drive` has labelled."""
 
     name: str
     scan: Scan
@@ -120,23 +125,24 @@ class FusedScan(NamedTuple):
 
 
 def label_drive(folder: Path | str, weights: Path | str | None = None) -> Iterator[FusedScan]:
-    """Label the scans of a drive and fuse the labels where scans see the same places.
+    """Label the scans of a drive, and fuse the labels of scans that see the same location.
 
-    That is `predict --fuse` in a temporary folder: the first scan comes when all are labelled.
-    Those that cannot be are logged as errors and left out.
+    This runs `predict --fuse` in a temporary folder, so the first scan is yielded after all are
+    labelled. Failed scans are logged as errors and skipped.
 
     Parameters
     ----------
     folder : Path or str
-        Scans, and their `poses.txt`; else poses are computed, which needs ``salsanext[fuse]``.
+        Scans, and their `poses.txt`. Without it poses are computed, which needs
+        ``salsanext[fuse]``.
     weights : Path or str, optional
-        A weights file, None for the default weights, fitted to the scans.
+        Weights file, which is fitted to the scans; by default that of the package.
 
     Yields
     ------
     FusedScan
-        `name`, ``08/000000``, and `scan` of N points; `labels` (N,) uint8, train ids as of `label`;
-        `disagreement` (N,) float32, the share of the votes against the label, NaN without any.
+        `name`, such as ``08/000000``; `scan` of N points; `labels` (N,) uint8, train ids as of
+        `label`; `disagreement` (N,) float32, share of the votes against the label, NaN without any.
     """
     source = Path(folder)
     settings = NetworkSettings(weights=None if weights is None else Path(weights))
@@ -147,11 +153,11 @@ def label_drive(folder: Path | str, weights: Path | str | None = None) -> Iterat
         for failure in outcome.failures:
             log.error("%s", failure.text)
         if not outcome.done:
-            raise NoInputError(source, "no scan that can be labelled", "see the errors of each")
+            raise NoInputError(source, "no scan could be labelled", hint="see the errors above")
         for text in dict.fromkeys(failure.text for failure in fuse_results(out).failures):
             log.error("%s", text)
         files, space = fused.predicted(ScanSelection())
         for file in sorted(fused.with_column("label", files), key=drive_order):
-            found = fused.read(file, fused.sensor())
-            labels, against = np.asarray(found.label), found.uncertainty["disagreement"]
-            yield FusedScan(file.name, found.scan, space.to_train(labels), against)
+            results = fused.read(file, fused.sensor())
+            labels = space.to_train(np.asarray(results.label))
+            yield FusedScan(file.name, results.scan, labels, results.uncertainty["disagreement"])

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Options as fields of dataclasses: what a stage takes is what its command offers.
+"""Command-line options as fields of dataclasses, which stages take as arguments.
 
-The command line makes its options of the fields, so modules of such dataclasses are light: help
-imports neither numpy nor what computes.
+Modules with such dataclasses import nothing heavy, since the help of a command imports them.
 """
 
 import math
@@ -26,66 +25,69 @@ def option_group(kind: type[Group]) -> type[Group]:
 
 
 def option(
-    panel: str,
     text: str,
     *names: str,
+    panel: str = "Options",
     default: Any = None,
     parse: Callable[[str | None], Any] | None = None,
     typed: Any = None,
     **shown: Any,
 ) -> Any:
-    """Return a field that commands offer: panel and text of the help, names if not the field's.
+    """Return a field, or the default of a parameter, that commands offer as an option.
 
-    `parse` makes the value of the text that was typed, or of None; `typed`: type of what is typed,
-    if not that of the field; `shown`: as `typer.Option` takes it.
+    `text` is the help; `names`: if not the name of the field; `default`: ``...`` if required;
+    `parse` makes the value from the text that was typed, or from None; `typed`: type of that text,
+    if not that of the field; `shown`: further arguments of `typer.Option`.
     """
     declared = {"help": text, "rich_help_panel": panel, **shown}
     metadata = {"names": names, "parse": parse, "typed": typed, "option": declared}
     return field(default=default, metadata=metadata)
 
 
-def argument(text: str, **shown: Any) -> Any:
-    """Return a field that commands offer as an argument: text of the help."""
-    return field(default=None, metadata={"argument": {"help": text, **shown}})
+def argument(text: str, *, default: Any = None, **shown: Any) -> Any:
+    """Return the default of a parameter that a command offers as an argument, like `option`."""
+    return field(default=default, metadata={"argument": {"help": text, **shown}})
 
 
 def names_in(text: str | None, option: str, example: str) -> tuple[str, ...]:
-    """Return the names in a list, such as 00,08, that an option was given."""
+    """Return the comma-separated names in the value of an option, such as ``00,08``."""
     names = tuple(name.strip() for name in (text or "").split(",") if name.strip())
     if text is not None and not names:
-        raise UsageError(option, repr(text), f"names such as {example}")
+        raise UsageError(option, f"{text!r} contains no name", f"names such as {example}")
     return names
 
 
-own_option = partial(option, "Options")
-selection_option = partial(option, "Selection")
-network_option = partial(option, "Network")
+selection_option = partial(option, panel="Selection")
+network_option = partial(option, panel="Network")
 
 
 @option_group
 class ScanSelection:
-    """Selection among the scans that are found, all by default."""
+    """Selection among the scans of a source; all of them by default."""
 
-    split: str | None = selection_option("Only the sequences of this split: train, valid or test.")
+    split: str | None = selection_option(
+        "Only the sequences of this split.", metavar="train|valid|test"
+    )
     sequences: tuple[str, ...] = selection_option(
         "Only these sequences, such as 00,08.",
         default=(),
         parse=partial(names_in, option="--sequences", example="00,08"),
+        metavar="NAMES",
     )
-    limit: int | None = selection_option("At most this number of scans, the first ones.")
+    limit: int | None = selection_option("Only the first N scans.")
 
     def __post_init__(self) -> None:
         if self.split is not None and self.sequences:
-            raise UsageError("--split and --sequences", "both given", "one of them")
+            raise UsageError("--split and --sequences", "both were given", "one of them")
         if self.limit is not None and self.limit < 1:
-            raise UsageError("--limit", str(self.limit), "at least 1")
+            raise UsageError("--limit", f"the number of scans is {self.limit}", "at least 1")
 
 
 @option_group
 class KnnParameters:
-    """Settings of the neighbourhood and of the vote; the defaults are the published ones.
+    """Settings of the kNN refinement; the defaults are those of RangeNet++.
 
-    The point's own pixel is one of the `k` neighbours, and the side of the window is odd.
+    The pixel of the point itself is one of the `k` neighbours. The side of the window is odd.
     """
 
     k: int = network_option("Number of neighbours that vote.", "--knn-k", default=5)
@@ -96,37 +98,36 @@ class KnnParameters:
         "Standard deviation of the Gaussian weights, in pixels.", "--knn-sigma", default=1.0
     )
     cutoff: float = network_option(
-        "Maximum range difference of a neighbour, in metres.", "--knn-cutoff", default=1.0
+        "Maximum difference in range between a point and a neighbour, in metres.",
+        "--knn-cutoff",
+        default=1.0,
     )
 
     def __post_init__(self) -> None:
         window, most = self.window, self.window**2
         is_odd = 1 <= window <= MAX_WINDOW_PX and window % 2 == 1
         conditions = (
-            ("window", is_odd, f"an odd window from 1 to {MAX_WINDOW_PX}"),
-            ("k", 1 <= self.k <= most, f"1 ≤ k ≤ {most} neighbours in a window of {window}"),
-            ("sigma", 0 < self.sigma < math.inf, "a finite sigma above 0 pixels"),
-            ("cutoff", self.cutoff >= 0, "a cutoff ≥ 0 metres"),
+            ("window", is_odd, f"an odd number from 1 to {MAX_WINDOW_PX}"),
+            ("k", 1 <= self.k <= most, f"1 to {most} neighbours in a window of {window} pixels"),
+            ("sigma", 0 < self.sigma < math.inf, "a finite number above 0"),
+            ("cutoff", self.cutoff >= 0, "0 or more metres"),
         )
         for name, holds, expected in conditions:
             if not holds:
-                raise UsageError("knn", f"{name} {getattr(self, name)}", expected)
+                raise UsageError(f"--knn-{name}", f"the value is {getattr(self, name)}", expected)
 
 
 @option_group
 class FusionReach:
     """Number of scans along a drive that vote for each other's labels."""
 
-    reach: int = option(
-        "Options", "Scans before and after each that vote for its labels.", default=20
-    )
+    reach: int = option("Number of scans before and after a scan that vote.", default=20)
     movable_reach: int = option(
-        "Options",
-        "Of these, those that vote for vehicles, people and riders not seen to stand.",
-        default=3,
+        "The same for vehicles, people and riders that may have moved.", default=3
     )
 
     def __post_init__(self) -> None:
         if not 0 <= self.movable_reach <= self.reach <= MAX_REACH:
-            found, expected = f"{self.movable_reach} of {self.reach} scans", "0 ≤ movable ≤ reach"
-            raise UsageError("--reach and --movable-reach", found, f"{expected} ≤ {MAX_REACH}")
+            problem = f"the values are {self.reach} and {self.movable_reach}"
+            expected = f"0 ≤ movable reach ≤ reach ≤ {MAX_REACH}"
+            raise UsageError("--reach and --movable-reach", problem, expected)

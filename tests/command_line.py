@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Read what commands print, and run Python as a user does."""
+"""Read the output of commands, and run Python as a user does."""
 
 import json
 import os
@@ -18,11 +18,11 @@ from salsanext_cli.cli.app import app
 
 def every_command() -> dict[str, Callable[..., None]]:
     """Return the function of every command, as typer reads it, by its full name."""
-    found: dict[str, Any] = {c.name or "": c.callback for c in app.registered_commands}
+    commands: dict[str, Any] = {c.name or "": c.callback for c in app.registered_commands}
     for group in app.registered_groups:
         members = group.typer_instance.registered_commands if group.typer_instance else []
-        found |= {f"{group.name} {member.name}": member.callback for member in members}
-    return found
+        commands |= {f"{group.name} {member.name}": member.callback for member in members}
+    return commands
 
 
 @cache
@@ -42,15 +42,24 @@ def parsed(name: str) -> Any:
 def only_json(result: Result) -> dict[str, Any]:
     """Return the one JSON object on stdout."""
     assert result.stdout.count("\n") == 1, result.stdout
-    found = json.loads(result.stdout, parse_constant=pytest.fail)
-    assert isinstance(found, dict)
+    data = json.loads(result.stdout, parse_constant=pytest.fail)
+    assert isinstance(data, dict)
     # Strict readers refuse halves of characters.
-    json.dumps(found, ensure_ascii=False).encode("utf-8")
-    return found
+    json.dumps(data, ensure_ascii=False).encode("utf-8")
+    return data
+
+
+def subject(result: Result) -> str:
+    """Return the subject of the one error on stderr, which a line with a hint may follow."""
+    error, *hint = result.stderr.splitlines()
+    assert error.startswith("error: "), result.stderr
+    assert all(line.startswith("hint: ") for line in hint)
+    assert len(hint) <= 1
+    return error.removeprefix("error: ").partition(": ")[0]
 
 
 def python(code: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    """Run Python in a process of its own."""
+    """Run Python in another process."""
     return subprocess.run(
         [sys.executable, "-c", code],
         capture_output=True,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Twice as many scans are at most twice the calls of any function: no step is quadratic."""
+"""No step is quadratic: twice as many scans take at most twice the calls of any function."""
 
 import sys
 import threading
@@ -22,12 +22,12 @@ from salsanext_cli.results.selection import scans_of
 
 PACKAGE = str(Path(salsanext_cli.__file__).parent)
 CONSTANT_PER_SCAN = 10
-"""Calls beyond twice as many that are let pass, for each scan of the smaller run: what is drawn
-depends on the values. Of a quadratic step there are `scans` times more."""
+"""Further calls that are accepted for each scan of the smaller run, since drawing depends on the
+values. A quadratic step has `scans` times more."""
 
 
 def calls(run: Callable[[], object]) -> Counter[str]:
-    """Count the calls of every function of ours, and those of C functions by each of ours."""
+    """Count the calls of the functions of the package, and their calls of C functions."""
     counts: Counter[str] = Counter()
 
     def count(frame: FrameType, event: str, argument: object) -> None:
@@ -47,11 +47,11 @@ def calls(run: Callable[[], object]) -> Counter[str]:
     return counts
 
 
-def require_linear(scans: int, few: Counter[str], many: Counter[str], what: object = "") -> None:
+def require_linear(scans: int, few: Counter[str], many: Counter[str], name: object = "") -> None:
     """Fail if twice as many scans are more than twice the calls of a function."""
     most = CONSTANT_PER_SCAN * scans
-    worse = {name: (few[name], many[name]) for name in many if many[name] > 2 * few[name] + most}
-    assert not worse, what
+    worse = {key: (few[key], many[key]) for key in many if many[key] > 2 * few[key] + most}
+    assert not worse, name
 
 
 @pytest.mark.parametrize(
@@ -62,23 +62,23 @@ def require_linear(scans: int, few: Counter[str], many: Counter[str], what: obje
     ],
 )
 def test_finding_scans(tmp_path: Path, folder: str, suffix: str, source: str) -> None:
-    """Labels and pictures lie beside them."""
-    found = []
+    """Labels and pictures lie in the folder of the scans."""
+    counts = []
     for scans in (100, 200):
-        place = tmp_path / f"{scans}" / folder
-        place.mkdir(parents=True)
+        parent = tmp_path / f"{scans}" / folder
+        parent.mkdir(parents=True)
         for number in range(scans):
             for end in (suffix, ".label", ".jpg"):
-                (place / f"{number:06d}{end}").touch()
-        found.append(calls(lambda s=scans: scans_of(tmp_path / f"{s}" / source)))
-    require_linear(100, *found)
+                (parent / f"{number:06d}{end}").touch()
+        counts.append(calls(lambda s=scans: scans_of(tmp_path / f"{s}" / source)))
+    require_linear(100, *counts)
 
 
 NETWORK = "--weights WEIGHTS --device cpu --engine torch"
 QUICK = (
     f"predict DATA out {NETWORK}",
     f"predict DATA out {NETWORK}",
-    "eval --out out",
+    "eval out",
 )
 THOROUGH = (
     *QUICK,
@@ -88,15 +88,15 @@ THOROUGH = (
     "knn-refine steps",
     "inspect DATA",
     f"predict DATA out {NETWORK} --probabilities --overwrite",
-    "export-ply --out out",
-    "export-ply --out out",
-    "report --out out",
+    "export-ply out",
+    "export-ply out",
+    "report out",
 )
 WITH_SAMPLES = (
     f"uncertainty DATA sampled {NETWORK} --samples 2",
     f"uncertainty DATA sampled {NETWORK} --samples 2",
-    "eval --out sampled",
-    "export-ply --out sampled --colour entropy",
+    "eval sampled",
+    "export-ply sampled --colour entropy",
     "picture sampled",
     f"pick DATA picked {NETWORK} --count 1000",
     f"pick DATA picked {NETWORK} --count 1000",
@@ -106,16 +106,16 @@ WITH_SAMPLES = (
 )
 
 
-def counts_of(place: Path, commands, weights: Path, scans: int) -> list:
-    """Run commands on some scans; return their calls, which of two scans are not counted."""
-    write_sequence(place / "DATA/sequences/08", [f"{n:06d}" for n in range(scans)], count=60)
-    (place / "small.toml").write_text(SMALL.to_toml())
-    found = []
+def counts_of(folder: Path, commands, weights: Path, scans: int) -> list:
+    """Run commands on scans; return the counts of their calls, which two scans do not need."""
+    write_sequence(folder / "DATA/sequences/08", [f"{n:06d}" for n in range(scans)], count=60)
+    (folder / "small.toml").write_text(SMALL.to_toml())
+    counts = []
     for command in commands:
         words = command.replace("WEIGHTS", f"{weights}").split()
-        with chdir(place):
-            found.append(calls(partial(succeed, words)) if scans > 2 else succeed(words))
-    return found
+        with chdir(folder):
+            counts.append(calls(partial(succeed, words)) if scans > 2 else succeed(words))
+    return counts
 
 
 def succeed(words: list[str]) -> None:
@@ -125,7 +125,7 @@ def succeed(words: list[str]) -> None:
 
 @pytest.fixture
 def tiny(tmp_path: Path, monkeypatch) -> Path:
-    """Return weights of a network of so few layers that it makes hardly any calls itself."""
+    """Return weights of a network with hardly any calls."""
     monkeypatch.setitem(ARCHITECTURES, "salsanext", TinyNetwork)
     return write_weights(tmp_path / "tiny.safetensors")
 
@@ -140,7 +140,7 @@ def tiny(tmp_path: Path, monkeypatch) -> Path:
     ids=["quick", "thorough", "sampled"],
 )
 def test_steps_over_a_run(tmp_path: Path, tiny: Path, commands, scans: int) -> None:
-    # The first run imports libraries and compiles kernels, which is slow while calls are counted.
+    # The first run imports libraries and compiles kernels, which is slow with counting.
     _, few, many = (
         counts_of(tmp_path / f"{count}", commands, tiny, count) for count in (2, scans, 2 * scans)
     )

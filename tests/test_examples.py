@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The examples run, and do what they say."""
+"""The examples run and print their results."""
 
 import ast
 import importlib
@@ -35,8 +35,8 @@ def load(name: str) -> Callable[..., None]:
     return main
 
 
-def test_what_scripts_import_is_there():
-    """Most of them are run by `make test-slow` only."""
+def test_imports_of_scripts_exist():
+    """Only `make test-slow` runs most of the scripts."""
     for folder in ("examples", "benchmarks", "docs"):
         for path in sorted((EXAMPLES.parent / folder).glob("*.py")):
             for node in ast.walk(ast.parse(path.read_text("utf-8"))):
@@ -75,7 +75,7 @@ def test_own_sensor(scan, weights, tmp_path, capsys):
     assert fitted["fov_up"] == pytest.approx(3, abs=0.2)
     assert fitted["fov_down"] == pytest.approx(-25, abs=0.2)
     assert len(read_labels(output_path(out, "my scans", "predictions", "000000"))) == 1500
-    assert "1 done, 0 done before" in capsys.readouterr().out
+    assert "1 done, 0 done already" in capsys.readouterr().out
 
 
 def test_parallel_sequences(tmp_path, weights, capsys):
@@ -101,13 +101,15 @@ def test_most_uncertain(tmp_path, capsys):
         write_array(path, np.array([value, value, np.nan], np.float32))
     load("most_uncertain")(str(tmp_path), 2)
     assert capsys.readouterr().out.split() == ["0.200000", "08/wild", "0.100000", "08/middling"]
+    with pytest.raises(SystemExit):
+        load("most_uncertain")(str(tmp_path / "other"))
 
 
 @pytest.mark.slow
 def test_uncertainty_figures(scan, weights, tmp_path, capsys):
     folder = tmp_path / "figures"
     load("uncertainty_figures")(str(scan), str(folder), "12", "12", str(weights))
-    ranks = [float(each) for each in re.findall(r"correlation (.+?),", capsys.readouterr().out)]
+    ranks = [float(rank) for rank in re.findall(r"correlation (.+?),", capsys.readouterr().out)]
     assert all(0 < rank <= 1 for rank in ranks)
     assert ranks[2] < ranks[5], "more passes rank more like many"
     assert (folder / "uncertainty.png").read_bytes().startswith(b"\x89PNG")
@@ -154,10 +156,10 @@ def test_few_labels(tmp_path, weights, capsys):
     plan.write_text("\n".join((*few, 'sensors = "fitted"', 'optimiser = "adamw"')))
     load("few_labels")(str(tmp_path / "out"), "2", "4", str(plan), str(weights))
     lines = dict(line.split(" ", 1) for line in capsys.readouterr().out.splitlines())
-    assert list(lines) == ["picked", "expect", "before", "after"]
+    assert list(lines) == ["picked", "estimated", "before", "after"]
     picked = {path.stem for path in (tmp_path / "out/to-label").glob("sequences/*/velodyne/*")}
     assert picked == set(lines["picked"].split(", "))
-    # The last quarter of the drive takes no part.
+    # The last quarter of the drive is held out.
     assert picked <= {"000000", "000001", "000002"}
     assert lines["before"] != lines["after"]
 
@@ -188,7 +190,7 @@ def test_rerun_recording(tmp_path, monkeypatch):
     assert [*dict.fromkeys(logged)] == ["/", "name", "label", "uncertainty/entropy"]
 
 
-def test_every_example_says_how_to_run_it_and_is_tested():
+def test_every_example_has_a_command_line_and_a_test():
     for path in EXAMPLES.glob("*.py"):
         assert f"\nRun: python examples/{path.name} " in path.read_text("utf-8")
         assert f"test_{path.stem}" in globals()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The package as it is shipped and typed: default weights, three lines, real scans."""
+"""The package as shipped: default weights, the three command lines, real scans."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -66,12 +66,12 @@ def test_the_three_lines_as_typed(tmp_path, monkeypatch):
 
 @pytest.mark.real
 def test_real_scans_in_steps_or_in_one(golden, real_data, tmp_path):
-    """Published weights on real scans, a quarter of the width to save time."""
+    """Published weights on real scans, at a quarter of the width."""
     import_weights(golden / "SalsaNext", tmp_path / "w.safetensors", half=True)
-    view = sensor("hdl64-512")
-    network = NetworkSettings(tmp_path / "w.safetensors", "cpu", sensor=view)
+    small = sensor("hdl64-512")
+    network = NetworkSettings(tmp_path / "w.safetensors", "cpu", sensor=small)
     data, selection = real_data / "data/semantickitti", ScanSelection(split="valid", limit=2)
-    project_scans(data, tmp_path / "steps", sensor=view, selection=selection)
+    project_scans(data, tmp_path / "steps", sensor=small, selection=selection)
     predict_range_images(tmp_path / "steps", tmp_path / "steps", settings=network)
     knn_refine_scans(tmp_path / "steps")
     predict_scans(data, tmp_path / "fused", settings=network, selection=selection)
@@ -84,30 +84,27 @@ def test_real_scans_in_steps_or_in_one(golden, real_data, tmp_path):
         assert len(ids) > 3
 
 
-def test_they_are_small_half_precision_and_say_what_they_are():
+def test_the_default_weights_are_small_and_describe_themselves():
     assert default_weights().stat().st_size < 15e6
     with safetensors.safe_open(default_weights(), framework="pt") as file:
         assert file.get_tensor("logits.weight").dtype == torch.float16
     card = load_network(None, "cpu").card
     assert "Hesai and Scale AI, CC BY 4.0" in card.description
     assert "not for use on real roads" in card.description
-    # How often a training was validated changes nothing of what it learnt.
+    # The number of validations does not change the weights.
     seldom = recipe("street").with_changes(validate_every=card.recipe["validate_every"])
-    # They may have begun from others, whose name is no recipe's.
+    # The initial weights of a training are not part of a recipe.
     plan = Recipe.from_dict({**card.recipe, "initial": "random"})
     assert plan == seldom.with_changes(precision=card.recipe["precision"])
 
 
-@pytest.mark.parametrize("streets", [1, pytest.param(4, marks=pytest.mark.slow)])
-def test_they_know_streets_that_they_never_saw(tmp_path, streets):
-    """Several streets together: a single one may be easier or harder than its error says.
-
-    In a single scan the order of the points by error may also be worse than by confidence.
-    """
-    synthesise(tmp_path, train=0, valid=streets, scans=1, seed=1234)
+@pytest.mark.parametrize("scenes", [1, pytest.param(4, marks=pytest.mark.slow)])
+def test_the_default_weights_label_unseen_scenes(tmp_path, scenes):
+    """On average: in a single scene the ranking by error may be worse than by confidence."""
+    synthesise(tmp_path, train=0, valid=scenes, scans=1, seed=1234)
     network = load_network(None, "cpu")
     assert knows_error(network)
-    judged = [[], [], []]
+    columns = [[], [], []]
     for file in find_scans(tmp_path):
         scan = read_scan(file.path)
         image = project(scan, network.sensor)
@@ -117,22 +114,22 @@ def test_they_know_streets_that_they_never_saw(tmp_path, streets):
         confidence = points_from_pixels(probabilities, image.pixel_of_point, np.eye(1, 20))
         doubt = 1 - confidence[np.arange(len(labels)), labels]
         error = error_probability(network, image, probabilities, labels)
-        for all_points, values in zip(judged, (labels != truth, error, doubt), strict=True):
+        for all_points, values in zip(columns, (labels != truth, error, doubt), strict=True):
             all_points.append(values[truth > 0])
-    wrong, error, doubt = map(np.concatenate, judged)
+    wrong, error, doubt = map(np.concatenate, columns)
     assert wrong.mean() < 0.25
     error, baseline = (error_scores(values, wrong) for values in (error, np.clip(doubt, 0, 1)))
-    if streets > 1:
+    if scenes > 1:
         assert error["aurc"] < baseline["aurc"]
     assert error["ece"] < 0.06
 
 
 @pytest.mark.real
-def test_noise_is_less_probable_than_any_street(real_data, tmp_path):
+def test_noise_is_a_warning(real_data, tmp_path):
     scan = read_scan(real_data / "data/semantickitti/sequences/00/velodyne/000000.bin")
     noise = np.random.default_rng(0).normal(0, 1, scan.points.shape).astype(np.float32)
     write_bin(tmp_path / "scans/street.bin", scan)
     write_bin(tmp_path / "scans/noisy.bin", replace(scan, points=scan.points + noise))
     outcome = predict_scans(tmp_path / "scans", tmp_path / "out")
-    doubted = {found.code: found.scans for found in outcome.summary.warnings()}
+    doubted = {warning.code: warning.scans for warning in outcome.summary.warnings()}
     assert doubted["low-confidence"] == ["scans/noisy"]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Plug-ins: the distribution that docs/plug-ins.md shows, and distributions with mistakes."""
+"""Plug-ins: the distribution that the page plug-ins.md shows, and distributions with mistakes."""
 
 import json
 import os
@@ -29,7 +29,7 @@ from salsanext_cli.stages import models
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.setup import initial_network
 
-PAGE = (Path(__file__).parents[1] / "docs/plug-ins.md").read_text("utf-8")
+PAGE = (Path(__file__).parents[1] / "docs/how-to/plug-ins.md").read_text("utf-8")
 POINT = np.dtype([("xyz", "<f4", 3), ("intensity", "u1"), ("label", "<u2")])
 LOOKUPS = (plugged_formats, plugged_networks, plugged_label_spaces)
 ORIGIN = "radian-lidar 1.0"

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec, cast
 import typer
 
 from salsanext_cli.cli.interruption import end_line, interruptible
-from salsanext_cli.errors import NOTICE, SalsanextError, UsageError, escaped, printable
+from salsanext_cli.errors import HINT, NOTICE, SalsanextError, UsageError, escaped, printable
 from salsanext_cli.option_fields import option, option_group
 
 if TYPE_CHECKING:
@@ -25,68 +25,68 @@ if TYPE_CHECKING:
     from salsanext_cli.parallel.run_options import Progress, RunOptions
 
 DONE, FAILED, WRONG_USE = 0, 1, 2
-"""Exit status: all done, something failed, the command line was wrong; 128 + n after signal n."""
+"""Exit status: success, a failure, wrong usage; 128 + n after signal n."""
 
-SCHEMA = 2  # Version of what `--json` prints; it grows when a key changes or goes
+SCHEMA = 2  # Version of the JSON; it grows when a key changes or goes
 USAGE_ERROR = cast("type[Exception]", typer.BadParameter.__base__)
-"""Errors of the command line, of which typer names only one kind."""
-FILE_WIDTH_COLUMNS = 120
+"""Errors of the command line, one kind of which typer exports."""
+FILE_WIDTH_COLUMNS = 120  # Width of tables in a file or a pipe
+LINE_INTERVAL_S = 30.0  # Time between two lines of progress in a log file
 
 Parameters = ParamSpec("Parameters")
-output_option = partial(option, "Output")
+output_option = partial(option, panel="Output", default=False)
 
 
 @option_group
 class Output:
-    """Amount and form of what a command prints."""
+    """Amount and form of the output of a command."""
 
-    json: bool = output_option("Print one JSON object on stdout.", default=False)
-    verbose: bool = output_option(
-        "Print more messages on stderr.", "--verbose", "-v", default=False
-    )
-    quiet: bool = output_option("Print errors only.", "--quiet", "-q", default=False)
+    json: bool = output_option("Print the results as one JSON object.")
+    verbose: bool = output_option("Print more messages.", "--verbose", "-v")
+    quiet: bool = output_option("Print errors only.", "--quiet", "-q")
     start: float = dataclasses.field(init=False, default_factory=time.monotonic, compare=False)
 
     def __post_init__(self) -> None:
         if self.verbose and self.quiet:
-            raise UsageError("--verbose and --quiet", "both given", "one of them")
+            raise UsageError("--verbose and --quiet", "both were given", "one of them")
         level = logging.INFO if self.verbose else logging.ERROR if self.quiet else NOTICE
         logger = logging.getLogger("salsanext_cli")
         logger.handlers[:] = [StderrHandler()]
         logger.setLevel(level)
 
-    def say(self, text: str) -> None:
-        """Tell the user something, on stderr."""
+    def print(self, text: str) -> None:
+        """Print a message on stderr, unless the command is quiet."""
         if not self.quiet:
-            tell(printable(text))
+            print_line(printable(text))
 
     @property
     def seconds(self) -> float:
-        """Time since the command began."""
+        """Time since the command began, in seconds."""
         return time.monotonic() - self.start
 
-    def result(self, data: Mapping[str, object], shown: "RenderableType | None" = None) -> None:
-        """Give the result: JSON if asked for, else what is to be shown, on stdout."""
+    def result(self, data: Mapping[str, object], tables: "RenderableType | None" = None) -> None:
+        """Print the result on stdout: as JSON with `--json`, else the tables."""
         if self.json:
             _print_json({**data, "seconds": round(self.seconds, 3)})
-        elif shown is not None:
+        elif tables is not None:
             from rich.console import Console
 
             width = None if sys.stdout.isatty() else FILE_WIDTH_COLUMNS
-            Console(file=sys.stdout, highlight=False, width=width).print(shown)
+            Console(file=sys.stdout, highlight=False, width=width).print(tables)
 
 
 class StderrHandler(logging.Handler):
-    """Handler that shows what the library logs as the command line shows its own errors."""
+    """Handler that prints log records in the form of errors."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Write one line."""
+        """Print a record."""
         level = "" if record.levelno < logging.WARNING else f"{record.levelname.lower()}: "
-        tell(printable(f"{level}{record.getMessage()}"))
+        headline, mark, hint = f"{level}{record.getMessage()}".partition(HINT)
+        print_line(f"{printable(headline)}{mark}{printable(hint)}")
 
 
 def guarded(command: Callable[Parameters, None]) -> Callable[Parameters, None]:
-    """Turn a user's mistake into one line and an exit status; let bugs keep their traceback."""
+    """Print a mistake of the user and exit with a status; let bugs keep their traceback."""
 
     @functools.wraps(command)
     def run(*args: Parameters.args, **kwargs: Parameters.kwargs) -> None:
@@ -95,17 +95,14 @@ def guarded(command: Callable[Parameters, None]) -> Callable[Parameters, None]:
                 command(*args, **kwargs)
         except SalsanextError as error:
             if not error.reported_elsewhere:
-                tell(f"error: {error}")
-                if kwargs.get("json"):
-                    found = {"error": error.headline, "hint": error.hint, "code": error.code}
-                    _print_json(found)
+                _print_error(error, json=bool(kwargs.get("json")))
             raise typer.Exit(WRONG_USE if isinstance(error, UsageError) else FAILED) from None
         except KeyboardInterrupt:
             line, status = end_line()
-            tell(line)
+            print_line(line)
             if kwargs.get("json"):
                 word = line.partition(":")[0]
-                _print_json({"error": word, "code": word})
+                _print_json({"error": word, "hint": "", "code": word})
             raise typer.Exit(status) from None
 
     return run
@@ -113,14 +110,22 @@ def guarded(command: Callable[Parameters, None]) -> Callable[Parameters, None]:
 
 @contextmanager
 def usage_errors(arguments: Sequence[str]) -> Iterator[None]:
-    """Print an error of the command line, which typer explains on stderr, as JSON if asked for."""
+    """Print an error of typer about the command line like every other error."""
+    json = "--json" in arguments
     try:
         yield
     except USAGE_ERROR as error:
-        if "--json" in arguments:
-            message: Any = error
-            _print_json({"error": message.format_message(), "code": UsageError.code})
-        raise
+        raised: Any = error
+        path, message = raised.ctx.command_path, raised.format_message().rstrip(".")
+        problem = message[:1].lower() + message[1:]
+        _print_error(UsageError(path, problem, hint=f"see {path} --help"), json=json)
+        raise typer.Exit(WRONG_USE) from None
+
+
+def _print_error(error: SalsanextError, *, json: bool) -> None:
+    print_line(f"error: {error}")
+    if json:
+        _print_json({"error": error.headline, "hint": error.hint, "code": error.code})
 
 
 def _print_json(data: Mapping[str, object]) -> None:
@@ -130,17 +135,14 @@ def _print_json(data: Mapping[str, object]) -> None:
     typer.echo(json.dumps({"schema": SCHEMA} | escaped(plain(data)), allow_nan=False))
 
 
-LINE_INTERVAL_S = 30.0  # Time between two lines in a log file
-
-
-def tell(text: str) -> None:
-    """Write a line on stderr, or through rich's stand-in for it, above the bar if there is one."""
+def print_line(text: str) -> None:
+    """Print a line on stderr, above the progress bar if there is one."""
     sys.stderr.write(f"{text}\n")
 
 
 @contextmanager
 def progress(label: str, quiet: bool, unit: str = "scans") -> Iterator["Progress | None"]:
-    """Show on stderr how many units are done, the rate and the time left, while the body runs."""
+    """Show the progress of the body on stderr: units done, rate and time left."""
     if quiet:
         yield None
     elif sys.stderr.isatty():
@@ -153,13 +155,13 @@ def progress(label: str, quiet: bool, unit: str = "scans") -> Iterator["Progress
 
 @contextmanager
 def over_scans(label: str, options: "RunOptions", quiet: bool) -> Iterator["RunOptions"]:
-    """Show the progress of a run over scans while the body runs with the options it gets."""
+    """Show the progress of a run over scans, which takes the options of the context."""
     with progress(label, quiet) as bar:
         yield dataclasses.replace(options, progress=bar)
 
 
 class Lines:
-    """Progress as lines of text, one at most every `LINE_INTERVAL_S`."""
+    """Progress as lines of text, at most one in `LINE_INTERVAL_S`."""
 
     def __init__(self, label: str, unit: str) -> None:
         self.label, self.unit = label, unit
@@ -167,26 +169,26 @@ class Lines:
         self.before: int | None = None
 
     def __call__(self, done: int, total: int) -> None:
-        """Take note of how many units of how many are done."""
+        """Print a line if one is due."""
         now = time.monotonic()
         if self.before is None:
-            self.before = max(done - 1, 0)  # A training that goes on does not begin at 1.
+            self.before = max(done - 1, 0)  # A resumed training does not begin at 1.
         if now - self.last < LINE_INTERVAL_S or done == total:
             return
         self.last = now
-        each = (now - self.start) / (done - self.before)
-        left = f"{each * (total - done) / 60:.0f} min left"
-        rate = rate_text(1 / each, self.unit)
-        tell(f"{self.label}: {done}/{total} {self.unit}, {rate}, {left}")
+        seconds = (now - self.start) / (done - self.before)
+        left = f"{seconds * (total - done) / 60:.0f} min left"
+        rate = rate_text(1 / seconds, self.unit)
+        print_line(f"{self.label}: {done}/{total} {self.unit}, {rate}, {left}")
 
 
 def rate_text(rate: float, unit: str) -> str:
-    """Give units per second, or seconds per unit where that reads better."""
+    """Return units per second as text, or seconds per unit if that is more than one."""
     return f"{rate:.1f} {unit}/s" if rate >= 1 else f"{1 / rate:.1f} s/{unit[:-1]}"
 
 
 def duration_text(seconds: float) -> str:
-    """Give a duration in the units that read best: "53 ms", "12.3 s", "12 min 5 s"."""
+    """Return a duration as text, such as "53 ms", "12.3 s" or "12 min 5 s"."""
     if seconds < 1:
         return f"{1000 * seconds:.0f} ms"
     if seconds < 100:

@@ -3,10 +3,11 @@
 
 import dataclasses
 import functools
-import importlib
 import inspect
-from collections.abc import Callable
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import UnionType
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import typer
 
@@ -20,27 +21,20 @@ class Default(dict[str, Any]):
 
 
 class Shown(dict[str, dict[str, Any]]):
-    """Fields with another help: ``Annotated[ScanSelection, Shown(limit={"help": "…"})]``."""
+    """Fields that are declared otherwise: ``Annotated[ScanSelection, Shown(limit={"help": "…"})]``.
+
+    The keys are arguments of `typer.Option`, and ``names``.
+    """
 
 
-VALUES = {
-    "sensor": "salsanext_cli.sensors.sensor:presets",
-    "recipe": "salsanext_cli.training.recipe:presets",
-    "colour": "salsanext_cli.results.paths:COLOURS",
-    "classes": "salsanext_cli.classes.label_space:BUILT_IN",
-    "label_space": "salsanext_cli.classes.label_space:BUILT_IN",
-}
-"""Home of the values that shells complete, by option: names, or a function that returns them."""
+METAVARS = {int: "N", float: "NUMBER", Path: "PATH", str: "NAME"}
 
 
-def _completion(home: str) -> Callable[[str], list[str]]:
-    def complete(incomplete: str) -> list[str]:
-        module, name = home.split(":")
-        values = getattr(importlib.import_module(module), name)
-        names = values() if callable(values) else values
-        return [each for each in names if each.startswith(incomplete)]
-
-    return complete
+def _metavar(kind: Any) -> str | None:
+    """Return the word for a value of a type in the help."""
+    if isinstance(kind, UnionType) or get_origin(kind) is list:
+        return _metavar(get_args(kind)[0])
+    return "|".join(get_args(kind)) if get_origin(kind) is Literal else METAVARS.get(kind)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,7 +47,7 @@ class Group:
     nested: dict[str, "Group"]  # Fields that are such dataclasses themselves
 
     def fill(self, given: dict[str, Any]) -> Any:
-        """Take the values of the options out of what was typed, and build the dataclass."""
+        """Build the dataclass from the values of its options, which are removed from `given`."""
         typed = {name: group.fill(given) for name, group in self.nested.items()}
         typed |= {name: given.pop(name) for name in self.offered if name in given}
         for field in dataclasses.fields(self.kind):
@@ -73,19 +67,14 @@ def expanded(command: Callable[..., None]) -> Callable[..., None]:
         if dataclasses.is_dataclass(kind) and isinstance(kind, type):
             groups[name] = _group(kind, marks)
             parameters += groups[name].offered.values()
+        elif isinstance(parameter.default, dataclasses.Field):
+            parameters.append(_offered(name, hint, parameter.default, parameter.default.default))
         else:
             parameters.append(parameter.replace(annotation=hint, kind=parameter.KEYWORD_ONLY))
 
-    for parameter in parameters:
-        kind, *marks = get_args(parameter.annotation) or (None,)
-        if kind is bool:
-            marks[0].metavar = ""  # A flag takes no value.
-        if parameter.name in VALUES:
-            marks[0].autocompletion = _completion(VALUES[parameter.name])
-
     @functools.wraps(command)
     def run(**given: Any) -> None:
-        # The last one is `Output`, which decides where messages about the others go.
+        # The last group is `Output`, which decides where messages about the others go.
         filled = {name: groups[name].fill(given) for name in reversed(groups)}
         command(**filled, **given)
 
@@ -97,34 +86,42 @@ def expanded(command: Callable[..., None]) -> Callable[..., None]:
 def _group(kind: type, marks: list[Any]) -> Group:
     fields = {field.name: field for field in dataclasses.fields(kind) if field.init}
     defaults = {name: field.default for name, field in fields.items()}
-    changed: dict[str, dict[str, Any]] = {}
-    left_out: set[str] = set()
+    changes: dict[str, dict[str, Any]] = {}
+    hidden: set[str] = set()
     for mark in marks:
         if isinstance(mark, Default):
-            defaults |= mark
+            defaults |= {name: mark[name] for name in fields.keys() & mark}
         elif isinstance(mark, Shown):
-            changed |= mark
+            changes |= mark
         elif isinstance(mark, Without):
-            left_out |= mark
+            hidden |= mark
     offered: dict[str, inspect.Parameter] = {}
     nested: dict[str, Group] = {}
     for name, field in fields.items():
-        declared = field.metadata
-        if not declared and isinstance(field.type, type) and dataclasses.is_dataclass(field.type):
+        if field.metadata and name not in hidden:
+            offered[name] = _offered(name, field.type, field, defaults[name], changes.get(name))
+        elif not field.metadata and isinstance(field.type, type):
             nested[name] = _group(field.type, marks)
             offered |= nested[name].offered
-        if name in left_out or not declared:
-            continue
-        default, typed = defaults[name], declared.get("typed") or field.type
-        if "argument" in declared:
-            shown = typer.Argument(**declared["argument"])
-        else:
-            # A flag of one name, without its contrary.
-            flag = [f"--{name.replace('_', '-')}"] if field.type is bool else []
-            names = declared["names"] or flag
-            shown = typer.Option(*names, **declared["option"] | changed.get(name, {}))
-        if declared.get("parse"):
-            default, typed = None, str | None
-        kind_of, annotation = inspect.Parameter.KEYWORD_ONLY, Annotated[typed, shown]
-        offered[name] = inspect.Parameter(name, kind_of, default=default, annotation=annotation)
     return Group(kind, defaults, offered, nested)
+
+
+def _offered(
+    name: str, kind: Any, field: Any, default: Any, changes: Mapping[str, Any] | None = None
+) -> inspect.Parameter:
+    """Return the parameter that typer reads for a field of `option` or `argument`."""
+    declared = field.metadata
+    if "argument" in declared:
+        mark = typer.Argument(**{"metavar": _metavar(kind)} | declared["argument"])
+    else:
+        # A flag of one name, without its contrary.
+        flag = [f"--{name.replace('_', '-')}"] if kind is bool else []
+        kind = declared["typed"] or kind
+        shown: dict[str, Any] = {"names": declared["names"] or flag, "metavar": _metavar(kind)}
+        shown |= declared["option"] | dict(changes or {})
+        mark = typer.Option(*shown.pop("names"), **shown)
+        if declared["parse"]:
+            default, kind = None, str | None
+    default = inspect.Parameter.empty if default is ... else default
+    how, annotation = inspect.Parameter.KEYWORD_ONLY, Annotated[kind, mark]
+    return inspect.Parameter(name, how, default=default, annotation=annotation)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""SIGINT and SIGTERM: the first one interrupts a command, the next one ends the process."""
+"""SIGINT and SIGTERM: the first signal interrupts a command, the second ends the process."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from contextlib import contextmanager, suppress
 
 WORDS: dict[int, str] = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 INTACT = "everything finished so far is intact"
-ARRIVED: list[int] = []  # The signal that has arrived, if one has
+ARRIVED: list[int] = []  # Number of the first signal, if any
 BUSY: list[bool] = []  # Not empty while a command runs
 REPEATED_S = 1.0  # `timeout` sends one signal twice: to a process and to its group
 
 
 def handle_signals() -> None:
-    """Raise `KeyboardInterrupt` in a command at the first signal; end at the next one.
+    """Raise `KeyboardInterrupt` in a command at the first signal; end the process at the second.
 
-    Before and after the command the first one ends the process. A signal that the program already
-    ignores or handles itself stays as it is.
+    Outside a command the first signal ends the process. Signals that are ignored or handled already
+    stay as they are.
     """
     process, since = os.getpid(), 0.0
 
@@ -28,7 +28,7 @@ def handle_signals() -> None:
         nonlocal since
         now = time.monotonic()
         if os.getpid() != process or (ARRIVED and now - since > REPEATED_S):
-            # A child made by fork ends at once, as it would have without this handler.
+            # A forked child ends at once, as without this handler.
             os._exit(128 + number)  # noqa: TID251
         if not ARRIVED:
             ARRIVED.append(number)
@@ -46,7 +46,7 @@ def handle_signals() -> None:
 
 @contextmanager
 def interruptible() -> Iterator[None]:
-    """Raise `KeyboardInterrupt` after a body with a signal, whatever a library made of it."""
+    """Raise `KeyboardInterrupt` after a body with a signal, even if a library has caught it."""
     BUSY.append(True)
     try:
         yield
@@ -57,6 +57,6 @@ def interruptible() -> Iterator[None]:
 
 
 def end_line() -> tuple[str, int]:
-    """Return what to print after an interruption, and the exit status."""
+    """Return the line to print after an interruption, and the exit status."""
     number = ARRIVED[0] if ARRIVED else signal.SIGINT
     return f"{WORDS[number]}: {INTACT}", 128 + number

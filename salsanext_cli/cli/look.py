@@ -1,157 +1,134 @@
 # SPDX-License-Identifier: MIT
-"""Commands of the panel Look: pictures and pages of results."""
+"""Commands that show results: pictures, pages, and the demonstration."""
 
 import os
 import shlex
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from salsanext_cli.cli import arguments, console, summary
-from salsanext_cli.cli.console import over_scans, progress, tell
+from salsanext_cli.cli.console import over_scans, print_line, progress
 from salsanext_cli.cli.expansion import Without
 from salsanext_cli.cli.interruption import ARRIVED
+from salsanext_cli.engines.settings import AUTO, NetworkSettings
 from salsanext_cli.errors import counted
-from salsanext_cli.option_fields import names_in, option_group, own_option
+from salsanext_cli.option_fields import argument, names_in, option
 from salsanext_cli.parallel.run_options import RunOptions
 from salsanext_cli.results.query import ResultQuery, named_label_space
 from salsanext_cli.results.uncertainty_kinds import COLOUR_HELP
 
 
-@option_group
-class PictureOptions:
-    """Colours of `picture`."""
-
-    colour: list[str] | None = own_option(
-        f"{COLOUR_HELP}; may be given several times.",
-        *("--colour", "--color"),
-        show_default="everything known",
-    )
-    scale: tuple[float, float] | None = own_option(
-        "Values at the two ends of the colour map, for a single --colour.",
-        show_default="range of most values; fixed for error",
-    )
-
-
 def picture(
+    out: Path = arguments.RESULTS,
     *,
-    results: arguments.Results,
-    pictures: PictureOptions,
+    colour: list[str] | None = option(
+        f"{COLOUR_HELP}; may be given several times.",
+        "--colour",
+        "--color",
+        show_default="all that are available",
+    ),
+    scale: tuple[float, float] | None = arguments.SCALE,
     query: ResultQuery,
     running: RunOptions,
     output: console.Output,
 ) -> None:
     """Draw scans and their results, from above and as range images, as PNG.
 
-    Example: salsanext picture --colour label --colour uncertainty
+    Example: salsanext picture out/ --colour label --colour uncertainty
     """
     from salsanext_cli.stages.picture import picture as stage
 
-    out = results.folder()
     with over_scans("picture", running, output.quiet) as run:
-        outcome = stage(
-            out,
-            colours=pictures.colour or (),
-            scale=pictures.scale,
-            query=query,
-            options=run,
-        )
+        outcome = stage(out, colours=colour or (), scale=scale, query=query, options=run)
     summary.finish("picture", outcome, out, output)
 
 
 def demo(
-    folder: Annotated[
-        Path, typer.Argument(metavar="FOLDER", help="Folder for the data and the results.")
-    ] = Path("demo"),
+    folder: Path = argument("Folder to write to.", default=Path("demo"), metavar="FOLDER"),
     *,
-    scans: Annotated[int, typer.Option(help="Number of scans of the synthetic drive.")] = 4,
-    samples: Annotated[int, typer.Option(help="Monte-Carlo passes per scan.")] = 8,
-    classes: arguments.MergedInto = None,
-    settings: Annotated[arguments.Network, Without({"sensor", "columns", "min_range", "ego"})],
-    jobs: arguments.Jobs = 1,
-    overwrite: arguments.Overwrite = False,
+    scans: int = option("Number of scans of the simulated drive.", default=4),
+    samples: int = option("Monte-Carlo passes per scan.", default=8),
+    classes: str | None = arguments.CLASSES,
+    device: str = arguments.DEVICE,
+    jobs: int = arguments.JOBS,
+    overwrite: bool = arguments.OVERWRITE,
     output: console.Output,
 ) -> None:
-    """Run the whole pipeline on a synthetic drive and list what to look at.
+    """Run the whole pipeline on a simulated drive and list the results.
 
     Example: salsanext demo demo/
     """
     from salsanext_cli.report.tables import score_table
     from salsanext_cli.stages.demo import demo as stage
 
-    made = stage(
+    space = named_label_space(classes)
+    demonstration = stage(
         folder,
         scans=scans,
         samples=samples,
-        settings=replace(settings, classes=named_label_space(classes)),
+        settings=NetworkSettings(device=device, precision=AUTO, classes=space),
         options=RunOptions(jobs=jobs, overwrite=overwrite),
         bars=lambda step: progress(step, output.quiet),
     )
-    pictures, out = [str(path) for path in made.pictures], folder / "out"
-    result = made.evaluation.to_dict() | {"stage": "demo", "pictures": pictures}
-    result["page"] = str(made.page)
-    output.result(result, score_table(made.evaluation.scores))
-    failures = (*made.failures, *made.evaluation.failures)
-    summary.name_failures(failures)
-    output.say(f"scans: {folder / 'data'}; results of every stage: {out}/sequences/00")
-    output.say(f"clouds, for CloudCompare, MeshLab or open3d: {out}/sequences/00/ply/*.ply")
-    output.say(f"everything on one page, for any browser: {made.page}")
-    summary.leave(failures, made.evaluation.missing)
+    evaluation, page = demonstration.evaluation, demonstration.page
+    paths = {"pictures": [*map(str, demonstration.pictures)], "page": str(page)}
+    tables = score_table(evaluation.scores)
+    output.result(evaluation.to_dict() | {"stage": "demo"} | paths, tables)
+    failures = (*demonstration.failures, *evaluation.failures)
+    summary.print_failures(failures)
+    results = folder / "out/sequences/00"
+    output.print(f"scans: {folder / 'data'}; results: {results}")
+    output.print(f"point clouds for CloudCompare, MeshLab or Open3D: {results}/ply/*.ply")
+    output.print(f"one page with all results, for any browser: {page}")
+    summary.leave(failures, evaluation.missing)
 
 
 def report(
+    out: Path = arguments.RESULTS,
     *,
-    results: arguments.Results,
-    scans: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAMES",
-            help="Scans to show point by point, such as 08/000000,08/000010.",
-            show_default="up to four that are worth looking at",
-        ),
-    ] = None,
-    by_distance: arguments.ByDistance = False,
+    scans: str | None = option(
+        "Scans to show in 3-D, such as 08/000000,08/000010.",
+        metavar="NAMES",
+        show_default="up to four notable scans",
+    ),
+    by_distance: bool = arguments.BY_DISTANCE,
     query: ResultQuery,
     running: arguments.Reading,
     output: console.Output,
 ) -> None:
-    """Write one page of a run that opens in any browser: numbers, plots, and scans in 3-D.
+    """Write a page for any browser: numbers, plots, and scans in 3-D.
 
     Example: salsanext report out/
     """
     from salsanext_cli.stages.report import report as stage
 
     with over_scans("report", running, output.quiet) as run:
-        made = stage(
-            results.folder(),
+        written = stage(
+            out,
             scans=names_in(scans, "--scans", "08/000000,08/000010"),
             query=query,
             by_distance=by_distance,
             options=run,
         )
-    missing = made.run.missing
-    output.result(made.to_dict())
-    summary.name_failures(made.failures)
-    for reason in made.unmapped:
-        tell(f"error: {reason}")
-    for name, reason in made.shown.items():
-        output.say(f"  {name}: {reason}")
-    scans = f"{counted(len(made.run.rows), 'scan')}{summary.left_out(missing)}"
-    output.say(f"report: {scans} → {made.page} ({made.page.stat().st_size / 1e6:.1f} MB)")
-    summary.leave(made.failures, missing, failed=bool(made.unmapped))
+    missing = written.run.missing
+    output.result(written.to_dict())
+    summary.print_failures(written.failures)
+    for reason in written.unmapped:
+        print_line(f"error: {reason}")
+    for name, reason in written.shown.items():
+        output.print(f"  {name}: {reason}")
+    count = f"{counted(len(written.run.rows), 'scan')}{summary.skipped_text(missing)}"
+    megabytes = written.page.stat().st_size / 1e6
+    output.print(f"report: {count} → {written.page} ({megabytes:.1f} MB)")
+    summary.leave(written.failures, missing, failed=bool(written.unmapped))
 
 
 def view(
+    out: Path = arguments.RESULTS,
     *,
-    results: arguments.Results,
-    port: Annotated[
-        int, typer.Option(help="Port on this machine; 0: any free one.", min=0, max=65535)
-    ] = 8765,
-    by_distance: arguments.ByDistance = False,
+    port: int = option("Port on this machine; 0: any free port.", default=8765, min=0, max=65535),
     query: ResultQuery,
-    running: arguments.Reading,
+    running: Annotated[RunOptions, Without({"backend", "shard", "overwrite"})],
     output: console.Output,
 ) -> None:
     """Show all scans of a run in the browser, until Ctrl-C.
@@ -161,26 +138,24 @@ def view(
     from salsanext_cli.stages.report import view as stage
 
     with over_scans("view", running, output.quiet) as run:
-        server = stage(
-            results.folder(), port=port, query=query, by_distance=by_distance, options=run
-        )
-    summary.name_failures(server.failures)
-    scans, left_out = counted(server.scans, "scan"), summary.left_out(server.missing)
-    output.say(f"view: {scans}{left_out}, until Ctrl-C at")
+        server = stage(out, port=port, query=query, options=run)
+    summary.print_failures(server.failures)
+    scans = f"{counted(server.scans, 'scan')}{summary.skipped_text(server.missing)}"
+    output.print(f"view: {scans}, until Ctrl-C at")
     if forwarding := _forwarding(server.server_port, os.environ.get("SSH_CONNECTION", "")):
-        output.say(f"from the machine that you sit at, first: {forwarding}")
+        output.print(f"first forward the port, on your local machine: {forwarding}")
     try:
         with server:
             output.result(server.to_dict(), server.url)
             server.serve_forever()
     except KeyboardInterrupt:
         ARRIVED.clear()
-        output.say("view: ended")
+        output.print("view: ended")
     summary.leave(server.failures, server.missing)
 
 
 def _forwarding(port: int, connection: str) -> str:
-    """Return the command that forwards a port to where SSH_CONNECTION comes from, if to any."""
+    """Return the command that forwards a port over SSH; empty without an SSH connection."""
     match connection.split():
         case [_, _, host, ssh_port]:
             user = f"{name}@" if (name := os.environ.get("USER")) else ""

@@ -1,24 +1,24 @@
 # SPDX-License-Identifier: MIT
-"""Commands of the panel Models, but `tune`: weights files, described and converted."""
+"""Commands on weights files: describe, import and export them."""
 
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from salsanext_cli.cli import arguments, console
 from salsanext_cli.engines.settings import DEFAULT_WEIGHTS, weights_file
+from salsanext_cli.option_fields import argument, option
 from salsanext_cli.results.query import named_label_space
 
 
 def models(
-    weights: Annotated[
-        list[Path] | None, typer.Argument(help="Weights files to describe.", show_default="default")
-    ] = None,
+    weights: list[Path] | None = argument(
+        "Weights files to describe.",
+        metavar="WEIGHTS...",
+        show_default="the weights of the package",
+    ),
     *,
     output: console.Output,
 ) -> None:
-    """List the networks with their cost and the papers' figures, and plug-ins; describe weights.
+    """List networks with costs and the figures of the papers, and plug-ins; describe weights.
 
     Example: salsanext models runs/street/best.safetensors
     """
@@ -33,7 +33,7 @@ def models(
     cards = map(card_table, described)
     networks = [network_table(listed)]
     if plugged:
-        rows = [[*each.values()] for each in plugged]
+        rows = [[*plug_in.values()] for plug_in in plugged]
         networks.append(table_of([*plugged[0]], rows, texts=[*plugged[0]], title="Plug-ins"))
     tables = Group(*cards, *networks) if weights else Group(*networks, *cards)
     result = {"stage": "models", "models": listed, "plug_ins": plugged, "weights": described}
@@ -41,35 +41,28 @@ def models(
 
 
 def import_weights(
-    source: Annotated[
-        Path,
-        typer.Argument(help="Published checkpoint, or weights file of salsanext (.safetensors)."),
-    ],
-    target: Annotated[Path, typer.Argument(help="Weights file to write (.safetensors).")],
+    source: Path = argument(
+        "Published checkpoint, or weights file (.safetensors).", default=..., metavar="CHECKPOINT"
+    ),
+    target: Path = arguments.WEIGHTS_OUT,
     *,
-    label_space: Annotated[
-        str | None,
-        typer.Option(
-            help="Classes of a checkpoint: a label space, or a .yaml file in SemanticKITTI's "
-            "format.",
-            show_default="semantic-kitti",
-        ),
-    ] = None,
-    sensor: arguments.SensorWithoutWeights = None,
-    dropout: Annotated[
-        float | None,
-        typer.Option(help="Dropout rate that a checkpoint was trained with.", show_default="0.2"),
-    ] = None,
-    description: Annotated[
-        str, typer.Option(help="Description to store in the weights file.")
-    ] = "",
-    half: Annotated[
-        bool, typer.Option("--half", help="Store in float16, at half the size.")
-    ] = False,
-    overwrite: arguments.Overwrite = False,
+    label_space: str | None = option(
+        "Label space of the checkpoint: built-in, or a .yaml file in SemanticKITTI's format.",
+        metavar="NAME|FILE",
+        show_default="semantic-kitti",
+    ),
+    sensor: str | None = arguments.SENSOR,
+    dropout: float | None = option(
+        "Dropout rate of the training of the checkpoint.", show_default="0.2"
+    ),
+    description: str = option(
+        "Description to store in the weights file.", default="", metavar="TEXT"
+    ),
+    half: bool = option("Store in float16, at half the size.", default=False),
+    overwrite: bool = arguments.OVERWRITE,
     output: console.Output,
 ) -> None:
-    """Convert a published checkpoint to a weights file, without running anything inside it.
+    """Convert a published checkpoint to a weights file, without running code in it.
 
     Example: salsanext import-weights pretrained/SalsaNext salsanext.safetensors
     """
@@ -87,25 +80,18 @@ def import_weights(
         overwrite=overwrite,
     )
     output.result({"stage": "import-weights", **describe_weights(target).to_dict()})
-    output.say(f"import-weights: {source} → {target}")
-
-
-WEIGHTS_HELP = "Weights file (.safetensors); default: those of the package."
+    output.print(f"import-weights: {source} → {target}")
 
 
 def export_onnx(
-    weights: Annotated[Path, typer.Argument(help=WEIGHTS_HELP)],
-    target: Annotated[Path, typer.Argument(metavar="OUT", help="ONNX model to write (.onnx).")],
+    weights: Path = argument(
+        "Weights file (.safetensors); default: that of the package.", default=..., metavar="WEIGHTS"
+    ),
+    target: Path = argument("ONNX model to write (.onnx).", default=..., metavar="OUT"),
     *,
-    sensor: Annotated[
-        str | None,
-        typer.Option(help=arguments.SENSOR_HELP, show_default="the sensor of the weights"),
-    ] = None,
-    dynamic_width: Annotated[
-        bool,
-        typer.Option("--dynamic-width", help="Take images of any width that 16 or 32 divides."),
-    ] = False,
-    overwrite: arguments.Overwrite = False,
+    sensor: str | None = arguments.sensor_option(show_default="the sensor of the weights"),
+    dynamic_width: bool = option("Accept any width that is a multiple of 16 or 32.", default=False),
+    overwrite: bool = arguments.OVERWRITE,
     output: console.Output,
 ) -> None:
     """Write weights as an ONNX model for OpenVINO, ONNX Runtime and TensorRT.
@@ -123,7 +109,9 @@ def export_onnx(
     )
     output.result(done)
     if done["difference"] is None:
-        output.say("the model was not compared with torch, because onnxruntime is not installed")
+        output.print("the model was not compared with torch, because onnxruntime is not installed")
     else:
-        output.say(f"largest difference from torch: {done['difference']:.1e} of the largest logit")
-    output.say(f"export-onnx: {weights} → {target}")
+        output.print(
+            f"largest difference from torch: {done['difference']:.1e} of the largest logit"
+        )
+    output.print(f"export-onnx: {weights} → {target}")

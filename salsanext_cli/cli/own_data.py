@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Commands of the panel Your own data: any scans to data sets, their labels, a submission."""
+"""Commands on your own data: inspect, convert, pick, import labels, simulate, submit."""
 
 import shlex
 from dataclasses import asdict
@@ -9,36 +9,36 @@ from typing import Annotated, Literal
 import typer
 
 from salsanext_cli.cli import arguments, console, summary
-from salsanext_cli.cli.console import over_scans, progress, tell
-from salsanext_cli.cli.expansion import Shown
+from salsanext_cli.cli.console import over_scans, print_line, progress
+from salsanext_cli.cli.expansion import Shown, Without
 from salsanext_cli.engines.settings import with_columns
 from salsanext_cli.errors import counted, printable, with_hint
-from salsanext_cli.option_fields import ScanSelection, option_group, own_option
+from salsanext_cli.option_fields import ScanSelection, argument, option, option_group
+from salsanext_cli.parallel.run_options import RunOptions
 from salsanext_cli.results.query import named_label_space
 
 
 def inspect(
-    scans: arguments.Scans = None,
+    scans: Path | None = arguments.SCANS,
     *,
-    fit: Annotated[
-        Path | None,
-        typer.Option(help="Write a sensor file (.toml) with view and statistics of the scans."),
-    ] = None,
-    height: Annotated[int | None, typer.Option(help="Rows of its range image.")] = None,
-    width: Annotated[int | None, typer.Option(help="Columns of its range image.")] = None,
-    dataset: arguments.DataSet = None,
+    fit: Path | None = option(
+        "Write a sensor file (.toml) with field of view and statistics of the scans."
+    ),
+    height: int | None = option("Rows of the range image of --fit."),
+    width: int | None = option("Columns of the range image of --fit."),
+    dataset: Path | None = arguments.DATASET,
     selection: ScanSelection,
-    topic: arguments.Topic = None,
-    label_space: arguments.LabelSpaceName = None,
-    sensor: arguments.SensorWithoutWeights = None,
-    columns: arguments.Columns = None,
+    topic: str | None = arguments.TOPIC,
+    label_space: str | None = arguments.LABEL_SPACE,
+    sensor: str | None = arguments.SENSOR,
+    columns: str | None = arguments.COLUMNS,
     running: arguments.Unsharded,
-    strict: arguments.Strict = False,
+    strict: bool = arguments.STRICT,
     output: console.Output,
 ) -> None:
-    """Summarise a set of scans; fit a sensor to them.
+    """Summarise scans: points, field of view, labels, warnings; fit a sensor file to them.
 
-    Example: salsanext inspect my/scans --fit my-sensor.toml
+    Example: salsanext inspect my/scans
     """
     from salsanext_cli.fitting.field_of_view import view_text
     from salsanext_cli.report.tables import survey_tables
@@ -46,13 +46,13 @@ def inspect(
     from salsanext_cli.stages.inspect import inspect as stage
     from salsanext_cli.stages.inspect import write_sensor
 
-    view = with_columns(find_sensor(sensor or "hdl64"), columns).resized(height, width)
-    # For weights to come; those that are there have a size and normalisation of their own.
+    named = with_columns(find_sensor(sensor or "hdl64"), columns).resized(height, width)
+    # The size and the normalisation are for weights that are still to be trained.
     images = height is not None or width is not None
     with over_scans("inspect", running, output.quiet) as run:
-        found = stage(
+        survey = stage(
             arguments.source(scans, dataset, topic),
-            sensor=view,
+            sensor=named,
             space=named_label_space(label_space),
             selection=selection,
             options=run,
@@ -60,34 +60,30 @@ def inspect(
             images=images,
         )
     if fit is not None:
-        fitted = found.fitted_sensor(fit.stem, images=images)
+        fitted = survey.fitted_sensor(fit.stem, images=images)
         write_sensor(fit, fitted, images=images, overwrite=running.overwrite)
-        output.say(f"inspect: sensor, {view_text(fitted)} → {fit}")
-    tables = survey_tables(found.sequences, found.total, found.space, found.sensor)
-    output.result(found.to_dict(), tables)
-    summary.name_failures(found.failures)
-    summary.leave(found.failures, failed=strict and bool(found.warnings))
+        output.print(f"inspect: sensor, {view_text(fitted)} → {fit}")
+    tables = survey_tables(survey.sequences, survey.total, survey.space, survey.sensor)
+    output.result(survey.to_dict(), tables)
+    summary.print_failures(survey.failures)
+    summary.leave(survey.failures, failed=strict and bool(survey.warnings))
 
 
 def convert(
-    recording: Annotated[
-        Path,
-        typer.Argument(
-            metavar="RECORDING",
-            help="ROS bag (.bag, .mcap, .db3, a folder) or Ouster recording (.pcap, .osf).",
-        ),
-    ],
-    folder: Annotated[
-        Path, typer.Argument(metavar="FOLDER", help="Root of the data set to write.")
-    ],
+    recording: Path = argument(
+        "ROS bag (.bag, .mcap, .db3, a folder) or Ouster recording (.pcap, .osf).",
+        default=...,
+        metavar="RECORDING",
+    ),
+    folder: Path = arguments.NEW_DATASET,
     *,
-    topic: arguments.TopicOfRecording = None,
-    every: Annotated[int, typer.Option(help="Take every so many scans only.")] = 1,
-    limit: Annotated[int | None, typer.Option(help="At most this number of scans.")] = None,
-    running: arguments.Unsharded,
+    topic: str | None = arguments.TOPIC,
+    every: int = option("Take only every Nth scan.", default=1),
+    limit: int | None = option("Only the first N scans."),
+    running: Annotated[RunOptions, Without({"backend", "shard"})],
     output: console.Output,
 ) -> None:
-    """Write the scans of a recording as `.bin` files, in SemanticKITTI's layout.
+    """Write the scans of a recording as `.bin` files, in the layout of SemanticKITTI.
 
     Example: salsanext convert drive.bag drives/ --every 10
     """
@@ -99,34 +95,24 @@ def convert(
     summary.finish("convert", outcome, folder, output)
 
 
-@option_group
-class PickOptions:
-    """Number and kind of the scans that `pick` takes."""
-
-    count: int = own_option("Number of scans to pick.", default=10)
-    seed: int = own_option("Seed of the dropout masks.", default=0)
-    labelled: list[Path] | None = own_option(
-        "Data set of scans that are labelled already: others are picked, unlike them; may be given "
-        "several times.",
-        metavar="DATASET",
-    )
-
-
 def pick(
-    scans: arguments.RequiredScans,
-    out: Annotated[Path, typer.Argument(metavar="OUT", help="Root of the data set to write.")],
+    scans: Path = argument(arguments.SCANS_HELP, default=..., metavar="SCANS"),
+    out: Path = arguments.NEW_DATASET,
     *,
-    choice: PickOptions,
-    selection: Annotated[
-        ScanSelection, Shown(limit={"help": "Look at this number of scans only, evenly spaced."})
-    ],
-    topic: arguments.Topic = None,
+    count: int = option("Number of scans to pick.", default=10),
+    seed: int = option("Seed of the dropout masks.", default=0),
+    labelled: list[Path] | None = option(
+        "Data set of labelled scans, which the picked scans should differ from; may be given "
+        "several times."
+    ),
+    selection: Annotated[ScanSelection, Shown(limit=arguments.SUBSET)],
+    topic: str | None = arguments.TOPIC,
     settings: arguments.Network,
     running: arguments.Unsharded,
-    strict: arguments.Strict = False,
+    strict: bool = arguments.STRICT,
     output: console.Output,
 ) -> None:
-    """Pick the scans most worth labelling; write them as a data set with labels to correct.
+    """Pick the scans most worth labelling; write them as a data set with pre-labels to correct.
 
     Example: salsanext pick my/drive to-label/ --count 10
     """
@@ -134,62 +120,54 @@ def pick(
     from salsanext_cli.stages.pick import pick as stage
 
     with over_scans("pick", running, output.quiet) as run:
-        found = stage(
+        picking = stage(
             arguments.in_topic(scans, topic),
             out,
-            **asdict(choice) | {"labelled": choice.labelled or ()},
+            count=count,
+            seed=seed,
+            labelled=labelled or (),
             settings=settings,
             selection=selection,
             options=run,
         )
-    table = picked_table(found.picked) if found.picked else None
-    output.result(found.to_dict() | {"out": str(out)}, table)
-    outcome, doubted = found.outcome, found.warnings
-    summary.name_failures(outcome.failures)
-    already = f", {outcome.skipped} there already" if outcome.skipped else ""
+    picked, outcome = picking.picked, picking.outcome
+    output.result(picking.to_dict() | {"out": str(out)}, picked_table(picked) if picked else None)
+    summary.print_failures(outcome.failures)
+    already = f", {outcome.skipped} done already" if outcome.skipped else ""
     failed = f", {len(outcome.failures)} failed" if outcome.failures else ""
-    chosen = f"{len(found.picked):,} of {counted(found.scans, 'scan')}"
-    output.say(f"pick: {chosen}{already}{failed} → {out}")
-    if found.picked:
-        started = ["--weights", str(settings.weights)] if settings.weights else []
-        training = ["train", str(out), "RUN", "--recipe", "finetune", *started]
-        following = shlex.join(["salsanext", *training])
+    chosen = f"{len(picked):,} of {counted(picking.scans, 'scan')}"
+    output.print(f"pick: {chosen}{already}{failed} → {out}")
+    if picked:
+        weights = ["--weights", str(settings.weights)] if settings.weights else []
         edited = shlex.join(["salsanext", "import-labels", "EDITED", str(out)])
-        output.say(f"next: correct the labels, take them back with `{edited}`, then `{following}`")
-    summary.leave(outcome.failures, failed=strict and bool(doubted))
+        training = ["salsanext", "train", str(out), "RUN", "--recipe", "finetune", *weights]
+        output.print(f"next: correct the labels, then `{edited}`, then `{shlex.join(training)}`")
+    summary.leave(outcome.failures, failed=strict and bool(picking.warnings))
 
 
 def import_labels(
-    edited: Annotated[
-        Path,
-        typer.Argument(
-            metavar="EDITED",
-            help="Cloud with a label scalar (.ply, .pcd, .las, .laz), .label or .npy file, or "
-            "folder of such files.",
-        ),
-    ],
-    dataset: Annotated[
-        Path, typer.Argument(metavar="DATASET", help="Data set of pick, or folder of scans.")
-    ],
+    edited: Path = argument(
+        "Labelled point cloud (.ply, .pcd, .las, .laz), .label or .npy file, or a "
+        "folder of such files.",
+        default=...,
+        metavar="EDITED",
+    ),
+    dataset: Path = argument(
+        "Data set of `pick`, or folder of scans.", default=..., metavar="DATASET"
+    ),
     *,
-    scalar: Annotated[
-        str | None,
-        typer.Option(help="Scalar that holds the labels.", show_default="the only label there is"),
-    ] = None,
-    ids: Annotated[
-        Path | None,
-        typer.Option(
-            "--map",
-            help="YAML file that maps a tool's ids to classes by name or raw id, such as 3: car.",
-            show_default="raw ids of the label space",
-        ),
-    ] = None,
-    label_space: arguments.LabelSpaceName = None,
-    columns: arguments.Columns = None,
-    overwrite: arguments.Overwrite = False,
+    scalar: str | None = option("Scalar field with the labels.", show_default="the only label"),
+    ids: Path | None = option(
+        "YAML file that maps the ids of the tool to class names or raw ids, such as 3: car.",
+        "--map",
+        show_default="raw ids of the label space",
+    ),
+    label_space: str | None = arguments.LABEL_SPACE,
+    columns: str | None = arguments.COLUMNS,
+    overwrite: bool = arguments.OVERWRITE,
     output: console.Output,
 ) -> None:
-    """Take back the labels that a labelling tool wrote, as the label files of a data set.
+    """Import the labels that a labelling tool wrote as the label files of a data set.
 
     Example: salsanext import-labels edited/ to-label/
     """
@@ -209,65 +187,63 @@ def import_labels(
         )
     output.result(made.to_dict(), imported_table(made.scans) if made.scans else None)
     for failure in made.failures:
-        tell(f"error: {with_hint(failure.reason, failure.hint)}")
+        print_line(f"error: {with_hint(failure.reason, failure.hint)}")
     for line in imported_lines(made, dataset):
-        output.say(printable(line))
+        output.print(printable(line))
     raise typer.Exit(console.FAILED if made.failures else console.DONE)
 
 
 @option_group
-class Streets:
-    """Numbers of the streets of `synth`."""
+class Scenes:
+    """Numbers of the simulated scenes of `synth`."""
 
-    train: int = own_option("Number of sequences for training.", default=8)
-    valid: int = own_option("Number of sequences for validation.", default=2)
-    test: int = own_option("Number of sequences for testing.", default=0)
-    scans: int = own_option("Scans per sequence.", default=20)
-    spacing: float = own_option("Distance driven between two scans, in metres.", default=3.0)
-    sensor: Literal["hdl64", "random"] = own_option(
+    train: int = option("Number of sequences for training.", default=8)
+    valid: int = option("Number of sequences for validation.", default=2)
+    test: int = option("Number of sequences for testing.", default=0)
+    scans: int = option("Scans per sequence.", default=20)
+    spacing: float = option("Distance between two scans, in metres.", default=3.0)
+    sensor: Literal["hdl64", "random"] = option(
         "An HDL-64E, or a random sensor for each sequence.", default="hdl64"
     )
-    seed: int = own_option("The same seed gives the same bytes.", default=0)
+    seed: int = option("Random seed; equal seeds give equal files.", default=0)
 
 
 def synth(
-    out: Annotated[Path, typer.Argument(metavar="DATASET", help="Root of the new data set.")],
+    out: Path = arguments.NEW_DATASET,
     *,
-    streets: Streets,
-    jobs: arguments.Jobs = 1,
-    overwrite: arguments.Overwrite = False,
+    scenes: Scenes,
+    jobs: int = arguments.JOBS,
+    overwrite: bool = arguments.OVERWRITE,
     output: console.Output,
 ) -> None:
-    """Generate labelled scans of synthetic streets, in SemanticKITTI's layout.
+    """Simulate labelled scans of streets, in the layout of SemanticKITTI.
 
-    Example: salsanext synth streets/ --train 8 --valid 2 --scans 20
+    Example: salsanext synth scenes/ --train 8 --valid 2 --scans 20
     """
     from salsanext_cli.stages.synth import synthesise
 
     with progress("synth", output.quiet, unit="sequences") as on_progress:
-        made = synthesise(
-            out, **asdict(streets), jobs=jobs, overwrite=overwrite, progress=on_progress
+        written = synthesise(
+            out, **asdict(scenes), jobs=jobs, overwrite=overwrite, progress=on_progress
         )
-    output.result(made)
-    points = sum(made["points"].values())
-    output.say(f"synth: {counted(made['scans'], 'scan')}, {points:,} points → {out}")
+    output.result(written)
+    points = sum(written["points"].values())
+    output.print(f"synth: {counted(written['scans'], 'scan')}, {points:,} points → {out}")
 
 
 def submit(
-    out: Annotated[
-        Path, typer.Argument(metavar="OUT", help="Folder with predictions of the test split.")
-    ],
-    target: Annotated[Path, typer.Argument(metavar="ZIP", help="File to write (.zip).")],
+    out: Path = argument(
+        "Folder with the predictions of the test split.", default=..., metavar="OUT"
+    ),
+    target: Path = argument("File to write (.zip).", default=..., metavar="ZIP"),
     *,
-    description: Annotated[
-        Path | None, typer.Option(help="Text file about the method, packed as description.txt.")
-    ] = None,
-    dataset: arguments.DataSetOfResults = None,
-    label_space: arguments.LabelSpaceName = None,
-    overwrite: arguments.Overwrite = False,
+    description: Path | None = option("Text file about the method, packed as description.txt."),
+    dataset: Path | None = arguments.DATASET_OF_RESULTS,
+    label_space: str | None = arguments.LABEL_SPACE,
+    overwrite: bool = arguments.OVERWRITE,
     output: console.Output,
 ) -> None:
-    """Check the predictions of the test split and pack them for SemanticKITTI's benchmark.
+    """Check the predictions of the test split and pack them for the benchmark of SemanticKITTI.
 
     Example: salsanext submit out/ submission.zip
     """
@@ -285,8 +261,8 @@ def submit(
         )
     output.result(made.to_dict() | {"zip": str(target)})
     for problem in made.problems:
-        tell(f"error: {problem.text}")
+        print_line(f"error: {problem.text}")
     if made.problems:
-        tell(f"submit: {counted(len(made.problems), 'problem')}, {target} is not written")
+        print_line(f"submit: {counted(len(made.problems), 'problem')}, {target} is not written")
         raise typer.Exit(console.FAILED)
-    output.say(f"submit: {counted(made.scans, 'scan')} → {target}")
+    output.print(f"submit: {counted(made.scans, 'scan')} → {target}")

@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Commands of the panel Pipeline that make labels of scans, but `train`."""
+"""Commands that label scans: project, predict, knn-refine, uncertainty."""
 
-import re
 import time
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -13,33 +11,33 @@ import typer
 from salsanext_cli.cli import arguments, console, summary
 from salsanext_cli.cli.console import over_scans
 from salsanext_cli.cli.expansion import Without
-from salsanext_cli.engines.settings import AUTO, COLUMNS_HELP, NetworkSettings, with_columns
+from salsanext_cli.engines.settings import AUTO, NetworkSettings, with_columns
 from salsanext_cli.errors import UsageError, counted
-from salsanext_cli.option_fields import KnnParameters, ScanSelection, option_group, own_option
-from salsanext_cli.parallel.run_options import RunOptions
+from salsanext_cli.option_fields import KnnParameters, ScanSelection, option, option_group
+from salsanext_cli.parallel.run_options import RunOptions, running_option
 from salsanext_cli.results.query import ResultQuery, named_label_space
 
 if TYPE_CHECKING:
     from salsanext_cli.parallel.run import Outcome
 
 MANY_SCANS = 100  # Fewer take so little time that no faster option is named
-WAIT_S = 1.0  # Time between two looks at whether another run has ended
+WAIT_S = 1.0  # Time between two checks whether another run has ended
 
 
 def project(
     context: typer.Context,
-    scans: arguments.SeveralScans = None,
-    out: arguments.Out = Path("out"),
+    scans: Path | None = arguments.SEVERAL_SCANS,
+    out: Path = arguments.OUT,
     *,
-    dataset: arguments.DataSet = None,
+    dataset: Path | None = arguments.DATASET,
     selection: ScanSelection,
-    topic: arguments.Topic = None,
+    topic: str | None = arguments.TOPIC,
     settings: Annotated[arguments.Network, Without({"device", "precision", "engine", "intensity"})],
     running: RunOptions,
-    strict: arguments.Strict = False,
+    strict: bool = arguments.STRICT,
     output: console.Output,
 ) -> None:
-    """Project scans onto range images and write these, for `predict` or your own programs.
+    """Project scans onto range images, for `predict` or your own programs.
 
     Example: salsanext project seq/velodyne out/
     """
@@ -63,29 +61,26 @@ def project(
 
 @option_group
 class Extras:
-    """Results that `predict` writes besides the labels, and labels that it does not give."""
+    """Results that `predict` writes besides the labels, and the rejection of labels."""
 
-    pixel_labels: bool = own_option("Also write the label of every pixel.", default=False)
-    probabilities: bool = own_option(
-        "Also write the class probabilities of every point.", default=False
+    error: bool = option("Also write the probability that each label is wrong.", default=False)
+    reject: str | None = option(
+        "Leave a point unlabelled if its probability of error exceeds this value, or `risk` for "
+        "the threshold chosen by `tune risk`.",
+        metavar="ERROR|risk",
     )
-    error: bool = own_option(
-        "Also write the probability that each label is wrong, if the weights know it.",
+    objects: bool = option(
+        "Number vehicles, people and riders in the upper 16 bits of the labels, and write their "
+        "bounding boxes.",
         default=False,
     )
-    fuse: bool = own_option(
+    fuse: bool = option(
         "Then fuse the scans of each sequence, as `fuse` does, into OUT/fused.", default=False
     )
-    objects: bool = own_option(
-        "Number the vehicles, people and riders in the upper 16 bits of the labels, and write "
-        "their boxes.",
-        default=False,
+    probabilities: bool = option(
+        "Also write the class probabilities of every point.", default=False
     )
-    reject: str | None = own_option(
-        "Leave points unlabelled whose label is wrong with a higher probability; risk: by the "
-        "threshold that `tune risk` chose.",
-        metavar="ERROR",
-    )
+    pixel_labels: bool = option("Also write the label of every pixel.", default=False)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -101,37 +96,37 @@ class Extras:
 
     @property
     def threshold(self) -> float | Literal["risk"] | None:
-        """Error above which points are unlabelled, as `predict_scans` takes it."""
+        """Largest probability of error of an accepted point, as `predict_scans` takes it."""
         return "risk" if self.reject == "risk" else arguments.share("--reject", self.reject)
 
-    def require_fusable(self) -> None:
-        """Refuse what fused labels do not have."""
+    def require_fusable(self, source: Path | list[Path], out: Path, running: RunOptions) -> None:
+        """Refuse scans and options that cannot be fused."""
+        from salsanext_cli.stages.fuse import require_fusable
+
         if self.objects or self.reject is not None:
-            found, hint = "with --objects or --reject", "those are of the labels of single scans"
-            raise UsageError("--fuse", found, "one of them", hint)
+            hint = "run `predict` a second time without --fuse"
+            raise UsageError("--fuse", "given with --objects or --reject", "one of them", hint)
+        require_fusable(source, out, running)
 
 
 def predict(
     context: typer.Context,
-    scans: arguments.SeveralScans = None,
-    out: arguments.Out = Path("out"),
+    scans: Path | None = arguments.SEVERAL_SCANS,
+    out: Path = arguments.OUT,
     *,
     extras: Extras,
-    dataset: arguments.DataSet = None,
+    dataset: Path | None = arguments.DATASET,
     selection: ScanSelection,
-    topic: arguments.Topic = None,
-    classes: arguments.MergedInto = None,
+    topic: str | None = arguments.TOPIC,
+    classes: str | None = arguments.CLASSES,
     settings: arguments.Network,
     knn: KnnParameters,
-    batch: Annotated[
-        str,
-        arguments.running_option(
-            help="Scans computed together, halved when memory runs out; auto: 1 on a CPU, on a "
-            "GPU as many as keep it busy."
-        ),
-    ] = AUTO,
+    batch: int | None = running_option(
+        "Scans computed together, halved if memory runs out.",
+        show_default="1 on a CPU, several on a GPU",
+    ),
     running: RunOptions,
-    strict: arguments.Strict = False,
+    strict: bool = arguments.STRICT,
     output: console.Output,
 ) -> None:
     """Predict the class of every point of every scan.
@@ -143,10 +138,7 @@ def predict(
 
     source, out = arguments.sources(context, scans, out, dataset, topic)
     if extras.fuse:
-        from salsanext_cli.stages.fuse import require_fusable
-
-        extras.require_fusable()
-        require_fusable(source, out, running)
+        extras.require_fusable(source, out, running)
     settings = replace(settings, classes=named_label_space(classes))
     with over_scans("predict", running, output.quiet) as run:
         if not isinstance(source, Path) or projected_sensor(source) is None:
@@ -156,21 +148,26 @@ def predict(
                 knn=knn,
                 extras=extras.names,
                 reject=extras.threshold,
-                batch=_batch_size(batch),
+                batch=batch,
                 selection=selection,
                 options=run,
             )
         else:
-            names = ("probabilities", "error", "fuse", "objects", "reject")
-            _require_no_scans(knn, batch, {f"--{name}": getattr(extras, name) for name in names})
+            _refuse_options_of_points(extras, knn, batch)
             outcome = predict_range_images(
                 source, out, settings=settings, selection=selection, options=run
             )
-    results, split, advice = out, selection.split, _advice(settings, outcome, out)
+    results, split = out, selection.split
     if extras.fuse and outcome.done + outcome.skipped:
         outcome, results = _then_fused(outcome, out, selection, running, output)
-    end = partial(summary.finish, split=split, strict=strict, results=results, advice=advice)
-    end("predict", outcome, out, output)
+    summary.finish(
+        *("predict", outcome, out, output),
+        split=split,
+        strict=strict,
+        results=results,
+        limit=extras.threshold,
+        advice=_advice(settings, outcome, out),
+    )
 
 
 def _advice(settings: NetworkSettings, outcome: "Outcome", out: Path) -> str:
@@ -195,88 +192,70 @@ def _then_fused(
     running: RunOptions,
     output: console.Output,
 ) -> "tuple[Outcome, Path]":
-    """Fuse what was predicted; return the outcome of both, and the folder of the fused labels."""
+    """Fuse the predictions; return the outcome of both steps and the folder of the fused labels."""
     from salsanext_cli.results.owned_folder import OwnedFolder
     from salsanext_cli.stages.fuse import FUSED, fuse_results
 
     if (predicted := OwnedFolder(out, "predict")).is_shared():
-        output.say("fuse: waiting until another run of `predict` in this folder has ended")
+        output.print("fuse: waiting for another run of `predict` in this folder")
         while predicted.is_shared():
             time.sleep(WAIT_S)
     with over_scans("fuse", running, output.quiet) as run:
         fused = fuse_results(out, query=ResultQuery(selection=selection), options=run)
-    output.say(f"fuse: {counted(fused.done, 'scan')} → {out / FUSED}")
+    output.print(f"fuse: {counted(fused.done, 'scan')} → {out / FUSED}")
     failures = dict.fromkeys((*outcome.failures, *fused.failures))
     if outcome.summary is not None and fused.summary is not None:
         outcome.summary.findings.update(fused.summary.findings)
     return replace(outcome, failures=tuple(failures)), out / FUSED
 
 
-def _require_no_scans(knn: KnnParameters, batch: str, of_points: dict[str, bool]) -> None:
-    """Refuse options that need scans, where range images of `project` are given."""
-    for option in (option for option, wanted in of_points.items() if wanted):
-        found = "range images do not tell which points they are of"
-        raise UsageError(option, found, "the scans themselves")
+def _refuse_options_of_points(extras: Extras, knn: KnnParameters, batch: int | None) -> None:
+    """Refuse options that need scans, where the source is range images of `project`."""
+    for name in ("probabilities", "error", "fuse", "objects", "reject"):
+        if getattr(extras, name):
+            problem = "range images do not contain the points"
+            raise UsageError(f"--{name}", problem, "scans as the source")
     if knn != KnnParameters():
-        found = "range images are refined by knn-refine"
-        raise UsageError("--knn-…", found, "the options given there")
-    if batch != AUTO:
-        raise UsageError("--batch", "range images are computed one by one", "scans")
-
-
-def _batch_size(text: str) -> int | None:
-    """Return the number of scans computed together, None for what suits the device."""
-    if text == AUTO:
-        return None
-    if not re.fullmatch(r"\d{1,9}", text, re.ASCII):
-        raise UsageError("--batch", repr(text), "auto, or a number of scans")
-    return int(text)
+        hint = "give the options to `knn-refine`"
+        raise UsageError("--knn-*", "`predict` does not refine range images", hint=hint)
+    if batch is not None:
+        raise UsageError("--batch", "range images are computed one by one", "scans as the source")
 
 
 def knn_refine(
-    out: arguments.Out = Path("out"),
+    out: Path = arguments.RESULTS,
     *,
-    labels: Annotated[
-        Path | None,
-        typer.Option(help="Refine the .label files of this folder instead, of any program."),
-    ] = None,
-    dataset: arguments.DataSetOfResults = None,
+    labels: Path | None = option("Refine the .label files of this folder instead, of any program."),
+    dataset: Path | None = arguments.DATASET_OF_RESULTS,
     selection: ScanSelection,
-    label_space: arguments.LabelSpaceName = None,
-    sensor: Annotated[
-        str | None,
-        arguments.network_option(
-            help=arguments.SENSOR_HELP,
-            show_default="the sensor of the earlier stages, else hdl64",
-        ),
-    ] = None,
-    columns: Annotated[
-        str | None,
-        arguments.network_option(
-            help=COLUMNS_HELP, show_default="those of the earlier stages, else x,y,z,intensity"
-        ),
-    ] = None,
+    label_space: str | None = arguments.LABEL_SPACE,
+    sensor: str | None = arguments.sensor_option(
+        show_default="the sensor of the earlier commands, else hdl64"
+    ),
+    columns: str | None = arguments.columns_option(
+        show_default="those of the earlier commands, else x,y,z,intensity"
+    ),
     knn: KnnParameters,
     running: RunOptions,
-    strict: arguments.Strict = False,
+    strict: bool = arguments.STRICT,
     output: console.Output,
 ) -> None:
-    """Turn labels of pixels into labels of points, or correct labels of points, by neighbours.
+    """Assign labels of pixels to points, or correct labels of points, by nearest neighbours.
 
     Example: salsanext knn-refine out/
     """
     from salsanext_cli.results.manifest import Manifest
     from salsanext_cli.stages.knn_refine import knn_refine_scans
 
-    seen = arguments.sensor(sensor)
+    named = arguments.sensor(sensor)
     if columns is not None:
-        seen = with_columns(seen or Manifest(out).sensor(), columns)
+        named = with_columns(named or Manifest(out).sensor(), columns)
     with over_scans("knn-refine", running, output.quiet) as run:
         outcome = knn_refine_scans(
             out,
             labels=labels,
             dataset=dataset,
-            sensor=seen,
+            sensor=named,
             space=named_label_space(label_space),
             knn=knn,
             selection=selection,
@@ -287,26 +266,24 @@ def knn_refine(
 
 def uncertainty(
     context: typer.Context,
-    scans: arguments.SeveralScans = None,
-    out: arguments.Out = Path("out"),
+    scans: Path | None = arguments.SEVERAL_SCANS,
+    out: Path = arguments.OUT,
     *,
-    samples: Annotated[int, typer.Option(help="Monte-Carlo passes per scan.")] = 30,
-    seed: Annotated[int, typer.Option(help="Seed of the dropout masks and the noise.")] = 0,
-    aleatoric: Annotated[
-        Literal["copies", "paper", "none"],
-        typer.Option(
-            help="The sensor's noise, for aleatoric and total uncertainty: by eight noisy copies "
-            "of each scan, or carried through the network as in the paper."
-        ),
-    ] = "copies",
-    dataset: arguments.DataSet = None,
+    samples: int = option("Monte-Carlo passes per scan.", default=30),
+    seed: int = option("Random seed of dropout masks and noise.", default=0),
+    aleatoric: Literal["copies", "paper", "none"] = option(
+        "Method for aleatoric and total uncertainty: eight noisy copies of each scan, or "
+        "propagation of the noise through the network as in the paper.",
+        default="copies",
+    ),
+    dataset: Path | None = arguments.DATASET,
     selection: ScanSelection,
-    topic: arguments.Topic = None,
-    classes: arguments.MergedInto = None,
+    topic: str | None = arguments.TOPIC,
+    classes: str | None = arguments.CLASSES,
     settings: arguments.Network,
     knn: KnnParameters,
     running: RunOptions,
-    strict: arguments.Strict = False,
+    strict: bool = arguments.STRICT,
     output: console.Output,
 ) -> None:
     """Predict the class of every point and its epistemic, aleatoric and total uncertainty.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Commands and options of earlier versions, and what to use instead."""
+"""Commands and options of earlier versions, and their replacements."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -8,35 +8,42 @@ from salsanext_cli.cli.console import guarded
 from salsanext_cli.errors import UsageError
 
 REMOVED = {
-    ("picture", "--gif"): "use ffmpeg on the pictures, as docs/picture.md shows",
-    ("picture", "--fps"): "use ffmpeg on the pictures, as docs/picture.md shows",
-    ("pick", "--strategy"): "use no option: picked scans are uncertain and unlike each other",
-    ("pick", "--disagreement"): "use no option: the uncertainty is that of the network",
-    ("", "--backend ray"): "use `--shard I/N` on each machine",
+    ("", "--out"): "give the folder as the argument OUT",
     ("", "--backend dask"): "use `--shard I/N` on each machine",
+    ("", "--backend ray"): "use `--shard I/N` on each machine",
     ("", "--scheduler"): "use `--shard I/N` on each machine",
-    ("export-onnx", "--int8"): "quantise the exported model with other software",
+    ("compare", "--by-distance"): "use `eval --by-distance` on both folders",
+    ("convert", "--backend"): "use `--jobs`",
+    ("demo", "--engine"): "use `predict --engine` on your own scans",
+    ("demo", "--intensity"): "use `predict --intensity` on your own scans",
+    ("demo", "--precision"): "use `predict --precision` on your own scans",
+    ("demo", "--weights"): "use `predict --weights` on your own scans",
     ("export-onnx", "--calibrate"): "quantise the exported model with other software",
+    ("export-onnx", "--int8"): "quantise the exported model with other software",
+    ("export-ply", "--format"): "use no option: clouds are PLY, which PDAL converts to LAS or LAZ",
+    ("export-rrd", ""): "use examples/rerun_recording.py",
+    ("filter", "--split"): "use `--by-class`",
+    ("fuse", "--strict"): "use the key `warnings` of `--json`",
+    ("pick", "--disagreement"): "use no option: the uncertainty is that of the network",
+    ("pick", "--limit"): "use `--subset`",
+    ("pick", "--strategy"): "use no option: picked scans are uncertain and differ from each other",
+    ("picture", "--fps"): "use ffmpeg on the pictures",
+    ("picture", "--gif"): "use ffmpeg on the pictures",
+    ("tune", "--limit"): "use `--subset`",
     ("uncertainty", "--method"): "use fewer passes, such as `--samples 5`, to save time",
+    ("view", "--backend"): "use `--jobs`",
+    ("view", "--by-distance"): "use `report --by-distance`",
 }
-"""Remedy by command, "" for all commands, and option, with its value if other values remain."""
-
-
-REMOVED_COMMANDS = {"export-rrd": "use examples/rerun_recording.py"}
-
-
-@guarded
-def refuse_removed_command(command: str, *, json: bool) -> None:
-    """Refuse a command of earlier versions; `guarded` reads `json`."""
-    if hint := REMOVED_COMMANDS.get(command):
-        raise UsageError(command, "this command was removed", hint=hint)
+"""Hint by command and option, with its value if other values remain; "" stands for all commands, or
+for the command itself."""
 
 
 @guarded
-def refuse_removed(command: str, words: Sequence[str], *, json: bool) -> None:
-    """Refuse an option that a command no longer has; `guarded` reads `json`."""
+def refuse_removed(commands: Sequence[str], words: Sequence[str], *, json: bool) -> None:
+    """Refuse a removed command, or option of a command or its group; `guarded` reads `json`."""
     parts = [part for word in words for part in word.split("=", 1)]
     given = {*parts, *map(" ".join, pairwise(parts))}
     for (name, option), hint in REMOVED.items():
-        if name in ("", command) and option in given:
-            raise UsageError(option, "this option was removed", hint=hint)
+        if name in ("", *commands) and (option in given or not option):
+            kind = "option" if option else "command"
+            raise UsageError(option or name, f"this {kind} was removed", hint=hint)

@@ -1,18 +1,16 @@
 # SPDX-License-Identifier: MIT
-"""Commands that work on results: they fuse, filter, compare, evaluate and export them."""
+"""Commands on results: fuse, filter, compare, evaluate and export them."""
 
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from salsanext_cli.cli import arguments, console, summary
 from salsanext_cli.cli.console import over_scans
 from salsanext_cli.cli.expansion import Without
 from salsanext_cli.errors import UsageError, counted
-from salsanext_cli.option_fields import FusionReach, names_in, option_group, own_option
+from salsanext_cli.option_fields import FusionReach, argument, names_in, option, option_group
 from salsanext_cli.parallel.run_options import RunOptions
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.uncertainty_kinds import COLOUR_HELP
@@ -24,29 +22,23 @@ if TYPE_CHECKING:
 
 
 def fuse(
-    out: arguments.Out = Path("out"),
-    target: Annotated[
-        Path | None,
-        typer.Argument(
-            metavar="TARGET", help="Folder for the fused labels.", show_default="OUT/fused"
-        ),
-    ] = None,
+    out: Path = arguments.RESULTS,
+    target: Path | None = argument(
+        "Folder to write the fused labels to.",
+        metavar="FUSED",
+        show_default="fused, in the folder OUT",
+    ),
     *,
-    poses: Annotated[
-        Path | None,
-        typer.Option(
-            help="Poses of the scans of the sequence, from scan to world, as KITTI or TUM have "
-            "them.",
-            show_default="poses.txt in its folder, else computed from the scans",
-        ),
-    ] = None,
+    poses: Path | None = option(
+        "Poses of the scans of the sequence, from scan to world, in the format of KITTI or TUM.",
+        show_default="poses.txt of the sequence, else computed from the scans",
+    ),
     reach: FusionReach,
     query: Annotated[ResultQuery, Without({"label_space", "classes"})],
     running: RunOptions,
-    strict: arguments.Strict = False,
     output: console.Output,
 ) -> None:
-    """Correct the labels of each scan of a drive by all scans that see the same places.
+    """Correct the labels of a drive: all scans that see a location vote.
 
     Example: salsanext fuse out/
     """
@@ -55,38 +47,39 @@ def fuse(
     target = target or out / FUSED
     with over_scans("fuse", running, output.quiet) as run:
         outcome = fuse_results(out, target, poses=poses, reach=reach, query=query, options=run)
-    summary.finish("fuse", outcome, target, output, split=query.selection.split, strict=strict)
+    summary.finish("fuse", outcome, target, output, split=query.selection.split)
 
 
 @option_group
 class PointChoice:
     """Choice of the points that `filter` writes."""
 
-    drop: tuple[str, ...] = own_option(
-        "Leave out these classes, such as person,vehicle; coarse names too, and moving for all "
-        "movable ones, with the sensor's own vehicle and points without a measurement.",
+    drop: tuple[str, ...] = option(
+        "Drop these classes, such as person,vehicle; moving: all movable classes, your own "
+        "vehicle, and points without a measurement.",
         parse=partial(names_in, option="--drop", example="car,person"),
+        metavar="CLASSES",
     )
-    keep: tuple[str, ...] = own_option(
-        "Keep these classes only.",
+    keep: tuple[str, ...] = option(
+        "Write these classes only.",
         parse=partial(names_in, option="--keep", example="car,person"),
-        show_default="all",
+        metavar="CLASSES",
     )
-    max_error: float | None = own_option("Leave out points whose error is above this, 0 to 1.")
-    split: bool = own_option("Write a file for each class.", default=False)
-    indices: bool = own_option("Write masks of the points that stay (.npy).", default=False)
+    max_error: float | None = option("Drop points whose probability of error is above this.")
+    split: bool = option("Write a file for each class.", "--by-class", default=False)
+    indices: bool = option("Write masks of the accepted points (.npy) instead.", default=False)
 
 
 def filter_command(
-    out: arguments.Out = Path("out"),
+    out: Path = arguments.RESULTS,
     *,
-    to: Annotated[Path, typer.Option(metavar="FOLDER", help="New folder to write.")],
+    to: Path = option("New folder to write to.", default=...),
     points: PointChoice,
     query: Annotated[ResultQuery, Without({"split", "label_space", "classes"})],
     running: RunOptions,
     output: console.Output,
 ) -> None:
-    """Write the scans in their own format without some of their points, by class or error.
+    """Write the scans in their format without some points, by class or probability of error.
 
     Example: salsanext filter out/ --drop moving --to static/
     """
@@ -98,16 +91,16 @@ def filter_command(
 
 
 def compare(
-    before: Annotated[Path, typer.Argument(metavar="OUT_A", help="Results of the first run.")],
-    after: Annotated[Path, typer.Argument(metavar="OUT_B", help="Results of the second run.")],
+    before: Path = argument("Results of the first run.", default=..., metavar="OUT_A"),
+    after: Path = argument("Results of the second run.", default=..., metavar="OUT_B"),
     *,
     query: ResultQuery,
     running: arguments.Reading,
     output: console.Output,
 ) -> None:
-    """Compare two runs on the same scans: what changed, and whether it is better.
+    """Compare two runs on the same scans: differences, and which run is better.
 
-    Scans that the weights of a run were trained on are left out of the scores.
+    Scans that the weights of a run were trained on do not count.
 
     Example: salsanext compare out/ tuned/
     """
@@ -116,27 +109,26 @@ def compare(
     from salsanext_cli.stages.compare import compare as stage
 
     with over_scans("compare", running, output.quiet) as run:
-        found, failures = stage(before, after, query=query, options=run)
+        comparison, failures = stage(before, after, query=query, options=run)
     failed = [failure.to_dict() for failure in failures]
-    output.result(
-        {"stage": "compare", **found.to_dict(), "failures": failed}, comparison_tables(found)
-    )
-    summary.name_failures(failures)
-    output.say(f"compare: {counted(len(found.pairs), 'scan')} → {after / RECORD}")
+    result = {"stage": "compare", **comparison.to_dict(), "failures": failed}
+    output.result(result, comparison_tables(comparison))
+    summary.print_failures(failures)
+    output.print(f"compare: {counted(len(comparison.pairs), 'scan')} → {after / RECORD}")
     summary.leave(failures)
 
 
 def evaluate(
+    out: Path = arguments.RESULTS,
     *,
-    results: arguments.Results,
-    by_distance: arguments.ByDistance = False,
+    by_distance: bool = arguments.BY_DISTANCE,
     query: ResultQuery,
     running: arguments.Reading,
     output: console.Output,
 ) -> None:
     """Compare predictions with labels, as the official benchmark does.
 
-    Scans that the weights were trained on are left out, unless all were.
+    Scans that the weights were trained on do not count, unless there are no others.
 
     Example: salsanext eval --split valid
     """
@@ -144,13 +136,12 @@ def evaluate(
     from salsanext_cli.stages.evaluate import evaluate as stage
     from salsanext_cli.stages.evaluate import part_of
 
-    out = results.folder()
     folder = ResultFolder(out, query.dataset)
     files, space = folder.predicted(query.selection, query.label_space, query.classes)
     part = part_of(folder, files, query.selection)
     with over_scans("eval", running, output.quiet) as run:
         settings, rejection = folder.provenance(query.selection), folder.rejection()
-        found = stage(
+        evaluation = stage(
             files,
             out,
             space,
@@ -160,15 +151,17 @@ def evaluate(
             settings=settings,
             labels=query.label_space,
         )
-    output.result(found.to_dict(), _evaluation_shown(found, rejection.above if rejection else None))
-    summary.name_failures(found.failures)
-    scans = f"{counted(found.counts.scans, 'scan')}{summary.left_out(found.missing)}"
-    output.say(f"eval: {scans} → {found.folder}/scores.txt, eval.json, eval_*.png")
-    summary.leave(found.failures, found.missing)
+    above = rejection.above if rejection else None
+    output.result(evaluation.to_dict(), _evaluation_tables(evaluation, above))
+    summary.print_failures(evaluation.failures)
+    missing = evaluation.missing
+    scans = f"{counted(evaluation.counts.scans, 'scan')}{summary.skipped_text(missing)}"
+    output.print(f"eval: {scans} → {evaluation.folder}/scores.txt, eval.json, eval_*.png")
+    summary.leave(evaluation.failures, missing)
 
 
-def _evaluation_shown(found: "Evaluation", reject: float | None) -> "Group":
-    """Return the tables and sentences of an evaluation, what was asked for last."""
+def _evaluation_tables(evaluation: "Evaluation", above: float | None) -> "Group":
+    """Return the tables and sentences of an evaluation, with rejection `above` a threshold."""
     from rich.console import Group
     from rich.text import Text
 
@@ -180,63 +173,58 @@ def _evaluation_shown(found: "Evaluation", reject: float | None) -> "Group":
     )
     from salsanext_cli.stages.evaluate import ON_TRAINING_SCANS
 
-    of_training = ON_TRAINING_SCANS if found.counts.trained_on else ""
-    shown: list[Any] = [score_table(found.scores, of_training)]
-    shown += [band_table(found.by_distance)] if found.by_distance else []
-    shown += uncertainty_tables(found.uncertainty)
-    shown += [Text(found.uncertainty.accepted.sentence)] if found.uncertainty.accepted else []
-    shown += [Text(found.object_sentence)] if found.panoptic else []
-    if kept := found.accepted:
-        missed = f"Points left unlabelled by predict --reject {reject:g} are missed in the scores."
-        promised = [found.guarantee.sentence] if found.guarantee else []
-        lines = [missed, *kept.sentences, *promised]
-        shown += [accepted_table(kept.classes), Text("\n".join(lines))]
-    return Group(*shown)
-
-
-@option_group
-class CloudOptions:
-    """Colours of the clouds of `export-ply`."""
-
-    colour: str = own_option(f"{COLOUR_HELP}.", "--colour", "--color", default="label")
-    scale: tuple[float, float] | None = own_option(
-        "Values at the two ends of the colour map.",
-        show_default="range of most values; fixed for error",
-    )
-    max_error: float | None = own_option(
-        "Write points as unlabelled whose error is above this, 0 to 1."
-    )
+    of_training = ON_TRAINING_SCANS if evaluation.counts.trained_on else ""
+    uncertainty, accepted = evaluation.uncertainty, evaluation.accepted
+    tables: list[Any] = [score_table(evaluation.scores, of_training)]
+    tables += [band_table(evaluation.by_distance)] if evaluation.by_distance else []
+    tables += uncertainty_tables(uncertainty)
+    tables += [Text(uncertainty.accepted.sentence)] if uncertainty.accepted else []
+    tables += [Text(evaluation.object_sentence)] if evaluation.panoptic else []
+    if accepted:
+        missed = f"The scores count points rejected by `predict --reject {above:g}` as misses."
+        guarantee = [evaluation.guarantee.sentence] if evaluation.guarantee else []
+        lines = [missed, *accepted.sentences, *guarantee]
+        tables += [accepted_table(accepted.classes), Text("\n".join(lines))]
+    return Group(*tables)
 
 
 def export_ply(
+    out: Path = arguments.RESULTS,
     *,
-    results: arguments.Results,
-    clouds: CloudOptions,
-    as_map: Annotated[
-        bool, typer.Option("--map", help="Write one cloud of each drive with labels of `fuse`.")
-    ] = False,
-    voxel: Annotated[
-        float | None,
-        typer.Option(
-            "--map-voxel",
-            help="Edge of the voxels of one point each, in metres.",
-            show_default="0.1",
-        ),
-    ] = None,
+    colour: str = option(f"{COLOUR_HELP}.", "--colour", "--color", default="label"),
+    scale: tuple[float, float] | None = arguments.SCALE,
+    max_error: float | None = option(
+        "Write points as unlabelled whose probability of error is above this."
+    ),
+    as_map: bool = option(
+        "Write one cloud for each drive, with the labels of `fuse`.", "--map", default=False
+    ),
+    voxel: float | None = option(
+        "Edge of the voxels of --map, each with one point, in metres.",
+        "--map-voxel",
+        show_default="0.1",
+    ),
     query: ResultQuery,
     running: RunOptions,
     output: console.Output,
 ) -> None:
-    """Write coloured point clouds that hold every known value of every point.
+    """Write coloured point clouds that contain all values of every point.
 
     Example: salsanext export-ply --colour uncertainty
     """
     from salsanext_cli.stages.export_ply import export_ply as stage
 
     if voxel is not None and not as_map:
-        raise UsageError("--map-voxel", "without --map", "both, or neither")
-    out = results.folder()
+        raise UsageError("--map-voxel", "given without --map", "both or neither")
     with over_scans("export-ply", running, output.quiet) as run:
         map_voxel = (0.1 if voxel is None else voxel) if as_map else None
-        outcome = stage(out, **asdict(clouds), voxel=map_voxel, query=query, options=run)
-    summary.finish("export-ply", outcome, out, output)
+        outcome = stage(
+            out,
+            colour=colour,
+            scale=scale,
+            max_error=max_error,
+            voxel=map_voxel,
+            query=query,
+            options=run,
+        )
+    summary.finish("export-ply", outcome, out, output, limit=max_error)

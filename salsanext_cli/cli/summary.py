@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""End of a run over scans: a summary on stderr, the same as JSON, and the exit status."""
+"""End of a run over scans: summary on stderr, JSON on stdout, exit status."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import typer
 
-from salsanext_cli.cli.console import DONE, FAILED, Output, duration_text, tell
+from salsanext_cli.cli.console import DONE, FAILED, Output, duration_text, print_line
 from salsanext_cli.errors import counted
 
 if TYPE_CHECKING:
@@ -33,69 +33,77 @@ def finish(
     split: str | None = None,
     strict: bool = False,
     results: object = None,
+    limit: float | str | None = None,
     advice: str = "",
 ) -> NoReturn:
-    """Say what became of a run and leave with its exit status.
+    """Print the summary of a run and exit with its status.
 
-    `more`: options to type next; `results`: folder for the next command, if not `out`; `advice`: a
-    line before the next command.
+    `more`: further options of the next command; `results`: folder of the next command, if not
+    `out`; `limit`: largest probability of error of an accepted point, or "risk"; `advice`: a
+    further line.
     """
-    name_failures(outcome.failures)
+    print_failures(outcome.failures)
     following = next_command(stage, outcome, str(results or out), more, split)
-    found = {"stage": stage, "out": str(out), **_as_data(outcome), "next": following}
-    output.result(found)
-    each, missing = found["seconds_per_scan"], outcome.missing
+    output.result({"stage": stage, "out": str(out), **_as_data(outcome), "next": following})
     already = f", {outcome.skipped} done already" if outcome.skipped else ""
     failed = f", {len(outcome.failures)} failed" if outcome.failures else ""
-    others = left_out(missing) if missing else ""
     took = f" in {duration_text(output.seconds)}"
-    took += "" if each is None else f", {duration_text(each)} per scan"
-    output.say(f"{stage}: {counted(outcome.done, 'scan')}{already}{failed}{took}{others} → {out}")
-    if (rejected := outcome.rejected_points) is not None:
-        before = f", besides {counted(outcome.skipped, 'scan')} before" if outcome.skipped else ""
-        output.say(f"{counted(rejected, 'point')} unlabelled for their error{before}")
-    if outcome.kept_points and outcome.done:
-        points, kept = outcome.kept_points
-        output.say(f"{kept:,} of {counted(points, 'point')} stay")
-    for line in (*_lines(outcome.summary), advice, following and f"next: {following}"):
+    took += f", {duration_text(outcome.seconds / outcome.done)} per scan" if outcome.done else ""
+    scans = f"{counted(outcome.done, 'scan')}{already}{failed}{took}"
+    output.print(f"{stage}: {scans}{skipped_text(outcome.missing)} → {out}")
+    for line in (*_rejection_lines(outcome, limit), advice, *_lines(outcome.summary, following)):
         if line:
-            output.say(line)
-    doubted = strict and outcome.summary is not None and bool(outcome.summary.findings)
-    leave(outcome.failures, missing, failed=doubted)
+            output.print(line)
+    is_doubtful = strict and outcome.summary is not None and bool(outcome.summary.findings)
+    leave(outcome.failures, outcome.missing, failed=is_doubtful)
+
+
+def _rejection_lines(outcome: Outcome, limit: float | str | None) -> Iterable[str]:
+    """Yield how many points were rejected or filtered."""
+    if (rejected := outcome.rejected_points) is not None:
+        classes = outcome.summary.class_points if outcome.summary else None
+        share = "" if classes is None else f" ({100 * rejected / max(classes.sum(), 1):.1f} %)"
+        reason = "above the threshold of `tune risk`"
+        if limit != "risk":
+            reason = f"probability of error above {limit:g}"
+        before = f"; {outcome.skipped} done already not counted" if outcome.skipped else ""
+        yield f"{counted(rejected, 'point')}{share} rejected: {reason}{before}"
+    if outcome.kept_points and outcome.done:
+        points, accepted = outcome.kept_points
+        yield f"{accepted:,} of {counted(points, 'point')} written"
 
 
 def _as_data(outcome: Outcome) -> dict[str, Any]:
-    """Return plain data for JSON; docs/json.md lists the keys."""
-    each = outcome.seconds / outcome.done if outcome.done else None
-    found: dict[str, Any] = {
+    """Return plain data for JSON; docs/reference/json.md lists the keys."""
+    data: dict[str, Any] = {
         "done": outcome.done,
         "skipped": outcome.skipped,
         "failed": len(outcome.failures),
         "failures": [failure.to_dict() for failure in outcome.failures],
-        "seconds_per_scan": None if each is None else round(each, 4),
+        "seconds_per_scan": round(outcome.seconds / outcome.done, 4) if outcome.done else None,
     }
     if missing := outcome.missing:
-        found |= missing.to_dict()
+        data |= missing.to_dict()
     if outcome.rejected_points is not None:
-        found["rejected_points"] = outcome.rejected_points
+        data["rejected_points"] = outcome.rejected_points
     if outcome.kept_points:
-        found["points"], found["kept_points"] = outcome.kept_points
+        data["points"], data["kept_points"] = outcome.kept_points
     if summary := outcome.summary:
         from salsanext_cli.files.json_files import plain
         from salsanext_cli.sensors.sensor import NOISE
 
-        found["sensor"] = summary.sensor.to_dict(NOISE)
-        found["unlabelled_share"] = round(summary.unlabelled_share, 4)
-        found["largest_classes"] = summary.largest_classes()
-        found["ego_share"] = round(summary.ego_share, 4)
+        data["sensor"] = summary.sensor.to_dict(NOISE)
+        data["unlabelled_share"] = round(summary.unlabelled_share, 4)
+        data["largest_classes"] = summary.largest_classes()
+        data["ego_share"] = round(summary.ego_share, 4)
         expected = summary.expected_accuracy()
-        found["expected_accuracy"] = expected and asdict(expected)
-        found["warnings"] = plain(summary.warnings())
-    return found
+        data["expected_accuracy"] = expected and asdict(expected)
+        data["warnings"] = plain(summary.warnings())
+    return data
 
 
-def _lines(summary: RunSummary | None) -> Iterable[str]:
-    """Yield what else is worth knowing: the sensor, the classes."""
+def _lines(summary: RunSummary | None, following: str | None) -> Iterable[str]:
+    """Yield sensor, unlabelled points, estimated accuracy, largest classes and next command."""
     if summary is not None:
         sensor = summary.sensor
         from salsanext_cli.fitting.field_of_view import ego_text, view_text
@@ -103,23 +111,25 @@ def _lines(summary: RunSummary | None) -> Iterable[str]:
         lines = (f"{s.name}, {s.height}×{s.width}, {view_text(s)}" for s in sensor.members)
         yield from (f"sensor: {line}" for line in dict.fromkeys(lines))
         if (share := summary.unlabelled_share) >= LEAST_SHOWN:
-            # The sample that the share of the vehicle is estimated from may exceed the total.
+            # The share of the vehicle is estimated from a sample, and may exceed the total.
             ego = min(summary.ego_share, share)
-            place = "" if sensor.others else f" ({ego_text(sensor)})"
-            words = f", about {100 * ego:.1f} % on the sensor's housing and vehicle{place}"
-            of_ego = words * (ego >= LEAST_SHOWN)
+            box = "" if sensor.others else f" ({ego_text(sensor)})"
+            text = f", about {100 * ego:.1f} % on the sensor's housing and vehicle{box}"
+            of_ego = text if ego >= LEAST_SHOWN else ""
             yield f"unlabelled: {100 * share:.1f} % of the points{of_ego}"
         if expected := summary.expected_accuracy():
             yield expected.text
         if largest := summary.largest_classes():
             shares = ", ".join(f"{name} {100 * share:.1f} %" for name, share in largest.items())
             yield f"largest classes: {shares}"
+    if following is not None:
+        yield f"next: {following}"
 
 
 def next_command(
     stage: str, outcome: Outcome, out: str, more: Iterable[str], split: str | None = None
 ) -> str | None:
-    """Return the command line that most users type after a stage, None if nothing is there."""
+    """Return the usual next command line; return None if there are no results."""
     summary = outcome.summary
     if not outcome.done + outcome.skipped:
         return None
@@ -132,7 +142,7 @@ def next_command(
     elif stage == "uncertainty":
         words = ["export-ply", out, "--colour", "uncertainty"]
     elif summary.space is None:
-        words = ["knn-refine", out]  # The labels are those of pixels.
+        words = ["knn-refine", out]  # The labels belong to pixels.
     else:
         words = ["eval" if summary.labelled else "export-ply", out]
         if split == SUBMITTED_SPLIT and not summary.labelled:
@@ -143,22 +153,20 @@ def next_command(
     return shlex.join(["salsanext", *words, *more])
 
 
-def name_failures(failures: tuple[Failure, ...]) -> None:
-    """Name every scan that failed, on stderr; once what several failed for."""
+def print_failures(failures: tuple[Failure, ...]) -> None:
+    """Print each error of the failed scans once, on stderr."""
     for text in dict.fromkeys(failure.text for failure in failures):
-        tell(f"error: {text}")
+        print_line(f"error: {text}")
 
 
 def leave(
     failures: tuple[Failure, ...], missing: MissingResults | None = None, *, failed: bool = False
 ) -> NoReturn:
-    """Leave with the exit status for scans that failed or lack results."""
+    """Exit with status 1 if scans failed or lack results, else with 0."""
     raise typer.Exit(FAILED if failed or failures or (missing and missing.scans) else DONE)
 
 
-def left_out(missing: MissingResults) -> str:
-    """Return the part of a sentence that says how many scans were left out on purpose."""
-    count = missing.not_asked_for
-    others, them = (f"{count:,} scans are", "them") if count > 1 else ("scan is", "it")
-    text = f" (the other {others} left out: no earlier stage was asked for {them})"
-    return text if count else ""
+def skipped_text(missing: MissingResults | None) -> str:
+    """Return the part of a summary about scans that the earlier stages were not run on."""
+    count = missing.not_asked_for if missing else 0
+    return f" ({counted(count, 'scan')} skipped: not part of the earlier run)" if count else ""

@@ -4,15 +4,14 @@
 import shlex
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from salsanext_cli.cli import arguments, console
 from salsanext_cli.cli.console import progress
 from salsanext_cli.engines.settings import COLUMNS_DEFAULT, COLUMNS_HELP, weights_file, with_columns
 from salsanext_cli.errors import counted
-from salsanext_cli.option_fields import network_option, option_group
+from salsanext_cli.option_fields import argument, network_option, option_group
+from salsanext_cli.parallel.run_options import running_option
 from salsanext_cli.results.query import named_label_space
 
 if TYPE_CHECKING:
@@ -28,28 +27,35 @@ class Start:
     """Recipe, weights and sensor that a training starts from."""
 
     recipe: str = network_option(
-        "paper, modern, street, finetune, quick, or a .toml file.", default="paper"
+        "Recipe of the training.",
+        default="paper",
+        metavar="paper|modern|street|finetune|quick|FILE",
     )
     changes: list[str] | None = network_option(
-        "Value instead of the recipe's; may be given several times.", "--set", metavar="KEY=VALUE"
+        "Change a key of the recipe; may be given several times.", "--set", metavar="KEY=VALUE"
     )
-    epochs: int | None = network_option("Number of epochs instead of the recipe's.")
+    epochs: int | None = network_option("Number of epochs.", show_default="that of the recipe")
     weights: Path | None = network_option(
-        "Weights to start from; default: those of the package.",
-        show_default="random; with finetune those of the package",
+        "Weights to start from; `default` names those of the package.",
+        metavar="FILE|default",
+        show_default="random; with finetune the weights of the package",
     )
     sensor: str | None = network_option(
-        arguments.SENSOR_HELP, show_default="the sensor of --weights, else hdl64"
+        "Sensor to train for.",
+        metavar="NAME|FILE",
+        show_default="the sensor of --weights, else hdl64",
     )
     also: list[Path] | None = network_option(
-        "Further data set of the same classes, for a share of the samples (--set also=0.5); may be "
-        "given several times.",
+        "Further data set with the same classes, for a share of the samples (--set also=0.5); may "
+        "be given several times.",
         metavar="DATASET",
     )
-    columns: str | None = network_option(COLUMNS_HELP, show_default=COLUMNS_DEFAULT)
+    columns: str | None = network_option(
+        COLUMNS_HELP, metavar="NAMES", show_default=COLUMNS_DEFAULT
+    )
 
-    def seen(self) -> "Sensor | None":
-        """Return the sensor to train for, None for that of the weights, else the HDL-64."""
+    def named_sensor(self) -> "Sensor | None":
+        """Return the sensor to train for; None for that of the weights, else the HDL-64."""
         from salsanext_cli.network.card import read_card
         from salsanext_cli.sensors.sensor import sensor as find_sensor
 
@@ -69,26 +75,22 @@ class Start:
 
 
 def train(
-    dataset: arguments.LabelledDataSet = Path(),
-    run: Annotated[
-        Path, typer.Argument(metavar="RUN", help="Folder for the weights, the log and the curves.")
-    ] = Path("run"),
+    dataset: Path = arguments.labelled_argument(default=Path(), show_default="the current folder"),
+    run: Path = argument(
+        "Folder to write weights, log and curves to.", default=Path("run"), metavar="RUN"
+    ),
     *,
     start: Start,
-    label_space: arguments.LabelSpaceName = None,
-    device: arguments.Device = "auto",
-    jobs: Annotated[
-        int | None, arguments.jobs_option(show_default="1; on a GPU one per core, up to 8")
-    ] = None,
-    overwrite: arguments.Overwrite = False,
-    strict: Annotated[
-        bool, arguments.running_option("--strict", help="Do not train if a scan is doubtful.")
-    ] = False,
+    label_space: str | None = arguments.LABEL_SPACE,
+    device: str = arguments.DEVICE,
+    jobs: int | None = arguments.jobs_option(show_default="1; on a GPU one per core, up to 8"),
+    overwrite: bool = arguments.OVERWRITE,
+    strict: bool = running_option("Do not train after a warning about a scan.", default=False),
     output: console.Output,
 ) -> None:
     """Train a network. After an interruption, the same command continues the training.
 
-    Example: salsanext train streets/ runs/street --recipe street
+    Example: salsanext train scenes/ runs/street --recipe street
     """
     from salsanext_cli.stages.train import train as stage
     from salsanext_cli.training.distributed import group_of_environment
@@ -100,7 +102,7 @@ def train(
             dataset,
             run,
             recipe=start.plan(),
-            sensor=start.seen(),
+            sensor=start.named_sensor(),
             space=named_label_space(label_space),
             device=device,
             jobs=jobs,
@@ -110,15 +112,15 @@ def train(
             also=start.also or (),
             progress=lambda report: _show(report, bar, output),
         )
-    paths = {"best": str(done.best), "last": str(done.last)}
-    expected = {"expected": asdict(done.expected)} if done.expected else {}
-    found = {"best_miou": done.best_miou, **expected, **paths, "warnings": done.warnings}
-    output.result({"stage": "train", **found})
-    output.say(f"train: {_found(done)} → {done.best}")
-    output.say(f"next: salsanext predict SCANS OUT --weights {shlex.quote(str(done.best))}")
+    result: dict[str, Any] = {"stage": "train", "best_miou": done.best_miou}
+    result |= {"expected": asdict(done.expected)} if done.expected else {}
+    result |= {"best": str(done.best), "last": str(done.last), "warnings": done.warnings}
+    output.result(result)
+    output.print(f"train: {_score_text(done)} → {done.best}")
+    output.print(f"next: salsanext predict SCANS OUT --weights {shlex.quote(str(done.best))}")
 
 
-def _found(done: "TrainResult") -> str:
+def _score_text(done: "TrainResult") -> str:
     if (e := done.expected) is None:
         miou = done.best_miou
         return "not scored" if miou is None else f"best validation mIoU {100 * miou:.1f} %"
@@ -130,8 +132,9 @@ def _found(done: "TrainResult") -> str:
             ("accuracy", e.accuracy, e.accuracy_spread, e.accuracy_before),
         )
     )
-    where = "new scans of this drive" if e.one_drive else "new scans"
-    return f"on {where} expect {texts} ({counted(e.folds, 'fold')}, {counted(e.epochs, 'epoch')})"
+    scans = "new scans of this drive" if e.one_drive else "new scans"
+    sizes = f"{counted(e.folds, 'fold')}, {counted(e.epochs, 'epoch')}"
+    return f"estimated on {scans}: {texts} ({sizes})"
 
 
 def _show(report: "StepReport", bar: "Progress | None", output: console.Output) -> None:
@@ -140,7 +143,7 @@ def _show(report: "StepReport", bar: "Progress | None", output: console.Output) 
         bar(report.step, report.steps)
     if report.row is not None:
         scores = (("mIoU", report.row.get("miou")), ("accuracy", report.row.get("accuracy")))
-        found = [f", {name} {100 * value:.1f} %" for name, value in scores if value is not None]
+        texts = [f", {name} {100 * value:.1f} %" for name, value in scores if value is not None]
         fold = f"fold {report.fold}, " if report.fold else ""
         epoch = f"{fold}epoch {report.epoch}/{report.epochs}"
-        output.say(f"{epoch}: loss {report.row['loss']:.3f}{''.join(found)}")
+        output.print(f"{epoch}: loss {report.row['loss']:.3f}{''.join(texts)}")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""`salsanext tune`: a group of commands, one for each part of the weights that can be fitted."""
+"""`salsanext tune`: one command for each part of the weights that is fitted afterwards."""
 
 import shlex
 from pathlib import Path
@@ -10,101 +10,106 @@ import typer
 from salsanext_cli.cli import arguments, console
 from salsanext_cli.cli.console import guarded, progress
 from salsanext_cli.cli.expansion import Default, Shown, Without, expanded
+from salsanext_cli.cli.help import Command, Group
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import counted
-from salsanext_cli.option_fields import ScanSelection
+from salsanext_cli.option_fields import ScanSelection, argument, option, option_group
+from salsanext_cli.parallel.run_options import running_option
+
+
+@option_group
+class Fit:
+    """Labelled scans, network and weights file of a fit."""
+
+    selection: ScanSelection = ScanSelection()
+    settings: NetworkSettings = NetworkSettings()
+    overwrite: bool = running_option("Replace existing results.", default=False)
+
+
+FitOptions = Annotated[
+    Fit,
+    Shown(split={"show_default": "valid, and the sequences of no split"}, limit=arguments.SUBSET),
+    Default(precision="auto"),
+]
 
 
 def tune_temperature(
-    dataset: arguments.LabelledDataSet,
-    target: arguments.WeightsOut,
+    dataset: Path = arguments.labelled_argument(default=...),
+    target: Path = arguments.WEIGHTS_OUT,
     *,
-    selection: arguments.LabelledSelection,
-    settings: arguments.Network,
-    overwrite: arguments.Overwrite = False,
+    fit: FitOptions,
     output: console.Output,
 ) -> None:
-    """Fit the temperature that calibrates the probabilities, and write new weights.
+    """Fit the temperature that calibrates the class probabilities, and write new weights.
 
-    Example: salsanext tune temperature streets/ tuned.safetensors --limit 50
+    Example: salsanext tune temperature scenes/ tuned.safetensors
     """
     from salsanext_cli.report.tables import temperature_table
 
-    tuned = _tuned("temperature", dataset, target, settings, selection, overwrite, output)
+    tuned = _tuned("temperature", dataset, target, fit, output)
     output.result(tuned, temperature_table(tuned))
     points = f"{tuned['points']:,} points of {counted(tuned['scans'], 'scan')}"
     _end(output, f"tune temperature: {points} → {target}", target)
 
 
 def tune_error(
-    dataset: arguments.LabelledDataSet,
-    target: arguments.WeightsOut,
+    dataset: Path = arguments.labelled_argument(default=...),
+    target: Path = arguments.WEIGHTS_OUT,
     *,
-    selection: arguments.LabelledSelection,
-    settings: arguments.Network,
-    overwrite: arguments.Overwrite = False,
+    fit: FitOptions,
     output: console.Output,
 ) -> None:
-    """Fit the probability that a label is wrong, and write new weights.
+    """Fit the estimate of the probability that a label is wrong, and write new weights.
 
-    Example: salsanext tune error streets/ tuned.safetensors
+    Example: salsanext tune error scenes/ trusted.safetensors
     """
     from salsanext_cli.report.tables import error_table
 
-    tuned = _tuned("error", dataset, target, settings, selection, overwrite, output)
+    tuned = _tuned("error", dataset, target, fit, output)
     output.result(tuned, error_table(tuned) if tuned["folds"] else None)
     points = f"{tuned['points']:,} points of {counted(tuned['scans'], 'scan')}"
     points += f", {100 * tuned['wrong']:.1f} % wrong"
     if several := tuned["several"]:
-        points += f" ({several:.1%} of all skipped: labels of several classes, which eval counts)"
+        points += f" ({several:.1%} of all points skipped: labels of several merged classes)"
     _end(output, f"tune error: {points} → {target}", target, "--error ")
 
 
 def tune_risk(
-    dataset: arguments.LabelledDataSet,
-    target: arguments.WeightsOut,
+    dataset: Path = arguments.labelled_argument(default=...),
+    target: Path = arguments.WEIGHTS_OUT,
     *,
-    at_most: Annotated[
-        str,
-        typer.Option(
-            metavar="SHARE", help="Share of a scan's points that may be kept and wrong, such as 5%."
-        ),
-    ],
-    confidence: Annotated[
-        str | None,
-        typer.Option(
-            metavar="SHARE",
-            help="Hold it, with this confidence, in at least this share of scans, such as 90%.",
-            show_default="on the mean of scans",
-        ),
-    ] = None,
-    per_class: Annotated[
-        bool,
-        typer.Option(
-            "--per-class",
-            help="Hold it of the points of each label, too, by thresholds of their own.",
-        ),
-    ] = False,
-    selection: arguments.LabelledSelection,
-    settings: arguments.Network,
-    overwrite: arguments.Overwrite = False,
+    at_most: str = option(
+        "Largest share of accepted, wrong points in a scan, such as 5%.",
+        default=...,
+        metavar="SHARE",
+    ),
+    confidence: str | None = option(
+        "Guarantee the limit for this share of scans, with this confidence, instead of on "
+        "average, such as 90%.",
+        metavar="SHARE",
+    ),
+    per_class: bool = option(
+        "Also guarantee the limit for the points of every class, by one threshold each.",
+        default=False,
+    ),
+    fit: FitOptions,
     output: console.Output,
 ) -> None:
     """Choose the threshold of `predict --reject risk`, and write new weights.
 
-    Example: salsanext tune risk streets/ safe.safetensors --at-most 5%
+    Example: salsanext tune risk scenes/ safe.safetensors --at-most 5%
     """
     from rich.console import Group
     from rich.text import Text
 
     from salsanext_cli.report.tables import accepted_table
 
-    level, sure = (
-        arguments.share("--at-most", at_most),
-        arguments.share("--confidence", confidence),
-    )
-    numbers = {"at_most": level, "confidence": sure, "per_class": per_class}
-    tuned = _tuned("risk", dataset, target, settings, selection, overwrite, output, **numbers)
+    numbers = {
+        "at_most": arguments.share("--at-most", at_most),
+        "confidence": arguments.share("--confidence", confidence),
+        "per_class": per_class,
+    }
+    tuned = _tuned("risk", dataset, target, fit, output, **numbers)
     sentences = (Text(sentence) for sentence in tuned["sentences"])
     output.result(
         tuned, Group(accepted_table(tuned["kept"]["classes"], tuned.get("classes", {})), *sentences)
@@ -114,29 +119,25 @@ def tune_risk(
 
 
 def tune_dropout(
-    dataset: arguments.LabelledDataSet,
-    target: arguments.WeightsOut,
+    dataset: Path = arguments.labelled_argument(default=...),
+    target: Path = arguments.WEIGHTS_OUT,
     *,
-    samples: Annotated[int, typer.Option(help="Monte-Carlo passes per scan and rate.")] = 30,
-    lowest: Annotated[float, typer.Option(help="Lowest rate to try.")] = 0.02,
-    highest: Annotated[float, typer.Option(help="Highest rate to try.")] = 0.5,
-    steps: Annotated[
-        int, typer.Option(help="Number of rates to try, evenly spaced on a log scale.")
-    ] = 10,
-    seed: Annotated[int, typer.Option(help="Seed of the dropout masks.")] = 0,
-    selection: Annotated[arguments.LabelledSelection, Default(limit=20)],
-    settings: arguments.Network,
-    overwrite: arguments.Overwrite = False,
+    samples: int = option("Monte-Carlo passes per scan and rate.", default=30),
+    lowest: float = option("Lowest rate to try.", default=0.02),
+    highest: float = option("Highest rate to try.", default=0.5),
+    steps: int = option("Number of rates to try, evenly spaced on a log scale.", default=10),
+    seed: int = option("Random seed of the dropout masks.", default=0),
+    fit: Annotated[FitOptions, Default(limit=20)],
     output: console.Output,
 ) -> None:
-    """Find the dropout rate to sample with, and write new weights.
+    """Find the best dropout rate for `uncertainty`, and write new weights.
 
-    Example: salsanext tune dropout streets/ tuned.safetensors --steps 10
+    Example: salsanext tune dropout scenes/ sampled.safetensors
     """
     from salsanext_cli.report.tables import rate_table
 
     rates = {"samples": samples, "seed": seed, "lowest": lowest, "highest": highest, "steps": steps}
-    tuned = _tuned("dropout", dataset, target, settings, selection, overwrite, output, **rates)
+    tuned = _tuned("dropout", dataset, target, fit, output, **rates)
     best = tuned["best"]
     output.result(tuned, rate_table(tuned["rates"], tuned["objectives"], best))
     summary = f"tune dropout: {best:.4g}, was {tuned['before']:g} → {target}"
@@ -144,17 +145,17 @@ def tune_dropout(
 
 
 def tune_int8(
-    scans: arguments.RequiredScans,
-    target: arguments.WeightsOut,
+    scans: Path = argument(arguments.SCANS_HELP, default=..., metavar="SCANS"),
+    target: Path = arguments.WEIGHTS_OUT,
     *,
-    selection: Annotated[ScanSelection, Shown(limit=arguments.EVENLY_SPACED)],
+    selection: Annotated[ScanSelection, Shown(limit=arguments.SUBSET)],
     settings: Annotated[arguments.Network, Without({"precision"})],
-    overwrite: arguments.Overwrite = False,
+    overwrite: bool = arguments.OVERWRITE,
     output: console.Output,
 ) -> None:
     """Fit the ranges of `predict --precision int8` to scans without labels; write new weights.
 
-    Example: salsanext tune int8 seq/velodyne faster.safetensors
+    Example: salsanext tune int8 scenes/ fast.safetensors
     """
     from salsanext_cli.stages.tune import tune_int8 as stage
 
@@ -168,45 +169,31 @@ def tune_int8(
 def _end(
     output: console.Output, summary: str, target: Path, option: str = "", stage: str = "predict"
 ) -> None:
-    """Print the last lines: what was fitted, and the command that most users type next."""
-    output.say(summary)
-    output.say(f"next: salsanext {stage} SCANS OUT {option}--weights {shlex.quote(str(target))}")
+    """Print the summary and the usual next command."""
+    output.print(summary)
+    output.print(f"next: salsanext {stage} SCANS OUT {option}--weights {shlex.quote(str(target))}")
 
 
 def _tuned(
-    part: str,
-    source: Path,
-    target: Path,
-    settings: NetworkSettings,
-    selection: ScanSelection,
-    overwrite: bool,
-    output: console.Output,
-    **numbers: float | None,
+    part: str, source: Path, target: Path, fit: Fit, output: console.Output, **numbers: Any
 ) -> dict[str, Any]:
-    """Fit a part of the weights; return plain data."""
+    """Fit a part of the weights; return the result as plain data."""
     from salsanext_cli.stages.tune import tune
 
-    unit = "samplings" if part == "dropout" else "scans"
-    with progress(f"tune {part}", output.quiet, unit) as on_progress:
-        tuned = tune(
-            part,
-            source,
-            target,
-            settings=settings,
-            selection=selection,
-            overwrite=overwrite,
-            progress=on_progress,
-            **numbers,
-        )
+    settings, unit = fit.settings, "samplings" if part == "dropout" else "scans"
+    with progress(f"tune {part}", output.quiet, unit) as bar:
+        numbers |= {"selection": fit.selection, "overwrite": fit.overwrite, "progress": bar}
+        tuned = tune(part, source, target, settings=settings, **numbers)
     return tuned | {"weights": str(target)}
 
 
 tune = typer.Typer(
-    no_args_is_help=True,
-    help="Fit weights to scans: temperature, error, threshold of risk, dropout rate, int8 ranges.",
+    cls=Group,
+    rich_markup_mode=None,
+    help="Fit weights to scans: temperature, error model, risk threshold, dropout rate, int8.",
 )
-tune.command("error")(guarded(expanded(tune_error)))
-tune.command("risk")(guarded(expanded(tune_risk)))
-tune.command("temperature")(guarded(expanded(tune_temperature)))
-tune.command("dropout")(guarded(expanded(tune_dropout)))
-tune.command("int8")(guarded(expanded(tune_int8)))
+tune.command("error", cls=Command)(guarded(expanded(tune_error)))
+tune.command("risk", cls=Command)(guarded(expanded(tune_risk)))
+tune.command("temperature", cls=Command)(guarded(expanded(tune_temperature)))
+tune.command("dropout", cls=Command)(guarded(expanded(tune_dropout)))
+tune.command("int8", cls=Command)(guarded(expanded(tune_int8)))

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
 AUTO = "auto"
 DEFAULT_WEIGHTS = Path("default")  # Of the package; a file of that name needs an absolute path
-COLUMNS_HELP = "Columns of files without column names, such as x,y,z,intensity,ring; _ for others."
-COLUMNS_DEFAULT = "columns of the sensor, else x,y,z,intensity"
+COLUMNS_HELP = "Columns of files without a header, such as x,y,z,intensity,_; _ skips a column."
+COLUMNS_DEFAULT = "those of the sensor"
 
 log = logging.getLogger(__name__)
 
@@ -28,44 +28,51 @@ class NetworkSettings:
     """Settings of a network to load; they can be pickled."""
 
     weights: Path | None = network_option(
-        "Weights file (.safetensors); default: the weights of the package.",
-        show_default="default",
+        "Weights file (.safetensors).", show_default="the weights of the package"
     )
     device: str = network_option(
-        "cpu, cuda, cuda:1 …; auto uses a GPU if there is one.", default=AUTO
+        "Device; auto: a GPU if there is one.",
+        default=AUTO,
+        metavar="cpu|cuda|cuda:N",
     )
     _: KW_ONLY
     precision: str = network_option(
-        "float32, bfloat16, float16, or int8 on a CPU: faster, with about 1 % other labels; auto "
-        "is the fastest of the others.",
+        "Precision; auto chooses a fast float for the device; int8 is faster on a CPU, and changes "
+        "about 1 % of the labels.",
         default="float32",
         envvar="SALSANEXT_PRECISION",
+        typed=Literal["auto", "float32", "bfloat16", "float16", "int8"],
     )
     engine: str = network_option(
-        "openvino (CPUs) or torch; auto is OpenVINO on a CPU where it runs.",
+        "Library that computes; auto uses OpenVINO on a CPU that it supports.",
         default=AUTO,
         envvar="SALSANEXT_ENGINE",
+        typed=Literal["auto", "openvino", "torch"],
     )
     # A `Sensor` is used unchanged, whatever `columns`, `min_range` and `ego` are
     sensor: "Sensor | str | None" = network_option(
-        "Sensor name or .toml; auto (default) estimates the field of view and mounting from the "
-        "scans. A name sets only noise and scale of the intensity.",
+        "Sensor of the scans; auto estimates field of view and mounting. A named sensor sets only "
+        "intensity scale and noise.",
         default=AUTO,
         typed=str,
+        metavar="auto|NAME|FILE",
     )
-    columns: str | None = network_option(COLUMNS_HELP, show_default=COLUMNS_DEFAULT)
+    columns: str | None = network_option(
+        COLUMNS_HELP, metavar="NAMES", show_default=COLUMNS_DEFAULT
+    )
     min_range: float | None = network_option(
-        "Leave nearer points unlabelled, in metres: housing and mount of the sensor.",
+        "Leave points nearer than this unlabelled, in metres.",
         show_default="1, or 0.8 of the height of a lower sensor",
     )
     ego: str = network_option(
-        "Bounding box of your own vehicle, whose points stay unlabelled: x,y,z min then max in "
-        "metres, or none; auto estimates it from the scans of a drive.",
+        "Bounding box of your own vehicle, whose points stay unlabelled: x,y,z min, then max, in "
+        "metres; auto estimates it from the scans of a drive.",
         default=AUTO,
+        metavar="auto|none|BOX",
     )
     intensity: str = network_option(
-        "match: to the intensity of the training; raw: unchanged; none: ignored; auto: match if "
-        "the weights contain the intensity of the training.",
+        "Match the intensity to that of the training scans, use it raw, or ignore it; auto "
+        "matches it if the weights describe that of their training scans.",
         default=AUTO,
         typed=Literal["auto", "match", "raw", "none"],
     )

@@ -2,7 +2,7 @@
 """Checks of scans, by a sample of their points: units, mounting, field of view, intensity, sensor.
 
 A certain mistake is an error of the scan. A reason to doubt the labels is a finding, which becomes
-a warning of the run. docs/checks.md explains the thresholds.
+a warning of the run. docs/reference/warnings.md explains the thresholds.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ from salsanext_cli.sensors.sensor import FITTED_NAME, OF_IMAGES, Sensor, presets
 class Finding(NamedTuple):
     """Reason to doubt the labels of a scan."""
 
-    code: str  # Name of the check, as in docs/checks.md
+    code: str  # Name of the check, as in docs/reference/warnings.md
     problem: str
     hint: str
 

@@ -5,7 +5,7 @@ import logging
 import re
 import struct
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -71,12 +71,28 @@ def _read_points(path: Path) -> Any:
             if header.are_points_compressed:
                 _import_laspy(path, "lazrs")
                 room = size * MAX_POINTS_PER_BYTE
+                _require_chunks(file, offset, size)
+                file.seek(offset)
             if header.point_count > room:
                 raise ValueError("its header states more points than it contains")
             points = reader.read_points(header.point_count)
         if len(points) != header.point_count:
             raise ValueError("it lacks points")
     return points
+
+
+def _require_chunks(file: BinaryIO, offset: int, size: int) -> None:
+    """Refuse a table of more chunks than a file has bytes, for which lazrs ends the process."""
+    file.seek(offset)
+    (table,) = struct.unpack("<q", file.read(8))
+    if table == -1:  # A writer that could not seek put the offset at the end.
+        file.seek(size - 8)
+        (table,) = struct.unpack("<q", file.read(8))
+    if not offset < table <= size - 8:
+        raise ValueError("its table of chunks is outside the file")
+    file.seek(table + 4)
+    if struct.unpack("<I", file.read(4))[0] > size:
+        raise ValueError("it states more chunks than it contains")
 
 
 def _import_laspy(path: Path, package: str) -> Any:

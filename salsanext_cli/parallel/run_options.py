@@ -124,19 +124,21 @@ class Shard:
         return ordered[start:stop]
 
 
-running_option = partial(option, "Running")
+running_option = partial(option, panel="Running")
 
 
 @option_group
 class RunOptions:
     """Options of a run over scans."""
 
-    jobs: int = running_option("Number of workers; -1: one per core.", "--jobs", "-j", default=1)
+    jobs: int = running_option(
+        "Number of worker processes; -1: one per core.", "--jobs", "-j", default=1
+    )
     backend: Literal["loky", "threading"] = running_option(
-        "Processes (loky) or threads.", default="loky"
+        "Workers: processes (loky) or threads.", default="loky"
     )
     shard: Shard = running_option(
-        "Only share I of N shares of the scans, from 1/N to N/N.",
+        "Work on share I of N of the scans.",
         default=Shard(),
         parse=Shard.asked_for,
         metavar="I/N",
@@ -144,7 +146,7 @@ class RunOptions:
     )
     overwrite: bool = running_option("Replace existing results.", default=False)
     on_error: Literal["skip", "stop"] = running_option(
-        "Skip a scan that fails, or stop at the first.", default="skip"
+        "Skip a scan that fails, or stop.", default="skip"
     )
     # Called after each scan, or for several together when a worker has finished its chunk
     progress: Progress | None = None

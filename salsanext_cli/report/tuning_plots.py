@@ -26,7 +26,9 @@ def risk_curve(report: Mapping[str, Any]) -> bytes:
     scans = 100 * np.array(report["of_scans"])
     cross: dict[str, Any] = {"marker": "x", "linewidths": 1, "label": "scan at the threshold"}
     axes.scatter(scans[:, 0], scans[:, 1], s=22, c=DARK, **cross)
-    worst = 100 * np.array([(each["accepted"], each["worst"]) for each in held_out]).reshape(-1, 2)
+    worst = 100 * np.array(
+        [(sequence["accepted"], sequence["worst"]) for sequence in held_out]
+    ).reshape(-1, 2)
     label = "sequence by the threshold of the others, worst scan"
     axes.scatter(worst[:, 0], worst[:, 1], s=46, facecolors="none", edgecolors=CHOSEN, label=label)
     axes.set_xlim(0, 100)

@@ -38,9 +38,7 @@ SUFFIX_OF_FOLDER = {
     **{f"uncertainty/{kind}": ".npy" for kind in UNCERTAINTY},
     "pictures": ".png",
     "ply": ".ply",
-    "las": ".las",
-    "laz": ".laz",
-    **{f"{form}/{name}": f".{form}" for form in ("ply", "las", "laz") for name in COLOURINGS},
+    **{f"ply/{name}": ".ply" for name in COLOURINGS},
 }
 """Folders of a sequence in an output folder, and the suffix of the files in each."""
 SCAN_FOLDER = "velodyne"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Options that commands on results share: selection of scans and classes."""
+"""Options of commands on results: which scans, and in which classes."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,7 +13,7 @@ DATASET_VARIABLE = "SALSANEXT_DATASET"
 
 
 def named_label_space(name: str | None) -> "LabelSpace | None":
-    """Return the label space of a name, None without one."""
+    """Look up a label space; return None for no name."""
     from salsanext_cli.classes.label_space import label_space
 
     return None if name is None else label_space(name)
@@ -21,23 +21,26 @@ def named_label_space(name: str | None) -> "LabelSpace | None":
 
 @option_group
 class ResultQuery:
-    """Selection of the results of a folder, and of the classes in which they are compared."""
+    """Choice among the results of a folder, and of the classes in which they are compared.
+
+    `label_space` is that of the labels, if not that of the data set. Labels and predictions are
+    merged into `classes`.
+    """
 
     dataset: Path | None = selection_option(
-        "Data set with the scans and labels; SALSANEXT_DATASET for results that do not record it.",
-        show_default="the one that the results record, else .",
+        "Data set with the scans and labels, for results that do not record it; also "
+        "SALSANEXT_DATASET.",
+        show_default="the recorded data set, else the current folder",
     )
     selection: ScanSelection = ScanSelection()
-    # Label space of the labels, if it is not that of the data set
     label_space: "LabelSpace | None" = selection_option(
-        "Name of a built-in label space, or a .yaml file in SemanticKITTI's format.",
+        "Label space of the labels: built-in, or a .yaml file in SemanticKITTI's format.",
+        metavar="NAME|FILE",
         show_default="that of the data set, else semantic-kitti",
         parse=named_label_space,
     )
-    # Label space into whose classes labels and predictions are merged
     classes: "LabelSpace | None" = selection_option(
-        "Merge the classes into those of a label space: coarse, or a .yaml file. "
-        "Probabilities of merged classes are added.",
-        show_default="not merged",
+        "Merge the classes into those of another label space; probabilities are added.",
+        metavar="coarse|FILE",
         parse=named_label_space,
     )

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Whole pipeline on a synthetic drive, from the generated scans to the page of the run."""
+"""Whole pipeline on a simulated drive, from the scans to the page of the run."""
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.option_fields import ScanSelection
@@ -22,11 +23,8 @@ from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.uncertainty.error_features import knows_error
 from salsanext_cli.uncertainty.method import UncertaintyMethod
 
-SEED = 2020  # Not that of the default weights, which do not know this street
-SPACING_M = 12.0
-
-StepProgress = Callable[[str], AbstractContextManager[Progress | None]]
-"""Function from the name of a step to a context that gives its progress callback."""
+# No scene of the training of the default weights has this seed.
+SCENE: dict[str, Any] = {"train": 0, "valid": 1, "seed": 2020, "spacing": 12.0}
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +33,7 @@ class Demonstration:
 
     evaluation: Evaluation  # Scores of the predictions
     pictures: tuple[Path, ...]  # PNG files
-    page: Path  # The page of the run
+    page: Path  # Page of `report`
     failures: tuple[Failure, ...]  # Scans that a stage could not process
 
 
@@ -46,9 +44,26 @@ def demo(
     samples: int,
     settings: NetworkSettings,
     options: RunOptions,
-    bars: StepProgress,
+    bars: Callable[[str], AbstractContextManager[Progress | None]],
 ) -> Demonstration:
-    """Run every stage on a synthetic drive, in ``data/`` and ``out/`` of a folder."""
+    """Run every stage on a simulated drive, in ``data/`` and ``out/`` of a folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder to write to.
+    scans, samples : int
+        Number of scans of the drive, and of Monte-Carlo passes per scan.
+    settings, options : NetworkSettings and RunOptions
+        Network that predicts, and options of every stage.
+    bars : callable
+        Function from the name of a step to a context with its progress callback.
+
+    Returns
+    -------
+    Demonstration
+        Scores and paths.
+    """
     data, out = folder / "data", folder / "out"
     method, valid = UncertaintyMethod(samples=samples), ScanSelection(split="valid")
 
@@ -58,16 +73,7 @@ def demo(
             yield replace(options, progress=progress)
 
     with step("synth") as run:
-        synthesise(
-            data,
-            train=0,
-            valid=1,
-            scans=scans,
-            seed=SEED,
-            spacing=SPACING_M,
-            overwrite=run.overwrite,
-            progress=run.progress,
-        )
+        synthesise(data, scans=scans, **SCENE, overwrite=run.overwrite, progress=run.progress)
     with step("predict") as run:
         extras = (ERROR,) if knows_error(settings.load()) else ()
         predicted = predict_scans(data, out, settings=settings, extras=extras, options=run)
@@ -77,7 +83,7 @@ def demo(
         exported = export_ply(out, colour="label", options=run)
     with step("picture") as run:
         pictured = picture(out, options=run)
-    failures = tuple(f for each in (predicted, sampled, exported, pictured) for f in each.failures)
+    failures = tuple(f for run in (predicted, sampled, exported, pictured) for f in run.failures)
     files, space = ResultFolder(out).predicted(valid)
     with step("eval") as run:
         evaluation = evaluate(files, out, space, run, settings=ResultFolder(out).provenance(valid))

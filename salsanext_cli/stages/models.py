@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Networks, their costs, and the metadata of weights files."""
+"""Costs of the networks, plug-ins, and metadata of weights files."""
 
 from pathlib import Path
 
@@ -16,7 +16,13 @@ HEIGHT, WIDTH = 64, 2048
 
 
 def models() -> list[NetworkCosts]:
-    """Return the costs of every network."""
+    """Compute the costs of every network, for images of 64×2048 pixels.
+
+    Returns
+    -------
+    list of NetworkCosts
+        Parameters and operations, with the figures of the papers.
+    """
     costs = []
     for name in ARCHITECTURES:
         with torch.device("meta"):
@@ -27,20 +33,37 @@ def models() -> list[NetworkCosts]:
 
 
 def plug_ins() -> list[dict[str, str]]:
-    """Return kind, name and distribution of all plug-ins as plain data."""
+    """List the installed plug-ins.
+
+    Returns
+    -------
+    list of dict
+        Kind, name and distribution of each plug-in.
+    """
     kinds = {
         "format": plugged_formats(),
         "network": plugged_networks(),
         "label space": plugged_label_spaces(),
     }
     return [
-        {"kind": kind, "name": each.name, "distribution": each.distribution}
+        {"kind": kind, "name": plug_in.name, "distribution": plug_in.distribution}
         for kind, by_name in kinds.items()
-        for each in by_name.values()
+        for plug_in in by_name.values()
     ]
 
 
 def describe_weights(path: Path) -> DescribedWeights:
-    """Return the card of a weights file, its size and its digest."""
+    """Read the metadata of a weights file.
+
+    Parameters
+    ----------
+    path : Path
+        Weights file (.safetensors).
+
+    Returns
+    -------
+    DescribedWeights
+        Metadata, size and SHA-256.
+    """
     card = read_card(path)
     return DescribedWeights(path, fingerprint(path), path.stat().st_size, card)

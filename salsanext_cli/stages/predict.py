@@ -78,7 +78,7 @@ class LabelRejection:
     def recorded(self) -> dict[str, Any]:
         """Fields of the settings of the stage."""
         kind = None if self.kind == "error" else self.kind
-        return {"reject": self.threshold, "reject_by": kind, "promised": self.risk}
+        return {"reject": self.threshold, "reject_by": kind, "guarantee": self.risk}
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A command line in this process, and something for it to work on."""
+"""A command line in this process, and a data set for it."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -17,10 +17,10 @@ Run = Callable[..., Result]
 
 @pytest.fixture
 def run(monkeypatch: pytest.MonkeyPatch) -> Run:
-    """Run a command; results and talk are kept apart."""
+    """Return a function that runs a command, with stdout and stderr apart."""
     for name in ALONE:
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setenv("SALSANEXT_ENGINE", "torch")  # starts sooner than graphs are compiled
+    monkeypatch.setenv("SALSANEXT_ENGINE", "torch")  # Compiling graphs takes longer.
 
     def call(*arguments: object) -> Result:
         return CliRunner().invoke(app, [str(argument) for argument in arguments])

@@ -5,7 +5,8 @@ import errno
 import json
 import logging
 import os
-import re
+import tomllib
+from pathlib import Path
 
 import pytest
 import typer
@@ -15,22 +16,15 @@ from typer.testing import CliRunner
 
 from salsanext_cli import __version__
 from salsanext_cli.__main__ import main
-from salsanext_cli.cli import console
+from salsanext_cli.cli import console, help, removed
 from salsanext_cli.cli.app import COMMANDS
-from salsanext_cli.errors import FormatError, UsageError
+from salsanext_cli.errors import FormatError, UsageError, with_hint
 
+ROOT = Path(__file__).parents[2]
 HEAVY = (
-    "torch",
-    "open3d",
-    "numba",
-    "matplotlib",
-    "numpy",
-    "scipy",
-    "pandas",
-    "joblib",
-    "plyfile",
+    *("torch", "open3d", "numba", "matplotlib", "numpy", "scipy", "pandas", "joblib", "plyfile"),
+    "rich",
 )
-
 UNUSED_BY_PREDICT = (
     *("torch", "open3d", "matplotlib", "pandas", "sklearn", "joblib", "plyfile", "rich"),
     "numba.typed.dictimpl",  # the compiler, not what runs compiled kernels
@@ -38,12 +32,47 @@ UNUSED_BY_PREDICT = (
 
 
 def test_help_lists_the_commands_by_section_in_order(run):
-    result = run("--help")
-    assert result.exit_code == 0
-    heading_or_name = re.compile(r"^(?:  )?([\w-]+(?: \w+)*)(?::| {2})", re.MULTILINE)
-    listed = heading_or_name.findall(result.stdout.partition("\n\n")[2])
-    expected = [w for section, names in COMMANDS.items() for w in (section, *names)]
-    assert listed[listed.index("Pipeline") :] == expected
+    lines = run("--help").stdout.splitlines()
+    names = [
+        line.split()[0].removesuffix(":") for line in lines if line[:1].isupper() or line[2:3] > " "
+    ]
+    expected = [word for section, members in COMMANDS.items() for word in (section, *members)]
+    assert names[names.index("Start") : names.index("Options")] == expected
+    assert lines[:1] == ["Usage: salsanext [OPTIONS] COMMAND"]
+
+
+def test_help_is_short_and_the_whole_help_lists_every_option(run, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    for name in every_command():
+        usual, whole = (run(*name.split(), flag).stdout for flag in ("--help", "--help-all"))
+        options = {option for p in parsed(name).params for option in p.opts if option[0] == "-"}
+        assert {word.rstrip(",") for word in whole.split()} >= {*options, "--help-all"}, name
+        assert "<" not in whole, name
+        assert f"{help.DOCUMENTATION}/cli/#salsanext-{name.replace(' ', '-')}" in usual
+        lengths = [len(line) for line in usual.splitlines()]
+        assert len(lengths) <= 60, name
+        assert max(lengths) <= 80, name
+    predict = run("predict", "--help").stdout
+    assert "--knn-k" not in predict
+    assert "--json" in predict
+    assert "--install-completion" not in run("--help").stdout
+    assert "--install-completion" in run("--help-all").stdout
+
+
+def test_hidden_options_exist_and_removed_ones_do_not():
+    offered = {name: {o for p in parsed(name).params for o in p.opts} for name in every_command()}
+    every = {"--install-completion", "--show-completion"}.union(*offered.values())
+    for command, options in help.HIDDEN.items():
+        assert {*options.split()} <= (offered[command] if command else every)
+    for (command, option), _ in removed.REMOVED.items():
+        commands = [name for name in offered if command in ("", name, name.split()[0])]
+        assert commands or not option
+        assert " " in option or all(option not in offered[name] for name in commands)
+
+
+def test_the_addresses_of_the_project_are_those_of_its_metadata():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    assert project["urls"]["Documentation"] == help.DOCUMENTATION
 
 
 @pytest.mark.parametrize(
@@ -59,7 +88,7 @@ def test_help_lists_the_commands_by_section_in_order(run):
         RuntimeError("can't start new thread"),
     ],
 )
-def test_memory_that_runs_out_is_one_line(monkeypatch, raised):
+def test_memory_that_runs_out_is_an_error(monkeypatch, raised):
     def fail(*_args, **_options):
         try:
             raise raised
@@ -76,16 +105,12 @@ def test_memory_that_runs_out_is_one_line(monkeypatch, raised):
 
 
 def test_no_command_gives_help_and_the_version_is_a_line(run):
-    result = run()
-    assert "Pipeline" in result.stderr
-    assert result.exit_code == 2
-    result = run("tune")
-    names = ["temperature", "dropout"]
-    assert re.findall(rf"│ ({'|'.join(names)}) ", result.output) == names
-    assert result.exit_code == 2
+    for words, section in (((), "Start:"), (("tune",), "Commands:")):
+        result = run(*words)
+        assert section in result.stderr
+        assert result.exit_code == 2
     result = run("-V")
-    assert result.stdout == f"salsanext {__version__}\n"
-    assert result.exit_code == 0
+    assert (result.exit_code, result.stdout) == (0, f"salsanext {__version__}\n")
 
 
 def test_help_imports_nothing_heavy():
@@ -101,7 +126,7 @@ def test_help_imports_nothing_heavy():
 
 
 def test_a_second_predict_imports_no_library_that_it_does_not_compute_with(tmp_path):
-    """The first run makes what is cached; what follows is loaded without what compiled it."""
+    """The first run fills the caches; the second runs without the compilers."""
     write_sequence(tmp_path / "data", ["0"])
     outs = [tmp_path / "first", tmp_path / "second"]
     for out in outs:
@@ -120,29 +145,34 @@ def test_a_second_predict_imports_no_library_that_it_does_not_compute_with(tmp_p
     assert first == second
 
 
-def test_what_the_encoding_of_stdout_lacks_is_replaced():
+def test_characters_outside_the_encoding_of_stdout_are_replaced():
     code = "from salsanext_cli.cli import app; app.app = lambda: print('1 \\xb1 2'); app.main()"
     ended = python(code, LC_ALL="C", PYTHONCOERCECLOCALE="0", PYTHONUTF8="0")
     assert (ended.returncode, ended.stdout) == (0, "1 ? 2\n"), ended.stderr
 
 
-def test_a_wrong_command_line_is_status_two_and_one_object_of_json(run):
-    for arguments, says in (
-        ("predikt", "No such command 'predikt'"),
-        ("predict --overwrit", "No such option: --overwrit"),
-        ("knn-refine a b", "Got unexpected extra argument"),
-        ("predict --backend spark", "Invalid value for '--backend'"),
-        ("tune temperature only-one", "Missing argument"),
-        ("tune dropout data w.safetensors --steps few", "Invalid value for '--steps'"),
-    ):
-        result = run(*arguments.split())
-        assert (result.exit_code, result.stdout) == (2, "")
-        assert "Traceback" not in result.stderr
-        result = run(*arguments.split(), "--json")
-        found = only_json(result)
-        assert (result.exit_code, found["schema"], found["code"]) == (2, 1, "usage")
-        assert found["error"].startswith(says)
-        assert says in result.stderr
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("predikt", ["predikt"]),
+        ("predict --overwrit", ["salsanext predict", "--overwrit"]),
+        ("knn-refine a b", ["salsanext knn-refine", "b"]),
+        ("predict --backend spark", ["--backend", "spark", "loky"]),
+        ("predict --engine onnx", ["--engine", "onnx", "openvino"]),
+        ("tune temperature only-one", ["salsanext tune temperature", "WEIGHTS_OUT"]),
+        ("tune dropout data w.safetensors --steps few", ["tune dropout", "--steps"]),
+    ],
+)
+def test_a_wrong_command_line_is_status_two_and_one_object_of_json(run, line, words):
+    result = run(*line.split(), "--json")
+    error = only_json(result)
+    assert (result.exit_code, error["schema"], error["code"]) == (2, 2, "usage")
+    for word in words:
+        assert word in error["error"]
+    assert error["hint"].endswith("--help")
+    assert result.stderr == f"error: {error['error']}\nhint: {error['hint']}\n"
+    result = run(*line.split())
+    assert (result.exit_code, result.stdout) == (2, "")
 
 
 def test_every_command_prints_json_and_can_be_silent():
@@ -171,7 +201,7 @@ def raising(error):
     return body
 
 
-def test_an_error_is_one_line_and_a_status():
+def test_an_error_has_a_line_for_its_hint_and_a_status():
     for error, flags, status, stdout, stderr in (
         (
             *(FormatError("a.bin", "17 bytes", "a multiple of 16", "copy it again"), [], 1, ""),
@@ -180,14 +210,14 @@ def test_an_error_is_one_line_and_a_status():
         (
             *(FormatError("a.bin", "17 bytes"), ["--json"], 1),
             *(
-                '{"schema": 2, "error": "a.bin \\u00b7 17 bytes", "code": "format"}\n',
+                '{"schema": 2, "error": "a.bin: 17 bytes", "hint": "", "code": "format"}\n',
                 "error: a.bin: 17 bytes\n",
             ),
         ),
         (UsageError("--limit", "0"), [], 2, "", "error: --limit: 0\n"),
         (
             *(KeyboardInterrupt(), ["--json"], 130),
-            '{"schema": 2, "error": "interrupted", "code": "interrupted"}\n',
+            '{"schema": 2, "error": "interrupted", "hint": "", "code": "interrupted"}\n',
             "interrupted: everything finished so far is intact\n",
         ),
     ):
@@ -202,11 +232,11 @@ def test_a_bug_keeps_its_traceback():
     assert "error:" not in result.stderr
 
 
-def test_how_much_is_said():
+def test_verbose_and_quiet_choose_the_messages():
     for flag, expected in (
-        ([], ["warning: three", "error: four", "said"]),
+        ([], ["warning: three", "error: four", "printed"]),
         (["--quiet"], ["error: four"]),
-        (["--verbose"], ["two", "warning: three", "error: four", "said"]),
+        (["--verbose"], ["two", "warning: three", "error: four", "printed"]),
     ):
 
         def body(output):
@@ -214,25 +244,25 @@ def test_how_much_is_said():
             log.info("two")
             log.warning("%s", "three")
             log.error("four")
-            output.say("said")
+            output.print("printed")
 
         result = invoke(body, *flag)
         assert result.stderr.splitlines() == expected
         assert invoke(body, "--verbose", "--quiet").exit_code == 2
 
 
-def test_a_result_is_shown_or_json():
+def test_a_result_is_a_table_or_json():
     def body(output):
         output.result({"name": "Größe \udcff", "value": 1.5}, "a table")
 
     assert invoke(body).stdout == "a table\n"
-    found = json.loads(invoke(body, "--json").stdout)
-    assert 0 <= found.pop("seconds") < 10
-    assert found == {"schema": 2, "name": "Größe \\xff", "value": 1.5}
+    result = json.loads(invoke(body, "--json").stdout)
+    assert 0 <= result.pop("seconds") < 10
+    assert result == {"schema": 2, "name": "Größe \\xff", "value": 1.5}
 
 
-def test_a_log_file_gets_a_line_now_and_then(monkeypatch, capsys):
-    """A training that goes on counts its own steps only."""
+def test_a_log_file_gets_a_line_from_time_to_time(monkeypatch, capsys):
+    """The rate of a resumed training counts the steps of this run only."""
     now = 0.0
     monkeypatch.setattr(console.time, "monotonic", lambda: now)
     lines = console.Lines("predict", "scans")
@@ -242,4 +272,12 @@ def test_a_log_file_gets_a_line_now_and_then(monkeypatch, capsys):
     err = capsys.readouterr().err.splitlines()
     assert err[0] == "predict: 910/1000 scans, 3.0 s/scan, 4 min left"
     assert len(err) == 9
-    assert not any("1000/1000" in said for said in err)
+    assert not any("1000/1000" in line for line in err)
+
+
+def test_a_warning_has_a_line_for_its_hint_and_no_other(capsys):
+    console.Output()
+    text = with_hint("two\nlines.bin: no intensity", "see the\nmanual")
+    logging.getLogger("salsanext_cli.x").warning("%s", text)
+    expected = "warning: two\\x0alines.bin: no intensity\nhint: see the\\x0amanual\n"
+    assert capsys.readouterr().err == expected

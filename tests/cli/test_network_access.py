@@ -25,7 +25,7 @@ def note(event, arguments):
 
 sys.addaudithook(note)
 """
-"""What Python imports first, in every process of a run: Python reports each socket to it."""
+"""Module that Python imports first in every process of a run; it audits sockets."""
 COMMANDS = """
 import sys
 from salsanext_cli.cli.app import main
@@ -41,8 +41,8 @@ assert "openvino" in loaded and "openvino_telemetry" not in loaded, loaded
 """
 
 
-def seen(folder: Path, code: str) -> str:
-    """Return what was noted while a program ran with a new cache folder."""
+def audited(folder: Path, code: str) -> str:
+    """Return the notes of a program that ran with a new cache folder."""
     (folder / "sitecustomize.py").write_text(LISTENER)
     (folder / "seen").touch()
     paths = (folder, Path(salsanext_cli.__file__).parents[1])
@@ -59,7 +59,7 @@ def seen(folder: Path, code: str) -> str:
 
 @pytest.mark.slow
 def test_sockets_and_telemetry_are_noted(tmp_path):
-    noted = seen(
+    noted = audited(
         tmp_path,
         "import socket, openvino_telemetry\n"
         "socket.socketpair()\n"
@@ -83,8 +83,8 @@ def test_no_command_opens_a_socket_or_loads_telemetry(tmp_path, full_weights):
         ("predict", data, out, *network),
         ("predict", data, out, *network, "--jobs", 2, "--overwrite"),
         ("uncertainty", data, out, *network, "--samples", 2),
-        ("eval", "--out", out),
-        ("export-ply", "--out", out, "--colour", "uncertainty"),
+        ("eval", out),
+        ("export-ply", out, "--colour", "uncertainty"),
         ("picture", out, "--limit", 1),
         ("project", data, steps, "--sensor", sensor),
         ("predict", steps, steps, *network),
@@ -98,5 +98,5 @@ def test_no_command_opens_a_socket_or_loads_telemetry(tmp_path, full_weights):
         ("train", data, tmp_path / "run", "--recipe", "quick", "--sensor", sensor, *few),
     ]
     words = [[str(word) for word in line] for line in lines]
-    assert seen(tmp_path, COMMANDS.format(lines=words)) == ""
+    assert audited(tmp_path, COMMANDS.format(lines=words)) == ""
     assert list(tmp_path.glob("cache/salsanext/graphs/*.blob"))

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""Commands for one's own data as they are typed: convert, pick, import-labels, submit."""
+"""Commands on your own data: convert, pick, import-labels, submit."""
 
 import json
 import shutil
 
 import numpy as np
 import pytest
-from command_line import only_json
+from command_line import only_json, subject
 from edited_clouds import write_ply
 
 from salsanext_cli import label_space, read_labels, read_scan, write_labels
@@ -22,33 +22,32 @@ def test_a_topic_of_a_recording_is_named(run, tmp_path):
     path = write_bag(tmp_path, ".mcap", [*messages(points[:1], "/a"), *messages(points[1:3], "/b")])
     refused = run("convert", path, tmp_path / "data")
     assert refused.exit_code == 2
-    assert "/a, /b (expected one of them)\nhint: --topic /a" in refused.stderr
+    assert "/a, /b" in refused.stderr
     done = run("convert", path, tmp_path / "data", "--topic", "/b", "--json")
-    found = only_json(done)
-    assert (found["done"], found["next"]) == (2, f"salsanext predict {tmp_path / 'data'}")
+    printed = only_json(done)
+    assert (printed["done"], printed["next"]) == (2, f"salsanext predict {tmp_path / 'data'}")
     project = run("project", path, tmp_path / "out", "--topic", "b", "--sensor", "vlp16")
     assert project.exit_code == 0, project.output
     assert run("inspect", path, "--topic", "/a", "--json").exit_code == 0
     wrong = run("project", tmp_path, tmp_path / "out", "--topic", "/b")
-    assert wrong.exit_code == 2
-    assert "is no recording" in wrong.stderr
+    assert (wrong.exit_code, subject(wrong)) == (2, "--topic")
 
 
-def test_pick_says_what_comes_next_and_what_it_could_not_read(run, data, tmp_path, weights):
+def test_pick_names_the_next_commands_and_the_scans_that_failed(run, data, tmp_path, weights):
     out = tmp_path / "to label"
-    found = run("pick", data, out, "--count", 1, "--weights", weights)
-    assert found.exit_code == 0, found.output
-    assert "most uncertain of 2 scans" in found.stdout
-    assert "pick: 1 of 2 scans → " in found.stderr
-    assert f"salsanext train '{out}' RUN --recipe finetune" in found.stderr
-    (data / "sequences/08/velodyne/000002.bin").write_bytes(b"x")
-    found = run("pick", data, tmp_path / "out", "--weights", weights, "--json")
-    assert found.exit_code == 1
-    result = only_json(found)
+    picked = run("pick", data, out, "--count", 1, "--weights", weights)
+    assert picked.exit_code == 0, picked.output
+    assert "pick: 1 of 2 scans → " in picked.stderr
+    assert f"salsanext train '{out}' RUN --recipe finetune" in picked.stderr
+    broken = data / "sequences/08/velodyne/000002.bin"
+    broken.write_bytes(b"x")
+    picked = run("pick", data, tmp_path / "out", "--weights", weights, "--json")
+    assert picked.exit_code == 1
+    result = only_json(picked)
     assert (result["stage"], result["scans"], len(result["picked"])) == ("pick", 3, 2)
     assert result["picked"][0]["distance"] is None
     assert [failure["code"] for failure in result["failures"]] == ["format"]
-    assert "000002.bin" in found.stderr
+    assert f"error: {broken}: " in picked.stderr
 
 
 @pytest.fixture
@@ -62,32 +61,27 @@ def edited(data, tmp_path):
     return tmp_path / "edited"
 
 
-def test_what_is_imported_and_what_is_not_is_said(run, data, edited):
+def test_imported_scans_are_listed_and_failed_files_are_errors(run, data, edited):
     refused = run("import-labels", edited, data)
-    assert refused.exit_code == 1
-    assert "no label among the scalars x, y, z, Mine" in refused.stderr
-    assert refused.stdout == ""
+    assert (refused.exit_code, refused.stdout) == (1, "")
     done = run("import-labels", edited, data, "--scalar", "mine")
     assert done.exit_code == 1
     assert [line for line in done.stdout.splitlines() if "08/000000" in line]
-    assert "unknown label ids 2 (" in done.stderr
     assert f"import-labels: 1 scan, 1 file failed → {data}" in done.stderr
     assert "largest classes: " in done.stderr
-    assert "without an edited file" not in done.stderr
     (edited / "000001_done.ply").unlink()
     again = run("import-labels", edited, data, "--scalar", "mine", "--json")
-    assert "unchanged, without an edited file: 1 scan" in again.stderr
-    found = only_json(again)
-    (row,) = found["scans"]
+    result = only_json(again)
+    (row,) = result["scans"]
     assert row["points"] == 1500 == row["labelled"] + row["unlabelled"]
-    assert (found["stage"], found["unchanged"], found["failures"]) == ("import-labels", 1, [])
+    assert (result["stage"], result["unchanged"], result["failures"]) == ("import-labels", 1, [])
 
 
-def test_a_label_space_that_is_not_the_data_sets_is_wrong_use(run, data, edited):
+def test_another_label_space_than_that_of_the_data_set_is_wrong_use(run, data, edited):
     (data / "labels.yaml").write_text(json.dumps(label_space().to_dict()))
     refused = run("import-labels", edited, data, "--scalar", "mine", "--label-space", "coarse")
     assert refused.exit_code == 2
-    assert "labels.yaml has other classes or ids" in refused.stderr
+    assert "labels.yaml" in refused.stderr
 
 
 @pytest.fixture
@@ -105,8 +99,8 @@ def test_a_submission(run, out, tmp_path):
     assert (result.exit_code, result.stdout) == (0, "")
     assert result.stderr.splitlines()[-1] == "submit: 11 scans → a.zip"
     assert run("submit", "out", "a.zip").exit_code == 1
-    found = only_json(run("submit", "out", "b.zip", "--json", "-q"))
-    assert (found["stage"], found["scans"], found["problems"]) == ("submit", 11, [])
+    result = only_json(run("submit", "out", "b.zip", "--json", "-q"))
+    assert (result["stage"], result["scans"], result["problems"]) == ("submit", 11, [])
     assert (tmp_path / "a.zip").read_bytes() == (tmp_path / "b.zip").read_bytes()
 
 
@@ -115,13 +109,9 @@ def test_problems_are_one_list_and_status_one(run, out, tmp_path):
         output_path(out, sequence, "predictions", "000000").unlink()
     result = run("submit", "out", "a.zip", "-q")
     assert result.exit_code == 1
-    assert result.stderr.splitlines() == [
-        *(
-            f"error: sequence {s}: 1 of 1 predictions are missing: 000000\nhint: predict them"
-            for s in ("12", "20")
-        ),
-        "submit: 2 problems, a.zip is not written",
-    ]
+    lines = result.stderr.splitlines()
+    assert sum(line.startswith("error: ") for line in lines) == 2
+    assert lines[-1] == "submit: 2 problems, a.zip is not written"
     result = run("submit", "out", "a.zip", "--json")
     assert [p["sequence"] for p in only_json(result)["problems"]] == ["12", "20"]
     assert result.exit_code == 1

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""End of a run: what comes next, what is said of scans left out, where a page is."""
+"""End of a run: next command, warnings, skipped scans, path of the page."""
 
 import shlex
 from dataclasses import replace
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from command_line import only_json
+from command_line import only_json, subject
 from evaluated import CAR, ROAD, World
 from scans import SMALL, make_scan, write_bin, write_sequence
 
@@ -23,21 +23,19 @@ from salsanext_cli.results.paths import find_scans
 from salsanext_cli.results.settings import StageSettings
 
 
-def test_the_commands_to_type_next_lead_from_scans_to_scores(run, data, weights, tmp_path):
+def test_the_next_commands_lead_from_scans_to_scores(run, data, weights, tmp_path):
     out = tmp_path / "my out"
-    found = only_json(run("project", data, out, "--weights", weights, "--json"))
-    assert found["next"] == shlex.join(
-        ["salsanext", "predict", *[str(out)] * 2, "--weights", str(weights)]
-    )
-    typed = []
-    while following := found.get("next"):
-        words = shlex.split(following)
-        assert words[0] == "salsanext"
-        typed.append(words[1])
-        result = run(*words[1:], "--json")
+    printed = only_json(run("project", data, out, "--weights", weights, "--json"))
+    words = ["salsanext", "predict", str(out), str(out), "--weights", str(weights)]
+    assert printed["next"] == shlex.join(words)
+    commands = []
+    while following := printed.get("next"):
+        _, *words = shlex.split(following)
+        commands.append(words[0])
+        result = run(*words, "--json")
         assert result.exit_code == 0, result.output
-        found = only_json(result)
-    assert typed == ["predict", "knn-refine", "eval"]
+        printed = only_json(result)
+    assert commands == ["predict", "knn-refine", "eval"]
 
 
 @pytest.mark.parametrize(
@@ -56,16 +54,16 @@ def test_next_commands(stage, split, done, expected, tmp_path):
     assert next_command(stage, outcome, "a b", (), split) == expected
     if expected and "submit" in expected:
         merged = Outcome(0, (), done, summary=RunSummary(SMALL, label_space("coarse")))
-        found = next_command(stage, merged, "a b", (), split)
-        assert found == "salsanext export-ply 'a b'"
-        # They may be somebody's own for the test split of a data set of theirs.
-        own = replace(label_space("coarse"), splits={"test": ("90",)})
-        found = Outcome(0, (), done, summary=RunSummary(SMALL, own))
-        assert next_command(stage, found, "a b", (), split) == expected
+        command = next_command(stage, merged, "a b", (), split)
+        assert command == "salsanext export-ply 'a b'"
+        # A data set with the test split of another label space has another benchmark.
+        space = replace(label_space("coarse"), splits={"test": ("90",)})
+        other = Outcome(0, (), done, summary=RunSummary(SMALL, space))
+        assert next_command(stage, other, "a b", (), split) == expected
         (file,) = find_scans(write_sequence(tmp_path / "sequences/90", labels=False).parents[1])
-        found = replace(found, summary=RunSummary.of_scans([file], SMALL, own))
+        other = replace(other, summary=RunSummary.of_scans([file], SMALL, space))
         (tmp_path / "labels.yaml").write_text(yaml.safe_dump(label_space().to_dict()))
-        assert next_command(stage, found, "a b", (), split) == "salsanext export-ply 'a b'"
+        assert next_command(stage, other, "a b", (), split) == "salsanext export-ply 'a b'"
     (file,) = find_scans(write_sequence(tmp_path / "labelled/00", ["0"]))
     labelled = Outcome(0, (), done, summary=replace(summary, first=file))
     if done and stage != "uncertainty":
@@ -76,12 +74,12 @@ def test_next_commands(stage, split, done, expected, tmp_path):
 
 
 @pytest.mark.parametrize("count", [1, 2])
-def test_each_warning_is_printed_once(run, data, tmp_path, count):
+def test_a_warning_is_printed_once(run, data, tmp_path, count):
     sensor = tmp_path / "upwards.toml"
     sensor.write_text("fov_up = 30.0\nfov_down = -2.0\nheight = 16\nwidth = 128\n")
     given = ("project", data, tmp_path / "out", "--sensor", sensor, "--limit", count)
     inspected = ("inspect", data, "--sensor", sensor, "--limit", count)
-    # The second time from the record.
+    # The second run prints the recorded warning.
     for arguments in (given, given, inspected):
         result = run(*arguments)
         assert result.exit_code == 0, result.output
@@ -91,21 +89,20 @@ def test_each_warning_is_printed_once(run, data, tmp_path, count):
 
 
 def test_equal_sensors_are_printed_once():
-    """Such as two whose intensities alone were fitted otherwise."""
+    """Sensors may differ in what the line does not show, such as the fit of the intensity."""
     darker, leaning = replace(SMALL, row_gaps=0.5), replace(SMALL, up=(0.5, 0.0, 0.9))
     for others, count in (((darker,), 1), ((darker, leaning), 2)):
-        lines = list(_lines(RunSummary(replace(SMALL, others=others))))
+        lines = list(_lines(RunSummary(replace(SMALL, others=others)), None))
         assert len([line for line in lines if line.startswith("sensor: ")]) == count
 
 
-def test_without_scans_nothing_is_read_and_no_folder_is_made(run, data, tmp_path, monkeypatch):
+def test_without_scans_no_folder_is_read_or_made(run, data, tmp_path, monkeypatch):
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
     write_bin(tmp_path / "here/0.bin", make_scan())
     for command in ("predict", "project", "uncertainty", "inspect"):
         result = run(command)
-        assert result.exit_code == 2
-        assert result.stderr.startswith("error: SCANS: not given")
+        assert (result.exit_code, subject(result)) == (2, "SCANS")
     assert [path.name for path in Path().iterdir()] == ["0.bin"]
     monkeypatch.chdir(data)
     assert run("inspect").exit_code == 0
@@ -120,13 +117,13 @@ def world(tmp_path, monkeypatch):
     return world
 
 
-def test_the_command_says_where_the_page_is(run, world):
+def test_report_prints_the_path_of_the_page(run, world):
     given = ("report", str(world.out), "--dataset", str(world.dataset))
     result = run(*given, "--json")
     assert result.exit_code == 0, result.output
-    found = only_json(result)
-    assert found["page"] == str(world.out / "report.html")
-    assert found["accuracy"] == 3 / 4
+    printed = only_json(result)
+    assert printed["page"] == str(world.out / "report.html")
+    assert printed["accuracy"] == 3 / 4
     assert "report: 2 scans" in result.stderr
     assert run(*given, "--scans", "9").exit_code == 2
     assert run("report", "nowhere").exit_code == 1

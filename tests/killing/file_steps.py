@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""A signal at a step of a run; `sitecustomize` imports this in runs that are started cold.
+"""A signal at a step of a run; `sitecustomize` imports this module.
 
-``SIGNAL_AT=FOLDER:STEP:SIGNAL`` sends a signal to the process itself before it opens, renames or
-makes something below the folder for the so-manieth time, from 1. Not before it removes something:
-an exception in the hook would keep it from that.
+With ``SIGNAL_AT=FOLDER:STEP:SIGNAL`` a process sends itself a signal before its n-th operation on a
+file below the folder, from 1. Removals do not count: an exception in the hook would prevent them.
 """
 
 import os
@@ -11,13 +10,13 @@ import sys
 from collections.abc import Callable
 
 STEPS = ("open", "os.rename", "os.mkdir")
-"""Operations on files, as Python's audit names them."""
+"""Names of the operations in audit events of Python."""
 
 
 def at_each_step(
     folder: str, call: Callable[[int], object], steps: tuple[str, ...] = STEPS
 ) -> None:
-    """Call something with the number of each step of this process, before it is done."""
+    """Call a function with the number of a step before every step of this process."""
     number = 0
 
     def count(event: str, arguments: tuple[object, ...]) -> None:

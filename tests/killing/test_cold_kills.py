@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The real command, killed or told to end at any moment: no result is lost, nothing else stays."""
+"""The real command, killed or terminated at any moment: results stay, temporary files do not."""
 
 import os
 import random
@@ -32,8 +32,8 @@ NETWORK = "--weights DATA/w.safetensors --device cpu"
 PREDICT = f"predict DATA {OUT} --probabilities {NETWORK}"
 COMMANDS = {
     "predict": (PREDICT,),
-    "export-ply": (f"{PREDICT} --engine torch", f"export-ply --out {OUT} --colour label"),
-    "eval": (PREDICT, f"eval --out {OUT}"),
+    "export-ply": (f"{PREDICT} --engine torch", f"export-ply {OUT} --colour label"),
+    "eval": (PREDICT, f"eval {OUT}"),
     "knn-refine": (
         f"project DATA {OUT} --sensor DATA/small.toml",
         f"predict {OUT} {OUT} {NETWORK}",
@@ -41,9 +41,9 @@ COMMANDS = {
     ),
     "tune": (f"tune temperature DATA {OUT}/tuned.safetensors {NETWORK} --overwrite",),
 }
-"""Commands that are disturbed, each after those that make what it reads."""
+"""Commands that are disturbed, after the commands that write their inputs."""
 END_TIMEOUT_S = 10.0
-"""Time for everything that a run has started to end after it."""
+"""Time in which all processes of a run end."""
 STEPS_SEEN = [0]
 at_each_step(OUT, lambda steps: STEPS_SEEN.append(steps))
 
@@ -55,7 +55,7 @@ def call(command: str) -> None:
 
 
 class Trial:
-    """A command, what it starts from, and its results when nothing disturbs it."""
+    """A command, the folder that it starts from, and its undisturbed results."""
 
     def __init__(self, name: str, folder: Path, scans: int = 4) -> None:
         data, self.start, whole = (folder / name for name in ("data", "start", "whole"))
@@ -76,8 +76,10 @@ class Trial:
         self.steps = STEPS_SEEN[-1] - first
         self.expected = whole / OUT
 
-    def begun(self, folder: Path, options: str = "", **environment: str) -> subprocess.Popen[str]:
-        """Start the command in a process and a session of its own, in a copy of the start."""
+    def start_process(
+        self, folder: Path, options: str = "", **environment: str
+    ) -> subprocess.Popen[str]:
+        """Start the command in a new process and session, in a copy of the first folder."""
         shutil.copytree(self.start, folder, dirs_exist_ok=True)
         paths = os.pathsep.join(map(str, (Path(salsanext_cli.__file__).parents[1], HERE)))
         return subprocess.Popen(
@@ -90,8 +92,8 @@ class Trial:
             start_new_session=True,
         )
 
-    def require_made_good(self, folder: Path, number: signal.Signals) -> None:
-        """Fail if files are half written, or if another run does not make the results whole."""
+    def require_completed(self, folder: Path, number: signal.Signals) -> None:
+        """Fail if a file is partial, or another run does not complete the results."""
         require_whole(folder / OUT)
         with chdir(folder):
             call(self.command)
@@ -101,46 +103,46 @@ class Trial:
 
 @pytest.fixture(scope="module")
 def trials(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Trial]:
-    """Return a function that gives the trial of a command, each made once."""
+    """Return a cached function from a command to its trial."""
     return cache(lambda name: Trial(name, tmp_path_factory.mktemp(name)))
 
 
 def require_ended(process: subprocess.Popen[str], number: signal.Signals) -> None:
-    """Fail if something that a run has started outlives it, or if it ended otherwise than told."""
-    said, _ = process.communicate(timeout=END_TIMEOUT_S)
+    """Fail if a process of a run is left, or if the run ended in another way than by the signal."""
+    output, _ = process.communicate(timeout=END_TIMEOUT_S)
     end = time.monotonic() + END_TIMEOUT_S
     while left := in_session(process.pid):
         assert time.monotonic() < end, left
         time.sleep(0.1)
     if number == signal.SIGKILL:
-        assert process.returncode in (0, -signal.SIGKILL), said
+        assert process.returncode in (0, -signal.SIGKILL), output
     elif process.returncode not in (0, -number):
-        assert process.returncode == 128 + number, said
-        assert said.endswith("ed: everything finished so far is intact\n")
-        assert "Traceback" not in said
+        assert process.returncode == 128 + number, output
+        assert output.endswith("ed: everything finished so far is intact\n")
+        assert "Traceback" not in output
 
 
 def in_session(leader: int) -> list[str]:
-    """Return the processes that a session still has."""
-    found = []
+    """Return the command lines of the processes of a session."""
+    lines = []
     for process in psutil.process_iter():
         try:
             if os.getsid(process.pid) == leader and process.status() != psutil.STATUS_ZOMBIE:
-                found.append(" ".join(process.cmdline()))
+                lines.append(" ".join(process.cmdline()))
         except (psutil.Error, ProcessLookupError):
             continue
-    return found
+    return lines
 
 
 def disturb(trial: Trial, folder: Path, number: signal.Signals, step: int) -> None:
-    """Let a run get a signal at a step, and another one finish."""
-    process = trial.begun(folder, SIGNAL_AT=f"{OUT}:{step}:{number:d}")
+    """Send a signal to a run at a step, and complete it by another run."""
+    process = trial.start_process(folder, SIGNAL_AT=f"{OUT}:{step}:{number:d}")
     process.wait(timeout=120)
     assert process.returncode == {signal.SIGKILL: -signal.SIGKILL, signal.SIGTERM: 143}[number]
     require_ended(process, number)
     if number == signal.SIGTERM:
         require_tidy(folder / OUT)
-    trial.require_made_good(folder, number)
+    trial.require_completed(folder, number)
 
 
 SLOW = (
@@ -154,7 +156,7 @@ SLOW = (
     ("name", "number", "most"),
     [
         ("export-ply", signal.SIGTERM, 1),
-        *(pytest.param(*each, marks=pytest.mark.slow) for each in SLOW),
+        *(pytest.param(*case, marks=pytest.mark.slow) for case in SLOW),
     ],
 )
 def test_a_signal_at_a_step(
@@ -169,16 +171,16 @@ def test_a_signal_at_a_step(
 
 @pytest.fixture(scope="module")
 def long(tmp_path_factory: pytest.TempPathFactory) -> Trial:
-    """Return a run that lasts a while after its first result."""
+    """Return a trial of many scans."""
     return Trial("predict", tmp_path_factory.mktemp("long"), scans=60)
 
 
 @pytest.mark.slow
 def test_two_runs_at_once(tmp_path: Path, long: Trial) -> None:
     folder = tmp_path / "trial"
-    for process in [long.begun(folder) for _ in range(2)]:
-        said, _ = process.communicate(timeout=120)
-        assert process.returncode == 0, said
+    for process in [long.start_process(folder) for _ in range(2)]:
+        output, _ = process.communicate(timeout=120)
+        assert process.returncode == 0, output
     require_alike(long.expected, folder / OUT)
     require_tidy(folder / OUT)
 
@@ -202,7 +204,7 @@ def test_signals_at_random_moments(
     draw = random.Random(f"{number} {whom} {options}")
     for turn in range(3):
         folder = tmp_path / f"{turn}"
-        process = long.begun(folder, options)
+        process = long.start_process(folder, options)
         if turn % 2:
             when_working(folder)
         time.sleep(draw.uniform(0, 3))
@@ -211,4 +213,4 @@ def test_signals_at_random_moments(
         else:
             os.killpg(process.pid, number)
         require_ended(process, number)
-        long.require_made_good(folder, number)
+        long.require_completed(folder, number)

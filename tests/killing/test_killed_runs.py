@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Runs that are killed with SIGKILL at their steps, begun again, and compared with a whole one.
+"""Runs that are killed with SIGKILL at a step, repeated, and compared with a complete run.
 
-This file, run as a program, imports torch and forks each run, so that a kill costs tenths of a
-second and not the seconds of a cold start. It prints how many kills there were, or fails.
+As a program, this file imports torch and forks its runs, since a cold start takes seconds. It
+prints the numbers of kills, or fails.
 """
 
 import json
@@ -29,10 +29,7 @@ Run = Callable[[Path], object]
 
 
 def fork(run: Run, folder: Path, step: int = 0) -> bool:
-    """Run in a process of its own that is killed at a step, 0 for never.
-
-    Returns whether it ended by itself.
-    """
+    """Run in a fork that is killed at a step, 0 for never; return True if it ended by itself."""
     process = os.fork()
     if not process:
         if step:
@@ -54,7 +51,7 @@ def fork(run: Run, folder: Path, step: int = 0) -> bool:
 
 
 def kills(run: Run, every: int, folder: Path) -> int:
-    """Kill runs at steps until one is done before; let each end, and compare. Return how many."""
+    """Kill runs at later and later steps, repeat and compare them; return the number of kills."""
     expected = folder / "expected"
     assert fork(run, expected)
     killed = 0
@@ -67,7 +64,7 @@ def kills(run: Run, every: int, folder: Path) -> int:
 
 
 def overwriting(folder: Path) -> Run:
-    """Return runs of `predict` that write three files per scan over those of other settings."""
+    """Return runs of `predict` that overwrite the results of other settings."""
     from scans import write_sequence, write_weights
     from tiny_network import TinyNetwork
 
@@ -90,13 +87,13 @@ def overwriting(folder: Path) -> Run:
             data, out, settings=network, extras=extras, options=RunOptions(overwrite=True)
         )
 
-    # What is loaded here need not be in every run; one thread, so that forks find no others.
+    # Load modules here instead of in every fork.
     run(folder / "warm")
     return run
 
 
 def training(folder: Path) -> Run:
-    """Return a training with a checkpoint after every step, on a clock that stands still."""
+    """Return a training with a checkpoint after every step, and a constant clock."""
     from scans import SMALL, make_scan, write_sequence
     from tiny_network import TinyNetwork
 
@@ -113,7 +110,7 @@ def training(folder: Path) -> Run:
     fit.time = SimpleNamespace(monotonic=lambda: 0.0)  # type: ignore[assignment]
     write_sequence(folder / "data/sequences/00", ["0", "1"], count=600)
     write_sequence(folder / "data/sequences/08", ["0"], count=600)
-    # Loaded here, so as not to be in every run; but a step would start threads.
+    # Load modules here instead of in every fork; a training step would start threads.
     draw_curve(folder / "warm.png", [{"epoch": 1, "loss": 1.0, "miou": 0.5}])
     import_module("torch._dynamo")
     knn_refine(project(make_scan(), SMALL), np.zeros((SMALL.height, SMALL.width), np.uint8))
@@ -122,8 +119,8 @@ def training(folder: Path) -> Run:
     return lambda run: train(data, run, recipe=recipe, sensor=SMALL, device="cpu")
 
 
-def streets(folder: Path) -> Run:
-    """Return runs of `synth` of two streets of three points, which replace another data set."""
+def scenes(folder: Path) -> Run:
+    """Return runs of `synth` of two scenes of three points, which overwrite another data set."""
     from salsanext_cli.records import Scan
     from salsanext_cli.stages import synth
     from salsanext_cli.synthesis.drive import Frame
@@ -141,7 +138,7 @@ def streets(folder: Path) -> Run:
             synth.synthesise(out, train=1, valid=0, scans=1, seed=1)
         if json.loads((out / "synth.json").read_text())["settings"]["seed"] == 1:
             synth.synthesise(out, train=1, valid=1, scans=2, overwrite=True)
-        # Without --overwrite it goes on, or finds all there.
+        # Without --overwrite the run completes the data set.
         synth.synthesise(out, train=1, valid=1, scans=2)
 
     return run
@@ -149,13 +146,13 @@ def streets(folder: Path) -> Run:
 
 JOBS: dict[str, Callable[[Path], Run]] = {
     "overwriting": overwriting,
-    "streets": streets,
+    "scenes": scenes,
     "training": training,
 }
 
 
 def kills_of(folder: Path, *jobs: str) -> list[int]:
-    """Return how many kills jobs survived, in a process of their own; ``job:2`` is every second."""
+    """Return the numbers of kills of jobs in a new process; ``job:2`` is every second step."""
     here = Path(__file__)
     places = os.pathsep.join(
         map(str, (Path(salsanext_cli.__file__).parents[1], here.parents[1], here.parent))
@@ -168,22 +165,21 @@ def kills_of(folder: Path, *jobs: str) -> list[int]:
         env={**os.environ, "PYTHONPATH": places, "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"},
     )
     assert done.returncode == 0, done.stderr[-5000:]
-    found: list[int] = json.loads(done.stdout.splitlines()[-1])
-    return found
+    numbers: list[int] = json.loads(done.stdout.splitlines()[-1])
+    return numbers
 
 
 def test_a_few_kills(tmp_path: Path) -> None:
-    """In one process, since importing torch takes most of the time."""
-    overwriting, streets = kills_of(tmp_path, "overwriting:50", "streets:25")
+    overwriting, scenes = kills_of(tmp_path, "overwriting:50", "scenes:25")
     assert overwriting >= 1
-    assert streets >= 3
+    assert scenes >= 3
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("job", ["overwriting", "streets", "training"])
+@pytest.mark.parametrize("job", ["overwriting", "scenes", "training"])
 def test_kills_at_every_step(tmp_path: Path, job: str) -> None:
-    (found,) = kills_of(tmp_path, f"{job}:1")
-    assert found > 30
+    (number,) = kills_of(tmp_path, f"{job}:1")
+    assert number > 30
 
 
 if __name__ == "__main__":

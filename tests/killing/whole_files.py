@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Files of a folder: complete, and the same as those of another."""
+"""Checks that files are complete, and that folders are equal."""
 
 import json
 import tomllib
@@ -28,21 +28,21 @@ WHOLE: dict[str, Callable[[Path], Any]] = {
     ".csv": lambda path: len({line.count(",") for line in path.read_text().splitlines()}) == 1,
     ".safetensors": load_file,
 }
-"""Functions that raise or return nothing, by suffix, if a file is not whole."""
+"""Functions by suffix that fail, or return a false value, for a partial file."""
 
 
 def files(folder: Path, *, hidden: bool = False) -> dict[str, Path]:
-    """Return the hidden files below a folder or the others, by name, but no records of writing."""
-    found = (path for path in sorted(folder.rglob("*")) if path.is_file())
+    """Return the visible or the hidden files below a folder by name, without its file lists."""
+    paths = (path for path in sorted(folder.rglob("*")) if path.is_file())
     return {
         str(path.relative_to(folder)): path
-        for path in found
+        for path in paths
         if path.name.startswith(".") == hidden and FILE_LISTS not in path.parts
     }
 
 
 def require_whole(folder: Path) -> None:
-    """Fail if a file that can be seen is half written; those of one scan must be of one length."""
+    """Fail if a visible file is partial, or the files of a scan differ in length."""
     for path in files(folder).values():
         assert WHOLE[path.suffix](path) or path.name.endswith(".warnings.json"), path
     for labels in folder.glob("sequences/*/predictions/*.label"):
@@ -52,24 +52,19 @@ def require_whole(folder: Path) -> None:
 
 
 def require_tidy(folder: Path, *, killed: bool = False) -> None:
-    """Fail if a hidden file is left, but for unfinished ones of a killed process.
-
-    These are removed when they are a day old.
-    """
+    """Fail if a hidden file is left, except temporary files of a killed process."""
     left = [path.name for path in files(folder, hidden=True).values()]
-    if killed:
-        left = [name for name in left if not TEMPORARY.fullmatch(name)]
-    assert not left, left
+    assert not [name for name in left if not (killed and TEMPORARY.fullmatch(name))]
 
 
-def require_alike(expected: Path, found: Path) -> None:
-    """Fail if two folders do not show the same files with the same content.
+def require_alike(expected: Path, actual: Path) -> None:
+    """Fail if two folders differ in their visible files, except records of warnings.
 
-    What a killed run found doubtful of scans is lost: it is written at the end.
+    A killed run loses its warnings, which are written at the end.
     """
     mine, theirs = (
         {name: path for name, path in files(folder).items() if not name.endswith(".warnings.json")}
-        for folder in (expected, found)
+        for folder in (expected, actual)
     )
     assert mine.keys() == theirs.keys(), sorted(mine.keys() ^ theirs.keys())
     for name, path in mine.items():

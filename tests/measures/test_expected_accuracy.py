@@ -14,7 +14,7 @@ from salsanext_cli.measures.expected_accuracy import DEVIATIONS, WITHHELD_FOR, e
 from salsanext_cli.network.card import AccuracyLine, default_weights, read_card
 
 LINE = AccuracyLine(1.0, 0.0, 0.05)
-SAFETY = Path(__file__).parents[2] / "docs/safety.md"
+SAFETY = Path(__file__).parents[2] / "docs/experiments/guarantee.md"
 SHARES = st.floats(0, 1)
 
 

@@ -142,11 +142,11 @@ def tables_of_a_large_data_set(weights):
     )
     yield survey_tables({"2011_09_26_drive_0001": survey}, survey, space, SMALL)
     counts = [131_072] * 7
-    yield imported_table([ImportedScan("08/000000", (), *counts, "scalar_Classification")])
+    yield imported_table([ImportedScan("08/000000", (), *counts[:-1], "scalar_Classification")])
     reason = "number 3 of 4,071 by uncertainty; nearly equal ones passed over"
     yield picked_table([PickedScan(1, "2011_09_26", "0000000000", 0.5, 1.5, None, reason)])
     sums = np.repeat(class_sums(every)[None], 2, axis=0)
-    pair = ScanPair(ScanFile("2011_09_26", "0000000000", Path("a")), every[::-1], sums[None])
+    pair = ScanPair(ScanFile("2011_09_26", "0000000000", Path("a")), every[::-1], sums)
     yield comparison_tables(RunComparison(space, [pair] * 5))
 
 

@@ -173,7 +173,7 @@ def test_two_scans_of_one_stem_are_refused(tmp_path: Path) -> None:
         find_scans(tmp_path)
 
 
-@pytest.mark.parametrize("folder", ["predictions", "uncertainty/entropy", "laz/label"])
+@pytest.mark.parametrize("folder", ["predictions", "uncertainty/entropy", "ply/label"])
 def test_outputs_are_at_their_paths(tmp_path: Path, folder: str) -> None:
     assert find_outputs(tmp_path, folder) == {}
     names = [("08", "b.c"), ("08", "a"), ("00 ä", "a")]

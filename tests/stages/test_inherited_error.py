@@ -160,7 +160,7 @@ def test_a_run_names_once_inherited_parts_of_its_weights(heirs, tmp_path, caplog
     world, both = heirs, "error model and expected accuracy of city (SHA-256 abc)"
     predict_scans(world.data, world.out, settings=world.network, extras=(ERROR,))
     assert [text for text in caplog.messages if "city" in text] == [
-        f"{both}; not fitted to these weights: `salsanext tune error`"
+        f"{both}; not fitted to these weights: run `salsanext tune error`"
     ]
     assert (np.load(world.result(ERROR))[~np.isnan(np.load(world.result(ERROR)))] <= 1).all()
     assert json.loads((world.out / "predict.json").read_text())["settings"]["inherited"] == both

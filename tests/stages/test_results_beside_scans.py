@@ -55,7 +55,7 @@ def test_later_commands_find_the_scans(drive: None, weights, source: str, out: s
     assert {place: find_scans(Path(place)) for place in before} == before
     again = call(f"predict {source} {out} {network}")
     assert (again["done"], again["skipped"]) == (0, 2)
-    assert call(f"export-ply --out {out} --json")["done"] == 2
+    assert call(f"export-ply {out} --json")["done"] == 2
     call(f"predict {source} elsewhere {network}")
     for labels in Path("elsewhere").rglob("*.label"):
         assert labels.read_bytes() == (out / labels.relative_to("elsewhere")).read_bytes()

@@ -246,7 +246,7 @@ def test_without_named_splits_all_labelled_scans_are_trained_on(data, tmp_path, 
     # Without folds the splits are SemanticKITTI's, and unused scans are named.
     split = go(data, tmp_path / "split", FEW.with_changes(epochs=1, folds=0))
     assert read_card(split.best).trained_on == {"0" * 24, every[0]}
-    assert "2 of 3 scans used; not used: c (no split); labels.yaml" in caplog.text
+    assert "2 of 3 scans used; not used: c (no split)" in caplog.text
     shutil.rmtree(data / "sequences/08")
     with pytest.raises(NoInputError) as caught:
         go(data, tmp_path / "none", FEW.with_changes(folds=0))
@@ -333,7 +333,7 @@ def test_scenes_of_other_classes_are_not_simulated(data, tmp_path, simulated, ca
 def test_scans_of_other_splits_are_not_trained_on(data, tmp_path, caplog):
     write_splits(data, train=[], valid=["b"], test=["c"])
     go(data, tmp_path / "run")
-    assert "1 of 3 scans used; not used: b (split valid), c (split test); labels" in caplog.text
+    assert "1 of 3 scans used; not used: b (split valid), c (split test)" in caplog.text
     write_splits(data, train=[], valid=["b"], test=["a", "c"])
     with pytest.raises(NoInputError):
         go(data, tmp_path / "none")

@@ -62,9 +62,9 @@ def test_they_are_left_out_under_any_name_and_format(trained, caplog):
     caplog.clear()
     trained.network.path.unlink()
     result = judged(trained)
-    assert (result.counts.scans, result.counts.left_out, result.counts.trained_on) == (2, 1, 0)
+    assert (result.counts.scans, result.counts.skipped, result.counts.trained_on) == (2, 1, 0)
     np.testing.assert_array_equal(result.counts.confusion, counts_of(trained, *EVERY[:2]))
-    assert caplog.messages == ["1 of 3 labelled scans was trained on: left out of the scores"]
+    assert caplog.messages == ["1 of 3 labelled scans skipped: the weights were trained on them"]
     assert json.loads((trained.out / "eval.json").read_text())["trained_on"] == 1
 
 
@@ -74,9 +74,9 @@ def test_scores_on_training_scans_only_are_marked(trained, caplog):
     predict(trained)
     caplog.clear()
     result = judged(trained)
-    assert (result.counts.scans, result.counts.left_out, result.counts.trained_on) == (1, 0, 1)
+    assert (result.counts.scans, result.counts.skipped, result.counts.trained_on) == (1, 0, 1)
     np.testing.assert_array_equal(result.counts.confusion, counts_of(trained, EVERY[2]))
-    assert caplog.messages[0].startswith("every labelled scan was trained on")
+    assert caplog.messages[0].startswith("the weights were trained on every labelled scan")
     heading = (trained.out / "scores.txt").read_text().splitlines()[0]
     assert heading == "# scores on scans that the weights were trained on"
     made = report(trained.out)

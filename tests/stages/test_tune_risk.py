@@ -26,7 +26,7 @@ from salsanext_cli.stages.report import read_run, report
 from salsanext_cli.training.tuning.risk import RiskLevel, _held_out
 
 ALL = ScanSelection()
-VOID = "nothing is promised"
+VOID = "the guarantee does not cover"
 
 
 @pytest.fixture
@@ -84,19 +84,19 @@ def test_the_threshold_holds_the_guarantee(unsure_is_wrong: World, target, caplo
     page = report(world.out).page.read_text("utf-8")
     assert f"<dd>{tuned['promise']}</dd>" in page
     assert all(
-        sentence[1:] in page for sentence in (judged.promise.sentence, *judged.kept.sentences)
+        sentence[1:] in page for sentence in (judged.guarantee.sentence, *judged.accepted.sentences)
     )
-    labels = judged.kept
+    labels = judged.accepted
     assert plain(labels) == tuned["kept"]
     # (3 R + 1) / 4 ≤ 0.3, with no finer step than a bin
     assert 0 < labels.wrong / labels.points <= (4 * 0.3 - 1) / 3
     assert "the threshold was chosen on 3 of 3 scans" in caplog.text
     # The guarantee does not cover merged classes.
     scans, coarse = ResultFolder(world.out).predicted(ALL, classes=label_space("coarse"))
-    assert evaluate(scans, world.out, coarse).promise is None
+    assert evaluate(scans, world.out, coarse).guarantee is None
     # Accepted labels need no uncertainty.
     world.result(LEAST_CONFIDENCE, file.sequence, file.stem).unlink()
-    assert evaluate(find_scans(world.data), world.out, space).promise == judged.promise
+    assert evaluate(find_scans(world.data), world.out, space).guarantee == judged.guarantee
     results = ResultFolder(world.out).read(find_scans(world.data)[0], truth_in=(space, space))
     assert results.rejected.sum() == doubts[0]
 
@@ -133,7 +133,7 @@ def test_each_class_has_a_threshold_that_holds_for_its_points(
     names = {name for name, some in losses.items() if name != "unlabeled" and len(some) > 1}
     assert names == set(risk.classes)
     assert all((sum(losses[name]) + 1) / (len(losses[name]) + 1) <= 0.4 for name in names)
-    assert plain(evaluate(find_scans(world.data), world.out, space).kept) == tuned["kept"]
+    assert plain(evaluate(find_scans(world.data), world.out, space).accepted) == tuned["kept"]
     results = [ResultFolder(world.out).read(file) for file in find_scans(world.data)]
     assert sum(result.rejected.sum() for result in results) == rejected > 0
 
@@ -147,7 +147,7 @@ def test_a_guarantee_that_does_not_hold_warns(unsure_is_wrong: World, target, ca
     assert (losses[0] + losses[1:].mean() + 1) / 3 <= 0.6
     predict_scans(world.data, world.out, settings=network, reject="risk")
     assert VOID not in caplog.text
-    check = evaluate(find_scans(world.data), world.out, label_space()).promise
+    check = evaluate(find_scans(world.data), world.out, label_space()).guarantee
     assert (check.unit, check.units) == ("drive", 2)
     assert RISK_BOUND_EXCEEDED not in caplog.messages
     for file in find_scans(world.data):

@@ -1,0 +1,22 @@
+# SPDX-License-Identifier: MIT
+"""Pictures of the documentation, by file name: functions of the real data and the file."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from pictures import concepts, drive, pages, pipeline, ranges, sensors
+
+PICTURES: dict[str, Callable[[Path, Path], None]] = {
+    "demo.gif": drive.draw,
+    "pipeline.svg": pipeline.draw,
+    "concept-range.webp": concepts.range_images,
+    "concept-hidden.webp": concepts.hidden_points,
+    "concept-knn.webp": concepts.vote,
+    "concept-uncertainty.webp": concepts.uncertainties,
+    "concept-guarantee.webp": concepts.guarantee,
+    "report.webp": pages.report,
+    "picture.webp": pages.picture,
+    "ranges/real.webp": ranges.real,
+    "ranges/synthetic.webp": ranges.simulated,
+    **{f"sensors/{name}.webp": sensors.draw for name in sensors.SCANS},
+}

@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: MIT
+"""Regenerate what the guides show, with the default weights: run it again when these change.
+
+    SALSANEXT_REAL_DATA=… python docs/refresh.py              # all of it
+    SALSANEXT_REAL_DATA=… python docs/refresh.py figures semantickitti pandaset
+    SALSANEXT_REAL_DATA=… python docs/refresh.py outputs tutorials/own-sensor.md
+    SALSANEXT_REAL_DATA=… python docs/refresh.py pictures demo.gif
+
+`figures` measures docs/figures.json (docs/measurements.py) and writes the values into the pages.
+`outputs` runs the commands of the tutorials and captures their outputs (docs/guide.py).
+`pictures` draws docs/images (docs/pictures/).
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import hashlib
+import json
+import os
+import tempfile
+from pathlib import Path
+
+import guide
+from measurements import MEASURES
+from pictures import PICTURES, concepts
+from prepared import prepared_folder
+
+from salsanext_cli.network.card import default_weights
+
+CAPTURED = (
+    "start/first-scan.md",
+    "tutorials/own-sensor.md",
+    "tutorials/few-labels.md",
+    "tutorials/semantickitti.md",
+    "tutorials/guarantee.md",
+)
+"""Pages whose commands are run, each in a folder of its own."""
+MEASURED = MEASURES | {"pictures": concepts.measured}
+
+
+def main() -> None:
+    """Regenerate all, a part, or named items of a part."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("part", nargs="?", choices=[*PARTS])
+    parser.add_argument("names", nargs="*")
+    given = parser.parse_args()
+    data = Path(os.environ["SALSANEXT_REAL_DATA"], "data").resolve()
+    for part in [given.part] if given.part else PARTS:
+        PARTS[part](data, given.names)
+
+
+def figures(data: Path, names: list[str]) -> None:
+    """Measure groups of figures, and write their values into the pages."""
+    stored = guide.stored_figures()
+    weights = hashlib.sha256(default_weights().read_bytes()).hexdigest()
+    home = Path.cwd()
+    for name in names or MEASURED:
+        with tempfile.TemporaryDirectory() as folder:
+            os.chdir(folder)
+            values = MEASURED[name](data)
+            os.chdir(home)
+        today = datetime.date.today().isoformat()
+        stored[name] = {"weights": weights, "date": today} | values
+        guide.FIGURES.write_text(json.dumps(stored, indent=1, sort_keys=True) + "\n", "utf-8")
+        print(f"{name}: {values}", flush=True)
+    for page in guide.PAGES:
+        text = page.read_text("utf-8")
+        page.write_text(guide.with_figures(text, stored), "utf-8")
+
+
+def outputs(data: Path, names: list[str]) -> None:
+    """Run the commands of pages, and write what they print into the pages."""
+    for name in names or CAPTURED:
+        page = guide.DOCS / name
+        with tempfile.TemporaryDirectory() as folder:
+            prepared_folder(Path(folder), data)
+            text = guide.outputs(page.read_text("utf-8"), Path(folder))
+        page.write_text(text.replace(folder, "/home/you"), "utf-8")
+        print(name, flush=True)
+
+
+def pictures(data: Path, names: list[str]) -> None:
+    """Draw pictures."""
+    for name in names or PICTURES:
+        PICTURES[name](data, guide.DOCS / "images" / name)
+        print(name, flush=True)
+
+
+PARTS = {"figures": figures, "outputs": outputs, "pictures": pictures}
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: MIT
+"""Files that released versions wrote are read."""
+
+import json
+import shutil
+
+import pytest
+from compatible import DATA, OUT, SCANS, WEIGHTS, few_channels, predict, run
+
+from salsanext_cli import read_labels
+
+VERSIONS = sorted(path.name for path in DATA.iterdir())
+
+
+@pytest.fixture(params=VERSIONS)
+def folder(request, tmp_path):
+    """Return a copy of the files of a version."""
+    return shutil.copytree(DATA / request.param, tmp_path / "copy")
+
+
+def test_weights_give_the_labels_that_they_gave(folder, tmp_path):
+    with few_channels():
+        result = predict(folder, tmp_path / "new")
+    assert result.exit_code == 0, result.output
+    name = "sequences/08/predictions/000000.label"
+    labels, expected = (read_labels(path / name) for path in (tmp_path / "new", folder / OUT))
+    assert (labels == expected).mean() > 0.99  # Processors round differently.
+
+
+def test_weights_are_described(folder):
+    with few_channels():
+        result = run("models", folder / WEIGHTS, "--json")
+    (weights,) = json.loads(result.stdout)["weights"]
+    assert weights["description"] == "random"
+
+
+def test_output_folders_are_evaluated(folder):
+    file = folder / OUT / "eval.json"
+    before = json.loads(file.read_text("utf-8"))
+    result = run("eval", folder / OUT, "--dataset", folder / SCANS)
+    assert result.exit_code == 0, result.output
+    after = json.loads(file.read_text("utf-8"))
+    assert after["scores"] == before["scores"]
+    assert after["confusion"] == before["confusion"]
+
+
+def test_output_folders_are_exported_and_reported(folder):
+    data = ("--dataset", folder / SCANS)
+    for words in (
+        ("export-ply", folder / OUT, *data, "--colour", "truth"),
+        ("report", folder / OUT, *data),
+    ):
+        result = run(*words)
+        assert result.exit_code == 0, result.output
+    assert (folder / OUT / "sequences/08/ply/truth/000000.ply").is_file()
+    assert (folder / OUT / "report.html").is_file()

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: MIT
+"""The wheel: what it contains, and that it works where only it is installed."""
+
+import os
+import runpy
+import subprocess
+import sys
+import tomllib
+import venv
+from pathlib import Path
+from zipfile import ZipFile
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+lowest = runpy.run_path(str(ROOT / "tools" / "lowest.py"))["lowest"]
+LARGEST_MB = 20
+
+
+def test_the_lowest_versions_are_those_of_the_package():
+    lines = (ROOT / "constraints-lowest.txt").read_text("utf-8").splitlines()
+    pinned = dict(line.split("==") for line in lines if not line.startswith("#"))
+    assert pinned == lowest(ROOT / "pyproject.toml")
+
+
+def test_every_dependency_has_a_lowest_version():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    assert all(">=" in text for text in project["dependencies"])
+    assert len(lowest(ROOT / "pyproject.toml")) >= len(project["dependencies"])
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    if given := os.environ.get("SALSANEXT_WHEEL"):
+        return ROOT / given
+    folder = tmp_path_factory.mktemp("dist")
+    subprocess.run([sys.executable, "-m", "build", "--wheel", "--outdir", folder, ROOT], check=True)
+    (path,) = folder.glob("*.whl")
+    return path
+
+
+@pytest.mark.slow
+def test_the_wheel_holds_the_package_only(wheel):
+    names = ZipFile(wheel).namelist()
+    assert {name.split("/")[0].split("-")[0] for name in names} == {"salsanext_cli", "salsanext"}
+    package = ROOT / "salsanext_cli"
+    files = {
+        path for path in package.rglob("*") if path.is_file() and "__pycache__" not in path.parts
+    }
+    assert {str(path.relative_to(ROOT)) for path in files} <= set(names)
+    assert "salsanext_cli/presets/weights/default.safetensors" in names
+    assert wheel.stat().st_size < LARGEST_MB * 1e6
+
+
+@pytest.mark.slow
+def test_the_wheel_works_where_nothing_else_is(wheel, tmp_path):
+    """The demonstration, and `predict` on its scans, from another folder."""
+    venv.create(tmp_path / "env", with_pip=True)
+    scripts = next(tmp_path.glob("env/[bS]*"))
+    environment = {
+        "PATH": os.pathsep.join((str(scripts), os.environ["PATH"])),
+        "HOME": str(tmp_path),
+    }
+    folder = tmp_path / "elsewhere"
+    folder.mkdir()
+
+    def run(*words):
+        done = subprocess.run(
+            words, cwd=folder, env=environment, check=True, capture_output=True, text=True
+        )
+        return done.stdout
+
+    run(scripts / "python", "-m", "pip", "install", "-q", "-c", ROOT / "constraints.txt", wheel)
+    version = run(
+        scripts / "python", "-c", "import salsanext_cli as s; print(s.__version__)"
+    ).strip()
+    assert version == wheel.name.split("-")[1]
+    assert run(scripts / "salsanext", "--version").strip() == f"salsanext {version}"
+    run(scripts / "salsanext", "demo", "demo")
+    assert (folder / "demo/out/report.html").exists()
+    (scans,) = folder.glob("demo/data/sequences/*/velodyne")
+    run(scripts / "salsanext", "predict", scans, "labels")
+    labels = {path.stem for path in folder.glob("labels/sequences/*/predictions/*.label")}
+    assert labels == {path.stem for path in scans.glob("*.bin")}
