@@ -50,7 +50,7 @@ from salsanext_cli.training.tuning.error import (
     cross_validated,
     judged_points,
 )
-from salsanext_cli.training.tuning.int8 import fit_int8, inputs_of
+from salsanext_cli.training.tuning.int8 import inputs_of, int8_inputs
 from salsanext_cli.training.tuning.scans import labelled_scans
 
 DRIVES = ("001", "002")
@@ -275,7 +275,7 @@ def add_int8(weights: Path, datasets: Sequence[Path]) -> None:
         for file in evenly_spaced(files, RANGED):
             sample = ScanSample([file], network.sensor)
             inputs += inputs_of(fit_scans(settings, network, sample), sample.scans)
-    card = replace(network.card, int8=fit_int8(network.module, inputs))
+    card = replace(network.card, int8=int8_inputs(network.module, inputs))
     save_with_card(weights, weights, card)
 
 

@@ -9,7 +9,7 @@ import typer
 
 from salsanext_cli.cli import arguments, console
 from salsanext_cli.cli.console import guarded, progress
-from salsanext_cli.cli.expansion import Default, Shown, Without, expanded
+from salsanext_cli.cli.expansion import Default, Shown, expanded
 from salsanext_cli.cli.help import Command, Group
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import counted
@@ -148,21 +148,16 @@ def tune_int8(
     scans: Path = argument(arguments.SCANS_HELP, default=..., metavar="SCANS"),
     target: Path = arguments.WEIGHTS_OUT,
     *,
-    selection: Annotated[ScanSelection, Shown(limit=arguments.SUBSET)],
-    settings: Annotated[arguments.Network, Without({"precision"})],
-    overwrite: bool = arguments.OVERWRITE,
+    fit: Annotated[FitOptions, Shown(split={"show_default": "all scans"}), Default(limit=16)],
     output: console.Output,
 ) -> None:
     """Fit the ranges of `predict --precision int8` to scans without labels; write new weights.
 
     Example: salsanext tune int8 scenes/ fast.safetensors
     """
-    from salsanext_cli.stages.tune import tune_int8 as stage
-
-    report = stage(scans, target, settings=settings, selection=selection, overwrite=overwrite)
-    output.result(report | {"weights": str(target)})
-    equal = "" if report["equal"] is None else f", {report['equal']:.1%} of the labels equal"
-    summary = f"tune int8: {counted(report['scans'], 'scan')}{equal} → {target}"
+    tuned = _tuned("int8", scans, target, fit, output)
+    output.result(tuned)
+    summary = f"tune int8: {counted(tuned['scans'], 'scan')} → {target}"
     _end(output, summary, target, "--precision int8 ")
 
 

@@ -121,11 +121,6 @@ def choose_precision(name: str, device: str, engine: str = "openvino") -> str:
     return "float16" if torch.cuda.get_device_capability(device) >= (7, 0) else "float32"
 
 
-def advises_int8(precision: str | None) -> bool:
-    """Return whether int8 is faster on this CPU than the number type that `auto` chose."""
-    return precision == "float32" and "avx2" in flags() and not bfloat16_instructions()
-
-
 @cache
 def flags() -> frozenset[str]:
     """Return the flags of the processor; empty on other systems than Linux."""

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: MIT
 """Graphs that OpenVINO computes in 8-bit integers: bytes as inputs, signed bytes as weights."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from salsanext_cli.errors import WeightsError
-from salsanext_cli.network.int8_inputs import LEVELS, Int8Inputs
+from salsanext_cli.network.int8_inputs import LEVELS, Int8Input
 from salsanext_cli.records import Float
 
 PREFIX = "__module.module."  # Of the names of layers in a converted graph
@@ -16,7 +17,7 @@ HEADROOM = 127 / 64
 bits, which 2 · 255 · 64 does not exceed, so that all CPUs compute the same."""
 
 
-def quantised(model: Any, inputs: Int8Inputs, source: object) -> Any:
+def quantised(model: Any, inputs: Mapping[str, Int8Input], source: object) -> Any:
     """Quantise inputs and weights of the layers of a converted graph, and return the graph.
 
     A layer of `inputs` that the graph does not have raises `WeightsError` with the source.
@@ -31,9 +32,9 @@ def quantised(model: Any, inputs: Int8Inputs, source: object) -> Any:
     changed: set[str] = set()
     for node in model.get_ordered_ops():
         name = node.get_friendly_name().partition("/")[0].removeprefix(PREFIX)
-        if node.get_type_name() != "Convolution" or name not in inputs.layers:
+        if node.get_type_name() != "Convolution" or name not in inputs:
             continue
-        layer, value = inputs.layers[name], node.input(0).get_source_output()
+        layer, value = inputs[name], node.input(0).get_source_output()
         weights = node.input(1).get_source_output().get_node().get_data()
         if len(layer.shifts) != weights.shape[1]:
             break
@@ -50,7 +51,7 @@ def quantised(model: Any, inputs: Int8Inputs, source: object) -> Any:
         weights = rounded(ops.constant(scaled), limits, limits, WEIGHT_LEVELS)
         node.input(1).replace_source_output(weights)
         changed.add(name)
-    if missing := sorted(inputs.layers.keys() - changed):
+    if missing := sorted(inputs.keys() - changed):
         problem = f"has int8 ranges of another network, such as of layer {missing[0]}"
         raise WeightsError(source, problem, hint="fit them again with `salsanext tune int8`")
     return model

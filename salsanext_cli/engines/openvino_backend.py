@@ -110,9 +110,8 @@ class OpenVinoBackend(Backend):
             import torch
 
             model = converted(self.module, function, [*map(torch.from_numpy, images)])
-            if precision == "int8" and self.card.int8:
-                return quantised(model, self.card.int8, self.name)
-            return model
+            is_int8 = precision == "int8"
+            return quantised(model, self.card.int8, self.name) if is_int8 else model
 
         precision = precision or self.precision
         return self._compiled(name, make, precision)

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,21 +16,11 @@ MAX_SHIFT = 15  # One hexadecimal digit
 
 @dataclass(frozen=True, slots=True)
 class Int8Input:
-    """Quantisation of the input of a layer: x = step · 2^-shift · (q - zero), q from 0 to 255.
-
-    Attributes
-    ----------
-    zero : int
-        Integer q of the value 0, which is exact.
-    step : float
-        Largest difference of neighbouring values.
-    shifts : str
-        Hexadecimal digit for each channel, so that channels of small values have small steps.
-    """
+    """Quantisation of the input of a layer: x = step · 2^-shift · (q - zero), q from 0 to 255."""
 
     zero: int
     step: float
-    shifts: str
+    shifts: str  # A hexadecimal digit per channel: channels of small values have small steps
 
     def __post_init__(self) -> None:
         digits = self.shifts and {*self.shifts} <= {*"0123456789abcdef"}
@@ -60,11 +49,3 @@ class Int8Input:
         zero = min(max(zero, int(low < 0)), LEVELS - 1 - int(high > 0))
         step = max(-low / max(zero, 1), high / max(LEVELS - 1 - zero, 1)) or 1.0
         return cls(zero, float(f"{step:.4g}"), "".join(f"{shift:x}" for shift in shifts))
-
-
-@dataclass(frozen=True, slots=True)
-class Int8Inputs:
-    """Quantised inputs by name of the layer; the other layers compute in float32."""
-
-    layers: Mapping[str, Int8Input]
-    scans: int  # Number of scans that the ranges are fitted to

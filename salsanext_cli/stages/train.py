@@ -55,7 +55,7 @@ from salsanext_cli.training.run_folder import (
     training_settings,
 )
 from salsanext_cli.training.setup import Setup, inheriting, initial_network
-from salsanext_cli.training.tuning.int8 import fit_int8, inputs_of
+from salsanext_cli.training.tuning.int8 import inputs_of, int8_inputs
 
 MAX_LOADERS = 8  # Largest default number of processes that prepare samples for a GPU
 INT8_SCANS = 8  # Training scans that the ranges for int8 are fitted to
@@ -244,7 +244,7 @@ def _add_int8(run: Path, source: Source, device: str) -> None:
         for file in evenly_spaced(source.files, INT8_SCANS):
             fitted = network.for_sensor(source.sensor_of(file))
             inputs += inputs_of(fitted, [read_scan(file.path, fitted.sensor)])
-        card = replace(card, int8=fit_int8(module, inputs))
+        card = replace(card, int8=int8_inputs(module, inputs))
         OwnedFolder(run).write(path, encode_weights(module, card), durable=True)
 
 

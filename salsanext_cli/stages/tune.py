@@ -2,31 +2,27 @@
 """Stage `tune`: one part of the weights, fitted to scans."""
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import NOTICE, NoInputError, WeightsError
+from salsanext_cli.errors import NOTICE
 from salsanext_cli.files.atomic import require_absent, require_target, writing
-from salsanext_cli.fitting.sensor_fit import ScanSample, fit_scans
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.run import Progress
-from salsanext_cli.records import Float
 from salsanext_cli.report.tuning_plots import risk_curve
 from salsanext_cli.results.selection import select_scans
 from salsanext_cli.training.tuning.dropout_rate import fit_dropout
 from salsanext_cli.training.tuning.error import fit_error_model
-from salsanext_cli.training.tuning.int8 import fit_int8, inputs_of
+from salsanext_cli.training.tuning.int8 import fit_int8
 from salsanext_cli.training.tuning.risk import fit_risk
 from salsanext_cli.training.tuning.scans import Tuned, TuningScans, labelled_scans, unseen
 from salsanext_cli.training.tuning.temperature import fit_temperature
 
-USUAL_EQUAL = 0.98  # Least share of equal labels of int8 and float32 that needs no warning
 NAMES = {"error": "error model", "dropout": "dropout rate"}  # Names of parts in messages
 
 log = logging.getLogger(__name__)
@@ -36,6 +32,7 @@ FITS: dict[str, Callable[..., Tuned]] = {
     "error": fit_error_model,
     "dropout": fit_dropout,
     "risk": fit_risk,
+    "int8": fit_int8,
 }
 """Functions that fit a part of the weights to `TuningScans`."""
 
@@ -58,11 +55,11 @@ def tune(
 
     Parameters
     ----------
-    part : {"temperature", "error", "dropout", "risk"}
+    part : {"temperature", "error", "dropout", "risk", "int8"}
     source, target : Path
-        Labelled data set, and weights file to write.
+        Labelled data set, for int8 any scans, and weights file to write.
     settings, selection : NetworkSettings, ScanSelection
-        By default the scans are those of the split ``valid`` and of no split.
+        By default the scans are those of the split ``valid`` and of no split, for int8 all.
     overwrite : bool
         Whether to replace an existing file.
     progress : callable, optional
@@ -75,13 +72,19 @@ def tune(
     dict
         Plain data for JSON.
     """
+    if part == "int8":
+        settings = replace(settings, precision="float32")  # The weights have no ranges yet
     network = settings.load()
-    labelled, space = labelled_scans(source, selection, network.card)
+    if part == "int8":
+        space = network.card.space
+        labelled = select_scans(source, selection, space, evenly=True)
+    else:
+        labelled, space = labelled_scans(source, selection, network.card)
     require_target(target, overwrite)
     curve = target.with_name(f"{target.stem}_risk.png")
     if part == "risk":
         require_absent(curve, overwrite)
-    files = unseen(labelled, network, source)
+    files = labelled if part == "int8" else unseen(labelled, network, source)
     scans = TuningScans(source, files, space, settings, network, progress)
     card, results = FITS[part](scans, **numbers)
     report = {"stage": f"tune {part}", **results, "skipped": len(labelled) - len(files)}
@@ -99,70 +102,3 @@ def tune(
             report["curve"] = str(curve)
         save_with_card(settings.path, target, replace(card, version=None), overwrite=overwrite)
     return report
-
-
-def tune_int8(
-    source: Path,
-    target: Path,
-    *,
-    settings: NetworkSettings = NetworkSettings(),
-    selection: ScanSelection = ScanSelection(),
-    overwrite: bool = False,
-) -> dict[str, Any]:
-    """Write weights with ranges for ``--precision int8``, and compare the labels with float32.
-
-    Parameters
-    ----------
-    source, target : Path
-        Scans, which need no labels, and weights file to write.
-    settings, selection : NetworkSettings, ScanSelection
-        Up to 16 of the scans are read, evenly spaced.
-    overwrite : bool
-        Whether to replace an existing file.
-
-    Returns
-    -------
-    dict
-        Plain data for JSON: numbers of scans and layers, and `equal`, the share of the occupied
-        pixels with the same label in float32 and int8; None without OpenVINO.
-
-    Raises
-    ------
-    NoInputError
-        If no scan can be read.
-    WeightsError
-        If the network has no layer that int8 can compute.
-    """
-    network = replace(settings, precision="float32").load()
-    files = select_scans(source, selection, network.card.space, evenly=True)
-    require_target(target, overwrite)
-    sample = ScanSample(files, network.sensor)
-    network = fit_scans(settings, network, sample)
-    settings.announce(network)
-    inputs = inputs_of(network, sample.scans)
-    if not inputs:
-        raise NoInputError(source, "has no readable scan", "scans that `predict` can label")
-    int8 = fit_int8(network.module, inputs)
-    if not int8.layers:
-        raise WeightsError(settings.path, "has no hidden layer that int8 can compute")
-    card = replace(network.card, int8=int8, version=None)
-    save_with_card(settings.path, target, card, overwrite=overwrite)
-    equal = None
-    if network.backend.library == "openvino":
-        tuned = replace(settings, weights=target, device="cpu", precision="int8").load()
-        equal = _equal_labels(network, tuned, inputs)
-        if equal < USUAL_EQUAL:
-            differ = 100 - 100 * equal
-            log.warning("%s: int8 changes %.1f %% of the labels of these scans", target, differ)
-    return {"stage": "tune int8", "scans": len(inputs), "layers": len(int8.layers), "equal": equal}
-
-
-def _equal_labels(network: Network, other: Network, inputs: Sequence[Float]) -> float:
-    """Return the share of the pixels with a point that two networks label the same."""
-    equal = occupied = 0
-    for image in inputs:
-        labels, others = (n.backend.predict([image], 1.0)[0].labels for n in (network, other))
-        there = image[0].any(axis=0)  # Empty pixels are 0 in all channels
-        equal += int(((labels == others) & there).sum())
-        occupied += int(there.sum())
-    return equal / occupied

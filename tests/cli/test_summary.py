@@ -154,4 +154,3 @@ def test_a_long_run_on_a_cpu_without_bfloat16_names_the_faster_option(
     settings = NetworkSettings(weights, precision=given["precision"])
     advice = _advice(settings, Outcome(0, (), given["done"]), tmp_path)
     assert ("--precision int8" in advice) == named
-    assert ("tune int8" in advice) == named  # These weights have no ranges.

@@ -19,10 +19,10 @@ from salsanext_cli.engines.int8_graphs import quantised
 from salsanext_cli.engines.openvino_backend import OpenVinoBackend
 from salsanext_cli.errors import UsageError, WeightsError
 from salsanext_cli.network.card import WeightsCard, read_card
-from salsanext_cli.network.int8_inputs import Int8Input, Int8Inputs
+from salsanext_cli.network.int8_inputs import Int8Input
 from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.weights import save_with_card
-from salsanext_cli.training.tuning.int8 import fit_int8, int8_layers
+from salsanext_cli.training.tuning.int8 import int8_inputs, int8_layers
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 
@@ -68,10 +68,10 @@ def image(seed: int = 4) -> torch.Tensor:
     return torch.randn(*SIZE, generator=torch.Generator().manual_seed(seed))
 
 
-def in_bytes(module: SalsaNext, inputs: Int8Inputs) -> SalsaNext:
+def in_bytes(module: SalsaNext, inputs: dict[str, Int8Input]) -> SalsaNext:
     """Return a module that rounds inputs and weights of its layers, in float64."""
     module = copy.deepcopy(module).double()
-    for name, layer in inputs.layers.items():
+    for name, layer in inputs.items():
         convolution = module.get_submodule(name)
         steps = torch.from_numpy(layer.steps).double().view(1, -1, 1, 1)
 
@@ -85,7 +85,7 @@ def in_bytes(module: SalsaNext, inputs: Int8Inputs) -> SalsaNext:
     return module
 
 
-def compiled(module, inputs: Int8Inputs, x: torch.Tensor, **options) -> Graph:
+def compiled(module, inputs: dict[str, Int8Input], x: torch.Tensor, **options) -> Graph:
     def make():
         return quantised(converted(module, lambda m, values: m(values), [x]), inputs, "test")
 
@@ -94,7 +94,7 @@ def compiled(module, inputs: Int8Inputs, x: torch.Tensor, **options) -> Graph:
 
 def test_a_graph_computes_as_a_module_with_rounded_inputs_and_weights():
     module, x = network(), image()
-    inputs = fit_int8(module, [image(seed).numpy() for seed in range(3)])
+    inputs = int8_inputs(module, [image(seed).numpy() for seed in range(3)])
     (logits,) = compiled(module, inputs, x)(x.numpy())
     with torch.inference_mode():
         expected = in_bytes(module, inputs)(x.double()).numpy()
@@ -109,7 +109,7 @@ def test_a_graph_computes_as_a_module_with_rounded_inputs_and_weights():
 
 def test_hidden_layers_multiply_bytes_and_the_ends_are_float32():
     module, x = network(), image()
-    graph = compiled(module, fit_int8(module, [x.numpy()]), x)
+    graph = compiled(module, int8_inputs(module, [x.numpy()]), x)
     kinds = {"f32": 0, "u8": 0}
     for op in graph.compiled.get_runtime_model().get_ordered_ops():
         info = op.get_rt_info()
@@ -125,14 +125,14 @@ def test_sums_of_products_do_not_saturate():
     module = nn.Sequential(nn.Conv2d(64, 8, 3, bias=False)).eval()
     module[0].weight.data.fill_(1.0)
     x = torch.full((1, 64, 8, 8), 255.0)
-    inputs = Int8Inputs({"0": Int8Input(0, 1.0, "0" * 64)}, 1)
+    inputs = {"0": Int8Input(0, 1.0, "0" * 64)}
     (sums,) = compiled(module, inputs, x)(x.numpy())
     np.testing.assert_allclose(sums, 255 * 64 * 9, rtol=1e-6)
 
 
 def test_the_bits_do_not_depend_on_threads_or_streams():
     module, x = network(), image()
-    inputs = fit_int8(module, [x.numpy()])
+    inputs = int8_inputs(module, [x.numpy()])
     (expected,) = compiled(module, inputs, x)(x.numpy())
     for threads, streams in ((2, 1), (2, 2), (3, 3)):
         run = compiled(module, inputs, x, threads=threads, streams=streams)
@@ -143,7 +143,7 @@ def test_the_bits_do_not_depend_on_threads_or_streams():
 
 def backend(precision: str) -> OpenVinoBackend:
     module = network()
-    card = WeightsCard({}, label_space(), SMALL, int8=fit_int8(module, [image().numpy()]))
+    card = WeightsCard({}, label_space(), SMALL, int8=int8_inputs(module, [image().numpy()]))
     size = (SMALL.height, SMALL.width)
     return OpenVinoBackend(lambda: module, card, size, precision=precision, sha256="0")
 
@@ -167,14 +167,14 @@ def weights(tmp_path_factory):
     file = write_weights(tmp_path_factory.mktemp("int8") / "random.safetensors")
     network = load_network(file, "cpu", SMALL, engine="torch")
     inputs = network.input(project(make_scan(), SMALL).channels)
-    card = replace(network.card, int8=fit_int8(network.module, [inputs]))
+    card = replace(network.card, int8=int8_inputs(network.module, [inputs]))
     save_with_card(file, file, card)
     return file
 
 
 def test_weights_without_ranges_other_engines_and_devices_are_refused(weights, tmp_path):
     bare = tmp_path / "bare.safetensors"
-    save_with_card(weights, bare, replace(read_card(weights), int8=None))
+    save_with_card(weights, bare, replace(read_card(weights), int8={}))
     with refused(WeightsError, bare):
         load_network(bare, "cpu", precision="int8")
     with refused(UsageError, "--precision"):
@@ -183,19 +183,19 @@ def test_weights_without_ranges_other_engines_and_devices_are_refused(weights, t
 
 def test_ranges_of_another_network_are_refused():
     module, x = network(), image()
-    layers = fit_int8(module, [x.numpy()]).layers
+    layers = int8_inputs(module, [x.numpy()])
     name = "block1.shortcut.0"
     broken = replace(layers[name], shifts=layers[name].shifts[1:])
     for others in ({**layers, "block9.shortcut.0": layers[name]}, {**layers, name: broken}):
         with refused(WeightsError, "test"):
-            compiled(module, Int8Inputs(others, 1), x)
+            compiled(module, others, x)
 
 
 def test_a_card_holds_the_ranges(weights):
     card = read_card(weights)
     again = WeightsCard.from_metadata(card.to_metadata(), "again")
-    assert again.int8 == card.int8 != None  # noqa: E711
-    assert set(card.int8.layers) == set(int8_layers(load_network(weights, "cpu").module))
+    assert again.int8 == card.int8 != {}
+    assert set(card.int8) == set(int8_layers(load_network(weights, "cpu").module))
 
 
 @pytest.mark.parametrize(

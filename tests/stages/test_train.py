@@ -110,7 +110,6 @@ def test_a_run_folder_holds_weights_log_curve_and_recipe(dataset, tmp_path):
     quantiles, gaps = intensity_quantiles(images), row_gaps(images)
     assert card.sensor == replace(SMALL, intensity_quantiles=quantiles, row_gaps=gaps)
     assert card.scores["miou"] == result.best_miou
-    assert card.int8.scans == read_card(run / "last.safetensors").int8.scans == 3
     # A finished training has nothing left to do.
     assert go(dataset, run, progress=no_step) == result
 

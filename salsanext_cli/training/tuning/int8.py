@@ -2,6 +2,7 @@
 """Ranges of the inputs of layers, for networks that compute in 8-bit integers."""
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -10,14 +11,27 @@ from torch import Tensor, nn
 
 from salsanext_cli.engines.graphs import LOGITS
 from salsanext_cli.engines.network import Network
+from salsanext_cli.errors import WeightsError
+from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.geometry.scan_traits import sensor_of
-from salsanext_cli.network.int8_inputs import Int8Input, Int8Inputs
+from salsanext_cli.network.int8_inputs import Int8Input
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import CHANNELS, Float, Scan
+from salsanext_cli.training.tuning.scans import Tuned, TuningScans
 
 OUTLIERS = 1e-4  # Share of the values of a channel beyond each end of its range
 MAX_PIXELS = 32768  # Pixels of a channel that are compared
+
+
+def fit_int8(scans: TuningScans) -> Tuned:
+    """Fit the ranges of `int8_inputs` to scans, which need no labels."""
+    network = scans.network
+    inputs = inputs_of(network, (read_scan(file.path, network.sensor) for file in scans.files))
+    int8 = int8_inputs(network.module, inputs)
+    if not int8:
+        raise WeightsError(scans.settings.path, "has no hidden layer that int8 can compute")
+    return replace(network.card, int8=int8), {"scans": len(inputs), "layers": len(int8)}
 
 
 def int8_layers(module: SegmentationNetwork) -> dict[str, nn.Conv2d]:
@@ -41,7 +55,7 @@ def inputs_of(network: Network, scans: Iterable[Scan]) -> list[Float]:
 
 
 @torch.inference_mode()
-def fit_int8(module: SegmentationNetwork, inputs: Sequence[Float]) -> Int8Inputs:
+def int8_inputs(module: SegmentationNetwork, inputs: Sequence[Float]) -> dict[str, Int8Input]:
     """Return ranges of the inputs of layers: means over images (1, 5, H, W) float32."""
     layers = int8_layers(module)
     ends: dict[str, list[Float]] = {name: [] for name in layers}
@@ -64,5 +78,4 @@ def fit_int8(module: SegmentationNetwork, inputs: Sequence[Float]) -> Int8Inputs
         for hook in hooks:
             hook.remove()
     means = {name: np.mean(of_images, axis=0) for name, of_images in ends.items()}
-    ranges = {name: Int8Input.of_ranges(*mean.T) for name, mean in means.items()}
-    return Int8Inputs(ranges, len(inputs))
+    return {name: Int8Input.of_ranges(*mean.T) for name, mean in means.items()}
