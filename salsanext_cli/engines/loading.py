@@ -63,14 +63,13 @@ def load_network(
     card = read_card(file)
     merging = ClassMerging.needed(card.space, classes)
     sensor = sensor or card.sensor
-    size = (sensor.height, sensor.width)
     sha256, chosen = fingerprint(file), choose_device(device)
     library = choose_engine(engine, chosen)
     is_built_in = card.architecture.get("name") == "salsanext"
     backend = _backend_class(library)(
         lambda: _read_module(file, chosen, sha256),
         card,
-        size,
+        (sensor.height, sensor.width),
         chosen,
         _number_type(precision, chosen, library, file, card),
         "default weights" if path is None else str(path),

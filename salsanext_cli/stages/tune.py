@@ -8,6 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE
 from salsanext_cli.files.atomic import require_absent, require_target, writing
@@ -15,6 +17,7 @@ from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.run import Progress
 from salsanext_cli.report.tuning_plots import risk_curve
+from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.results.selection import select_scans
 from salsanext_cli.training.tuning.dropout_rate import fit_dropout
 from salsanext_cli.training.tuning.error import fit_error_model
@@ -73,21 +76,16 @@ def tune(
         Plain data for JSON.
     """
     if part == "int8":
-        settings = replace(settings, precision="float32")  # The weights have no ranges yet
+        settings = replace(settings, precision="float32")  # The weights may have no ranges yet
     network = settings.load()
-    if part == "int8":
-        space = network.card.space
-        labelled = select_scans(source, selection, space, evenly=True)
-    else:
-        labelled, space = labelled_scans(source, selection, network.card)
     require_target(target, overwrite)
+    every, files, space = _scans(part, source, selection, network)
     curve = target.with_name(f"{target.stem}_risk.png")
     if part == "risk":
         require_absent(curve, overwrite)
-    files = labelled if part == "int8" else unseen(labelled, network, source)
     scans = TuningScans(source, files, space, settings, network, progress)
     card, results = FITS[part](scans, **numbers)
-    report = {"stage": f"tune {part}", **results, "skipped": len(labelled) - len(files)}
+    report = {"stage": f"tune {part}", **results, "skipped": len(every) - len(files)}
     if not report.get("changed", True):
         reason = "the new fit is not better on held-out scans"
         if len(files) == 1:
@@ -102,3 +100,14 @@ def tune(
             report["curve"] = str(curve)
         save_with_card(settings.path, target, replace(card, version=None), overwrite=overwrite)
     return report
+
+
+def _scans(
+    part: str, source: Path, selection: ScanSelection, network: Network
+) -> tuple[list[ScanFile], list[ScanFile], LabelSpace]:
+    """Return the selected scans, the scans to fit a part to, and the classes of their labels."""
+    if part == "int8":
+        scans = select_scans(source, selection, network.space, evenly=True)
+        return scans, scans, network.space
+    scans, space = labelled_scans(source, selection, network.card)
+    return scans, unseen(scans, network, source), space
