@@ -32,6 +32,7 @@ from corruptions import SEVERITIES, write_data_set
 
 from salsanext_cli.classes.label_space import label_space
 from salsanext_cli.engines.settings import NetworkSettings
+from salsanext_cli.fitting.label_scan import prepared_for
 from salsanext_cli.fitting.sensor_fit import ScanSample, fit_scans
 from salsanext_cli.formats import read_scan
 from salsanext_cli.network.card import scan_digest
@@ -273,8 +274,8 @@ def add_int8(weights: Path, datasets: Sequence[Path]) -> None:
     for dataset in datasets:
         files = labelled_split(dataset, None, "train")[1]
         for file in evenly_spaced(files, RANGED):
-            sample = ScanSample([file], network.sensor)
-            inputs += inputs_of(fit_scans(settings, network, sample), sample.scans)
+            fitted = fit_scans(settings, network, ScanSample([file], network.sensor))
+            inputs.append(prepared_for(fitted, file).input)
     card = replace(network.card, int8=int8_inputs(network.module, inputs))
     save_with_card(weights, weights, card)
 

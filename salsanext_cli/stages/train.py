@@ -14,12 +14,11 @@ import torch
 from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.engines.loading import network_of_module
 from salsanext_cli.errors import NOTICE, TrainingError, UsageError, counted
-from salsanext_cli.formats import read_scan
+from salsanext_cli.fitting.label_scan import prepared_for
 from salsanext_cli.measures.scan_summary import ScanWarning
 from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.network.weights import encode_weights, read_weights
 from salsanext_cli.parallel.run_options import cores, worker_count
-from salsanext_cli.records import Float
 from salsanext_cli.report.scan_pictures import draw_sample
 from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.results.owned_folder import OwnedFolder
@@ -55,7 +54,7 @@ from salsanext_cli.training.run_folder import (
     training_settings,
 )
 from salsanext_cli.training.setup import Setup, inheriting, initial_network
-from salsanext_cli.training.tuning.int8 import inputs_of, int8_inputs
+from salsanext_cli.training.tuning.int8 import int8_inputs
 
 MAX_LOADERS = 8  # Largest default number of processes that prepare samples for a GPU
 INT8_SCANS = 8  # Training scans that the ranges for int8 are fitted to

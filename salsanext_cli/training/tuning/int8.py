@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Ranges of the inputs of layers, for networks that compute in 8-bit integers."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -10,14 +10,11 @@ import torch
 from torch import Tensor, nn
 
 from salsanext_cli.engines.graphs import LOGITS
-from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import WeightsError
-from salsanext_cli.formats import read_scan
-from salsanext_cli.geometry.projection import project
-from salsanext_cli.geometry.scan_traits import sensor_of
+from salsanext_cli.fitting.label_scan import prepared_for
 from salsanext_cli.network.int8_inputs import Int8Input
 from salsanext_cli.network.segmentation import SegmentationNetwork
-from salsanext_cli.records import CHANNELS, Float, Scan
+from salsanext_cli.records import CHANNELS, Float
 from salsanext_cli.training.tuning.scans import Tuned, TuningScans
 
 OUTLIERS = 1e-4  # Share of the values of a channel beyond each end of its range
@@ -27,7 +24,7 @@ MAX_PIXELS = 32768  # Pixels of a channel that are compared
 def fit_int8(scans: TuningScans) -> Tuned:
     """Fit the ranges of `int8_inputs` to scans, which need no labels."""
     network = scans.network
-    inputs = inputs_of(network, (read_scan(file.path, network.sensor) for file in scans.files))
+    inputs = [prepared_for(network, file).input for file in scans.files]
     int8 = int8_inputs(network.module, inputs)
     if not int8:
         raise WeightsError(scans.settings.path, "has no hidden layer that int8 can compute")
@@ -36,22 +33,15 @@ def fit_int8(scans: TuningScans) -> Tuned:
 
 def int8_layers(module: SegmentationNetwork) -> dict[str, nn.Conv2d]:
     """Return the convolutions that can compute in 8-bit integers, by name."""
+    precise = (LOGITS, *module.precise)
     return {
         name: layer
         for name, layer in module.named_modules()
         if isinstance(layer, nn.Conv2d)
-        and (layer.groups, name.partition(".")[0] in (LOGITS, *module.precise)) == (1, False)
+        and layer.groups == 1
         and layer.in_channels != len(CHANNELS)
+        and name.partition(".")[0] not in precise
     }
-
-
-def inputs_of(network: Network, scans: Iterable[Scan]) -> list[Float]:
-    """Return the inputs (1, 5, H, W) float32 of a network for scans of its sensors."""
-    inputs = []
-    for scan in scans:
-        fitted = network.for_sensor(sensor_of(scan, network.sensor))
-        inputs.append(fitted.input(project(scan, fitted.sensor).channels))
-    return inputs
 
 
 @torch.inference_mode()
