@@ -51,7 +51,7 @@ from salsanext_cli.training.tuning.error import (
     cross_validated,
     judged_points,
 )
-from salsanext_cli.training.tuning.int8 import inputs_of, int8_inputs
+from salsanext_cli.training.tuning.int8 import int8_inputs
 from salsanext_cli.training.tuning.scans import labelled_scans
 
 DRIVES = ("001", "002")

@@ -239,10 +239,11 @@ def _add_int8(run: Path, source: Source, device: str) -> None:
         module, card = read_weights(path)
         if card.int8:
             continue
-        network, inputs = network_of_module(module.to(device), card, device), list[Float]()
-        for file in evenly_spaced(source.files, INT8_SCANS):
-            fitted = network.for_sensor(source.sensor_of(file))
-            inputs += inputs_of(fitted, [read_scan(file.path, fitted.sensor)])
+        network = network_of_module(module.to(device), card, device)
+        inputs = [
+            prepared_for(network.for_sensor(source.sensor_of(file)), file).input
+            for file in evenly_spaced(source.files, INT8_SCANS)
+        ]
         card = replace(card, int8=int8_inputs(module, inputs))
         OwnedFolder(run).write(path, encode_weights(module, card), durable=True)
 
