@@ -138,6 +138,10 @@ class NetworkSettings:
             self.classes,
         )
 
+    def for_sampling(self) -> "NetworkSettings":
+        """Return settings of the same network that computes samples in float32 instead of int8."""
+        return replace(self, precision="float32") if self.precision == "int8" else self
+
     def announce(self, network: "Network") -> None:
         """Log weights, device, engine and precision, and parts fitted to other weights."""
         default = self.weights in (None, DEFAULT_WEIGHTS)

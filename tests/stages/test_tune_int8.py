@@ -13,10 +13,13 @@ from tiny_network import TinyNetwork
 from salsanext_cli.errors import FormatError, OutputError, WeightsError
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.registry import ARCHITECTURES
+from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.tune import tune
+from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.training.tuning.int8 import int8_layers
+from salsanext_cli.uncertainty.method import UncertaintyMethod
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 
@@ -59,6 +62,12 @@ def test_steps_in_one_or_apart_agree_in_int8_and_differ_from_float32(world, netw
     pixels = [np.load(folder / name) for folder in (world.out, steps, world.out.with_name("f"))]
     assert np.array_equal(pixels[0], pixels[1])
     assert 0.5 < (pixels[0] == pixels[2]).mean() < 1
+
+
+def test_sampling_is_in_float32_and_needs_no_ranges(world, network):
+    int8 = replace(network, precision="int8")
+    uncertainty(world.data, world.out, settings=int8, method=UncertaintyMethod(2, 0, "none"))
+    assert Manifest(world.out).settings("uncertainty").precision == "float32"
 
 
 def test_a_network_without_hidden_layers_is_refused(world, network, target, monkeypatch):
