@@ -100,7 +100,7 @@ def parse(arguments: list[str]) -> None:
     """Parse a command line, options, values and all, without running it."""
     command = root()
     context, name, rest = None, "salsanext", arguments
-    while hasattr(command, "commands"):
+    while hasattr(command, "commands") and rest[0] not in ("--version", "-V"):
         context = command.make_context(name, list(rest), parent=context, resilient_parsing=True)
         name, command, rest = command.resolve_command(context, list(rest))
         assert command, f"no such command: {' '.join(arguments)}"

@@ -15,6 +15,7 @@ from salsanext_cli.cli.expansion import expanded
 from salsanext_cli.cli.help import Command, Group
 from salsanext_cli.cli.train import train
 from salsanext_cli.cli.tune import tune
+from salsanext_cli.errors import UsageError
 from salsanext_cli.version import __version__
 
 COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
@@ -66,22 +67,29 @@ app = typer.Typer(
 )
 
 
-def _print_version(wanted: bool) -> None:
-    if wanted:
-        typer.echo(f"salsanext {__version__}")
-        raise typer.Exit
-
-
-@app.callback()
+@app.callback(invoke_without_command=True)
+@guarded
 def salsanext(
+    context: typer.Context,
     version: Annotated[
+        bool, typer.Option("--version", "-V", help="Print the version; see --verbose.")
+    ] = False,
+    verbose: Annotated[
         bool,
-        typer.Option(
-            "--version", "-V", callback=_print_version, is_eager=True, help="Print the version."
-        ),
+        typer.Option("--verbose", help="With --version: also packages, device, CPU and extras."),
     ] = False,
 ) -> None:
     """Predict a class and an uncertainty for every point of a LiDAR scan."""
+    if version:
+        from salsanext_cli.cli.version_report import version_lines
+
+        typer.echo("\n".join(version_lines()) if verbose else f"salsanext {__version__}")
+        raise typer.Exit
+    if verbose:
+        hint = "put it after the command, or add --version"
+        raise UsageError("--verbose", "is given before the command", hint=hint)
+    if context.invoked_subcommand is None:
+        raise UsageError("salsanext", "no command", hint="run `salsanext --help`")
 
 
 for commands in COMMANDS.values():

@@ -116,7 +116,8 @@ def usage_errors(arguments: Sequence[str]) -> Iterator[None]:
         yield
     except USAGE_ERROR as error:
         raised: Any = error
-        path, message = raised.ctx.command_path, raised.format_message().rstrip(".")
+        path = getattr(raised.ctx, "command_path", "salsanext")
+        message = raised.format_message().rstrip(".")
         problem = message[:1].lower() + message[1:]
         _print_error(UsageError(path, problem, hint=f"see {path} --help"), json=json)
         raise typer.Exit(WRONG_USE) from None

@@ -18,7 +18,7 @@ def models(
     *,
     output: console.Output,
 ) -> None:
-    """List networks with costs and the figures of the papers, and plug-ins; describe weights.
+    """List networks with their costs, and plug-ins; describe weights.
 
     Example: salsanext models runs/street/best.safetensors
     """

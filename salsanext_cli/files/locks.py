@@ -3,10 +3,12 @@
 
 import errno
 import logging
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from shutil import rmtree
+from tempfile import TemporaryDirectory, gettempdir
 
 from filelock import FileLock, Timeout
 
@@ -16,6 +18,10 @@ from salsanext_cli.files.reading import reason
 
 UNSUPPORTED = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL)
 """Error numbers of file systems without locks."""
+
+PREFIX, LOCK = ".salsanext-", ".lock"
+"""Start of the names of temporary folders, and the file in each that its process has locked."""
+STALE_AFTER_S = 3600.0  # Age of a lock file from which its folder may be removed
 
 log = logging.getLogger(__name__)
 
@@ -54,7 +60,23 @@ def locked(path: Path, timeout_s: float = 0.0, *, stage: str = "") -> Iterator[N
 
 
 @contextmanager
-def temporary_folder() -> Iterator[Path]:
-    """Create a folder that is removed after the body."""
-    with TemporaryDirectory(prefix="salsanext-") as name:
-        yield Path(name)
+def temporary_folder(parent: Path | None = None) -> Iterator[Path]:
+    """Create a folder that is removed after the body, by default in the system's temporary one.
+
+    Folders of killed processes, whose locks have been free for an hour, are removed first.
+    """
+    parent = parent or Path(gettempdir())
+    # A folder without a lock file may belong to a process that is about to lock it.
+    for path in parent.glob(f"{PREFIX}*/{LOCK}"):
+        with suppress(OSError):
+            if time.time() - path.stat().st_mtime > STALE_AFTER_S:
+                with FileLock(path, timeout=0, fallback_to_soft=False):
+                    rmtree(path.parent)
+    with TemporaryDirectory(prefix=PREFIX, dir=parent) as name:
+        lock = FileLock(Path(name, LOCK), fallback_to_soft=False)
+        with suppress(OSError):  # Without locks, nothing is removed either.
+            lock.acquire()
+        try:
+            yield Path(name)
+        finally:
+            lock.release()

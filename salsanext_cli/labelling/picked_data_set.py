@@ -189,8 +189,9 @@ class PickedDataSet(OwnedFolder):
     def _record(self) -> PickRecord | None:
         if (data := read_json(self.record_path)) is None:
             return None
-        # Older versions had another key.
-        data = {"pre_labels": data.get("guesses", {}), **data}
+        # Older versions had other keys.
+        warnings = [{"hint": w.get("remedy", ""), **w} for w in data.get("warnings", ())]
+        data = {"pre_labels": data.get("guesses", {}), **data, "warnings": warnings}
         return record_of(PickRecord, data, self.record_path)
 
     def _write_record(self, record: PickRecord) -> None:

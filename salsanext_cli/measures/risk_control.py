@@ -90,10 +90,10 @@ def needed_scans(at_most: float, confidence: float | None) -> int:
 
 
 def enough_drives(drives: int, at_most: float, confidence: float | None) -> bool:
-    """Say whether the drive, and not the scan, is the unit of a promise.
+    """Return whether the drive, and not the scan, is the unit of a guarantee.
 
-    On the mean twice the least number: with fewer, more than half of the level is set aside for the
-    new drive, and few points are kept.
+    On average, twice the least number is needed: with fewer drives, more than half of the level is
+    set aside for the new drive, and few points are accepted.
     """
     return drives >= needed_scans(at_most, confidence) * (2 if confidence is None else 1)
 

@@ -136,7 +136,7 @@ def run_over_scans(
         hint = f"{lost.hint}; run again for the rest"
         raise WorkersLost(lost.subject, f"{lost.problem}; {missing}", hint=hint) from lost
     failures.sort(key=lambda failure: failure.scan)
-    skipped, done = len(mine) - len(todo), len(todo) - len(failures)
+    skipped, done = len(mine) - len(todo), len(tried) - len(failures)
     return Outcome(skipped, tuple(failures), done, None, time.monotonic() - start, summary)
 
 

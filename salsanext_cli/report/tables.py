@@ -296,9 +296,9 @@ def imported_lines(made: LabelImport, dataset: Path) -> Iterator[str]:
         yield f"largest classes: {named}"
     if made.unedited:
         files = f"{counted(len(made.unedited), 'file')}: {first_few(made.unedited)}"
-        yield f"not imported, since they hold the first guess of `pick`, {files}"
+        yield f"not imported, unedited pre-labels of `pick`: {files}"
     if made.unchanged:
-        yield f"without an edited file, as they were: {counted(made.unchanged, 'scan')}"
+        yield f"unchanged, without an edited file: {counted(made.unchanged, 'scan')}"
     if made.pre_labelled:
         scans = f"{counted(len(made.pre_labelled), 'scan')}: {first_few(made.pre_labelled)}"
-        yield f"warning: labelled by the network only, as `pick` left them, {scans}"
+        yield f"warning: labels are unedited pre-labels of `pick`, {scans}"

@@ -29,7 +29,7 @@ def risk_curve(report: Mapping[str, Any]) -> bytes:
     worst = 100 * np.array(
         [(sequence["accepted"], sequence["worst"]) for sequence in held_out]
     ).reshape(-1, 2)
-    label = "sequence by the threshold of the others, worst scan"
+    label = "worst scan of a held-out sequence"
     axes.scatter(worst[:, 0], worst[:, 1], s=46, facecolors="none", edgecolors=CHOSEN, label=label)
     axes.set_xlim(0, 100)
     axes.set_ylim(0, 1.1 * max(2 * level, *scans[:, 1], *worst[:, 1]))

@@ -107,6 +107,7 @@ def settings_json(settings: object) -> dict[str, object]:
 
 RENAMED = {"promised": "guarantee", "kept": "foreign"}
 """Keys of older records."""
+FORMER = {new: old for old, new in RENAMED.items()}
 
 
 @lru_cache(4 * len(RESULT_STAGES))  # Enough for some folders
@@ -182,8 +183,11 @@ class Manifest:
 
     def origins(self, stages: Iterable[str]) -> dict[str, str]:
         """Return digests of the settings of stages that ran, for the records of later stages."""
-        records = filter(None, map(self.record, stages))
-        texts = {record.stage: json.dumps(record.settings, sort_keys=True) for record in records}
+        texts = {}
+        for record in filter(None, map(self.record, stages)):
+            # Digests that older versions recorded are of their keys.
+            settings = {FORMER.get(key, key): value for key, value in record.settings.items()}
+            texts[record.stage] = json.dumps(settings, sort_keys=True)
         return {s: hashlib.sha256(text.encode()).hexdigest()[:12] for s, text in texts.items()}
 
     def label_space(self, *folders: str) -> LabelSpace | None:

@@ -112,6 +112,8 @@ def find_scans(
                 f"{source.suffix} files are not supported" if source.suffix else "has no suffix"
             )
             hint = "convert it to .ply or .las, for example with CloudCompare or PDAL"
+            if source.suffix == ".gz":
+                hint = "decompress it with gunzip"
             raise NoInputError(source, problem, f"one of {suffixes_in_words()}", hint)
         scans = sorted(_scans_of(_absolute(source)))
         others = names_in(source) if not scans and source.is_dir() else []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Stage `export-ply`: coloured point clouds of scans and maps of drives, as PLY or LAS."""
+"""Stage `export-ply`: scans, and maps of drives, as coloured PLY point clouds."""
 
 import logging
 from collections.abc import Sequence

@@ -236,7 +236,7 @@ def _point_filter(
 ) -> tuple[PointFilter, ChosenResults]:
     """Return the filter of the options of `filter_scans`, and the chosen scans; refuse others."""
     if not (drop or keep or split or max_error is not None):
-        raise UsageError("--drop, --keep, --max-error, --split", "none is set", "one of them")
+        raise UsageError("--drop, --keep, --max-error, --by-class", "none is set", "one of them")
     if max_error is not None and not 0 <= max_error <= 1:
         raise UsageError("--max-error", f"{max_error:g}", "a probability from 0 to 1")
     results = ResultFolder(out, query.dataset)
@@ -249,7 +249,7 @@ def _point_filter(
         problem, hint = "is a recording, which `filter` cannot write", CONVERT.format(recording)
         raise UsageError(recording, problem, "files of scans", hint)
     if odd := [name for name in space.names if split and Path(name).name != name]:
-        raise UsageError("--split", f"class {odd[0]} cannot be the name of a folder")
+        raise UsageError("--by-class", f"class {odd[0]} cannot be the name of a folder")
     settings = FilterSettings(
         results=str(out.absolute()),
         classes=tuple(np.array(space.names)[selected].tolist()),

@@ -21,7 +21,7 @@ def models() -> list[NetworkCosts]:
     Returns
     -------
     list of NetworkCosts
-        Parameters and operations, with the figures of the papers.
+        Parameters and operations.
     """
     costs = []
     for name in ARCHITECTURES:

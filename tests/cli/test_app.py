@@ -8,6 +8,7 @@ import os
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 import typer
 from command_line import every_command, only_json, parsed, python
@@ -111,6 +112,16 @@ def test_no_command_gives_help_and_the_version_is_a_line(run):
         assert result.exit_code == 2
     result = run("-V")
     assert (result.exit_code, result.stdout) == (0, f"salsanext {__version__}\n")
+    assert run("--verbose").exit_code == 2
+
+
+def test_the_verbose_version_names_packages_device_and_instructions(run):
+    result = run("--version", "--verbose")
+    lines = dict(line.split(" ", 1) for line in result.stdout.splitlines())
+    assert lines["salsanext"] == __version__
+    assert lines["numpy"] == np.__version__
+    assert lines["device:"] in ("cpu", "cuda")
+    assert {"torch", "openvino", "instructions:", "extras:"} <= {*lines}
 
 
 def test_help_imports_nothing_heavy():

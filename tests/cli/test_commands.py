@@ -38,13 +38,14 @@ def results(predict, tmp_path):
 
 
 def undocumented(result, stage):
-    """Return the keys of a result that docs/json.md does not list for its stage."""
+    """Return the keys of a result that the page on JSON does not list for its stage."""
     (path,) = (ROOT / "docs").rglob("json.md")
-    page = path.read_text("utf-8")
-    sections = dict(re.findall(r"^## (.+?)\n(.*?)(?=^## |\Z)", page, re.MULTILINE | re.DOTALL))
-    (of_stage,) = [text for title, text in sections.items() if stage in title.split(", ")]
-    rows = re.findall(r"^\| (`.+?`) \|", sections["Keys of every result"] + of_stage, re.MULTILINE)
-    return set(result) - {key for row in rows for key in re.findall(r"`(\w+)`", row)}
+    head, *rest = re.split(r"^## (.+)\n", path.read_text("utf-8"), flags=re.MULTILINE)
+    sections = dict(zip(rest[::2], rest[1::2], strict=True))
+    of_scans = sections["Commands on scans"]
+    row = re.search(rf"^\| `{stage}` \|(.*)$", sections["Other commands"], re.MULTILINE)
+    text = of_scans if f"`{stage}`" in of_scans else row[1] if row else sections[stage]
+    return set(result) - {*re.findall(r"`(\w+)`", head + text)}
 
 
 def test_every_stage_in_turn_each_with_one_object_of_json(run, data, weights, tmp_path):

@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: MIT
+"""Versions, device and extras, as bug reports need them."""
+
+import platform
+import re
+from collections.abc import Iterator
+from importlib.metadata import PackageNotFoundError, requires, version
+
+from salsanext_cli.version import __version__
+
+PACKAGES = ("torch", "openvino", "numpy", "numba", "open3d", "typer")
+INSTRUCTIONS = ("avx2", "avx_vnni", "avx512f", "avx512_vnni", "avx512_bf16", "amx_int8", "amx_bf16")
+EXTRA = re.compile(r"""(?P<package>[\w.-]+).*;.*extra == ["'](?P<extra>\w+)["']""")
+NOT_LISTED = {"dev", "docs"}
+
+
+def version_lines() -> Iterator[str]:
+    """Yield a line for each package, the device, the instructions of the CPU, and the extras."""
+    from salsanext_cli.engines.device import choose_device, flags
+
+    yield f"salsanext {__version__}"
+    yield f"Python {platform.python_version()} on {platform.platform()}"
+    for name in PACKAGES:
+        yield f"{name} {_version_of(name) or 'is not installed'}"
+    yield f"device: {choose_device('auto')}"
+    yield f"instructions: {', '.join(name for name in INSTRUCTIONS if name in flags()) or 'others'}"
+    yield f"extras: {', '.join(_installed_extras()) or 'none'}"
+
+
+def _version_of(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
+def _installed_extras() -> list[str]:
+    """Return the extras of which every package is installed."""
+    packages: dict[str, list[str]] = {}
+    for text in (requires("salsanext") if _version_of("salsanext") else None) or ():
+        if (match := EXTRA.match(text)) and match["extra"] not in NOT_LISTED:
+            packages.setdefault(match["extra"], []).append(match["package"])
+    return [extra for extra, names in packages.items() if all(map(_version_of, names))]
