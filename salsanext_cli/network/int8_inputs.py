@@ -12,6 +12,7 @@ from salsanext_cli.records import Float
 
 LEVELS = 256  # Of an unsigned byte
 MAX_SHIFT = 15  # One hexadecimal digit
+MIN_STEP = 1e-30  # With the largest shift it is still a normal float32
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,5 +48,5 @@ class Int8Input:
         high = max(float(np.ldexp(highest, shifts).max()), 0.0)
         zero = round((LEVELS - 1) * -low / (high - low)) if low < high else 0
         zero = min(max(zero, int(low < 0)), LEVELS - 1 - int(high > 0))
-        step = max(-low / max(zero, 1), high / max(LEVELS - 1 - zero, 1)) or 1.0
+        step = max(-low / max(zero, 1), high / max(LEVELS - 1 - zero, 1), MIN_STEP)
         return cls(zero, float(f"{step:.4g}"), "".join(f"{shift:x}" for shift in shifts))
