@@ -32,13 +32,14 @@ from corruptions import SEVERITIES, write_data_set
 
 from salsanext_cli.classes.label_space import label_space
 from salsanext_cli.engines.settings import NetworkSettings
+from salsanext_cli.fitting.label_scan import prepared_for
 from salsanext_cli.fitting.sensor_fit import ScanSample, fit_scans
 from salsanext_cli.formats import read_scan
 from salsanext_cli.network.card import scan_digest
 from salsanext_cli.network.weights import read_weights, save_weights, save_with_card
 from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.results.paths import ScanFile, find_scans
-from salsanext_cli.results.selection import data_set_label_space
+from salsanext_cli.results.selection import data_set_label_space, evenly_spaced
 from salsanext_cli.stages.tune import tune
 from salsanext_cli.training.cross_validation import folds
 from salsanext_cli.training.data.augment import rotate
@@ -50,6 +51,7 @@ from salsanext_cli.training.tuning.error import (
     cross_validated,
     judged_points,
 )
+from salsanext_cli.training.tuning.int8 import int8_inputs
 from salsanext_cli.training.tuning.scans import labelled_scans
 
 DRIVES = ("001", "002")
@@ -65,6 +67,8 @@ POINTS_OF_SCAN = 10_000
 """Points of each validation scan that the model of errors is fitted to."""
 CORRUPTIONS = 5
 """Copies of each validation sequence in bad conditions that the model of errors is fitted to."""
+RANGED = 16
+"""Training scans of each data set that the ranges for int8 are fitted to."""
 SCANS_OF_STREET = 8
 STREETS = ("--valid", "5", "--scans", SCANS_OF_STREET, "--spacing", "10", "--jobs", "2")
 
@@ -263,6 +267,19 @@ def add_error(weights: Path, datasets: Sequence[Path]) -> None:
     save_with_card(weights, weights, replace(network.card, error=model))
 
 
+def add_int8(weights: Path, datasets: Sequence[Path]) -> None:
+    """Add the ranges for int8, fitted to scans of each data set that was trained on."""
+    settings = NetworkSettings(weights, device="cpu")
+    network, inputs = settings.load(), []
+    for dataset in datasets:
+        files = labelled_split(dataset, None, "train")[1]
+        for file in evenly_spaced(files, RANGED):
+            fitted = fit_scans(settings, network, ScanSample([file], network.sensor))
+            inputs.append(prepared_for(fitted, file).input)
+    card = replace(network.card, int8=int8_inputs(network.module, inputs))
+    save_with_card(weights, weights, card)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser()
     for name in ("pandaset", "folder"):
@@ -300,6 +317,7 @@ def main() -> None:
     )
     finish(out / "run", (streets, real), out / "default.safetensors", description, sectors)
     add_error(out / "default.safetensors", (streets, sensors))
+    add_int8(out / "default.safetensors", (streets, sensors, real))
 
 
 if __name__ == "__main__":

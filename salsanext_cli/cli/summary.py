@@ -34,11 +34,13 @@ def finish(
     strict: bool = False,
     results: object = None,
     limit: float | str | None = None,
+    advice: str = "",
 ) -> NoReturn:
     """Print the summary of a run and exit with its status.
 
     `more`: further options of the next command; `results`: folder of the next command, if not
-    `out`; `limit`: largest probability of error of an accepted point, or "risk".
+    `out`; `limit`: largest probability of error of an accepted point, or "risk"; `advice`: a
+    further line.
     """
     print_failures(outcome.failures)
     following = next_command(stage, outcome, str(results or out), more, split)
@@ -49,8 +51,9 @@ def finish(
     took += f", {duration_text(outcome.seconds / outcome.done)} per scan" if outcome.done else ""
     scans = f"{counted(outcome.done, 'scan')}{already}{failed}{took}"
     output.print(f"{stage}: {scans}{skipped_text(outcome.missing)} → {out}")
-    for line in (*_rejection_lines(outcome, limit), *_lines(outcome.summary, following)):
-        output.print(line)
+    for line in (*_rejection_lines(outcome, limit), advice, *_lines(outcome.summary, following)):
+        if line:
+            output.print(line)
     is_doubtful = strict and outcome.summary is not None and bool(outcome.summary.findings)
     leave(outcome.failures, outcome.missing, failed=is_doubtful)
 

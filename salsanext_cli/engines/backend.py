@@ -85,7 +85,7 @@ class Backend(ABC):
         Height and width of the images.
     device : str
         ``"cpu"``, ``"cuda"``, ``"cuda:1"`` …
-    precision : {"float32", "bfloat16", "float16"}
+    precision : {"float32", "bfloat16", "float16", "int8"}
         Number type of most layers.
     name, sha256 : str
         Name of the weights file, for errors, and its digest; None for weights without a file.

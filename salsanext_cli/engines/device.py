@@ -12,7 +12,7 @@ from typing import Any
 from salsanext_cli.errors import MissingDependency, UsageError, counted, error_text, warn_once
 from salsanext_cli.files.optional_packages import OPENVINO_ERRORS, import_openvino
 
-PRECISIONS = ("auto", "float32", "bfloat16", "float16")
+PRECISIONS = ("auto", "float32", "bfloat16", "float16", "int8")
 ENGINES = ("auto", "openvino", "torch")
 MAX_BATCH_PIXELS = 16 * 64 * 2048  # Pixels in a batch of a GPU
 GPU_FILES = ("/dev/nvidiactl", "/dev/nvidia0", "/dev/nvhost-ctrl", "/dev/kfd", "/dev/dxg")
@@ -98,15 +98,21 @@ def _openvino_fails() -> str:
     return ""
 
 
-def choose_precision(name: str, device: str) -> str:
+def choose_precision(name: str, device: str, engine: str = "openvino") -> str:
     """Return the number type of a name on a device; ``"auto"`` is the fastest one."""
     if name not in PRECISIONS:
         raise UsageError("--precision", f"unknown precision {name}", ", ".join(PRECISIONS))
+    if name == "int8":
+        if (device, engine) != ("cpu", "openvino"):
+            problem = f"{engine} does not compute int8 on {device}"
+            hint = "use --device cpu and --engine openvino, or another precision"
+            raise UsageError("--precision", problem, hint=hint)
+        return name
     if device == "cpu":
         possible = ("float32", "bfloat16") if bfloat16_instructions() else ("float32",)
         if name not in ("auto", *possible):
             problem = f"this CPU does not compute {name}"
-            raise UsageError("--precision", problem, " or ".join(possible))
+            raise UsageError("--precision", problem, " or ".join((*possible, "int8")))
         return possible[-1] if name == "auto" else name
     if name != "auto":
         return name

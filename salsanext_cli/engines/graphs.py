@@ -23,7 +23,7 @@ from salsanext_cli.records import CHANNELS, Float
 from salsanext_cli.version import __version__
 
 GRAPH_VERSION = 1  # Raise it when the network or the code that makes graphs changes
-HINTS = {"float32": "f32", "bfloat16": "bf16"}
+HINTS = {"float32": "f32", "bfloat16": "bf16", "int8": "f32"}  # Of layers without ranges
 LOGITS = "logits"  # Name of the last convolution, in every architecture
 PRECISE = "precise_0"  # Mark of a layer that stays float32
 NO_LAYERS = ("Constant", "Parameter", "Result")
@@ -95,7 +95,7 @@ def compiled_graph(
 
     def compile_model() -> bytes:
         model = make()
-        if precision != "float32":
+        if precision == "bfloat16":
             model = partly_float32(core, model)
         blob: BytesIO = core.compile_model(model, "CPU", hints).export_model()
         return blob.getvalue()

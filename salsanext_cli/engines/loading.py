@@ -39,8 +39,8 @@ def load_network(
         ``"cpu"``, ``"cuda"``, ``"cuda:1"`` … or ``"auto"``: the first GPU if there is one.
     sensor : Sensor, optional
         Sensor of the range images; default: the sensor of the weights.
-    precision : {"auto", "float32", "bfloat16", "float16"}
-        Number type; ``"auto"`` is the fastest one on the device.
+    precision : {"auto", "float32", "bfloat16", "float16", "int8"}
+        Number type; ``"auto"`` is the fastest float on the device.
     engine : {"auto", "openvino", "torch"}
         Library; ``"auto"`` is OpenVINO on CPUs on which it starts.
     classes : LabelSpace, optional
@@ -63,15 +63,15 @@ def load_network(
     card = read_card(file)
     merging = ClassMerging.needed(card.space, classes)
     sensor = sensor or card.sensor
-    size = (sensor.height, sensor.width)
     sha256, chosen = fingerprint(file), choose_device(device)
+    library = choose_engine(engine, chosen)
     is_built_in = card.architecture.get("name") == "salsanext"
-    backend = _backend_class(choose_engine(engine, chosen))(
+    backend = _backend_class(library)(
         lambda: _read_module(file, chosen, sha256),
         card,
-        size,
+        (sensor.height, sensor.width),
         chosen,
-        choose_precision(precision, chosen),
+        _number_type(precision, chosen, library, file, card),
         "default weights" if path is None else str(path),
         sha256,
         code="" if is_built_in else _code_of_plug_in(card),
@@ -81,6 +81,15 @@ def load_network(
     else:
         check_once(sha256, lambda: backend.module)  # Weights that passed once need no torch.
     return Network(backend, sensor, merging)
+
+
+def _number_type(precision: str, device: str, library: str, file: Path, card: WeightsCard) -> str:
+    """Return the number type of a precision; refuse int8 without the ranges that it needs."""
+    number_type = choose_precision(precision, device, library)
+    if number_type == "int8" and not card.int8:
+        hint = "fit them with `salsanext tune int8 SCANS WEIGHTS_OUT`"
+        raise WeightsError(file, "has no ranges for --precision int8", hint=hint)
+    return number_type
 
 
 def _backend_class(library: str) -> type[Backend]:

@@ -12,6 +12,7 @@ from salsanext_cli.classes.merging import ClassMerging
 from salsanext_cli.compiled import thread_count
 from salsanext_cli.engines.backend import Backend, PixelPrediction
 from salsanext_cli.engines.graphs import Graph, compiled_graph, converted
+from salsanext_cli.engines.int8_graphs import quantised
 from salsanext_cli.engines.moments import Moments
 from salsanext_cli.records import CHANNELS, Float
 
@@ -34,6 +35,11 @@ class OpenVinoBackend(Backend):
 
     graphs: dict[Any, Graph] = field(default_factory=dict, repr=False)  # Compiled so far
 
+    @property
+    def sampling_precision(self) -> str:
+        """Number type of results that measure small differences: moments of the softmax."""
+        return "float32" if self.precision == "int8" else self.precision
+
     def predict(
         self, images: Sequence[Float], temperature: float, *, softmax: bool = False
     ) -> list[PixelPrediction]:
@@ -54,16 +60,17 @@ class OpenVinoBackend(Backend):
         """Return the moments of the softmax over dropout passes, one per seed of the masks."""
         from salsanext_cli.network.segmentation import SegmentationNetwork as Module
 
-        features = self.graph("trunk", Module.padded_trunk, [image])(image)
+        trunk = self.graph("trunk", Module.padded_trunk, [image], precision=self.sampling_precision)
         moments, (height, width) = self._no_moments(merging), image.shape[-2:]
-        for softmax, nats in self._passes(features, seeds):
+        for softmax, nats in self._passes(trunk(image), seeds):
             inside = (..., slice(height), slice(width))
             moments.add(softmax[0][inside], nats[0][inside], merging)
         return moments
 
     def spread(self, images: Iterable[Float], merging: ClassMerging | None = None) -> Moments:
         """Return the moments of the softmax over images, without entropies."""
-        graph, moments = self.output_graph(1.0), self._no_moments(merging)
+        graph = self.output_graph(1.0, self.sampling_precision)
+        moments = self._no_moments(merging)
         for image in images:
             moments.add(graph(image, share=True)[0][0], None, merging)
         return moments
@@ -78,7 +85,7 @@ class OpenVinoBackend(Backend):
         graph = self.graph(name, function, images, precision=precision)
         return tuple(map(torch.from_numpy, graph(*images)))
 
-    def output_graph(self, temperature: float | None) -> Graph:
+    def output_graph(self, temperature: float | None, precision: str | None = None) -> Graph:
         """Return the graph of the softmax at a temperature, or of the logits."""
 
         def output(module: "SegmentationNetwork", image: "Tensor") -> "Tensor":
@@ -86,7 +93,8 @@ class OpenVinoBackend(Backend):
             return logits if temperature is None else (logits / temperature).softmax(dim=1)
 
         name = "logits" if temperature is None else f"softmax at {temperature}"
-        return self.graph(name, output, [np.zeros((1, len(CHANNELS), *self.size), np.float32)])
+        image = np.zeros((1, len(CHANNELS), *self.size), np.float32)
+        return self.graph(name, output, [image], precision=precision)
 
     def graph(
         self,
@@ -101,9 +109,12 @@ class OpenVinoBackend(Backend):
         def make() -> Any:
             import torch
 
-            return converted(self.module, function, [*map(torch.from_numpy, images)])
+            model = converted(self.module, function, [*map(torch.from_numpy, images)])
+            is_int8 = precision == "int8"
+            return quantised(model, self.card.int8, self.name) if is_int8 else model
 
-        return self._compiled(name, make, precision or self.precision)
+        precision = precision or self.precision
+        return self._compiled(name, make, precision)
 
     def _passes(self, features: Sequence[Float], seeds: Sequence[int]) -> Iterator[Sequence[Float]]:
         """Yield softmax (1, C, H, W) and entropy (1, H, W) of each pass, with the padding."""
@@ -119,7 +130,7 @@ class OpenVinoBackend(Backend):
             inputs = [*tensors, *dropout_factors(self.module, tensors)]
             return converted(self.module, rest_with_factors, inputs)
 
-        rest = self._compiled("rest", make, self.precision, threads)
+        rest = self._compiled("rest", make, self.sampling_precision, threads)
         size = PASSES_PER_THREAD * threads
         for start in range(0, len(seeds), size):
             calls = []

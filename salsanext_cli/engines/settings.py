@@ -37,10 +37,11 @@ class NetworkSettings:
     )
     _: KW_ONLY
     precision: str = network_option(
-        "Precision; auto chooses a fast one for the device.",
+        "Precision; auto chooses a fast float for the device; int8 is faster on a CPU, and changes "
+        "about 1 % of the labels.",
         default="float32",
         envvar="SALSANEXT_PRECISION",
-        typed=Literal["auto", "float32", "bfloat16", "float16"],
+        typed=Literal["auto", "float32", "bfloat16", "float16", "int8"],
     )
     engine: str = network_option(
         "Library that computes; auto uses OpenVINO on a CPU that it supports.",
@@ -136,6 +137,10 @@ class NetworkSettings:
             self.engine,
             self.classes,
         )
+
+    def for_sampling(self) -> "NetworkSettings":
+        """Return settings of the same network that computes samples in float32 instead of int8."""
+        return replace(self, precision="float32") if self.precision == "int8" else self
 
     def announce(self, network: "Network") -> None:
         """Log weights, device, engine and precision, and parts fitted to other weights."""

@@ -21,6 +21,7 @@ from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.json_files import Json, decoded, plain
 from salsanext_cli.files.reading import is_folder, present, reading, refusing_damage
 from salsanext_cli.network.error_model import ErrorModel, valid_temperature
+from salsanext_cli.network.int8_inputs import Int8Input
 from salsanext_cli.records import Scan
 from salsanext_cli.sensors.sensor import FittedView, Sensor
 from salsanext_cli.version import __version__
@@ -121,7 +122,12 @@ class AccuracyLine:
             raise ValueError(f"accuracy holds {self}")
 
 
-FITTED = {"error": ErrorModel, "risk": RiskThreshold, "accuracy": AccuracyLine}
+FITTED = {
+    "error": ErrorModel,
+    "risk": RiskThreshold,
+    "accuracy": AccuracyLine,
+    "int8": Mapping[str, Int8Input],
+}
 """Parts of a card that may be absent."""
 
 
@@ -143,6 +149,8 @@ class WeightsCard:
         Divisor of the logits that makes the softmax a probability.
     error, risk, accuracy : optional
         Error model, threshold with a guarantee, and estimate of the accuracy.
+    int8 : mapping
+        Quantised inputs of layers by name; the other layers compute in float32.
     trained_on : frozenset of str
         Digests of the scans that the weights were trained on, as far as known.
     version : int, optional
@@ -159,6 +167,7 @@ class WeightsCard:
     error: ErrorModel | None = None
     risk: RiskThreshold | None = None
     accuracy: AccuracyLine | None = None
+    int8: Mapping[str, Int8Input] = field(default_factory=dict)
     trained_on: frozenset[str] = frozenset()
     version: int | None = None
 
@@ -263,6 +272,7 @@ class DescribedWeights:
             "label_space": card.space.name,
             "classes": list(card.space.names),
             "error": card.error and dict(card.error.scores),
+            "int8": len(card.int8),
             "trained_on": len(card.trained_on),
         }
 

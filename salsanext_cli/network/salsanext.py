@@ -29,6 +29,9 @@ class SalsaNext(SegmentationNetwork):
         Channels of the decoder's blocks, from above the bottom to the finest level.
     """
 
+    # It has the ranges of the image, whose small differences are the shape of things.
+    precise = ("context",)
+
     def __init__(
         self,
         class_count: int = 20,

@@ -2,7 +2,7 @@
 """Interface of the networks, for training, prediction, sampling and assumed density filtering."""
 
 from abc import abstractmethod
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 import torch.nn.functional as F
@@ -21,10 +21,14 @@ class SegmentationNetwork(nn.Module):
         Divisors of height and width at the coarsest level; images are padded to multiples of them.
     logits : Conv2d
         The last layer, which takes the result of `decoded`.
+    precise : tuple of str
+        Parts that stay float32 in a network of 8-bit integers, besides the layers of the image and
+        of the logits.
     """
 
     stride: tuple[int, int]
     logits: nn.Conv2d
+    precise: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
     def trunk(self, image: Tensor) -> tuple[Tensor, ...]:

@@ -20,8 +20,13 @@ NORM_SUFFIXES = (".running_mean", ".running_var")
 
 def save_weights(path: Path, module: nn.Module, card: WeightsCard, *, half: bool = False) -> None:
     """Write a weights file; `half` stores all but the statistics of batch norm in float16."""
+    write_bytes(path, encode_weights(module, card, half=half), durable=True)
+
+
+def encode_weights(module: nn.Module, card: WeightsCard, *, half: bool = False) -> bytes:
+    """Return the content of a weights file."""
     tensors = {name: _stored(name, tensor, half) for name, tensor in module.state_dict().items()}
-    write_bytes(path, safetensors.torch.save(tensors, card.to_metadata()), durable=True)
+    return safetensors.torch.save(tensors, card.to_metadata())
 
 
 def save_with_card(

@@ -125,7 +125,7 @@ def pick(
     Picking
     """
     require_choice(count, seed)
-    network = settings.load()
+    network = settings.for_sampling().load()
     require_sampling(network, SAMPLES)
     every, data_set = scans_of(source), PickedDataSet(out)
     data_set.require_apart(every)

@@ -12,9 +12,12 @@ from pathlib import Path
 import torch
 
 from salsanext_cli.classes.label_space import LabelSpace, label_space
+from salsanext_cli.engines.loading import network_of_module
 from salsanext_cli.errors import NOTICE, TrainingError, UsageError, counted
+from salsanext_cli.fitting.label_scan import prepared_for
 from salsanext_cli.measures.scan_summary import ScanWarning
 from salsanext_cli.network.card import default_weights, read_card
+from salsanext_cli.network.weights import encode_weights, read_weights
 from salsanext_cli.parallel.run_options import cores, worker_count
 from salsanext_cli.report.scan_pictures import draw_sample
 from salsanext_cli.results.manifest import Manifest
@@ -51,8 +54,10 @@ from salsanext_cli.training.run_folder import (
     training_settings,
 )
 from salsanext_cli.training.setup import Setup, inheriting, initial_network
+from salsanext_cli.training.tuning.int8 import int8_inputs
 
 MAX_LOADERS = 8  # Largest default number of processes that prepare samples for a GPU
+INT8_SCANS = 8  # Training scans that the ranges for int8 are fitted to
 SCANS_OF_STREET, STREET_SPACING_M = 8, 10.0  # Of a simulated scene
 
 log = logging.getLogger(__name__)
@@ -223,8 +228,24 @@ def train(
         if new.start and not expected:
             setup = replace(setup, card=inheriting(setup.card, new.start))
         state = setup.training(setup.sources[0].files, scored).fit()
+        group.on_main(partial(_add_int8, run, setup.sources[0], str(chosen)))
     best = state.best if scored.files else None
     return TrainResult(run / BEST, run / LAST, best, state.rows, setup.counts.warnings, expected)
+
+
+def _add_int8(run: Path, source: Source, device: str) -> None:
+    """Add ranges for int8 to the weights of a finished training, unless they are there."""
+    for path in filter(Path.exists, (run / BEST, run / LAST)):
+        module, card = read_weights(path)
+        if card.int8:
+            continue
+        network = network_of_module(module.to(device), card, device)
+        inputs = [
+            prepared_for(network.for_sensor(source.sensor_of(file)), file).input
+            for file in evenly_spaced(source.files, INT8_SCANS)
+        ]
+        card = replace(card, int8=int8_inputs(module, inputs))
+        OwnedFolder(run).write(path, encode_weights(module, card), durable=True)
 
 
 def _workers(jobs: int | None, kind: str) -> int:

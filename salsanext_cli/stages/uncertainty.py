@@ -114,7 +114,7 @@ def uncertainty(
     -------
     Outcome
     """
-    network = settings.load()
+    network = settings.for_sampling().load()
     listed = scans_of(source)
     scans = choose(listed, selection, space_of(listed, network.card.space), source)
     # Labels of another stage stay, and so must the sensor with which they were made.

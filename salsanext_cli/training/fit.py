@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
-import safetensors.torch
 import torch
 from torch import Tensor
 
@@ -19,6 +18,7 @@ from salsanext_cli.engines.loading import network_of_module
 from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import NOTICE, TrainingError
 from salsanext_cli.network.card import WeightsCard
+from salsanext_cli.network.weights import encode_weights
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
 from salsanext_cli.training.data.dataset import Batch, Samples, batches
@@ -152,9 +152,7 @@ class Training:
         scored = {k: v for k, v in row.items() if ("iou" in k or k == "accuracy") and v == v}
         network, written = self._network(), OwnedFolder(self.run)
         card = replace(card, scores={**card.scores, **scored, "epoch": state.epoch})
-        state_dict = self.learner.average.state_dict()
-        tensors = {name: tensor.cpu().contiguous() for name, tensor in state_dict.items()}
-        weights = safetensors.torch.save(tensors, card.to_metadata())
+        weights = encode_weights(self.learner.average, card)
         written.write(self.run / LAST, weights, durable=True)
         last_of_all = not self.validation.files and state.epoch == self.learner.recipe.epochs
         if row.get("miou", -1) > state.best or last_of_all:

@@ -12,10 +12,15 @@ from evaluated import CAR, ROAD, World
 from scans import SMALL, make_scan, write_bin, write_sequence
 
 from salsanext_cli import label_space
+from salsanext_cli.cli.pipeline import MANY_SCANS, _advice
 from salsanext_cli.cli.summary import _lines, next_command
+from salsanext_cli.engines import device
+from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.measures.scan_summary import RunSummary
 from salsanext_cli.parallel.run import Outcome
+from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.results.paths import find_scans
+from salsanext_cli.results.settings import StageSettings
 
 
 def test_the_next_commands_lead_from_scans_to_scores(run, data, weights, tmp_path):
@@ -124,3 +129,28 @@ def test_report_prints_the_path_of_the_page(run, world):
     assert run("report", "nowhere").exit_code == 1
     result = run(*given, "--scans", "08/000001", "--quiet")
     assert (result.exit_code, result.output) == (0, "")
+
+
+@pytest.mark.parametrize(
+    ("changes", "flags", "named"),
+    [
+        ({}, "avx2", True),
+        ({"done": MANY_SCANS}, "avx2", False),
+        ({"precision": "float32"}, "avx2", False),
+        ({"engine": "torch"}, "avx2", False),
+        ({}, "avx2 amx_bf16", False),
+        ({}, "", False),
+    ],
+)
+def test_a_long_run_on_a_cpu_without_bfloat16_names_the_faster_option(
+    changes, flags, named, weights, tmp_path, monkeypatch
+):
+    given = {"done": MANY_SCANS + 1, "precision": "auto", "engine": "openvino", **changes}
+    recorded = StageSettings(precision="float32", engine=given["engine"])
+    monkeypatch.setattr(Manifest, "settings", lambda *_: recorded)
+    monkeypatch.setattr(device, "flags", lambda: frozenset(flags.split()))
+    for variable in device.ISA_VARIABLES:
+        monkeypatch.delenv(variable, raising=False)
+    settings = NetworkSettings(weights, precision=given["precision"])
+    advice = _advice(settings, Outcome(0, (), given["done"]), tmp_path)
+    assert ("--precision int8" in advice) == named

@@ -91,7 +91,8 @@ def test_bfloat16_where_the_cpu_multiplies_it(fresh, tmp_path, monkeypatch, flag
     else:
         with pytest.raises(UsageError) as caught:
             choose_precision("bfloat16", "cpu")
-        assert (caught.value.subject, caught.value.expected) == ("--precision", "float32")
+        expected = ("--precision", "float32 or int8")
+        assert (caught.value.subject, caught.value.expected) == expected
 
 
 @pytest.mark.parametrize("capability", [(6, 1), (7, 0), (9, 0)])
@@ -99,6 +100,15 @@ def test_a_gpu_with_tensor_cores_takes_float16(monkeypatch, capability):
     monkeypatch.setattr(torch.cuda, "get_device_capability", lambda device: capability)
     expected = "float16" if capability >= (7, 0) else "float32"
     assert choose_precision("auto", "cuda") == expected
+
+
+def test_int8_is_for_openvino_on_cpus_and_never_chosen():
+    assert choose_precision("int8", "cpu") == "int8"
+    assert choose_precision("auto", "cpu") != "int8"
+    for place, engine in (("cuda", "torch"), ("cpu", "torch")):
+        with pytest.raises(UsageError) as caught:
+            choose_precision("int8", place, engine)
+        assert caught.value.subject == "--precision"
 
 
 def test_engines():

@@ -12,6 +12,7 @@ import pytest
 import torch
 from safetensors.torch import load_file
 from scans import SMALL, write_sequence
+from shallow import SHALLOW
 from tiny_network import TinyNetwork
 
 from salsanext_cli import LabelSpace, label_space, load_network, project, read_scan, write_labels
@@ -112,6 +113,15 @@ def test_a_run_folder_holds_weights_log_curve_and_recipe(dataset, tmp_path):
     assert card.scores["miou"] == result.best_miou
     # A finished training has nothing left to do.
     assert go(dataset, run, progress=no_step) == result
+
+
+def test_finished_weights_have_the_ranges_of_int8(dataset, tmp_path, monkeypatch):
+    monkeypatch.setitem(ARCHITECTURES, "salsanext", partial(SalsaNext, **SHALLOW))
+    result = go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1))
+    last, best = (read_card(path).int8 for path in (result.last, result.best))
+    assert last == best
+    assert {"block1.stack.fuse.0", "up1.stack.fuse.0"} <= last.keys()
+    assert go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1)) == result
 
 
 class Stopped(BaseException):
