@@ -17,6 +17,7 @@ import safetensors
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import FormatError, UsageError, WeightsError, error_text, shortened
+from salsanext_cli.files.atomic import WEIGHTS_SUFFIX
 from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.json_files import Json, decoded, plain
 from salsanext_cli.files.reading import is_folder, present, reading, refusing_damage
@@ -279,7 +280,6 @@ class DescribedWeights:
 
 def read_card(path: Path) -> WeightsCard:
     """Read only the metadata of a weights file."""
-    hint = "convert a published checkpoint with `salsanext import-weights`"
     if path.suffix == ONNX_SUFFIX:
         problem, hint = "is an ONNX model", "use the weights from which it was exported"
         raise WeightsError(path, problem, "a .safetensors file", hint)
@@ -291,9 +291,13 @@ def read_card(path: Path) -> WeightsCard:
         ):
             metadata = file.metadata() or {}
     except FormatError as error:
-        problem = error.problem if present(path) else "no such file"
-        if is_folder(path):
+        problem, hint = error.problem, "copy it again"
+        if not present(path):
+            problem, hint = "no such file", "check the name"
+        elif is_folder(path):
             problem, hint = "is a folder", "name the file in it"
+        elif path.suffix != WEIGHTS_SUFFIX:
+            hint = "convert a published checkpoint with `salsanext import-weights`"
         raise WeightsError(path, problem, "a .safetensors file", hint) from error
     return WeightsCard.from_metadata(metadata, path)
 
