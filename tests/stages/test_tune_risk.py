@@ -199,7 +199,7 @@ def test_a_full_disk_leaves_neither_weights_nor_curve(
 @pytest.mark.parametrize(
     ("numbers", "expected"),
     [
-        ({"at_most": 0.05}, ("25 %", "16 more", "--at-most 25%")),
+        ({"at_most": 0.05}, ("25 %", "16 more", "--at-most 50%")),
         ({"at_most": 0.05, "confidence": 0.9}, ("54% of scans", "19 more", "--confidence")),
     ],
 )

@@ -13,7 +13,14 @@ import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.engines.backend import PixelPrediction
-from salsanext_cli.errors import LabelError, TrainingError, UsageError, counted, first_few
+from salsanext_cli.errors import (
+    LabelError,
+    TrainingError,
+    UsageError,
+    counted,
+    first_few,
+    with_hint,
+)
 from salsanext_cli.files.json_files import plain
 from salsanext_cli.fitting.label_scan import PreparedScan, labelled, prepared_for
 from salsanext_cli.fitting.sensor_fit import labels_depend_on
@@ -39,6 +46,7 @@ from salsanext_cli.training.tuning.scans import NOT_SCORED, Tuned, TuningScans
 from salsanext_cli.uncertainty.error_features import error_probability, knows_error
 
 CURVE_POINTS = 101
+LEAST_COVERAGE = 0.25  # Share of accepted points below which a threshold is of little use
 MAX_LISTED = 5  # Held-out sequences that are listed, the worst ones
 
 log = logging.getLogger(__name__)
@@ -181,11 +189,21 @@ def fit_risk(
         "of_scans": [[accepted / n, wrong / n] for n, accepted, wrong in of_scans.values()],
         "sentences": [*labels.sentences, *_sentences(others, few if per_class else (), unit)],
     }
+    _warn(labels, others, level, unit)
+    return replace(network.card, risk=risk), report
+
+
+def _warn(
+    labels: AcceptedLabels, others: Sequence[HeldOutSequence], level: RiskLevel, unit: str
+) -> None:
+    """Warn of a threshold of little use, or that does not hold on held-out sequences."""
+    if labels.coverage < LEAST_COVERAGE:
+        text = f"the threshold accepts only {labels.coverage:.1%} of the points"
+        log.warning("%s", with_hint(text, "use a higher --at-most, or scans of more drives"))
     if (above := [part.sequence for part in others if part.exceeds(level)]) and unit == "scan":
         log.warning("%s: above the level with the threshold of the others", first_few(above))
     elif not others:
         log.warning("scans of one sequence do not show how the threshold holds on another")
-    return replace(network.card, risk=risk), report
 
 
 def _judged(scans: TuningScans, kind: str, counts: Counts, per_class: bool) -> list[JudgedScan]:
@@ -262,15 +280,16 @@ def _require_scans(scans: TuningScans, level: RiskLevel) -> None:
     if missing <= 0:
         return
     if confidence is None:
-        least = math.ceil(1000 / (count + 1)) / 10
-        best, option = f"{least:g} %", f"--at-most {least:g}%"
+        lowest = math.ceil(1000 / (count + 1)) / 10
+        useful = min(2 * lowest, 95.0)  # The lowest one leaves no room for wrong points
+        best, option = f"{lowest:g} %", f"--at-most {useful:g}%"
     else:
         exceed = 1 - (1 - confidence) ** (1 / max(count, 1))  # Clopper and Pearson's bound
         best = f"{exceed:.0%} of scans above the level, with {100 * confidence:.4g} % confidence"
         option = "a lower --confidence"
     problem = f"{counted(count, 'scan')} can guarantee at best {best}"
     hint = f"add scans of other drives, or use {option}"
-    raise TrainingError(scans.source, problem, f"{missing} more", hint)
+    raise TrainingError(scans.source, problem, f"{missing} more scans", hint)
 
 
 def _held_out(
