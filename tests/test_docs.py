@@ -122,6 +122,7 @@ def test_every_command_is_documented_and_its_help_is_a_sentence_and_an_example()
     pages = [page.read_text("utf-8") for page in DOCS.rglob("*.md") if page.name != "cli.md"]
     for name in NAMES:
         assert f"### salsanext {name}\n" in text_of("docs/cli.md")
+        assert f"`{name}`" in text_of("README.md"), name
         assert any(f"salsanext {name} " in page for page in pages), name
         what, _, example = parsed(name).help.partition("Example: ")
         assert what.strip().endswith("."), name

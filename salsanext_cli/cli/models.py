@@ -85,7 +85,9 @@ def import_weights(
 
 def export_onnx(
     weights: Path = argument(
-        "Weights file (.safetensors); default: that of the package.", default=..., metavar="WEIGHTS"
+        "Weights file (.safetensors), or `default` for the weights of the package.",
+        default=...,
+        metavar="WEIGHTS",
     ),
     target: Path = argument("ONNX model to write (.onnx).", default=..., metavar="OUT"),
     *,

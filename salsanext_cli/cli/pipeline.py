@@ -231,7 +231,7 @@ def knn_refine(
         show_default="the sensor of the earlier commands, else hdl64"
     ),
     columns: str | None = arguments.columns_option(
-        show_default="those of the earlier commands, else x,y,z,intensity"
+        show_default="columns of the earlier commands, else x,y,z,intensity"
     ),
     knn: KnnParameters,
     running: RunOptions,

@@ -24,7 +24,7 @@ REMOVED = {
     ("export-rrd", ""): "use examples/rerun_recording.py",
     ("filter", "--split"): "use `--by-class`",
     ("fuse", "--strict"): "use the key `warnings` of `--json`",
-    ("pick", "--disagreement"): "use no option: the uncertainty is that of the network",
+    ("pick", "--disagreement"): "omit it: the network estimates the uncertainty",
     ("pick", "--limit"): "use `--subset`",
     ("pick", "--strategy"): "use no option: picked scans are uncertain and differ from each other",
     ("picture", "--fps"): "use ffmpeg on the pictures",

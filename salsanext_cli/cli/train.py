@@ -35,9 +35,9 @@ class Start:
     changes: list[str] | None = network_option(
         "Change a key of the recipe; may be given several times.", "--set", metavar="KEY=VALUE"
     )
-    epochs: int | None = network_option("Number of epochs.", show_default="that of the recipe")
+    epochs: int | None = network_option("Number of epochs.", show_default="as in the recipe")
     weights: Path | None = network_option(
-        "Weights to start from; `default` names those of the package.",
+        "Weights to start from; `default` names the weights of the package.",
         metavar="FILE|default",
         show_default="random; with finetune the weights of the package",
     )

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 AUTO = "auto"
 DEFAULT_WEIGHTS = Path("default")  # Of the package; a file of that name needs an absolute path
 COLUMNS_HELP = "Columns of files without a header, such as x,y,z,intensity,_; _ skips a column."
-COLUMNS_DEFAULT = "those of the sensor"
+COLUMNS_DEFAULT = "columns of the sensor"
 
 log = logging.getLogger(__name__)
 
@@ -72,7 +72,7 @@ class NetworkSettings:
     )
     intensity: str = network_option(
         "Match the intensity to that of the training scans, use it raw, or ignore it; auto "
-        "matches it if the weights describe that of their training scans.",
+        "matches it if the weights contain the intensity of their training scans.",
         default=AUTO,
         typed=Literal["auto", "match", "raw", "none"],
     )

@@ -212,6 +212,8 @@ class RiskBoundCheck:
         if self.confidence is None:
             measured = f"{100 * self.mean:.1f} % on average over {counted(self.units, self.unit)}"
         bound = _bound(self.at_most, self.confidence, self.unit)
+        if self.unit == "scan":
+            bound += ", only for the drives that the threshold was chosen on"
         return f"guaranteed: {bound}; measured: {measured}, {100 * self.worst:.1f} % in the worst"
 
 

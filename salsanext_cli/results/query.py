@@ -36,7 +36,7 @@ class ResultQuery:
     label_space: "LabelSpace | None" = selection_option(
         "Label space of the labels: built-in, or a .yaml file in SemanticKITTI's format.",
         metavar="NAME|FILE",
-        show_default="that of the data set, else semantic-kitti",
+        show_default="label space of the data set, else semantic-kitti",
         parse=named_label_space,
     )
     classes: "LabelSpace | None" = selection_option(

@@ -100,3 +100,21 @@ def test_an_ignored_signal_stays_ignored():
     ignoring = COMMAND.replace("signal.default_int_handler", "signal.SIG_IGN")
     ended = python(ignoring.replace("BODY", "os.kill(os.getpid(), 2); print('done')"))
     assert (ended.stdout, ended.stderr, ended.returncode) == ("done\n", "", 0)
+
+
+@SIGNALS
+def test_a_signal_that_python_drops_ends_a_training_at_its_next_step(number):
+    """Python ignores errors in callbacks of weak references."""
+    body = f"""
+    import weakref
+    from salsanext_cli.cli.interruption import require_uninterrupted
+    class Thing: pass
+    thing = Thing()
+    reference = weakref.ref(thing, lambda _: os.kill(os.getpid(), {number:d}))
+    del thing
+    require_uninterrupted()
+    time.sleep(10)
+    """
+    ended = python(COMMAND.replace("    BODY", body))
+    assert ended.stderr.endswith(LINES[number])
+    assert ended.returncode == 128 + number
