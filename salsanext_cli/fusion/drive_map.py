@@ -58,12 +58,6 @@ def one_per_voxel(clouds: Sequence[Columns], size: float, origins: Double) -> Co
     return {name: values[first] for name, values in joined.items()}
 
 
-def apart(columns: Columns) -> str:
-    """Return a note on a map of several parts of a drive; empty for one part."""
-    count = len(np.unique(columns["part"]))
-    return f"{count} parts whose relative positions are not known" if count > 1 else ""
-
-
 class MapScan(NamedTuple):
     """Scan of a drive with its results."""
 

@@ -16,7 +16,6 @@ from salsanext_cli.fusion.drive_map import (
     MERGED_POINTS,
     Columns,
     MapTask,
-    apart,
     drive_of_map,
     one_per_voxel,
 )
@@ -160,7 +159,7 @@ def _export_scans(
 ) -> Outcome:
     """Write the clouds of scans; a continued run keeps its scale."""
     out, scans = results.root, chosen.scans
-    stage, folder = _place(out, colour)
+    stage, folder = _stage_and_folder(out, colour)
     origins, earlier = results.origins(PREDICTION_STAGES), results.settings(stage)
     overwrite = options.overwrite or (earlier is not None and earlier.origins != origins)
     if scale is None and earlier and not overwrite:
@@ -185,7 +184,7 @@ def _export_scans(
     return replace(outcome, missing=chosen.missing, rejected_points=total)
 
 
-def _place(out: Path, colour: str) -> tuple[str, str]:
+def _stage_and_folder(out: Path, colour: str) -> tuple[str, str]:
     """Return the stage and the folder of a colouring."""
     first = Manifest(out).settings("export-ply")
     if first is None or first.colour == colour:
@@ -208,7 +207,7 @@ def _export_maps(
     for name, group in groupby(scans, lambda file: file.sequence):
         files, path = tuple(group), results.root / "sequences" / name / "map.ply"
         folder.refuse_foreign([path])
-        columns, added = map_of_drive(results, files, colours.space, voxel, options)
+        columns, added = _map_of_drive(results, files, colours.space, voxel, options)
         failures, done = outcome.failures + added.failures, outcome.done + added.done
         seconds = outcome.seconds + added.seconds
         outcome = replace(outcome, failures=failures, done=done, seconds=seconds)
@@ -217,36 +216,20 @@ def _export_maps(
                 raise results.missing_column(colours.colour, files[0])
             points = {axis: columns.pop(axis) for axis in "xyz"}
             folder.replace({path: _encode_cloud(points, columns, colours)})
-            size = ", ".join(filter(None, (counted(len(points["x"]), "point"), apart(columns))))
-            log.log(NOTICE, "%s: %s", path, size)
+            log.log(NOTICE, "%s: %s", path, counted(len(points["x"]), "point"))
+            if (parts := len({*columns["part"].tolist()})) > 1:
+                log.log(NOTICE, "%s: %d parts with unknown relative positions", path, parts)
     return outcome
 
 
-def map_of_drive(
+def _map_of_drive(
     results: ResultFolder,
     files: tuple[ScanFile, ...],
     space: LabelSpace,
     voxel: float,
     options: RunOptions,
 ) -> tuple[Columns, Outcome]:
-    """Merge the scans of a drive with fused labels into a map.
-
-    Parameters
-    ----------
-    results, files, space
-        Folder with the fused labels, scans of a sequence, and classes of the labels.
-    voxel : float
-        Edge of the voxels, metres; a voxel has one point of the map.
-    options : RunOptions
-        Workers and progress.
-
-    Returns
-    -------
-    dict of str to ndarray
-        x, y, z in metres and every scalar of the points; empty if no scan can be read.
-    Outcome
-        Numbers of read scans, and the failures.
-    """
+    """Merge the scans of a sequence; the map is empty if no scan can be read."""
     files = tuple(sorted(files, key=drive_order))
     drive = drive_of_map(results, files)
     clouds, origins = list[Columns](), drive.origins

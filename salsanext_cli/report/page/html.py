@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from importlib import resources
 from string import Template
-from types import MappingProxyType
 
 import numpy as np
 
@@ -60,7 +59,6 @@ def html_of(
     shown: Sequence[ShownScan],
     scales: Mapping[str, Scale],
     failures: Sequence[str] = (),
-    maps: Mapping[str, bytes] = MappingProxyType({}),
     *,
     served: Mapping[str, str] | None = None,
     token: str = "",
@@ -68,8 +66,8 @@ def html_of(
     """Return the page of a run; texts from files and names are escaped.
 
     `shown`: scans whose points the page contains; `failures`: reasons why scans are missing;
-    `maps`: PNGs of drives by title; `served`: scans whose points the page asks a server for, and
-    why to look at them; `token`: of this server.
+    `served`: scans whose points the page asks a server for, and why to look at them; `token`: of
+    this server.
     """
     out, space, sensor = run.reader.out, run.reader.space, run.reader.sensor
     live = served is not None
@@ -104,7 +102,6 @@ def html_of(
         facts="".join(f"<dt>{_text(name)}</dt><dd>{_text(fact)}</dd>" for name, fact in facts),
         warnings=_listed("Warnings", '<ul class="warnings">', "</ul>", warnings),
         shares=_shares(class_points.sum(axis=0), compared, space, colours),
-        maps=_figures(maps),
         plots=comparison,
         plots_link='<a href="#plots">Comparison</a>' if comparison else "",
         data="".join(blocks),
