@@ -9,6 +9,8 @@ import tomllib
 from pathlib import Path
 
 EXTRAS = ("dev",)
+OTHERS = {"pyparsing": "3.1"}
+"""Dependencies of dependencies whose later versions warn of the lowest matplotlib."""
 REQUIREMENT = re.compile(r"(?P<name>[\w.-]+)(?:\[[\w,]+\])?>=(?P<version>[\w.]+)")
 
 
@@ -23,5 +25,6 @@ def lowest(pyproject: Path) -> dict[str, str]:
 
 if __name__ == "__main__":
     print("# Written by tools/lowest.py")
-    for name, version in sorted(lowest(Path(__file__).parents[1] / "pyproject.toml").items()):
+    direct = lowest(Path(__file__).parents[1] / "pyproject.toml")
+    for name, version in sorted((direct | OTHERS).items()):
         print(f"{name}=={version}")
