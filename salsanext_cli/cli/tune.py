@@ -69,8 +69,6 @@ def tune_error(
     output.result(tuned, error_table(tuned) if tuned["folds"] else None)
     points = f"{tuned['points']:,} points of {counted(tuned['scans'], 'scan')}"
     points += f", {100 * tuned['wrong']:.1f} % wrong"
-    if several := tuned["several"]:
-        points += f" ({several:.1%} of all points skipped: labels of several merged classes)"
     _end(output, f"tune error: {points} → {target}", target, "--error ")
 
 
@@ -88,10 +86,6 @@ def tune_risk(
         "average, such as 90%.",
         metavar="SHARE",
     ),
-    per_class: bool = option(
-        "Also guarantee the limit for the points of every class, by one threshold each.",
-        default=False,
-    ),
     fit: FitOptions,
     output: console.Output,
 ) -> None:
@@ -107,14 +101,11 @@ def tune_risk(
     numbers = {
         "at_most": arguments.share("--at-most", at_most),
         "confidence": arguments.share("--confidence", confidence),
-        "per_class": per_class,
     }
     tuned = _tuned("risk", dataset, target, fit, output, **numbers)
     sentences = (Text(sentence) for sentence in tuned["sentences"])
-    output.result(
-        tuned, Group(accepted_table(tuned["kept"]["classes"], tuned.get("classes", {})), *sentences)
-    )
-    summary = f"tune risk: {tuned['promise']} → {target}, {tuned['curve']}"
+    output.result(tuned, Group(accepted_table(tuned["kept"]["classes"]), *sentences))
+    summary = f"tune risk: {tuned['promise']} → {target}"
     _end(output, summary, target, "--reject risk ")
 
 
@@ -123,9 +114,6 @@ def tune_dropout(
     target: Path = arguments.WEIGHTS_OUT,
     *,
     samples: int = option("Monte-Carlo passes per scan and rate.", default=30),
-    lowest: float = option("Lowest rate to try.", default=0.02),
-    highest: float = option("Highest rate to try.", default=0.5),
-    steps: int = option("Number of rates to try, evenly spaced on a log scale.", default=10),
     seed: int = option("Random seed of the dropout masks.", default=0),
     fit: Annotated[FitOptions, Default(limit=20)],
     output: console.Output,
@@ -136,8 +124,7 @@ def tune_dropout(
     """
     from salsanext_cli.report.tables import rate_table
 
-    rates = {"samples": samples, "seed": seed, "lowest": lowest, "highest": highest, "steps": steps}
-    tuned = _tuned("dropout", dataset, target, fit, output, **rates)
+    tuned = _tuned("dropout", dataset, target, fit, output, samples=samples, seed=seed)
     best = tuned["best"]
     output.result(tuned, rate_table(tuned["rates"], tuned["objectives"], best))
     summary = f"tune dropout: {best:.4g}, was {tuned['before']:g} → {target}"

@@ -71,7 +71,6 @@ MEDIAN_RANGES_M = (0.3, 250.0)  # Possible median ranges of a scan in metres; re
 USUAL_RANGES_M = (60.0, 300.0)
 """Largest usual median range and 99 % quantile of ranges; real scans had up to 32 and 104."""
 MIN_FAR_M = 15.0  # Least usual 99 % quantile of ranges; roads had 27 m, a room and a hall 8 and 9
-MAX_VIEW_DEG = 120.0  # Largest usual field of view; that of sensors was 90° or less
 MIN_MEASURED = 0.4  # Least usual share of measured points; organised clouds had 0.55 or more
 MIN_ROWS, FEW_OF_ROW = 0.35, 0.1
 """Least usual share of rows with more than a tenth of the mean points; scans had 0.47 or more."""
@@ -81,17 +80,15 @@ MIN_SECTORS = 0.6  # Least share of the directions around with a point; revoluti
 FEW_SECTORS = 0.1  # The same for a narrow field of view; solid-state sensors had 0.14 or more
 
 APART = "label it alone, into another folder"
-SCALE_IT = "set intensity_scale in a file for --sensor"
-NAME_IT = (
+SET_SCALE = "set intensity_scale in a file for --sensor"
+NAME_COLUMN = (
     "if the files hold one, name its column, --columns x,y,z,_,intensity for example, or in the "
     "first line of text files; or set its scale, intensity_scale in a file for --sensor"
 )
-RENAME_IT = "if the files hold one of another name, rename that field to intensity"
+RENAME_FIELD = "rename the field of the intensity to `intensity`, if the files have one"
 FIT = "`salsanext inspect SCANS --fit sensor.toml`, then --sensor sensor.toml"
 AUTO = "--sensor auto"
-WRONG = "expect wrong labels"
-ALONE = f"{WRONG}; if the other scans are of another sensor or mounting, {APART}"
-FIT_CODES = frozenset({"out-of-view", "tilted", "upside-down"})  # Findings that a fit may remove
+ALONE = f"expect wrong labels; if the other scans are of another sensor or mounting, {APART}"
 METRES = "convert them to metres"
 COLUMNS = "name the columns: --columns x,y,z,intensity"  # For formats that do not name them
 TRAIN = "expect worse labels, or `salsanext train` weights on such scans"
@@ -99,7 +96,7 @@ ORIGIN = "expect worse labels, or write the position of the sensor as `origin` i
 
 
 def training_findings(
-    bright: float, reason: str, sensor: Sensor, trained: Sensor, name_it: str = NAME_IT
+    bright: float, reason: str, sensor: Sensor, trained: Sensor, column_hint: str = NAME_COLUMN
 ) -> Iterator[Finding]:
     """Compare images and their upper intensity `bright` with training.
 
@@ -113,7 +110,7 @@ def training_findings(
     can_match = trained.intensity_quantiles and not matched
     if reason:
         problem = reason if matched else f"{reason}; the network takes it as it is"
-        yield Finding("no-intensity", problem, "--intensity none" if can_match else name_it)
+        yield Finding("no-intensity", problem, "--intensity none" if can_match else column_hint)
         return
     if matched == NO_INTENSITY:
         return
@@ -132,7 +129,7 @@ def training_findings(
         doubtful, expected = bright > MAX_USUAL_INTENSITY, "where 0 to 1 is usual"
     if doubtful:
         problem = f"{BRIGHT:.0%} of the intensities are below {bright:.3g}, {expected}"
-        scale = "--intensity auto, or " * bool(can_match) + SCALE_IT
+        scale = "--intensity auto, or " * bool(can_match) + SET_SCALE
         yield Finding("intensity-scale", problem, APART if matched else scale)
 
 
@@ -158,7 +155,7 @@ def check_scan(
     """Check a sample of the points of a scan that is projected for a sensor.
 
     `path` is for errors and the format. `trained` is the sensor of the weights, if the intensity
-    matters; without quantiles it stands for 0 to 1. `fit` is the hint of `FIT_CODES`.
+    matters; without quantiles it stands for 0 to 1. `fit` is the hint if a fit may help.
     """
     some = in_sensor_frame(few_points(scan), sensor)
     ranges, measured = measured_ranges(some.points)
@@ -184,14 +181,14 @@ def check_scan(
     if sensor.name not in (FITTED_NAME, *presets(), trained and trained.name):
         fit = AUTO
     findings = [
-        *_of_units(ranges, share, sensor, is_named=is_named),
+        *_of_units(ranges, share, is_named=is_named),
         *_of_view(some, sines, sensor, fit),
         *_of_ground(some, fit),
     ]
     bright = 0.0 if reason else upper_intensity(some.intensity)
     if trained is not None:
-        name_it = RENAME_IT if is_named else NAME_IT
-        findings += training_findings(bright, reason, sensor, trained, name_it)
+        column_hint = RENAME_FIELD if is_named else NAME_COLUMN
+        findings += training_findings(bright, reason, sensor, trained, column_hint)
     per_point = len(scan) * (1 - ego_share) * share / count
     traits = ScanTraits.of(sines, bright, per_point, sensor)
     return ScanCheck(tuple(findings), traits, ego_share)
@@ -210,18 +207,13 @@ def _require_metres(path: Path, count: int, ranges: Double) -> None:
         raise FormatError(path, f"has a median range of {median:.3g} m", expected, hint)
 
 
-def _of_units(
-    ranges: Double, measured: float, sensor: Sensor, *, is_named: bool
-) -> Iterator[Finding]:
+def _of_units(ranges: Double, measured: float, *, is_named: bool) -> Iterator[Finding]:
     median, far = np.quantile(ranges, (0.5, 0.99))
     if median > USUAL_RANGES_M[0] or far > USUAL_RANGES_M[1]:
         problem = f"has a median range of {median:.0f} m, and 1% of the points beyond {far:.0f} m"
         yield Finding("units", problem, METRES if is_named else f"{METRES}, or {COLUMNS}")
     if far < MIN_FAR_M:
         yield Finding("indoor", f"99% of the points lie within {far:.0f} m, as in a room", TRAIN)
-    if (view := sensor.fov_up - sensor.fov_down) > MAX_VIEW_DEG:
-        problem = f"the sensor has a field of view of {view:.0f}°"
-        yield Finding("wide-view", problem, f"correct fov_up and fov_down, or {AUTO}")
     if measured < MIN_MEASURED:
         problem = f"{1 - measured:.0%} of the points are not measurements"
         hint = "they stay unlabelled" if is_named else f"if they should be, {COLUMNS}"

@@ -88,7 +88,7 @@ def test_doubtful_scans():
 
 def test_doubtful_fields_of_view():
     assert codes(STREET, replace(SMALL, fov_up=-8.0)) == ["out-of-view"]
-    assert "wide-view" in codes(STREET, replace(SMALL, fov_up=75.0, fov_down=-75.0))
+    assert codes(STREET, replace(SMALL, fov_up=75.0, fov_down=-75.0)) == ["sparse"]
 
 
 FITTED = replace(SMALL, name="fitted")

@@ -135,8 +135,8 @@ def scans_to_train_on(
     """Return the label space of a data set, its training scans and its validation scans.
 
     `divisible` scans can be cross-validated. Without named splits, all labelled scans are then for
-    training; with splits that leave scans or ``train`` or ``valid`` out, those of ``train`` and of
-    no split are.
+    training. If ``train`` or ``valid`` is missing, or some scans have no split, the scans of
+    ``train`` and of no split are.
     """
     if not divisible:
         classes, training = labelled_split(dataset, space, "train")
