@@ -13,7 +13,7 @@ from salsanext_cli.cli.expansion import Default, Shown, expanded
 from salsanext_cli.cli.help import Command, Group
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import counted
-from salsanext_cli.option_fields import ScanSelection, argument, option, option_group
+from salsanext_cli.option_fields import ScanSelection, option, option_group
 from salsanext_cli.parallel.run_options import running_option
 
 
@@ -114,7 +114,6 @@ def tune_dropout(
     target: Path = arguments.WEIGHTS_OUT,
     *,
     samples: int = option("Monte-Carlo passes per scan and rate.", default=30),
-    seed: int = option("Random seed of the dropout masks.", default=0),
     fit: Annotated[FitOptions, Default(limit=20)],
     output: console.Output,
 ) -> None:
@@ -124,28 +123,11 @@ def tune_dropout(
     """
     from salsanext_cli.report.tables import rate_table
 
-    tuned = _tuned("dropout", dataset, target, fit, output, samples=samples, seed=seed)
+    tuned = _tuned("dropout", dataset, target, fit, output, samples=samples)
     best = tuned["best"]
     output.result(tuned, rate_table(tuned["rates"], tuned["objectives"], best))
     summary = f"tune dropout: {best:.4g}, was {tuned['before']:g} → {target}"
     _end(output, summary, target, stage="uncertainty")
-
-
-def tune_int8(
-    scans: Path = argument(arguments.SCANS_HELP, default=..., metavar="SCANS"),
-    target: Path = arguments.WEIGHTS_OUT,
-    *,
-    fit: Annotated[FitOptions, Shown(split={"show_default": "all scans"}), Default(limit=16)],
-    output: console.Output,
-) -> None:
-    """Fit the ranges of `predict --precision int8` to scans without labels; write new weights.
-
-    Example: salsanext tune int8 scenes/ fast.safetensors
-    """
-    tuned = _tuned("int8", scans, target, fit, output)
-    output.result(tuned)
-    summary = f"tune int8: {counted(tuned['scans'], 'scan')} → {target}"
-    _end(output, summary, target, "--precision int8 ")
 
 
 def _end(
@@ -162,20 +144,18 @@ def _tuned(
     """Fit a part of the weights; return the result as plain data."""
     from salsanext_cli.stages.tune import tune
 
-    settings, unit = fit.settings, "samplings" if part == "dropout" else "scans"
-    with progress(f"tune {part}", output.quiet, unit) as bar:
+    with progress(f"tune {part}", output.quiet) as bar:
         numbers |= {"selection": fit.selection, "overwrite": fit.overwrite, "progress": bar}
-        tuned = tune(part, source, target, settings=settings, **numbers)
+        tuned = tune(part, source, target, settings=fit.settings, **numbers)
     return tuned | {"weights": str(target)}
 
 
 tune = typer.Typer(
     cls=Group,
     rich_markup_mode=None,
-    help="Fit weights to scans: temperature, error model, risk threshold, dropout rate, int8.",
+    help="Fit weights to labelled scans: temperature, error model, risk threshold, dropout rate.",
 )
 tune.command("error", cls=Command)(guarded(expanded(tune_error)))
 tune.command("risk", cls=Command)(guarded(expanded(tune_risk)))
 tune.command("temperature", cls=Command)(guarded(expanded(tune_temperature)))
 tune.command("dropout", cls=Command)(guarded(expanded(tune_dropout)))
-tune.command("int8", cls=Command)(guarded(expanded(tune_int8)))

@@ -18,7 +18,6 @@ from salsanext_cli.errors import UsageError, quoted, shortened
 from salsanext_cli.files.yaml_toml import are_numbers, read_toml, refuse_unknown
 
 MAX_PIXELS = 1 << 21  # Largest range image: 64×32768, eight times the finest sensor
-BYTES_PER_PIXEL = 1000  # Approximate memory of a network per pixel
 MAX_NUMBER = 1e6  # Bound of means, deviations, scales and their inverse
 SCALES = f"from {1 / MAX_NUMBER:g} to {MAX_NUMBER:g}"
 NOISE = ("range_noise", "intensity_noise")
@@ -123,11 +122,9 @@ class Sensor:
                 raise UsageError(subject, f"has {field.name} {quoted(value)}", expected)
         if self.fov_up <= self.fov_down:
             raise UsageError(subject, f"has fov_up {self.fov_up} ≤ fov_down {self.fov_down}")
-        if (pixels := self.height * self.width) > MAX_PIXELS:
+        if self.height * self.width > MAX_PIXELS:
             size = f"has {shortened(self.height)}×{shortened(self.width)} pixels"
-            memory = f"{shortened(pixels * BYTES_PER_PIXEL // 10**9, 12)} GB"
-            expected = f"at most {MAX_PIXELS} pixels, such as 64×{MAX_PIXELS // 64}"
-            raise UsageError(subject, f"{size}, {memory} per image in a network", expected)
+            raise UsageError(subject, size, f"at most {MAX_PIXELS}, such as 64×{MAX_PIXELS // 64}")
 
     @property
     def members(self) -> tuple[Sensor, ...]:

@@ -13,7 +13,7 @@ import torch
 
 from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.engines.loading import network_of_module
-from salsanext_cli.errors import NOTICE, TrainingError, UsageError, counted
+from salsanext_cli.errors import NOTICE, UsageError, counted
 from salsanext_cli.fitting.label_scan import prepared_for
 from salsanext_cli.measures.scan_summary import ScanWarning
 from salsanext_cli.network.card import default_weights, read_card
@@ -84,7 +84,6 @@ class NewTraining:
     weights: Path | None
     jobs: int
     overwrite: bool
-    strict: bool
 
     @property
     def start(self) -> Path | None:
@@ -111,11 +110,6 @@ class NewTraining:
         sources, validated = [first, *others], evenly_spaced(scored.files, recipe.validation_scans)
         path = run / CLASS_COUNTS
         counts = class_counts(path, sources, scored, validated, self.jobs, recipe.also)
-        if self.strict and counts.warnings:
-            codes = (f"{w.code} in {counted(len(w.scans), 'scan')}" for w in counts.warnings)
-            problem = f"has doubtful scans: {', '.join(codes)}"
-            hint = "correct or remove the scans, or train without --strict"
-            raise TrainingError(self.roots[0], problem, hint=hint)
         record_start(run, settings, overwrite=self.overwrite)
         random = "random weights (--weights default: those of the package)"
         if not (run / CHECKPOINT).exists():
@@ -187,7 +181,6 @@ def train(
     jobs: int | None = None,
     weights: Path | None = None,
     overwrite: bool = False,
-    strict: bool = False,
     also: Sequence[Path] = (),
     progress: Callable[[StepReport], object] = lambda report: None,
 ) -> TrainResult:
@@ -207,8 +200,8 @@ def train(
         Number of processes that prepare samples: by default up to eight on a GPU, else one.
     weights : Path, optional
         Initial weights, by default those of the recipe.
-    overwrite, strict : bool
-        Whether to start again instead of resuming, and to refuse doubtful scans.
+    overwrite : bool
+        Whether to start again instead of resuming.
     also : sequence of Path
         Further data sets for a share of the samples.
     progress : callable
@@ -221,7 +214,7 @@ def train(
     _require_batch(recipe.batch, group_of_environment())
     with process_group(device) as (group, chosen), ExitStack() as locks:
         roots, workers = (dataset, *also), _workers(jobs, chosen.type)
-        new = NewTraining(roots, run, recipe, weights, workers, overwrite, strict)
+        new = NewTraining(roots, run, recipe, weights, workers, overwrite)
         setup, scored = new.setup(locks, space, sensor, group, chosen, progress)
         expected = None if scored.files else setup.cross_validated()
         if not scored.files:

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from salsanext_cli.engines.device import choose_device
-from salsanext_cli.errors import SalsanextError, UsageError
+from salsanext_cli.errors import SalsanextError
 
 TIMEOUT = timedelta(hours=12)  # Longest time that workers wait for one, which may simulate scenes
 LEAVING_S = 0.5  # Time that a worker stays after its last message
@@ -100,11 +100,6 @@ def process_group(device: str) -> Iterator[tuple[ProcessGroup, torch.device]]:
         return
     gpu = None
     if chosen.type == "cuda":
-        if chosen.index is not None:
-            problem = f"names one GPU for {group.size} workers"
-            error = UsageError(f"device {device}", problem, "cuda, cpu or auto")
-            error.reported_elsewhere = not group.is_main
-            raise error
         gpu = chosen = torch.device(choose_device(f"cuda:{os.environ['LOCAL_RANK']}"))
         torch.cuda.set_device(gpu)
     dist.init_process_group("nccl" if gpu else "gloo", timeout=TIMEOUT, device_id=gpu)

@@ -14,7 +14,6 @@ import torch
 from torch import Tensor
 
 from salsanext_cli.engines.loading import network_of_module
-from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import NOTICE, TrainingError
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.weights import encode_weights
@@ -116,7 +115,9 @@ class Training:
         if due and self.validation.files:
             # On CPUs the workers' statistics of batch norm differ; the main worker's are saved.
             group.broadcast(self.learner.average.buffers())
-            measured, card = validate(self._network(), self.validation, group)
+            module, device = self.learner.average.eval(), str(self.learner.device)
+            network = network_of_module(module, self.card, device)
+            measured, card = validate(network, self.validation, group)
             row |= measured
         if group.is_main:
             self._write(state, row, card)
@@ -158,10 +159,6 @@ class Training:
             written.write(self.run / BEST, weights, durable=True)
         write_log(self.run / LOG, state.rows)
         save_checkpoint(self.run / CHECKPOINT, self.learner, state)
-
-    def _network(self) -> Network:
-        module = self.learner.average.eval()
-        return network_of_module(module, self.card, str(self.learner.device))
 
     def _report(self, state: TrainingState, step: int, row: Row | None = None) -> None:
         if self.learner.group.is_main:

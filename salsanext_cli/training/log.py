@@ -18,11 +18,7 @@ def write_log(path: Path, rows: Sequence[Row]) -> None:
     columns = dict.fromkeys(key for row in rows for key in row)
     table = csv.DictWriter(text, columns, lineterminator="\n")
     table.writeheader()
-    table.writerows({key: _cell(value) for key, value in row.items()} for row in rows)
+    for row in rows:
+        # NaN is no measurement.
+        table.writerow({k: f"{value:.6g}" for k, value in row.items() if value == value})
     OwnedFolder(path.parent).write(path, text.getvalue().encode())
-
-
-def _cell(value: float) -> str:
-    if value != value:
-        return ""
-    return str(value) if isinstance(value, int) else f"{value:.6g}"

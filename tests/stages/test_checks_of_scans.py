@@ -8,7 +8,7 @@ import pytest
 from scans import SMALL, write_bin, write_sequence
 
 from salsanext_cli import Scan, read_scan
-from salsanext_cli.errors import FormatError, TrainingError
+from salsanext_cli.errors import FormatError
 from salsanext_cli.files.json_files import plain
 from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
@@ -82,18 +82,6 @@ def test_scans_in_millimetres_are_not_trained_on(dataset):
     assert not (dataset.parent / "run/train.json").exists()
     (failure,) = inspect(dataset, sensor=SMALL).failures
     assert (failure.scan.name, failure.code) == ("08/0", "format")
-
-
-def test_strict_refuses_before_the_training(dataset):
-    change(dataset, brighter=0.0)
-    for _ in range(2):
-        with pytest.raises(TrainingError, match="no-intensity in 1 scan"):
-            trained(dataset, strict=True)
-    assert not (dataset.parent / "run/train.json").exists()
-    change(dataset, brighter=0.0, stem="2")
-    with pytest.raises(TrainingError, match="no-intensity in 2 scans"):
-        trained(dataset, strict=True)
-    assert by_code(trained(dataset)) == {"no-intensity": ["00/1", "00/2"]}
 
 
 def test_a_resumed_training_repeats_the_warnings(dataset):

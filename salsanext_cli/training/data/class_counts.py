@@ -40,9 +40,8 @@ def require_labels(files: Sequence[ScanFile]) -> None:
     """Raise `LabelError` for the first scan without a label file, or with a pre-label."""
     missing = [file for file in files if not file.label_path.is_file()]
     if missing:
-        others = f", nor for {counted(len(missing) - 1, 'other scan')}" if len(missing) > 1 else ""
-        expected = "a label file for every scan of the split"
-        raise LabelError(missing[0].label_path, f"no such file{others}", expected)
+        problem = f"no label files of {counted(len(missing), 'scan')}"
+        raise LabelError(missing[0].label_path, problem, "one for every scan of the split")
     require_truth(files)
 
 

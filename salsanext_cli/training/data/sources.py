@@ -23,7 +23,7 @@ from salsanext_cli.labelling.label_records import pre_labelled_scans
 from salsanext_cli.records import Float
 from salsanext_cli.results.paths import ScanFile, find_scans
 from salsanext_cli.results.selection import data_set_label_space, log_unused, with_splits
-from salsanext_cli.sensors.sensor import FITTED_NAME, Sensor
+from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.training.data.augment import LabelledScan
 from salsanext_cli.training.data.targets import ClassSets, to_targets
 
@@ -105,9 +105,6 @@ def fitted_source(source: Source, jobs: int = 1) -> Source:
 
     run = joblib.Parallel(jobs, backend="threading")
     sensors = run(joblib.delayed(fit)(files) for files in sequences.values())
-    changed = sum(sensor.name == FITTED_NAME for sensor in sensors)
-    counts = counted(len(sensors), "sequence")
-    log.log(NOTICE, "%s fitted, %d with another field of view or mounting", counts, changed)
     return replace(source, fitted=dict(zip(sequences, sensors, strict=True)))
 
 

@@ -41,8 +41,8 @@ def objective(probabilities: Float, variance: Float, truth: npt.NDArray[Any]) ->
     return math.fsum((np.log(s) / 2 + error**2 / (2 * s)).sum(axis=0))
 
 
-def fit_dropout(scans: TuningScans, samples: int = SAMPLES, seed: int = 0) -> Tuned:
-    """Find the rate of `RATES` with the least mean `objective` of some seeded passes.
+def fit_dropout(scans: TuningScans, samples: int = SAMPLES) -> Tuned:
+    """Find the rate of `RATES` with the least mean `objective` of some passes.
 
     The existing rate stays unless the rate that other scans choose is better on held-out scans.
     """
@@ -55,7 +55,7 @@ def fit_dropout(scans: TuningScans, samples: int = SAMPLES, seed: int = 0) -> Tu
 
     def objectives_of(scan: LabelledImage) -> list[float]:
         noise = scan.of_points(aleatoric(scan.network, scan.image))
-        masks, values = scan_seed(seed, scan.file.sequence, scan.file.stem), list[float]()
+        masks, values = scan_seed(0, scan.file.sequence, scan.file.stem), list[float]()
         for candidate in candidates:
             fitted = candidate.for_sensor(scan.network.sensor)
             sampled = sample(fitted, scan.image, samples=samples, seed=masks)

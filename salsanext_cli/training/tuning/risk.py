@@ -115,19 +115,6 @@ def judged_scan(
     return JudgedScan(file, scan_digest(scan.projected.scan), len(truth), below)
 
 
-def accepted_labels(
-    scans: Sequence[JudgedScan], counts: Counts, space: LabelSpace, bins: int
-) -> tuple[AcceptedLabels, dict[str, tuple[int, ...]]]:
-    """Return the labels in the first bins of uncertainty, which are accepted.
-
-    The second value holds points, accepted and wrong ones of each scan.
-    """
-    confusion = counts[..., :bins].sum(axis=2)
-    confusion[:, 0] += counts[..., bins:].sum(axis=(1, 2))
-    of_scans = {s.file.name: (s.points, *s.below[:, bins - 1].tolist()) for s in scans}
-    return AcceptedLabels.of_confusion(confusion, space, of_scans), of_scans
-
-
 def fit_risk(scans: TuningScans, at_most: float, confidence: float | None = None) -> Tuned:
     """Choose the highest threshold of error, else of least confidence, that keeps to a level.
 
@@ -139,7 +126,12 @@ def fit_risk(scans: TuningScans, at_most: float, confidence: float | None = None
     network, space = scans.network, scans.space
     kind = _kind_of_threshold(scans)
     counts = np.zeros((space.class_count, space.class_count, UNCERTAINTY_BINS + 1), np.int64)
-    judged = _judged(scans, kind, counts)
+    judge = partial(judged_scan, space=space, counts=counts)
+
+    def predict(some: Sequence[PreparedScan]) -> list[PixelPrediction]:
+        return network.predict([scan.input for scan in some], softmax=kind == "error")
+
+    judged = [*scans.run(Steps(partial(prepared_for, network), predict, judge)).values()]
     shares = np.array([scan.below / scan.points for scan in judged])
     sequences = np.array([scan.file.sequence for scan in judged])
     unit, units = "scan", np.arange(len(judged))
@@ -163,7 +155,10 @@ def fit_risk(scans: TuningScans, at_most: float, confidence: float | None = None
         views=tuple(map(FittedView.of, network.sensor.members)),
     )
     others = _held_out(shares, sequences, units, level)
-    labels, of_scans = accepted_labels(judged, counts, space, bins)
+    confusion = counts[..., :bins].sum(axis=2)
+    confusion[:, 0] += counts[..., bins:].sum(axis=(1, 2))
+    of_scans = {s.file.name: (s.points, *s.below[:, bins - 1].tolist()) for s in judged}
+    labels = AcceptedLabels.of_confusion(confusion, space, of_scans)
     report = {
         "promise": guarantee(risk),
         **plain(risk),
@@ -187,16 +182,6 @@ def _warn(
         log.warning("%s: above the level with the threshold of the others", first_few(above))
     elif not others:
         log.warning("scans of one sequence do not show whether another one keeps to the level")
-
-
-def _judged(scans: TuningScans, kind: str, counts: Counts) -> list[JudgedScan]:
-    network = scans.network
-    judge = partial(judged_scan, space=scans.space, counts=counts)
-
-    def predict(some: Sequence[PreparedScan]) -> list[PixelPrediction]:
-        return network.predict([scan.input for scan in some], softmax=kind == "error")
-
-    return [*scans.run(Steps(partial(prepared_for, network), predict, judge)).values()]
 
 
 def _kind_of_threshold(scans: TuningScans) -> str:
