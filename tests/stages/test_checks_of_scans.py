@@ -84,13 +84,6 @@ def test_scans_in_millimetres_are_not_trained_on(dataset):
     assert (failure.scan.name, failure.code) == ("08/0", "format")
 
 
-def test_a_resumed_training_repeats_the_warnings(dataset):
-    change(dataset, brighter=0.0)
-    warnings = trained(dataset)
-    assert warnings
-    assert trained(dataset) == warnings
-
-
 def test_scans_are_checked_with_the_fitted_sensor(dataset):
     upwards = replace(SMALL, fov_up=30.0, fov_down=-2.0)
     assert {*by_code(inspect(dataset, sensor=upwards).warnings)} == {"out-of-view"}

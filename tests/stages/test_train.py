@@ -302,22 +302,6 @@ def test_rare_classes_and_weights_come_from_the_training_split(dataset, tmp_path
     assert torch.equal(training.learner.loss.weights, expected)
 
 
-def test_labels_edited_since_they_were_counted_are_counted_again(dataset, tmp_path):
-    recipe = TINY.with_changes(epochs=1)
-    go(dataset, tmp_path / "run", recipe=recipe)
-    counted = tmp_path / "run" / "class_counts.json"
-    before = counted.read_bytes()
-    path = dataset / "sequences" / "00" / "labels" / "1.label"
-    write_labels(path, np.full(600, 40, np.uint32))
-    go(dataset, tmp_path / "run", recipe=recipe)
-    change = (
-        json.loads(counted.read_text())["points"]["road"] - json.loads(before)["points"]["road"]
-    )
-    assert change > 300
-    write_labels(path, np.full(600, 77, np.uint32))
-    refused(LabelError, path, dataset, tmp_path / "run", recipe=recipe)
-
-
 def test_training_starts_from_given_weights(dataset, tmp_path, caplog):
     space, weights = label_space(), tmp_path / "start.safetensors"
     card = WeightsCard({"name": "salsanext", "class_count": 20}, space, SMALL)
