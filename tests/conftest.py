@@ -134,17 +134,9 @@ def undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
 
 @pytest.fixture
 def tiny_training(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Train a tiny network, and draw nothing, which would take most of the time."""
+    """Train a tiny network."""
     from tiny_network import TinyNetwork
 
     from salsanext_cli.network.registry import ARCHITECTURES
-    from salsanext_cli.results.owned_folder import OwnedFolder
-    from salsanext_cli.stages import train
-    from salsanext_cli.training import fit
-
-    def undrawn_curve(path: Path, _: object) -> None:
-        OwnedFolder(path.parent).write(path, b"picture")
 
     monkeypatch.setitem(ARCHITECTURES, "salsanext", TinyNetwork)
-    monkeypatch.setattr(fit, "draw_curve", undrawn_curve)
-    monkeypatch.setattr(train, "draw_sample", lambda file, *_: file.write(b"picture"))

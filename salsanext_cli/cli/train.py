@@ -9,15 +9,13 @@ from typing import TYPE_CHECKING, Any
 from salsanext_cli.cli import arguments, console
 from salsanext_cli.cli.console import progress
 from salsanext_cli.cli.interruption import require_uninterrupted
-from salsanext_cli.engines.settings import COLUMNS_DEFAULT, COLUMNS_HELP, weights_file, with_columns
+from salsanext_cli.engines.settings import weights_file
 from salsanext_cli.errors import counted
 from salsanext_cli.option_fields import argument, network_option, option_group
-from salsanext_cli.parallel.run_options import running_option
 from salsanext_cli.results.query import named_label_space
 
 if TYPE_CHECKING:
     from salsanext_cli.parallel.run import Progress
-    from salsanext_cli.sensors.sensor import Sensor
     from salsanext_cli.stages.train import TrainResult
     from salsanext_cli.training.fit import StepReport
     from salsanext_cli.training.recipe import Recipe
@@ -51,21 +49,6 @@ class Start:
         "be given several times.",
         metavar="DATASET",
     )
-    columns: str | None = network_option(
-        COLUMNS_HELP, metavar="NAMES", show_default=COLUMNS_DEFAULT
-    )
-
-    def named_sensor(self) -> "Sensor | None":
-        """Return the sensor to train for; None for that of the weights, else the HDL-64."""
-        from salsanext_cli.network.card import read_card
-        from salsanext_cli.sensors.sensor import sensor as find_sensor
-
-        named = arguments.sensor(self.sensor)
-        if self.columns is None:
-            return named
-        given = self.weights is not None or self.plan().initial == "default"
-        usual = read_card(weights_file(self.weights)).sensor if given else None
-        return with_columns(named or usual or find_sensor("hdl64"), self.columns)
 
     def plan(self) -> "Recipe":
         """Return the recipe with its changes."""
@@ -77,16 +60,13 @@ class Start:
 
 def train(
     dataset: Path = arguments.labelled_argument(default=Path(), show_default="the current folder"),
-    run: Path = argument(
-        "Folder to write weights, log and curves to.", default=Path("run"), metavar="RUN"
-    ),
+    run: Path = argument("Folder to write weights and log to.", default=Path("run"), metavar="RUN"),
     *,
     start: Start,
     label_space: str | None = arguments.LABEL_SPACE,
     device: str = arguments.DEVICE,
     jobs: int | None = arguments.jobs_option(show_default="1; on a GPU one per core, up to 8"),
     overwrite: bool = arguments.OVERWRITE,
-    strict: bool = running_option("Do not train after a warning about a scan.", default=False),
     output: console.Output,
 ) -> None:
     """Train a network. After an interruption, the same command continues the training.
@@ -103,13 +83,12 @@ def train(
             dataset,
             run,
             recipe=start.plan(),
-            sensor=start.named_sensor(),
+            sensor=arguments.sensor(start.sensor),
             space=named_label_space(label_space),
             device=device,
             jobs=jobs,
             weights=start.weights and weights_file(start.weights),
             overwrite=overwrite,
-            strict=strict,
             also=start.also or (),
             progress=lambda report: _show(report, bar, output),
         )

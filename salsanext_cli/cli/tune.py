@@ -13,7 +13,7 @@ from salsanext_cli.cli.expansion import Default, Shown, expanded
 from salsanext_cli.cli.help import Command, Group
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import counted
-from salsanext_cli.option_fields import ScanSelection, argument, option, option_group
+from salsanext_cli.option_fields import ScanSelection, option, option_group
 from salsanext_cli.parallel.run_options import running_option
 
 
@@ -69,8 +69,6 @@ def tune_error(
     output.result(tuned, error_table(tuned) if tuned["folds"] else None)
     points = f"{tuned['points']:,} points of {counted(tuned['scans'], 'scan')}"
     points += f", {100 * tuned['wrong']:.1f} % wrong"
-    if several := tuned["several"]:
-        points += f" ({several:.1%} of all points skipped: labels of several merged classes)"
     _end(output, f"tune error: {points} → {target}", target, "--error ")
 
 
@@ -88,10 +86,6 @@ def tune_risk(
         "average, such as 90%.",
         metavar="SHARE",
     ),
-    per_class: bool = option(
-        "Also guarantee the limit for the points of every class, by one threshold each.",
-        default=False,
-    ),
     fit: FitOptions,
     output: console.Output,
 ) -> None:
@@ -107,14 +101,11 @@ def tune_risk(
     numbers = {
         "at_most": arguments.share("--at-most", at_most),
         "confidence": arguments.share("--confidence", confidence),
-        "per_class": per_class,
     }
     tuned = _tuned("risk", dataset, target, fit, output, **numbers)
     sentences = (Text(sentence) for sentence in tuned["sentences"])
-    output.result(
-        tuned, Group(accepted_table(tuned["kept"]["classes"], tuned.get("classes", {})), *sentences)
-    )
-    summary = f"tune risk: {tuned['promise']} → {target}, {tuned['curve']}"
+    output.result(tuned, Group(accepted_table(tuned["kept"]["classes"]), *sentences))
+    summary = f"tune risk: {tuned['promise']} → {target}"
     _end(output, summary, target, "--reject risk ")
 
 
@@ -123,10 +114,6 @@ def tune_dropout(
     target: Path = arguments.WEIGHTS_OUT,
     *,
     samples: int = option("Monte-Carlo passes per scan and rate.", default=30),
-    lowest: float = option("Lowest rate to try.", default=0.02),
-    highest: float = option("Highest rate to try.", default=0.5),
-    steps: int = option("Number of rates to try, evenly spaced on a log scale.", default=10),
-    seed: int = option("Random seed of the dropout masks.", default=0),
     fit: Annotated[FitOptions, Default(limit=20)],
     output: console.Output,
 ) -> None:
@@ -136,29 +123,11 @@ def tune_dropout(
     """
     from salsanext_cli.report.tables import rate_table
 
-    rates = {"samples": samples, "seed": seed, "lowest": lowest, "highest": highest, "steps": steps}
-    tuned = _tuned("dropout", dataset, target, fit, output, **rates)
+    tuned = _tuned("dropout", dataset, target, fit, output, samples=samples)
     best = tuned["best"]
     output.result(tuned, rate_table(tuned["rates"], tuned["objectives"], best))
     summary = f"tune dropout: {best:.4g}, was {tuned['before']:g} → {target}"
     _end(output, summary, target, stage="uncertainty")
-
-
-def tune_int8(
-    scans: Path = argument(arguments.SCANS_HELP, default=..., metavar="SCANS"),
-    target: Path = arguments.WEIGHTS_OUT,
-    *,
-    fit: Annotated[FitOptions, Shown(split={"show_default": "all scans"}), Default(limit=16)],
-    output: console.Output,
-) -> None:
-    """Fit the ranges of `predict --precision int8` to scans without labels; write new weights.
-
-    Example: salsanext tune int8 scenes/ fast.safetensors
-    """
-    tuned = _tuned("int8", scans, target, fit, output)
-    output.result(tuned)
-    summary = f"tune int8: {counted(tuned['scans'], 'scan')} → {target}"
-    _end(output, summary, target, "--precision int8 ")
 
 
 def _end(
@@ -175,20 +144,18 @@ def _tuned(
     """Fit a part of the weights; return the result as plain data."""
     from salsanext_cli.stages.tune import tune
 
-    settings, unit = fit.settings, "samplings" if part == "dropout" else "scans"
-    with progress(f"tune {part}", output.quiet, unit) as bar:
+    with progress(f"tune {part}", output.quiet) as bar:
         numbers |= {"selection": fit.selection, "overwrite": fit.overwrite, "progress": bar}
-        tuned = tune(part, source, target, settings=settings, **numbers)
+        tuned = tune(part, source, target, settings=fit.settings, **numbers)
     return tuned | {"weights": str(target)}
 
 
 tune = typer.Typer(
     cls=Group,
     rich_markup_mode=None,
-    help="Fit weights to scans: temperature, error model, risk threshold, dropout rate, int8.",
+    help="Fit weights to labelled scans: temperature, error model, risk threshold, dropout rate.",
 )
 tune.command("error", cls=Command)(guarded(expanded(tune_error)))
 tune.command("risk", cls=Command)(guarded(expanded(tune_risk)))
 tune.command("temperature", cls=Command)(guarded(expanded(tune_temperature)))
 tune.command("dropout", cls=Command)(guarded(expanded(tune_dropout)))
-tune.command("int8", cls=Command)(guarded(expanded(tune_int8)))

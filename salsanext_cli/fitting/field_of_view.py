@@ -133,8 +133,8 @@ def _sines(scan: Scan, sensor: Sensor) -> Double:
 def _field_of_view(elevations: Double, extent: float) -> tuple[float, float]:
     """Return lower and upper edge in degrees of the field of view of rising elevations (N,).
 
-    It holds all points if it then is about as large as `extent` in training. Else it is as
-    large, or larger to hold `SHOWN` of the points.
+    It contains all points if it then is about as large as `extent` in training. Else it is as
+    large, or larger to contain `SHOWN` of the points.
     """
     lowest, highest = map(float, np.quantile(elevations, (OUTLIERS, 1 - OUTLIERS)))
     if highest - lowest <= MAX_ENLARGED * extent:

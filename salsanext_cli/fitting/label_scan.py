@@ -10,8 +10,7 @@ from salsanext_cli.classes.label_space import TrainIds
 from salsanext_cli.engines.backend import PixelPrediction
 from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import UsageError
-from salsanext_cli.fitting.field_of_view import fit_view
-from salsanext_cli.fitting.scan_checks import FIT_CODES, WRONG, ScanCheck, check_scan
+from salsanext_cli.fitting.scan_checks import ScanCheck, check_scan
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.npy import read_array
 from salsanext_cli.geometry.knn import knn_refine
@@ -64,20 +63,8 @@ def project_scan(
     """Read, unless it is given, check and project a scan; `trained`: sensor of the weights."""
     scan = read_scan(file.path, sensor) if scan is None else scan
     sensor = sensor_of(scan, sensor)
-    check = check_with_hint(file.path, scan, sensor, trained)
+    check = check_scan(file.path, scan, sensor, trained)
     return ProjectedScan(file, scan, project(scan, sensor), check, sensor)
-
-
-def check_with_hint(
-    path: Path, scan: Scan, sensor: Sensor, trained: Sensor | None = None, fit: str = ""
-) -> ScanCheck:
-    """Check a scan as `check_scan` does; advise a fit only if a fit to this scan helps."""
-    check = check_scan(path, scan, sensor, trained, fit)
-    if lasting := FIT_CODES & {finding.code for finding in check.findings}:
-        alone = fit_view([scan], trained or sensor)
-        lasting &= {finding.code for finding in check_scan(path, scan, alone).findings}
-    changed = (f._replace(hint=WRONG) if f.code in lasting else f for f in check.findings)
-    return replace(check, findings=tuple(changed))
 
 
 def labelled(scan: PreparedScan, pixels: PixelPrediction, knn: KnnParameters) -> LabelledScan:

@@ -142,15 +142,15 @@ def find_origin(points: Float) -> tuple[float, float, float] | None:
         return 0.0, 0.0, 0.0
     if len(far) < MIN_POINTS_OF_ORIGIN:
         return None
-    place = _sharpest(far, _grid((0,), (0,), np.arange(*ABOVE_M, STEP_OF_HEIGHT_M)))
+    position = _sharpest(far, _grid((0,), (0,), np.arange(*ABOVE_M, STEP_OF_HEIGHT_M)))
     ahead, aside = (np.arange(low, high + STEP_M / 2, STEP_M) for low, high in (AHEAD_M, ASIDE_M))
-    place = _sharpest(near, place + _grid(ahead, aside, (0,)))
+    position = _sharpest(near, position + _grid(ahead, aside, (0,)))
     step = STEP_M / 2
     while step > LAST_STEP_M:
-        place = _sharpest(near, place + step * _grid(*[(-1, 0, 1)] * 3))
+        position = _sharpest(near, position + step * _grid(*[(-1, 0, 1)] * 3))
         step /= 2
-    sharp = sharpness(near, place) > max(MIN_SHARPNESS_ELSEWHERE, MIN_GAIN * at_origin)
-    x, y, z = place.tolist()
+    sharp = sharpness(near, position) > max(MIN_SHARPNESS_ELSEWHERE, MIN_GAIN * at_origin)
+    x, y, z = position.tolist()
     inside = AHEAD_M[0] < x < AHEAD_M[1] and ASIDE_M[0] < y < ASIDE_M[1]
     return (x, y, z) if inside and sharp else None
 
@@ -161,13 +161,13 @@ def _grid(*axes: Sequence[float] | Double) -> Double:
     return np.stack(mesh, axis=-1, dtype=np.float64).reshape(-1, 3)
 
 
-def _sharpest(points: Double, places: Double) -> Double:
-    return max(places, key=lambda place: sharpness(points, place))
+def _sharpest(points: Double, positions: Double) -> Double:
+    return max(positions, key=lambda position: sharpness(points, position))
 
 
-def sharpness(points: Double, place: Double) -> float:
-    """Return how clearly elevations from a place form a comb of beams; about 1 without one."""
-    x, y, z = (points - place).T
+def sharpness(points: Double, position: Double) -> float:
+    """Return how clearly elevations from a position form a comb of beams; about 1 without one."""
+    x, y, z = (points - position).T
     elevations = np.degrees(np.arctan2(z, np.hypot(x, y)))
     bins = ((elevations + 90) / BIN_DEG).astype(np.intp)
     histogram = np.bincount(bins, minlength=round(180 / BIN_DEG) + 1).astype(np.float64)
@@ -213,14 +213,14 @@ def fit_mounting(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
     usual = sum(HEIGHTS_M[0] <= height <= HEIGHTS_M[1] for height in heights)
     if not scans or usual >= len(scans) / 2:
         return sensor
-    place = _place(scans, sensor, float(np.median(heights)) if heights else None)
-    if place is None or np.linalg.norm(place) < MIN_OFFSET_M:
+    position = _origin_of_beams(scans, sensor, float(np.median(heights)) if heights else None)
+    if position is None or np.linalg.norm(position) < MIN_OFFSET_M:
         return sensor
-    in_files = upright_rotation(np.asarray(sensor.up)).T @ place
+    in_files = upright_rotation(np.asarray(sensor.up)).T @ position
     return replace(sensor, name=FITTED_NAME, origin=tuple(in_files.round(DIGITS).tolist()))
 
 
-def _place(
+def _origin_of_beams(
     scans: Sequence[Scan], sensor: Sensor, height: float | None
 ) -> tuple[float, float, float] | None:
     """Return the position of the sensor in upright scans whose origin is at a height, if known."""
@@ -229,8 +229,8 @@ def _place(
     above = -np.inf if height is None else MIN_HEIGHT_M - height
     rest = [scan.take(np.flatnonzero(scan.points[:, 2] > above)) for scan in upright]
     points = np.concatenate([_finite(few_points(scan, POINTS_OF_ORIGIN)) for scan in rest])
-    if (place := find_origin(points)) is not None:
-        return place
+    if (position := find_origin(points)) is not None:
+        return position
     flat = np.ptp(points[:, 2]) < MIN_THICKNESS_M if len(points) else True
     if flat or height is None or abs(height) > MIN_HEIGHT_M:
         return None

@@ -19,11 +19,9 @@ from salsanext_cli.errors import FormatError, counted
 from salsanext_cli.fitting.mounting_fit import (
     HEIGHTS_M,
     MAX_TILT_DEG,
-    TOLERANCE_M,
     UPSIDE_DOWN_DEG,
     ground_of,
 )
-from salsanext_cli.formats import format_of
 from salsanext_cli.geometry.network_input import (
     BRIGHT,
     INTENSITY_FACTOR,
@@ -71,7 +69,6 @@ MEDIAN_RANGES_M = (0.3, 250.0)  # Possible median ranges of a scan in metres; re
 USUAL_RANGES_M = (60.0, 300.0)
 """Largest usual median range and 99 % quantile of ranges; real scans had up to 32 and 104."""
 MIN_FAR_M = 15.0  # Least usual 99 % quantile of ranges; roads had 27 m, a room and a hall 8 and 9
-MAX_VIEW_DEG = 120.0  # Largest usual field of view; that of sensors was 90° or less
 MIN_MEASURED = 0.4  # Least usual share of measured points; organised clouds had 0.55 or more
 MIN_ROWS, FEW_OF_ROW = 0.35, 0.1
 """Least usual share of rows with more than a tenth of the mean points; scans had 0.47 or more."""
@@ -81,25 +78,21 @@ MIN_SECTORS = 0.6  # Least share of the directions around with a point; revoluti
 FEW_SECTORS = 0.1  # The same for a narrow field of view; solid-state sensors had 0.14 or more
 
 APART = "label it alone, into another folder"
-SCALE_IT = "set intensity_scale in a file for --sensor"
-NAME_IT = (
-    "if the files hold one, name its column, --columns x,y,z,_,intensity for example, or in the "
-    "first line of text files; or set its scale, intensity_scale in a file for --sensor"
+SET_SCALE = "set intensity_scale in a file for --sensor"
+NAME_COLUMN = (
+    "if the files have one, rename its field to intensity, or name the columns of files without "
+    "names: --columns x,y,z,_,intensity for example"
 )
-RENAME_IT = "if the files hold one of another name, rename that field to intensity"
 FIT = "`salsanext inspect SCANS --fit sensor.toml`, then --sensor sensor.toml"
 AUTO = "--sensor auto"
-WRONG = "expect wrong labels"
-ALONE = f"{WRONG}; if the other scans are of another sensor or mounting, {APART}"
-FIT_CODES = frozenset({"out-of-view", "tilted", "upside-down"})  # Findings that a fit may remove
-METRES = "convert them to metres"
-COLUMNS = "name the columns: --columns x,y,z,intensity"  # For formats that do not name them
+ALONE = f"expect wrong labels; if the other scans are of another sensor or mounting, {APART}"
+COLUMNS = "name the columns of files without names: --columns x,y,z,intensity"
 TRAIN = "expect worse labels, or `salsanext train` weights on such scans"
 ORIGIN = "expect worse labels, or write the position of the sensor as `origin` in a sensor file"
 
 
 def training_findings(
-    bright: float, reason: str, sensor: Sensor, trained: Sensor, name_it: str = NAME_IT
+    bright: float, reason: str, sensor: Sensor, trained: Sensor
 ) -> Iterator[Finding]:
     """Compare images and their upper intensity `bright` with training.
 
@@ -113,14 +106,9 @@ def training_findings(
     can_match = trained.intensity_quantiles and not matched
     if reason:
         problem = reason if matched else f"{reason}; the network takes it as it is"
-        yield Finding("no-intensity", problem, "--intensity none" if can_match else name_it)
+        yield Finding("no-intensity", problem, "--intensity none" if can_match else NAME_COLUMN)
         return
     if matched == NO_INTENSITY:
-        return
-    if bright < 0 and not matched:
-        problem = f"{BRIGHT:.0%} of the intensities are below {bright:.3g}: negative"
-        hint = "name another column: --columns" + ", or --intensity none" * bool(can_match)
-        yield Finding("intensity-scale", problem, hint)
         return
     quantiles = matched or trained.intensity_quantiles
     if quantiles:
@@ -129,10 +117,10 @@ def training_findings(
         doubtful = usual > 0 and not near  # Factors have no meaning below 0.
         expected = f"and {usual:.2g} in {'the scans fitted to' if matched else 'training'}"
     else:
-        doubtful, expected = bright > MAX_USUAL_INTENSITY, "where 0 to 1 is usual"
+        doubtful, expected = not 0 <= bright <= MAX_USUAL_INTENSITY, "where 0 to 1 is usual"
     if doubtful:
         problem = f"{BRIGHT:.0%} of the intensities are below {bright:.3g}, {expected}"
-        scale = "--intensity auto, or " * bool(can_match) + SCALE_IT
+        scale = "--intensity auto, or " * bool(can_match) + SET_SCALE
         yield Finding("intensity-scale", problem, APART if matched else scale)
 
 
@@ -157,8 +145,8 @@ def check_scan(
 ) -> ScanCheck:
     """Check a sample of the points of a scan that is projected for a sensor.
 
-    `path` is for errors and the format. `trained` is the sensor of the weights, if the intensity
-    matters; without quantiles it stands for 0 to 1. `fit` is the hint of `FIT_CODES`.
+    `path` is for errors. `trained` is the sensor of the weights, if the intensity
+    matters; without quantiles it stands for 0 to 1. `fit` is the hint if a fit may help.
     """
     some = in_sensor_frame(few_points(scan), sensor)
     ranges, measured = measured_ranges(some.points)
@@ -178,20 +166,17 @@ def check_scan(
     some = Scan(some.points[measured], some.intensity[measured])
     sines = sines_of(some.points)
     reason = why_no_intensity(some.points, some.intensity)
-    form = format_of(path.name)
-    is_named = form is None or form.names_columns  # A recording has names.
     fit = fit or (FIT if sensor is trained else ALONE)
     if sensor.name not in (FITTED_NAME, *presets(), trained and trained.name):
         fit = AUTO
     findings = [
-        *_of_units(ranges, share, sensor, is_named=is_named),
+        *_of_units(ranges, share),
         *_of_view(some, sines, sensor, fit),
         *_of_ground(some, fit),
     ]
     bright = 0.0 if reason else upper_intensity(some.intensity)
     if trained is not None:
-        name_it = RENAME_IT if is_named else NAME_IT
-        findings += training_findings(bright, reason, sensor, trained, name_it)
+        findings += training_findings(bright, reason, sensor, trained)
     per_point = len(scan) * (1 - ego_share) * share / count
     traits = ScanTraits.of(sines, bright, per_point, sensor)
     return ScanCheck(tuple(findings), traits, ego_share)
@@ -210,22 +195,16 @@ def _require_metres(path: Path, count: int, ranges: Double) -> None:
         raise FormatError(path, f"has a median range of {median:.3g} m", expected, hint)
 
 
-def _of_units(
-    ranges: Double, measured: float, sensor: Sensor, *, is_named: bool
-) -> Iterator[Finding]:
+def _of_units(ranges: Double, measured: float) -> Iterator[Finding]:
     median, far = np.quantile(ranges, (0.5, 0.99))
     if median > USUAL_RANGES_M[0] or far > USUAL_RANGES_M[1]:
         problem = f"has a median range of {median:.0f} m, and 1% of the points beyond {far:.0f} m"
-        yield Finding("units", problem, METRES if is_named else f"{METRES}, or {COLUMNS}")
+        yield Finding("units", problem, f"convert them to metres, or {COLUMNS}")
     if far < MIN_FAR_M:
         yield Finding("indoor", f"99% of the points lie within {far:.0f} m, as in a room", TRAIN)
-    if (view := sensor.fov_up - sensor.fov_down) > MAX_VIEW_DEG:
-        problem = f"the sensor has a field of view of {view:.0f}°"
-        yield Finding("wide-view", problem, f"correct fov_up and fov_down, or {AUTO}")
     if measured < MIN_MEASURED:
         problem = f"{1 - measured:.0%} of the points are not measurements"
-        hint = "they stay unlabelled" if is_named else f"if they should be, {COLUMNS}"
-        yield Finding("not-measured", problem, hint)
+        yield Finding("not-measured", problem, f"if they should be, {COLUMNS}")
 
 
 def _of_view(scan: Scan, sines: Float, sensor: Sensor, fit: str) -> Iterator[Finding]:
@@ -257,7 +236,5 @@ def _of_ground(scan: Scan, fit: str) -> Iterator[Finding]:
     elif ground.tilt_deg > MAX_TILT_DEG:
         yield Finding("tilted", f"the ground is tilted by {ground.tilt_deg:.0f}°", fit)
     elif not HEIGHTS_M[0] <= ground.height <= HEIGHTS_M[1]:
-        where = "above" if ground.height > 0 else "below"
-        on_it = abs(ground.height) < TOLERANCE_M
-        height = "on" if on_it else f"{abs(ground.height):.1f} m {where}"
-        yield Finding("height", f"the origin of the points is {height} the ground", ORIGIN)
+        problem = f"the origin of the points is {ground.height:.1f} m above the ground"
+        yield Finding("height", problem, ORIGIN)

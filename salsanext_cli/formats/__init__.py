@@ -38,8 +38,6 @@ class Format:
         intensity to `Scan`. It raises `FormatError` for a file of another format.
     magic : tuple of bytes
         First bytes of the files; empty if they vary.
-    names_columns : bool
-        Whether the files name their columns; ``--columns`` does not apply then.
     is_table : bool
         Whether files with these suffixes often contain something else. Such files in a folder
         are scans only if it has no others.
@@ -53,7 +51,6 @@ class Format:
     suffixes: tuple[str, ...]
     read: Callable[[Path, Names, float], Scan]
     magic: tuple[bytes, ...] = ()
-    names_columns: bool = True
     is_table: bool = False
     subset: Callable[[Path, Names], Callable[[Mask], bytes]] | None = None
     label_columns: Callable[[Path], Columns] | None = None
@@ -85,18 +82,16 @@ def _built_in(
 
 BIN, PCD, PLY, LAS = "kitti:read_bin", "pcd:pcd_columns", "ply:ply_columns", "las:las_columns"
 NPY, NPZ, TEXT = "numpy_scans:npy_columns", "numpy_scans:npz_columns", "text:text_columns"
-UNNAMED: dict[str, Any] = {"names_columns": False}
-TABLE: dict[str, Any] = {"names_columns": False, "is_table": True}
 FORMATS: Mapping[str, Format] = {
-    "bin": _built_in(".pcd.bin .bin", BIN, subset="bin_subset", **UNNAMED),
+    "bin": _built_in(".pcd.bin .bin", BIN, subset="bin_subset"),
     "pcd": _built_in(".pcd", PCD, b"# .PCD", b"VERSION ", labels=PCD, subset="pcd_subset"),
     "ply": _built_in(".ply", PLY, b"ply", labels=PLY, subset="ply_subset"),
     "las": _built_in(".las .laz", "las:read_las", b"LASF", labels=LAS),
-    "xyz": _built_in(".xyz", TEXT, subset="text_subset", **UNNAMED),
-    "npy": _built_in(".npy", NPY, b"\x93NUMPY", subset="npy_subset", **TABLE),
-    "npz": _built_in(".npz", NPZ, b"PK\x03\x04", subset="npz_subset", **TABLE),
+    "xyz": _built_in(".xyz", TEXT, subset="text_subset"),
+    "npy": _built_in(".npy", NPY, b"\x93NUMPY", subset="npy_subset", is_table=True),
+    "npz": _built_in(".npz", NPZ, b"PK\x03\x04", subset="npz_subset", is_table=True),
     "feather": _built_in(".feather", "feather:feather_columns", b"ARROW1", b"FEA1", is_table=True),
-    "text": _built_in(".csv .txt .asc .pts", TEXT, subset="text_subset", **TABLE),
+    "text": _built_in(".csv .txt .asc .pts", TEXT, subset="text_subset", is_table=True),
 }
 """Built-in formats by name, in the order of precedence in a folder; plug-ins come last."""
 SCAN_SUFFIXES = tuple(suffix for form in FORMATS.values() for suffix in form.suffixes)

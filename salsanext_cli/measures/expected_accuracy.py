@@ -18,7 +18,7 @@ OF_RUN = ("mixed-sensors",)
 WITHHELD_FOR = (
     *(*OF_RUN, "few-directions", "few-points", "height", "indoor", "low-confidence"),
     *("not-measured", "one-class", "other-images", "out-of-view", "sparse", "tilted", "units"),
-    *("upside-down", "wide-view"),
+    "upside-down",
 )
 """Warnings that a scan is unlike the ten drives. Solid-state sensors, which only get
 `part-of-circle`, had the estimated accuracy within 3 points."""

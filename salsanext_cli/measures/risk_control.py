@@ -22,7 +22,6 @@ from salsanext_cli.network.card import RiskThreshold
 
 PEOPLE = ("person", "bicyclist", "motorcyclist", "person-or-cycle")
 """Classes whose points are of people."""
-ACCEPTS_NONE = -1.0  # Threshold of a class whose labels are all rejected
 RISK_BOUND_EXCEEDED = (
     "the share of accepted and wrong points exceeds the guarantee: by chance if these scans are "
     "few, else because location, sensor or weather differ from the scans that the threshold was "
@@ -223,10 +222,8 @@ def guarantee(risk: RiskThreshold) -> str:
     scope = f"scans of the drives that the threshold {chosen}, not of other drives"
     if risk.unit == "drive":
         scope = f"drives like those that the threshold {chosen}"
-    classes = [name for name, above in risk.classes.items() if above > ACCEPTS_NONE]
-    alike = f"; the same for the points labelled {first_few(classes)}" if classes else ""
     bound = _bound(risk.at_most, risk.confidence, risk.unit)
-    return f"{risk.kind} up to {risk.threshold:.4g} accepted: {bound}, for {scope}{alike}"
+    return f"{risk.kind} up to {risk.threshold:.4g} accepted: {bound}, for {scope}"
 
 
 def _bound(at_most: float, confidence: float | None, unit: str) -> str:

@@ -74,10 +74,8 @@ class RiskThreshold:
         Unit of the guarantee.
     settings : dict
         Settings as `labels_depend_on` returns them.
-    view, other_views
-        Fields of view fitted to these scans, of the first sensor and of further ones.
-    classes : mapping
-        Thresholds of classes that differ from `threshold`.
+    views : tuple of FittedView
+        Fields of view of their sensors.
     """
 
     kind: str
@@ -89,20 +87,12 @@ class RiskThreshold:
     unit: str = "scan"
     digests: str = ""
     settings: Json = field(default_factory=dict)
-    view: FittedView | None = None
-    other_views: tuple[FittedView, ...] = ()
-    classes: Mapping[str, float] = field(default_factory=dict)
+    views: tuple[FittedView, ...] = ()
 
     def __post_init__(self) -> None:
-        numbers = (self.threshold, self.at_most, *self.classes.values())
-        if not all(map(math.isfinite, numbers)):
-            raise ValueError(f"risk holds {shortened(numbers)}")
+        if not all(map(math.isfinite, (self.threshold, self.at_most))):
+            raise ValueError(f"risk holds {self.threshold} and {self.at_most}")
         parted(self.digests)  # Raises an error for other text.
-
-    @property
-    def views(self) -> tuple[FittedView, ...]:
-        """Fields of view of all sensors; empty if none was fitted."""
-        return (self.view, *self.other_views) if self.view else ()
 
 
 @dataclass(frozen=True, slots=True)

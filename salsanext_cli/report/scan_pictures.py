@@ -5,17 +5,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from io import BytesIO
-from typing import TYPE_CHECKING, BinaryIO, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import counted, printable
-from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.kitti import read_labels
-from salsanext_cli.geometry.knn import knn_refine
 from salsanext_cli.geometry.projection import in_sensor_frame, pixels_from_points, project
 from salsanext_cli.records import Float
 from salsanext_cli.report import canvas
@@ -30,9 +25,7 @@ from salsanext_cli.report.colours import (
     Scales,
     legend_of,
     map_on_dark,
-    value_range,
 )
-from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.results.result_folder import ScanResults, scalar_columns
 from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 from salsanext_cli.sensors.sensor import Sensor
@@ -211,21 +204,3 @@ def _draw_from_above(axes: Axes, points: Float, colours: Colours, size: int, rea
     axes.plot(0, 0, color=canvas.INK, marker="^", markersize=8)
     axes.set_xlim(reach, -reach)
     axes.set_ylim(-reach, reach)
-
-
-def draw_sample(out: BinaryIO, file: ScanFile, network: Network) -> Colours:
-    """Draw range, truth, prediction and errors of a scan as PNG; return it, (H, W, 3) uint8."""
-    from matplotlib.image import imread  # Takes a second to import
-
-    space, sensor = network.space, network.sensor
-    scan = read_scan(file.path, sensor)
-    truth = read_labels(file.label_path, len(scan)) & np.uint32(0xFFFF)
-    image = project(scan, sensor)
-    (pixels,) = network.predict([network.input(image.channels)])
-    label = space.to_raw(knn_refine(image, pixels.labels, space.class_count))
-    results = ScanResults(scan, label, truth, sensor=sensor)
-    scales: Scales = {"range": (0.0, value_range(results.range)[1])}
-    strips = ("range", "truth", "label", "wrong")
-    png = picture_of_results(file.name, results, space, sensor, scales, (), strips)
-    out.write(png)
-    return (255 * imread(BytesIO(png))[..., :3]).round().astype(np.uint8)

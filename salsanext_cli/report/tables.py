@@ -4,7 +4,6 @@
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from rich.console import Group
@@ -165,19 +164,13 @@ def error_table(tuned: Mapping[str, Any]) -> Table:
     return table_of(headings, rows, title=f"Held-out scans, {counted(tuned['folds'], 'fold')}")
 
 
-def accepted_table(
-    classes: Mapping[str, tuple[int, int]], thresholds: Mapping[str, float] = MappingProxyType({})
-) -> Table:
-    """Return a table of accepted and wrong points, and any threshold, by predicted class."""
-    rows = []
-    for name in dict.fromkeys([*classes, *thresholds]):
-        accepted, wrong = classes.get(name, (0, 0))
-        row = [name, f"{accepted:,}", percent(wrong / accepted if accepted else math.nan)]
-        if name in thresholds:
-            row.append(f"{thresholds[name]:.4g}" if accepted else "none accepted")
-        rows.append(row)
-    headings = ("labelled as", "accepted points", "wrong %", *["threshold"] * bool(thresholds))
-    return table_of(headings, rows, title="Accepted labels")
+def accepted_table(classes: Mapping[str, tuple[int, int]]) -> Table:
+    """Return a table of accepted and wrong points by predicted class."""
+    rows = [
+        (name, f"{accepted:,}", percent(wrong / accepted if accepted else math.nan))
+        for name, (accepted, wrong) in classes.items()
+    ]
+    return table_of(("labelled as", "accepted points", "wrong %"), rows, title="Accepted labels")
 
 
 def rate_table(rates: Sequence[float], objectives: Sequence[float], best: float) -> Table:

@@ -31,7 +31,7 @@ from salsanext_cli.results.manifest import Manifest
 FILE_LISTS = ".salsanext.files"
 PLACES = (
     *("sequences/*/", "sequences/*/*/", "sequences/*/*/*/"),
-    *("samples/", "folds/*/", "folds/*/samples/", "eval/*/"),
+    *("folds/*/", "eval/*/"),
 )
 """Subfolders that stages write into."""
 RECORDS_LOCK_TIMEOUT_S = 1800.0

@@ -18,7 +18,6 @@ from salsanext_cli.errors import UsageError, quoted, shortened
 from salsanext_cli.files.yaml_toml import are_numbers, read_toml, refuse_unknown
 
 MAX_PIXELS = 1 << 21  # Largest range image: 64×32768, eight times the finest sensor
-BYTES_PER_PIXEL = 1000  # Approximate memory of a network per pixel
 MAX_NUMBER = 1e6  # Bound of means, deviations, scales and their inverse
 SCALES = f"from {1 / MAX_NUMBER:g} to {MAX_NUMBER:g}"
 NOISE = ("range_noise", "intensity_noise")
@@ -123,11 +122,9 @@ class Sensor:
                 raise UsageError(subject, f"has {field.name} {quoted(value)}", expected)
         if self.fov_up <= self.fov_down:
             raise UsageError(subject, f"has fov_up {self.fov_up} ≤ fov_down {self.fov_down}")
-        if (pixels := self.height * self.width) > MAX_PIXELS:
+        if self.height * self.width > MAX_PIXELS:
             size = f"has {shortened(self.height)}×{shortened(self.width)} pixels"
-            memory = f"{shortened(pixels * BYTES_PER_PIXEL // 10**9, 12)} GB"
-            expected = f"at most {MAX_PIXELS} pixels, such as 64×{MAX_PIXELS // 64}"
-            raise UsageError(subject, f"{size}, {memory} per image in a network", expected)
+            raise UsageError(subject, size, f"at most {MAX_PIXELS}, such as 64×{MAX_PIXELS // 64}")
 
     @property
     def members(self) -> tuple[Sensor, ...]:
@@ -207,46 +204,46 @@ def are_columns(names: tuple[str, ...]) -> bool:
 
 def is_box(values: Any) -> bool:
     """Return whether values are the least and largest coordinates of a box, or none."""
-    return values == () or (_are_in(values, count=6) and all(map(lt, values[:3], values[3:])))
+    return values == () or (_are_within(values, count=6) and all(map(lt, values[:3], values[3:])))
 
 
-def _are_in(
+def _are_within(
     values: Any, least: float = -MAX_NUMBER, most: float = MAX_NUMBER, *, count: int
 ) -> bool:
     """Return whether values are `count` numbers within bounds."""
     return are_numbers(values) and len(values) == count and all(least <= v <= most for v in values)
 
 
-def _is_in(value: object, least: float = -MAX_NUMBER, most: float = MAX_NUMBER) -> bool:
-    return _are_in((value,), least, most, count=1)
+def _is_within(value: object, least: float = -MAX_NUMBER, most: float = MAX_NUMBER) -> bool:
+    return _are_within((value,), least, most, count=1)
 
 
 def _are_quantiles(values: Any) -> bool:
-    return _are_in(values, count=INTENSITY_LEVELS) and list(values) == sorted(values)
+    return _are_within(values, count=INTENSITY_LEVELS) and list(values) == sorted(values)
 
 
 def _is_direction(values: Any) -> bool:
-    return _are_in(values, count=3) and math.hypot(*values) > MIN_LENGTH
+    return _are_within(values, count=3) and math.hypot(*values) > MIN_LENGTH
 
 
 POSSIBLE: dict[str, tuple[Callable[[Any], bool], str]] = {
     "name": (lambda name: isinstance(name, str), "a text"),
-    "fov_up": (_is_in, "a number of degrees"),
-    "fov_down": (_is_in, "a number of degrees"),
+    "fov_up": (_is_within, "a number of degrees"),
+    "fov_down": (_is_within, "a number of degrees"),
     "height": (lambda length: type(length) is int and length >= 1, "a number of pixels"),
     "width": (lambda length: type(length) is int and length >= 1, "a number of pixels"),
-    "means": (partial(_are_in, count=5), f"5 numbers up to {MAX_NUMBER:g}"),
-    "stds": (partial(_are_in, least=1 / MAX_NUMBER, count=5), f"5 numbers {SCALES}"),
+    "means": (partial(_are_within, count=5), f"5 numbers up to {MAX_NUMBER:g}"),
+    "stds": (partial(_are_within, least=1 / MAX_NUMBER, count=5), f"5 numbers {SCALES}"),
     "out_of_view": (lambda value: value in ("clamp", "drop"), "clamp or drop"),
-    "intensity_scale": (partial(_is_in, least=1 / MAX_NUMBER), f"a number {SCALES}"),
-    "range_noise": (partial(_is_in, least=0), "a deviation in metres"),
-    "intensity_noise": (partial(_is_in, least=0), "a deviation"),
+    "intensity_scale": (partial(_is_within, least=1 / MAX_NUMBER), f"a number {SCALES}"),
+    "range_noise": (partial(_is_within, least=0), "a deviation in metres"),
+    "intensity_noise": (partial(_is_within, least=0), "a deviation"),
     "columns": (are_columns, COLUMNS_EXPECTED),
     "up": (_is_direction, "a direction, three numbers"),
-    "origin": (partial(_are_in, count=3), "a position, three numbers in metres"),
+    "origin": (partial(_are_within, count=3), "a position, three numbers in metres"),
     "intensity_quantiles": (_are_quantiles, f"{INTENSITY_LEVELS} increasing numbers"),
-    "row_gaps": (partial(_is_in, least=0, most=1), "a share"),
-    "min_range": (partial(_is_in, least=0), "a range in metres"),
+    "row_gaps": (partial(_is_within, least=0, most=1), "a share"),
+    "min_range": (partial(_is_within, least=0), "a range in metres"),
     "ego_box": (is_box, BOX_EXPECTED),
     "traits": (are_numbers, "numbers"),
     "others": (lambda others: not any(s.others for s in others), "sensors without others"),

@@ -10,8 +10,7 @@ from salsanext_cli.errors import NoInputError, counted
 from salsanext_cli.files.atomic import require_absent, write_bytes
 from salsanext_cli.files.json_files import plain
 from salsanext_cli.files.reading import present
-from salsanext_cli.fitting.label_scan import check_with_hint
-from salsanext_cli.fitting.scan_checks import ALONE, FIT
+from salsanext_cli.fitting.scan_checks import ALONE, FIT, check_scan
 from salsanext_cli.fitting.sensor_fit import ScanSample, fitted_view
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
@@ -154,7 +153,7 @@ def _inspect_scan(file: ScanFile, sensor: Sensor, hint: str) -> tuple[Survey, Sc
     scan = read_scan(file.path, sensor)
     # The scale of the intensity does not matter, since `predict` matches it.
     matched = replace(sensor, intensity_quantiles=NO_INTENSITY)
-    check = check_with_hint(file.path, scan, matched, matched, hint)
+    check = check_scan(file.path, scan, matched, matched, hint)
     raw = read_labels(file.label_path, len(scan)) if present(file.label_path) else None
     counts = survey(without_ego(scan, sensor), project(scan, sensor), raw)
     return counts, ScanSummary(file, check)

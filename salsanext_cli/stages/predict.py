@@ -70,9 +70,8 @@ class LabelRejection:
     """Rule by which labels are rejected."""
 
     kind: str  # Kind of uncertainty: error or least_confidence
-    threshold: float
-    above: Float  # (C,): largest uncertainty of an accepted point, by its label
-    risk: RiskThreshold | None  # Origin of the thresholds
+    threshold: float  # Largest uncertainty of an accepted point
+    risk: RiskThreshold | None  # Origin of the threshold
 
     @property
     def recorded(self) -> dict[str, Any]:
@@ -111,7 +110,7 @@ class LabelWriter:
             values["error"] = error_probability(network, image, pixels.softmax, scan.labels)
             output.write_array(file, ERROR, values["error"])
         if self.reject:
-            rejected = values[self.reject.kind] > self.reject.above[scan.labels]
+            rejected = values[self.reject.kind] > np.float32(self.reject.threshold)
             scan = replace(scan, labels=np.where(rejected, np.uint8(0), scan.labels))
         else:
             rejected = np.zeros(len(scan.labels), bool)
@@ -242,10 +241,7 @@ def _rejection(
     threshold = risk.threshold if risk else reject
     if isinstance(threshold, str) or not 0 <= threshold <= 1:
         raise UsageError("--reject", str(threshold), "a probability from 0 to 1")
-    of_classes = risk.classes if risk else {}
-    limits = [of_classes.get(name, threshold) for name in network.space.names]
-    kind = risk.kind if risk else "error"
-    return LabelRejection(kind, threshold, np.array(limits, np.float32), risk)
+    return LabelRejection(risk.kind if risk else "error", threshold, risk)
 
 
 def _chosen_threshold(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Stage `train`: a labelled data set to a run folder with weights, log and curve."""
+"""Stage `train`: a labelled data set to a run folder with weights and log."""
 
 import logging
 import os
@@ -13,13 +13,12 @@ import torch
 
 from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.engines.loading import network_of_module
-from salsanext_cli.errors import NOTICE, TrainingError, UsageError, counted
+from salsanext_cli.errors import NOTICE, UsageError, counted
 from salsanext_cli.fitting.label_scan import prepared_for
 from salsanext_cli.measures.scan_summary import ScanWarning
 from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.network.weights import encode_weights, read_weights
 from salsanext_cli.parallel.run_options import cores, worker_count
-from salsanext_cli.report.scan_pictures import draw_sample
 from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.selection import evenly_spaced
@@ -37,7 +36,7 @@ from salsanext_cli.training.data.sources import (
 )
 from salsanext_cli.training.distributed import ProcessGroup, group_of_environment, process_group
 from salsanext_cli.training.fit import StepReport
-from salsanext_cli.training.learner import common_precision
+from salsanext_cli.training.learner import fastest_precision
 from salsanext_cli.training.log import Row
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.run_folder import (
@@ -48,7 +47,7 @@ from salsanext_cli.training.run_folder import (
     STAGE,
     STREETS,
     TrainingSettings,
-    begin,
+    record_start,
     recorded_precision,
     require_free,
     training_settings,
@@ -85,7 +84,6 @@ class NewTraining:
     weights: Path | None
     jobs: int
     overwrite: bool
-    strict: bool
 
     @property
     def start(self) -> Path | None:
@@ -112,12 +110,7 @@ class NewTraining:
         sources, validated = [first, *others], evenly_spaced(scored.files, recipe.validation_scans)
         path = run / CLASS_COUNTS
         counts = class_counts(path, sources, scored, validated, self.jobs, recipe.also)
-        if self.strict and counts.warnings:
-            codes = (f"{w.code} in {counted(len(w.scans), 'scan')}" for w in counts.warnings)
-            problem = f"has doubtful scans: {', '.join(codes)}"
-            hint = "correct or remove the scans, or train without --strict"
-            raise TrainingError(self.roots[0], problem, hint=hint)
-        begin(run, settings, overwrite=self.overwrite)
+        record_start(run, settings, overwrite=self.overwrite)
         random = "random weights (--weights default: those of the package)"
         if not (run / CHECKPOINT).exists():
             log.log(NOTICE, "training from %s", self.start.name if self.start else random)
@@ -139,10 +132,13 @@ class NewTraining:
             lambda: scans_to_train_on(dataset, space, divisible=divisible)
         )
         if recipe.precision == "auto":
-            recorded = group.on_main(
-                lambda: None if self.overwrite else recorded_precision(self.run)
+            precision = group.on_main(
+                lambda: (
+                    (not self.overwrite and recorded_precision(self.run))
+                    or fastest_precision(device)
+                )
             )
-            recipe = replace(recipe, precision=recorded or common_precision(device, group))
+            recipe = replace(recipe, precision=precision)
         initial, card = initial_network(start, classes, recipe, sensor)
         further = group.on_main(lambda: [further_source(p, classes, card.sensor) for p in also])
         given = [Source(files, classes, card.sensor) for files in (training, validation)] + further
@@ -169,7 +165,6 @@ class NewTraining:
             workers=self.jobs if self.jobs > 1 else 0,
             overwrite=self.overwrite,
             error=read_card(start).error if start else None,
-            draw=draw_sample,
             report=report,
         )
         return setup, scored
@@ -186,7 +181,6 @@ def train(
     jobs: int | None = None,
     weights: Path | None = None,
     overwrite: bool = False,
-    strict: bool = False,
     also: Sequence[Path] = (),
     progress: Callable[[StepReport], object] = lambda report: None,
 ) -> TrainResult:
@@ -206,8 +200,8 @@ def train(
         Number of processes that prepare samples: by default up to eight on a GPU, else one.
     weights : Path, optional
         Initial weights, by default those of the recipe.
-    overwrite, strict : bool
-        Whether to start again instead of resuming, and to refuse doubtful scans.
+    overwrite : bool
+        Whether to start again instead of resuming.
     also : sequence of Path
         Further data sets for a share of the samples.
     progress : callable
@@ -220,7 +214,7 @@ def train(
     _require_batch(recipe.batch, group_of_environment())
     with process_group(device) as (group, chosen), ExitStack() as locks:
         roots, workers = (dataset, *also), _workers(jobs, chosen.type)
-        new = NewTraining(roots, run, recipe, weights, workers, overwrite, strict)
+        new = NewTraining(roots, run, recipe, weights, workers, overwrite)
         setup, scored = new.setup(locks, space, sensor, group, chosen, progress)
         expected = None if scored.files else setup.cross_validated()
         if not scored.files:

@@ -8,14 +8,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from salsanext_cli.engines.loading import network_of_module
-from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import NOTICE, TrainingError
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.weights import encode_weights
@@ -24,8 +22,8 @@ from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, sa
 from salsanext_cli.training.data.dataset import Batch, Samples, batches
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.learner import Learner, learning_rate
-from salsanext_cli.training.log import Row, draw_curve, write_log
-from salsanext_cli.training.run_folder import BEST, CHECKPOINT, CURVE, LAST, LOG, sample_path
+from salsanext_cli.training.log import Row, write_log
+from salsanext_cli.training.run_folder import BEST, CHECKPOINT, LAST, LOG
 from salsanext_cli.training.validation import validate
 
 SAVE_INTERVAL_S = 600.0  # Seconds between two checkpoints within an epoch
@@ -56,7 +54,6 @@ class Training:
     validation: Source
     card: WeightsCard
     workers: int
-    draw: Callable[[BinaryIO, Network], object]  # Draws a network's predictions into a file
     report: Callable[[StepReport], object]  # Called after every step, in the main worker alone
 
     def fit(self) -> TrainingState:
@@ -118,7 +115,9 @@ class Training:
         if due and self.validation.files:
             # On CPUs the workers' statistics of batch norm differ; the main worker's are saved.
             group.broadcast(self.learner.average.buffers())
-            measured, card = validate(self._network(), self.validation, group)
+            module, device = self.learner.average.eval(), str(self.learner.device)
+            network = network_of_module(module, self.card, device)
+            measured, card = validate(network, self.validation, group)
             row |= measured
         if group.is_main:
             self._write(state, row, card)
@@ -130,7 +129,7 @@ class Training:
             return self.learner.step(images, truth, step, self.samples.plan.steps_per_epoch)
         except torch.OutOfMemoryError as error:
             problem = f"not enough memory on {self.learner.device} for {len(images)} images"
-            hint = "compute a batch in more parts, such as --set accumulate=2"
+            hint = "start again with a smaller batch, such as --set batch=4"
             raise TrainingError(f"step {step + 1}", problem, hint=hint) from error
 
     def _checked(self, losses: list[Tensor], last: int) -> list[float]:
@@ -147,10 +146,10 @@ class Training:
         return values
 
     def _write(self, state: TrainingState, row: Row, card: WeightsCard) -> None:
-        """Write weights, log, curve, picture and, last, the checkpoint."""
+        """Write weights, log and, last, the checkpoint."""
         state.rows.append(row)
         scored = {k: v for k, v in row.items() if ("iou" in k or k == "accuracy") and v == v}
-        network, written = self._network(), OwnedFolder(self.run)
+        written = OwnedFolder(self.run)
         card = replace(card, scores={**card.scores, **scored, "epoch": state.epoch})
         weights = encode_weights(self.learner.average, card)
         written.write(self.run / LAST, weights, durable=True)
@@ -159,14 +158,7 @@ class Training:
             state.best = row.get("miou", state.best)
             written.write(self.run / BEST, weights, durable=True)
         write_log(self.run / LOG, state.rows)
-        draw_curve(self.run / CURVE, state.rows)
-        with written.writing(sample_path(self.run, state.epoch)) as file:
-            self.draw(file, network)
         save_checkpoint(self.run / CHECKPOINT, self.learner, state)
-
-    def _network(self) -> Network:
-        module = self.learner.average.eval()
-        return network_of_module(module, self.card, str(self.learner.device))
 
     def _report(self, state: TrainingState, step: int, row: Row | None = None) -> None:
         if self.learner.group.is_main:

@@ -14,7 +14,6 @@ from salsanext_cli.errors import UsageError, shortened
 from salsanext_cli.files.yaml_toml import read_toml, refuse_unknown
 
 BUILT_IN = resources.files("salsanext_cli").joinpath("presets/recipes")
-REMOVED = ("label_smoothing", "whole_epochs")  # Keys of older versions, accepted if they are 0
 MAX_INTEGER = 2**53  # Beyond it, floats are not exact
 KINDS = {int: "a whole number", float: "a number", str: "a word"}  # Names of the types of keys
 
@@ -43,7 +42,6 @@ class Recipe:
     precision: Annotated[str, one_of("auto", "float32", "bfloat16", "float16")] = "float32"
     epochs: Positive = 150
     batch: Positive = 24
-    accumulate: Positive = 1
     samples_per_epoch: Count = 0
     crop_width: Count = 0
     crop_on_class: Share = 0.0
@@ -89,13 +87,13 @@ class Recipe:
             self._require(key.name, type(value) is kind, KINDS[kind])
             if kind is float:
                 self._require(key.name, math.isfinite(value), "finite")
-            for expected, is_right in getattr(key.type, "__metadata__", ()):
-                self._require(key.name, is_right(value), expected)
+            for expected, test in getattr(key.type, "__metadata__", ()):
+                self._require(key.name, test(value), expected)
         steady = self.folds == 0 or self.schedule == "decay"
         self._require("schedule", steady, "decay with folds, which choose the number of epochs")
 
-    def _require(self, key: str, holds: bool, expected: str) -> None:
-        if not holds:
+    def _require(self, key: str, is_right: bool, expected: str) -> None:
+        if not is_right:
             value = shortened(repr(getattr(self, key)))
             raise UsageError(f"recipe key {key}", f"is {value}", expected)
 
@@ -114,9 +112,8 @@ class Recipe:
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], source: object = "recipe") -> Self:
         """Build a recipe from plain data; absent keys have the paper's value."""
-        known = {key: value for key, value in data.items() if value or key not in REMOVED}
-        refuse_unknown(known, cls, source)
-        return cls(**known)
+        refuse_unknown(data, cls, source)
+        return cls(**data)
 
 
 def presets() -> tuple[str, ...]:

@@ -25,10 +25,9 @@ from salsanext_cli.training.recipe import Recipe
 STAGE = "train"
 CHECKPOINT = "checkpoint.safetensors"
 LAST, BEST = "last.safetensors", "best.safetensors"
-LOG, CURVE = "log.csv", "curve.png"
-RECIPE, CLASS_COUNTS = "recipe.toml", "class_counts.json"
-SAMPLES, FOLDS, STREETS = "samples", "folds", "streets"
-RESULTS = (CHECKPOINT, BEST, LAST, LOG, CURVE)  # A new training removes them and the pictures
+LOG, RECIPE, CLASS_COUNTS = "log.csv", "recipe.toml", "class_counts.json"
+FOLDS, STREETS = "folds", "streets"
+RESULTS = (CHECKPOINT, BEST, LAST, LOG)  # A new training removes them
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,12 +50,6 @@ class TrainingSettings:
     labels: str | None = None  # Digest of the labels of a cross-validated training
     also: tuple[FurtherData, ...] | None = None
     held_out: str | None = None  # `scans_digest` of the scans of a fold
-
-    @property
-    def decisive(self) -> dict[str, object]:
-        """Settings that may not change when a training is resumed; the parts of a batch may."""
-        recipe = replace(self.recipe, accumulate=Recipe().accumulate)
-        return settings_json(replace(self, recipe=recipe))
 
 
 def training_settings(
@@ -86,11 +79,6 @@ def scans_digest(scans: Sequence[ScanFile]) -> str:
     return f"{len(scans)}, {hashlib.sha256(names.encode()).hexdigest()[:16]}"
 
 
-def sample_path(run: Path, epoch: int) -> Path:
-    """Return the path of the picture of a validated scan after an epoch."""
-    return run / SAMPLES / f"epoch-{epoch:03d}.png"
-
-
 def fold_folder(run: Path, number: int) -> Path:
     """Return the run folder of a fold of a cross-validation, counted from 1."""
     return run / FOLDS / str(number)
@@ -101,9 +89,7 @@ def recorded_settings(run: Path) -> TrainingSettings | None:
     manifest = Manifest(run)
     if (record := manifest.record(STAGE)) is None:
         return None
-    # Older versions named the held-out scans otherwise.
-    settings = {"held_out": record.settings.get("left_out"), **record.settings}
-    return record_of(TrainingSettings, settings, manifest.path(STAGE))
+    return record_of(TrainingSettings, record.settings, manifest.path(STAGE))
 
 
 def recorded_precision(run: Path) -> str | None:
@@ -117,23 +103,21 @@ def require_free(run: Path, settings: TrainingSettings, *, overwrite: bool) -> N
     """Refuse a folder with files that a training may not replace, or with other settings."""
     require_writable(run)
     owned, recorded = OwnedFolder(run, STAGE), None if overwrite else recorded_settings(run)
-    replaced = [run / name for name in (*RESULTS, CLASS_COUNTS, RECIPE)]
-    replaced += [sample_path(run, epoch) for epoch in range(1, settings.recipe.epochs + 1)]
-    owned.refuse_foreign(replaced)
+    owned.refuse_foreign([run / name for name in (*RESULTS, CLASS_COUNTS, RECIPE)])
     has_results = any((folder / name).exists() for folder in _folders(run) for name in RESULTS)
     if recorded and has_results:
-        before = _extended(recorded, settings).decisive
-        require_same_settings(owned.record_path, before, settings.decisive)
+        before = settings_json(_extended(recorded, settings))
+        require_same_settings(owned.record_path, before, settings_json(settings))
 
 
-def begin(run: Path, settings: TrainingSettings, *, overwrite: bool) -> None:
+def record_start(run: Path, settings: TrainingSettings, *, overwrite: bool) -> None:
     """Record a training in a free folder; remove results of other settings, or all to overwrite."""
     owned, recorded = OwnedFolder(run, STAGE), None if overwrite else recorded_settings(run)
-    if not recorded or _extended(recorded, settings).decisive != settings.decisive:
+    content = settings_json(settings)
+    if not recorded or settings_json(_extended(recorded, settings)) != content:
         for folder in _folders(run):
-            results = [folder / name for name in RESULTS] + [*folder.glob(f"{SAMPLES}/epoch-*.png")]
-            OwnedFolder(folder).remove_written(results)
-    owned.manifest.write(StageRecord(STAGE, settings_json(settings)))
+            OwnedFolder(folder).remove_written([folder / name for name in RESULTS])
+    owned.manifest.write(StageRecord(STAGE, content))
     owned.write(run / RECIPE, settings.recipe.to_toml().encode())
 
 

@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 import torch
@@ -42,7 +41,7 @@ from salsanext_cli.training.tuning.error import (
     cross_validated,
     gains,
     is_better,
-    judging,
+    judge_job,
     of_both_kinds,
 )
 from salsanext_cli.training.tuning.scans import LabelledImage, read_labelled_image
@@ -74,7 +73,7 @@ def initial_network(
     if _hidden_shapes(trained) != _hidden_shapes(module):
         name = card.architecture["name"]
         hint = f'set architecture = "{name}" in the recipe'
-        raise WeightsError(weights, f"holds a {name}", f"a {recipe.architecture}", hint)
+        raise WeightsError(weights, f"is a {name}", f"a {recipe.architecture}", hint)
     tensors = trained.state_dict()
     if not card.space.fits(space):
         tensors |= _outputs(module, tensors, card.space, space)
@@ -149,19 +148,12 @@ class Setup:
     workers: int
     overwrite: bool
     error: ErrorModel | None  # Error model of the initial weights
-    draw: Callable[[BinaryIO, ScanFile, Network], object]  # Draws predictions into an open file
     report: Callable[[StepReport], object]  # Called after every step
 
     def training(self, files: Sequence[ScanFile], validation: Source) -> Training:
         """Return a training on some scans of the data set that scores others."""
         recipe, (first, *further) = self.recipe, self.sources
         of_class = self.counts.points, self.card.space.scored
-        pictured = (validation.files or files)[0]
-        shown = validation if validation.files else first
-
-        def draw(file: BinaryIO, network: Network) -> None:
-            self.draw(file, pictured, network.for_sensor(shown.sensor_of(pictured)))
-
         weights = class_weights(*of_class, recipe.class_weight)
         module = copy.deepcopy(self.initial)
         trained_on = [replace(first, files=files), *further]
@@ -179,7 +171,6 @@ class Setup:
                 trained_on=self.card.trained_on | digests,
             ),
             workers=self.workers,
-            draw=draw,
             report=self.report,
         )
 
@@ -196,7 +187,7 @@ class Setup:
                 settings=replace(self.settings, held_out=run_folder.scans_digest(part)),
                 report=partial(self._report_fold, number, len(parts)),
             )
-            self.group.on_main(fold._begin)
+            self.group.on_main(fold._record_start)
             logs.append(fold.training(rest, replace(first, files=part)).fit().rows)
         one_drive = len({file.sequence for file in first.files}) == 1
         if (expected := expectation(logs, one_drive=one_drive)) is None:
@@ -237,9 +228,9 @@ class Setup:
     def _parts(self) -> Parts:
         return held_out(self.sources[0].files, self.recipe.folds)
 
-    def _begin(self) -> None:
+    def _record_start(self) -> None:
         run_folder.require_free(self.run, self.settings, overwrite=self.overwrite)
-        run_folder.begin(self.run, self.settings, overwrite=self.overwrite)
+        run_folder.record_start(self.run, self.settings, overwrite=self.overwrite)
 
     def _report_fold(self, number: int, count: int, report: StepReport) -> None:
         """Report a step of a fold as one of the whole cross-validation."""
@@ -263,7 +254,7 @@ class Setup:
                 seen = network.for_sensor(source.sensor_of(file))
                 return read_labelled_image(file, seen, source.space)
 
-            job = judging(network, read, len(source.files))
+            job = judge_job(network, read, len(source.files))
             judged |= zip(part, network_pipeline(job, network).results(part), strict=True)
         if of_both_kinds(judged.values()):
             start = self.error if self.error and self.error.features == FEATURES else None

@@ -207,8 +207,6 @@ TUNE = "tune dropout {data} other.safetensors --split valid --weights {weights}"
         ("picture --colour range --scale 2 1", "--scale"),
         ("picture --colour label --scale 1 2", "--scale"),
         (f"{TUNE} --samples 1", "--samples"),
-        (f"{TUNE} --steps 1", "--steps"),
-        (f"{TUNE} --lowest 0.9", "--lowest and --highest"),
         (f"predict {ON_DATA} --ego a,b,c,d,e,f", "--ego"),
         (f"predict {ON_DATA} --jobs 0", "--jobs"),
         (f"predict {ON_DATA} --limit 0", "--limit"),

@@ -88,7 +88,7 @@ def test_doubtful_scans():
 
 def test_doubtful_fields_of_view():
     assert codes(STREET, replace(SMALL, fov_up=-8.0)) == ["out-of-view"]
-    assert "wide-view" in codes(STREET, replace(SMALL, fov_up=75.0, fov_down=-75.0))
+    assert codes(STREET, replace(SMALL, fov_up=75.0, fov_down=-75.0)) == ["sparse"]
 
 
 FITTED = replace(SMALL, name="fitted")
@@ -127,31 +127,10 @@ def test_an_origin_in_a_sensor_file_corrects_the_height():
 
 def test_no_hint_names_an_option_that_weights_refuse():
     decibels = Scan(STREET.points, -40 * STREET.intensity - 1)
-    unknown = hints(decibels, SMALL, SMALL)["intensity-scale"]
-    assert "--intensity none" not in unknown
-    assert "--intensity none" in hints(decibels, SMALL)["intensity-scale"]
+    assert "--intensity auto" not in hints(decibels, SMALL, SMALL)["intensity-scale"]
+    assert "--intensity auto" in hints(decibels, SMALL)["intensity-scale"]
     matched = replace(SMALL, intensity_quantiles=tuple(255 * q for q in QUANTILES))
     assert "intensity_scale" not in hints(STREET, matched)["intensity-scale"]
-
-
-UNNAMED = ("s.bin", "s.pcd.bin", "s.npy", "s.txt")
-NAMED = ("s.pcd", "s.PLY", "s.laz", "s.feather", "drive.bag/points/0000000000000000001")
-
-
-@pytest.mark.parametrize(
-    ("scan", "code"),
-    [
-        (Scan(STREET.points, np.zeros_like(STREET.intensity)), "no-intensity"),
-        (moved(scale=30), "units"),
-        (mostly_missing(), "not-measured"),
-    ],
-)
-def test_hints_name_columns_only_for_formats_without_names(scan, code):
-    plain = replace(TRAINED, intensity_quantiles=())
-    for name in (*UNNAMED, *NAMED):
-        findings = check_scan(Path(name), scan, SMALL, plain).findings
-        (hint,) = (finding.hint for finding in findings if finding.code == code)
-        assert ("--columns" in hint) == (name in UNNAMED)
 
 
 def test_matched_intensities_are_compared_with_the_fitted_scans():

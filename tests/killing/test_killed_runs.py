@@ -102,7 +102,6 @@ def training(folder: Path) -> Run:
     from salsanext_cli.network.registry import ARCHITECTURES
     from salsanext_cli.stages.train import train
     from salsanext_cli.training import fit
-    from salsanext_cli.training.log import draw_curve
     from salsanext_cli.training.recipe import Recipe
 
     ARCHITECTURES["salsanext"] = TinyNetwork
@@ -111,7 +110,6 @@ def training(folder: Path) -> Run:
     write_sequence(folder / "data/sequences/00", ["0", "1"], count=600)
     write_sequence(folder / "data/sequences/08", ["0"], count=600)
     # Load modules here instead of in every fork; a training step would start threads.
-    draw_curve(folder / "warm.png", [{"epoch": 1, "loss": 1.0, "miou": 0.5}])
     import_module("torch._dynamo")
     knn_refine(project(make_scan(), SMALL), np.zeros((SMALL.height, SMALL.width), np.uint8))
     recipe = Recipe(epochs=2, batch=1, crop_width=32, samples_per_epoch=4, average=0.5)

@@ -6,27 +6,22 @@ import io
 import numpy as np
 import pytest
 from matplotlib.image import imread
-from scans import SMALL, make_scan, write_sequence
-from tiny_network import TinyNetwork
+from scans import SMALL, make_scan
 
 from salsanext_cli import Scan, label_space
-from salsanext_cli.engines.loading import network_of_module
-from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.report import scan_pictures
 from salsanext_cli.report.canvas import MARGIN_PX
-from salsanext_cli.report.colours import EMPTY, RIGHT, WRONG, screen_colours
+from salsanext_cli.report.colours import EMPTY, WRONG, screen_colours
 from salsanext_cli.report.scan_pictures import (
     HEAD_PX,
     NARROW_PX,
     STRIP_HEIGHT_PX,
     VIEW_TITLE_PX,
     WIDTH_PX,
-    draw_sample,
     picture_of_results,
     raster,
     scan_picture,
 )
-from salsanext_cli.results.paths import find_scans
 from salsanext_cli.results.result_folder import ScanResults
 
 RED, GREEN = (255, 0, 0), (0, 255, 0)
@@ -157,18 +152,3 @@ def test_a_picture_from_above_is_as_wide_as_the_scan(farthest, reach, monkeypatc
     points[0, 0], points[1] = 80, np.nan  # A far point, and one without a measurement
     scan_picture("", points, {"": np.zeros((1000, 3), np.uint8)})
     assert drawn == [reach]
-
-
-def test_a_sample_shows_truth_prediction_and_errors(tmp_path):
-    """The network labels everything road."""
-    (file,) = find_scans(write_sequence(tmp_path / "00", ["0"], count=600))
-    module = TinyNetwork(SPACE.class_count).eval()
-    module.logits.weight.data.zero_()
-    module.logits.bias.data.zero_()[SPACE.names.index("road")] = 9.0
-    network = network_of_module(module, WeightsCard({"name": "tiny"}, SPACE, SMALL), "cpu")
-    with (tmp_path / "sample.png").open("wb") as out:
-        picture = draw_sample(out, file, network)
-    np.testing.assert_array_equal(picture, pixels((tmp_path / "sample.png").read_bytes()))
-    road = count(picture, screen_colours(SPACE)[SPACE.names.index("road")])
-    right, wrong = count(picture, RIGHT), count(picture, WRONG)
-    assert 0 < right < wrong < road

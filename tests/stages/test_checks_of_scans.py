@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """`train` and `inspect` check scans as `predict` does, without weights."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -9,15 +8,13 @@ import pytest
 from scans import SMALL, write_bin, write_sequence
 
 from salsanext_cli import Scan, read_scan
-from salsanext_cli.errors import FormatError, TrainingError
+from salsanext_cli.errors import FormatError
 from salsanext_cli.files.json_files import plain
 from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.stages.inspect import inspect
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.train import train
-from salsanext_cli.training.data import class_counts as counting
 from salsanext_cli.training.recipe import Recipe
 
 UPWARDS = replace(SMALL, name="upwards", fov_up=30.0, fov_down=-2.0)
@@ -85,36 +82,6 @@ def test_scans_in_millimetres_are_not_trained_on(dataset):
     assert not (dataset.parent / "run/train.json").exists()
     (failure,) = inspect(dataset, sensor=SMALL).failures
     assert (failure.scan.name, failure.code) == ("08/0", "format")
-
-
-def test_strict_refuses_before_the_training(dataset):
-    change(dataset, brighter=0.0)
-    for _ in range(2):
-        with pytest.raises(TrainingError, match="no-intensity in 1 scan"):
-            trained(dataset, strict=True)
-    assert not (dataset.parent / "run/train.json").exists()
-    change(dataset, brighter=0.0, stem="2")
-    with pytest.raises(TrainingError, match="no-intensity in 2 scans"):
-        trained(dataset, strict=True)
-    assert by_code(trained(dataset)) == {"no-intensity": ["00/1", "00/2"]}
-
-
-def test_a_resumed_training_repeats_the_warnings(dataset, monkeypatch):
-    change(dataset, brighter=0.0)
-    warnings = trained(dataset)
-    kept = dataset.parent / "run/class_counts.json"
-    content = json.loads(kept.read_bytes())
-    assert content["warnings"] == plain(warnings)
-    check, checked = counting.check_with_hint, []
-    counted = lambda path, *a, **k: checked.append(path) or check(path, *a, **k)  # noqa: E731
-    monkeypatch.setattr(counting, "check_with_hint", counted)
-    assert trained(dataset) == warnings
-    assert not checked
-    # A record of an older version has none.
-    older = {key: value for key, value in content.items() if key != "warnings"}
-    OwnedFolder(kept.parent).write(kept, json.dumps(older).encode())
-    assert trained(dataset) == warnings
-    assert len(checked) == 4
 
 
 def test_scans_are_checked_with_the_fitted_sensor(dataset):

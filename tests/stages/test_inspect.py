@@ -9,7 +9,6 @@ from salsanext_cli import Scan, project, read_scan, sensor
 from salsanext_cli.errors import NoInputError
 from salsanext_cli.fitting.field_of_view import fit_view
 from salsanext_cli.stages.inspect import inspect, write_sensor
-from salsanext_cli.stages.project import project_scans
 
 TILT = np.radians(6.5)
 
@@ -74,17 +73,3 @@ def test_a_fit_for_the_images_of_weights_has_the_view_that_auto_takes(tmp_path):
     write_sensor(tmp_path / "mine.toml", mine, images=False)
     usual = {"means": SMALL.means, "stds": SMALL.stds}
     assert sensor(tmp_path / "mine.toml", SMALL) == replace(mine, **usual)
-
-
-def test_a_cloud_that_no_view_shows_is_doubted_without_advice_to_fit(tmp_path):
-    """Accumulated points all around, as far up as down; with any fit, some stay outside."""
-    folder = write_beams(tmp_path / "cloud", np.linspace(-30, 88, 120))
-    file = tmp_path / "mine.toml"
-    fitted = inspect(folder, sensor=SMALL, fit=True, images=False)
-    write_sensor(file, fitted.fitted_sensor("mine", images=False), images=False)
-    mine = sensor(file, SMALL)
-    later = project_scans(folder, tmp_path / "out", sensor=mine).summary.warnings()
-    auto = project_scans(folder, tmp_path / "auto", sensor=SMALL, fit=True).summary.warnings()
-    for warnings in (inspect(folder, sensor=SMALL).warnings, fitted.warnings, later, auto):
-        (outside,) = (each for each in warnings if each.code == "out-of-view")
-        assert outside.hint == "expect wrong labels"

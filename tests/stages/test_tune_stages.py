@@ -41,7 +41,14 @@ from salsanext_cli.uncertainty.monte_carlo import scan_seed
 
 SPACE = label_space()
 LABELS = "sequences/08/labels"
-FEW = {"samples": 3, "steps": 3, "lowest": 0.05, "highest": 0.3}
+FEW = {"samples": 3}
+
+
+@pytest.fixture(autouse=True)
+def few_rates(monkeypatch):
+    """Let `tune dropout` try three rates."""
+    rates = np.geomspace(0.05, 0.3, 3).tolist()
+    monkeypatch.setattr("salsanext_cli.training.tuning.dropout_rate.RATES", rates)
 
 
 def go(world, target, part="temperature", **changes):
@@ -283,7 +290,7 @@ def test_weights_without_dropout_get_the_layers_of_the_paper(world, target, tmp_
 @pytest.mark.parametrize(
     ("objectives", "best", "warning"),
     [
-        ([1.0, 2.0, 3.0, 4.0] * 2, 0.05, "--lowest"),
+        ([1.0, 2.0, 3.0, 4.0] * 2, 0.05, "at the end of the range"),
         ([3.0, 1.0, 2.0, 3.0] * 2, math.sqrt(0.05 * 0.3), ""),
         # The existing rate, 0.2, wins ties, and if the choice of one scan is worse in the other.
         ([3.0, 1.0, 1.0, 3.0] * 2, 0.2, ""),

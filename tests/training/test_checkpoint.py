@@ -8,13 +8,12 @@ from pathlib import Path
 import pytest
 import torch
 from fuzzing.limits import bounded
-from matplotlib.image import imread
 from tiny_network import TinyNetwork
 
 from salsanext_cli.errors import TrainingError
 from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
 from salsanext_cli.training.learner import Learner
-from salsanext_cli.training.log import draw_curve, write_log
+from salsanext_cli.training.log import write_log
 from salsanext_cli.training.recipe import Recipe
 
 NAME = "c.safetensors"
@@ -109,9 +108,3 @@ def test_log_has_a_line_per_epoch_and_nothing_where_nothing_was_measured(tmp_pat
     empty = {"miou": "", "iou_car": "", "iou_road": ""}
     assert first == {"epoch": "1", "loss": "3.25", **empty}
     assert second == {"epoch": "2", "loss": "2.5", **empty, "miou": "0.25", "iou_road": "0.5"}
-
-
-@pytest.mark.drawn
-def test_the_curve_has_a_point_per_epoch(tmp_path: Path) -> None:
-    draw_curve(tmp_path / "curve.png", ROWS)
-    assert imread(tmp_path / "curve.png").shape == (480, 840, 4)

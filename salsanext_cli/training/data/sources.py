@@ -23,7 +23,7 @@ from salsanext_cli.labelling.label_records import pre_labelled_scans
 from salsanext_cli.records import Float
 from salsanext_cli.results.paths import ScanFile, find_scans
 from salsanext_cli.results.selection import data_set_label_space, log_unused, with_splits
-from salsanext_cli.sensors.sensor import FITTED_NAME, Sensor
+from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.training.data.augment import LabelledScan
 from salsanext_cli.training.data.targets import ClassSets, to_targets
 
@@ -105,9 +105,6 @@ def fitted_source(source: Source, jobs: int = 1) -> Source:
 
     run = joblib.Parallel(jobs, backend="threading")
     sensors = run(joblib.delayed(fit)(files) for files in sequences.values())
-    changed = sum(sensor.name == FITTED_NAME for sensor in sensors)
-    counts = counted(len(sensors), "sequence")
-    log.log(NOTICE, "%s fitted, %d with another field of view or mounting", counts, changed)
     return replace(source, fitted=dict(zip(sequences, sensors, strict=True)))
 
 
@@ -135,8 +132,8 @@ def scans_to_train_on(
     """Return the label space of a data set, its training scans and its validation scans.
 
     `divisible` scans can be cross-validated. Without named splits, all labelled scans are then for
-    training; with splits that leave scans or ``train`` or ``valid`` out, those of ``train`` and of
-    no split are.
+    training. If ``train`` or ``valid`` is missing, or some scans have no split, the scans of
+    ``train`` and of no split are.
     """
     if not divisible:
         classes, training = labelled_split(dataset, space, "train")

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.engines.loading import with_dropout
-from salsanext_cli.errors import TrainingError, UsageError
+from salsanext_cli.errors import TrainingError
 from salsanext_cli.geometry.network_input import noise_of
 from salsanext_cli.network.dropout import dropouts
 from salsanext_cli.parallel.job import Steps
@@ -24,20 +24,9 @@ from salsanext_cli.uncertainty.monte_carlo import require_sampling, sample, scan
 MIN_VARIANCE = 1e-4
 """(1 % of probability)²: a few certain and wrong points must not outweigh all others."""
 SAMPLES = 30  # Passes per scan and rate
-LOWEST, HIGHEST, STEPS = 0.02, 0.5, 10  # Ends of the range of rates, and their number
+RATES: list[float] = np.geomspace(0.02, 0.5, 10).tolist()
 
 log = logging.getLogger(__name__)
-
-
-def rates_between(lowest: float, highest: float, steps: int) -> list[float]:
-    """Return rates at equal steps of their logarithm, both ends included."""
-    if not 0 < lowest < highest < 1:
-        problem = f"are {lowest:g} and {highest:g}"
-        raise UsageError("--lowest and --highest", problem, "rising rates above 0 and below 1")
-    if steps < 2:
-        raise UsageError("--steps", f"is {steps}", "at least 2")
-    inner = np.geomspace(lowest, highest, steps)[1:-1].tolist()
-    return [lowest, *inner, highest]
 
 
 def objective(probabilities: Float, variance: Float, truth: npt.NDArray[Any]) -> float:
@@ -52,29 +41,21 @@ def objective(probabilities: Float, variance: Float, truth: npt.NDArray[Any]) ->
     return math.fsum((np.log(s) / 2 + error**2 / (2 * s)).sum(axis=0))
 
 
-def fit_dropout(
-    scans: TuningScans,
-    samples: int = SAMPLES,
-    seed: int = 0,
-    lowest: float = LOWEST,
-    highest: float = HIGHEST,
-    steps: int = STEPS,
-) -> Tuned:
-    """Find the dropout rate with the least mean `objective` of so many seeded passes.
+def fit_dropout(scans: TuningScans, samples: int = SAMPLES) -> Tuned:
+    """Find the rate of `RATES` with the least mean `objective` of some passes.
 
     The existing rate stays unless the rate that other scans choose is better on held-out scans.
     """
-    rates = rates_between(lowest, highest, steps)
     before = max((layer.rate for layer in dropouts(scans.loaded.module)), default=0.0)
-    rates = sorted({*rates, before} - {0.0})
-    require_sampling(with_dropout(scans.loaded, lowest), samples)
+    rates = sorted({*RATES, before} - {0.0})
+    require_sampling(with_dropout(scans.loaded, RATES[0]), samples)
     noise_of(scans.loaded.sensor)
     network = scans.network
     candidates = [with_dropout(network, rate) for rate in rates]
 
     def objectives_of(scan: LabelledImage) -> list[float]:
         noise = scan.of_points(aleatoric(scan.network, scan.image))
-        masks, values = scan_seed(seed, scan.file.sequence, scan.file.stem), list[float]()
+        masks, values = scan_seed(0, scan.file.sequence, scan.file.stem), list[float]()
         for candidate in candidates:
             fitted = candidate.for_sensor(scan.network.sensor)
             sampled = sample(fitted, scan.image, samples=samples, seed=masks)
@@ -98,9 +79,8 @@ def fit_dropout(
         raise TrainingError(scans.source, problem, hint="use other weights")
     best = int(np.argmin(objectives))
     changed = not before or _gains(scans.files, sums, rates.index(before))
-    if changed and rates[best] in (lowest, highest):
-        edge = ("--lowest", "--highest")[rates[best] == highest]
-        log.warning("the best rate, %g, is at the end of the range: change %s", rates[best], edge)
+    if changed and rates[best] in (RATES[0], RATES[-1]):
+        log.warning("the best rate, %g, is at the end of the range: do not use it", rates[best])
     report = {
         "before": before,
         "best": rates[best] if changed else before,

@@ -51,14 +51,16 @@ class JudgedPoints:
 
     features: Float  # (M, F), in the order of `FEATURES`
     wrong: Mask  # (M,)
-    several: float = 0.0  # Share of skipped points, whose label is of several classes
 
 
 JudgeJob = Steps[LabelledImage, PixelPrediction, JudgedPoints]
 
 
-def judging(network: Network, read: Callable[[ScanFile], LabelledImage], scans: int) -> JudgeJob:
-    """Return the job that labels so many scans as `predict` does, and judges points of each."""
+def judge_job(network: Network, read: Callable[[ScanFile], LabelledImage], scans: int) -> JudgeJob:
+    """Return the job that labels scans as `predict` does, and judges points of each.
+
+    `scans` is their number.
+    """
     most = max(1, min(MAX_POINTS_OF_SCAN, MAX_POINTS // scans))
 
     def predict(scans: Sequence[LabelledImage]) -> list[PixelPrediction]:
@@ -77,7 +79,7 @@ def judged_points(scan: LabelledImage, pixels: PixelPrediction, most: int) -> Ju
     chosen = random.permutation(len(scan.truth))[:most]
     points = scan.points[chosen]
     wrong = labels[points] != scan.truth[chosen]
-    return JudgedPoints(features[points], wrong, scan.several)
+    return JudgedPoints(features[points], wrong)
 
 
 def fit_error_model(scans: TuningScans) -> Tuned:
@@ -87,7 +89,7 @@ def fit_error_model(scans: TuningScans) -> Tuned:
     on the same held-out scans, and whether the weights were `changed`.
     """
     files, network = scans.files, scans.network
-    judged = scans.run(judging(network, scans.read, len(files)))
+    judged = scans.run(judge_job(network, scans.read, len(files)))
     wrong = np.concatenate([points.wrong for points in judged.values()])
     scans.require_points(len(wrong))
     if not of_both_kinds(judged.values()):
@@ -118,10 +120,9 @@ def cross_validated(
 ) -> ErrorModel:
     """Fit a model to all scans; its scores are of models that lack a fold of the scans.
 
-    `start`: as `fit_error` takes it. The scores hold the sequences, also of the `start`; the share
-    of `wrong` points; the share of skipped points, of `several` classes; and `error_scores` of the
-    model, `error`, of the `existing` one and of 1 − the probability of the label, `confidence`.
-    These are None without folds.
+    `start`: as `fit_error` takes it. The scores include the sequences, also of the `start`; the
+    share of `wrong` points; and `error_scores` of the model, `error`, of the `existing` one and of
+    1 − the probability of the label, `confidence`. These are None without folds.
     """
     every = list(judged.values())
     wrong = np.concatenate([points.wrong for points in every])
@@ -134,7 +135,6 @@ def cross_validated(
         "sequences": sorted(sequences | {*before.get("sequences", ())}),
         "points": len(wrong),
         "wrong": float(wrong.mean()),
-        "several": float(np.mean([points.several for points in every])),
         **_scores_held_out(judged, parts, start),
     }
     return replace(fit_error(every, start, len(sequences)), scores=scores)
@@ -186,7 +186,7 @@ def is_better(scores: Mapping[str, float], others: Mapping[str, float]) -> bool:
 def fit_error(
     scans: Sequence[JudgedPoints], start: ErrorModel | None = None, sequences: int = 1
 ) -> ErrorModel:
-    """Fit a model with the least cross-entropy to points of so many sequences.
+    """Fit a model with the least cross-entropy to points of a number of sequences.
 
     A model to `start` from counts as `SEQUENCES_OF_START` sequences: the truth is mixed with its
     probability. The height has no weight, since it depends on the mounting.
@@ -206,7 +206,7 @@ def fit_error(
         linear = [nn.Linear(*size) for size in sizes]
         model = nn.Sequential(*(m for layer in linear for m in (layer, nn.ReLU())))[:-1]
         if start:
-            _begin(linear, start, mean, np.where(np.isinf(spread), 0, spread))
+            _copy_layers(linear, start, mean, np.where(np.isinf(spread), 0, spread))
         steps_per_epoch = -(-len(values) // BATCH)
         epochs = max(EPOCHS, -(-MIN_STEPS // steps_per_epoch))
         optimiser = torch.optim.AdamW(model.parameters(), LEARNING_RATE, weight_decay=WEIGHT_DECAY)
@@ -230,7 +230,9 @@ def fit_error(
     return ErrorModel(FEATURES, layers)
 
 
-def _begin(linear: Sequence[nn.Linear], start: ErrorModel, mean: Float, spread: Float) -> None:
+def _copy_layers(
+    linear: Sequence[nn.Linear], start: ErrorModel, mean: Float, spread: Float
+) -> None:
     """Copy the numbers of a model into layers for standardised features."""
     (weight, bias), *others = start.layers
     first = (weight * spread[:, None], bias + mean @ weight)

@@ -2,7 +2,6 @@
 """Ranges of the inputs of layers, for networks that compute in 8-bit integers."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -10,25 +9,12 @@ import torch
 from torch import Tensor, nn
 
 from salsanext_cli.engines.graphs import LOGITS
-from salsanext_cli.errors import WeightsError
-from salsanext_cli.fitting.label_scan import prepared_for
 from salsanext_cli.network.int8_inputs import Int8Input
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import CHANNELS, Float
-from salsanext_cli.training.tuning.scans import Tuned, TuningScans
 
 OUTLIERS = 1e-4  # Share of the values of a channel beyond each end of its range
 MAX_PIXELS = 32768  # Pixels of a channel that are compared
-
-
-def fit_int8(scans: TuningScans) -> Tuned:
-    """Fit the ranges of `int8_inputs` to scans, which need no labels."""
-    network = scans.network
-    inputs = [prepared_for(network, file).input for file in scans.files]
-    int8 = int8_inputs(network.module, inputs)
-    if not int8:
-        raise WeightsError(scans.settings.path, "has no hidden layer that int8 can compute")
-    return replace(network.card, int8=int8), {"scans": len(inputs), "layers": len(int8)}
 
 
 def int8_layers(module: SegmentationNetwork) -> dict[str, nn.Conv2d]:

@@ -28,7 +28,6 @@ from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.measures.histograms import UNCERTAINTY_BINS, bin_of, highest_of_bins
 from salsanext_cli.measures.risk_control import (
-    ACCEPTS_NONE,
     AcceptedLabels,
     enough_drives,
     guarantee,
@@ -45,7 +44,6 @@ from salsanext_cli.sensors.sensor import FittedView
 from salsanext_cli.training.tuning.scans import NOT_SCORED, Tuned, TuningScans
 from salsanext_cli.uncertainty.error_features import error_probability, knows_error
 
-CURVE_POINTS = 101
 LEAST_COVERAGE = 0.25  # Share of accepted points below which a threshold is of little use
 MAX_LISTED = 5  # Held-out sequences that are listed, the worst ones
 
@@ -59,15 +57,15 @@ class JudgedScan:
     file: ScanFile
     digest: str
     points: int
-    # Accepted points, and accepted wrong ones, up to each bin: (2, C, B) by label, else (2, 1, B)
+    # Accepted points, and accepted wrong ones, up to each bin, (2, B)
     below: npt.NDArray[np.int32]
 
 
 class RiskLevel(NamedTuple):
-    """Level of risk that a threshold must hold."""
+    """Limit of the share of accepted and wrong points."""
 
-    at_most: float  # Largest share of the points that may be accepted and wrong, 0…1
-    confidence: float | None  # Share of scans or drives that hold it; None: their mean holds it
+    at_most: float  # Largest share of the points, 0…1
+    confidence: float | None  # Share of scans or drives within the limit; None: it is for the mean
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +91,7 @@ class HeldOutSequence:
 
 
 def judged_scan(
-    scan: PreparedScan, pixels: PixelPrediction, space: LabelSpace, counts: Counts, per_class: bool
+    scan: PreparedScan, pixels: PixelPrediction, space: LabelSpace, counts: Counts
 ) -> JudgedScan:
     """Label a scan as `predict` does, and judge it: by the error if there is a softmax.
 
@@ -111,61 +109,42 @@ def judged_scan(
     bins = np.where(np.isnan(values) | (labels == 0), UNCERTAINTY_BINS, bin_of(values))
     truth, labels, bins = truth[scored], labels[scored], bins[scored]
     np.add.at(counts, (truth, labels, bins), 1)
-    shape = space.class_count if per_class else 1, UNCERTAINTY_BINS + 1
-    cell = (labels.astype(np.intp) if per_class else 0) * shape[1] + bins
-    of_cells = [np.bincount(c, minlength=math.prod(shape)) for c in (cell, cell[labels != truth])]
-    below = np.reshape(of_cells, (2, *shape))[..., :-1].cumsum(axis=2, dtype=np.int32)
+    both = bins, bins[labels != truth]
+    of_bins = np.array([np.bincount(part, minlength=UNCERTAINTY_BINS + 1) for part in both])
+    below = of_bins[:, :-1].cumsum(axis=1, dtype=np.int32)
     return JudgedScan(file, scan_digest(scan.projected.scan), len(truth), below)
 
 
-def accepted_labels(
-    scans: Sequence[JudgedScan], counts: Counts, space: LabelSpace, held: Counts
-) -> tuple[AcceptedLabels, dict[str, tuple[int, ...]]]:
-    """Return the labels that are accepted at the highest of the thresholds held by each label.
+def fit_risk(scans: TuningScans, at_most: float, confidence: float | None = None) -> Tuned:
+    """Choose the highest threshold of error, else of least confidence, that keeps to a level.
 
-    The second value holds points, accepted and wrong ones of each scan.
-    """
-    is_accepted = np.arange(counts.shape[2]) < held[:, None]
-    confusion = (counts * is_accepted).sum(axis=2)
-    confusion[:, 0] += (counts * ~is_accepted).sum(axis=(1, 2))
-    labels = np.flatnonzero(held)
-    shares = [scan.below[:, labels, held[labels] - 1].sum(axis=1).tolist() for scan in scans]
-    of_scans = {s.file.name: (s.points, *share) for s, share in zip(scans, shares, strict=True)}
-    return AcceptedLabels.of_confusion(confusion, space, of_scans), of_scans
-
-
-def fit_risk(
-    scans: TuningScans, at_most: float, confidence: float | None = None, per_class: bool = False
-) -> Tuned:
-    """Choose the highest threshold of error, else of least confidence, that holds a level.
-
-    The unit is the drive if there are enough, else the scan. `per_class`: each label with enough
-    scans or drives gets its own threshold, which holds the level for its points. The report also
-    has the accepted labels, and each sequence at the threshold of the others.
+    The unit is the drive if there are enough, else the scan. The report also has the accepted
+    labels, and each sequence at the threshold of the others.
     """
     level = RiskLevel(at_most, confidence)
     _require_scans(scans, level)
     network, space = scans.network, scans.space
     kind = _kind_of_threshold(scans)
     counts = np.zeros((space.class_count, space.class_count, UNCERTAINTY_BINS + 1), np.int64)
-    judged = _judged(scans, kind, counts, per_class)
-    shares = np.array([scan.below.sum(axis=1) / scan.points for scan in judged])
+    judge = partial(judged_scan, space=space, counts=counts)
+
+    def predict(some: Sequence[PreparedScan]) -> list[PixelPrediction]:
+        return network.predict([scan.input for scan in some], softmax=kind == "error")
+
+    judged = [*scans.run(Steps(partial(prepared_for, network), predict, judge)).values()]
+    shares = np.array([scan.below / scan.points for scan in judged])
     sequences = np.array([scan.file.sequence for scan in judged])
     unit, units = "scan", np.arange(len(judged))
     if enough_drives(len(np.unique(sequences)), at_most, confidence):
         unit, units = "drive", sequences
-    held = held_thresholds(means_of_units(shares[:, 1], units), at_most, confidence)
-    if not held or not shares[:, 0, held - 1].any():
+    bins = held_thresholds(means_of_units(shares[:, 1], units), at_most, confidence)
+    if not bins or not shares[:, 0, bins - 1].any():
         problem = f"no threshold of {kind} accepts points with at most {at_most:.3g} of them wrong"
         hint = "use a higher --at-most, or better weights"
         raise TrainingError(scans.source, problem, hint=hint)
-    of_labels, has_threshold = _of_labels(judged, units, held, level)
-    # A label for which none holds has the last.
-    highest = np.append(np.minimum(highest_of_bins(), 1.0), ACCEPTS_NONE)
-    thresholds = highest[of_labels - 1].tolist()
     risk = RiskThreshold(
         kind=kind,
-        threshold=float(highest[held - 1]),
+        threshold=min(float(highest_of_bins()[bins - 1]), 1.0),
         at_most=at_most,
         confidence=confidence,
         unit=unit,
@@ -173,21 +152,20 @@ def fit_risk(
         sequences=tuple(np.unique(sequences).tolist()),
         digests="".join(scan.digest for scan in judged),
         settings=labels_depend_on(scans.settings, scans.loaded),
-        view=FittedView.of(network.sensor),
-        other_views=tuple(map(FittedView.of, network.sensor.others)),
-        classes={space.names[i]: thresholds[i] for i in np.flatnonzero(has_threshold)},
+        views=tuple(map(FittedView.of, network.sensor.members)),
     )
     others = _held_out(shares, sequences, units, level)
-    labels, of_scans = accepted_labels(judged, counts, space, of_labels)
-    few = [space.names[i] for i in np.flatnonzero(counts.any(axis=(0, 2)) & ~has_threshold) if i]
+    confusion = counts[..., :bins].sum(axis=2)
+    confusion[:, 0] += counts[..., bins:].sum(axis=(1, 2))
+    of_scans = {s.file.name: (s.points, *s.below[:, bins - 1].tolist()) for s in judged}
+    labels = AcceptedLabels.of_confusion(confusion, space, of_scans)
     report = {
         "promise": guarantee(risk),
-        **{name: value for name, value in plain(risk).items() if name != "classes" or per_class},
+        **plain(risk),
         "kept": plain(labels),
         "left_out": plain(others),
-        "risk_coverage": _curve(shares).tolist(),
         "of_scans": [[accepted / n, wrong / n] for n, accepted, wrong in of_scans.values()],
-        "sentences": [*labels.sentences, *_sentences(others, few if per_class else (), unit)],
+        "sentences": [*labels.sentences, *_sentences(others)],
     }
     _warn(labels, others, level, unit)
     return replace(network.card, risk=risk), report
@@ -196,24 +174,14 @@ def fit_risk(
 def _warn(
     labels: AcceptedLabels, others: Sequence[HeldOutSequence], level: RiskLevel, unit: str
 ) -> None:
-    """Warn of a threshold of little use, or that does not hold on held-out sequences."""
+    """Warn of a threshold of little use, or with which held-out sequences exceed the level."""
     if labels.coverage < LEAST_COVERAGE:
         text = f"the threshold accepts only {labels.coverage:.1%} of the points"
         log.warning("%s", with_hint(text, "use a higher --at-most, or scans of more drives"))
     if (above := [part.sequence for part in others if part.exceeds(level)]) and unit == "scan":
         log.warning("%s: above the level with the threshold of the others", first_few(above))
     elif not others:
-        log.warning("scans of one sequence do not show how the threshold holds on another")
-
-
-def _judged(scans: TuningScans, kind: str, counts: Counts, per_class: bool) -> list[JudgedScan]:
-    network = scans.network
-    judge = partial(judged_scan, space=scans.space, counts=counts, per_class=per_class)
-
-    def predict(some: Sequence[PreparedScan]) -> list[PixelPrediction]:
-        return network.predict([scan.input for scan in some], softmax=kind == "error")
-
-    return [*scans.run(Steps(partial(prepared_for, network), predict, judge)).values()]
+        log.warning("scans of one sequence do not show whether another one keeps to the level")
 
 
 def _kind_of_threshold(scans: TuningScans) -> str:
@@ -228,16 +196,8 @@ def _kind_of_threshold(scans: TuningScans) -> str:
     return "error"
 
 
-def _curve(shares: Ratios) -> Ratios:
-    """Return `CURVE_POINTS` of mean coverage and risk (2, P) of shares (n, 2, B)."""
-    means = shares.mean(axis=0)
-    coverage = np.linspace(0, means[0, -1], CURVE_POINTS)
-    steps = np.unique(np.searchsorted(means[0], coverage).clip(max=UNCERTAINTY_BINS - 1))
-    return means[:, steps]
-
-
-def _sentences(others: Sequence[HeldOutSequence], few: Sequence[str], unit: str) -> Iterator[str]:
-    """Yield sentences about held-out sequences, and about classes of too few scans or drives."""
+def _sentences(others: Sequence[HeldOutSequence]) -> Iterator[str]:
+    """Yield sentences about held-out sequences."""
     worst = sorted(others, key=lambda part: -part.loss)[:MAX_LISTED]
     for part in worst:
         shares = f"{part.accepted:.1%} accepted, {part.loss:.1%} of all points accepted and wrong"
@@ -245,31 +205,10 @@ def _sentences(others: Sequence[HeldOutSequence], few: Sequence[str], unit: str)
         yield f"{part.sequence} {threshold}: {shares}, {part.worst:.1%} in the worst scan"
     if more := len(others) - len(worst):
         yield f"{counted(more, 'sequence')} more with a smaller share of wrong points"
-    if few:
-        yield f"{first_few(few)}: common threshold, since there are too few {unit}s for a guarantee"
-
-
-def _of_labels(
-    scans: Sequence[JudgedScan], units: npt.NDArray[Any], held: int, level: RiskLevel
-) -> tuple[Counts, npt.NDArray[np.bool_]]:
-    """Return how many of the `held` thresholds hold for the points of each label, (C,).
-
-    The second value tells which labels have enough scans or drives, (C,); the others have `held`.
-    """
-    count = scans[0].below.shape[1]
-    of_labels, is_enough = np.full(count, held), np.zeros(count, np.bool_)
-    for label in range(1, count):
-        below = np.array([scan.below[:, label] for scan in scans])
-        has = below[:, 0, -1] > 0
-        is_enough[label] = len(np.unique(units[has])) >= needed_scans(*level)
-        if is_enough[label]:
-            losses = means_of_units(below[has, 1] / below[has, :1, -1], units[has])
-            of_labels[label] = min(held, held_thresholds(losses, *level))
-    return of_labels, is_enough
 
 
 def _require_scans(scans: TuningScans, level: RiskLevel) -> None:
-    """Refuse a level that so many scans cannot guarantee; name the best one for them."""
+    """Refuse a level that the scans are too few for; name the best one for their number."""
     at_most, confidence = level
     if not 0 < at_most < 1:
         raise UsageError("--at-most", f"is {at_most:.4g}", "above 0 and below 100%, such as 5%")
@@ -304,8 +243,8 @@ def _held_out(
     for sequence in names if len(names) > 1 else ():
         part = sequences == sequence
         losses = means_of_units(shares[~part, 1], units[~part])
-        held = held_thresholds(losses, *level, scans=count)
-        accepted, wrong = shares[part, :, held - 1].T if held else np.zeros((2, part.sum()))
+        bins = held_thresholds(losses, *level, scans=count)
+        accepted, wrong = shares[part, :, bins - 1].T if bins else np.zeros((2, part.sum()))
         above = (wrong > level.at_most).mean()
         means = map(float, (accepted.mean(), wrong.mean(), wrong.max(), above))
         reports.append(HeldOutSequence(str(sequence), int(part.sum()), *means))

@@ -104,7 +104,7 @@ def with_temperature(card: WeightsCard, temperature: float, logits: Tensor) -> W
 
 
 def _sample(scan: LabelledImage, logits: Float, most: int) -> Points:
-    """Return the logits (M, C) and train ids (M,) of at most so many points of a scan."""
+    """Return the logits (M, C) and train ids (M,) of at most `most` points of a scan."""
     file, count = scan.file, len(scan.truth)
     if not np.isfinite(logits).all():
         raise WeightsError(file.path, "logits of the network are not finite")
