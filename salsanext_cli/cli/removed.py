@@ -24,7 +24,6 @@ REMOVED = {
     ("export-rrd", ""): "use examples/rerun_recording.py",
     ("filter", "--split"): "use `--by-class`",
     ("fuse", "--strict"): "use the key `warnings` of `--json`",
-    ("int8", ""): "use weights of `salsanext train`, which have ranges for int8",
     ("pick", "--disagreement"): "omit it: the network estimates the uncertainty",
     ("pick", "--limit"): "use `--subset`",
     ("pick", "--strategy"): "use no option: picked scans are uncertain and differ from each other",

@@ -9,11 +9,11 @@ import typer
 
 from salsanext_cli.cli import arguments, console
 from salsanext_cli.cli.console import guarded, progress
-from salsanext_cli.cli.expansion import Default, Shown, expanded
+from salsanext_cli.cli.expansion import Default, Shown, Without, expanded
 from salsanext_cli.cli.help import Command, Group
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import counted
-from salsanext_cli.option_fields import ScanSelection, option, option_group
+from salsanext_cli.option_fields import ScanSelection, argument, option, option_group
 from salsanext_cli.parallel.run_options import running_option
 
 
@@ -130,6 +130,36 @@ def tune_dropout(
     _end(output, summary, target, stage="uncertainty")
 
 
+def tune_int8(
+    scans: Path = argument(arguments.SCANS_HELP, default=..., metavar="SCANS"),
+    target: Path = arguments.WEIGHTS_OUT,
+    *,
+    fit: Annotated[
+        Fit,
+        Without({"device", "precision", "engine"}),
+        Shown(split={"show_default": "all scans"}, limit=arguments.SUBSET),
+        Default(limit=16),
+    ],
+    output: console.Output,
+) -> None:
+    """Fit the ranges of `predict --precision int8` to scans without labels; write new weights.
+
+    Example: salsanext tune int8 scenes/ fast.safetensors
+    """
+    from salsanext_cli.stages.tune import tune_int8 as stage
+
+    tuned = stage(
+        scans,
+        target,
+        settings=fit.settings,
+        selection=fit.selection,
+        overwrite=fit.overwrite,
+    )
+    output.result(tuned | {"weights": str(target)})
+    summary = f"tune int8: {counted(tuned['scans'], 'scan')} → {target}"
+    _end(output, summary, target, "--precision int8 ")
+
+
 def _end(
     output: console.Output, summary: str, target: Path, option: str = "", stage: str = "predict"
 ) -> None:
@@ -153,9 +183,10 @@ def _tuned(
 tune = typer.Typer(
     cls=Group,
     rich_markup_mode=None,
-    help="Fit weights to labelled scans: temperature, error model, risk threshold, dropout rate.",
+    help="Fit weights to scans: temperature, error model, risk threshold, dropout rate, int8.",
 )
 tune.command("error", cls=Command)(guarded(expanded(tune_error)))
 tune.command("risk", cls=Command)(guarded(expanded(tune_risk)))
 tune.command("temperature", cls=Command)(guarded(expanded(tune_temperature)))
 tune.command("dropout", cls=Command)(guarded(expanded(tune_dropout)))
+tune.command("int8", cls=Command)(guarded(expanded(tune_int8)))

@@ -53,5 +53,5 @@ def quantised(model: Any, inputs: Mapping[str, Int8Input], source: object) -> An
         changed.add(name)
     if missing := sorted(inputs.keys() - changed):
         problem = f"has int8 ranges of another network, such as of layer {missing[0]}"
-        raise WeightsError(source, problem, hint="use other weights")
+        raise WeightsError(source, problem, hint="fit them again with `salsanext tune int8`")
     return model

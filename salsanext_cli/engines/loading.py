@@ -87,7 +87,7 @@ def _number_type(precision: str, device: str, library: str, file: Path, card: We
     """Return the number type of a precision; refuse int8 without the ranges that it needs."""
     number_type = choose_precision(precision, device, library)
     if number_type == "int8" and not card.int8:
-        hint = "use weights of `salsanext train`, or --precision float32"
+        hint = "fit them with `salsanext tune int8 SCANS WEIGHTS_OUT`"
         raise WeightsError(file, "has no ranges for --precision int8", hint=hint)
     return number_type
 

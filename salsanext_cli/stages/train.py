@@ -36,7 +36,7 @@ from salsanext_cli.training.data.sources import (
 )
 from salsanext_cli.training.distributed import ProcessGroup, group_of_environment, process_group
 from salsanext_cli.training.fit import StepReport
-from salsanext_cli.training.learner import fastest_precision
+from salsanext_cli.training.learner import common_precision
 from salsanext_cli.training.log import Row
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.run_folder import (
@@ -132,13 +132,10 @@ class NewTraining:
             lambda: scans_to_train_on(dataset, space, divisible=divisible)
         )
         if recipe.precision == "auto":
-            precision = group.on_main(
-                lambda: (
-                    (not self.overwrite and recorded_precision(self.run))
-                    or fastest_precision(device)
-                )
+            recorded = group.on_main(
+                lambda: None if self.overwrite else recorded_precision(self.run)
             )
-            recipe = replace(recipe, precision=precision)
+            recipe = replace(recipe, precision=recorded or common_precision(device, group))
         initial, card = initial_network(start, classes, recipe, sensor)
         further = group.on_main(lambda: [further_source(p, classes, card.sensor) for p in also])
         given = [Source(files, classes, card.sensor) for files in (training, validation)] + further

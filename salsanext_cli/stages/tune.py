@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Stage `tune`: one part of the weights, fitted to labelled scans."""
+"""Stage `tune`: one part of the weights, fitted to scans."""
 
 import logging
 from collections.abc import Callable
@@ -8,13 +8,16 @@ from pathlib import Path
 from typing import Any
 
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import NOTICE
+from salsanext_cli.errors import NOTICE, WeightsError
 from salsanext_cli.files.atomic import require_target
+from salsanext_cli.fitting.label_scan import prepared_for
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.run import Progress
+from salsanext_cli.results.selection import select_scans
 from salsanext_cli.training.tuning.dropout_rate import fit_dropout
 from salsanext_cli.training.tuning.error import fit_error_model
+from salsanext_cli.training.tuning.int8 import int8_inputs
 from salsanext_cli.training.tuning.risk import fit_risk
 from salsanext_cli.training.tuning.scans import Tuned, TuningScans, labelled_scans, unseen
 from salsanext_cli.training.tuning.temperature import fit_temperature
@@ -81,3 +84,38 @@ def tune(
         log.log(NOTICE, "the %s is unchanged: %s", NAMES.get(part, part), reason)
     save_with_card(settings.path, target, replace(card, version=None), overwrite=overwrite)
     return report
+
+
+def tune_int8(
+    source: Path,
+    target: Path,
+    *,
+    settings: NetworkSettings = NetworkSettings(),
+    selection: ScanSelection = ScanSelection(),
+    overwrite: bool = False,
+) -> dict[str, Any]:
+    """Write weights with the ranges for `--precision int8`, fitted to scans without labels.
+
+    Parameters
+    ----------
+    source, target : Path
+        Scans, and weights file to write.
+    settings, selection : NetworkSettings, ScanSelection
+        The network computes in float32; a limit takes evenly spaced scans.
+    overwrite : bool
+        Whether to replace an existing file.
+
+    Returns
+    -------
+    dict
+        Plain data for JSON: numbers of scans and of quantised layers.
+    """
+    network = replace(settings, precision="float32").load()
+    require_target(target, overwrite)
+    files = select_scans(source, selection, network.space, evenly=True)
+    inputs = [prepared_for(network, file).input for file in files]
+    if not (int8 := int8_inputs(network.module, inputs)):
+        raise WeightsError(settings.path, "has no hidden layer that int8 can compute")
+    card = replace(network.card, int8=int8, version=None)
+    save_with_card(settings.path, target, card, overwrite=overwrite)
+    return {"stage": "tune int8", "scans": len(files), "layers": len(int8)}

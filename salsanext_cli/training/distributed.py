@@ -3,9 +3,11 @@
 
 import logging
 import os
+import platform
+import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import timedelta
 from typing import Any, TypeVar
@@ -17,10 +19,12 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from salsanext_cli.engines.device import choose_device
-from salsanext_cli.errors import SalsanextError
+from salsanext_cli.errors import SalsanextError, UsageError, error_text
 
-TIMEOUT = timedelta(hours=12)  # Longest time that workers wait for one, which may simulate scenes
+TIMEOUT = timedelta(minutes=15)  # Longest time that a collective takes
+POLL_S = 0.1  # Time between two queries of the store
 LEAVING_S = 0.5  # Time that a worker stays after its last message
+FAILED = "failed"  # Key of the store: which worker failed, and why
 
 T = TypeVar("T")
 
@@ -33,6 +37,7 @@ class ProcessGroup:
 
     rank: int = 0
     size: int = 1
+    store: Any = None  # `Store` of torch that all workers share; None in a group of one
 
     @property
     def is_main(self) -> bool:
@@ -66,14 +71,19 @@ class ProcessGroup:
 
     def on_main(self, work: Callable[[], T]) -> T:
         """Call a function in the main worker; all workers return its result or raise its error."""
-        if self.size == 1:
+        if self.store is None:
             return work()
         answer: list[Any] = [None]
+        done = f"call {self.store.add(f'calls of {self.rank}', 1)} done"
         if self.is_main:
             try:
                 answer = [work()]
             except SalsanextError as error:
                 answer = [error]
+            self.store.set(done, "")
+        # The call may take hours, longer than a collective may.
+        while not self.store.check([done]):
+            time.sleep(POLL_S)
         dist.broadcast_object_list(answer)
         if isinstance(answer[0], SalsanextError):
             answer[0].reported_elsewhere = not self.is_main
@@ -100,19 +110,60 @@ def process_group(device: str) -> Iterator[tuple[ProcessGroup, torch.device]]:
         return
     gpu = None
     if chosen.type == "cuda":
+        if chosen.index is not None:
+            problem = f"names one GPU for {group.size} workers"
+            error = UsageError(f"device {device}", problem, "cuda, cpu or auto")
+            error.reported_elsewhere = not group.is_main
+            raise error
         gpu = chosen = torch.device(choose_device(f"cuda:{os.environ['LOCAL_RANK']}"))
         torch.cuda.set_device(gpu)
-    dist.init_process_group("nccl" if gpu else "gloo", timeout=TIMEOUT, device_id=gpu)
+    store, rank, size = next(dist.rendezvous("env://", timeout=TIMEOUT))  # type: ignore[attr-defined]
+    settings = {"store": store, "rank": rank, "world_size": size, "timeout": TIMEOUT}
+    dist.init_process_group("nccl" if gpu else "gloo", **settings, device_id=gpu)
+    left, other_failed = threading.Event(), threading.Event()
+    threading.Thread(target=_watch, args=(store, left, other_failed), daemon=True).start()
     try:
-        yield group, chosen
+        yield ProcessGroup(rank, size, store), chosen
         # A worker that leaves early closes connections that others still read from.
         dist.barrier()
-        # After a failure this would wait for the other workers, which torchrun ends.
+        left.set()
+        # After a failure this would wait for the other workers for ever.
         dist.destroy_process_group()
+    except BaseException as failed:
+        if other_failed.is_set():
+            os._exit(1)  # noqa: TID251 - this error follows from the other worker's
+        left.set()
+        # An interrupt reaches all workers, and so does an error of the main worker's call.
+        if not (
+            isinstance(failed, KeyboardInterrupt) or getattr(failed, "reported_elsewhere", False)
+        ):
+            cause = error_text(failed)
+            failure = f"worker {rank} of {size} on {platform.node()}: {cause}"
+            # The host of the store may be gone.
+            with suppress(RuntimeError):
+                first = store.compare_set(FAILED, "", failure).decode()
+                if isinstance(failed, SalsanextError):
+                    failed.reported_elsewhere = first != failure and first.endswith(cause)
+        raise
     finally:
-        # Threads of gloo that still free tensors abort a process that ends meanwhile; they need
-        # the GIL, and torch's wrapper keeps them from being joined.
+        # The others notice a failure. Threads of gloo that still free tensors abort a process
+        # that ends meanwhile; they need the GIL, and torch's wrapper keeps them from being joined.
         time.sleep(LEAVING_S)
+
+
+def _watch(store: Any, left: threading.Event, other_failed: threading.Event) -> None:
+    """Log that another worker has failed, and end this process, which may wait for it."""
+    while not left.wait(POLL_S):
+        try:
+            failure = store.get(FAILED).decode() if store.check([FAILED]) else ""
+        except RuntimeError as error:
+            failure = f"the connection to the first worker is lost: {error_text(error)}"
+        if failure:
+            other_failed.set()
+            log.error("%s", failure)
+            # No exception reaches a thread in a collective. The worker that failed ends first.
+            time.sleep(10 * LEAVING_S)
+            os._exit(1)  # noqa: TID251
 
 
 def data_parallel(module: nn.Module, device: torch.device, group: ProcessGroup) -> nn.Module:

@@ -129,7 +129,7 @@ class Training:
             return self.learner.step(images, truth, step, self.samples.plan.steps_per_epoch)
         except torch.OutOfMemoryError as error:
             problem = f"not enough memory on {self.learner.device} for {len(images)} images"
-            hint = "start again with a smaller batch, such as --set batch=4"
+            hint = "compute a batch in more parts, such as --set accumulate=2"
             raise TrainingError(f"step {step + 1}", problem, hint=hint) from error
 
     def _checked(self, losses: list[Tensor], last: int) -> list[float]:

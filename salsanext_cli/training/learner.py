@@ -3,6 +3,7 @@
 
 import copy
 import math
+from contextlib import nullcontext
 
 import numpy as np
 import torch
@@ -10,7 +11,7 @@ from torch import Tensor, nn
 from torch.optim import SGD, AdamW, Optimizer
 from torch.optim.swa_utils import get_ema_multi_avg_fn
 
-from salsanext_cli.engines.device import bfloat16_instructions
+from salsanext_cli.engines.device import PRECISIONS, bfloat16_instructions
 from salsanext_cli.engines.torch_backend import keep_ends_in_float32, set_up_cuda
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.training.data.targets import ClassSets
@@ -30,6 +31,13 @@ def fastest_precision(device: torch.device) -> str:
         return "bfloat16" if bfloat16_instructions() else "float32"
     major, _ = torch.cuda.get_device_capability(device)
     return "bfloat16" if major >= BFLOAT16_CAPABILITY else "float16"
+
+
+def common_precision(device: torch.device, group: ProcessGroup) -> str:
+    """Return the number type that suits the devices of all workers; float32 if they differ."""
+    fastest = fastest_precision(device)
+    of_workers = group.gather(torch.tensor([PRECISIONS.index(fastest)], device=device))
+    return fastest if len({int(number) for number in of_workers}) == 1 else "float32"
 
 
 class Learner:
@@ -77,22 +85,29 @@ class Learner:
         return torch.where(self._update(loss, step, steps_per_epoch), loss, math.nan)
 
     def _gradient(self, images: Tensor, truth: Tensor, step: int) -> Tensor:
-        """Compute the gradient of a batch, and return its loss."""
-        total = None
-        if self.group.size > 1:
+        """Add up the gradient of a batch, part by part, and return its loss."""
+        parts, total = min(self.recipe.accumulate, self.recipe.batch // self.group.size), None
+        if parts * self.group.size > 1:
             targets = truth.to(self.device, non_blocking=True).long()
             total = self.group.sum(self.loss.weights[targets].sum())
+        losses = []
         self.module.train()
         # Seeded, every step is a function of its number, so that training can be resumed.
         with torch.random.fork_rng([self.device] if self.device.type == "cuda" else []):
             source = np.random.SeedSequence((self.recipe.seed, DROPOUT, step, self.group.rank))
             torch.manual_seed(int(source.generate_state(1)[0]))  # noqa: TID251
-            images = images.to(self.device, memory_format=self.layout, non_blocking=True)
-            with self.autocast:
-                loss = self.loss(self.forward(images), truth, total, self.group)
-            # Gradients are averaged over the workers, but must be summed.
-            self.scaler.scale(loss * self.group.size).backward()
-        return self.group.sum(loss.detach())
+            pairs = zip(images.tensor_split(parts), truth.tensor_split(parts), strict=True)
+            for part, (some, labels) in enumerate(pairs, 1):
+                some = some.to(self.device, memory_format=self.layout, non_blocking=True)
+                # Workers exchange gradients after the last part only.
+                no_sync = getattr(self.forward, "no_sync", nullcontext)
+                with no_sync() if part < parts else nullcontext():
+                    with self.autocast:
+                        loss = self.loss(self.forward(some), labels, total, parts, self.group)
+                    # Gradients are averaged over the workers, but must be summed.
+                    self.scaler.scale(loss * self.group.size).backward()
+                losses.append(loss.detach())
+        return self.group.sum(torch.stack(losses).sum())
 
     def _update(self, loss: Tensor, step: int, steps_per_epoch: int) -> Tensor:
         """Update the weights if loss and gradient are finite; return whether they are, 0-d bool."""

@@ -20,8 +20,8 @@ def weighted_cross_entropy(
 ) -> Tensor:
     """Return the mean of -log p(truth) weighted by the true class of each pixel, 0-d.
 
-    Log-probabilities (P, T), truth (P,) int64, weights (T,). `total_weight` is the weight of the
-    pixels of all workers.
+    Log-probabilities (P, T), truth (P,) int64, weights (T,). `total_weight` is the weight of all
+    pixels if these are a part of them.
     """
     loss = F.nll_loss(log_probabilities, truth, weights, reduction="sum")
     total = weights[truth].sum() if total_weight is None else total_weight
@@ -101,12 +101,14 @@ class SegmentationLoss(nn.Module):
         logits: Tensor,
         truth: Tensor,
         total_weight: Tensor | None = None,
+        parts: int = 1,
         group: ProcessGroup = SINGLE_PROCESS,
     ) -> Tensor:
         """Return the loss of logits (B, C, H, W) for integer targets (B, H, W) on a CPU, 0-d.
 
-        The CPU chooses the scored pixels, since reading them from a GPU would wait. `total_weight`
-        is the weight of the pixels of all workers.
+        The CPU chooses the scored pixels, since reading them from a GPU would wait. Of a batch in
+        `parts`, a part has its share: of cross-entropy by `total_weight`, the weight of the pixels
+        of all parts, of Lovász-Softmax by their number.
         """
         truth = truth.flatten().long()
         counted = self.counts[truth].nonzero()[:, 0]
@@ -124,5 +126,6 @@ class SegmentationLoss(nn.Module):
                 single = (truth < self.class_count).nonzero()[:, 0]
                 log_probabilities = log_probabilities[sent(single, device)]
                 truth = truth[single]
-            loss = loss + self.lovasz * lovasz_softmax(log_probabilities.exp(), truth, group)
+            lovasz = lovasz_softmax(log_probabilities.exp(), truth, group)
+            loss = loss + self.lovasz / parts * lovasz
         return loss

@@ -42,6 +42,7 @@ class Recipe:
     precision: Annotated[str, one_of("auto", "float32", "bfloat16", "float16")] = "float32"
     epochs: Positive = 150
     batch: Positive = 24
+    accumulate: Positive = 1
     samples_per_epoch: Count = 0
     crop_width: Count = 0
     crop_on_class: Share = 0.0

@@ -17,8 +17,8 @@ from torch.distributed import is_gloo_available
 from two_workers import CASES, batch, learner, share, stepped
 
 import salsanext_cli
-from salsanext_cli.errors import TrainingError
-from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
+from salsanext_cli.errors import TrainingError, UsageError
+from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup, process_group
 from salsanext_cli.training.fit import Training
 
 SCRIPT = Path(__file__).with_name("two_workers.py")
@@ -43,7 +43,7 @@ def torchrun(*arguments: object) -> subprocess.CompletedProcess[str]:
     )
 
 
-def started(path: Path, count: int) -> list[subprocess.Popen[str]]:
+def started(task: object, count: int) -> list[subprocess.Popen[str]]:
     """Start workers as torchrun does, which itself takes seconds."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         address = {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(free.getsockname()[1])}
@@ -51,7 +51,7 @@ def started(path: Path, count: int) -> list[subprocess.Popen[str]]:
     environment = os.environ | ENVIRONMENT | address | group
     return [
         subprocess.Popen(
-            [sys.executable, str(SCRIPT), str(path)],
+            [sys.executable, str(SCRIPT), str(task)],
             env=environment | {"RANK": str(rank)},
             stderr=subprocess.PIPE,
             text=True,
@@ -60,20 +60,46 @@ def started(path: Path, count: int) -> list[subprocess.Popen[str]]:
     ]
 
 
+def ended(task: object, count: int) -> tuple[list[int], list[str]]:
+    """Return exit status and messages of workers, by rank."""
+    workers = started(task, count)
+    try:
+        # The last worker ends first.
+        messages = [worker.communicate(timeout=200)[1] for worker in workers[::-1]]
+    finally:
+        for worker in workers:
+            worker.kill()
+    return [worker.returncode for worker in workers], messages[::-1]
+
+
 @pytest.fixture(scope="module")
 def two(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """Return the results of two workers."""
     path = tmp_path_factory.mktemp("two") / "result.pt"
-    workers = started(path, 2)
-    try:
-        messages = [worker.communicate(timeout=200)[1] for worker in workers]
-    finally:
-        for worker in workers:
-            worker.kill()
-    assert [worker.returncode for worker in workers] == [0, 0], messages
+    status, messages = ended(path, 2)
+    assert status == [0, 0], messages
     results: dict[str, Any] = torch.load(path, weights_only=True)
     assert results["size"] == 2
     return results
+
+
+@gloo
+def test_workers_end_with_the_one_that_fails_and_name_it() -> None:
+    """The first is busy for longer than the test, the second waits in a collective."""
+    status, messages = ended("fail", 3)
+    assert status == [1, 1, 1]
+    assert messages[2].splitlines()[-1].endswith("ZeroDivisionError: out of luck")
+    for message in messages[:2]:
+        (line,) = message.splitlines()
+        assert line.startswith("worker 2 of 3 on ")
+        assert line.endswith(": out of luck")
+
+
+@gloo
+def test_an_error_of_all_workers_is_reported_by_one() -> None:
+    status, messages = ended("fail alike", 3)
+    assert status == [0, 0, 0], messages
+    assert sorted(message.strip() for message in messages) == ["", "", "data: is empty"]
 
 
 @gloo
@@ -121,7 +147,7 @@ def test_the_command_line_under_torchrun(tmp_path: Path) -> None:
     ended = torchrun("-m", "salsanext_cli", *given, *(f"--set={change}" for change in short))
     assert ended.returncode == 0, ended.stderr
     assert json.loads(ended.stdout)["best"] == str(run / "best.safetensors")
-    assert ended.stderr.count("on CPUs batch norm uses the statistics of each worker's share") == 1
+    assert ended.stderr.count("on CPUs batch norm has the statistics of each worker's share") == 1
     assert ended.stderr.count("train: best validation mIoU") == 1
     assert len((run / "log.csv").read_text("utf-8").splitlines()) == 3
 
@@ -150,3 +176,13 @@ def test_an_error_in_data_or_settings_is_printed_once(wrong: tuple[str], tmp_pat
     assert done.returncode != 0
     assert done.stderr.count("error: ") == 1
     assert len(done.stdout.splitlines()) == 1
+
+
+def test_one_gpu_for_several_workers_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TORCHELASTIC_RUN_ID", "x")
+    monkeypatch.setenv("RANK", "0")
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
+    with pytest.raises(UsageError) as caught, process_group("cuda:1"):
+        pass
+    assert caught.value.subject == "device cuda:1"

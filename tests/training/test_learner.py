@@ -15,6 +15,7 @@ from salsanext_cli.training.learner import (
     learning_rate,
     update_average,
 )
+from salsanext_cli.training.losses import SegmentationLoss
 from salsanext_cli.training.recipe import Recipe
 
 CPU = torch.device("cpu")
@@ -105,7 +106,7 @@ def test_a_fused_optimiser_learns_the_same(changes: dict[str, object]) -> None:
     "changes",
     [
         {},
-        {"lovasz": 0.0},
+        {"accumulate": 2, "lovasz": 0.0},
         {"optimiser": "adamw", "clip_gradient": 1.0, "average": 0.9},
     ],
 )
@@ -131,6 +132,46 @@ def test_clipping_bounds_the_gradient() -> None:
     learning.step(*batch(), 0, 10)
     norms = [p.grad.norm() for p in learning.module.parameters() if p.grad is not None]
     assert float(torch.stack(norms).norm()) == pytest.approx(1e-3, rel=1e-3)
+
+
+# Parts of a batch
+
+
+def without_norm(**changes: object) -> Learner:
+    """Return a learner of a network without statistics over images."""
+    learning = learner(dropout=0.0, batch=5, learning_rate=1e-9, **changes)
+    learning.module.norm = nn.Identity()  # type: ignore[assignment]
+    return learning
+
+
+def five() -> tuple[Tensor, Tensor]:
+    """Return images with different numbers and classes of scored pixels."""
+    images = torch.randn(5, 5, 16, 32, generator=torch.Generator().manual_seed(3))
+    truth = (images[:, 0] > torch.linspace(-1, 1, 5)[:, None, None]).byte() + 1
+    truth[1, :, 5:] = 0
+    return images, truth
+
+
+@pytest.mark.parametrize("parts", [2, 3, 5, 9])
+def test_a_batch_in_parts_has_the_gradient_of_the_whole(parts: int) -> None:
+    whole, accumulated = without_norm(lovasz=0.0), without_norm(lovasz=0.0, accumulate=parts)
+    loss = whole.step(*five(), 0, 10).item()
+    assert accumulated.step(*five(), 0, 10).item() == pytest.approx(loss, rel=1e-6)
+    for one, other in zip(whole.module.parameters(), accumulated.module.parameters(), strict=True):
+        torch.testing.assert_close(one.grad, other.grad, rtol=1e-5, atol=1e-7)
+
+
+def test_lovasz_is_the_mean_of_the_parts() -> None:
+    """The step beside the same loss put together by hand from the losses of the parts."""
+    images, truth = five()
+    learning = without_norm(accumulate=2)
+    entropy, both = (SegmentationLoss(WEIGHTS, lovasz) for lovasz in (0.0, 1.0))
+    with torch.no_grad():
+        logits = learning.module(images)
+    parts = [slice(0, 3), slice(3, 5)]
+    lovasz = [both(logits[p], truth[p]) - entropy(logits[p], truth[p]) for p in parts]
+    expected = float(entropy(logits, truth) + (lovasz[0] + lovasz[1]) / 2)
+    assert learning.step(images, truth, 0, 10).item() == pytest.approx(expected, rel=1e-6)
 
 
 # Shorter types

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Gradients and more of workers; `test_distributed` starts them as torchrun does."""
 
+import logging
 import sys
+import time
 from pathlib import Path
 
 import torch
@@ -18,7 +20,7 @@ WEIGHTS = torch.tensor([0.0, 1.0, 2.0, 0.5])
 CASES: dict[str, dict[str, object]] = {
     "both losses": {},
     "clipped": {"clip_gradient": 0.01},
-    "cross-entropy": {"lovasz": 0.0},
+    "in parts": {"lovasz": 0.0, "accumulate": 2},
     "nothing labelled": {"labels": 0},
     "bfloat16": {"precision": "bfloat16"},
     "sets of classes": {"sets": ((1, 2),)},
@@ -121,6 +123,28 @@ def refused(group: ProcessGroup) -> bool:
     return False
 
 
+def fail_alike() -> None:
+    """Raise the same error in all workers, and print it as the command line does."""
+    try:
+        with process_group("cpu"):
+            raise TrainingError("data", "is empty")
+    except TrainingError as error:
+        if not error.reported_elsewhere:
+            sys.stderr.write(f"{error}\n")
+
+
+def fail() -> None:
+    """Let the last worker fail while the others are busy endlessly."""
+    logging.basicConfig(format="%(message)s")
+    with process_group("cpu") as (group, _):
+        group.sum(torch.ones(1))
+        if group.rank == 0:
+            group.on_main(lambda: time.sleep(1000))
+        elif group.rank == 1:
+            group.sum(torch.ones(1))
+        raise ZeroDivisionError("out of luck")
+
+
 def main() -> None:
     """Write the results of two workers."""
     with process_group("cpu") as (group, _):
@@ -133,4 +157,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    {"fail": fail, "fail alike": fail_alike}.get(sys.argv[1], main)()

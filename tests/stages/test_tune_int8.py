@@ -1,21 +1,24 @@
 # SPDX-License-Identifier: MIT
-"""Predictions in int8."""
+"""Stage `tune int8`, and predictions in int8."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from safetensors.torch import load_file
 from scans import refused, write_weights
 from shallow import shallow  # noqa: F401
+from tiny_network import TinyNetwork
 
-from salsanext_cli import project, read_scan
-from salsanext_cli.errors import WeightsError
-from salsanext_cli.network.weights import save_with_card
+from salsanext_cli.errors import FormatError, OutputError, WeightsError
+from salsanext_cli.network.card import read_card
+from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
+from salsanext_cli.stages.tune import tune_int8
 from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.training.tuning.int8 import int8_inputs, int8_layers
+from salsanext_cli.training.tuning.int8 import int8_layers
 from salsanext_cli.uncertainty.method import UncertaintyMethod
 
 pytestmark = pytest.mark.usefixtures("own_cache")
@@ -28,12 +31,25 @@ def network(on_openvino, tmp_path):
     return replace(on_openvino.network, weights=file)
 
 
+def test_ranges_are_added_and_nothing_else_changes(world, network, target):
+    labels = world.data / "sequences/08/labels"
+    for file in labels.iterdir():
+        file.unlink()
+    report = tune_int8(world.data, target, settings=network)
+    before, after = map(read_card, (network.path, target))
+    assert before.int8 == {}
+    assert replace(after, int8={}).to_metadata() == before.to_metadata()
+    tensors = load_file(network.path)
+    assert all(np.array_equal(tensor, tensors[name]) for name, tensor in load_file(target).items())
+    layers = int8_layers(network.load().module)
+    assert after.int8.keys() == layers.keys()
+    assert (report["scans"], report["layers"]) == (3, len(layers))
+    with refused(OutputError, target):
+        tune_int8(world.data, target, settings=network)
+
+
 def test_steps_in_one_or_apart_agree_in_int8_and_differ_from_float32(world, network, target):
-    loaded = replace(network, precision="float32").load()
-    image = project(read_scan(world.scan()), loaded.sensor)
-    ranges = int8_inputs(loaded.module, [loaded.input(image.channels)])
-    assert ranges.keys() == int8_layers(loaded.module).keys()
-    save_with_card(network.path, target, replace(loaded.card, int8=ranges))
+    tune_int8(world.data, target, settings=network)
     int8 = replace(network, weights=target, precision="int8", fit=False)
     predict_scans(world.data, world.out, settings=int8, extras=("pixel_labels",))
     seen = int8.load().sensor
@@ -54,6 +70,20 @@ def test_sampling_is_in_float32_and_needs_no_ranges(world, network):
     assert Manifest(world.out).settings("uncertainty").precision == "float32"
 
 
-def test_weights_without_ranges_are_refused(network):
+def test_a_network_without_hidden_layers_is_refused(world, network, target, monkeypatch):
+    monkeypatch.setitem(ARCHITECTURES, "salsanext", TinyNetwork)
+    file = write_weights(target.with_name("tiny.safetensors"))
+    settings = replace(network, weights=file)
+    with refused(WeightsError, file):
+        tune_int8(world.data, target, settings=settings)
+    assert not target.exists()
+
+
+def test_what_cannot_be_fitted_is_refused(world, network, target):
     with refused(WeightsError, network.path):
         replace(network, precision="int8").load()
+    for scan in world.data.glob("sequences/*/velodyne/*"):
+        scan.write_bytes(b"")
+    with refused(FormatError, world.scan()):
+        tune_int8(world.scan(), target, settings=network)
+    assert not target.exists()
