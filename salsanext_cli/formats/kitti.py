@@ -308,7 +308,7 @@ def _are_of_two_points(first: Double, second: Double) -> bool:
     is_normal = np.abs(size - 1) < UNIT_TOLERANCE
     is_same_beam = across <= SAME_BEAM_RAD * size * np.linalg.norm(first, axis=1)
     known = np.column_stack([first, np.ones(len(first))])
-    moved = known @ np.linalg.lstsq(known, second)[0]
+    moved = known @ np.linalg.lstsq(known, second, rcond=None)[0]
     is_moved = (np.abs(second - moved) < MOVED_TOLERANCE_M).all(axis=1)
     most = MOST_ROWS * len(second)
     return all(mask.sum() < most for mask in (is_normal, is_same_beam, is_moved))
