@@ -12,7 +12,7 @@ REMOVED = {
     ("", "--backend dask"): "use `--shard I/N` on each machine",
     ("", "--backend ray"): "use `--shard I/N` on each machine",
     ("", "--scheduler"): "use `--shard I/N` on each machine",
-    ("compare", "--by-distance"): "use `eval --by-distance` on both folders",
+    ("compare", ""): "use `eval` on both folders",
     ("convert", "--backend"): "use `--jobs`",
     ("demo", "--engine"): "use `predict --engine` on your own scans",
     ("demo", "--intensity"): "use `predict --intensity` on your own scans",

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Points that `predict --reject` left unlabelled are neither right nor wrong."""
 
-import json
-
 import numpy as np
 import plyfile
 import pytest
@@ -14,7 +12,6 @@ from salsanext_cli.results.manifest import Manifest, StageRecord
 from salsanext_cli.results.paths import find_scans
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.stages import picture as pictures
-from salsanext_cli.stages.compare import compare
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.picture import picture
@@ -83,26 +80,6 @@ def test_pictures_and_clouds_state_coverage_and_risk(world, query, monkeypatch):
     cloud = plyfile.PlyData.read(world.out / "sequences/08/ply/0.ply")
     assert "coverage 37.5 %, risk 33.3 %" in cloud.comments
     assert np.isnan(cloud["vertex"]["scalar_wrong"]).sum() == 7
-
-
-def test_runs_are_compared_by_coverage_and_risk(world, query, tmp_path):
-    other = World(tmp_path)
-    other.out = tmp_path / "all"
-    for stem, distance in (("0", 5), ("1", 15)):
-        other.add(
-            stem, TRUTH, [CAR, CAR, ROAD, CAR, CAR, TREE, TREE, TREE, CAR, CAR], "08", distance
-        )
-    recorded(other)
-    found, _ = compare(other.out, world.out, query=query)
-    assert {name: each[:2] for name, each in found.scores.items()} == {
-        "coverage": (1, 4 / 16),
-        "risk": (2 / 8, 1 / 4),
-    }
-    data = json.loads((world.out / "compare.json").read_text())
-    assert {each["scan"]: each["risk"] for each in data["changed_most"]} == {
-        "08/0": pytest.approx(1 / 3 - 2 / 8),
-        "08/1": -2 / 8,
-    }
 
 
 def _titles_into(titles):
