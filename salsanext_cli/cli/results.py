@@ -151,7 +151,6 @@ def _evaluation_tables(evaluation: "Evaluation", above: float | None) -> "Group"
     tables += [band_table(evaluation.by_distance)] if evaluation.by_distance else []
     tables += uncertainty_tables(uncertainty)
     tables += [Text(uncertainty.accepted.sentence)] if uncertainty.accepted else []
-    tables += [Text(evaluation.object_sentence)] if evaluation.panoptic else []
     if accepted:
         missed = f"The scores count points rejected by `predict --reject {above:g}` as misses."
         guarantee = [evaluation.guarantee.sentence] if evaluation.guarantee else []

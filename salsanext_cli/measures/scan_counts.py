@@ -33,11 +33,9 @@ from salsanext_cli.measures.histograms import (
     softmax_errors,
     uncertainty_histogram,
 )
-from salsanext_cli.measures.panoptic import SEGMENT_COUNTS, count_segments
 from salsanext_cli.measures.scores import (
     Counts,
     Mask,
-    Ratios,
     accepted,
     confusion_matrix,
     scored_rows,
@@ -78,7 +76,6 @@ class ScanCounts:
     """Counts over scans."""
 
     confusion: Counts  # (C, C) of all points
-    segments: Ratios  # (C, 5) of `count_segments`; 0 without predicted objects
     bands: tuple[Counts, ...] = ()  # (C, C) for each of `BAND_NAMES`; empty if not requested
     # Number of points by raw id that the label space lacks
     unknown_truth: Counter[int] = field(default_factory=Counter)
@@ -105,12 +102,11 @@ class ScanCounts:
         """Return the counts of no scan."""
         none = np.zeros((space.class_count, space.class_count), np.int64)
         bands = tuple(none.copy() for _ in BAND_NAMES) if by_distance else ()
-        return cls(none, np.zeros((space.class_count, SEGMENT_COUNTS)), bands)
+        return cls(none, bands)
 
     def add(self, other: ScanCounts) -> None:
         """Add the counts of other scans, which are used up."""
         self.confusion += other.confusion
-        self.segments += other.segments
         self.bands = tuple(map(add, self.bands, other.bands))
         self.unknown_truth += other.unknown_truth
         self.unknown_predictions += other.unknown_predictions
@@ -219,7 +215,6 @@ class ScanComparison:
     rejection: Rejection | None = None
     trained_on: frozenset[str] = frozenset()  # Digests of scans
     by_distance: bool = False  # Whether to count distance bands too
-    objects: bool = False  # Whether the predictions have instances
 
     @classmethod
     def of_results(
@@ -263,9 +258,6 @@ class ScanComparison:
         counts.by_scan[scan.name] = ScanScores(
             of_scan.points, of_scan.accuracy, of_scan.iou_mean_present
         )
-        if self.objects:
-            instances = (truth, raw_truth), (predicted, raw_predicted)
-            counts.segments = count_segments(*instances, space.scored)
         bands = None
         if cloud is not None:
             seen = in_sensor_frame(cloud, sensor_of(cloud, self.sensor))
