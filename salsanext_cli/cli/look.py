@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 from salsanext_cli.cli import arguments, console, summary
-from salsanext_cli.cli.console import over_scans, print_line, progress
+from salsanext_cli.cli.console import over_scans, progress
 from salsanext_cli.cli.expansion import Without
 from salsanext_cli.cli.interruption import ARRIVED
 from salsanext_cli.engines.settings import AUTO, NetworkSettings
@@ -91,7 +91,6 @@ def report(
         metavar="NAMES",
         show_default="up to four notable scans",
     ),
-    by_distance: bool = arguments.BY_DISTANCE,
     query: ResultQuery,
     running: arguments.Reading,
     output: console.Output,
@@ -107,20 +106,17 @@ def report(
             out,
             scans=names_in(scans, "--scans", "08/000000,08/000010"),
             query=query,
-            by_distance=by_distance,
             options=run,
         )
     missing = written.run.missing
     output.result(written.to_dict())
     summary.print_failures(written.failures)
-    for reason in written.unmapped:
-        print_line(f"error: {reason}")
     for name, reason in written.shown.items():
         output.print(f"  {name}: {reason}")
     count = f"{counted(len(written.run.rows), 'scan')}{summary.skipped_text(missing)}"
     megabytes = written.page.stat().st_size / 1e6
     output.print(f"report: {count} → {written.page} ({megabytes:.1f} MB)")
-    summary.leave(written.failures, missing, failed=bool(written.unmapped))
+    summary.leave(written.failures, missing)
 
 
 def view(

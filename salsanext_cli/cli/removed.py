@@ -32,7 +32,8 @@ REMOVED = {
     ("tune", "--limit"): "use `--subset`",
     ("uncertainty", "--method"): "use fewer passes, such as `--samples 5`, to save time",
     ("view", "--backend"): "use `--jobs`",
-    ("view", "--by-distance"): "use `report --by-distance`",
+    ("report", "--by-distance"): "use `eval --by-distance`",
+    ("view", "--by-distance"): "use `eval --by-distance`",
 }
 """Hint by command and option, with its value if other values remain; "" stands for all commands, or
 for the command itself."""

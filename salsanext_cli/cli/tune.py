@@ -112,10 +112,10 @@ def tune_risk(
     tuned = _tuned("risk", dataset, target, fit, output, **numbers)
     sentences = (Text(sentence) for sentence in tuned["sentences"])
     output.result(
-        tuned, Group(accepted_table(tuned["kept"]["classes"], tuned.get("classes", {})), *sentences)
+        tuned,
+        Group(accepted_table(tuned["accepted"]["classes"], tuned.get("classes", {})), *sentences),
     )
-    summary = f"tune risk: {tuned['promise']} → {target}, {tuned['curve']}"
-    _end(output, summary, target, "--reject risk ")
+    _end(output, f"tune risk: {tuned['guarantee']} → {target}", target, "--reject risk ")
 
 
 def tune_dropout(

@@ -32,16 +32,15 @@ class CalibrationScores:
 
 
 def calibration_scores(histogram: Histogram) -> CalibrationScores:
-    """Divide the counts of all groups of a `confidence_histogram` together."""
-    pooled = histogram.total()
-    counts, total = pooled.counts[:, 0], int(pooled.points[0])
+    """Divide the counts of a `confidence_histogram`."""
+    counts, total = histogram.counts, int(histogram.counts.sum())
     confidence = counts.sum(axis=0) @ CONFIDENCES.astype(np.float64)
     return CalibrationScores(
         points=total,
         confidence=float(confidence / total) if total else math.nan,
         accuracy=float(counts[0].sum() / total) if total else math.nan,
-        nll=float(pooled.means("nll")[0]),
-        brier=float(pooled.means("brier")[0]),
+        nll=histogram.mean("nll"),
+        brier=histogram.mean("brier"),
         ece=reliability(counts).error,
         ace=adaptive_error(counts),
     )

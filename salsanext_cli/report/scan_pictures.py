@@ -50,7 +50,6 @@ MAX_IN_A_ROW = 4
 OVERSAMPLING = 2
 GRIDS_M = {5.0: 1.0, 10.0: 2.0, 20.0: 5.0, 45.0: 10.0}
 """Possible distances from the middle to an edge, and between two circles, metres."""
-REACH_M = max(GRIDS_M)
 INSIDE = 0.99  # Least share of the points inside the picture of a small scan
 TITLES = {
     "label": "prediction",
@@ -124,21 +123,15 @@ def scan_picture(
     strips: Sequence[Strip] = (),
     legend: Legend = (),
     absent: Collection[str] = (),
-    reach: float | None = None,
-    way: Float | None = None,
 ) -> bytes:
     """Draw views of a scan from above, strips and a legend below each other, as a PNG.
 
     `points` (N, 3) float32, metres, sensor frame; `views`: colours of the points (N, 3) by title;
-    `absent`: faint entries of the legend; `reach`: metres from the middle to an edge, by default
-    as far as the scan needs, `REACH_M` at most; `way` (S, 3): positions along a drive, by default
-    the sensor's.
+    `absent`: faint entries of the legend.
     """
-    way = np.zeros((1, 3), np.float32) if way is None else way
-    if reach is None:
-        far = np.abs(points[:, :2]).max(axis=1)
-        far = far[(far > 0) & np.isfinite(far)]
-        reach = next((r for r in GRIDS_M if len(far) and (far < r).mean() >= INSIDE), REACH_M)
+    far = np.abs(points[:, :2]).max(axis=1)
+    far = far[(far > 0) & np.isfinite(far)]
+    reach = next((r for r in GRIDS_M if len(far) and (far < r).mean() >= INSIDE), max(GRIDS_M))
     width = NARROW_PX if len(views) == 1 else WIDTH_PX
     in_row = max(1, min(len(views), MAX_IN_A_ROW))
     size = (width - (in_row - 1) * MARGIN_PX) // in_row
@@ -154,7 +147,7 @@ def scan_picture(
         view_top = HEAD_PX + i // in_row * row_px
         canvas.text_at(figure, left, view_top + VIEW_TITLE_PX // 2, title, 18)
         axes = canvas.axes_at(figure, left, view_top + VIEW_TITLE_PX, size, size)
-        _draw_from_above(axes, points, colours, size, reach, way)
+        _draw_from_above(axes, points, colours, size, reach)
     for strip in strips:
         canvas.text_at(figure, MARGIN_PX, top + STRIP_TITLE_PX // 2 + 2, strip.title, 18)
         top += STRIP_TITLE_PX
@@ -198,15 +191,13 @@ def raster(points: Float, colours: Colours, reach: float, size: int, spread: int
     return picture[spread : size + spread, spread : size + spread]
 
 
-def _draw_from_above(
-    axes: Axes, points: Float, colours: Colours, size: int, reach: float, way: Float
-) -> None:
-    """Draw points from above, circles around the middle and the way of the sensor."""
+def _draw_from_above(axes: Axes, points: Float, colours: Colours, size: int, reach: float) -> None:
+    """Draw points from above, and circles around the sensor."""
     from matplotlib.patches import Circle
     from matplotlib.patheffects import withStroke
 
     # Drawing larger and averaging makes the edges of points soft.
-    step = GRIDS_M.get(reach) or GRIDS_M[REACH_M] * max(1, round(reach / REACH_M))
+    step = GRIDS_M[reach]
     large = raster(points, colours, reach, size * OVERSAMPLING, spread=3)
     blocks = large.reshape(size, OVERSAMPLING, size, OVERSAMPLING, 3)
     picture = blocks.mean(axis=(1, 3)).round().astype(np.uint8)
@@ -218,7 +209,7 @@ def _draw_from_above(
         if radius < reach:
             diagonal, text = radius * 0.5**0.5, f"{radius:g} m"
             axes.text(-diagonal, diagonal, text, color=canvas.INK, fontsize=8, path_effects=outline)
-    axes.plot(way[:, 1], way[:, 0], color=canvas.INK, marker="^", markevery=[0], markersize=8)
+    axes.plot(0, 0, color=canvas.INK, marker="^", markersize=8)
     axes.set_xlim(reach, -reach)
     axes.set_ylim(-reach, reach)
 

@@ -96,8 +96,8 @@ class Evaluation:
             "by_scan": dict(sorted(counts.by_scan.items())),
             "classes": self.space.names,
             "confusion": counts.confusion,
-            **self.uncertainty.to_json(self.space),
-            "rejection": self.accepted and plain(self.accepted) | {"promise": self.guarantee},
+            **self.uncertainty.to_json(),
+            "rejection": self.accepted and plain(self.accepted) | {"guarantee": self.guarantee},
         }
         return dict(plain(content))
 
@@ -183,7 +183,7 @@ def _evaluation(
         missing=results.missing_predictions(counts.missing),
         failures=failures,
         settings=settings,
-        uncertainty=evaluate_uncertainty(counts, space),
+        uncertainty=evaluate_uncertainty(counts),
         folder=folder,
         by_sequence={name: scores(c, space) for name, c in sorted(counts.by_sequence.items())},
         accepted=accepted,

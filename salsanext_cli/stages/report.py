@@ -4,7 +4,6 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import groupby
 from pathlib import Path
 from threading import Lock
 
@@ -12,10 +11,8 @@ import numpy as np
 
 from salsanext_cli.errors import NoInputError, OutputError, SalsanextError, escaped
 from salsanext_cli.files.json_files import plain
-from salsanext_cli.fusion.drive_map import apart, drive_of_map
 from salsanext_cli.measures.scan_counts import CountsApart, ScanComparison, ScanCounts
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
-from salsanext_cli.report.colours import PointColours, legend_of, map_on_dark
 from salsanext_cli.report.page.clouds import encode_cloud, scales_of
 from salsanext_cli.report.page.html import html_of
 from salsanext_cli.report.page.run_results import (
@@ -28,16 +25,12 @@ from salsanext_cli.report.page.run_results import (
     worth_looking_at,
 )
 from salsanext_cli.report.page.server import PageServer
-from salsanext_cli.report.scan_pictures import NARROW_PX, REACH_M, TITLES, scan_picture
 from salsanext_cli.results.owned_folder import OwnedFolder
-from salsanext_cli.results.paths import PREDICTION_STAGES, ScanFile, drive_order
+from salsanext_cli.results.paths import PREDICTION_STAGES, ScanFile
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import ResultFolder
-from salsanext_cli.results.selection import evenly_spaced
-from salsanext_cli.stages.export_ply import map_of_drive
 
 PAGE = "report.html"
-MAP_SCANS = 400  # Scans of a drive on its map, evenly spaced
 SAMPLED = 5  # Evenly spaced scans among those from which `view` takes the scales
 
 
@@ -50,7 +43,6 @@ class Report:
     compared: Comparison | None  # Scores of the scans with labels, if any
     shown: dict[str, str]  # Scans that the page shows point by point, and why
     failures: tuple[Failure, ...]  # Scans that could not be read
-    unmapped: list[str]  # Reasons why maps of fused drives are missing
 
     def to_dict(self) -> dict[str, object]:
         """Return plain data for JSON, null for NaN."""
@@ -73,7 +65,6 @@ class Report:
             "sentence": best and best.sentence,
             **self.run.missing.to_dict(),
             "failures": [failure.to_dict() for failure in self.failures],
-            "unmapped": self.unmapped,
         }
 
 
@@ -82,7 +73,6 @@ def report(
     *,
     scans: Sequence[str] = (),
     query: ResultQuery = ResultQuery(),
-    by_distance: bool = False,
     options: RunOptions = RunOptions(),
 ) -> Report:
     """Write `OUT/report.html`: settings and scores of a run, and the points of some scans.
@@ -93,7 +83,7 @@ def report(
         Folder with results.
     scans : sequence of str
         Scans to show point by point, such as ``08/000000``; by default up to four of interest.
-    query, by_distance, options
+    query, options
         See `read_run`.
 
     Returns
@@ -103,58 +93,15 @@ def report(
     """
     page = out / PAGE
     OwnedFolder(out).refuse_foreign([page])
-    run, unread = read_run(out, query=query, by_distance=by_distance, options=options)
+    run, unread = read_run(out, query=query, options=options)
     chosen = named(run.rows, scans) if scans else worth_looking_at(run.rows, run.reader.space)
     rows = {row.file.name: row for row in run.rows}
     shown, unshown = _readable(run, ((rows[name], reason) for name, reason in chosen.items()))
     failures, compared = (*unread, *unshown), run.compared()
-    maps, unmapped = _maps(run, options)
-    reasons = [*(failure.reason for failure in failures), *unmapped]
-    html = html_of(run, compared, shown, scales_of(shown), reasons, maps)
+    reasons = [failure.reason for failure in failures]
+    html = html_of(run, compared, shown, scales_of(shown), reasons)
     OwnedFolder(out).replace({page: html.encode()})
-    return Report(page, run, compared, {s.name: s.reason for s in shown}, failures, unmapped)
-
-
-def _maps(run: RunResults, options: RunOptions) -> tuple[dict[str, bytes], list[str]]:
-    """Draw fused drives from above, PNG by title; return also the reasons for missing maps."""
-    maps, reasons = dict[str, bytes](), list[str]()
-    space, results = run.reader.space, ResultFolder(run.reader.out)
-    if results.owner("predictions") != "fuse":
-        return maps, reasons
-    for name, group in groupby((row.file for row in run.rows), lambda file: file.sequence):
-        in_order = sorted(results.with_column("label", [*group]), key=drive_order)
-        files = tuple(evenly_spaced(in_order, MAP_SCANS))
-        if not files:
-            continue
-        try:
-            drive = drive_of_map(results, files)
-            way, borders = drive.poses[:, :3, 3], np.flatnonzero(np.diff(drive.parts)) + 1
-            span = float(np.ptp(way, axis=0).max()) + 2 * REACH_M
-            # Voxels of about one pixel.
-            voxel = max(0.1, span / NARROW_PX)
-            columns, outcome = map_of_drive(results, files, space, voxel, options)
-        except SalsanextError as error:
-            reasons.append(f"no map of {name}: {error.headline}")
-            continue
-        reasons += [f"not on the map: {failure.reason}" for failure in outcome.failures]
-        if not columns:
-            continue
-        points = np.stack([columns[axis] for axis in "xyz"], axis=1)
-        # Without the farthest points, which would make all others small, and with y up.
-        low, high = np.percentile(points, (1, 99), axis=0)
-        turn = np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]])
-        points = (points - (low + high) / 2) @ turn.T
-        way = (np.insert(way, borders, np.nan, axis=0) - (low + high) / 2) @ turn.T
-        reach = max(1.0, float((high - low)[:2].max()) / 2)
-        legend = legend_of(space, space.to_train(columns["label"], strict=False))
-        shares = [(f"{step / 255:.0%}", (*map_on_dark()[step],)) for step in (0, 64, 128, 191, 255)]
-        for colour, meaning in {"label": legend, "disagreement": shares}.items():
-            if colour in columns:
-                colours = PointColours(colour, (0.0, 1.0), space, dark=True).of_points(columns)
-                view = {TITLES[colour]: colours}
-                title = ", ".join(filter(None, (f"{name}: {TITLES[colour]}", apart(columns))))
-                maps[title] = scan_picture(name, points, view, (), meaning, (), reach, way)
-    return maps, reasons
+    return Report(page, run, compared, {s.name: s.reason for s in shown}, failures)
 
 
 class RunServer(PageServer):
@@ -205,7 +152,6 @@ def view(
     *,
     port: int = 0,
     query: ResultQuery = ResultQuery(),
-    by_distance: bool = False,
     options: RunOptions = RunOptions(),
 ) -> RunServer:
     """Read the results of a run and listen on a loopback port for a browser.
@@ -216,7 +162,7 @@ def view(
         Folder with results.
     port : int
         Port of the server; 0 for any free port.
-    query, by_distance, options
+    query, options
         See `read_run`.
 
     Returns
@@ -226,7 +172,7 @@ def view(
     """
     server = RunServer(port)
     try:
-        server.take(*read_run(out, query=query, by_distance=by_distance, options=options))
+        server.take(*read_run(out, query=query, options=options))
     except BaseException:
         server.server_close()
         raise
@@ -237,7 +183,6 @@ def read_run(
     out: Path,
     *,
     query: ResultQuery = ResultQuery(),
-    by_distance: bool = False,
     options: RunOptions = RunOptions(),
 ) -> tuple[RunResults, tuple[Failure, ...]]:
     """Read the results of all scans of a run.
@@ -246,8 +191,6 @@ def read_run(
     ----------
     out : Path
         Folder with results.
-    by_distance : bool
-        Whether to score distance bands too, for which all scans are read.
     query, options
         Choice of scans, data set and classes; workers and progress.
 
@@ -260,9 +203,7 @@ def read_run(
     """
     results = ResultFolder(out, query.dataset)
     chosen = results.chosen(query)
-    reader = ScanComparison.of_results(
-        results, chosen.space, chosen.labels, by_distance=by_distance
-    )
+    reader = ScanComparison.of_results(results, chosen.space, chosen.labels)
     rows, counts, failures = _rows(chosen.scans, reader, options)
     return RunResults(reader, rows, counts, chosen.missing), failures
 
@@ -272,7 +213,7 @@ def _rows(
 ) -> tuple[list[ScanRow], ScanCounts | None, tuple[Failure, ...]]:
     """Read the results of all scans; count the points of scans with labels."""
     rows: list[ScanRow] = []
-    counts = CountsApart(reader.space, reader.by_distance)
+    counts = CountsApart(reader.space)
     trained_on: set[ScanRow] = set()
 
     def add(result: tuple[ScanRow, ScanCounts | None]) -> None:

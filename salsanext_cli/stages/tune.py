@@ -3,7 +3,6 @@
 
 import logging
 from collections.abc import Callable
-from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,11 +11,10 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE
-from salsanext_cli.files.atomic import require_absent, require_target, writing
+from salsanext_cli.files.atomic import require_target
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.run import Progress
-from salsanext_cli.report.tuning_plots import risk_curve
 from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.results.selection import select_scans
 from salsanext_cli.training.tuning.dropout_rate import fit_dropout
@@ -80,9 +78,6 @@ def tune(
     network = settings.load()
     require_target(target, overwrite)
     every, files, space = _scans(part, source, selection, network)
-    curve = target.with_name(f"{target.stem}_risk.png")
-    if part == "risk":
-        require_absent(curve, overwrite)
     scans = TuningScans(source, files, space, settings, network, progress)
     card, results = FITS[part](scans, **numbers)
     report = {"stage": f"tune {part}", **results, "skipped": len(every) - len(files)}
@@ -91,14 +86,7 @@ def tune(
         if len(files) == 1:
             reason = "a single scan cannot show that a new fit is better"
         log.log(NOTICE, "the %s is unchanged: %s", NAMES.get(part, part), reason)
-    with ExitStack() as whole:
-        if part == "risk":
-            # The curve gets its name after the weights, so that neither exists without the other.
-            file = whole.enter_context(writing(curve, overwrite=overwrite))
-            file.write(risk_curve(report))
-            file.flush()
-            report["curve"] = str(curve)
-        save_with_card(settings.path, target, replace(card, version=None), overwrite=overwrite)
+    save_with_card(settings.path, target, replace(card, version=None), overwrite=overwrite)
     return report
 
 

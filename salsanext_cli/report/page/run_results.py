@@ -168,11 +168,10 @@ class RunResults:
         if self.counts is None:
             return None
         counts, space, labels = self.counts, self.reader.space, None
-        uncertainty = evaluate_uncertainty(counts, space)
+        uncertainty = evaluate_uncertainty(counts)
         if counts.accepted:
             labels = AcceptedLabels.of_confusion(counts.confusion, space, counts.accepted)
-            bands = tuple(map(accepted, counts.bands))
-            counts = replace(counts, confusion=accepted(counts.confusion), bands=bands)
+            counts = replace(counts, confusion=accepted(counts.confusion))
         sentences = [*(labels.sentences if labels else ())]
         sentences += [self.guarantee.sentence] if self.guarantee else []
         return Comparison(counts, scores(counts.confusion, space), uncertainty, labels, sentences)

@@ -181,10 +181,10 @@ def fit_risk(
     labels, of_scans = accepted_labels(judged, counts, space, of_labels)
     few = [space.names[i] for i in np.flatnonzero(counts.any(axis=(0, 2)) & ~has_threshold) if i]
     report = {
-        "promise": guarantee(risk),
+        "guarantee": guarantee(risk),
         **{name: value for name, value in plain(risk).items() if name != "classes" or per_class},
-        "kept": plain(labels),
-        "left_out": plain(others),
+        "accepted": plain(labels),
+        "held_out": plain(others),
         "risk_coverage": _curve(shares).tolist(),
         "of_scans": [[accepted / n, wrong / n] for n, accepted, wrong in of_scans.values()],
         "sentences": [*labels.sentences, *_sentences(others, few if per_class else (), unit)],
