@@ -152,7 +152,10 @@ def _evaluation_tables(evaluation: "Evaluation", above: float | None) -> "Group"
     tables += uncertainty_tables(uncertainty)
     tables += [Text(uncertainty.accepted.sentence)] if uncertainty.accepted else []
     if accepted:
-        missed = f"The scores count points rejected by `predict --reject {above:g}` as misses."
+        missed = (
+            f"Points rejected by `predict --reject {above:g}` count as wrong in accuracy and IoU, "
+            "and do not count in the official accuracy."
+        )
         guarantee = [evaluation.guarantee.sentence] if evaluation.guarantee else []
         lines = [missed, *accepted.sentences, *guarantee]
         tables += [accepted_table(accepted.classes), Text("\n".join(lines))]

@@ -184,9 +184,9 @@ def check_scan(
     if sensor.name not in (FITTED_NAME, *presets(), trained and trained.name):
         fit = AUTO
     findings = [
-        *_of_units(ranges, share, sensor, is_named=is_named),
-        *_of_view(some, sines, sensor, fit),
-        *_of_ground(some, fit),
+        *_unit_findings(ranges, share, sensor, is_named=is_named),
+        *_view_findings(some, sines, sensor, fit),
+        *_ground_findings(some, fit),
     ]
     bright = 0.0 if reason else upper_intensity(some.intensity)
     if trained is not None:
@@ -210,7 +210,7 @@ def _require_metres(path: Path, count: int, ranges: Double) -> None:
         raise FormatError(path, f"has a median range of {median:.3g} m", expected, hint)
 
 
-def _of_units(
+def _unit_findings(
     ranges: Double, measured: float, sensor: Sensor, *, is_named: bool
 ) -> Iterator[Finding]:
     median, far = np.quantile(ranges, (0.5, 0.99))
@@ -228,7 +228,7 @@ def _of_units(
         yield Finding("not-measured", problem, hint)
 
 
-def _of_view(scan: Scan, sines: Float, sensor: Sensor, fit: str) -> Iterator[Finding]:
+def _view_findings(scan: Scan, sines: Float, sensor: Sensor, fit: str) -> Iterator[Finding]:
     outside = share_outside(sines, sensor)
     if outside > MAX_SHARE_OUTSIDE:
         view = f"{sensor.name}, {sensor.fov_up:+g}° to {sensor.fov_down:+g}°"
@@ -248,7 +248,7 @@ def _of_view(scan: Scan, sines: Float, sensor: Sensor, fit: str) -> Iterator[Fin
         yield Finding("sparse", problem, TRAIN)
 
 
-def _of_ground(scan: Scan, fit: str) -> Iterator[Finding]:
+def _ground_findings(scan: Scan, fit: str) -> Iterator[Finding]:
     ground = ground_of(scan)
     if ground is None or ground.share < MIN_SHARE_OF_GROUND:
         return

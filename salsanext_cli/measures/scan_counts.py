@@ -157,7 +157,7 @@ def _add_by_key(sums: dict[Any, Sum], others: Mapping[Any, Sum]) -> None:
             sums[key] = other
 
 
-class CountsApart:
+class SeparateCounts:
     """Counts of scans that the weights were trained on, and of the other scans."""
 
     def __init__(self, space: LabelSpace, by_distance: bool = False) -> None:

@@ -15,7 +15,12 @@ from salsanext_cli.files.json_files import Json, as_json, encode_json, plain
 from salsanext_cli.files.reading import present
 from salsanext_cli.labelling.label_records import require_truth
 from salsanext_cli.measures.risk_control import RISK_BOUND_EXCEEDED, AcceptedLabels, RiskBoundCheck
-from salsanext_cli.measures.scan_counts import BAND_NAMES, CountsApart, ScanComparison, ScanCounts
+from salsanext_cli.measures.scan_counts import (
+    BAND_NAMES,
+    ScanComparison,
+    ScanCounts,
+    SeparateCounts,
+)
 from salsanext_cli.measures.scores import Scores, band_rows, scores
 from salsanext_cli.measures.uncertainty_evaluation import (
     UncertaintyEvaluation,
@@ -195,9 +200,9 @@ def _counted(
     comparison: ScanComparison, scans: Sequence[ScanFile], options: RunOptions
 ) -> tuple[ScanCounts, tuple[Failure, ...]]:
     """Count the scored scans; return the counts and the failures."""
-    apart = CountsApart(comparison.space, comparison.by_distance)
-    outcome = run_over_scans(comparison.count, scans, options, on_result=apart.add)
-    counts, out = apart.scored(), comparison.out
+    separate = SeparateCounts(comparison.space, comparison.by_distance)
+    outcome = run_over_scans(comparison.count, scans, options, on_result=separate.add)
+    counts, out = separate.scored(), comparison.out
     if not counts.scans:
         if outcome.failures:
             raise NoInputError(out, f"no scan could be compared: {outcome.failures[0].reason}")

@@ -11,7 +11,7 @@ import numpy as np
 
 from salsanext_cli.errors import NoInputError, OutputError, SalsanextError, escaped
 from salsanext_cli.files.json_files import plain
-from salsanext_cli.measures.scan_counts import CountsApart, ScanComparison, ScanCounts
+from salsanext_cli.measures.scan_counts import ScanComparison, ScanCounts, SeparateCounts
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.report.page.clouds import encode_cloud, scales_of
 from salsanext_cli.report.page.html import html_of
@@ -20,9 +20,9 @@ from salsanext_cli.report.page.run_results import (
     RunResults,
     ScanRow,
     ShownScan,
-    named,
+    notable_scans,
     read_row,
-    worth_looking_at,
+    scans_by_name,
 )
 from salsanext_cli.report.page.server import PageServer
 from salsanext_cli.results.owned_folder import OwnedFolder
@@ -94,7 +94,7 @@ def report(
     page = out / PAGE
     OwnedFolder(out).refuse_foreign([page])
     run, unread = read_run(out, query=query, options=options)
-    chosen = named(run.rows, scans) if scans else worth_looking_at(run.rows, run.reader.space)
+    chosen = scans_by_name(run.rows, scans) if scans else notable_scans(run.rows, run.reader.space)
     rows = {row.file.name: row for row in run.rows}
     shown, unshown = _readable(run, ((rows[name], reason) for name, reason in chosen.items()))
     failures, compared = (*unread, *unshown), run.compared()
@@ -110,7 +110,7 @@ class RunServer(PageServer):
     def take(self, run: RunResults, failures: tuple[Failure, ...]) -> None:
         """Take the results to serve; raise `NoInputError` if no scan can be shown."""
         self._run, self._state, self._lock = run, _state_of(run.reader.out), Lock()
-        reasons = worth_looking_at(run.rows, run.reader.space)
+        reasons = notable_scans(run.rows, run.reader.space)
         spaced = {*np.linspace(0, len(run.rows) - 1, SAMPLED).astype(int).tolist()}
         chosen = (r for i, r in enumerate(run.rows) if i in spaced or r.file.name in reasons)
         sample, unread = _readable(run, ((row, "") for row in chosen))
@@ -213,7 +213,7 @@ def _rows(
 ) -> tuple[list[ScanRow], ScanCounts | None, tuple[Failure, ...]]:
     """Read the results of all scans; count the points of scans with labels."""
     rows: list[ScanRow] = []
-    counts = CountsApart(reader.space)
+    counts = SeparateCounts(reader.space)
     trained_on: set[ScanRow] = set()
 
     def add(result: tuple[ScanRow, ScanCounts | None]) -> None:

@@ -55,7 +55,10 @@ def test_the_report_has_coverage_and_risk(world, query):
     assert "accuracy, 2 scans" not in page
     confusions = page.partition("Largest confusions")[2].partition("</ol>")[0]
     assert "<li>road taken for car: 50.0 % of 2 points</li></ol>" in f"{confusions}</ol>"
-    rejection = evaluate(find_scans(world.dataset), world.out, SPACE).to_dict()["rejection"]
+    evaluation = evaluate(find_scans(world.dataset), world.out, SPACE)
+    scores, rejection = evaluation.scores, evaluation.to_dict()["rejection"]
+    assert scores.accuracy == 3 / 16, "rejected points are wrong"
+    assert scores.accuracy_official == pytest.approx(3 / 4), "rejected points do not count"
     assert (rejection["points"], rejection["accepted"], rejection["wrong"]) == (16, 4, 1)
 
 
