@@ -88,8 +88,6 @@ class ScanCounts:
     # Scored, accepted and wrong points of each scan of a run that rejected labels, by name
     accepted: dict[str, tuple[int, int, int]] = field(default_factory=dict)
     calibration_errors: list[float] = field(default_factory=list)  # Of each scan with a softmax
-    # Mean error and share of wrong points, of each scan with the error
-    errors: list[tuple[float, float]] = field(default_factory=list)
     # By kind of uncertainty, `SOFTMAX` for the confidence, or `OF_ERROR`
     histograms: dict[str, Histogram] = field(default_factory=dict)
     by_sequence: dict[str, Counts] = field(default_factory=dict)
@@ -115,7 +113,6 @@ class ScanCounts:
         self.calibrated += other.calibrated
         self.missing += other.missing
         self.calibration_errors += other.calibration_errors
-        self.errors += other.errors
         self.accepted |= other.accepted
         self.by_scan |= other.by_scan
         _add_by_key(self.histograms, other.histograms)
@@ -305,9 +302,6 @@ def _count_uncertainties(values: Mapping[str, Float], wrong: Mask, counts: ScanC
         counts.histograms[kind] = uncertainty_histogram(of_points, wrong)
     if "error" in values:
         counts.histograms[OF_ERROR] = error_histogram(values["error"], wrong)
-        if (known := ~np.isnan(values["error"])).any():
-            means = values["error"][known].mean(dtype=np.float64), wrong[known].mean()
-            counts.errors.append((float(means[0]), float(means[1])))
 
 
 def read_softmax(

@@ -5,8 +5,6 @@ import logging
 import math
 from dataclasses import dataclass, fields
 
-import numpy as np
-
 from salsanext_cli.files.json_files import plain
 from salsanext_cli.measures.calibration import (
     CalibrationScores,
@@ -55,11 +53,9 @@ class RankingResult:
     scores: RankingScores
     risk_coverage: Ratios  # (100,): share of wrong points among the least uncertain 1 %, … 100 %
     thresholds: Ratios  # (100,) float64: largest uncertainty of these points, at most 1 % too large
-    # Only for the error, which is a probability: expected calibration error, 0…1, its diagram, and
-    # (S, 2) mean error and share of wrong points of each scan
+    # Only for the error, which is a probability: expected calibration error, 0…1, and its diagram
     ece: float | None = None
     reliability: Reliability | None = None
-    by_scan: Ratios | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,5 +135,4 @@ def _ranking_result(counts: ScanCounts, kind: str) -> RankingResult:
         thresholds=thresholds,
         ece=diagram.error if diagram else None,
         reliability=diagram,
-        by_scan=np.array(sorted(counts.errors)).reshape(-1, 2) if diagram else None,
     )

@@ -105,15 +105,15 @@ def _calibration_table(softmax: CalibrationResult | None, error: RankingResult |
     if softmax:
         scores = softmax.scores
         likelihood = (_number(scores.nll), _number(scores.brier))
-        shares = (percent(s, 2) for s in (scores.ece, softmax.ece_per_scan, scores.ace))
+        shares = (percent(s, 2) for s in (scores.ece, softmax.ece_per_scan))
         rows.append(("softmax", *likelihood, *shares, f"{softmax.scans:,}", f"{scores.points:,}"))
     if error and error.ece is not None:
         points = error.scores
         counts = (f"{error.scans:,}", f"{points.points:,}")
-        rows.append(("error", "", "", percent(error.ece, 2), "", "", *counts))
+        rows.append(("error", "", "", percent(error.ece, 2), "", *counts))
         mean, wrong = percent(points.mean), percent(points.wrong / max(points.points, 1))
         caption = f"error: the probability that a label is wrong; mean {mean} %, wrong {wrong} %"
-    errors = ("ECE %", "ECE per\nscan %", "ACE %")
+    errors = ("ECE %", "ECE per\nscan %")
     headings = ("calibration", "NLL,\nnats", "Brier", *errors, "scans", "points")
     return table_of(headings, rows, caption=caption)
 

@@ -218,18 +218,6 @@ def slow_error(probabilities: np.ndarray, truth: np.ndarray, bins: int) -> float
     return sum(gaps) / len(truth)
 
 
-def slow_adaptive_error(probabilities: np.ndarray, truth: np.ndarray, bins: int) -> float:
-    """Sort, replace those of one confidence by their mean, cut into bins of one size."""
-    confidence = probabilities.max(axis=1).astype(float)
-    hit = (probabilities.argmax(axis=1) == truth).astype(float)
-    for value in set(confidence):
-        hit[confidence == value] = hit[confidence == value].mean()
-    order = np.argsort(confidence)
-    chunks = np.array_split(order, bins)
-    assert len({len(chunk) for chunk in chunks}) == 1
-    return sum(abs(hit[c].mean() - confidence[c].mean()) for c in chunks) / bins
-
-
 @SEEDS
 def test_log_likelihood_and_brier_are_those_of_scikit_learn(seed):
     probabilities, truth = softmax(seed)
@@ -256,7 +244,6 @@ def test_errors_are_those_of_a_slow_loop(seed, scale):
     assert result.ece == pytest.approx(slow_error(probabilities, truth, 15), abs=1e-14)
     of_ten_bins = reliability(histogram.counts, 10)
     assert of_ten_bins.error == pytest.approx(slow_error(probabilities, truth, 10))
-    assert result.ace == pytest.approx(slow_adaptive_error(probabilities, truth, 15), abs=1e-14)
     hits = probabilities.argmax(axis=1) == truth
     assert result.accuracy == hits.mean()
     assert result.confidence == pytest.approx(probabilities.max(axis=1).astype(float).mean())
@@ -267,7 +254,7 @@ def test_a_probability_of_0_costs_as_much_as_the_smallest_float16():
     result = calibration_scores(of_softmax(probabilities, np.array([1])))
     assert result.nll == pytest.approx(24 * math.log(2))
     assert result.brier == 2
-    assert result.ece == result.ace == 1
+    assert result.ece == 1
 
 
 def test_points_without_a_softmax_are_skipped():
@@ -285,7 +272,7 @@ def test_without_points_there_are_no_scores(count):
     nothing = of_softmax(np.full((count, C), np.nan, np.float16), np.zeros(count, int))
     result = calibration_scores(nothing)
     assert (result.points, nothing.scans, nothing.without_value) == (0, 0, count)
-    for name in ("confidence", "accuracy", "nll", "brier", "ece", "ace"):
+    for name in ("confidence", "accuracy", "nll", "brier", "ece"):
         assert math.isnan(getattr(result, name)), name
 
 

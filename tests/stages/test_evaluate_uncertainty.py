@@ -157,7 +157,6 @@ def test_the_error_is_scored_as_an_uncertainty_and_as_a_probability(world):
     report = report_of(world)
     assert report["uncertainty"]["error"]["ece"] == error.ece
     assert report["uncertainty"]["error"]["without_value"] == 1
-    assert error.by_scan.tolist() == [[0.125, 0], [0.375, 1 / 3]]
     assert error.reliability.points.sum() == 4
     assert (world.out / "eval_error.png").exists()
     threshold = report["accepted"]
