@@ -112,7 +112,7 @@ def _calibration_table(softmax: CalibrationResult | None, error: RankingResult |
         counts = (f"{error.scans:,}", f"{points.points:,}")
         rows.append(("error", "", "", percent(error.ece, 2), "", *counts))
         mean, wrong = percent(points.mean), percent(points.wrong / max(points.points, 1))
-        caption = f"error: the probability that a label is wrong; mean {mean} %, wrong {wrong} %"
+        caption = f"error: probability that a label is wrong; mean {mean} %, wrong {wrong} %"
     errors = ("ECE %", "ECE per\nscan %")
     headings = ("calibration", "NLL,\nnats", "Brier", *errors, "scans", "points")
     return table_of(headings, rows, caption=caption)
