@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from panoptic import count_segments, panoptic_quality
 
 from salsanext_cli import label_space, project, read_labels, read_scan, sensor
 from salsanext_cli.geometry.objects import MIN_OBJECT_POINTS, find_objects
-from salsanext_cli.measures.panoptic import count_segments, panoptic_quality
 from salsanext_cli.records import Scan
 from salsanext_cli.results.paths import find_scans, output_path
 from salsanext_cli.results.result_folder import ResultFolder

@@ -112,7 +112,7 @@ def guarantee(data: Path) -> dict[str, str]:
         weights = ("--weights", "safe.safetensors", "--reject", "risk")
         salsanext("predict", data / name, f"safe-{name}", *weights, *words)
         rejection = salsanext("eval", f"safe-{name}")["rejection"]
-        accepted, wrong = rejection["kept"], rejection["wrong"]
+        accepted, wrong = rejection["accepted"], rejection["wrong"]
         values[f"accepted_{name}"] = percent(accepted / rejection["points"])
         values[f"wrong_{name}"] = percent(wrong / accepted)
         values[f"accepted_wrong_{name}"] = percent(wrong / rejection["points"])

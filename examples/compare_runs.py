@@ -1,53 +1,45 @@
 # SPDX-License-Identifier: MIT
-"""Plot the validation mIoU of trainings over the training time, and print it at equal times.
+"""Compare two runs on the same labelled scans: IoU of each class, and whether a change is clear.
 
-The time is that of the training steps, without validation. Compare runs on the same machine.
+The change of a class is its IoU in the second run minus that in the first. It is clear if the mean
+change of the sequences is more than twice its standard error over the sequences. Two sequences are
+the least for that; with few of them, chance changes look clear too.
 
-Run: python examples/compare_runs.py curve.png runs/paper runs/modern
+Run: python examples/compare_runs.py out/eval.json tuned/eval.json, after `salsanext eval` on both
 """
 
-import csv
+import json
 import sys
-from itertools import accumulate
 from pathlib import Path
+from typing import Any
 
-from matplotlib.figure import Figure
+import numpy as np
 
-Curve = tuple[list[float], list[float]]
-"""Minutes of training, and mIoU in %, of every validation."""
-
-
-def read_curve(run: Path) -> Curve:
-    """Read the log of a run."""
-    with (run / "log.csv").open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
-    minutes = [total / 60 for total in accumulate(float(row["seconds"]) for row in rows)]
-    validated = [number for number, row in enumerate(rows) if row.get("miou")]
-    return (
-        [minutes[number] for number in validated],
-        [100 * float(rows[number]["miou"]) for number in validated],
-    )
+NAMES = {"accuracy": "accuracy", "iou_mean_present": "mean IoU"}
+"""Scores of all classes, by their key in the results of `eval`."""
 
 
-def at(minute: float, curve: Curve) -> float:
-    """Return the best mIoU of a training up to a minute; 0 before the first validation."""
-    return max((iou for time, iou in zip(*curve, strict=True) if time <= minute), default=0.0)
+def percents(scores: dict[str, Any]) -> dict[str, float]:
+    """Return accuracy, mean IoU, and the IoU of the classes in the labels, in percent."""
+    shares = {name: scores[key] for key, name in NAMES.items()}
+    shares |= {c["name"]: c["iou"] for c in scores["classes"] if c["points"]}
+    return {name: 100 * share for name, share in shares.items() if share is not None}
 
 
-def main(picture: str, *runs: str) -> None:
-    curves = {run: read_curve(Path(run)) for run in runs}
-    if unscored := [run for run, (minutes, _) in curves.items() if not minutes]:
-        sys.exit(f"not validated yet: {', '.join(unscored)}")
-    shortest = min(minutes[-1] for minutes, _ in curves.values())
-
-    axes = (figure := Figure(figsize=(7, 4.2), layout="constrained")).subplots()
-    for name, (minutes, ious) in curves.items():
-        axes.plot(minutes, ious, "o-", markersize=3, label=name)
-        print(f"{name}: {at(shortest, (minutes, ious)):.1f} % within {shortest:.1f} minutes")
-    axes.axvline(shortest, color="grey", linestyle=":", label="equal time")
-    axes.set(xlabel="minutes of training", ylabel="validation mIoU, %", ylim=(0, None))
-    axes.legend()
-    figure.savefig(picture, dpi=120)
+def main(before: str, after: str) -> None:
+    runs = [json.loads(Path(path).read_text("utf-8")) for path in (before, after)]
+    if runs[0]["by_scan"].keys() != runs[1]["by_scan"].keys():
+        sys.exit("the runs are scored on different scans: evaluate the same")
+    old, new = (percents(run["scores"]) for run in runs)
+    sequences = zip(*(run["by_sequence"].values() for run in runs), strict=True)
+    of_sequences = [tuple(map(percents, pair)) for pair in sequences]
+    for name in old:
+        changes = [b[name] - a[name] for a, b in of_sequences if name in a]
+        line = f"{name:20} {old[name]:6.1f} → {new[name]:6.1f}  {new[name] - old[name]:+6.1f}"
+        if len(changes) > 1:
+            error = np.std(changes, ddof=1) / len(changes) ** 0.5
+            line += "  clear" * bool(abs(np.mean(changes)) > 2 * error)
+        print(line)
 
 
 if __name__ == "__main__":

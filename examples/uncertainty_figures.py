@@ -19,7 +19,6 @@ from matplotlib.figure import Figure
 
 import salsanext_cli as sn
 from salsanext_cli.engines.network import Network
-from salsanext_cli.measures.risk_coverage import spearman
 from salsanext_cli.records import RangeImage
 from salsanext_cli.uncertainty.aleatoric import COPIES, aleatoric, noise_variance, noisy_copies
 from salsanext_cli.uncertainty.monte_carlo import sample
@@ -54,6 +53,12 @@ def scatter(axes: Axes, slow: Values, fast: Values, titles: tuple[str, str, str]
     axes.legend(loc="upper left")
 
 
+def rank_correlation(one: np.ndarray, other: np.ndarray) -> float:
+    """Return Spearman's correlation of the ranks of (N,) values."""
+    ranks = [values.argsort().argsort() for values in (one, other)]
+    return float(np.corrcoef(ranks)[0, 1])
+
+
 def main(scan: str, folder: str, copies: str = "256", passes: str = "200", *weights: str) -> None:
     network = sn.load_network(*weights, device="cpu")
     # Uncertainty is estimated from the softmax at temperature 1.
@@ -69,7 +74,7 @@ def main(scan: str, folder: str, copies: str = "256", passes: str = "200", *weig
     }
     fast = {name: np.sqrt(values.mean(axis=0))[seen] for name, values in ways.items()}
     for name, values in fast.items():
-        rank, scale = spearman(slow, values), np.median(values[slow > 0] / slow[slow > 0])
+        rank, scale = rank_correlation(slow, values), np.median(values[slow > 0] / slow[slow > 0])
         print(f"aleatoric, {name}: rank correlation {rank:.3f}, scale of the deviation {scale:.3f}")
 
     many = sample(network, image, samples=int(passes), seed=1).uncertainty.epistemic[seen]
@@ -77,14 +82,14 @@ def main(scan: str, folder: str, copies: str = "256", passes: str = "200", *weig
     ranks = []
     for count in counts:
         few = sample(network, image, samples=count, seed=2).uncertainty.epistemic[seen]
-        ranks.append(spearman(many, few))
+        ranks.append(rank_correlation(many, few))
         error = np.abs(few - many).sum() / many.sum()
         print(f"{count:4d} passes: rank correlation {ranks[-1]:.3f}, error {error:.1%} of the mean")
 
     figure = Figure(figsize=(15, 4.6), layout="constrained")
     *left, right = figure.subplots(1, 3)
     for axes, (name, values) in zip(left, fast.items(), strict=True):
-        title = f"aleatoric, rank correlation {spearman(slow, values):.2f}"
+        title = f"aleatoric, rank correlation {rank_correlation(slow, values):.2f}"
         scatter(axes, slow, values, (title, f"σ over {copies} noisy copies", f"σ by {name}"))
     right.semilogx(counts, ranks, "o-")
     right.set(title=f"epistemic, against {passes} passes", xlabel="passes")

@@ -128,7 +128,7 @@ def undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(picture, "picture_of_results", lambda *_, **__: b"picture")
     monkeypatch.setattr(plots, "iou_bars", lambda *_: b"picture")
     monkeypatch.setattr(plots, "confusion_picture", lambda *_: b"picture")
-    for name in ("reliability_diagram", "error_diagram", "risk_coverage"):
+    for name in ("reliability_diagram", "risk_coverage"):
         monkeypatch.setattr(plots, name, lambda *_: b"picture")
 
 

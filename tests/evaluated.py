@@ -13,7 +13,7 @@ from salsanext_cli.measures.histograms import (
     softmax_errors,
     uncertainty_histogram,
 )
-from salsanext_cli.measures.scan_counts import CLASS, SOFTMAX, ScanCounts
+from salsanext_cli.measures.scan_counts import SOFTMAX, ScanCounts
 from salsanext_cli.measures.uncertainty_evaluation import (
     CalibrationResult,
     RankingResult,
@@ -69,20 +69,16 @@ def calibration_result(truth) -> CalibrationResult:
     rows = np.zeros((len(truth), SPACE.class_count), np.float16)
     rows[:, 1], rows[:, 2] = 0.75, 0.25
     errors = softmax_errors(rows, np.array(truth, int))
-    histogram = confidence_histogram(errors, errors.predicted, SPACE.class_count)
-    counts = ScanCounts.none(SPACE, by_distance=False)
-    counts.histograms[SOFTMAX, CLASS] = histogram
+    histogram = confidence_histogram(errors)
+    counts = ScanCounts.none(SPACE)
+    counts.histograms[SOFTMAX] = histogram
     if len(truth):
-        error = reliability(histogram.total().counts[:, 0], SCAN_BINS).error
-        counts.calibration_errors.append(error)
-    return evaluate_uncertainty(counts, SPACE).calibration
+        counts.calibration_errors.append(reliability(histogram.counts, SCAN_BINS).error)
+    return evaluate_uncertainty(counts).calibration
 
 
-def ranking_result(uncertainty, wrong, truth=None) -> RankingResult:
-    """Return the scores of an uncertainty as a detector of wrong points, by default of class 1."""
-    truth = np.ones(len(uncertainty), int) if truth is None else truth
-    counts = ScanCounts.none(SPACE, by_distance=False)
-    values = np.array(uncertainty, np.float32)
-    histogram = uncertainty_histogram(values, wrong, truth, SPACE.class_count)
-    counts.histograms["epistemic", CLASS] = histogram
-    return evaluate_uncertainty(counts, SPACE).kinds["epistemic"]
+def ranking_result(uncertainty, wrong) -> RankingResult:
+    """Return the scores of an uncertainty as a detector of wrong points."""
+    counts, values = ScanCounts.none(SPACE), np.array(uncertainty, np.float32)
+    counts.histograms["epistemic"] = uncertainty_histogram(values, np.array(wrong, bool))
+    return evaluate_uncertainty(counts).kinds["epistemic"]

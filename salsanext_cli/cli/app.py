@@ -31,7 +31,6 @@ COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
         "pick": own_data.pick,
         "import-labels": own_data.import_labels,
         "train": train,
-        "compare": results.compare,
     },
     "Trust": {"eval": results.evaluate, "uncertainty": pipeline.uncertainty, "tune": tune},
     "Data": {

@@ -91,7 +91,6 @@ def report(
         metavar="NAMES",
         show_default="up to four notable scans",
     ),
-    by_distance: bool = arguments.BY_DISTANCE,
     query: ResultQuery,
     running: arguments.Reading,
     output: console.Output,
@@ -107,7 +106,6 @@ def report(
             out,
             scans=names_in(scans, "--scans", "08/000000,08/000010"),
             query=query,
-            by_distance=by_distance,
             options=run,
         )
     missing = written.run.missing

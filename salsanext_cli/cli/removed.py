@@ -12,7 +12,7 @@ REMOVED = {
     ("", "--backend dask"): "use `--shard I/N` on each machine",
     ("", "--backend ray"): "use `--shard I/N` on each machine",
     ("", "--scheduler"): "use `--shard I/N` on each machine",
-    ("compare", "--by-distance"): "use `eval --by-distance` on both folders",
+    ("compare", ""): "use `eval` on both folders",
     ("convert", "--backend"): "use `--jobs`",
     ("demo", "--engine"): "use `predict --engine` on your own scans",
     ("demo", "--intensity"): "use `predict --intensity` on your own scans",
@@ -39,7 +39,8 @@ REMOVED = {
     ("tune", "--steps"): "omit it: ten rates from 0.02 to 0.5 are tried",
     ("uncertainty", "--method"): "use fewer passes, such as `--samples 5`, to save time",
     ("view", "--backend"): "use `--jobs`",
-    ("view", "--by-distance"): "use `report --by-distance`",
+    ("report", "--by-distance"): "use `eval --by-distance`",
+    ("view", "--by-distance"): "use `eval --by-distance`",
 }
 """Hint by command and option, with its value if other values remain; "" stands for all commands, or
 for the command itself."""

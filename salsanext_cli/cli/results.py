@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Commands on results: fuse, filter, compare, evaluate and export them."""
+"""Commands on results: fuse, filter, evaluate and export them."""
 
 from dataclasses import asdict
 from functools import partial
@@ -90,34 +90,6 @@ def filter_command(
     summary.finish("filter", outcome, to, output)
 
 
-def compare(
-    before: Path = argument("Results of the first run.", default=..., metavar="OUT_A"),
-    after: Path = argument("Results of the second run.", default=..., metavar="OUT_B"),
-    *,
-    query: ResultQuery,
-    running: arguments.Reading,
-    output: console.Output,
-) -> None:
-    """Compare two runs on the same scans: differences, and which run is better.
-
-    Scans that the weights of a run were trained on do not count.
-
-    Example: salsanext compare out/ tuned/
-    """
-    from salsanext_cli.report.comparison import comparison_tables
-    from salsanext_cli.stages.compare import RECORD
-    from salsanext_cli.stages.compare import compare as stage
-
-    with over_scans("compare", running, output.quiet) as run:
-        comparison, failures = stage(before, after, query=query, options=run)
-    failed = [failure.to_dict() for failure in failures]
-    result = {"stage": "compare", **comparison.to_dict(), "failures": failed}
-    output.result(result, comparison_tables(comparison))
-    summary.print_failures(failures)
-    output.print(f"compare: {counted(len(comparison.pairs), 'scan')} → {after / RECORD}")
-    summary.leave(failures)
-
-
 def evaluate(
     out: Path = arguments.RESULTS,
     *,
@@ -179,9 +151,11 @@ def _evaluation_tables(evaluation: "Evaluation", above: float | None) -> "Group"
     tables += [band_table(evaluation.by_distance)] if evaluation.by_distance else []
     tables += uncertainty_tables(uncertainty)
     tables += [Text(uncertainty.accepted.sentence)] if uncertainty.accepted else []
-    tables += [Text(evaluation.object_sentence)] if evaluation.panoptic else []
     if accepted:
-        missed = f"The scores count points rejected by `predict --reject {above:g}` as misses."
+        missed = (
+            f"Points rejected by `predict --reject {above:g}` count as wrong in accuracy and IoU, "
+            "and do not count in the official accuracy."
+        )
         guarantee = [evaluation.guarantee.sentence] if evaluation.guarantee else []
         lines = [missed, *accepted.sentences, *guarantee]
         tables += [accepted_table(accepted.classes), Text("\n".join(lines))]

@@ -104,9 +104,8 @@ def tune_risk(
     }
     tuned = _tuned("risk", dataset, target, fit, output, **numbers)
     sentences = (Text(sentence) for sentence in tuned["sentences"])
-    output.result(tuned, Group(accepted_table(tuned["kept"]["classes"]), *sentences))
-    summary = f"tune risk: {tuned['promise']} → {target}"
-    _end(output, summary, target, "--reject risk ")
+    output.result(tuned, Group(accepted_table(tuned["accepted"]["classes"]), *sentences))
+    _end(output, f"tune risk: {tuned['guarantee']} → {target}", target, "--reject risk ")
 
 
 def tune_dropout(

@@ -170,9 +170,9 @@ def check_scan(
     if sensor.name not in (FITTED_NAME, *presets(), trained and trained.name):
         fit = AUTO
     findings = [
-        *_of_units(ranges, share),
-        *_of_view(some, sines, sensor, fit),
-        *_of_ground(some, fit),
+        *_unit_findings(ranges, share),
+        *_view_findings(some, sines, sensor, fit),
+        *_ground_findings(some, fit),
     ]
     bright = 0.0 if reason else upper_intensity(some.intensity)
     if trained is not None:
@@ -195,7 +195,7 @@ def _require_metres(path: Path, count: int, ranges: Double) -> None:
         raise FormatError(path, f"has a median range of {median:.3g} m", expected, hint)
 
 
-def _of_units(ranges: Double, measured: float) -> Iterator[Finding]:
+def _unit_findings(ranges: Double, measured: float) -> Iterator[Finding]:
     median, far = np.quantile(ranges, (0.5, 0.99))
     if median > USUAL_RANGES_M[0] or far > USUAL_RANGES_M[1]:
         problem = f"has a median range of {median:.0f} m, and 1% of the points beyond {far:.0f} m"
@@ -207,7 +207,7 @@ def _of_units(ranges: Double, measured: float) -> Iterator[Finding]:
         yield Finding("not-measured", problem, f"if they should be, {COLUMNS}")
 
 
-def _of_view(scan: Scan, sines: Float, sensor: Sensor, fit: str) -> Iterator[Finding]:
+def _view_findings(scan: Scan, sines: Float, sensor: Sensor, fit: str) -> Iterator[Finding]:
     outside = share_outside(sines, sensor)
     if outside > MAX_SHARE_OUTSIDE:
         view = f"{sensor.name}, {sensor.fov_up:+g}° to {sensor.fov_down:+g}°"
@@ -227,7 +227,7 @@ def _of_view(scan: Scan, sines: Float, sensor: Sensor, fit: str) -> Iterator[Fin
         yield Finding("sparse", problem, TRAIN)
 
 
-def _of_ground(scan: Scan, fit: str) -> Iterator[Finding]:
+def _ground_findings(scan: Scan, fit: str) -> Iterator[Finding]:
     ground = ground_of(scan)
     if ground is None or ground.share < MIN_SHARE_OF_GROUND:
         return

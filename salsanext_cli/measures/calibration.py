@@ -28,22 +28,19 @@ class CalibrationScores:
     nll: float  # Mean negative log-likelihood of the true class in nats, 0…16.6; lower is better
     brier: float  # Mean squared distance Σ_c (p_c − [c is true])², 0…2; lower is better
     ece: float  # Expected calibration error over 15 bins of equal width, 0…1; lower is better
-    ace: float  # The same over 15 bins of equally many points; lower is better
 
 
 def calibration_scores(histogram: Histogram) -> CalibrationScores:
-    """Divide the counts of all groups of a `confidence_histogram` together."""
-    pooled = histogram.total()
-    counts, total = pooled.counts[:, 0], int(pooled.points[0])
+    """Divide the counts of a `confidence_histogram`."""
+    counts, total = histogram.counts, int(histogram.counts.sum())
     confidence = counts.sum(axis=0) @ CONFIDENCES.astype(np.float64)
     return CalibrationScores(
         points=total,
         confidence=float(confidence / total) if total else math.nan,
         accuracy=float(counts[0].sum() / total) if total else math.nan,
-        nll=float(pooled.means("nll")[0]),
-        brier=float(pooled.means("brier")[0]),
+        nll=histogram.mean("nll"),
+        brier=histogram.mean("brier"),
         ece=reliability(counts).error,
-        ace=adaptive_error(counts),
     )
 
 
@@ -73,16 +70,3 @@ def reliability(counts: Counts, bin_count: int = POOLED_BINS) -> Reliability:
     hits = np.add.reduceat(counts[0], starts)
     confidence = np.add.reduceat(counts.sum(axis=0) * values, starts)
     return Reliability(points, ratio(confidence, points), ratio(hits, points))
-
-
-def adaptive_error(counts: Counts) -> float:
-    """Return Σ_b |accuracy_b − confidence_b| / B over bins of equally many points, ties divided."""
-    points = counts.sum(axis=0)
-    filled = points > 0
-    if not filled.any():
-        return math.nan
-    gaps = counts[0, filled] - points[filled] * CONFIDENCES[filled].astype(np.float64)
-    reached = np.concatenate([[0], points[filled].cumsum()])
-    borders = np.linspace(0, reached[-1], POOLED_BINS + 1)
-    gap = np.diff(np.interp(borders, reached, np.concatenate([[0], gaps.cumsum()])))
-    return float(np.abs(gap).sum() / reached[-1])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Histograms of confidence and of uncertainty, of right and of wrong points by group.
+"""Histograms of confidence and of uncertainty, of right and of wrong points.
 
 Probabilities are float16 on disk: a bin for each of the 15 361 such numbers from 0 to 1 makes
 errors exact for any number of scans. A bin of uncertainty is a bfloat16 number, to which
@@ -10,7 +10,7 @@ are tied.
 from __future__ import annotations
 
 import math
-from array import array
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,7 +36,6 @@ FIRST_KEY = int(np.float32(2.0**LOWEST).view(np.int32)) >> BFLOAT16_SHIFT
 class SoftmaxErrors:
     """Errors of the softmax of N points; NaN for points without a softmax."""
 
-    predicted: Indices  # The most probable class
     wrong: Mask  # Whether the true class differs
     confidence: npt.NDArray[np.float16]  # The largest probability
     nll: Ratios  # Negative log-likelihood of the true class in nats, 0…16.6
@@ -49,7 +48,6 @@ def softmax_errors(probabilities: npt.NDArray[Any], truth: npt.NDArray[Any]) -> 
     rows = np.arange(len(exact))
     of_truth, predicted = exact[rows, truth], exact.argmax(axis=1)
     return SoftmaxErrors(
-        predicted=predicted,
         wrong=predicted != truth,
         confidence=exact[rows, predicted].astype(np.float16),
         nll=-np.log(np.maximum(of_truth, MIN_PROBABILITY)),
@@ -75,25 +73,19 @@ def softmax_entropy(probabilities: npt.NDArray[Any]) -> Float:
 
 @dataclass(slots=True)
 class Histogram:
-    """Histograms by group, and sums of values over the points of each group."""
+    """Histogram of the points of some scans, and sums of values over them."""
 
-    counts: Counts  # (2, G, B) int64: right and wrong points by group and bin
-    # By name, G float64 sums for each scan. `math.fsum` adds them for a mean, which is then the
-    # same to the last digit in any order of the scans
-    scan_sums: dict[str, array[float]]
+    counts: Counts  # (2, B) int64: right and wrong points by bin
+    # By name, the sum of each scan. `math.fsum` adds them for a mean, which is then the same to the
+    # last digit in any order of the scans
+    scan_sums: dict[str, list[float]]
     scans: int  # Number of scans with a counted point
     without_value: int  # Number of points
 
-    @property
-    def points(self) -> Counts:
-        """Number of points by group, (G,)."""
-        return self.counts.sum(axis=(0, 2))
-
-    def means(self, name: str) -> Ratios:
-        """Return the mean of each group, (G,) float64; NaN for a group without points."""
-        sums, points = self.scan_sums[name], self.points.tolist()
-        pairs = enumerate(points)
-        return np.array([math.fsum(sums[i :: len(points)]) / n if n else np.nan for i, n in pairs])
+    def mean(self, name: str) -> float:
+        """Return the mean over the points; NaN without any."""
+        points = int(self.counts.sum())
+        return math.fsum(self.scan_sums[name]) / points if points else math.nan
 
     def __iadd__(self, other: Histogram) -> Histogram:
         """Add the counts of other scans."""
@@ -104,58 +96,36 @@ class Histogram:
         self.without_value += other.without_value
         return self
 
-    def group(self, index: int) -> Histogram:
-        """Return the histogram of one group."""
-        sums = {name: s[index :: self.counts.shape[1]] for name, s in self.scan_sums.items()}
-        return Histogram(self.counts[:, index : index + 1], sums, self.scans, self.without_value)
 
-    def total(self) -> Histogram:
-        """Return the histogram of all groups together, as one group."""
-        counts: Counts = self.counts.sum(axis=1, keepdims=True)
-        return Histogram(counts, self.scan_sums, self.scans, self.without_value)
+def confidence_histogram(errors: SoftmaxErrors) -> Histogram:
+    """Count points by confidence, in a bin for each of `CONFIDENCES`; skip NaN."""
+    known, bins = ~np.isnan(errors.confidence), errors.confidence.view(np.uint16)
+    sums = {"nll": errors.nll, "brier": errors.brier}
+    return _histogram(len(CONFIDENCES), known, errors.wrong, bins, sums)
 
 
-def confidence_histogram(
-    errors: SoftmaxErrors, group: npt.NDArray[Any], group_count: int
-) -> Histogram:
-    """Count points by group (N,) and by confidence, in a bin for each of `CONFIDENCES`."""
-    bins = errors.confidence.view(np.uint16).astype(np.intp)
-    known, shape = ~np.isnan(errors.confidence), (2, group_count, len(CONFIDENCES))
-    return _histogram(shape, known, errors.wrong, group, bins, nll=errors.nll, brier=errors.brier)
-
-
-def uncertainty_histogram(
-    uncertainty: npt.NDArray[Any], wrong: Mask, group: npt.NDArray[Any], group_count: int
-) -> Histogram:
+def uncertainty_histogram(uncertainty: npt.NDArray[Any], wrong: Mask) -> Histogram:
     """Count the points of a scan by uncertainty (N,), 0 and above; skip NaN."""
-    values, shape = uncertainty.astype(np.float64), (2, group_count, UNCERTAINTY_BINS)
-    bins = bin_of(uncertainty)
-    return _histogram(shape, ~np.isnan(values), wrong, group, bins, uncertainty=values)
+    values = uncertainty.astype(np.float64)
+    bins, sums = bin_of(uncertainty), {"uncertainty": values}
+    return _histogram(UNCERTAINTY_BINS, ~np.isnan(values), wrong, bins, sums)
 
 
 def error_histogram(error: npt.NDArray[Any], wrong: Mask) -> Histogram:
     """Count points by the probability (N,) that their label is wrong, in bins of `CONFIDENCES`."""
     # The error claims that the label is wrong, so a wrong point counts as right here.
-    shape, group = (2, 1, len(CONFIDENCES)), np.zeros(len(error), np.intp)
-    bins = np.abs(error).astype(np.float16).view(np.uint16).astype(np.intp)
-    return _histogram(shape, ~np.isnan(error), ~wrong, group, bins)
+    bins = np.abs(error).astype(np.float16).view(np.uint16)
+    return _histogram(len(CONFIDENCES), ~np.isnan(error), ~wrong, bins, {})
 
 
 def _histogram(
-    shape: tuple[int, int, int],
-    known: Mask,
-    wrong: Mask,
-    group: npt.NDArray[Any],
-    bins: Indices,
-    **values: Ratios,
+    bin_count: int, known: Mask, wrong: Mask, bins: npt.NDArray[Any], values: Mapping[str, Ratios]
 ) -> Histogram:
     """Count the known points of a scan, all arrays (N,)."""
-    group = group[known]
-    cell = np.ravel_multi_index((wrong[known].astype(np.intp), group, bins[known]), shape)
-    counts = np.bincount(cell, minlength=math.prod(shape)).reshape(shape)
-    sums = {name: np.bincount(group, v[known], shape[1]) for name, v in values.items()}
-    scan_sums = {name: array("d", of_groups.tolist()) for name, of_groups in sums.items()}
-    return Histogram(counts, scan_sums, int(len(cell) > 0), len(known) - len(cell))
+    cell = np.where(wrong, bin_count, 0)[known] + bins[known]
+    counts = np.bincount(cell, minlength=2 * bin_count).reshape(2, bin_count)
+    sums = {name: [float(of_points[known].sum())] for name, of_points in values.items()}
+    return Histogram(counts, sums, int(len(cell) > 0), len(known) - len(cell))
 
 
 def bin_of(uncertainty: npt.NDArray[Any]) -> Indices:

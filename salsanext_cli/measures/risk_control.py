@@ -9,7 +9,7 @@ drives by rising threshold.
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
@@ -162,11 +162,6 @@ class AcceptedLabels:
         if self.people:
             missed = f"{self.missed_people:,} of {self.people:,} points of people"
             yield f"missed people: {missed} are accepted with another label"
-
-    def to_dict(self) -> dict[str, object]:
-        """Return plain data for JSON."""
-        content = {field.name: getattr(self, field.name) for field in fields(self)}
-        return {"kept" if name == "accepted" else name: v for name, v in content.items()}
 
 
 @dataclass(frozen=True, slots=True)

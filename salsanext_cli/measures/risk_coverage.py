@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Uncertainty as a detector of wrong points: scores, a threshold, and rank correlation.
+"""Uncertainty as a detector of wrong points: scores and a threshold.
 
 Functions of counts take the numbers of right and of wrong points in bins of ascending uncertainty,
 (B,) int64. Points of one bin are tied: scores are the mean over every order among them.
@@ -7,10 +7,8 @@ Functions of counts take the numbers of right and of wrong points in bins of asc
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from salsanext_cli.measures.histograms import Histogram, highest_of_bins
 from salsanext_cli.measures.scores import Counts, Ratios
@@ -39,17 +37,16 @@ class RankingScores:
 
 
 def ranking_scores(histogram: Histogram) -> RankingScores:
-    """Divide the counts of all groups of an `uncertainty_histogram` together."""
-    pooled = histogram.total()
-    right, wrong = pooled.counts[:, 0]
-    points, errors = int(pooled.counts.sum()), int(wrong.sum())
+    """Divide the counts of an `uncertainty_histogram`."""
+    right, wrong = histogram.counts
+    points, errors = int(histogram.counts.sum()), int(wrong.sum())
     area = aurc(right, wrong)
     # In the best order, every wrong point is more uncertain than every right one.
     excess = area - aurc(np.array([right.sum(), 0]), np.array([0, errors]))
     return RankingScores(
         points=points,
         wrong=errors,
-        mean=float(pooled.means("uncertainty")[0]),
+        mean=histogram.mean("uncertainty"),
         auroc=auroc(right, wrong),
         aupr=average_precision(right, wrong),
         aurc=area,
@@ -147,7 +144,7 @@ class AcceptedPoints:
 
 def accepted_points(kind: str, histogram: Histogram) -> AcceptedPoints:
     """Find the threshold whose coverage is nearest to `PERCENT_ACCEPTED`, ties together."""
-    right, wrong = histogram.total().counts[:, 0]
+    right, wrong = histogram.counts
     tied = right + wrong
     reached, errors = tied.cumsum(), wrong.cumsum()
     points, risk_of_all = int(reached[-1]), float(errors[-1] / reached[-1])
@@ -176,16 +173,3 @@ def _between(highest: float, others: float) -> float:
 
 def _percent(share: float) -> str:
     return f"{100 * share:.1f} %" if share >= 0.01 else f"{100 * share:.2g} %"
-
-
-def spearman(one: npt.NDArray[Any], other: npt.NDArray[Any]) -> float:
-    """Return Spearman's rank correlation of (N,) finite numbers, -1…1; NaN if one is constant."""
-    ranks = [_centred_ranks(values) for values in (one, other)]
-    norm = math.prod(math.sqrt(r @ r) for r in ranks)
-    return float(ranks[0] @ ranks[1] / norm) if norm else math.nan
-
-
-def _centred_ranks(values: npt.NDArray[Any]) -> Ratios:
-    """Return ranks whose mean is 0; ranks of equal values are exactly 0."""
-    _, rank_of, count = np.unique(values, return_inverse=True, return_counts=True)
-    return (count.cumsum() - (count + len(values)) / 2)[rank_of]

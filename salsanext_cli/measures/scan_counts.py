@@ -33,11 +33,9 @@ from salsanext_cli.measures.histograms import (
     softmax_errors,
     uncertainty_histogram,
 )
-from salsanext_cli.measures.panoptic import SEGMENT_COUNTS, count_segments
 from salsanext_cli.measures.scores import (
     Counts,
     Mask,
-    Ratios,
     accepted,
     confusion_matrix,
     scored_rows,
@@ -55,8 +53,7 @@ SOFTMAX = "probabilities"  # Folder of the softmax, and key of the histograms of
 OF_SOFTMAX = {"least_confidence": lack_of_confidence, "softmax_entropy": softmax_entropy}
 """Uncertainties computed from the probabilities if no file has them or classes are merged."""
 EVALUATED_KINDS = (*dict.fromkeys((*OF_SOFTMAX, *UNCERTAINTY)),)  # In the order of reports
-CLASS, DISTANCE = "class", "distance"
-OF_ERROR = ("error", "calibration")  # Key of the histogram of the error as a probability
+OF_ERROR = "error calibration"  # Key of the histogram of the error as a probability
 MIN_ACCURACY, MIN_JUDGED = 0.2, 10_000
 """Least accuracy, over at least so many points, of labels with the same raw ids as the predictions.
 Other ids had 0.02, the default weights have 0.75 or more in cities."""
@@ -78,7 +75,6 @@ class ScanCounts:
     """Counts over scans."""
 
     confusion: Counts  # (C, C) of all points
-    segments: Ratios  # (C, 5) of `count_segments`; 0 without predicted objects
     bands: tuple[Counts, ...] = ()  # (C, C) for each of `BAND_NAMES`; empty if not requested
     # Number of points by raw id that the label space lacks
     unknown_truth: Counter[int] = field(default_factory=Counter)
@@ -92,25 +88,21 @@ class ScanCounts:
     # Scored, accepted and wrong points of each scan of a run that rejected labels, by name
     accepted: dict[str, tuple[int, int, int]] = field(default_factory=dict)
     calibration_errors: list[float] = field(default_factory=list)  # Of each scan with a softmax
-    # Mean error and share of wrong points, of each scan with the error
-    errors: list[tuple[float, float]] = field(default_factory=list)
-    # By kind of uncertainty, or `SOFTMAX` for the confidence, and by grouping: `DISTANCE` or
-    # `CLASS`, which is the most probable class for the confidence, else the true class
-    histograms: dict[tuple[str, str], Histogram] = field(default_factory=dict)
+    # By kind of uncertainty, `SOFTMAX` for the confidence, or `OF_ERROR`
+    histograms: dict[str, Histogram] = field(default_factory=dict)
     by_sequence: dict[str, Counts] = field(default_factory=dict)
     by_scan: dict[str, ScanScores] = field(default_factory=dict)  # By name of the scan
 
     @classmethod
-    def none(cls, space: LabelSpace, by_distance: bool) -> ScanCounts:
+    def none(cls, space: LabelSpace, by_distance: bool = False) -> ScanCounts:
         """Return the counts of no scan."""
         none = np.zeros((space.class_count, space.class_count), np.int64)
         bands = tuple(none.copy() for _ in BAND_NAMES) if by_distance else ()
-        return cls(none, np.zeros((space.class_count, SEGMENT_COUNTS)), bands)
+        return cls(none, bands)
 
     def add(self, other: ScanCounts) -> None:
         """Add the counts of other scans, which are used up."""
         self.confusion += other.confusion
-        self.segments += other.segments
         self.bands = tuple(map(add, self.bands, other.bands))
         self.unknown_truth += other.unknown_truth
         self.unknown_predictions += other.unknown_predictions
@@ -121,7 +113,6 @@ class ScanCounts:
         self.calibrated += other.calibrated
         self.missing += other.missing
         self.calibration_errors += other.calibration_errors
-        self.errors += other.errors
         self.accepted |= other.accepted
         self.by_scan |= other.by_scan
         _add_by_key(self.histograms, other.histograms)
@@ -163,10 +154,10 @@ def _add_by_key(sums: dict[Any, Sum], others: Mapping[Any, Sum]) -> None:
             sums[key] = other
 
 
-class CountsApart:
+class SeparateCounts:
     """Counts of scans that the weights were trained on, and of the other scans."""
 
-    def __init__(self, space: LabelSpace, by_distance: bool) -> None:
+    def __init__(self, space: LabelSpace, by_distance: bool = False) -> None:
         self.others = ScanCounts.none(space, by_distance)
         self.trained_on = ScanCounts.none(space, by_distance)
 
@@ -189,22 +180,11 @@ class JudgedLabels(NamedTuple):
     truth: TrainIds  # (N,)
     predicted: TrainIds  # (N,)
     scored: Mask  # (N,): points whose truth counts
-    bands: Indices | None  # (N,): index into `BAND_NAMES`, -1 without a measurement
 
     @property
     def wrong(self) -> Mask:
         """Whether each of the M scored points is wrong, (M,)."""
         return (self.predicted != self.truth)[self.scored]
-
-    def groups(self, class_count: int) -> dict[str, tuple[npt.NDArray[Any], int]]:
-        """Return the group (M,) of the scored points, by grouping, and the number of groups."""
-        groups: dict[str, tuple[npt.NDArray[Any], int]] = {}
-        groups[CLASS] = self.truth[self.scored], class_count
-        if self.bands is not None:
-            # Points without a measurement are a group of their own.
-            count = len(BAND_NAMES) + 1
-            groups[DISTANCE] = self.bands[self.scored] % count, count
-        return groups
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,11 +199,15 @@ class ScanComparison:
     rejection: Rejection | None = None
     trained_on: frozenset[str] = frozenset()  # Digests of scans
     by_distance: bool = False  # Whether to count distance bands too
-    objects: bool = False  # Whether the predictions have instances
 
     @classmethod
     def of_results(
-        cls, results: Manifest, space: LabelSpace, labels: LabelSpace, *, by_distance: bool
+        cls,
+        results: Manifest,
+        space: LabelSpace,
+        labels: LabelSpace,
+        *,
+        by_distance: bool = False,
     ) -> ScanComparison:
         """Return the settings that the records of an output folder imply."""
         return cls(
@@ -263,10 +247,6 @@ class ScanComparison:
         counts.by_scan[scan.name] = ScanScores(
             of_scan.points, of_scan.accuracy, of_scan.iou_mean_present
         )
-        if self.objects:
-            instances = (truth, raw_truth), (predicted, raw_predicted)
-            counts.segments = count_segments(*instances, space.scored)
-        bands = None
         if cloud is not None:
             seen = in_sensor_frame(cloud, sensor_of(cloud, self.sensor))
             bands = band_of_point(seen.points)
@@ -274,7 +254,7 @@ class ScanComparison:
                 confusion_matrix(truth[bands == i], predicted[bands == i], space.class_count)
                 for i in range(len(BAND_NAMES))
             )
-        judged = JudgedLabels(truth, predicted, space.scored[truth], bands)
+        judged = JudgedLabels(truth, predicted, space.scored[truth])
         values = self._count_softmax(scan, judged, counts)
         values |= self._uncertainties(scan, judged, counts)
         if self.rejection:
@@ -283,7 +263,7 @@ class ScanComparison:
             counts.accepted[scan.name] = len(labelled), int(labelled.sum()), wrong
             counts.calibrated = int(is_among(self.rejection.chosen_on, len(truth), read))
             values = {kind: np.where(labelled, v, np.nan) for kind, v in values.items()}
-        _count_uncertainties(values, judged, space.class_count, counts)
+        _count_uncertainties(values, judged.wrong, counts)
         return counts
 
     def _count_softmax(
@@ -296,14 +276,9 @@ class ScanComparison:
         counts.files[SOFTMAX] = 1
         softmax = read_softmax(path, judged.scored, self.space, self.merging)
         errors = softmax_errors(softmax, judged.truth[judged.scored])
-        groups = judged.groups(self.space.class_count)
-        groups[CLASS] = errors.predicted, self.space.class_count
-        for name, group in groups.items():
-            counts.histograms[SOFTMAX, name] = confidence_histogram(errors, *group)
-        of_scan = counts.histograms[SOFTMAX, CLASS].total()
-        if of_scan.points[0]:
-            error = reliability(of_scan.counts[:, 0], SCAN_BINS).error
-            counts.calibration_errors.append(error)
+        of_scan = counts.histograms[SOFTMAX] = confidence_histogram(errors)
+        if of_scan.scans:
+            counts.calibration_errors.append(reliability(of_scan.counts, SCAN_BINS).error)
         return {kind: derive(softmax) for kind, derive in OF_SOFTMAX.items()}
 
     def _uncertainties(
@@ -321,19 +296,12 @@ class ScanComparison:
         return values
 
 
-def _count_uncertainties(
-    values: Mapping[str, Float], judged: JudgedLabels, class_count: int, counts: ScanCounts
-) -> None:
+def _count_uncertainties(values: Mapping[str, Float], wrong: Mask, counts: ScanCounts) -> None:
     """Count the uncertainties (M,) of scored points, by kind."""
-    wrong, groups = judged.wrong, judged.groups(class_count)
     for kind, of_points in values.items():
-        for name, group in groups.items():
-            counts.histograms[kind, name] = uncertainty_histogram(of_points, wrong, *group)
+        counts.histograms[kind] = uncertainty_histogram(of_points, wrong)
     if "error" in values:
         counts.histograms[OF_ERROR] = error_histogram(values["error"], wrong)
-        if (known := ~np.isnan(values["error"])).any():
-            means = values["error"][known].mean(dtype=np.float64), wrong[known].mean()
-            counts.errors.append((float(means[0]), float(means[1])))
 
 
 def read_softmax(

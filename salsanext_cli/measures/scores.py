@@ -117,23 +117,13 @@ def largest_confusions(matrix: Counts, most: int) -> list[tuple[int, int, int]]:
     return list(zip(rows.tolist(), columns.tolist(), off[rows, columns].tolist(), strict=True))
 
 
-def class_sums(matrix: Counts) -> Counts:
-    """Return points (3, C) that are right, of each class, and predicted as it, of counts (C, C)."""
-    return np.stack([np.diagonal(matrix), matrix.sum(axis=1), matrix.sum(axis=0)])
-
-
-def ious(sums: Counts) -> Ratios:
-    """Return the IoU (…, C) of class sums (…, 3, C); NaN of a class without points."""
-    hits, truths, predictions = np.moveaxis(sums, -2, 0)
-    return ratio(hits, truths + predictions - hits)
-
-
 def scores(confusion: Counts, space: LabelSpace) -> Scores:
     """Divide the counts (C, C) of a confusion matrix over the train ids of a label space."""
     scored, matrix = space.scored, scored_rows(confusion, space)
     points = int(matrix.sum())
-    hits, truths, predictions = sums = class_sums(matrix)
-    iou, iou_official = ious(sums), hits / (truths + predictions - hits + EPSILON)
+    hits, truths, predictions = matrix.diagonal(), matrix.sum(axis=1), matrix.sum(axis=0)
+    union = truths + predictions - hits
+    iou, iou_official = ratio(hits, union), hits / (union + EPSILON)
     precision, recall = ratio(hits, predictions), ratio(hits, truths)
     return Scores(
         accuracy=float(hits.sum() / points) if points else math.nan,

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +14,6 @@ from salsanext_cli.measures.calibration import Reliability
 from salsanext_cli.measures.risk_coverage import COVERAGE
 from salsanext_cli.measures.scores import Counts, Scores, ratio, scored_rows
 from salsanext_cli.measures.uncertainty_evaluation import (
-    CalibrationResult,
     RankingResult,
     UncertaintyEvaluation,
 )
@@ -23,10 +22,6 @@ from salsanext_cli.report.canvas import DARK
 from salsanext_cli.report.colours import screen_colours
 from salsanext_cli.report.tables import percent
 from salsanext_cli.results.uncertainty_kinds import RED, SKY, UNCERTAINTY
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 PICTURES = {
     "eval_iou.png": "IoU of every class",
@@ -63,9 +58,12 @@ def uncertainty_pictures(uncertainty: UncertaintyEvaluation) -> dict[str, bytes]
     """Draw the results for probabilities and uncertainty, as `evaluation_pictures`."""
     pictures = {}
     if uncertainty.calibration:
-        pictures["eval_reliability.png"] = reliability_diagram(uncertainty.calibration)
-    if error := uncertainty.kinds.get("error"):
-        pictures["eval_error.png"] = error_diagram(error)
+        diagram = uncertainty.calibration.reliability
+        png = reliability_diagram(diagram, "softmax", "confidence", "accuracy")
+        pictures["eval_reliability.png"] = png
+    if (error := uncertainty.kinds.get("error")) and error.reliability:
+        png = reliability_diagram(error.reliability, "error", "error", "share of wrong points")
+        pictures["eval_error.png"] = png
     if uncertainty.kinds:
         pictures["eval_risk_coverage.png"] = risk_coverage(uncertainty.kinds)
     return pictures
@@ -132,31 +130,10 @@ def confusion_picture(confusion: Counts, space: LabelSpace) -> bytes:
     return canvas.png_of(figure)
 
 
-def reliability_diagram(result: CalibrationResult) -> bytes:
-    """Draw accuracy against confidence, and the distribution of the points below, as a PNG."""
-    title = f"Calibration of the softmax · {result.scores.points:,} points"
-    figure, axes = _diagram(result.reliability, title, "confidence", "accuracy")
-    axes.legend(loc="upper left", frameon=False, fontsize=10)
-    return canvas.png_of(figure)
-
-
-def error_diagram(result: RankingResult) -> bytes:
-    """Draw the share of wrong points against the error, also of every scan, as a PNG."""
-    title = f"Calibration of the error · {result.scores.points:,} points"
-    figure, axes = _diagram(result.reliability, title, "error", "share of wrong points")
-    scans = 100 * (np.empty((0, 2)) if result.by_scan is None else result.by_scan)
-    cross: dict[str, Any] = {"marker": "x", "linewidths": 1, "zorder": 3}
-    axes.scatter(scans[:, 0], scans[:, 1], s=22, c=DARK, label="mean of a scan", **cross)
-    axes.legend(loc="upper left", frameon=False, fontsize=10)
-    return canvas.png_of(figure)
-
-
-def _diagram(
-    diagram: Reliability | None, title: str, value: str, share: str
-) -> tuple[Figure, Axes]:
-    """Draw a share against a value, with the distribution of the points below."""
-    diagram = diagram or Reliability(np.zeros(1, int), np.zeros(1), np.zeros(1))
+def reliability_diagram(diagram: Reliability, title: str, value: str, share: str) -> bytes:
+    """Draw a share against a value, and the distribution of the points below, as a PNG."""
     points = int(diagram.points.sum())
+    title = f"Calibration of the {title} · {points:,} points"
     title += f" · ECE {percent(diagram.error, 2, ' %')}" if points else ""
     figure, axes = canvas.new_plot(*PLOT_PX, MAIN_PX, title)
     bins = len(diagram.points)
@@ -170,6 +147,7 @@ def _diagram(
     axes.plot([0, 100], [0, 100], color=DARK, linestyle=DASHED, linewidth=1, label="calibrated")
     axes.set_ylim(0, 100)
     axes.set_ylabel(f"{share} in %")
+    axes.legend(loc="upper left", frameon=False, fontsize=10)
     below = canvas.axes_at(figure, LEFT, TOP + HEIGHT + 14, WIDTH, BELOW_PX)
     points_in_bin = 100 * diagram.points / max(points, 1)
     below.bar(edges, points_in_bin, width, align="edge", color=canvas.FAINT, edgecolor=canvas.PAPER)
@@ -181,7 +159,7 @@ def _diagram(
     for part in (axes, below):
         part.set_xlim(0, 100)
         canvas.plain_frame(part)
-    return figure, axes
+    return canvas.png_of(figure)
 
 
 def risk_coverage(kinds: Mapping[str, RankingResult]) -> bytes:

@@ -27,9 +27,6 @@ from salsanext_cli.records import CHANNELS
 from salsanext_cli.sensors.sensor import Sensor
 
 ABSENT = "–"
-BAND_HEADINGS = (
-    *("distance", "mean IoU % of\nthe same classes", "accuracy %", "points", "absent classes"),
-)
 IMPORTED = ("points", "labelled", "unlabelled", "ambiguous", "missing")
 """Fields of `ImportedScan` that are numbers of points."""
 
@@ -84,16 +81,14 @@ def score_table(result: Scores, title: str = "") -> Table:
     return table_of(headings, rows, totals=totals, title=title)
 
 
-def band_cells(bands: Mapping[str, Scores]) -> Iterator[tuple[str, ...]]:
-    """Yield the cells of every distance band, in the order of `BAND_HEADINGS`."""
-    for name, band, mean, absent in band_rows(bands):
-        scores = percent(mean), percent(band.accuracy)
-        yield name, *scores, f"{band.points:,}", ", ".join(absent)
-
-
 def band_table(bands: Mapping[str, Scores]) -> Table:
     """Return a table of mean IoU of the same classes and accuracy by distance band."""
-    return table_of(BAND_HEADINGS, band_cells(bands), texts=BAND_HEADINGS[-1:])
+    rows = (
+        (name, percent(mean), percent(band.accuracy), f"{band.points:,}", ", ".join(absent))
+        for name, band, mean, absent in band_rows(bands)
+    )
+    headings = ("distance", "mean IoU % of\nthe same classes", "accuracy %", "points")
+    return table_of((*headings, "absent classes"), rows, texts=["absent classes"])
 
 
 def uncertainty_tables(evaluation: UncertaintyEvaluation) -> list[Table]:
@@ -109,15 +104,15 @@ def _calibration_table(softmax: CalibrationResult | None, error: RankingResult |
     if softmax:
         scores = softmax.scores
         likelihood = (_number(scores.nll), _number(scores.brier))
-        shares = (percent(s, 2) for s in (scores.ece, softmax.ece_per_scan, scores.ace))
+        shares = (percent(s, 2) for s in (scores.ece, softmax.ece_per_scan))
         rows.append(("softmax", *likelihood, *shares, f"{softmax.scans:,}", f"{scores.points:,}"))
     if error and error.ece is not None:
         points = error.scores
         counts = (f"{error.scans:,}", f"{points.points:,}")
-        rows.append(("error", "", "", percent(error.ece, 2), "", "", *counts))
+        rows.append(("error", "", "", percent(error.ece, 2), "", *counts))
         mean, wrong = percent(points.mean), percent(points.wrong / max(points.points, 1))
-        caption = f"error: the probability that a label is wrong; mean {mean} %, wrong {wrong} %"
-    errors = ("ECE %", "ECE per\nscan %", "ACE %")
+        caption = f"error: probability that a label is wrong; mean {mean} %, wrong {wrong} %"
+    errors = ("ECE %", "ECE per\nscan %")
     headings = ("calibration", "NLL,\nnats", "Brier", *errors, "scans", "points")
     return table_of(headings, rows, caption=caption)
 

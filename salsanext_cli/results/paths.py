@@ -57,7 +57,7 @@ def counted_by_suffix(paths: Iterable[Path]) -> str:
     return ", ".join(f"{count} {suffix or 'without a suffix'}" for suffix, count in counts)
 
 
-def _nothing_in(source: Path, others: list[Path]) -> NoInputError:
+def _no_scans_error(source: Path, others: list[Path]) -> NoInputError:
     """Return the error of a source without scans, with the other files in it."""
     expected = f"{suffixes_in_words()} files, or sequences/*/velodyne"
     inside = sorted(filter(is_recording, source.iterdir())) if source.is_dir() else []
@@ -120,7 +120,7 @@ def find_scans(
     except OSError as error:
         raise NoInputError(source, reason(error), "a scan or a folder of scans") from error
     if not scans:
-        raise _nothing_in(source, [source / name for name in others])
+        raise _no_scans_error(source, [source / name for name in others])
     if sequences is not None:
         scans = of_sequences(scans, sequences, source)
     if unique:

@@ -89,5 +89,5 @@ def demo(
         evaluation = evaluate(files, out, space, run, settings=ResultFolder(out).provenance(valid))
     pictures = tuple(find_outputs(out, "pictures").values())
     with step("report") as run:
-        page = report(out, by_distance=True, query=ResultQuery(selection=valid), options=run).page
+        page = report(out, query=ResultQuery(selection=valid), options=run).page
     return Demonstration(evaluation, pictures, page, failures)

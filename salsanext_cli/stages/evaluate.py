@@ -5,7 +5,7 @@ import hashlib
 import logging
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 
@@ -14,9 +14,13 @@ from salsanext_cli.errors import LabelError, NoInputError, counted, escaped
 from salsanext_cli.files.json_files import Json, as_json, encode_json, plain
 from salsanext_cli.files.reading import present
 from salsanext_cli.labelling.label_records import require_truth
-from salsanext_cli.measures.panoptic import panoptic_quality
 from salsanext_cli.measures.risk_control import RISK_BOUND_EXCEEDED, AcceptedLabels, RiskBoundCheck
-from salsanext_cli.measures.scan_counts import BAND_NAMES, CountsApart, ScanComparison, ScanCounts
+from salsanext_cli.measures.scan_counts import (
+    BAND_NAMES,
+    ScanComparison,
+    ScanCounts,
+    SeparateCounts,
+)
 from salsanext_cli.measures.scores import Scores, band_rows, scores
 from salsanext_cli.measures.uncertainty_evaluation import (
     UncertaintyEvaluation,
@@ -54,14 +58,6 @@ class Evaluation:
     guarantee: RiskBoundCheck | None  # Check of the guarantee of `tune risk`, if the run used it
     folder: Path  # Folder of the files
     by_sequence: dict[str, Scores]
-    panoptic: Json | None  # Panoptic quality, if objects were predicted and labels have instances
-
-    @property
-    def object_sentence(self) -> str:
-        """Panoptic quality of the objects in words."""
-        means = (self.panoptic or {}).get("things_present", {}).items()
-        qualities = ", ".join(f"{name.upper()} {100 * share:.1f} %" for name, share in means)
-        return f"Objects, mean of the classes present: {qualities}."
 
     def log_warnings(self) -> None:
         """Log reasons to doubt the scores."""
@@ -103,11 +99,10 @@ class Evaluation:
             },
             "by_sequence": self.by_sequence,
             "by_scan": dict(sorted(counts.by_scan.items())),
-            **({"panoptic": self.panoptic} if self.panoptic else {}),
             "classes": self.space.names,
             "confusion": counts.confusion,
-            **self.uncertainty.to_json(self.space),
-            "rejection": self.accepted and plain(self.accepted) | {"promise": self.guarantee},
+            **self.uncertainty.to_json(),
+            "rejection": self.accepted and plain(self.accepted) | {"guarantee": self.guarantee},
         }
         return dict(plain(content))
 
@@ -178,17 +173,12 @@ def _evaluation(
     folder: Path,
 ) -> Evaluation:
     """Count the scans and divide the counts."""
-    space, recorded = comparison.space, results.settings_of("predictions")
+    space = comparison.space
     guarantee = results.guarantee(space)
-    # Predictions of other programs may have instances.
-    comparison = replace(comparison, objects=recorded is None or bool(recorded.objects))
     counts, failures = _counted(comparison, scans, options)
-    accepted, has_objects = None, bool(counts.segments[:, -1].any())
+    accepted = None
     if counts.accepted:
         accepted = AcceptedLabels.of_confusion(counts.confusion, space, counts.accepted)
-    if has_objects and not space.movable.any():
-        log.warning("no panoptic quality: %s states no movable classes", space.name)
-        has_objects = False
     bands = zip(BAND_NAMES, counts.bands, strict=comparison.by_distance)
     return Evaluation(
         space=space,
@@ -198,10 +188,9 @@ def _evaluation(
         missing=results.missing_predictions(counts.missing),
         failures=failures,
         settings=settings,
-        uncertainty=evaluate_uncertainty(counts, space),
+        uncertainty=evaluate_uncertainty(counts),
         folder=folder,
         by_sequence={name: scores(c, space) for name, c in sorted(counts.by_sequence.items())},
-        panoptic=panoptic_quality(counts.segments, space, space.movable) if has_objects else None,
         accepted=accepted,
         guarantee=RiskBoundCheck.of_scans(guarantee, counts.accepted) if guarantee else None,
     )
@@ -211,9 +200,9 @@ def _counted(
     comparison: ScanComparison, scans: Sequence[ScanFile], options: RunOptions
 ) -> tuple[ScanCounts, tuple[Failure, ...]]:
     """Count the scored scans; return the counts and the failures."""
-    apart = CountsApart(comparison.space, comparison.by_distance)
-    outcome = run_over_scans(comparison.count, scans, options, on_result=apart.add)
-    counts, out = apart.scored(), comparison.out
+    separate = SeparateCounts(comparison.space, comparison.by_distance)
+    outcome = run_over_scans(comparison.count, scans, options, on_result=separate.add)
+    counts, out = separate.scored(), comparison.out
     if not counts.scans:
         if outcome.failures:
             raise NoInputError(out, f"no scan could be compared: {outcome.failures[0].reason}")

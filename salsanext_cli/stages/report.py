@@ -11,7 +11,7 @@ import numpy as np
 
 from salsanext_cli.errors import NoInputError, OutputError, SalsanextError, escaped
 from salsanext_cli.files.json_files import plain
-from salsanext_cli.measures.scan_counts import CountsApart, ScanComparison, ScanCounts
+from salsanext_cli.measures.scan_counts import ScanComparison, ScanCounts, SeparateCounts
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.report.page.clouds import encode_cloud, scales_of
 from salsanext_cli.report.page.html import html_of
@@ -20,9 +20,9 @@ from salsanext_cli.report.page.run_results import (
     RunResults,
     ScanRow,
     ShownScan,
-    named,
+    notable_scans,
     read_row,
-    worth_looking_at,
+    scans_by_name,
 )
 from salsanext_cli.report.page.server import PageServer
 from salsanext_cli.results.owned_folder import OwnedFolder
@@ -73,7 +73,6 @@ def report(
     *,
     scans: Sequence[str] = (),
     query: ResultQuery = ResultQuery(),
-    by_distance: bool = False,
     options: RunOptions = RunOptions(),
 ) -> Report:
     """Write `OUT/report.html`: settings and scores of a run, and the points of some scans.
@@ -84,7 +83,7 @@ def report(
         Folder with results.
     scans : sequence of str
         Scans to show point by point, such as ``08/000000``; by default up to four of interest.
-    query, by_distance, options
+    query, options
         See `read_run`.
 
     Returns
@@ -94,8 +93,8 @@ def report(
     """
     page = out / PAGE
     OwnedFolder(out).refuse_foreign([page])
-    run, unread = read_run(out, query=query, by_distance=by_distance, options=options)
-    chosen = named(run.rows, scans) if scans else worth_looking_at(run.rows, run.reader.space)
+    run, unread = read_run(out, query=query, options=options)
+    chosen = scans_by_name(run.rows, scans) if scans else notable_scans(run.rows, run.reader.space)
     rows = {row.file.name: row for row in run.rows}
     shown, unshown = _readable(run, ((rows[name], reason) for name, reason in chosen.items()))
     failures, compared = (*unread, *unshown), run.compared()
@@ -111,7 +110,7 @@ class RunServer(PageServer):
     def take(self, run: RunResults, failures: tuple[Failure, ...]) -> None:
         """Take the results to serve; raise `NoInputError` if no scan can be shown."""
         self._run, self._state, self._lock = run, _state_of(run.reader.out), Lock()
-        reasons = worth_looking_at(run.rows, run.reader.space)
+        reasons = notable_scans(run.rows, run.reader.space)
         spaced = {*np.linspace(0, len(run.rows) - 1, SAMPLED).astype(int).tolist()}
         chosen = (r for i, r in enumerate(run.rows) if i in spaced or r.file.name in reasons)
         sample, unread = _readable(run, ((row, "") for row in chosen))
@@ -153,7 +152,6 @@ def view(
     *,
     port: int = 0,
     query: ResultQuery = ResultQuery(),
-    by_distance: bool = False,
     options: RunOptions = RunOptions(),
 ) -> RunServer:
     """Read the results of a run and listen on a loopback port for a browser.
@@ -164,7 +162,7 @@ def view(
         Folder with results.
     port : int
         Port of the server; 0 for any free port.
-    query, by_distance, options
+    query, options
         See `read_run`.
 
     Returns
@@ -174,7 +172,7 @@ def view(
     """
     server = RunServer(port)
     try:
-        server.take(*read_run(out, query=query, by_distance=by_distance, options=options))
+        server.take(*read_run(out, query=query, options=options))
     except BaseException:
         server.server_close()
         raise
@@ -185,7 +183,6 @@ def read_run(
     out: Path,
     *,
     query: ResultQuery = ResultQuery(),
-    by_distance: bool = False,
     options: RunOptions = RunOptions(),
 ) -> tuple[RunResults, tuple[Failure, ...]]:
     """Read the results of all scans of a run.
@@ -194,8 +191,6 @@ def read_run(
     ----------
     out : Path
         Folder with results.
-    by_distance : bool
-        Whether to score distance bands too, for which all scans are read.
     query, options
         Choice of scans, data set and classes; workers and progress.
 
@@ -208,9 +203,7 @@ def read_run(
     """
     results = ResultFolder(out, query.dataset)
     chosen = results.chosen(query)
-    reader = ScanComparison.of_results(
-        results, chosen.space, chosen.labels, by_distance=by_distance
-    )
+    reader = ScanComparison.of_results(results, chosen.space, chosen.labels)
     rows, counts, failures = _rows(chosen.scans, reader, options)
     return RunResults(reader, rows, counts, chosen.missing), failures
 
@@ -220,7 +213,7 @@ def _rows(
 ) -> tuple[list[ScanRow], ScanCounts | None, tuple[Failure, ...]]:
     """Read the results of all scans; count the points of scans with labels."""
     rows: list[ScanRow] = []
-    counts = CountsApart(reader.space, reader.by_distance)
+    counts = SeparateCounts(reader.space)
     trained_on: set[ScanRow] = set()
 
     def add(result: tuple[ScanRow, ScanCounts | None]) -> None:

@@ -169,7 +169,7 @@ def test_errors_of_points_are_evaluated_and_reject_points(run, results, data):
     result = run("eval", results)
     assert result.exit_code == 0, result.output
     printed = " ".join(result.stdout.split())
-    assert only_json(run("eval", results, "--json"))["kept"]["sentence"] in printed
+    assert only_json(run("eval", results, "--json"))["accepted"]["sentence"] in printed
     result = run("export-ply", results, "--max-error", "0.5")
     assert result.exit_code == 0, result.output
     assert "1,500 points rejected: probability of error above 0.5" in result.stderr

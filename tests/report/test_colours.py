@@ -37,7 +37,6 @@ from salsanext_cli.report.plots import (
     TOP,
     WIDTH,
     confusion_picture,
-    error_diagram,
     iou_bars,
     reliability_diagram,
     risk_coverage,
@@ -199,7 +198,8 @@ def rows_of(picture, colour, x) -> np.ndarray:
 
 
 def test_bars_are_as_high_as_the_accuracy():
-    picture = pixels(reliability_diagram(calibration_result([1] * 6 + [2] * 4)))
+    result = calibration_result([1] * 6 + [2] * 4).reliability
+    picture = pixels(reliability_diagram(result, "softmax", "confidence", "accuracy"))
     assert rows_of(picture, SKY, 11.5 / 15).max() == pytest.approx(0.6, abs=0.01)
     assert not rows_of(picture, SKY, 5.5 / 15).size
 
@@ -209,7 +209,8 @@ def test_plots_have_one_size_with_and_without_points(count):
     result = ranking_result([0.1] * count, np.zeros(count, bool))
     for picture in (
         risk_coverage({"epistemic": result}),
-        reliability_diagram(calibration_result([])),
-        error_diagram(result),
+        reliability_diagram(
+            calibration_result([]).reliability, "softmax", "confidence", "accuracy"
+        ),
     ):
         assert pixels(picture).shape[1::-1] == PLOT_PX

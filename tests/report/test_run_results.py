@@ -24,10 +24,10 @@ from salsanext_cli.report.page.run_results import (
     ShownScan,
     facts_of_run,
     leading_kind,
-    named,
+    notable_scans,
     read_boxes,
+    scans_by_name,
     warnings_of_run,
-    worth_looking_at,
 )
 from salsanext_cli.results.manifest import Manifest, StageRecord
 from salsanext_cli.results.owned_folder import OwnedFolder
@@ -57,13 +57,13 @@ def test_most_uncertain_most_wrong_and_worst_class_are_chosen():
         row("3", [[0, 0, 0], [0, 1, 4], [0, 0, 95]], entropy=0.2),
         row("4", [[0, 0, 0], [0, 5, 0], [0, 3, 2]], entropy=0.2),
     ]
-    chosen = worth_looking_at(rows, SPACE)
+    chosen = notable_scans(rows, SPACE)
     assert chosen["00/1"] == "most uncertain (mean entropy 0.9)"
     assert chosen["00/4"] == "most wrong (30.0 % of the points with a label)"
     assert chosen["00/3"] == "worst class: 4 points of car wrong"
     assert sorted(chosen.values())[0] == "at random"
     assert len(chosen) == 4
-    assert chosen == worth_looking_at(rows, SPACE)
+    assert chosen == notable_scans(rows, SPACE)
 
 
 def test_the_error_leads_before_the_entropy():
@@ -75,10 +75,10 @@ def test_the_error_leads_before_the_entropy():
 
 def test_scans_are_named_by_sequence_and_stem_or_by_the_stem_alone():
     rows = [row("1", sequence="00"), row("1", sequence="08"), row("2", sequence="08")]
-    assert named(rows, ["2", "00/1"]) == {"08/2": "named", "00/1": "named"}
+    assert scans_by_name(rows, ["2", "00/1"]) == {"08/2": "named", "00/1": "named"}
     for name in ("1", "08/9"):
         with pytest.raises(UsageError) as caught:
-            named(rows, [name])
+            scans_by_name(rows, [name])
         assert (caught.value.subject, caught.value.code) == ("--scans", "usage")
 
 

@@ -2,7 +2,6 @@
 import io
 from collections import Counter
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from evaluated import calibration_result, ranking_result, small_space
@@ -12,12 +11,10 @@ from scans import SMALL
 from salsanext_cli import label_space
 from salsanext_cli.labelling.label_records import ImportedScan
 from salsanext_cli.labelling.picked_data_set import PickedScan
-from salsanext_cli.measures.paired import RunComparison, ScanPair
-from salsanext_cli.measures.scores import class_sums, confusion_matrix, scores
+from salsanext_cli.measures.scores import confusion_matrix, scores
 from salsanext_cli.measures.survey import Survey
 from salsanext_cli.measures.uncertainty_evaluation import UncertaintyEvaluation
 from salsanext_cli.network.complexity import NetworkCosts
-from salsanext_cli.report.comparison import comparison_tables
 from salsanext_cli.report.picked import picked_table
 from salsanext_cli.report.tables import (
     accepted_table,
@@ -30,7 +27,6 @@ from salsanext_cli.report.tables import (
     survey_tables,
     uncertainty_tables,
 )
-from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.stages.models import describe_weights
 
 MANY = 430_123_456
@@ -91,7 +87,7 @@ def tables_of(calibration=None, **kinds):
 def test_a_row_of_calibration_and_one_for_each_kind():
     kinds = {"epistemic": ranked(0.1, 0.2, 0.4), "total": ranked(0.4, 0.4)}
     assert printed(*tables_of(calibration_result([1, 1, 2, 2]), **kinds)) == [
-        ["softmax", "0.837", "0.625", "25.00", "25.00", "25.00", "1", "4"],
+        ["softmax", "0.837", "0.625", "25.00", "25.00", "1", "4"],
         ["epistemic", "100.0", "100.0", "11.11", "33.3", "3"],
         ["total", "50.0", "50.0", "50.00", "50.0", "2"],
     ]
@@ -100,7 +96,7 @@ def test_a_row_of_calibration_and_one_for_each_kind():
 def test_undefined_scores_are_dashes_and_absent_results_have_no_table():
     tables = tables_of(calibration_result([]), mutual_information=ranked())
     assert printed(*tables) == [
-        ["softmax", *"–––––", "0", "0"],
+        ["softmax", *"––––", "0", "0"],
         ["mutual_information", *"––––", "0"],
     ]
     assert tables_of() == []
@@ -135,9 +131,6 @@ def tables_of_a_large_data_set(weights):
     yield imported_table([ImportedScan("08/000000", (), *counts[:-1], "scalar_Classification")])
     reason = "number 3 of 4,071 by uncertainty; nearly equal ones passed over"
     yield picked_table([PickedScan(1, "2011_09_26", "0000000000", 0.5, 1.5, None, reason)])
-    sums = np.repeat(class_sums(every)[None], 2, axis=0)
-    pair = ScanPair(ScanFile("2011_09_26", "0000000000", Path("a")), every[::-1], sums)
-    yield comparison_tables(RunComparison(space, [pair] * 5))
 
 
 def test_no_table_is_cut_in_a_terminal_of_80_columns(weights):

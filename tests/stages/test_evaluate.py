@@ -163,17 +163,6 @@ def test_scores_of_each_scan_and_sequence(world):
     }
     assert [data["by_scan"][name]["accuracy"] for name in ("08/000001", "09/000000")] == [1, 0]
     assert [data["by_sequence"][name]["accuracy"] for name in ("08", "09")] == [3 / 4, 0]
-    assert "panoptic" not in data
-
-
-def test_objects_are_matched_where_the_labels_have_instances(world):
-    truth = [CAR | 5 << 16] * 60 + [MOVING_CAR | 6 << 16] * 60 + [ROAD] * 80
-    world.add("000000", truth, [CAR | 1 << 16] * 60 + [CAR | 2 << 16] * 40 + [ROAD] * 100, "08")
-    panoptic = world.evaluate().to_dict()["panoptic"]
-    quality = pytest.approx(5 / 6)
-    assert [*panoptic["classes"]["car"].values()] == [quality, quality, 1, 2, 0, 0]
-    assert panoptic["things_present"]["pq"] == quality
-    assert panoptic["classes"]["road"]["pq"] == pytest.approx(0.8)
 
 
 def test_a_part_is_evaluated_in_a_folder_below(world):

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 import json
 import logging
-import math
 
 import numpy as np
 import pytest
@@ -59,15 +58,13 @@ def random_scan(world: World, stem: str, count: int, distance: float = 5) -> Non
         world.put(f"uncertainty/{kind}", stem, values)
 
 
-def uncertainty_of(world: World, by_distance: bool = False) -> UncertaintyEvaluation:
+def uncertainty_of(world: World) -> UncertaintyEvaluation:
     """Count and divide without drawing anything."""
-    counts = ScanCounts.none(SPACE, by_distance)
-    comparison = ScanComparison.of_results(
-        Manifest(world.out), SPACE, SPACE, by_distance=by_distance
-    )
+    counts = ScanCounts.none(SPACE)
+    comparison = ScanComparison.of_results(Manifest(world.out), SPACE, SPACE)
     for scan in find_scans(world.dataset):
         counts.add(comparison.count(scan))
-    return evaluate_uncertainty(counts, SPACE)
+    return evaluate_uncertainty(counts)
 
 
 def report_of(world: World) -> dict:
@@ -97,34 +94,6 @@ def test_the_error_per_scan_is_the_mean_over_the_scans_that_have_points(world):
     calibration = uncertainty_of(world).calibration
     assert (calibration.ece_per_scan, calibration.scans) == (0.5, 2)
     assert calibration.scores.ece == 0
-
-
-def test_classes_and_bands(world):
-    world.add("000000", [CAR, CAR, ROAD], [CAR, ROAD, ROAD], distance=5)
-    world.put("probabilities", "000000", softmax(0.75, 0.25, 0.25))
-    world.put("uncertainty/epistemic", "000000", [0.1, 0.2, 0.5])
-    world.add("000001", [CAR], [ROAD], distance=25)
-    world.put("probabilities", "000001", softmax(0.125))
-    world.put("uncertainty/epistemic", "000001", [0.375])
-    assert uncertainty_of(world).kinds["epistemic"].by_distance == {}
-    evaluation = world.evaluate(by_distance=True).uncertainty
-    epistemic = evaluation.kinds["epistemic"]
-    cars = epistemic.classes[CAR_ID]
-    assert (cars.points, cars.wrong, cars.auroc) == (3, 2, 1)
-    assert cars.mean == pytest.approx(0.225)
-    assert epistemic.class_size_correlation == pytest.approx(-1)
-    assert epistemic.by_distance["0–10 m"].points == 3
-    assert epistemic.by_distance["20–30 m"].mean == 0.375
-    assert math.isnan(epistemic.by_distance["over 50 m"].mean)
-    # The softmax predicts one car, which is right, and three roads, of which one is right.
-    calibration = evaluation.calibration
-    assert calibration.classes[CAR_ID].accuracy == 1
-    assert calibration.classes[ROAD_ID].accuracy == pytest.approx(1 / 3)
-    assert calibration.by_distance["20–30 m"].nll == pytest.approx(math.log(8))
-    report = report_of(world)["uncertainty"]["epistemic"]
-    assert [c["points"] for c in report["classes"] if c["name"] in ("car", "road")] == [3, 1]
-    assert report["by_distance"]["20–30 m"]["auroc"] is None
-    assert len(report["risk_coverage"]) == 100
 
 
 def test_files_of_some_scans_are_used_with_a_warning(world, caplog):
@@ -180,18 +149,17 @@ def test_the_error_is_scored_as_an_uncertainty_and_as_a_probability(world):
     world.put("uncertainty/error", "000000", [0.5, 0.5, 0.125, 0.9])
     world.add("000001", [ROAD, ROAD], [ROAD, ROAD])
     world.put("uncertainty/error", "000001", [0.125, np.nan])
-    evaluation = world.evaluate(by_distance=True)
+    evaluation = world.evaluate()
     error = evaluation.uncertainty.kinds["error"]
     assert (error.scores.points, error.scores.wrong, error.without_value) == (4, 1, 1)
     assert error.scores.auroc == pytest.approx(5 / 6)
     assert error.ece == pytest.approx(2 * 0.125 / 4)
     report = report_of(world)
     assert report["uncertainty"]["error"]["ece"] == error.ece
-    assert report["uncertainty"]["error"]["left_out"] == 1
-    assert error.by_scan.tolist() == [[0.125, 0], [0.375, 1 / 3]]
+    assert report["uncertainty"]["error"]["without_value"] == 1
     assert error.reliability.points.sum() == 4
     assert (world.out / "eval_error.png").exists()
-    threshold = report["kept"]
+    threshold = report["accepted"]
     assert (threshold["kind"], threshold["coverage"], threshold["risk"]) == ("error", 0.5, 0)
     assert threshold["sentence"] == evaluation.uncertainty.accepted.sentence
     assert 0.125 < threshold["threshold"] < 0.5
@@ -232,4 +200,4 @@ def test_threshold_is_of_the_error_else_of_the_entropy(world, truth, error, entr
             world.put(f"uncertainty/{name}", "000000", values)
     accepted = world.evaluate().uncertainty.accepted
     assert (accepted and accepted.kind) == kind
-    assert ("kept" in report_of(world)) == (kind is not None)
+    assert ("accepted" in report_of(world)) == (kind is not None)

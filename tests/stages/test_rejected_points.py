@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Points that `predict --reject` left unlabelled are neither right nor wrong."""
 
-import json
-
 import numpy as np
 import plyfile
 import pytest
@@ -14,7 +12,6 @@ from salsanext_cli.results.manifest import Manifest, StageRecord
 from salsanext_cli.results.paths import find_scans
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.stages import picture as pictures
-from salsanext_cli.stages.compare import compare
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.picture import picture
@@ -47,7 +44,7 @@ def query(world):
 
 
 def test_the_report_has_coverage_and_risk(world, query):
-    found = report(world.out, query=query, by_distance=True)
+    found = report(world.out, query=query)
     numbers = found.to_dict()
     assert (numbers["coverage"], numbers["risk"]) == (4 / 16, 1 / 4)
     assert (numbers["accuracy"], numbers["iou_mean_present"]) == (None, None)
@@ -58,9 +55,11 @@ def test_the_report_has_coverage_and_risk(world, query):
     assert "accuracy, 2 scans" not in page
     confusions = page.partition("Largest confusions")[2].partition("</ol>")[0]
     assert "<li>road taken for car: 50.0 % of 2 points</li></ol>" in f"{confusions}</ol>"
-    assert "<td>0–10 m</td><td>50.0</td><td>66.7</td><td>3</td>" in page
-    rejection = evaluate(find_scans(world.dataset), world.out, SPACE).to_dict()["rejection"]
-    assert (rejection["points"], rejection["kept"], rejection["wrong"]) == (16, 4, 1)
+    evaluation = evaluate(find_scans(world.dataset), world.out, SPACE)
+    scores, rejection = evaluation.scores, evaluation.to_dict()["rejection"]
+    assert scores.accuracy == 3 / 16, "rejected points are wrong"
+    assert scores.accuracy_official == pytest.approx(3 / 4), "rejected points do not count"
+    assert (rejection["points"], rejection["accepted"], rejection["wrong"]) == (16, 4, 1)
 
 
 def test_the_served_page_does_not_judge_rejected_points(world, query):
@@ -83,26 +82,6 @@ def test_pictures_and_clouds_state_coverage_and_risk(world, query, monkeypatch):
     cloud = plyfile.PlyData.read(world.out / "sequences/08/ply/0.ply")
     assert "coverage 37.5 %, risk 33.3 %" in cloud.comments
     assert np.isnan(cloud["vertex"]["scalar_wrong"]).sum() == 7
-
-
-def test_runs_are_compared_by_coverage_and_risk(world, query, tmp_path):
-    other = World(tmp_path)
-    other.out = tmp_path / "all"
-    for stem, distance in (("0", 5), ("1", 15)):
-        other.add(
-            stem, TRUTH, [CAR, CAR, ROAD, CAR, CAR, TREE, TREE, TREE, CAR, CAR], "08", distance
-        )
-    recorded(other)
-    found, _ = compare(other.out, world.out, query=query)
-    assert {name: each[:2] for name, each in found.scores.items()} == {
-        "coverage": (1, 4 / 16),
-        "risk": (2 / 8, 1 / 4),
-    }
-    data = json.loads((world.out / "compare.json").read_text())
-    assert {each["scan"]: each["risk"] for each in data["changed_most"]} == {
-        "08/0": pytest.approx(1 / 3 - 2 / 8),
-        "08/1": -2 / 8,
-    }
 
 
 def _titles_into(titles):

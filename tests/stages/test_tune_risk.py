@@ -52,7 +52,7 @@ def test_the_threshold_holds_the_guarantee(unsure_is_wrong: World, target, caplo
     assert describe_weights(target).card.risk == risk
     expected = {"kind": "least_confidence", "at_most": 0.3, "confidence": None, "scans": 3}
     assert recorded.items() >= {**expected, "sequences": ["00", "08"]}.items()
-    assert [part["sequence"] for part in tuned["left_out"]] == ["00", "08"]
+    assert [part["sequence"] for part in tuned["held_out"]] == ["00", "08"]
     network = replace(world.network, weights=target)
     caplog.set_level("INFO")
     outcome = predict_scans(world.data, world.out, settings=network, reject="risk")
@@ -67,20 +67,20 @@ def test_the_threshold_holds_the_guarantee(unsure_is_wrong: World, target, caplo
         wrong = (predicted > 0) & (truth > 0) & (predicted != truth)
         losses.append(wrong.sum() / (truth > 0).sum())
     assert outcome.rejected_points == sum(doubts) > 0
-    assert tuned["promise"] in "".join(caplog.messages)
+    assert tuned["guarantee"] in "".join(caplog.messages)
     # `eval` gives the numbers that were reported for the threshold.
     judged = evaluate(find_scans(world.data), world.out, space)
     numbers = {"units": 3, "above": sum(loss > 0.3 for loss in losses), "at_most": 0.3}
     numbers |= {"mean": pytest.approx(np.mean(losses)), "worst": pytest.approx(max(losses))}
     numbers |= {"confidence": None, "unit": "scan"}
-    assert judged.to_dict()["rejection"]["promise"] == numbers
+    assert judged.to_dict()["rejection"]["guarantee"] == numbers
     page = report(world.out).page.read_text("utf-8")
-    assert f"<dd>{tuned['promise']}</dd>" in page
+    assert f"<dd>{tuned['guarantee']}</dd>" in page
     assert all(
         sentence[1:] in page for sentence in (judged.guarantee.sentence, *judged.accepted.sentences)
     )
     labels = judged.accepted
-    assert plain(labels) == tuned["kept"]
+    assert plain(labels) == tuned["accepted"]
     # (3 R + 1) / 4 ≤ 0.3, with no finer step than a bin
     assert 0 < labels.wrong / labels.points <= (4 * 0.3 - 1) / 3
     assert "the threshold was chosen on 3 of 3 scans" in caplog.text

@@ -15,8 +15,8 @@ import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import counted, escaped, printable
-from salsanext_cli.measures.scan_counts import BAND_NAMES, ScanCounts
-from salsanext_cli.measures.scores import Counts, largest_confusions, scored_rows, scores
+from salsanext_cli.measures.scan_counts import ScanCounts
+from salsanext_cli.measures.scores import Counts, largest_confusions, scored_rows
 from salsanext_cli.report.colours import COLOUR_MAP, WRONG, Colours, map_colours, screen_colours
 from salsanext_cli.report.page.clouds import NO_VALUE, Scale, base64_of, encode_cloud
 from salsanext_cli.report.page.run_results import (
@@ -30,7 +30,7 @@ from salsanext_cli.report.page.run_results import (
     leading_kind,
 )
 from salsanext_cli.report.plots import PICTURES, uncertainty_pictures
-from salsanext_cli.report.tables import BAND_HEADINGS, band_cells, percent
+from salsanext_cli.report.tables import percent
 from salsanext_cli.results.paths import find_outputs
 from salsanext_cli.version import __version__
 
@@ -200,10 +200,9 @@ def _bar(share: float, rgb: str) -> str:
 
 
 def _comparison(compared: Comparison, space: LabelSpace) -> str:
-    """Return the section on labelled scans: distance bands, confusions and plots."""
+    """Return the section on labelled scans: confusions and plots."""
     confusions = _confusions(compared.counts.confusion, space)
-    parts = _bands(compared, space)
-    parts += _listed("Largest confusions", '<ol class="confusions">', "</ol>", confusions)
+    parts = _listed("Largest confusions", '<ol class="confusions">', "</ol>", confusions)
     pictures = uncertainty_pictures(compared.uncertainty)
     parts += _figures({PICTURES[name]: png for name, png in pictures.items()})
     return f'<section id="plots"><h2>Comparison with labels</h2>{parts}</section>' * bool(parts)
@@ -217,16 +216,6 @@ def _figures(pictures: Mapping[str, bytes]) -> str:
         for text, png in pictures.items()
     )
     return f'<div class="plots">{figures}</div>' * bool(figures)
-
-
-def _bands(compared: Comparison, space: LabelSpace) -> str:
-    """Return a table of the scores of the distance bands; empty if they were not counted."""
-    bands = (scores(band, space) for band in compared.counts.bands)
-    with_points = {name: band for name, band in zip(BAND_NAMES, bands, strict=False) if band.points}
-    rows = [[f"<td>{_text(cell)}</td>" for cell in row] for row in band_cells(with_points)]
-    heading = [f"<th>{name}</th>" for name in BAND_HEADINGS]
-    table = "".join(f"<tr>{''.join(line)}</tr>" for line in (heading, *rows))
-    return f"<h3>By distance</h3><table>{table}</table>" if rows else ""
 
 
 def _confusions(confusion: Counts, space: LabelSpace) -> list[str]:

@@ -168,11 +168,10 @@ class RunResults:
         if self.counts is None:
             return None
         counts, space, labels = self.counts, self.reader.space, None
-        uncertainty = evaluate_uncertainty(counts, space)
+        uncertainty = evaluate_uncertainty(counts)
         if counts.accepted:
             labels = AcceptedLabels.of_confusion(counts.confusion, space, counts.accepted)
-            bands = tuple(map(accepted, counts.bands))
-            counts = replace(counts, confusion=accepted(counts.confusion), bands=bands)
+            counts = replace(counts, confusion=accepted(counts.confusion))
         sentences = [*(labels.sentences if labels else ())]
         sentences += [self.guarantee.sentence] if self.guarantee else []
         return Comparison(counts, scores(counts.confusion, space), uncertainty, labels, sentences)
@@ -204,7 +203,7 @@ def leading_kind(rows: Sequence[ScanRow]) -> str | None:
     return next((kind for kind in LEADING_KINDS if any(kind in r.uncertainty for r in rows)), None)
 
 
-def worth_looking_at(rows: Sequence[ScanRow], space: LabelSpace) -> dict[str, str]:
+def notable_scans(rows: Sequence[ScanRow], space: LabelSpace) -> dict[str, str]:
     """Choose the most uncertain, most wrong, worst-class and a random scan; return why, by name."""
     reasons: dict[str, list[str]] = {}
 
@@ -234,7 +233,7 @@ def worth_looking_at(rows: Sequence[ScanRow], space: LabelSpace) -> dict[str, st
     return {name: ", ".join(texts) for name, texts in reasons.items()}
 
 
-def named(rows: Sequence[ScanRow], names: Sequence[str]) -> dict[str, str]:
+def scans_by_name(rows: Sequence[ScanRow], names: Sequence[str]) -> dict[str, str]:
     """Choose scans by name, ``08/000000``, or by stem where only one sequence has it."""
     chosen: dict[str, str] = {}
     for name in names:

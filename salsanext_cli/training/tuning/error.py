@@ -244,9 +244,9 @@ def _copy_layers(
 
 def error_scores(error: Float, wrong: Mask) -> dict[str, float]:
     """Return `auroc`, `aurc`, `ece`, `nll` in nats of errors (M,), and the `risk_80` of 80 %."""
-    histogram = uncertainty_histogram(error, wrong, np.zeros(len(error), np.intp), 1)
+    histogram = uncertainty_histogram(error, wrong)
     ranking = ranking_scores(histogram)
-    counts = error_histogram(error, wrong).counts[:, 0]
+    counts = error_histogram(error, wrong).counts
     return {
         "auroc": ranking.auroc,
         "aurc": ranking.aurc,

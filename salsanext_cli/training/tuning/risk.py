@@ -160,10 +160,10 @@ def fit_risk(scans: TuningScans, at_most: float, confidence: float | None = None
     of_scans = {s.file.name: (s.points, *s.below[:, bins - 1].tolist()) for s in judged}
     labels = AcceptedLabels.of_confusion(confusion, space, of_scans)
     report = {
-        "promise": guarantee(risk),
+        "guarantee": guarantee(risk),
         **plain(risk),
-        "kept": plain(labels),
-        "left_out": plain(others),
+        "accepted": plain(labels),
+        "held_out": plain(others),
         "of_scans": [[accepted / n, wrong / n] for n, accepted, wrong in of_scans.values()],
         "sentences": [*labels.sentences, *_sentences(others)],
     }

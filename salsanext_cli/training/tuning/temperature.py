@@ -120,7 +120,7 @@ def _scores(tempered: Sequence[tuple[Points, float]]) -> dict[str, float]:
     softmax = torch.cat([torch.softmax(logits / t, dim=1) for (logits, _), t in tempered])
     every_truth = torch.cat([truth for (_, truth), _ in tempered])
     errors = softmax_errors(softmax.numpy(), every_truth.numpy())
-    histogram = confidence_histogram(errors, np.zeros(len(errors.wrong), np.intp), 1)
+    histogram = confidence_histogram(errors)
     counts = [len(truth) for (_, truth), _ in tempered]
     losses = [negative_log_likelihood(*points, t) for points, t in tempered]
     nll = float(np.average(losses, weights=counts))

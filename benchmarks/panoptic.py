@@ -16,15 +16,17 @@ from salsanext_cli.classes.label_space import LabelSpace, RawIds, TrainIds
 from salsanext_cli.measures.scores import EPSILON, Mask, Ratios
 
 MIN_SEGMENT_POINTS = 50
-LABEL_BITS, INSTANCE = 32, 0xFFFF0000  # Bits of a label, and those of its instance
-SEGMENT_COUNTS = 5  # Sum of IoU, matches, false alarms, misses and true objects of a class
+LABEL_BITS = 32
 COLUMNS = ("pq", "sq", "rq", "matches", "false_alarms", "misses")
 
 
 def count_segments(
     truth: tuple[TrainIds, RawIds], predicted: tuple[TrainIds, RawIds], scored: Mask
 ) -> Ratios:
-    """Return `SEGMENT_COUNTS` of a scan, (C, 5) float64, by train ids and raw ids (N,)."""
+    """Return sum of IoU, matches, false alarms and misses by class, (C, 4) float64.
+
+    `truth`, `predicted`: train ids and raw ids (N,) of the points of a scan.
+    """
     judged = scored[truth[0]]
     (true, of_true, true_sizes), (predictions, of_prediction, predicted_sizes) = (
         np.unique((train.astype(np.int64) << LABEL_BITS | raw)[judged], False, True, True)
@@ -37,9 +39,8 @@ def count_segments(
     a, b = a[hit], b[hit]
     misses, false_alarms = (sizes >= MIN_SEGMENT_POINTS for sizes in (true_sizes, predicted_sizes))
     misses[a] = false_alarms[b] = False
-    objects = true[true & INSTANCE > 0]
-    segments = (true[a], true[a], predictions[false_alarms], true[misses], objects)
-    weights = (iou[hit], None, None, None, None)
+    segments = (true[a], true[a], predictions[false_alarms], true[misses])
+    weights = (iou[hit], None, None, None)
     by_class = [
         np.bincount(labels >> LABEL_BITS, weight, len(scored))
         for labels, weight in zip(segments, weights, strict=True)
@@ -48,12 +49,12 @@ def count_segments(
 
 
 def panoptic_quality(counts: Ratios, space: LabelSpace, things: Mask) -> dict[str, Any]:
-    """Return `COLUMNS` of each class of counts (C, 5), and means of the qualities, as plain data.
+    """Return `COLUMNS` of each class of counts (C, 4), and means of the qualities, as plain data.
 
     An absent class counts 0, as in the official evaluator, except in `things_present`. `things`
     (C,): classes that consist of objects.
     """
-    iou, matches, false_alarms, misses, _ = counts.T
+    iou, matches, false_alarms, misses = counts.T
     counted = matches + (false_alarms + misses) / 2
     sq, rq = iou / np.maximum(matches, EPSILON), matches / np.maximum(counted, EPSILON)
     quality = np.stack([sq * rq, sq, rq], axis=1)

@@ -1,15 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""Panoptic quality, compared with figures of the benchmark's program, and by hand."""
+"""Panoptic quality, compared with figures of the benchmark's program."""
 
 import numpy as np
 import pytest
-from evaluated import small_space
+from panoptic import COLUMNS, count_segments, panoptic_quality
 
 from salsanext_cli.classes.label_space import label_space
-from salsanext_cli.measures.panoptic import COLUMNS, count_segments, panoptic_quality
 
-SCENE = small_space("none", "road", "car", "person")
-THINGS = np.array([False, False, True, True])
 RAW_IDS = (40, 60, 48, 50, 51, 10, 10, 252, 30, 254, 18, 31, 20, 52, 0)
 OFFICIAL = {
     "all": (0.19923739864758774, 0.3381866431756277, 0.27708344086761527),
@@ -51,27 +48,3 @@ def test_qualities_are_those_of_the_official_program():
     quality |= quality.pop("classes")
     for name, expected in OFFICIAL.items():
         assert [quality[name][key] for key in COLUMNS[:3]] == pytest.approx(expected, rel=1e-12)
-
-
-def counts_of(truth, predicted):
-    """Return the counts of labels (class, instance), whose raw id is the class."""
-    both = []
-    for labels in (truth, predicted):
-        train, instance = np.array(labels, np.int64).reshape(-1, 2).T
-        both.append((train.astype(np.uint8), (train | instance << 16).astype(np.uint32)))
-    return count_segments(*both, SCENE.scored)
-
-
-def test_qualities_of_counts():
-    """Three of four points of a car, all of a road, and a person that is called a car."""
-    truth = [(2, 7)] * 100 + [(1, 0)] * 100 + [(3, 1)] * 60
-    predicted = [(2, 1)] * 75 + [(1, 0)] * 125 + [(2, 2)] * 60
-    quality = panoptic_quality(counts_of(truth, predicted), SCENE, THINGS)
-    car, road, person = (quality["classes"][name] for name in ("car", "road", "person"))
-    assert [*car.values()] == [0.5, 0.75, pytest.approx(2 / 3), 1, 1, 0]
-    assert road["pq"] == pytest.approx(0.8)
-    assert person["misses"] == 1
-    assert quality["things"]["pq"] == pytest.approx(0.25)
-    assert quality["all"]["pq"] == pytest.approx((0.5 + 0.8) / 3)
-    assert counts_of(truth, predicted)[:, -1].tolist() == [0, 0, 1, 1]
-    assert panoptic_quality(counts_of([], []), SCENE, THINGS)["all"] == {"pq": 0, "sq": 0, "rq": 0}
