@@ -23,8 +23,6 @@ class CalibrationScores:
     """Calibration of the probabilities of a set of points; NaN without points."""
 
     points: int
-    confidence: float  # Mean confidence, 0…1
-    accuracy: float  # Share of the points whose most probable class is the true one, 0…1
     nll: float  # Mean negative log-likelihood of the true class in nats, 0…16.6; lower is better
     brier: float  # Mean squared distance Σ_c (p_c − [c is true])², 0…2; lower is better
     ece: float  # Expected calibration error over 15 bins of equal width, 0…1; lower is better
@@ -32,15 +30,11 @@ class CalibrationScores:
 
 def calibration_scores(histogram: Histogram) -> CalibrationScores:
     """Divide the counts of a `confidence_histogram`."""
-    counts, total = histogram.counts, int(histogram.counts.sum())
-    confidence = counts.sum(axis=0) @ CONFIDENCES.astype(np.float64)
     return CalibrationScores(
-        points=total,
-        confidence=float(confidence / total) if total else math.nan,
-        accuracy=float(counts[0].sum() / total) if total else math.nan,
+        points=int(histogram.counts.sum()),
         nll=histogram.mean("nll"),
         brier=histogram.mean("brier"),
-        ece=reliability(counts).error,
+        ece=reliability(histogram.counts).error,
     )
 
 
