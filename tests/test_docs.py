@@ -273,6 +273,13 @@ def test_every_name_in_the_tables_exists(page):
         assert len(names) == len(NAMES)
 
 
+HELPERS = {
+    *("formats/columns.py", "fitting/mounting_fit.py"),
+    *(f"engines/{name}.py" for name in ("backend", "batches", "device", "graphs")),
+}
+"""Files of these parts that the steps of a scan call."""
+
+
 def test_a_scan_passes_through_the_documented_files_in_order(world, monkeypatch):
     network, package = replace(world.network, engine="openvino"), f"{ROOT / 'salsanext_cli'}/"
     prepare, visited = stage.PredictJob.prepare, dict[str, None]()
@@ -300,6 +307,8 @@ def test_a_scan_passes_through_the_documented_files_in_order(world, monkeypatch)
     steps = re.findall(r"^\d+\. `(\S+\.py)`", section, re.MULTILINE)
     assert len(steps) > 5
     assert [name for name in visited if name in steps] == steps
+    parts = ("formats/", "geometry/", "engines/", "fitting/")
+    assert {name for name in visited if name.startswith(parts)} - {*steps} == HELPERS
 
 
 @pytest.mark.parametrize("pages", [PAGES, [ROOT / "CHANGELOG.md"]], ids=["pages", "changes"])
