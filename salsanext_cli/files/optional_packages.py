@@ -9,7 +9,7 @@ from typing import Any
 
 from salsanext_cli.errors import MissingDependency, error_text
 
-MIN_ROSBAGS_VERSION = (0, 11)
+MIN_ROSBAGS_VERSION = (0, 11, 7)
 CONVERTER = "openvino.tools.ovc"
 """Part of OpenVINO that `import openvino` imports and that reports to a server of Google."""
 OPENVINO_ERRORS = (AttributeError, ImportError, OSError, RuntimeError, TypeError, ValueError)
@@ -44,10 +44,10 @@ def import_package(name: str, installed_with: str = "") -> Any:
 
 
 def require_rosbags() -> None:
-    """Require `rosbags` in a version that reads single files of a ROS 2 bag."""
+    """Require `rosbags` in a version that finds the clouds of single `.mcap` files."""
     import_extra("rosbags", "ros")
     installed = version("rosbags")
-    if tuple(map(int, re.findall(r"\d+", installed)[:2])) < MIN_ROSBAGS_VERSION:
+    if tuple(map(int, re.findall(r"\d+", installed)[:3])) < MIN_ROSBAGS_VERSION:
         expected = f"{'.'.join(map(str, MIN_ROSBAGS_VERSION))} or newer"
         hint = "pip install 'salsanext[ros]' in another environment than ouster-sdk"
         raise MissingDependency("rosbags", f"has version {installed}", expected, hint)
