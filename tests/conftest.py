@@ -126,9 +126,7 @@ def undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
     from salsanext_cli.stages import picture
 
     monkeypatch.setattr(picture, "picture_of_results", lambda *_, **__: b"picture")
-    monkeypatch.setattr(plots, "iou_bars", lambda *_: b"picture")
-    monkeypatch.setattr(plots, "confusion_picture", lambda *_: b"picture")
-    for name in ("reliability_diagram", "risk_coverage"):
+    for name in ("confusion_picture", "reliability_diagram", "risk_coverage"):
         monkeypatch.setattr(plots, name, lambda *_: b"picture")
 
 

@@ -35,7 +35,8 @@ from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import MissingResults, space_of_labels
 from salsanext_cli.version import __version__
 
-FILES = ("scores.txt", *PICTURES, "eval.json")  # Possible files of an evaluation
+FILES = ("scores.txt", *PICTURES, "eval_iou.png", "eval.json")
+"""Possible files of an evaluation, also of version 0.9.0, which are replaced or removed."""
 MAX_PART_BYTES = 100  # Longest name of a folder that lists sequences
 ON_TRAINING_SCANS = "scores on scans that the weights were trained on"
 
@@ -73,7 +74,7 @@ class Evaluation:
         heading = f"# {ON_TRAINING_SCANS}\n" if self.counts.trained_on else ""
         return {
             "scores.txt": (heading + self.scores.official_yaml()).encode(),
-            **evaluation_pictures(self.scores, self.counts.confusion, self.uncertainty, self.space),
+            **evaluation_pictures(self.counts.confusion, self.uncertainty, self.space),
             "eval.json": encode_json(escaped(self.to_dict())),
         }
 

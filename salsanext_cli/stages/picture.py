@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.errors import NOTICE, NoInputError, UsageError
+from salsanext_cli.errors import NOTICE, UsageError
 from salsanext_cli.fitting.sensor_fit import fitted_view
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.report.colours import CLASS_COLOURS, Scales, common_scales, require_colouring
@@ -17,13 +17,10 @@ from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.paths import (
     COLOURINGS,
     PREDICTION_STAGES,
-    SUFFIX_OF_FOLDER,
     ScanFile,
-    find_outputs,
 )
 from salsanext_cli.results.query import ResultQuery
-from salsanext_cli.results.result_folder import FOLDERS, ChosenResults, ResultFolder, scalar_columns
-from salsanext_cli.results.selection import MissingResults, choose, scans_of, space_of_labels
+from salsanext_cli.results.result_folder import ResultFolder, scalar_columns
 from salsanext_cli.results.settings import StageSettings
 from salsanext_cli.sensors.sensor import Sensor, sensor
 
@@ -65,7 +62,7 @@ def picture(
     query: ResultQuery = ResultQuery(),
     options: RunOptions = RunOptions(),
 ) -> Outcome:
-    """Write `OUT/sequences/<seq>/pictures/*.png`; without results, of the scans alone.
+    """Write `OUT/sequences/<seq>/pictures/*.png`.
 
     Parameters
     ----------
@@ -85,8 +82,7 @@ def picture(
     """
     _require_colouring(colours, scale)
     results = ResultFolder(out, query.dataset)
-    has_results = any(find_outputs(out, folder) for folder in FOLDERS)
-    chosen = results.chosen(query) if has_results else _scans_alone(out, query)
+    chosen = results.chosen(query)
     scans, space = chosen.scans, chosen.space
     meant = {"uncertainty": results.meant_uncertainty(scans)}
     colours = list(dict.fromkeys(meant.get(colour, colour) for colour in colours))
@@ -107,7 +103,7 @@ def picture(
         colours=tuple(colours), scales=scales, sensor=view, label_space=space, origins=origins
     )
     with output_run(
-        *(out, STAGE, settings, (FOLDER,), scans), overwrite=overwrite, record_scans=not has_results
+        *(out, STAGE, settings, (FOLDER,), scans), overwrite=overwrite, record_scans=False
     ) as output:
         task = partial(_picture_scan, colours=colours, scales=scales, space=space, sensor=view)
         task = partial(task, output=output, classes=query.classes, labels=chosen.labels)
@@ -121,17 +117,3 @@ def _require_colouring(colours: Collection[str], scale: tuple[float, float] | No
     if scale and (len(colours) != 1 or {*colours} & {*CLASS_COLOURS}):
         problem = f"--colour is {', '.join(colours) or 'missing'}"
         raise UsageError("--scale", problem, "a single colour of values, such as error")
-
-
-def _scans_alone(out: Path, query: ResultQuery) -> ChosenResults:
-    """Choose among the scans of a data set, or among all scans of a folder, without results."""
-    results, dataset = ResultFolder(out), query.dataset
-    if dataset is None and not any(find_outputs(out, folder) for folder in SUFFIX_OF_FOLDER):
-        problem = "has no results" if out.is_dir() else "no such folder"
-        hint = f"run `salsanext predict SCANS {out}` first, or name scans with --dataset"
-        raise NoInputError(out, problem, hint=hint)
-    all_scans = scans_of(dataset) if dataset else results.scans()
-    space = results.compared_space(all_scans, query.label_space, query.classes, other_ids=True)
-    scans = choose(all_scans, query.selection, space, dataset or out)
-    labels = space_of_labels(all_scans, space, query.label_space)
-    return ChosenResults(scans, space, labels, MissingResults())

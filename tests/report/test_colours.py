@@ -15,7 +15,7 @@ from hypothesis.extra.numpy import arrays
 from matplotlib.image import imread
 
 from salsanext_cli.classes.label_space import label_space
-from salsanext_cli.measures.scores import Counts, confusion_matrix, scores
+from salsanext_cli.measures.scores import Counts, confusion_matrix
 from salsanext_cli.report.colours import (
     EMPTY,
     MIN_CONTRAST,
@@ -32,12 +32,10 @@ from salsanext_cli.report.plots import (
     LEFT,
     NAMES_PX,
     PLOT_PX,
-    ROW_PX,
     SKY,
     TOP,
     WIDTH,
     confusion_picture,
-    iou_bars,
     reliability_diagram,
     risk_coverage,
 )
@@ -152,19 +150,6 @@ def pixels(png: bytes) -> np.ndarray:
     return (imread(BytesIO(png))[:, :, :3] * 255).round().astype(int)
 
 
-def test_bars_are_as_long_as_the_iou_in_the_colour_of_the_class():
-    picture = pixels(iou_bars(scores(counts(), SPACE), SPACE))
-    lengths = {}
-    for name in ("car", "road", "person"):
-        place = SPACE.names.index(name) - 1
-        row = picture[70 + place * ROW_PX + ROW_PX // 2 - 7]
-        colour = screen_colours(SPACE)[SPACE.names.index(name)]
-        lengths[name] = (row == colour).all(axis=-1).sum() / (690 / 1.08)
-    assert lengths["car"] == pytest.approx(1, abs=0.02)
-    assert lengths["road"] == pytest.approx(0.5, abs=0.02)
-    assert lengths["person"] == 0
-
-
 def test_cells_are_as_dark_as_the_share_of_the_row():
     picture = pixels(confusion_picture(counts(), SPACE))
 
@@ -182,7 +167,6 @@ def test_without_points_and_with_any_names_there_is_a_picture():
     space = small_space("none", "$\\frac{$ [b]", "Straße")
     some = confusion_matrix(np.array([1, 2]), np.array([1, 1]), 3)
     for confusion in (np.zeros_like(some), some):
-        assert pixels(iou_bars(scores(confusion, space), space)).size
         assert pixels(confusion_picture(confusion, space)).size
 
 

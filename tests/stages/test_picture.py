@@ -9,7 +9,7 @@ from PIL import Image
 from scans import files_below, write_array
 
 from salsanext_cli import label_space
-from salsanext_cli.errors import NoInputError, OutputError
+from salsanext_cli.errors import OutputError
 from salsanext_cli.option_fields import KnnParameters, ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.report import scan_pictures
@@ -18,7 +18,6 @@ from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.stages import picture as stage
 from salsanext_cli.stages.picture import picture
 from salsanext_cli.stages.predict import predict_scans
-from salsanext_cli.stages.project import project_scans
 
 pytestmark = pytest.mark.drawn
 OVERWRITE = RunOptions(overwrite=True)
@@ -136,33 +135,3 @@ def test_a_scan_without_a_wanted_colour_fails_alone(labelled):
     outcome = draw(labelled, colours=["entropy"])
     assert (outcome.done, [failure.code for failure in outcome.failures]) == (1, ["no-input"])
     assert [scan.stem for scan in outcome.missing.scans] == ["000001"]
-
-
-@pytest.mark.usefixtures("plain")
-def test_scans_alone(world):
-    for path in world.data.rglob("*.label"):
-        path.unlink()
-    with pytest.raises(NoInputError) as caught:
-        picture(world.out)
-    assert caught.value.subject == str(world.out)
-    assert picture(world.out, query=ResultQuery(world.data, ONE)).done == 1
-    record = json.loads((world.out / "picture.json").read_text())
-    assert set(record["settings"]["scales"]) == {"intensity", "range"}
-    # picture.json records the data set.
-    assert picture(world.out).skipped == 1
-    with pytest.raises(NoInputError):
-        picture(world.out, colours=["label"], options=OVERWRITE)
-    # Later results are drawn.
-    predict_scans(world.data, world.out, settings=world.network)
-    assert picture(world.out).done == 3
-    assert "label_space" in json.loads((world.out / "picture.json").read_text())["settings"]
-
-
-def test_range_images_alone(world):
-    seen = world.network.load().sensor
-    project_scans(world.data, world.out, sensor=seen, selection=ONE)
-    assert picture(world.out, query=ResultQuery(None, ONE, classes=label_space("coarse"))).done == 1
-    settings = json.loads((world.out / "picture.json").read_text())["settings"]
-    assert settings["sensor"]["name"] == seen.name
-    colours = screen_colours(label_space("coarse"))
-    assert has(drawn(world), colours[1])

@@ -142,7 +142,7 @@ def test_a_database_without_definitions_is_read(tmp_path):
 def test_the_package_that_is_missing_or_too_old_is_named(tmp_path, monkeypatch):
     path = write_bag(tmp_path, ".bag", messages(POINTS[:1]))
     monkeypatch.setattr("salsanext_cli.files.optional_packages.version", lambda name: "0.9.23")
-    with pytest.raises(MissingDependency, match=r"0\.9\.23 \(expected 0\.11 or newer"):
+    with pytest.raises(MissingDependency, match=r"0\.9\.23 \(expected 0\.11\.7 or newer"):
         find_scans(path)
 
     def missing(name):
