@@ -23,7 +23,7 @@ def fuse(
 ) -> list[Tally]:
     """Return the votes on the points of each scan, by softmax (N, C) and poses (S, 4, 4)."""
     softmax = [np.asarray(of_scan, np.float32) for of_scan in probabilities]
-    parts, _ = fitting_parts(poses, (scan.points for scan in scans))
+    parts, _ = fitting_parts(poses, lambda index: scans[index].points)
     window = FusionWindow(
         Drive(poses, parts),
         lambda index: (scans[index].points, softmax[index]),

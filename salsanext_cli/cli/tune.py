@@ -69,6 +69,8 @@ def tune_error(
     output.result(tuned, error_table(tuned) if tuned["folds"] else None)
     points = f"{tuned['points']:,} points of {counted(tuned['scans'], 'scan')}"
     points += f", {100 * tuned['wrong']:.1f} % wrong"
+    if several := tuned["several"]:
+        points += f" ({several:.1%} of all points skipped: labels of several merged classes)"
     _end(output, f"tune error: {points} → {target}", target, "--error ")
 
 

@@ -19,6 +19,7 @@ from salsanext_cli.errors import FormatError, counted
 from salsanext_cli.fitting.mounting_fit import (
     HEIGHTS_M,
     MAX_TILT_DEG,
+    TOLERANCE_M,
     UPSIDE_DOWN_DEG,
     ground_of,
 )
@@ -204,7 +205,9 @@ def _unit_findings(ranges: Double, measured: float) -> Iterator[Finding]:
         yield Finding("indoor", f"99% of the points lie within {far:.0f} m, as in a room", TRAIN)
     if measured < MIN_MEASURED:
         problem = f"{1 - measured:.0%} of the points are not measurements"
-        yield Finding("not-measured", problem, f"if they should be, {COLUMNS}")
+        yield Finding(
+            "not-measured", problem, f"they stay unlabelled; if they should not, {COLUMNS}"
+        )
 
 
 def _view_findings(scan: Scan, sines: Float, sensor: Sensor, fit: str) -> Iterator[Finding]:
@@ -236,5 +239,7 @@ def _ground_findings(scan: Scan, fit: str) -> Iterator[Finding]:
     elif ground.tilt_deg > MAX_TILT_DEG:
         yield Finding("tilted", f"the ground is tilted by {ground.tilt_deg:.0f}°", fit)
     elif not HEIGHTS_M[0] <= ground.height <= HEIGHTS_M[1]:
-        problem = f"the origin of the points is {ground.height:.1f} m above the ground"
-        yield Finding("height", problem, ORIGIN)
+        where = "above" if ground.height > 0 else "below"
+        on_it = abs(ground.height) < TOLERANCE_M
+        height = "on" if on_it else f"{abs(ground.height):.1f} m {where}"
+        yield Finding("height", f"the origin of the points is {height} the ground", ORIGIN)

@@ -2,23 +2,25 @@
 """Drives: poses of the scans of a sequence, read, checked and recorded with their labels."""
 
 import hashlib
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from salsanext_cli.errors import OutputError, SalsanextError
+from salsanext_cli.errors import NOTICE, OutputError, SalsanextError
 from salsanext_cli.files.json_files import read_json
 from salsanext_cli.files.reading import present, refusing_damage
 from salsanext_cli.formats import read_scan
-from salsanext_cli.fusion.pose_checks import Parts, require_fitting
-from salsanext_cli.fusion.poses import POSES, Poses, encode_poses, read_fused_poses, read_poses
+from salsanext_cli.fusion.pose_checks import Parts, best_reading, require_fitting
+from salsanext_cli.fusion.poses import POSES, Poses, encode_poses, pose_readings, read_fused_poses
 from salsanext_cli.records import Float
 from salsanext_cli.results.paths import SCAN_FOLDER, ScanFile, drive_order, find_scans
 from salsanext_cli.sensors.sensor import Sensor
 
 DRIVE = "drive.json"
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,18 +72,25 @@ def poses_beside(files: Sequence[ScanFile]) -> Path | None:
     return path if present(path) else None
 
 
-def poses_of_scans(path: Path, files: Sequence[ScanFile]) -> Poses:
-    """Read the poses (N, 4, 4) of scans of a sequence from a file."""
+def readings_of(path: Path, files: Sequence[ScanFile]) -> list[Poses]:
+    """Return the possible poses (N, 4, 4) of scans in a file, as of `pose_readings`."""
     listed = sorted(find_scans(files[0].path.parent, unique=False), key=drive_order)
     stems, wanted = ([*dict.fromkeys(file.stem for file in group)] for group in (listed, files))
-    return read_poses(path, stems, wanted)
+    return pose_readings(path, stems, wanted)
 
 
 def checked_drive(path: Path, files: Sequence[ScanFile], sensor: Sensor) -> Drive:
     """Return the drive by the poses in a file; refuse poses that do not fit the scans."""
-    poses = poses_of_scans(path, files)
-    scans = (measured_points(file, sensor) for file in files)
-    return Drive(poses, require_fitting(path, poses, scans))
+
+    def read(index: int) -> Float:
+        return measured_points(files[index], sensor)
+
+    readings = readings_of(path, files)
+    counted_from = best_reading(readings, read)
+    if counted_from == 1:
+        log.log(NOTICE, "%s: scan names are line numbers counted from 1: the scans fit best", path)
+    poses = readings[counted_from]
+    return Drive(poses, require_fitting(path, poses, read))
 
 
 def measured_points(file: ScanFile, sensor: Sensor) -> Float:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Checks that the poses of a drive align its scans, at least in parts."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -10,8 +10,10 @@ import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError
 from salsanext_cli.fusion.poses import CALIBRATION, Points, Poses
+from salsanext_cli.records import Double
 
 Parts = npt.NDArray[np.int64]  # (N,): number of the part of a drive that each scan belongs to
+ReadPoints = Callable[[int], Points]  # From the number of a scan to its measured points (M, 3)
 
 NEAR_M, FAR_M, ABOVE_GROUND_M, GROUND_PERCENTILE = 3.0, 30.0, 0.5, 40
 """Bounds of the upright points: near, and not on the ground."""
@@ -28,6 +30,7 @@ MARGIN = 0.1  # Least gain in overlap by another pose, which is then the right o
 COMPARED_M, COMPARED_SCANS = 5.0, 10  # Farthest earlier scan to compare with: drives may be slow
 OUT_OF_SIGHT_M = 50.0  # Least distance of scans that are not compared
 MAX_MISFIT = 1 / 3  # Largest share of scans between pairs that do not fit
+SAMPLED_PAIRS = 8
 
 
 def upright_points(points: Points) -> Points:
@@ -75,8 +78,8 @@ class CheckedPart:
         return self.scans[-1]
 
 
-def fitting_parts(poses: Poses, scans: Iterable[Points]) -> tuple[Parts, float]:
-    """Return the part of a drive that each scan, measured points (M, 3), fits, and the misfit.
+def fitting_parts(poses: Poses, read: ReadPoints) -> tuple[Parts, float]:
+    """Return the part of a drive that each scan fits, and the misfit.
 
     The misfit is the share of scans between two that do not fit, but are near by their poses. A
     single scan that does not fit is a part, after which the part before continues. A scan with few
@@ -85,8 +88,8 @@ def fitting_parts(poses: Poses, scans: Iterable[Points]) -> tuple[Parts, float]:
     numbers = np.zeros(len(poses), np.int64)
     parts: list[CheckedPart] = []
     misfit = 0
-    for index, points in enumerate(scans):
-        upright = upright_points(points)
+    for index in range(len(poses)):
+        upright = upright_points(read(index))
         is_blank = len(upright) < MIN_UPRIGHT
         if is_blank and index and _apart(poses, index - 1, index) < OUT_OF_SIGHT_M:
             numbers[index] = numbers[index - 1]
@@ -135,11 +138,41 @@ def min_overlap(step: Poses) -> float:
     return MIN_OVERLAP * min(1.0, OVERLAP_REACH_M / max(distance, OVERLAP_REACH_M))
 
 
-def require_fitting(path: Path, poses: Poses, scans: Iterable[Points]) -> Parts:
+def require_fitting(path: Path, poses: Poses, read: ReadPoints) -> Parts:
     """Return the parts of a drive by poses from a file; refuse poses that fit too few scans."""
-    parts, misfit = fitting_parts(poses, scans)
+    parts, misfit = fitting_parts(poses, read)
     if misfit > MAX_MISFIT:
         hint = f"add the {CALIBRATION} of poses of a camera, or remove the file to compute poses"
         expected = "poses from each scan to the world, in metres"
         raise FormatError(path, f"does not fit {misfit:.0%} of the scans", expected, hint)
+    if 2 * len(np.unique(parts)) > len(poses) + 1:
+        _require_metres(path, poses, read)
     return parts
+
+
+def _require_metres(path: Path, poses: Poses, read: ReadPoints) -> None:
+    """Refuse poses by which the scans fit only in another unit."""
+    # The last 1 is scaled too, which cancels in the step from one pose to another.
+    readings = [poses, poses * [1, 1, 1, 0.01], poses * [1, 1, 1, 0.001]]
+    shares = _mean_overlaps(readings, read)
+    if shares.max() >= max(MIN_OVERLAP, shares[0] + MARGIN):
+        unit = ("", "centimetres", "millimetres")[int(shares.argmax())]
+        raise FormatError(path, f"positions in {unit}", "metres", "convert the positions")
+
+
+def best_reading(readings: Sequence[Poses], read: ReadPoints) -> int:
+    """Return the number of the reading by which the scans fit best, the first in a tie."""
+    if len(readings) == 1 or len(readings[0]) < 2:
+        return 0
+    return int(np.argmax(_mean_overlaps(readings, read)))
+
+
+def _mean_overlaps(readings: Sequence[Poses], read: ReadPoints) -> Double:
+    """Return the mean overlap, (R,), of a sample of neighbouring scans by R readings of poses."""
+    firsts = np.unique(np.linspace(0, len(readings[0]) - 2, SAMPLED_PAIRS).astype(int))
+    shares = np.zeros(len(readings))
+    for first in firsts:
+        points, others = (upright_points(read(index)) for index in (first + 1, first))
+        steps = (np.linalg.inv(poses[first]) @ poses[first + 1] for poses in readings)
+        shares += [overlap(points, others, step) for step in steps]
+    return shares / len(firsts)

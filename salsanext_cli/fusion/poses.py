@@ -20,11 +20,14 @@ MAX_COORDINATE_M = 1e12  # Bound up to which float64 resolves millimetres
 ROUNDED = 1e-12  # Largest difference from 1 of the singular values of an exact rotation
 
 
-def line_numbers(path: Path, lines: int, scans: Sequence[str], wanted: Sequence[str]) -> list[int]:
-    """Return the line numbers, from 0, of the `wanted` ones of all sorted `scans` of a sequence.
+def line_numbers(
+    path: Path, lines: int, scans: Sequence[str], wanted: Sequence[str]
+) -> list[list[int]]:
+    """Return the possible line numbers of the `wanted` ones of all sorted `scans` of a sequence.
 
     A file with a line for each scan is in the order of their names. In any other file, as KITTI's
-    of a whole drive, the name of a scan is the number of its line, counted from 0.
+    of a whole drive, the name of a scan is the number of its line, counted from 0, or possibly from
+    1 if no scan is named 0. A name beyond the last line counted from 0 is refused.
     """
     if lines == len(scans):
         places = {name: number for number, name in enumerate(scans)}
@@ -34,18 +37,23 @@ def line_numbers(path: Path, lines: int, scans: Sequence[str], wanted: Sequence[
     if not all(0 <= number < lines for number in numbers):
         expected = f"one for each of {counted(len(scans), 'scan')}, or names that are line numbers"
         raise FormatError(path, f"has {counted(lines, 'line')}", expected)
-    return numbers
+    may_count_from_1 = lines != len(scans) and all(n.isdecimal() and int(n) for n in scans)
+    return [numbers, [number - 1 for number in numbers]] if may_count_from_1 else [numbers]
 
 
-def read_poses(path: Path, scans: Sequence[str], wanted: Sequence[str]) -> Poses:
+def pose_readings(path: Path, scans: Sequence[str], wanted: Sequence[str]) -> list[Poses]:
     """Read the poses (N, 4, 4) of some of the scans of a sequence, given by sorted stems.
 
     A line of KITTI is a matrix (3, 4), row by row; a line of TUM is time, position and quaternion
     x, y, z, w. Poses of KITTI are those of the camera if a `calib.txt` in the same folder has
-    ``Tr``, from scan to camera.
+    ``Tr``, from scan to camera. There is one array for each result of `line_numbers`.
     """
     rows = [line for line in _lines(path) if not line.startswith("#")]
-    numbers = line_numbers(path, len(rows), scans, wanted)
+    possible = line_numbers(path, len(rows), scans, wanted)
+    return [_poses_of_lines(path, rows, numbers) for numbers in possible]
+
+
+def _poses_of_lines(path: Path, rows: Sequence[str], numbers: Sequence[int]) -> Poses:
     values = [_numbers(path, number, rows[number]) for number in numbers]
     poses = np.tile(np.eye(4), (len(values), 1, 1))
     for number, row, pose in zip(numbers, values, poses, strict=True):
@@ -65,7 +73,8 @@ def read_poses(path: Path, scans: Sequence[str], wanted: Sequence[str]) -> Poses
 def read_fused_poses(path: Path, scans: Sequence[str], wanted: Sequence[str]) -> Poses:
     """Read poses that `fuse` wrote, with a line for each scan whatever its name."""
     scans, wanted = ([f"scan {name}" for name in names] for names in (scans, wanted))
-    return read_poses(path, scans, wanted)
+    (poses,) = pose_readings(path, scans, wanted)
+    return poses
 
 
 def _lines(path: Path) -> list[str]:

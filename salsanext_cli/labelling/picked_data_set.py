@@ -144,7 +144,10 @@ class PickedDataSet(OwnedFolder):
                         lines = [*filter(None, map(bytes.strip, file.read().splitlines()))]
                     stems = [scan.stem for scan in find_scans(source)]
                     wanted = [scan.stem for scan in picked]
-                    numbers = line_numbers(poses, len(lines), stems, wanted)
+                    numbers, *others = line_numbers(poses, len(lines), stems, wanted)
+                    if others:
+                        problem = "has lines that scans may number from 0 or from 1"
+                        raise FormatError(poses, problem, "a line for each scan")
                     chosen = b"".join(lines[number] + b"\n" for number in numbers)
                     self.write_missing(folder / POSES, chosen)
             except (FormatError, OutputError) as error:

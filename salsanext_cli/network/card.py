@@ -91,7 +91,7 @@ class RiskThreshold:
 
     def __post_init__(self) -> None:
         if not all(map(math.isfinite, (self.threshold, self.at_most))):
-            raise ValueError(f"risk holds {self.threshold} and {self.at_most}")
+            raise ValueError(f"risk has threshold {self.threshold} and limit {self.at_most}")
         parted(self.digests)  # Raises an error for other text.
 
 
@@ -214,6 +214,8 @@ class WeightsCard:
                 problem, hint = f"has format {shortened(version_of_format)}", "update salsanext"
                 raise WeightsError(source, problem, FORMAT, hint)
             fitted = [name for name in FITTED if name in values]
+            if values.get("risk"):
+                values["risk"] = _renamed(values["risk"], source)
             if bad := [key for key in (*TABLES, *fitted) if not isinstance(values[key], dict)]:
                 raise TypeError(f"{bad[0]} is not a table")
             if type(version := values.get("weights_version", 1)) is not int or version < 1:
@@ -239,6 +241,16 @@ class WeightsCard:
             raise WeightsError(source, f"has damaged metadata: {error.problem}") from error
         except (KeyError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
             raise WeightsError(source, f"has damaged metadata: {error_text(error)}") from error
+
+
+def _renamed(risk: Json, source: object) -> Json:
+    """Return a threshold of an early version with the keys of this one."""
+    if risk.pop("classes", None):
+        hint = "run `salsanext tune risk` on the weights that it was chosen for"
+        raise WeightsError(source, "has thresholds of classes", "one for all classes", hint)
+    if view := risk.pop("view", None):
+        risk["views"] = [view, *risk.pop("other_views", ())]
+    return risk
 
 
 @dataclass(frozen=True, slots=True)

@@ -133,7 +133,7 @@ def _settings(path: Path, stage: str, state: tuple[object, ...]) -> StageSetting
 class Rejection(NamedTuple):
     """Rule by which a run rejected points."""
 
-    above: float  # Threshold of the uncertainty; some classes may have other thresholds
+    above: float  # Threshold of the uncertainty
     chosen_on: frozenset[str]  # Digests of the scans that `tune risk` chose the threshold on
 
 

@@ -33,7 +33,7 @@ from salsanext_cli.fusion.drive import (
     checked_drive,
     measured_points,
     poses_beside,
-    poses_of_scans,
+    readings_of,
     recorded_drive,
 )
 from salsanext_cli.fusion.poses import POSES, encode_poses
@@ -308,7 +308,7 @@ def require_fusable(source: Path | Sequence[Path], out: Path, options: RunOption
         if (poses := poses_beside(sequences[name])) is None:
             import_extra("small_gicp", "fuse")
         else:
-            poses_of_scans(poses, sequences[name])
+            readings_of(poses, sequences[name])
 
     for error in _by_sequence(sequences, require, options).values():
         if error is not None:
@@ -370,8 +370,7 @@ def _findings(files: Sequence[ScanFile], drive: Drive) -> list[Finding]:
     """Return the reasons to doubt a drive that is cut into parts."""
     parts = np.bincount(drive.parts)
     if (parts == 1).all():
-        consequence = "labels stay; poses of a file must be in metres"
-        return [Finding("apart", "no two of its scans see common locations", consequence)]
+        return [Finding("apart", "no two of its scans see common locations", "labels stay")]
     if len(parts) == 1:
         return []
     second = files[int(np.argmax(drive.parts == 1))].stem

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.errors import OutputError
 from salsanext_cli.files.atomic import require_writable
 from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.json_files import record_of
@@ -51,6 +52,12 @@ class TrainingSettings:
     also: tuple[FurtherData, ...] | None = None
     held_out: str | None = None  # `scans_digest` of the scans of a fold
 
+    @property
+    def decisive(self) -> dict[str, object]:
+        """Settings that may not change when a training is resumed; the parts of a batch may."""
+        recipe = replace(self.recipe, accumulate=Recipe().accumulate)
+        return settings_json(replace(self, recipe=recipe))
+
 
 def training_settings(
     recipe: Recipe, sources: Sequence[Source], weights: Path | None
@@ -89,7 +96,11 @@ def recorded_settings(run: Path) -> TrainingSettings | None:
     manifest = Manifest(run)
     if (record := manifest.record(STAGE)) is None:
         return None
-    return record_of(TrainingSettings, record.settings, manifest.path(STAGE))
+    try:
+        return record_of(TrainingSettings, record.settings, manifest.path(STAGE))
+    except OutputError as error:
+        hint = f"use another folder, and --weights {run / LAST} to start from the weights of this"
+        raise OutputError(error.subject, error.problem, error.expected, hint) from error
 
 
 def recorded_precision(run: Path) -> str | None:
@@ -106,18 +117,17 @@ def require_free(run: Path, settings: TrainingSettings, *, overwrite: bool) -> N
     owned.refuse_foreign([run / name for name in (*RESULTS, CLASS_COUNTS, RECIPE)])
     has_results = any((folder / name).exists() for folder in _folders(run) for name in RESULTS)
     if recorded and has_results:
-        before = settings_json(_extended(recorded, settings))
-        require_same_settings(owned.record_path, before, settings_json(settings))
+        before = _extended(recorded, settings).decisive
+        require_same_settings(owned.record_path, before, settings.decisive)
 
 
 def record_start(run: Path, settings: TrainingSettings, *, overwrite: bool) -> None:
     """Record a training in a free folder; remove results of other settings, or all to overwrite."""
     owned, recorded = OwnedFolder(run, STAGE), None if overwrite else recorded_settings(run)
-    content = settings_json(settings)
-    if not recorded or settings_json(_extended(recorded, settings)) != content:
+    if not recorded or _extended(recorded, settings).decisive != settings.decisive:
         for folder in _folders(run):
             OwnedFolder(folder).remove_written([folder / name for name in RESULTS])
-    owned.manifest.write(StageRecord(STAGE, content))
+    owned.manifest.write(StageRecord(STAGE, settings_json(settings)))
     owned.write(run / RECIPE, settings.recipe.to_toml().encode())
 
 

@@ -7,6 +7,7 @@ from scans import make_scan
 
 from salsanext_cli.errors import FormatError
 from salsanext_cli.fusion.pose_checks import (
+    best_reading,
     fitting_parts,
     overlap,
     require_fitting,
@@ -14,8 +15,8 @@ from salsanext_cli.fusion.pose_checks import (
 )
 from salsanext_cli.fusion.poses import (
     encode_poses,
+    pose_readings,
     read_fused_poses,
-    read_poses,
 )
 
 CAMERA = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
@@ -33,19 +34,30 @@ def along(*places):
     return poses
 
 
+def read_poses(path, scans, wanted):
+    (poses,) = pose_readings(path, scans, wanted)
+    return poses
+
+
 def written(folder, content):
     path = folder / "poses.txt"
     path.write_bytes(content)
     return path
 
 
-def test_names_may_be_line_numbers_from_0(tmp_path):
+def test_names_may_be_line_numbers_from_0_or_from_1(tmp_path):
     path = written(tmp_path, encode_poses(along(*range(10))))
-    for scans, wanted, numbers in (("2 7", "2 7", [2, 7]), ("0 2 7", "7", [7]), ("2 a", "2", [2])):
-        assert read_poses(path, scans.split(), wanted.split())[:, 0, 3].tolist() == numbers
+    for scans, wanted, readings in (
+        ("2 7", "2 7", [[2, 7], [1, 6]]),
+        ("2 7", "7", [[7], [6]]),
+        ("0 2 7", "2 7", [[2, 7]]),
+        ("2 7 a", "2 7", [[2, 7]]),
+    ):
+        found = pose_readings(path, scans.split(), wanted.split())
+        assert [poses[:, 0, 3].tolist() for poses in found] == readings
     for scans, wanted in (("0 10", "10"), ("2 10", "2 10"), ("2 a", "a")):
         with pytest.raises(FormatError, match="10 lines"):
-            read_poses(path, scans.split(), wanted.split())
+            pose_readings(path, scans.split(), wanted.split())
     with pytest.raises(FormatError, match="10 lines"):
         read_fused_poses(path, ["2", "7"], ["2", "7"])
 
@@ -112,15 +124,6 @@ def street(poses):
     return lambda number: (world - poses[number, :3, 3]) @ poses[number, :3, :3]
 
 
-def parts_and_misfit(poses, seen):
-    return fitting_parts(poses, map(seen, range(len(poses))))
-
-
-def checked(poses, seen):
-    """Return the parts of a drive whose scan of a number is `seen`."""
-    return require_fitting("poses.txt", poses, map(seen, range(len(poses)))).tolist()
-
-
 def moved(poses, start, by):
     """Return poses that are elsewhere from a number on."""
     return np.concatenate([poses[:start], by @ poses[start:]])
@@ -150,6 +153,17 @@ def test_overlap_is_the_share_of_points_in_voxels_of_the_other():
     assert overlap(second, first, shift(500, 0)) == 0
 
 
+def test_the_reading_with_the_best_fit_is_chosen():
+    """The car gains speed, so that poses of the next scan are wrong ones."""
+    faster = along(*(0.2 * n * n for n in range(12)))
+    right, late = faster[:11], faster[1:]
+    assert best_reading([late, right], street(right)) == 1
+    assert best_reading([right, late], street(right)) == 0
+    assert best_reading([late], street(right)) == 0
+    assert best_reading([late[:1], right[:1]], street(right)) == 0
+    assert best_reading([late, right], lambda number: street(right)(number)[:0]) == 0
+
+
 def test_a_drive_is_cut_where_its_scans_do_not_meet():
     for poses, parts in (
         (WAY, [0] * 12),
@@ -158,29 +172,29 @@ def test_a_drive_is_cut_where_its_scans_do_not_meet():
         (moved(WAY, 6, shift(500, 0)), [0] * 6 + [1] * 6),
         (np.concatenate([WAY[:6], WAY[6:7] @ TURNED, WAY[7:]]), [0] * 6 + [1] + [0] * 5),
     ):
-        assert parts_and_misfit(poses, SEEN)[0].tolist() == parts
-        assert checked(poses, SEEN) == parts
+        assert fitting_parts(poses, SEEN)[0].tolist() == parts
+        assert require_fitting("poses.txt", poses, SEEN).tolist() == parts
 
 
 def test_scans_without_upright_points_go_on_with_the_part():
     def seen(number):
         return SEEN(number) if number != 5 else np.full((7, 3), np.nan)
 
-    assert parts_and_misfit(WAY, seen)[0].tolist() == [0] * 12
-    flat = parts_and_misfit(WAY, lambda number: SEEN(number) * [1, 1, 0])
+    assert fitting_parts(WAY, seen)[0].tolist() == [0] * 12
+    flat = fitting_parts(WAY, lambda number: SEEN(number) * [1, 1, 0])
     assert flat[0].tolist() == [0] * 12
     assert flat[1] == 0
     away = moved(WAY, 6, shift(500, 0))
-    assert parts_and_misfit(away, lambda number: SEEN(number)[:9])[0].tolist() == [0] * 6 + [1] * 6
+    assert fitting_parts(away, lambda number: SEEN(number)[:9])[0].tolist() == [0] * 6 + [1] * 6
 
 
 def test_poses_of_a_slow_drive_must_fit_over_some_metres():
     slow = along(*np.arange(0, 12, 0.4))
     seen = street(slow)
-    assert checked(slow, seen) == [0] * 30
+    assert require_fitting("poses.txt", slow, seen).tolist() == [0] * 30
     for wrong in (np.tile(np.eye(4), (30, 1, 1)), CAMERA @ slow @ np.linalg.inv(CAMERA)):
         with pytest.raises(FormatError) as refused:
-            checked(wrong, seen)
+            require_fitting("poses.txt", wrong, seen)
         assert refused.value.subject == "poses.txt"
 
 
@@ -190,23 +204,29 @@ def test_poses_must_align_the_scans():
     inverse, backwards = np.linalg.inv(WAY), along(*range(0, -84, -7))
     for wrong in (inverse, backwards, frozen, CAMERA @ WAY @ np.linalg.inv(CAMERA)):
         with pytest.raises(FormatError):
-            checked(wrong, SEEN)
+            require_fitting("poses.txt", wrong, SEEN)
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(100, "centimetres"), (1000, "millimetres")])
+def test_poses_in_other_units_are_refused(factor, unit):
+    with pytest.raises(FormatError) as refused:
+        require_fitting("poses.txt", WAY * [1, 1, 1, factor], SEEN)
+    assert refused.value.problem == f"positions in {unit}"
 
 
 def test_scans_that_stand_apart_or_still_may_have_such_poses():
     still = np.tile(np.eye(4), (3, 1, 1))
-    assert checked(still, lambda number: make_scan().points) == [0, 0, 0]
+    assert require_fitting("p", still, lambda number: make_scan().points).tolist() == [0, 0, 0]
     apart = along(0, 200, 400)
-    parts = checked(apart, lambda number: make_scan(seed=number).points)
-    assert parts == [0, 1, 2]
-    assert checked(along(0), SEEN) == [0]
-    assert checked(WAY * [1, 1, 1, 100], SEEN) == [*range(12)]  # Centimetres
+    parts = require_fitting("p", apart, lambda number: make_scan(seed=number).points)
+    assert parts.tolist() == [0, 1, 2]
+    assert require_fitting("p", along(0), SEEN).tolist() == [0]
 
 
 def test_two_laps_and_a_long_halt_are_one_part():
     halt = along(*[0.0] * 40, 2, 4, 6)
-    assert not parts_and_misfit(halt, street(halt))[0].any()
+    assert not fitting_parts(halt, street(halt))[0].any()
     there = np.array(range(0, 24, 3))
     laps = along(*there, *there[::-1], *there)
     laps[:, :3, :3] = np.eye(3)
-    assert not parts_and_misfit(laps, street(laps))[0].any()
+    assert not fitting_parts(laps, street(laps))[0].any()

@@ -4,7 +4,7 @@ import pytest
 from test_poses import along, street
 
 from salsanext_cli import read_scan
-from salsanext_cli.fusion.poses import read_poses
+from salsanext_cli.fusion.poses import pose_readings
 from salsanext_cli.fusion.registration import register
 
 pytest.importorskip("small_gicp")
@@ -42,7 +42,7 @@ def test_a_real_drive_may_begin_in_motion(real_data, drive, start):
     folder = real_data / "data/drives/sequences" / drive
     stems = [f"{number:06d}" for number in range(start, start + 4)]
     stems_of_all = sorted(path.stem for path in (folder / "velodyne").iterdir())
-    true = read_poses(folder / "poses.txt", stems_of_all, stems)
+    true = pose_readings(folder / "poses.txt", stems_of_all, stems)[0]
     clouds = (read_scan(folder / f"velodyne/{stem}.bin").points for stem in stems)
     found = register(points[np.isfinite(points).all(axis=1)] for points in clouds)
     steps = [np.linalg.inv(poses[:-1]) @ poses[1:] for poses in (true, found.poses)]

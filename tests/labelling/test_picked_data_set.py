@@ -15,13 +15,10 @@ from salsanext_cli.results.settings import StageSettings
     [
         (("000000", "000002"), 9, "line 0\nline 2\n"),
         (("000001", "000002"), 2, "line 0\nline 1\n"),
-        (("000001", "000002"), 9, "line 1\nline 2\n"),
-        (("000001", "000009"), 9, None),
+        (("000001", "000002"), 9, None),
     ],
 )
-def test_poses_of_picked_scans_are_copied_unless_a_line_is_missing(
-    tmp_path, caplog, stems, lines, picked
-):
+def test_poses_with_ambiguous_names_are_skipped(tmp_path, caplog, stems, lines, picked):
     folder = tmp_path / "data/sequences/08"
     write_sequence(folder, stems, labels=False)
     (folder / "poses.txt").write_text("".join(f"line {n}\n" for n in range(lines)))

@@ -17,6 +17,7 @@ from salsanext_cli import KnnParameters, Scan, label_drive, label_space, read_la
 from salsanext_cli.cli.app import app
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import (
+    NOTICE,
     FormatError,
     NoInputError,
     OutputError,
@@ -253,6 +254,21 @@ def test_poses_may_be_named_for_one_sequence(world, tmp_path):
     np.testing.assert_allclose(used, way(3), atol=1e-12)
     path.write_text("\n".join(lines[1:]))
     assert CliRunner().invoke(app, [*words, "--sequences", "08"]).exit_code == 1
+
+
+def test_names_that_count_from_1_find_their_lines(world, caplog):
+    folder = write_drive(world, 3)
+    turned = way(3)[2] @ np.diag([-1.0, -1, 1, 1])
+    (folder / "poses.txt").write_bytes(encode_poses([*way(3), turned]))
+    stems = ["000001", "000002", "000003"]
+    for old, new in reversed([*zip(STEMS, stems, strict=True)]):
+        (folder / f"velodyne/{old}.bin").rename(folder / f"velodyne/{new}.bin")
+    predict_scans(folder, world.out, settings=world.network, extras=("votes",))
+    with caplog.at_level(NOTICE):
+        assert fuse_results(world.out).done == 3
+    used = read_fused_poses(fused_folder(world) / "poses.txt", stems, stems)
+    np.testing.assert_array_equal(used, way(3))
+    assert "line numbers counted from 1" in caplog.text
 
 
 def test_unfusible_results_are_refused(world, drive):

@@ -40,7 +40,7 @@ def require_labels(files: Sequence[ScanFile]) -> None:
     """Raise `LabelError` for the first scan without a label file, or with a pre-label."""
     missing = [file for file in files if not file.label_path.is_file()]
     if missing:
-        problem = f"no label files of {counted(len(missing), 'scan')}"
+        problem = f"the label files of {counted(len(missing), 'scan')} are missing"
         raise LabelError(missing[0].label_path, problem, "one for every scan of the split")
     require_truth(files)
 

@@ -8,7 +8,8 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from salsanext_cli.classes.label_space import RAW_ID_COUNT, LabelSpace, RawIds, TrainIds
+from salsanext_cli.classes.label_space import RAW_ID_COUNT, UNKNOWN, LabelSpace, RawIds, TrainIds
+from salsanext_cli.errors import UsageError
 from salsanext_cli.records import Mask
 
 ClassSets = tuple[tuple[int, ...], ...]  # Sets of train ids, each in rising order
@@ -16,8 +17,13 @@ ClassSets = tuple[tuple[int, ...], ...]  # Sets of train ids, each in rising ord
 
 def class_sets(spaces: Iterable[LabelSpace]) -> ClassSets:
     """Return the sets of several classes among the labels of these spaces."""
+    spaces = list(spaces)
     sets = {several for space in spaces for several in space.alternatives.values()}
-    return tuple(sorted(several for several in sets if len(several) > 1))
+    ordered = tuple(sorted(several for several in sets if len(several) > 1))
+    most = UNKNOWN - spaces[0].class_count
+    if len(ordered) > most:
+        raise UsageError("alternatives", f"are {len(ordered)} sets of classes", f"at most {most}")
+    return ordered
 
 
 def to_targets(raw: RawIds, space: LabelSpace, sets: ClassSets, source: object) -> TrainIds:

@@ -51,6 +51,7 @@ class JudgedPoints:
 
     features: Float  # (M, F), in the order of `FEATURES`
     wrong: Mask  # (M,)
+    several: float = 0.0  # Share of skipped points, whose label is of several classes
 
 
 JudgeJob = Steps[LabelledImage, PixelPrediction, JudgedPoints]
@@ -79,7 +80,7 @@ def judged_points(scan: LabelledImage, pixels: PixelPrediction, most: int) -> Ju
     chosen = random.permutation(len(scan.truth))[:most]
     points = scan.points[chosen]
     wrong = labels[points] != scan.truth[chosen]
-    return JudgedPoints(features[points], wrong)
+    return JudgedPoints(features[points], wrong, scan.several)
 
 
 def fit_error_model(scans: TuningScans) -> Tuned:
@@ -121,8 +122,9 @@ def cross_validated(
     """Fit a model to all scans; its scores are of models that lack a fold of the scans.
 
     `start`: as `fit_error` takes it. The scores include the sequences, also of the `start`; the
-    share of `wrong` points; and `error_scores` of the model, `error`, of the `existing` one and of
-    1 − the probability of the label, `confidence`. These are None without folds.
+    share of `wrong` points; the share of skipped points, of `several` classes; and `error_scores`
+    of the model, `error`, of the `existing` one and of 1 − the probability of the label,
+    `confidence`. These are None without folds.
     """
     every = list(judged.values())
     wrong = np.concatenate([points.wrong for points in every])
@@ -135,6 +137,7 @@ def cross_validated(
         "sequences": sorted(sequences | {*before.get("sequences", ())}),
         "points": len(wrong),
         "wrong": float(wrong.mean()),
+        "several": float(np.mean([points.several for points in every])),
         **_scores_held_out(judged, parts, start),
     }
     return replace(fit_error(every, start, len(sequences)), scores=scores)

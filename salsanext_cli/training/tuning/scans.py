@@ -94,6 +94,7 @@ class LabelledImage:
     image: RangeImage
     points: Indices  # (M,): their indices in the scan
     truth: TrainIds  # (M,) uint8
+    several: float  # Share of the labelled points with a pixel whose label is of several classes
 
     @property
     def input(self) -> Float:
@@ -157,5 +158,8 @@ def read_labelled_image(file: ScanFile, network: Network, space: LabelSpace) -> 
     network = network.for_sensor(sensor_of(scan, network.sensor))
     image = project(scan, network.sensor)
     is_scored = np.isin(targets, np.flatnonzero(space.scored))
-    points = np.flatnonzero(is_scored & (image.pixel_of_point >= 0))
-    return LabelledImage(file, network, image, points, targets[points])
+    seen = image.pixel_of_point >= 0
+    points = np.flatnonzero(is_scored & seen)
+    several = int(((targets >= space.class_count) & seen).sum())
+    share = several / max(len(points) + several, 1)
+    return LabelledImage(file, network, image, points, targets[points], share)
