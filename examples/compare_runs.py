@@ -5,6 +5,8 @@ The change of a class is its IoU in the second run minus that in the first. It i
 change of the sequences is more than twice its standard error over the sequences. Two sequences are
 the least for that; with few of them, chance changes look clear too.
 
+Both runs must be scored on the same scans and classes, none of which the weights were trained on.
+
 Run: python examples/compare_runs.py out/eval.json tuned/eval.json, after `salsanext eval` on both
 """
 
@@ -26,10 +28,21 @@ def percents(scores: dict[str, Any]) -> dict[str, float]:
     return {name: 100 * share for name, share in shares.items() if share is not None}
 
 
+def require_comparable(runs: list[dict[str, Any]]) -> None:
+    """Exit if scores of two runs differ for other reasons than their labels."""
+    if runs[0]["by_scan"].keys() != runs[1]["by_scan"].keys():
+        sys.exit("the runs are scored on different scans: choose common ones with --sequences")
+    if runs[0]["classes"] != runs[1]["classes"]:
+        sys.exit("the runs have different classes: evaluate both with --classes")
+    if any(run["on_training_scans"] for run in runs):
+        sys.exit("the weights of a run were trained on these scans: evaluate others")
+    if any(run["rejection"] for run in runs):
+        sys.exit("a run rejected labels, which count as wrong: compare coverage and risk in `eval`")
+
+
 def main(before: str, after: str) -> None:
     runs = [json.loads(Path(path).read_text("utf-8")) for path in (before, after)]
-    if runs[0]["by_scan"].keys() != runs[1]["by_scan"].keys():
-        sys.exit("the runs are scored on different scans: evaluate the same")
+    require_comparable(runs)
     old, new = (percents(run["scores"]) for run in runs)
     sequences = zip(*(run["by_sequence"].values() for run in runs), strict=True)
     of_sequences = [tuple(map(percents, pair)) for pair in sequences]

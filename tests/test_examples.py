@@ -156,10 +156,16 @@ def test_compare_runs(tmp_path, capsys):
         ["car", "50.0", "→", "100.0", "+50.0", "clear"],
         ["road", "96.7", "→", "96.7", "+0.0"],
     ]
-    worlds[1].add("1", truth, truth)
-    worlds[1].evaluate()
-    with pytest.raises(SystemExit):
-        load("compare_runs")(*files)
+    run = json.loads(Path(files[1]).read_text("utf-8"))
+    for other, word in (
+        ({"classes": ["car"]}, "--classes"),
+        ({"on_training_scans": True}, "trained"),
+        ({"rejection": {"points": 1}}, "rejected"),
+        ({"by_scan": {"00/1": {}}}, "--sequences"),
+    ):
+        Path(files[1]).write_text(json.dumps(run | other), "utf-8")
+        with pytest.raises(SystemExit, match=word):
+            load("compare_runs")(*files)
 
 
 def test_training_curves(tmp_path, capsys):

@@ -66,7 +66,7 @@ def test_hidden_options_exist_and_removed_ones_do_not():
     for command, options in help.HIDDEN.items():
         assert {*options.split()} <= (offered[command] if command else every)
     for (command, option), _ in removed.REMOVED.items():
-        commands = [name for name in offered if command in ("", name, name.split()[0])]
+        commands = [name for name in offered if command in ("", name, *name.split())]
         assert commands or not option
         assert " " in option or all(option not in offered[name] for name in commands)
 

@@ -155,6 +155,7 @@ def test_parts_of_a_drive_do_not_cover_each_other(world, caplog):
         shutil.copy(world.scan(), world.scan(stem=f"00000{number}"))
     poses = np.tile(np.eye(4), (4, 1, 1))
     poses[:, 0, 3] = 0, 60, 120, 120
+    poses[1, :2, :2] = [[0, -1], [1, 0]]  # Otherwise the scans fit in millimetres.
     (folder / "poses.txt").write_bytes(encode_poses(poses))
     predict_scans(folder, world.out, settings=world.network, extras=("votes",))
     fuse_results(world.out)

@@ -290,7 +290,7 @@ def test_weights_without_dropout_get_the_layers_of_the_paper(world, target, tmp_
 @pytest.mark.parametrize(
     ("objectives", "best", "warning"),
     [
-        ([1.0, 2.0, 3.0, 4.0] * 2, 0.05, "at the end of the range"),
+        ([1.0, 2.0, 3.0, 4.0] * 2, 0.05, "at an end of the range"),
         ([3.0, 1.0, 2.0, 3.0] * 2, math.sqrt(0.05 * 0.3), ""),
         # The existing rate, 0.2, wins ties, and if the choice of one scan is worse in the other.
         ([3.0, 1.0, 1.0, 3.0] * 2, 0.2, ""),

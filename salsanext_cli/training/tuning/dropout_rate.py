@@ -80,7 +80,6 @@ def fit_dropout(scans: TuningScans, samples: int = SAMPLES) -> Tuned:
     best = int(np.argmin(objectives))
     changed = not before or _gains(scans.files, sums, rates.index(before))
     if changed and rates[best] in (RATES[0], RATES[-1]):
-        changed = False
         log.warning(
             "the best rate, %g, is at an end of the range: a better one may lie beyond it",
             rates[best],
