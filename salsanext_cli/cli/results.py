@@ -66,7 +66,6 @@ class PointChoice:
         metavar="CLASSES",
     )
     max_error: float | None = option("Drop points whose probability of error is above this.")
-    split: bool = option("Write a file for each class.", "--by-class", default=False)
     indices: bool = option("Write masks of the accepted points (.npy) instead.", default=False)
 
 

@@ -68,8 +68,8 @@ def _rejection_lines(outcome: Outcome, limit: float | str | None) -> Iterable[st
             reason = f"probability of error above {limit:g}"
         before = f"; {outcome.skipped} done already not counted" if outcome.skipped else ""
         yield f"{counted(rejected, 'point')}{share} rejected: {reason}{before}"
-    if outcome.kept_points and outcome.done:
-        points, accepted = outcome.kept_points
+    if outcome.accepted_points and outcome.done:
+        points, accepted = outcome.accepted_points
         yield f"{accepted:,} of {counted(points, 'point')} written"
 
 
@@ -86,8 +86,8 @@ def _as_data(outcome: Outcome) -> dict[str, Any]:
         data |= missing.to_dict()
     if outcome.rejected_points is not None:
         data["rejected_points"] = outcome.rejected_points
-    if outcome.kept_points:
-        data["points"], data["kept_points"] = outcome.kept_points
+    if outcome.accepted_points:
+        data["points"], data["accepted_points"] = outcome.accepted_points
     if summary := outcome.summary:
         from salsanext_cli.files.json_files import plain
         from salsanext_cli.sensors.sensor import NOISE

@@ -64,7 +64,7 @@ class Outcome:
         Summary of the scans.
     rejected_points : int, optional
         Number of points that were left unlabelled because of their uncertainty.
-    kept_points : (int, int), optional
+    accepted_points : (int, int), optional
         Number of points of the scans, and of points that passed a filter.
     """
 
@@ -75,7 +75,7 @@ class Outcome:
     seconds: float = 0.0
     summary: RunSummary | None = None
     rejected_points: int | None = None
-    kept_points: tuple[int, int] | None = None
+    accepted_points: tuple[int, int] | None = None
 
 
 def run_over_scans(

@@ -2,7 +2,7 @@
 """Stage `filter`: scans in their format, without the points of some classes."""
 
 import logging
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -88,7 +88,6 @@ class FilterSettings(StageSettings):
 
     results: str  # Absolute path of the folder of the labels
     classes: tuple[str, ...]  # Classes whose points remain
-    split: bool
     indices: bool
     measured_only: bool | None = None  # Whether only measurements of the scene remain
 
@@ -105,20 +104,14 @@ class PointFilter:
     sensor: Sensor  # Sensor with the columns of files that do not name theirs
     foreign: frozenset[Path] = frozenset()  # Files that are not as salsanext wrote them
 
-    @property
-    def folders(self) -> tuple[str, ...]:
-        """Folders of a sequence that parts of scans go to."""
-        if self.settings.split:
-            return self.space.names
-        return (MASKS,) if self.settings.indices else (SCAN_FOLDER,)
+    def path(self, file: ScanFile) -> Path:
+        """Return the path of the remaining points of a scan, or of their mask."""
+        is_mask = self.settings.indices
+        folder, name = (MASKS, f"{file.stem}.npy") if is_mask else (SCAN_FOLDER, file.path.name)
+        return self.owned.root / "sequences" / file.sequence / folder / name
 
-    def path(self, file: ScanFile, part: str) -> Path:
-        """Return the path of a part of a scan."""
-        name = f"{file.stem}.npy" if self.settings.indices else file.path.name
-        return self.owned.root / "sequences" / file.sequence / part / name
-
-    def parts(self, file: ScanFile) -> tuple[dict[str, Mask], int]:
-        """Return masks (N,) of the remaining points by the folder of their part, and N."""
+    def mask(self, file: ScanFile) -> Mask:
+        """Return the mask (N,) of the remaining points of a scan."""
         path = output_path(self.results.root, file.sequence, "predictions", file.stem)
         if not present(path):
             raise self.results.missing_column("label", file)
@@ -136,34 +129,26 @@ class PointFilter:
             if not present(errors):
                 raise self.results.missing_column("error", file)
             remains &= ~(read_kind(errors, "error", len(train)) > settings.max_error)
-        if settings.split:
-            occurring = np.unique(train[remains]).tolist()
-            return {self.space.names[i]: remains & (train == i) for i in occurring}, len(train)
-        has_part = settings.indices or remains.any()
-        return ({self.folders[0]: remains} if has_part else {}), len(train)
+        return remains
 
     def is_done(self, file: ScanFile) -> bool:
-        """Return whether all parts of a scan are written."""
-        paths = {part: self.path(file, part) for part in self.folders}
-        there = {part for part, path in paths.items() if filled(path) and path not in self.foreign}
-        return bool(there) and (not self.settings.split or there >= self.parts(file)[0].keys())
+        """Return whether the remaining points of a scan are written."""
+        path = self.path(file)
+        return filled(path) and path not in self.foreign
 
     def write(self, file: ScanFile) -> Count:
-        """Write the parts of a scan; return its name and its numbers of points before and after."""
-        parts, count = self.parts(file)
-        absent = (self.path(file, part) for part in self.folders if part not in parts)
-        if stale := [path for path in absent if present(path)]:
-            self.owned.remove_written(stale)
-        encode: Callable[[Mask], bytes] = encode_array
-        if not self.settings.indices:
-            encode = subsets_of(file.path, self.sensor.columns)
-        if not parts:
-            encode(np.zeros(count, bool))
-        for part, mask in parts.items():
-            if (path := self.path(file, part)) in self.foreign:
+        """Write the points; return the name of the scan and its points before and after."""
+        mask, path = self.mask(file), self.path(file)
+        is_mask = self.settings.indices
+        encode = encode_array if is_mask else subsets_of(file.path, self.sensor.columns)
+        content = encode(mask)
+        if is_mask or mask.any():
+            if path in self.foreign:
                 raise foreign_file(path)
-            self.owned.write(path, encode(mask))
-        return file.name, count, sum(int(mask.sum()) for mask in parts.values())
+            self.owned.write(path, content)
+        elif present(path):
+            self.owned.remove_written([path])
+        return file.name, len(mask), int(mask.sum())
 
 
 def filter_scans(
@@ -173,7 +158,6 @@ def filter_scans(
     drop: Collection[str] = (),
     keep: Collection[str] = (),
     max_error: float | None = None,
-    split: bool = False,
     indices: bool = False,
     query: ResultQuery = ResultQuery(),
     options: RunOptions = RunOptions(),
@@ -190,8 +174,6 @@ def filter_scans(
         Classes as of `named_classes` that are removed, or that alone remain.
     max_error : float, optional
         Largest probability of error of the remaining points.
-    split : bool
-        Whether to write a file for each class.
     indices : bool
         Whether to write masks (N,) bool instead of scans.
     query : ResultQuery
@@ -204,23 +186,21 @@ def filter_scans(
     Outcome
         Numbers of the run.
     """
-    task, chosen = _point_filter(
-        *(out, folder, drop, keep, max_error), split=split, indices=indices, query=query
-    )
+    task, chosen = _point_filter(out, folder, drop, keep, max_error, indices=indices, query=query)
     counts = list[Count]()
     with ExitStack() as stack:
         with task.owned.locked_records():
             _begin(task.owned, task.settings, options.overwrite)
             stack.enter_context(task.owned.open(shared=True))
-        parts = [task.path(file, part) for file in chosen.scans for part in task.folders]
-        task = replace(task, foreign=frozenset(task.owned.foreign_files(parts)))
+        paths = map(task.path, chosen.scans)
+        task = replace(task, foreign=frozenset(task.owned.foreign_files(paths)))
         outcome = run_over_scans(
             task.write, chosen.scans, options, is_done=task.is_done, on_result=counts.append
         )
     total = sum(count for _, count, _ in counts), sum(left for *_, left in counts)
     if empty := sorted(name for name, _, left in counts if not left):
         log.warning("no point remains of %s: %s", counted(len(empty), "scan"), first_few(empty))
-    return replace(outcome, missing=chosen.missing, kept_points=total)
+    return replace(outcome, missing=chosen.missing, accepted_points=total)
 
 
 def _point_filter(
@@ -230,13 +210,12 @@ def _point_filter(
     keep: Collection[str],
     max_error: float | None,
     *,
-    split: bool,
     indices: bool,
     query: ResultQuery,
 ) -> tuple[PointFilter, ChosenResults]:
     """Return the filter of the options of `filter_scans`, and the chosen scans; refuse others."""
-    if not (drop or keep or split or max_error is not None):
-        raise UsageError("--drop, --keep, --max-error, --by-class", "none is set", "one of them")
+    if not (drop or keep or max_error is not None):
+        raise UsageError("--drop, --keep, --max-error", "none is set", "one of them")
     if max_error is not None and not 0 <= max_error <= 1:
         raise UsageError("--max-error", f"{max_error:g}", "a probability from 0 to 1")
     results = ResultFolder(out, query.dataset)
@@ -248,12 +227,9 @@ def _point_filter(
     if recording := None if indices else recording_of(scans[0].path):
         problem, hint = "is a recording, which `filter` cannot write", CONVERT.format(recording)
         raise UsageError(recording, problem, "files of scans", hint)
-    if odd := [name for name in space.names if split and Path(name).name != name]:
-        raise UsageError("--by-class", f"class {odd[0]} cannot be the name of a folder")
     settings = FilterSettings(
         results=str(out.absolute()),
         classes=tuple(np.array(space.names)[selected].tolist()),
-        split=split,
         indices=indices,
         measured_only=MOVING in drop or None,
         max_error=max_error,

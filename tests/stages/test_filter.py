@@ -46,10 +46,10 @@ def record_sensor(world, **fields):
     Manifest(world.out).write(StageRecord("predict", settings, ("predictions",)))
 
 
-def remaining(tmp_path, stem="000000", folder="velodyne", suffix=".bin"):
+def remaining(tmp_path, stem="000000"):
     """Return the indices of the remaining records of a scan."""
     source = np.fromfile(tmp_path / f"Daten 1/sequences/08/velodyne/{stem}.bin", "V16")
-    found = np.fromfile(tmp_path / f"to/sequences/08/{folder}/{stem}{suffix}", "V16")
+    found = np.fromfile(tmp_path / f"to/sequences/08/velodyne/{stem}.bin", "V16")
     places = [i for i, each in enumerate(source) if each in found]
     assert source[places].tobytes() == found.tobytes()
     return places
@@ -67,7 +67,7 @@ def remaining(tmp_path, stem="000000", folder="velodyne", suffix=".bin"):
 def test_classes_are_fine_coarse_or_movable(apply, tmp_path, options, expected):
     outcome = apply(**options)
     assert remaining(tmp_path) == expected
-    assert outcome.kept_points == (11, len(expected) + 4 * ("keep" not in options))
+    assert outcome.accepted_points == (11, len(expected) + 4 * ("keep" not in options))
 
 
 def test_moving_points_go_with_vehicle_housing_and_no_measurements(apply, world, tmp_path):
@@ -107,24 +107,6 @@ def test_points_above_an_error_go(apply, world, tmp_path):
     assert [failure.scan.stem for failure in outcome.failures] == ["000001"]
 
 
-def test_a_file_for_each_class(apply, world, tmp_path):
-    apply(split=True, drop=["vehicle"])
-    folders = {path.name for path in (tmp_path / "to/sequences/08").iterdir()}
-    assert folders == {"person", "bicyclist", "road", "vegetation", "unlabeled"}
-    assert remaining(tmp_path, folder="road") == [4]
-    assert remaining(tmp_path, "000001", "road") == [0, 1, 2, 3]
-    (tmp_path / "to/sequences/08/person/000000.bin").unlink()
-    again = apply(split=True, drop=["vehicle"])
-    assert (again.done, again.skipped) == (1, 1)
-    assert remaining(tmp_path, folder="person") == [2]
-    # What a scan has no more is removed.
-    path = output_path(world.out, "08", "predictions", "000001")
-    write_labels(path, np.array([CAR] * 4, np.uint32))
-    apply(split=True, drop=["person"], options=RunOptions(overwrite=True))
-    assert not (tmp_path / "to/sequences/08/road/000001.bin").exists()
-    assert remaining(tmp_path, "000001", "car") == [0, 1, 2, 3]
-
-
 def test_masks_in_the_place_of_scans(apply, tmp_path):
     apply(indices=True, keep=["car"])
     masks = [np.load(tmp_path / f"to/sequences/08/masks/00000{i}.npy") for i in (0, 1)]
@@ -135,7 +117,12 @@ def test_masks_in_the_place_of_scans(apply, tmp_path):
 def test_a_scan_without_remaining_points_is_a_warning(apply, tmp_path, caplog):
     apply(drop=["road"])
     assert "1 scan: 08/000001" in caplog.text
-    assert not (tmp_path / "to/sequences/08/velodyne/000001.bin").exists()
+    written = tmp_path / "to/sequences/08/velodyne/000001.bin"
+    assert not written.exists()
+    apply(drop=["car"], options=RunOptions(overwrite=True))
+    assert written.exists()
+    apply(drop=["road"], options=RunOptions(overwrite=True))
+    assert not written.exists()
 
 
 def test_shards_workers_and_restarts_write_the_same(apply, tmp_path):
@@ -222,7 +209,7 @@ def test_a_bag_is_refused_but_for_masks(tmp_path, kind):
     assert (refused.value.subject, refused.value.code) == (str(source.parent), "usage")
     assert f"`salsanext convert {source.parent} DATA`" in str(refused.value.hint)
     assert not (tmp_path / "to").exists()
-    assert call(query=ResultQuery(source), indices=True).kept_points == (18, 12)
+    assert call(query=ResultQuery(source), indices=True).accepted_points == (18, 12)
     mask = np.load(tmp_path / f"to/sequences/drive/masks/{START}.npy")
     assert mask.tolist() == [False, True, False, True, True, True]
 
