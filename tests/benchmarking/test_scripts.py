@@ -45,9 +45,6 @@ TINY = "fov_up = 3.0\nfov_down = -25.0\nheight = 16\nwidth = 64\n"
 NOISE = "range_noise = 0.02\nintensity_noise = 0.02\n"
 SCAN = "data/sequences/08/velodyne/0.bin"
 RUNS = {
-    "checks_cost.py data 1 w.safetensors": (
-        *("with checks", "without", "checks, elapsed", "checks, CPU", "fit, once a run"),
-    ),
     "many_scans.py . 40 threading": (
         *("find scans", "record the run", "record another run", "divide into shards"),
         *("skip what is done", "chunks, threading"),
@@ -60,6 +57,9 @@ RUNS = {
 }
 """Lines that begin with these words, in this order, by the script and its arguments."""
 SLOW_RUNS = {
+    "checks_cost.py data 1 w.safetensors": (
+        *("with checks", "without", "checks, elapsed", "checks, CPU", "fit, once a run"),
+    ),
     f"uncertainty_cost.py {SCAN} tiny.toml 2 2 w.safetensors": (
         *("one deterministic pass", "2 passes of dropout", "assumed density filtering"),
         *("eight noisy copies", "dropout and noisy copies"),

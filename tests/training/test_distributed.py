@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 import torch
+from filelock import FileLock
 from scans import SMALL, write_sequence
 from torch.distributed import is_gloo_available
 from two_workers import CASES, batch, learner, share, stepped
@@ -74,10 +75,13 @@ def ended(task: object, count: int) -> tuple[list[int], list[str]]:
 
 @pytest.fixture(scope="module")
 def two(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """Return the results of two workers."""
-    path = tmp_path_factory.mktemp("two") / "result.pt"
-    status, messages = ended(path, 2)
-    assert status == [0, 0], messages
+    """Return the results of two workers, made once for all processes that test."""
+    base = tmp_path_factory.getbasetemp()
+    path = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "two_workers.pt"
+    with FileLock(path.with_suffix(".lock")):
+        if not path.exists():
+            status, messages = ended(path, 2)
+            assert status == [0, 0], messages
     results: dict[str, Any] = torch.load(path, weights_only=True)
     assert results["size"] == 2
     return results
