@@ -119,7 +119,7 @@ def test_each_happens_on_its_own_half_of_the_time() -> None:
         after, _ = augment(labelled(0, count=500), Recipe(), np.random.default_rng(seed))
         rest = after.intensity.astype(int)
         old, new = before.points[rest], after.points
-        handed = np.linalg.det(np.linalg.lstsq(old - old.mean(0), new - new.mean(0))[0])
+        handed = np.linalg.det(np.linalg.lstsq(old - old.mean(0), new - new.mean(0), rcond=None)[0])
         offset = new.mean(0) - old.mean(0)
         happened.append((len(rest) < len(before), handed < 0, abs(offset[2]) > 1e-4))
     shares = np.mean(happened, axis=0)
