@@ -56,4 +56,6 @@ def main(before: str, after: str) -> None:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 3:
+        sys.exit("usage: python examples/compare_runs.py OUT_A/eval.json OUT_B/eval.json")
     main(*sys.argv[1:])

@@ -23,7 +23,7 @@ REMOVED = {
     ("export-ply", "--format"): "omit it: clouds are PLY, which PDAL converts to LAS or LAZ",
     ("export-rrd", ""): "use examples/rerun_recording.py",
     ("filter", "--by-class"): "use `--keep` once for each class",
-    ("filter", "--split"): "use `--keep` once for each class",
+    ("filter", "--split"): "use `--keep` once for each class, or --sequences to select scans",
     ("fuse", "--strict"): "use the key `warnings` of `--json`",
     ("int8", "--device"): "omit it: the ranges are fitted on the CPU",
     ("int8", "--engine"): "omit it: the ranges are fitted with torch",

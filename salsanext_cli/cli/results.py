@@ -152,8 +152,8 @@ def _evaluation_tables(evaluation: "Evaluation", above: float | None) -> "Group"
     tables += [Text(uncertainty.accepted.sentence)] if uncertainty.accepted else []
     if accepted:
         missed = (
-            f"Points rejected by `predict --reject {above:g}` count as wrong in accuracy and IoU, "
-            "and do not count in the official accuracy."
+            f"Points rejected by `predict --reject` (threshold {above:.4g}) count as wrong in "
+            "accuracy and IoU, and do not count in the official accuracy."
         )
         guarantee = [evaluation.guarantee.sentence] if evaluation.guarantee else []
         lines = [missed, *accepted.sentences, *guarantee]

@@ -70,7 +70,7 @@ def _rejection_lines(outcome: Outcome, limit: float | str | None) -> Iterable[st
         yield f"{counted(rejected, 'point')}{share} rejected: {reason}{before}"
     if outcome.accepted_points and outcome.done:
         points, accepted = outcome.accepted_points
-        yield f"{accepted:,} of {counted(points, 'point')} written"
+        yield f"{accepted:,} of {counted(points, 'point')} remain"
 
 
 def _as_data(outcome: Outcome) -> dict[str, Any]:
@@ -169,4 +169,4 @@ def leave(
 def skipped_text(missing: MissingResults | None) -> str:
     """Return the part of a summary about scans that the earlier stages were not run on."""
     count = missing.not_asked_for if missing else 0
-    return f" ({counted(count, 'scan')} skipped: not part of the earlier run)" if count else ""
+    return f" ({counted(count, 'other scan')} of the data not part of the run)" if count else ""

@@ -90,7 +90,8 @@ def _checked(name: str, tensor: Tensor, expected: Tensor, source: object) -> Ten
         raise WeightsError(source, f"tensor {name} is complex", "float32 or float16")
     converted = tensor.to(expected.dtype)
     if not torch.isfinite(converted).all():
-        raise WeightsError(source, f"tensor {name} is not finite in {expected.dtype}")
+        problem = f"tensor {name} is not finite in {expected.dtype}"
+        raise WeightsError(source, problem, hint="copy the file again")
     if name.endswith("running_var") and (converted < 0).any():
         raise WeightsError(source, f"tensor {name} has variances below 0")
     return converted

@@ -215,7 +215,7 @@ def _point_filter(
 ) -> tuple[PointFilter, ChosenResults]:
     """Return the filter of the options of `filter_scans`, and the chosen scans; refuse others."""
     if not (drop or keep or max_error is not None):
-        raise UsageError("--drop, --keep, --max-error", "none is set", "one of them")
+        raise UsageError("filter", "no points to drop", "--drop, --keep or --max-error")
     if max_error is not None and not 0 <= max_error <= 1:
         raise UsageError("--max-error", f"{max_error:g}", "a probability from 0 to 1")
     results = ResultFolder(out, query.dataset)

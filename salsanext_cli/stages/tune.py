@@ -116,6 +116,10 @@ def tune_int8(
     inputs = [prepared_for(network, file).input for file in files]
     if not (int8 := int8_inputs(network.module, inputs)):
         raise WeightsError(settings.path, "has no hidden layer that int8 can compute")
-    card = replace(network.card, int8=int8, version=None)
+    risk = network.card.risk
+    if risk and risk.settings.get("--precision") == "int8":
+        log.log(NOTICE, "the threshold of `tune risk` is removed: it was chosen with other ranges")
+        risk = None
+    card = replace(network.card, int8=int8, risk=risk, version=None)
     save_with_card(settings.path, target, card, overwrite=overwrite)
     return {"stage": "tune int8", "scans": len(files), "layers": len(int8)}

@@ -11,8 +11,9 @@ from shallow import shallow  # noqa: F401
 from tiny_network import TinyNetwork
 
 from salsanext_cli.errors import FormatError, OutputError, WeightsError
-from salsanext_cli.network.card import read_card
+from salsanext_cli.network.card import RiskThreshold, read_card
 from salsanext_cli.network.registry import ARCHITECTURES
+from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
@@ -46,6 +47,16 @@ def test_ranges_are_added_and_nothing_else_changes(world, network, target):
     assert (report["scans"], report["layers"]) == (3, len(layers))
     with refused(OutputError, target):
         tune_int8(world.data, target, settings=network)
+
+
+@pytest.mark.parametrize("precision", ["int8", "float32"])
+def test_a_threshold_chosen_with_other_ranges_is_removed(world, network, target, precision):
+    settings = {"--precision": precision}
+    risk = RiskThreshold("error", 0.2, 0.1, None, 20, ("00",), settings=settings)
+    known = target.with_name("risk.safetensors")
+    save_with_card(network.path, known, replace(read_card(network.path), risk=risk))
+    tune_int8(world.data, target, settings=replace(network, weights=known))
+    assert read_card(target).risk == (None if precision == "int8" else risk)
 
 
 def test_steps_in_one_or_apart_agree_in_int8_and_differ_from_float32(world, network, target):

@@ -201,10 +201,11 @@ def _sentences(others: Sequence[HeldOutSequence]) -> Iterator[str]:
     worst = sorted(others, key=lambda part: -part.loss)[:MAX_LISTED]
     for part in worst:
         shares = f"{part.accepted:.1%} accepted, {part.loss:.1%} of all points accepted and wrong"
-        threshold = "with one threshold chosen on the others"
-        yield f"{part.sequence} {threshold}: {shares}, {part.worst:.1%} in the worst scan"
+        of_worst = f", {part.worst:.1%} in the worst scan" if part.scans > 1 else ""
+        yield f"{part.sequence} with the threshold chosen on the others: {shares}{of_worst}"
     if more := len(others) - len(worst):
-        yield f"{counted(more, 'sequence')} more with a smaller share of wrong points"
+        noun = "sequence" if more == 1 else "sequences"
+        yield f"{more} more {noun} with a smaller share of wrong points"
 
 
 def _require_scans(scans: TuningScans, level: RiskLevel) -> None:
@@ -221,12 +222,15 @@ def _require_scans(scans: TuningScans, level: RiskLevel) -> None:
     if confidence is None:
         lowest = math.ceil(1000 / (count + 1)) / 10
         useful = min(2 * lowest, 95.0)  # The lowest one leaves no room for wrong points
-        best, option = f"{lowest:g} %", f"--at-most {useful:g}%"
+        best, option = (
+            f"{lowest:g} %",
+            f"--at-most {useful:g}%, which leaves half of it for wrong points",
+        )
     else:
         exceed = 1 - (1 - confidence) ** (1 / max(count, 1))  # Clopper and Pearson's bound
         best = f"{exceed:.0%} of scans above the level, with {100 * confidence:.4g} % confidence"
         option = "a lower --confidence"
-    problem = f"{counted(count, 'scan')} can guarantee at best {best}"
+    problem = f"{counted(count, 'scan')} can guarantee no less than {best}"
     hint = f"add scans of other drives, or use {option}"
     raise TrainingError(scans.source, problem, f"{missing} more scans", hint)
 
