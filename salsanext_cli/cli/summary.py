@@ -169,4 +169,4 @@ def leave(
 def skipped_text(missing: MissingResults | None) -> str:
     """Return the part of a summary about scans that the earlier stages were not run on."""
     count = missing.not_asked_for if missing else 0
-    return f" ({counted(count, 'other scan')} of the data not part of the run)" if count else ""
+    return f" (not part of the run: {counted(count, 'other scan')})" if count else ""

@@ -214,10 +214,10 @@ class WeightsCard:
                 problem, hint = f"has format {shortened(version_of_format)}", "update salsanext"
                 raise WeightsError(source, problem, FORMAT, hint)
             fitted = [name for name in FITTED if name in values]
-            if values.get("risk"):
-                values["risk"] = _renamed(values["risk"], source)
             if bad := [key for key in (*TABLES, *fitted) if not isinstance(values[key], dict)]:
                 raise TypeError(f"{bad[0]} is not a table")
+            if "risk" in fitted:
+                values["risk"] = _renamed(values["risk"], source)
             if type(version := values.get("weights_version", 1)) is not int or version < 1:
                 raise ValueError(f"weights_version is {shortened(version)}")
             description, error = str(values["description"]), values.get("error")

@@ -101,7 +101,7 @@ def tune_int8(
     source, target : Path
         Scans, and weights file to write.
     settings, selection : NetworkSettings, ScanSelection
-        The network computes in float32; a limit takes evenly spaced scans.
+        The network computes in float32 on the CPU; a limit takes evenly spaced scans.
     overwrite : bool
         Whether to replace an existing file.
 
@@ -110,7 +110,7 @@ def tune_int8(
     dict
         Plain data for JSON: numbers of scans and of quantised layers.
     """
-    network = replace(settings, precision="float32").load()
+    network = replace(settings, device="cpu", precision="float32").load()
     require_target(target, overwrite)
     files = select_scans(source, selection, network.space, evenly=True)
     inputs = [prepared_for(network, file).input for file in files]

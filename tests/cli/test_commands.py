@@ -186,7 +186,7 @@ def test_skipped_scans_are_no_failure_and_scans_that_lack_results_are(
     for command in ("eval", "export-ply"):
         result = run(command, tmp_path / "one", "--json")
         assert result.exit_code == 0, result.output
-        assert "(1 other scan of the data not part of the run)" in result.stderr
+        assert "(not part of the run: 1 other scan)" in result.stderr
         printed = only_json(result)
         assert (printed["missing"], printed["not_asked_for"]) == ([], 1)
         result = run(command, results, "-q", "--json")

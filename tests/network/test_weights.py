@@ -23,6 +23,7 @@ from salsanext_cli.network.card import KEY, WeightsCard, read_card
 from salsanext_cli.network.error_model import ErrorModel, last_values
 from salsanext_cli.network.registry import build
 from salsanext_cli.network.weights import read_weights, save_weights, save_with_card
+from salsanext_cli.sensors.sensor import FittedView
 
 SPACE = label_space()
 CARD = WeightsCard(
@@ -306,3 +307,22 @@ def test_numbers_that_a_statement_rests_on_are_all_there(part, whole) -> None:
     for each in broken:
         with pytest.raises(WeightsError):
             WeightsCard.from_metadata({KEY: json.dumps(values | {part: each})}, "w")
+
+
+def test_thresholds_with_the_keys_of_early_versions() -> None:
+    """Fields of view are read; thresholds of classes would accept labels that they rejected."""
+    values = json.loads(card(None).to_metadata()[KEY])
+
+    def read(**risk) -> WeightsCard:
+        return WeightsCard.from_metadata({KEY: json.dumps(values | {"risk": RISK | risk})}, "w")
+
+    views = [FittedView.of(sensor(name)) for name in ("hdl64", "hdl64-512")]
+    first, second = map(plain, views)
+    assert read(view=first, other_views=[second]).risk.views == tuple(views)
+    assert read(view=None, other_views=[], classes={}).risk == read().risk
+    for risk in ({"classes": {"car": 0.1}}, {"view": 5}):
+        with pytest.raises(WeightsError):
+            read(**risk)
+    for other in ("x", 5, [RISK]):
+        with pytest.raises(WeightsError):
+            WeightsCard.from_metadata({KEY: json.dumps(values | {"risk": other})}, "w")

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """`train` and `inspect` check scans as `predict` does, without weights."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -12,9 +13,11 @@ from salsanext_cli.errors import FormatError
 from salsanext_cli.files.json_files import plain
 from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.stages.inspect import inspect
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.train import train
+from salsanext_cli.training.data import class_counts as counting
 from salsanext_cli.training.recipe import Recipe
 
 UPWARDS = replace(SMALL, name="upwards", fov_up=30.0, fov_down=-2.0)
@@ -131,3 +134,21 @@ def test_fitted_sequences_are_checked_with_the_fit(dataset):
     assert {"00/0", "00/1", "00/2"} <= doubted
     fitted = TINY.with_changes(sensors="fitted")
     assert trained(dataset, fitted, overwrite=True) == []
+
+
+def test_a_resumed_training_repeats_the_warnings(dataset, monkeypatch):
+    change(dataset, brighter=0.0)
+    warnings = trained(dataset)
+    kept = dataset.parent / "run/class_counts.json"
+    content = json.loads(kept.read_bytes())
+    assert content["warnings"] == plain(warnings)
+    check, checked = counting.check_scan, []
+    counted = lambda path, *a, **k: checked.append(path) or check(path, *a, **k)  # noqa: E731
+    monkeypatch.setattr(counting, "check_scan", counted)
+    assert trained(dataset) == warnings
+    assert not checked
+    # A record of an older version has none.
+    older = {key: value for key, value in content.items() if key != "warnings"}
+    OwnedFolder(kept.parent).write(kept, json.dumps(older).encode())
+    assert trained(dataset) == warnings
+    assert len(checked) == 4

@@ -217,6 +217,22 @@ def test_another_cpu_resumes_in_the_precision_of_the_first(dataset, tmp_path, mo
     refused(OutputError, tmp_path / "run/train.json", dataset, tmp_path / "run", recipe=other)
 
 
+def test_labels_edited_since_they_were_counted_are_counted_again(dataset, tmp_path):
+    recipe = TINY.with_changes(epochs=1)
+    go(dataset, tmp_path / "run", recipe=recipe)
+    counted = tmp_path / "run" / "class_counts.json"
+    before = counted.read_bytes()
+    path = dataset / "sequences" / "00" / "labels" / "1.label"
+    write_labels(path, np.full(600, 40, np.uint32))
+    go(dataset, tmp_path / "run", recipe=recipe)
+    change = (
+        json.loads(counted.read_text())["points"]["road"] - json.loads(before)["points"]["road"]
+    )
+    assert change > 300
+    write_labels(path, np.full(600, 77, np.uint32))
+    refused(LabelError, path, dataset, tmp_path / "run", recipe=recipe)
+
+
 def test_a_key_that_is_not_recorded_was_the_default(dataset, tmp_path):
     run, once = tmp_path / "run", TINY.with_changes(epochs=1)
     result = go(dataset, run, recipe=once)

@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: MIT
 """Class counts: points of every class in labelled scans, checked on the way; class weights."""
 
+import hashlib
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
+from typing import Any
 
 import joblib
 import numpy as np
@@ -13,11 +16,12 @@ import torch
 from torch import Tensor
 
 from salsanext_cli.errors import LabelError, TrainingError, counted
-from salsanext_cli.files.json_files import encode_json
+from salsanext_cli.files.identity import identity
+from salsanext_cli.files.json_files import MALFORMED, decoded, encode_json, read_json
 from salsanext_cli.fitting.scan_checks import check_scan
 from salsanext_cli.labelling.label_records import require_truth
-from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary, ScanWarning
-from salsanext_cli.network.card import scan_digest
+from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary, ScanWarning, log_recorded
+from salsanext_cli.network.card import parted, scan_digest
 from salsanext_cli.records import Double, Mask
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.paths import ScanFile
@@ -94,12 +98,16 @@ def class_counts(
 ) -> ClassCounts:
     """Count the points per class of all training data; check all scans.
 
-    Points count as often as they are drawn: further sources get the share `also` of the samples.
-    The counts are written to a JSON file.
+    A JSON file caches the result until a file changes, since SemanticKITTI has 55 GB. Points count
+    as often as they are drawn: further sources get the share `also` of the samples.
     """
     first, *further = sources
     space, training = first.space, first.files
+    digest = data_digest([*sources, validation], validated, also if further else 0.0)
     files = [file for source in sources for file in source.files]
+    if cached := _cached(path, digest, files, space.names):
+        log_recorded(cached.warnings)
+        return cached
     of_validation, summaries, _ = count_classes(validation, jobs)
     members = {*validated}
     is_validated = [file in members for file in validation.files]
@@ -120,9 +128,11 @@ def class_counts(
             per_draw += also / len(further) * of_source.mean(axis=0)
             warnings += [] if source.simulated else _warnings(source, of_scans)
         counts = np.rint(len(training) * per_draw).astype(np.int64)
+    result = ClassCounts(counts, warnings, dict(zip(files, digests, strict=True)))
     by_name = dict(zip(space.names, counts.tolist(), strict=True))
-    OwnedFolder(path.parent).write(path, encode_json({"points": by_name}))
-    return ClassCounts(counts, warnings, dict(zip(files, digests, strict=True)))
+    content = {"files": digest, "points": by_name, "warnings": warnings, "scans": "".join(digests)}
+    OwnedFolder(path.parent).write(path, encode_json(content))
+    return result
 
 
 def _warnings(source: Source, summaries: Sequence[ScanSummary]) -> list[ScanWarning]:
@@ -133,3 +143,35 @@ def _warnings(source: Source, summaries: Sequence[ScanSummary]) -> list[ScanWarn
             summary.add(scan)
         summary.compare_scans()
     return summary.finished().warnings()
+
+
+def _cached(
+    path: Path, digest: str, files: Sequence[ScanFile], names: Sequence[str]
+) -> ClassCounts | None:
+    """Read cached counts; None if they are of other data, or damaged."""
+    known = read_json(path) or {}
+    if known.get("files") != digest:
+        return None
+    try:
+        counts = np.array([known["points"][name] for name in names], np.int64)
+        digests = dict(zip(files, parted(known["scans"]), strict=True))
+        return ClassCounts(counts, decoded(list[ScanWarning], known["warnings"]), digests)
+    except (*MALFORMED, LookupError, OverflowError):
+        return None
+
+
+def data_digest(
+    sources: Sequence[Source], validated: Sequence[ScanFile] = (), also: float = 0.0
+) -> str:
+    """Return a digest of all that class counts depend on, such as sizes and times of files."""
+    settings: list[Any] = [also]
+    for source in sources:
+        sensors = [source.sensor, *source.fitted.values()]
+        settings += [source.space.to_dict(), *(sensor.to_dict() for sensor in sensors)]
+    digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode())
+    files = [*(file for source in sources for file in source.files), *validated]
+    for path in (path for file in files for path in (file.path, file.label_path)):
+        # Without the folder, since a data set may move
+        _, _, *state = identity(path) or (None, None)
+        digest.update(f"{state}\n".encode())
+    return digest.hexdigest()[:16]

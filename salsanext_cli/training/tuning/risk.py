@@ -222,10 +222,8 @@ def _require_scans(scans: TuningScans, level: RiskLevel) -> None:
     if confidence is None:
         lowest = math.ceil(1000 / (count + 1)) / 10
         useful = min(2 * lowest, 95.0)  # The lowest one leaves no room for wrong points
-        best, option = (
-            f"{lowest:g} %",
-            f"--at-most {useful:g}%, which leaves half of it for wrong points",
-        )
+        best = f"{lowest:g} %"
+        option = f"--at-most {useful:g}%, which leaves half of it for wrong points"
     else:
         exceed = 1 - (1 - confidence) ** (1 / max(count, 1))  # Clopper and Pearson's bound
         best = f"{exceed:.0%} of scans above the level, with {100 * confidence:.4g} % confidence"
