@@ -45,12 +45,7 @@ from salsanext_cli.training.cross_validation import folds
 from salsanext_cli.training.data.augment import rotate
 from salsanext_cli.training.data.class_counts import class_shares
 from salsanext_cli.training.data.sources import labelled_split
-from salsanext_cli.training.tuning.error import (
-    FOLDS,
-    JudgedPoints,
-    cross_validated,
-    judged_points,
-)
+from salsanext_cli.training.tuning.error import FOLDS, JudgedPoints, cross_validated, judged_points
 from salsanext_cli.training.tuning.int8 import int8_inputs
 from salsanext_cli.training.tuning.scans import labelled_scans
 

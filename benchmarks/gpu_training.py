@@ -128,12 +128,7 @@ def measure_steps(figures: Figures, name: str, how: tuple[Learner, Samples]) -> 
 
 
 def measure_loaders(
-    figures: Figures,
-    name: str,
-    learner: Learner,
-    samples: Samples,
-    loaders: int,
-    seconds: float,
+    figures: Figures, name: str, learner: Learner, samples: Samples, loaders: int, seconds: float
 ) -> None:
     """Measure windows a second that loaders deliver, and those that are learnt from beside."""
     pinned = figures.device != "cpu"
@@ -154,10 +149,7 @@ def measure_loaders(
 
 
 def rate_of(
-    figures: Figures,
-    stream: Iterator[Batch],
-    seconds: float,
-    work: Callable[[int, Batch], object],
+    figures: Figures, stream: Iterator[Batch], seconds: float, work: Callable[[int, Batch], object]
 ) -> float:
     """Return batches a second while a function takes them for so many seconds."""
     start, number = time.monotonic(), 0

@@ -176,9 +176,7 @@ def cast(
 
 @compiled
 def entry(
-    ray: npt.NDArray[np.float64],
-    inverse: npt.NDArray[np.float64],
-    box: npt.NDArray[np.float32],
+    ray: npt.NDArray[np.float64], inverse: npt.NDArray[np.float64], box: npt.NDArray[np.float32]
 ) -> float:
     """Return the distance at which a ray enters a box, inf if it does not."""
     start, stop = 0.0, np.inf

@@ -69,11 +69,7 @@ def messages(points: Iterable[np.ndarray], topic: str = TOPIC) -> list[Message]:
 
 
 def write_bag(
-    folder: Path,
-    kind: str,
-    written: Iterable[Message],
-    *,
-    compression: str = "",
+    folder: Path, kind: str, written: Iterable[Message], *, compression: str = ""
 ) -> Path:
     """Write a bag `drive` of a kind, in chunks of a few messages.
 

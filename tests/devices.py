@@ -4,10 +4,7 @@
 import pytest
 import torch
 
-CUDA = [
-    pytest.mark.cuda,
-    pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU"),
-]
+CUDA = [pytest.mark.cuda, pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")]
 
 
 def on_both(*of_cuda: str) -> pytest.MarkDecorator:

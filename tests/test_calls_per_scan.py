@@ -56,10 +56,7 @@ def require_linear(scans: int, few: Counter[str], many: Counter[str], name: obje
 
 @pytest.mark.parametrize(
     ("folder", "suffix", "source"),
-    [
-        ("plain", ".CSV", "plain"),
-        ("data/sequences/00/velodyne", ".pcd.bin", "data"),
-    ],
+    [("plain", ".CSV", "plain"), ("data/sequences/00/velodyne", ".pcd.bin", "data")],
 )
 def test_finding_scans(tmp_path: Path, folder: str, suffix: str, source: str) -> None:
     """Labels and pictures lie in the folder of the scans."""
@@ -75,11 +72,7 @@ def test_finding_scans(tmp_path: Path, folder: str, suffix: str, source: str) ->
 
 
 NETWORK = "--weights WEIGHTS --device cpu --engine torch"
-QUICK = (
-    f"predict DATA out {NETWORK}",
-    f"predict DATA out {NETWORK}",
-    "eval out",
-)
+QUICK = (f"predict DATA out {NETWORK}", f"predict DATA out {NETWORK}", "eval out")
 THOROUGH = (
     *QUICK,
     "project DATA steps --sensor small.toml",

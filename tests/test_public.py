@@ -21,13 +21,7 @@ import salsanext_cli as sn
 from salsanext_cli.cli.app import app
 from salsanext_cli.cli.console import Output
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import (
-    FormatError,
-    OutputError,
-    SalsanextError,
-    escaped,
-    printable,
-)
+from salsanext_cli.errors import FormatError, OutputError, SalsanextError, escaped, printable
 from salsanext_cli.sensors.sensor import INTENSITY_LEVELS
 from salsanext_cli.stages.predict import predict_scans
 

@@ -103,10 +103,7 @@ def report(
 
     with over_scans("report", running, output.quiet) as run:
         written = stage(
-            out,
-            scans=names_in(scans, "--scans", "08/000000,08/000010"),
-            query=query,
-            options=run,
+            out, scans=names_in(scans, "--scans", "08/000000,08/000010"), query=query, options=run
         )
     missing = written.run.missing
     output.result(written.to_dict())

@@ -150,11 +150,7 @@ def tune_int8(
     from salsanext_cli.stages.tune import tune_int8 as stage
 
     tuned = stage(
-        scans,
-        target,
-        settings=fit.settings,
-        selection=fit.selection,
-        overwrite=fit.overwrite,
+        scans, target, settings=fit.settings, selection=fit.selection, overwrite=fit.overwrite
     )
     output.result(tuned | {"weights": str(target)})
     summary = f"tune int8: {counted(tuned['scans'], 'scan')} → {target}"

@@ -31,9 +31,7 @@ class NetworkSettings:
         "Weights file (.safetensors).", show_default="the weights of the package"
     )
     device: str = network_option(
-        "Device; auto: a GPU if there is one.",
-        default=AUTO,
-        metavar="cpu|cuda|cuda:N",
+        "Device; auto: a GPU if there is one.", default=AUTO, metavar="cpu|cuda|cuda:N"
     )
     _: KW_ONLY
     precision: str = network_option(

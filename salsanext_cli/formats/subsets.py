@@ -13,15 +13,7 @@ import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError, LabelError, counted
 from salsanext_cli.files.reading import reading, refusing_damage
-from salsanext_cli.formats import (
-    errors_of_plug_ins,
-    format_of,
-    kitti,
-    numpy_scans,
-    pcd,
-    ply,
-    text,
-)
+from salsanext_cli.formats import errors_of_plug_ins, format_of, kitti, numpy_scans, pcd, ply, text
 from salsanext_cli.formats.npy import load_npy
 from salsanext_cli.records import Mask
 

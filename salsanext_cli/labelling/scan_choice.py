@@ -36,10 +36,7 @@ class Choice:
 
 
 def choose_scans(
-    features: npt.ArrayLike,
-    uncertainty: npt.ArrayLike,
-    count: int,
-    labelled: Sequence[int] = (),
+    features: npt.ArrayLike, uncertainty: npt.ArrayLike, count: int, labelled: Sequence[int] = ()
 ) -> list[Choice]:
     """Choose the scans most worth labelling, the most valuable first.
 

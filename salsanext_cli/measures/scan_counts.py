@@ -202,12 +202,7 @@ class ScanComparison:
 
     @classmethod
     def of_results(
-        cls,
-        results: Manifest,
-        space: LabelSpace,
-        labels: LabelSpace,
-        *,
-        by_distance: bool = False,
+        cls, results: Manifest, space: LabelSpace, labels: LabelSpace, *, by_distance: bool = False
     ) -> ScanComparison:
         """Return the settings that the records of an output folder imply."""
         return cls(

@@ -19,12 +19,7 @@ from salsanext_cli.measures.risk_coverage import (
     ranking_scores,
     risk_coverage,
 )
-from salsanext_cli.measures.scan_counts import (
-    EVALUATED_KINDS,
-    OF_ERROR,
-    SOFTMAX,
-    ScanCounts,
-)
+from salsanext_cli.measures.scan_counts import EVALUATED_KINDS, OF_ERROR, SOFTMAX, ScanCounts
 from salsanext_cli.measures.scores import Ratios
 from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 

@@ -12,10 +12,7 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.measures.calibration import Reliability
 from salsanext_cli.measures.risk_coverage import COVERAGE
 from salsanext_cli.measures.scores import Counts, ratio, scored_rows
-from salsanext_cli.measures.uncertainty_evaluation import (
-    RankingResult,
-    UncertaintyEvaluation,
-)
+from salsanext_cli.measures.uncertainty_evaluation import RankingResult, UncertaintyEvaluation
 from salsanext_cli.report import canvas
 from salsanext_cli.report.canvas import DARK
 from salsanext_cli.report.tables import percent

@@ -29,10 +29,7 @@ from salsanext_cli.files.reading import filled, present, reading
 from salsanext_cli.results.manifest import Manifest
 
 FILE_LISTS = ".salsanext.files"
-PLACES = (
-    *("sequences/*/", "sequences/*/*/", "sequences/*/*/*/"),
-    *("folds/*/", "eval/*/"),
-)
+PLACES = (*("sequences/*/", "sequences/*/*/", "sequences/*/*/*/"), *("folds/*/", "eval/*/"))
 """Subfolders that stages write into."""
 RECORDS_LOCK_TIMEOUT_S = 1800.0
 """A hundred other processes may hold the lock for seconds each in runs on a million scans."""

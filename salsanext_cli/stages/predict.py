@@ -45,13 +45,7 @@ from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.records import Float
 from salsanext_cli.results.output_run import OutputRun, output_run
-from salsanext_cli.results.paths import (
-    ERROR,
-    LEAST_CONFIDENCE,
-    ScanFile,
-    output_path,
-    with_outputs,
-)
+from salsanext_cli.results.paths import ERROR, LEAST_CONFIDENCE, ScanFile, output_path, with_outputs
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import choose, scans_of, space_of
 from salsanext_cli.uncertainty.error_features import error_model, error_probability

@@ -180,10 +180,7 @@ def view(
 
 
 def read_run(
-    out: Path,
-    *,
-    query: ResultQuery = ResultQuery(),
-    options: RunOptions = RunOptions(),
+    out: Path, *, query: ResultQuery = ResultQuery(), options: RunOptions = RunOptions()
 ) -> tuple[RunResults, tuple[Failure, ...]]:
     """Read the results of all scans of a run.
 

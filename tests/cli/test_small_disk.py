@@ -70,10 +70,7 @@ def require_errors(result, out: Path, before: dict[str, bytes]) -> None:
 @pytest.mark.drawn
 @pytest.mark.parametrize(
     ("stage", "room"),
-    [
-        ("predict", 0),
-        *(pytest.param(stage, 40_000, marks=pytest.mark.slow) for stage in STAGES),
-    ],
+    [("predict", 0), *(pytest.param(stage, 40_000, marks=pytest.mark.slow) for stage in STAGES)],
 )
 def test_a_full_disk(run, inputs, disk, tmp_path, stage, room) -> None:
     _, earlier = STAGES[stage]

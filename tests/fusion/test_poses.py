@@ -13,11 +13,7 @@ from salsanext_cli.fusion.pose_checks import (
     require_fitting,
     upright_points,
 )
-from salsanext_cli.fusion.poses import (
-    encode_poses,
-    pose_readings,
-    read_fused_poses,
-)
+from salsanext_cli.fusion.poses import encode_poses, pose_readings, read_fused_poses
 
 CAMERA = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
 """From x forward, y left, z up to the camera's x right, y down, z forward."""

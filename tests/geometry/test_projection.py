@@ -59,9 +59,7 @@ def assert_same(image, expected):
 
 SPECIAL = np.float32([0, -0.0, 1, -1, 2, 1e-40, 1e30, -3e38, math.nan, math.inf, -math.inf])
 coordinates = st.one_of(
-    st.sampled_from(SPECIAL.tolist()),
-    st.integers(-4, 4).map(float),
-    st.floats(-100, 100, width=32),
+    st.sampled_from(SPECIAL.tolist()), st.integers(-4, 4).map(float), st.floats(-100, 100, width=32)
 )
 scans = st.integers(0, 24).flatmap(
     lambda n: st.builds(

@@ -18,12 +18,7 @@ from hypothesis import strategies as st
 from salsanext_cli.errors import UsageError
 from salsanext_cli.parallel.network_task import device_of_worker
 from salsanext_cli.parallel.pool import MAX_CHUNK_SCANS, MIN_CHUNKS_PER_WORKER, chunks
-from salsanext_cli.parallel.run_options import (
-    Shard,
-    cores,
-    threads_of_workers,
-    worker_count,
-)
+from salsanext_cli.parallel.run_options import Shard, cores, threads_of_workers, worker_count
 from salsanext_cli.results.paths import ScanFile
 
 

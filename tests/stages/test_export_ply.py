@@ -10,11 +10,7 @@ from scans import SMALL, files_below, write_array, write_bin
 from world import Stored, begin_and_end
 
 from salsanext_cli import LabelSpace, Scan, label_space, read_labels, read_scan, write_labels
-from salsanext_cli.errors import (
-    LabelError,
-    NoInputError,
-    OutputError,
-)
+from salsanext_cli.errors import LabelError, NoInputError, OutputError
 from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.report.colours import EMPTY, RIGHT, WRONG, map_colours

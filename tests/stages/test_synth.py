@@ -205,8 +205,7 @@ def test_a_partial_data_set_is_completed_by_the_same_settings_only(quick, tmp_pa
 
 
 @pytest.mark.parametrize(
-    ("name", "recorded"),
-    [("00/velodyne/999999.bin", False), ("00/predictions/000000.label", True)],
+    ("name", "recorded"), [("00/velodyne/999999.bin", False), ("00/predictions/000000.label", True)]
 )
 def test_real_scans_and_results_of_other_stages_stay(again, name, recorded):
     out, replace = again

@@ -22,13 +22,7 @@ from salsanext_cli import (
     write_labels,
 )
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import (
-    LabelError,
-    NoInputError,
-    OutputError,
-    TrainingError,
-    WeightsError,
-)
+from salsanext_cli.errors import LabelError, NoInputError, OutputError, TrainingError, WeightsError
 from salsanext_cli.network.card import read_card, scan_digest
 from salsanext_cli.network.dropout import dropouts
 from salsanext_cli.network.weights import read_weights, save_weights, save_with_card

@@ -84,8 +84,7 @@ def test_a_loss_or_gradient_that_is_not_finite_changes_no_weight(
 
 
 @pytest.mark.parametrize(
-    "changes",
-    [{}, {"momentum": 0.0}, {"optimiser": "adamw", "clip_gradient": 1.0, "average": 0.9}],
+    "changes", [{}, {"momentum": 0.0}, {"optimiser": "adamw", "clip_gradient": 1.0, "average": 0.9}]
 )
 def test_a_fused_optimiser_learns_the_same(changes: dict[str, object]) -> None:
     """Without batch norm, before which the gradient of a bias is rounding alone."""

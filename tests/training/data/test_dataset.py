@@ -13,13 +13,7 @@ from salsanext_cli.formats.kitti import read_bin, read_labels
 from salsanext_cli.network.card import scan_digest
 from salsanext_cli.results.paths import ScanFile, find_scans
 from salsanext_cli.training.data.class_counts import class_shares, count_classes, rare_classes
-from salsanext_cli.training.data.dataset import (
-    Sample,
-    SampleKey,
-    Samples,
-    SamplingPlan,
-    batches,
-)
+from salsanext_cli.training.data.dataset import Sample, SampleKey, Samples, SamplingPlan, batches
 from salsanext_cli.training.data.sources import Source, read_labelled
 from salsanext_cli.training.distributed import ProcessGroup
 from salsanext_cli.training.recipe import Recipe
