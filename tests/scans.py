@@ -37,10 +37,12 @@ IN_BYTES = replace(SMALL, intensity_scale=255.0)
 
 
 @contextmanager
-def refused(kind: type[SalsanextError], subject: object) -> Iterator[None]:
+def refused(
+    kind: type[SalsanextError], subject: object
+) -> Iterator[pytest.ExceptionInfo[SalsanextError]]:
     """Expect an error with a subject."""
     with pytest.raises(kind) as caught:
-        yield
+        yield caught
     assert caught.value.subject == str(subject)
 
 

@@ -259,10 +259,5 @@ def submit(
             overwrite=overwrite,
             progress=on_progress,
         )
-    output.result(made.to_dict() | {"zip": str(target)})
-    for problem in made.problems:
-        print_line(f"error: {problem.text}")
-    if made.problems:
-        print_line(f"submit: {counted(len(made.problems), 'problem')}, {target} is not written")
-        raise typer.Exit(console.FAILED)
-    output.print(f"submit: {counted(made.scans, 'scan')} → {target}")
+    output.result(made | {"zip": str(target)})
+    output.print(f"submit: {counted(made['scans'], 'scan')} → {target}")

@@ -3,27 +3,18 @@
 
 import logging
 import stat
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
 from itertools import count
 from pathlib import Path, PurePosixPath
+from typing import Any
 from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
 import numpy as np
 
 from salsanext_cli.classes.label_space import MOVING, RAW_ID_COUNT, LabelSpace, label_space
 from salsanext_cli.classes.merging import is_merged
-from salsanext_cli.errors import (
-    LabelError,
-    NoInputError,
-    SalsanextError,
-    UsageError,
-    counted,
-    first_few,
-    printable,
-    with_hint,
-)
+from salsanext_cli.errors import LabelError, NoInputError, UsageError, counted, first_few, with_hint
 from salsanext_cli.files.atomic import require_target, writing
 from salsanext_cli.files.reading import is_folder, present, reading, size_of
 from salsanext_cli.formats import read_scan, scan_suffix
@@ -63,35 +54,6 @@ def _write_zip(path: Path, members: Mapping[str, Path], advance: Callable[[], No
             advance()
 
 
-@dataclass(frozen=True, slots=True)
-class Problem:
-    """Reason why a sequence cannot be submitted."""
-
-    code: str  # missing, length, unreadable, unknown-id or moving
-    sequence: str
-    scans: int  # Number of scans with the problem
-    message: str
-    hint: str
-
-    @property
-    def text(self) -> str:
-        """Message and hint on two lines."""
-        return with_hint(printable(self.message), printable(self.hint))
-
-
-@dataclass(frozen=True, slots=True)
-class Submission:
-    """Result of packing: a ZIP file, or the problems of the predictions."""
-
-    scans: int  # Number of scans of the test split
-    lengths_checked: bool  # Whether the numbers of labels and points were compared for all scans
-    problems: tuple[Problem, ...]  # By sequence; the file is written if there are none
-
-    def to_dict(self) -> dict[str, object]:
-        """Return plain data for JSON."""
-        return {"stage": "submit", **asdict(self)}
-
-
 def submit(
     out: Path,
     target: Path,
@@ -101,7 +63,7 @@ def submit(
     description: Path | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
-) -> Submission:
+) -> dict[str, Any]:
     """Check the predictions of the test split, and pack them for the benchmark if all are right.
 
     Parameters
@@ -121,8 +83,13 @@ def submit(
 
     Returns
     -------
-    Submission
-        Problems of the predictions; the file is written if there are none.
+    dict
+        Number of scans, and whether the numbers of labels and points were compared for all.
+
+    Raises
+    ------
+    SalsanextError
+        If predictions are missing, or the benchmark would refuse a file. Nothing is written then.
     """
     require_target(target, overwrite, ".zip")
     files = find_outputs(out, "predictions")
@@ -133,25 +100,27 @@ def submit(
         raise UsageError(f"--description {description}", "no such file", "a text file")
     scans = _scans_at_hand(out, dataset, files)
     space = _full_space(out, scans, space)
-    expected = _expected(space, scans, files)
-    if unseen := sorted(expected.keys() - {scan.sequence for scan in scans}):
+    required = _required(space, scans, files)
+    seen = {scan.sequence for scan in scans}
+    if unseen := sorted({sequence for sequence, _ in required} - seen):
         problem = f"no scans of sequence {first_few(unseen)}: numbers of labels not checked"
         log.warning("%s", with_hint(problem, "give --dataset"))
-    total, steps = sum(map(len, expected.values())), count(1)
+    clouds = {(scan.sequence, scan.stem): scan.path for scan in scans}
+    members = {} if description is None else {"description.txt": description}
+    steps = count(1)
 
     def advance() -> None:
         if progress:
-            progress(next(steps), 2 * total)
+            progress(next(steps), 2 * len(required))
 
-    problems: list[Problem] = []
-    for sequence, stems in expected.items():
-        problems += _problems(sequence, stems, files, scans, space, advance)
-    if not problems:
-        members = {} if description is None else {"description.txt": description}
-        for path in (files[s, stem] for s, stems in sorted(expected.items()) for stem in stems):
-            members[path.relative_to(out).as_posix()] = path
-        _write_zip(target, members, advance)
-    return Submission(total, not unseen, tuple(problems))
+    for name in required:
+        _check_labels(files[name], clouds.get(name), space)
+        members[files[name].relative_to(out).as_posix()] = files[name]
+        advance()
+    _write_zip(target, members, advance)
+    # Programs may read `problems`, which was a list before one error stopped the command.
+    checked = {"lengths_checked": not unseen, "problems": []}
+    return {"stage": "submit", "scans": len(required), **checked}
 
 
 def _full_space(out: Path, scans: Sequence[ScanFile], space: LabelSpace | None) -> LabelSpace:
@@ -199,75 +168,34 @@ def _scans_at_hand(out: Path, dataset: Path | None, files: Predictions) -> list[
     return scans
 
 
-def _expected(
+def _required(
     space: LabelSpace, scans: Sequence[ScanFile], files: Predictions
-) -> dict[str, list[str]]:
-    """Return the required stems of each sequence of the test split."""
+) -> list[tuple[str, str]]:
+    """Return the sorted sequences and stems of the test split; refuse missing predictions."""
     sequences = space.split(SPLIT)
     if not sequences:
         raise UsageError(f"label space {space.name}", f"has no sequences in split {SPLIT}")
     official = _is_of_benchmark(space) and space.fits(label_space())
-    known = SCANS_OF_TEST if official else {}
-    stems = {s: {f"{n:06d}" for n in range(known.get(s, 0))} for s in sequences}
-    there = [(scan.sequence, scan.stem) for scan in scans] or ([] if official else [*files])
-    for sequence, stem in there:
-        if sequence in stems:
-            stems[sequence].add(stem)
-    return {sequence: sorted(names) for sequence, names in stems.items()}
+    at_hand = {(scan.sequence, scan.stem) for scan in scans}
+    required = []
+    for sequence in sorted(sequences):
+        here = {stem for name, stem in at_hand if name == sequence}
+        stems = here | {f"{n:06d}" for n in range(SCANS_OF_TEST.get(sequence, 0) * official)}
+        if not (at_hand or official):
+            stems = {stem for name, stem in files if name == sequence}
+        missing = sorted(stem for stem in stems if (sequence, stem) not in files)
+        if missing or not stems:
+            share = f"lacks {len(missing):,} of {counted(len(stems), 'prediction')}"
+            problem = f"{share}: {first_few(missing)}" if stems else "has no predictions and scans"
+            gone = len({*missing} - here) if here else 0
+            hint = f"complete the data set: {gone} of their scans are missing too"
+            raise NoInputError(f"sequence {sequence}", problem, "", hint if gone else "predict it")
+        required += [(sequence, stem) for stem in sorted(stems)]
+    return required
 
 
-def _problems(
-    sequence: str,
-    stems: Sequence[str],
-    files: Predictions,
-    scans: Sequence[ScanFile],
-    space: LabelSpace,
-    advance: Callable[[], None],
-) -> Iterator[Problem]:
-    """Yield the problems of the required stems of a sequence, one of each kind."""
-    labels = {stem: path for (name, stem), path in files.items() if name == sequence}
-    clouds = {scan.stem: scan.path for scan in scans if scan.sequence == sequence}
-    errors: dict[str, list[SalsanextError]] = {}
-    for stem in stems:
-        if stem in labels:
-            for code, error in _errors_of(labels[stem], clouds.get(stem), space):
-                errors.setdefault(code, []).append(error)
-        advance()
-    if not stems:
-        message = f"sequence {sequence}: no predictions, and no scans"
-        yield Problem("missing", sequence, 0, message, "predict it")
-    if missing := [stem for stem in stems if stem not in labels]:
-        share = f"{len(missing):,} of {len(stems):,} predictions are missing"
-        gone = sum(stem not in clouds for stem in missing) if clouds else 0
-        hint = f"complete the data set: {gone} of their scans are missing too"
-        message = f"sequence {sequence}: {share}: {first_few(missing)}"
-        yield Problem("missing", sequence, len(missing), message, hint if gone else "predict them")
-    for code, (first, *others) in errors.items():
-        more = f"; and {len(others)} more" if others else ""
-        yield Problem(code, sequence, len(others) + 1, f"{first.headline}{more}", first.hint)
-
-
-def _errors_of(
-    path: Path, scan: Path | None, space: LabelSpace
-) -> Iterator[tuple[str, SalsanextError]]:
-    """Yield the code and the error of each problem of a label file."""
-    try:
-        ids = _ids_of(path, scan)
-    except SalsanextError as error:
-        yield "length" if isinstance(error, LabelError) else "unreadable", error
-        return
-    if unknown := [str(i) for i in ids if i not in space.learning_map]:
-        hint = "write raw ids, not train ids, or give --label-space"
-        yield "unknown-id", LabelError(path, f"has unknown ids {first_few(unknown)}", "", hint)
-    names = {i: space.labels.get(i, "") for i in ids}
-    if moving := [f"{i} {name}" for i, name in names.items() if name.startswith(MOVING)]:
-        problem = f"has ids of moving classes, {first_few(moving)}"
-        hint = "write the ids of the classes at rest, such as 10 instead of 252"
-        yield "moving", LabelError(path, problem, "classes of single scans", hint)
-
-
-def _ids_of(path: Path, scan: Path | None) -> list[int]:
-    """Read the raw ids of a label file; refuse other labels than uint32, as the benchmark does."""
+def _check_labels(path: Path, scan: Path | None, space: LabelSpace) -> None:
+    """Refuse labels that the benchmark does not accept."""
     count = None
     if scan:
         count = count_points(scan) if scan_suffix(scan.name) == ".bin" else len(read_scan(scan))
@@ -277,4 +205,12 @@ def _ids_of(path: Path, scan: Path | None) -> list[int]:
     if size != 4 * len(raw):
         problem = f"has {counted(size // len(raw), 'byte')} per label"
         raise LabelError(path, problem, "4, one uint32 per point", "write the labels as uint32")
-    return list(np.flatnonzero(np.bincount(raw & 0xFFFF, minlength=RAW_ID_COUNT)).tolist())
+    ids = np.flatnonzero(np.bincount(raw & 0xFFFF, minlength=RAW_ID_COUNT)).tolist()
+    if unknown := [i for i in ids if i not in space.learning_map]:
+        hint = "write raw ids, not train ids, or give --label-space"
+        raise LabelError(path, f"has unknown ids {first_few(unknown)}", "", hint)
+    names = {i: space.labels.get(i, "") for i in ids}
+    if moving := [f"{i} {name}" for i, name in names.items() if name.startswith(MOVING)]:
+        problem = f"has ids of moving classes, {first_few(moving)}"
+        hint = "write the ids of the classes at rest, such as 10 instead of 252"
+        raise LabelError(path, problem, "classes of single scans", hint)

@@ -104,15 +104,11 @@ def test_a_submission(run, out, tmp_path):
     assert (tmp_path / "a.zip").read_bytes() == (tmp_path / "b.zip").read_bytes()
 
 
-def test_problems_are_one_list_and_status_one(run, out, tmp_path):
-    for sequence in ("12", "20"):
-        output_path(out, sequence, "predictions", "000000").unlink()
+def test_a_submission_without_a_prediction_is_an_error(run, out, tmp_path):
+    output_path(out, "12", "predictions", "000000").unlink()
     result = run("submit", "out", "a.zip", "-q")
     assert result.exit_code == 1
-    lines = result.stderr.splitlines()
-    assert sum(line.startswith("error: ") for line in lines) == 2
-    assert lines[-1] == "submit: 2 problems, a.zip is not written"
+    assert result.stderr.startswith("error: sequence 12: ")
     result = run("submit", "out", "a.zip", "--json")
-    assert [p["sequence"] for p in only_json(result)["problems"]] == ["12", "20"]
-    assert result.exit_code == 1
+    assert (result.exit_code, only_json(result)["code"]) == (1, "no-input")
     assert not (tmp_path / "a.zip").exists()

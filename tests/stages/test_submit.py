@@ -8,7 +8,7 @@ import yaml
 from scans import make_scan, refused, write_bin
 
 from salsanext_cli import label_space, write_labels
-from salsanext_cli.errors import LabelError, OutputError
+from salsanext_cli.errors import FormatError, LabelError, NoInputError, OutputError
 from salsanext_cli.results.paths import output_path
 from salsanext_cli.stages import submit as module
 from salsanext_cli.stages.submit import SCANS_OF_TEST, submit
@@ -61,7 +61,7 @@ def test_the_file_is_what_the_benchmark_wants(folders, with_data, caplog):
     write_labels(folders.label("08", "000000"), np.full(3, 10))
     steps = []
     made = folders.submit(with_data=with_data, progress=lambda *step: steps.append(step))
-    assert made == module.Submission(14, with_data, ())
+    assert made == {"stage": "submit", "scans": 14, "lengths_checked": with_data, "problems": []}
     assert steps == [(number, 28) for number in range(1, 29)]
     assert ("sequence 11, 12, 13 and 8 more" in caplog.text) != with_data
     with zipfile.ZipFile(folders.zip) as packed:
@@ -91,38 +91,57 @@ def test_equal_predictions_give_equal_bytes(folders):
         assert packed.read("description.txt") == b"method: mine\n"
 
 
-def test_everything_that_is_wrong_is_listed_and_nothing_written(folders):
-    folders.label("11", "000001").unlink()
-    folders.scan("11", "000001").unlink()
-    folders.label("11", "000002").write_bytes(b"12345")
-    folders.label("12", "000000").unlink()
-    write_labels(folders.label("13", "000000"), np.full(POINTS + 1, 40))
-    write_labels(folders.label("14", "000000"), np.array([2, 3, 40, 40, 252, 258, 10]))
-    write_labels(folders.label("15", "000000"), np.full(POINTS, 252 | 7 << 16))
+def test_missing_predictions_are_one_error(folders):
+    for stem in ("000000", "000002"):
+        folders.label("11", stem).unlink()
+    folders.scan("11", "000000").unlink()
+    with refused(NoInputError, "sequence 11") as raised:
+        folders.submit()
+    assert "2 of 3 predictions: 000000, 000002" in raised.value.problem
+    assert "1 of their scans" in raised.value.hint
+    assert not folders.zip.exists()
+
+
+def one_byte_short(path):
+    path.write_bytes(path.read_bytes()[:-1])
+
+
+def one_label_more(path):
+    write_labels(path, np.full(POINTS + 1, 40))
+
+
+def two_bytes_per_label(path):
+    """`eval` reads these labels, the benchmark does not."""
+    path.write_bytes(np.full(POINTS, 40, "<u2").tobytes())
+
+
+def train_ids(path):
+    write_labels(path, np.array([2, 3, 40, 40, 252, 258, 10]))
+
+
+def moving_classes(path):
+    write_labels(path, np.array([252 | 7 << 16, 258, 40, 40, 40, 40, 10]))
+
+
+@pytest.mark.parametrize(
+    ("damage", "kind", "problem"),
+    [
+        (one_byte_short, FormatError, "has 27 bytes"),
+        (one_label_more, LabelError, "has 8 labels"),
+        (two_bytes_per_label, LabelError, "2 bytes per label"),
+        (train_ids, LabelError, "unknown ids 2, 3"),
+        (moving_classes, LabelError, "252 moving-car, 258 moving-truck"),
+    ],
+    ids=lambda value: getattr(value, "__name__", None),
+)
+def test_a_wrong_file_is_an_error_and_nothing_written(folders, damage, kind, problem):
+    """The last file is wrong, since all are checked before the first is written."""
     write_labels(folders.label("16", "000000"), np.full(POINTS, 10 | 7 << 16))
-    # `eval` reads these labels, the benchmark does not.
-    labels = np.full(POINTS + 1, 40)
-    write_bin(folders.scan("17", "000000"), make_scan(len(labels)))
-    folders.label("17", "000000").write_bytes(labels.astype("<u2").tobytes())
-    made = folders.submit()
-    assert [(p.code, p.sequence, p.scans) for p in made.problems] == [
-        ("missing", "11", 1),
-        ("unreadable", "11", 1),
-        ("missing", "12", 1),
-        ("length", "13", 1),
-        ("unknown-id", "14", 1),
-        ("moving", "14", 1),
-        ("moving", "15", 1),
-        ("length", "17", 1),
-    ]
-    missing, truncated, _, length, unknown, moving, _, short = made.problems
-    assert "1 of 3 predictions are missing: 000001" in missing.message
-    assert "1 of their scans" in missing.hint
-    assert str(folders.label("11", "000002")) in truncated.message
-    assert "8 labels (expected 7" in length.message
-    assert "2, 3" in unknown.message
-    assert "252 moving-car, 258 moving-truck" in moving.message
-    assert "2 bytes per label" in short.message
+    path = folders.label("21", "000001")
+    damage(path)
+    with refused(kind, path) as raised:
+        folders.submit()
+    assert problem in raised.value.problem
     assert not folders.zip.exists()
     assert list(folders.zip.parent.iterdir()) == []
 
@@ -132,9 +151,9 @@ def test_an_incomplete_data_set_is_noticed(folders):
     for path in (folders.scan("21", "000001"), folders.label("21", "000001")):
         path.unlink()
     for with_data in (True, False):
-        (problem,) = folders.submit(with_data=with_data).problems
-        assert (problem.code, problem.sequence, problem.scans) == ("missing", "21", 1)
-        assert ("their scans" in problem.hint) == with_data
+        with refused(NoInputError, "sequence 21") as raised:
+            folders.submit(with_data=with_data)
+        assert ("their scans" in raised.value.hint) == with_data
 
 
 def test_nothing_is_replaced_unasked(folders):
@@ -143,7 +162,8 @@ def test_nothing_is_replaced_unasked(folders):
     with refused(OutputError, folders.zip):
         folders.submit()
     folders.label("11", "000001").unlink()
-    assert folders.submit(overwrite=True).problems
+    with refused(NoInputError, "sequence 11"):
+        folders.submit(overwrite=True)
     assert folders.zip.read_text() == "mine"
     folders.zip = folders.zip.with_suffix(".tar")
     with refused(OutputError, folders.zip):
@@ -152,14 +172,14 @@ def test_nothing_is_replaced_unasked(folders):
 
 def test_another_label_space_needs_the_scans_of_its_test_split(folders):
     space = replace(SPACE, splits={**SPACE.splits, "test": ("11", "99")})
-    made = folders.submit(space=space)
-    (problem,) = made.problems
-    assert (problem.code, problem.sequence, problem.scans) == ("missing", "99", 0)
+    with refused(NoInputError, "sequence 99"):
+        folders.submit(space=space)
     folders.label("11", "000002").unlink()
     only = replace(space, splits={"test": ("11",)})
-    (problem,) = folders.submit(space=only).problems
-    assert "1 of 3 predictions are missing: 000002" in problem.message
-    assert folders.submit(space=only, with_data=False).scans == 2
+    with refused(NoInputError, "sequence 11") as raised:
+        folders.submit(space=only)
+    assert "1 of 3 predictions: 000002" in raised.value.problem
+    assert folders.submit(space=only, with_data=False)["scans"] == 2
 
 
 def test_a_label_space_may_group_the_raw_ids_of_semantic_kitti(folders):
@@ -167,7 +187,7 @@ def test_a_label_space_may_group_the_raw_ids_of_semantic_kitti(folders):
     mine = replace(label_space("coarse"), name="mine", splits={"test": ("11",)})
     for with_data in (True, False):
         made = folders.submit(with_data=with_data, space=mine, overwrite=True)
-        assert (made.scans, made.problems) == (3, ())
+        assert made["scans"] == 3
     official = replace(mine, splits=SPACE.splits)
     for space in (official, replace(mine, splits={})):
         with refused(LabelError, folders.out):
