@@ -22,18 +22,10 @@ MIN_MERGED_CLASSES = 2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClassMerging:
-    """Merging of C classes into K.
+    """Merging of C classes into K."""
 
-    Attributes
-    ----------
-    space : LabelSpace
-        The K merged classes, with splits and ambiguous raw ids of both label spaces.
-    targets : tuple of int, length C
-        Merged train id, 0…K-1, of every train id.
-    """
-
-    space: LabelSpace
-    targets: tuple[int, ...]
+    space: LabelSpace  # The K merged classes, with splits and ambiguous raw ids of both
+    targets: tuple[int, ...]  # Merged train id, 0…K-1, of each of the C train ids
 
     @classmethod
     def between(cls, space: LabelSpace, merged: LabelSpace) -> ClassMerging:
@@ -80,11 +72,17 @@ def is_merged(merged: LabelSpace, space: LabelSpace) -> bool:
 
 def contradiction(space: LabelSpace, merged: LabelSpace) -> str:
     """Return why the classes of a label space cannot be merged into another; empty if they can."""
-    known, standing = merged.learning_map, _standing_for_several(space, merged)
+    known = merged.learning_map
     if missing := sorted({*space.learning_map, *space.learning_map_inv.values()} - known.keys()):
         return f"lacks raw ids {first_few([_named(space, i) for i in missing])}"
-    # Ids whose names mostly differ have other meanings.
-    both = sorted((space.labels.keys() & merged.labels.keys()) - standing)
+    # Ids whose names mostly differ have other meanings. Ids that represent several do not count.
+    several = {
+        raw
+        for one in (space, merged)
+        for train_id, raw in one.learning_map_inv.items()
+        if list(one.learning_map.values()).count(train_id) > 1
+    }
+    both = sorted((space.labels.keys() & merged.labels.keys()) - several)
     other = [i for i in both if space.labels[i] != merged.labels[i]]
     if 2 * len(other) > len(both):
         shown = [f"{merged.labels[i]} for raw id {_named(space, i)}" for i in other]
@@ -100,16 +98,6 @@ def contradiction(space: LabelSpace, merged: LabelSpace) -> str:
         few = first_few([merged.names[k] for k in sorted(left)])
         return f"merges all {len(every)} classes into {few}"
     return ""
-
-
-def _standing_for_several(*spaces: LabelSpace) -> set[int]:
-    """Return the raw ids that represent a class of several raw ids in a label space."""
-    return {
-        raw
-        for space in spaces
-        for train_id, raw in space.learning_map_inv.items()
-        if list(space.learning_map.values()).count(train_id) > 1
-    }
 
 
 def _targets(space: LabelSpace, merged: LabelSpace, train_id: int) -> list[int]:

@@ -51,7 +51,6 @@ folder_argument = partial(argument, default=Path("out"), metavar="OUT", envvar=O
 OUT = folder_argument("Folder to write results to.")
 RESULTS = folder_argument("Folder with the results of earlier commands.")
 WEIGHTS_OUT = argument("Weights file to write (.safetensors).", default=..., metavar="WEIGHTS_OUT")
-BY_DISTANCE = option("Also evaluate by distance from the sensor.", default=False)
 SCALE = option(
     "Values at the ends of the colour map, for a single --colour.",
     metavar="LOW HIGH",

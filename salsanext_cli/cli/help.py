@@ -23,64 +23,6 @@ HIDDEN = {
 HELP = [("-h, --help", "Show this message."), ("--help-all", "Show all options.")]
 
 
-class Command(TyperCommand):
-    """Command that refuses removed options, and whose `--help-all` lists the hidden ones."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the command line, or print the whole help."""
-        if not ctx.resilient_parsing:
-            refuse_removed(_names(ctx), args, json="--json" in args)
-            _print_whole_help(self, ctx, args)
-        return super().parse_args(ctx, args)
-
-    def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Write the help."""
-        write_help(self, ctx, formatter)
-
-
-class Group(TyperGroup):
-    """Group of commands in sections."""
-
-    sections: ClassVar[Mapping[str, Sequence[str]]] = {}
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the command line, or print the help; without a command, as for wrong usage."""
-        if not args and not ctx.resilient_parsing:
-            typer.echo(ctx.get_help(), err=True)
-            ctx.exit(WRONG_USE)
-        if args[:1] == ["--help-all"]:
-            _print_whole_help(self, ctx, args)
-        with usage_errors(args):
-            return super().parse_args(ctx, args)
-
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Return the command, unless it was removed."""
-        refuse_removed(args[:1], [], json="--json" in args)
-        return super().resolve_command(ctx, args)
-
-    def invoke(self, ctx: Any) -> Any:
-        """Run the command."""
-        with usage_errors(ctx.args):
-            return super().invoke(ctx)
-
-    def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Write the help."""
-        write_help(self, ctx, formatter)
-
-
-def _names(ctx: Any) -> list[str]:
-    """Return the name of a command after those of its groups, without that of the program."""
-    return [*_names(ctx.parent), ctx.info_name] if ctx.parent else []
-
-
-def _print_whole_help(command: Any, ctx: Any, args: Sequence[str]) -> None:
-    if "--help-all" in args:
-        formatter = ctx.make_formatter()
-        write_help(command, ctx, formatter, every=True)
-        typer.echo(formatter.getvalue(), nl=False)
-        ctx.exit()
-
-
 def write_help(command: Any, ctx: Any, formatter: Any, *, every: bool = False) -> None:
     """Write usage, description, link, commands and options; `every`: the hidden ones too."""
     formatter.write_usage(ctx.command_path, usage(command))
@@ -107,6 +49,59 @@ def write_help(command: Any, ctx: Any, formatter: Any, *, every: bool = False) -
         if rows:
             with formatter.section(heading):
                 formatter.write_dl(rows, col_max=NAMES_WIDTH)
+
+
+class Command(TyperCommand):
+    """Command that refuses removed options, and whose `--help-all` lists the hidden ones."""
+
+    format_help = write_help
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the command line, or print the whole help."""
+        if not ctx.resilient_parsing:
+            refuse_removed(_names(ctx), args, json="--json" in args)
+            _print_whole_help(self, ctx, args)
+        return super().parse_args(ctx, args)
+
+
+class Group(TyperGroup):
+    """Group of commands in sections."""
+
+    sections: ClassVar[Mapping[str, Sequence[str]]] = {}
+    format_help = write_help
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the command line, or print the help; without a command, as for wrong usage."""
+        if not args and not ctx.resilient_parsing:
+            typer.echo(ctx.get_help(), err=True)
+            ctx.exit(WRONG_USE)
+        if args[:1] == ["--help-all"]:
+            _print_whole_help(self, ctx, args)
+        with usage_errors(args):
+            return super().parse_args(ctx, args)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Return the command, unless it was removed."""
+        refuse_removed(args[:1], [], json="--json" in args)
+        return super().resolve_command(ctx, args)
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command."""
+        with usage_errors(ctx.args):
+            return super().invoke(ctx)
+
+
+def _names(ctx: Any) -> list[str]:
+    """Return the name of a command after those of its groups, without that of the program."""
+    return [*_names(ctx.parent), ctx.info_name] if ctx.parent else []
+
+
+def _print_whole_help(command: Any, ctx: Any, args: Sequence[str]) -> None:
+    if "--help-all" in args:
+        formatter = ctx.make_formatter()
+        write_help(command, ctx, formatter, every=True)
+        typer.echo(formatter.getvalue(), nl=False)
+        ctx.exit()
 
 
 def usage(command: Any) -> str:

@@ -92,7 +92,7 @@ def filter_command(
 def evaluate(
     out: Path = arguments.RESULTS,
     *,
-    by_distance: bool = arguments.BY_DISTANCE,
+    by_distance: bool = option("Also evaluate by distance from the sensor.", default=False),
     query: ResultQuery,
     running: arguments.Reading,
     output: console.Output,

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from salsanext_cli.results.selection import MissingResults
 
 LEAST_SHOWN = 0.0005  # Share that is rounded to 0.1 %
-SUBMITTED_SPLIT = "test"
-SUBMISSION = "submission.zip"
 
 
 def finish(
@@ -145,11 +143,11 @@ def next_command(
         words = ["knn-refine", out]  # The labels belong to pixels.
     else:
         words = ["eval" if summary.labelled else "export-ply", out]
-        if split == SUBMITTED_SPLIT and not summary.labelled:
+        if split == "test" and not summary.labelled:
             from salsanext_cli.stages.submit import unmerged
 
             if not unmerged(summary.space, [summary.first] if summary.first else []):
-                words = ["submit", out, SUBMISSION]
+                words = ["submit", out, "submission.zip"]
     return shlex.join(["salsanext", *words, *more])
 
 

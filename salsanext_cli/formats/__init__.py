@@ -27,32 +27,20 @@ Names = tuple[str, ...]  # Of columns
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """Format of files of one scan each.
+    """Format of files of one scan each."""
 
-    Attributes
-    ----------
-    suffixes : tuple of str
-        Suffixes of the files, in lower case, such as ``.pcd``; longer ones first.
-    read : callable
-        Reader: path, names of the columns (``--columns``, may be empty) and divisor of the
-        intensity to `Scan`. It raises `FormatError` for a file of another format.
-    magic : tuple of bytes
-        First bytes of the files; empty if they vary.
-    is_table : bool
-        Whether files with these suffixes often contain something else. Such files in a folder
-        are scans only if it has no others.
-    subset : callable, optional
-        Writer of some points, for `filter`: path and names of the columns to a function from a
-        mask (N,) bool of the remaining points to the content, bytes, of a file.
-    label_columns : callable, optional
-        Reader for `import-labels`: path to all columns, (N,) each, by name; x, y, z in metres.
-    """
-
-    suffixes: tuple[str, ...]
+    suffixes: tuple[str, ...]  # In lower case, such as ``.pcd``; longer ones first
+    # Reader: path, names of the columns (``--columns``, may be empty) and divisor of the intensity
+    # to `Scan`. It raises `FormatError` for a file of another format.
     read: Callable[[Path, Names, float], Scan]
-    magic: tuple[bytes, ...] = ()
+    magic: tuple[bytes, ...] = ()  # First bytes of the files; empty if they vary
+    # Whether files with these suffixes often contain something else. Such files in a folder are
+    # scans only if it has no others.
     is_table: bool = False
+    # Writer of some points, for `filter`: path and names of the columns to a function from a mask
+    # (N,) bool of the remaining points to the content, bytes, of a file
     subset: Callable[[Path, Names], Callable[[Mask], bytes]] | None = None
+    # Reader for `import-labels`: path to all columns, (N,) each, by name; x, y, z in metres
     label_columns: Callable[[Path], Columns] | None = None
 
 
@@ -81,7 +69,7 @@ def _built_in(
 
 
 BIN, PCD, PLY, LAS = "kitti:read_bin", "pcd:pcd_columns", "ply:ply_columns", "las:las_columns"
-NPY, NPZ, TEXT = "numpy_scans:npy_columns", "numpy_scans:npz_columns", "text:text_columns"
+NPY, NPZ, TEXT = "npy:npy_columns", "npy:npz_columns", "text:text_columns"
 FORMATS: Mapping[str, Format] = {
     "bin": _built_in(".pcd.bin .bin", BIN, subset="bin_subset"),
     "pcd": _built_in(".pcd", PCD, b"# .PCD", b"VERSION ", labels=PCD, subset="pcd_subset"),

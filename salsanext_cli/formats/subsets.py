@@ -13,8 +13,7 @@ import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError, LabelError, counted
 from salsanext_cli.files.reading import reading, refusing_damage
-from salsanext_cli.formats import errors_of_plug_ins, format_of, kitti, numpy_scans, pcd, ply, text
-from salsanext_cli.formats.npy import load_npy
+from salsanext_cli.formats import errors_of_plug_ins, format_of, kitti, npy, pcd, ply, text
 from salsanext_cli.records import Mask
 
 NUMBERS = re.compile(rb"(?m)^(\s*(?:WIDTH|POINTS|element\s+vertex)\s+)\d+")
@@ -43,15 +42,15 @@ def subsets_of(path: Path, names: tuple[str, ...] = ()) -> Subset:
 
 def npy_subset(path: Path, names: tuple[str, ...]) -> Subset:
     """Read a `.npy` table."""
-    table = load_npy(path, numpy_scans.EXPECTED)
-    if numpy_scans.is_transposed(table, len(names)):
+    table = npy.load_npy(path, npy.EXPECTED)
+    if npy.is_transposed(table, len(names)):
         return lambda mask: _written(np.save, _masked(table.T, mask, path).T)
     return lambda mask: _written(np.save, _masked(table, mask, path))
 
 
 def npz_subset(path: Path, _: tuple[str, ...]) -> Subset:
     """Read an archive; arrays with N rows or columns belong to the points."""
-    arrays, compressed = numpy_scans.npz_arrays(path)
+    arrays, compressed = npy.npz_arrays(path)
 
     def subset(mask: Mask) -> bytes:
         of_points = {n: array[mask] for n, array in arrays.items() if array.shape[:1] == mask.shape}
