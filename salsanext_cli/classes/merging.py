@@ -6,7 +6,6 @@ Classes become the class of their raw ids in the other label space.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -34,7 +33,13 @@ class ClassMerging:
             expected = f"merged classes of {space.name}"
             raise UsageError(f"label space {merged.name}", problem, expected)
         targets = tuple(_targets(space, merged, i)[0] for i in range(space.class_count))
-        alternatives = _alternatives(space, merged, targets) | merged.alternatives
+        alternatives = {}
+        for raw, several in space.alternatives.items():
+            others = (targets[i] for i in several if i != space.learning_map[raw])
+            # Those that become one class are no alternatives.
+            if len(ids := {merged.learning_map[raw], *others}) > 1:
+                alternatives[raw] = tuple(sorted(ids))
+        alternatives |= merged.alternatives
         splits = merged.splits or space.splits
         return cls(replace(merged, splits=splits, alternatives=alternatives), targets)
 
@@ -108,20 +113,6 @@ def _targets(space: LabelSpace, merged: LabelSpace, train_id: int) -> list[int]:
     chosen = of_class - {standing} if not space.ignored[train_id] else set()
     first = merged.learning_map[standing]
     return [first, *sorted({merged.learning_map[raw] for raw in chosen} - {first})]
-
-
-def _alternatives(
-    space: LabelSpace, merged: LabelSpace, targets: Sequence[int]
-) -> dict[int, tuple[int, ...]]:
-    """Return the merged alternatives; those that become one class are omitted."""
-    merged_ids = {
-        raw: {
-            merged.learning_map[raw],
-            *(targets[i] for i in several if i != space.learning_map[raw]),
-        }
-        for raw, several in space.alternatives.items()
-    }
-    return {raw: tuple(sorted(several)) for raw, several in merged_ids.items() if len(several) > 1}
 
 
 def _named(space: LabelSpace, raw: int) -> str:

@@ -6,8 +6,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Literal
 
-import typer
-
 from salsanext_cli.cli import arguments, console, summary
 from salsanext_cli.cli.console import over_scans, print_line, progress
 from salsanext_cli.cli.expansion import Shown, Without
@@ -190,7 +188,7 @@ def import_labels(
         print_line(f"error: {with_hint(failure.reason, failure.hint)}")
     for line in imported_lines(made, dataset):
         output.print(printable(line))
-    raise typer.Exit(console.FAILED if made.failures else console.DONE)
+    summary.leave(made.failures)
 
 
 @option_group

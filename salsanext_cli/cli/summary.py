@@ -13,7 +13,7 @@ from salsanext_cli.cli.console import DONE, FAILED, Output, duration_text, print
 from salsanext_cli.errors import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
     from salsanext_cli.measures.scan_summary import RunSummary
     from salsanext_cli.parallel.run import Failure, Outcome
@@ -144,7 +144,7 @@ def next_command(
     else:
         words = ["eval" if summary.labelled else "export-ply", out]
         if split == "test" and not summary.labelled:
-            from salsanext_cli.stages.submit import unmerged
+            from salsanext_cli.results.selection import unmerged
 
             if not unmerged(summary.space, [summary.first] if summary.first else []):
                 words = ["submit", out, "submission.zip"]
@@ -158,7 +158,7 @@ def print_failures(failures: tuple[Failure, ...]) -> None:
 
 
 def leave(
-    failures: tuple[Failure, ...], missing: MissingResults | None = None, *, failed: bool = False
+    failures: Sequence[object], missing: MissingResults | None = None, *, failed: bool = False
 ) -> NoReturn:
     """Exit with status 1 if scans failed or lack results, else with 0."""
     raise typer.Exit(FAILED if failed or failures or (missing and missing.scans) else DONE)

@@ -100,15 +100,14 @@ class ScanSample:
     @cached_property
     def read(self) -> list[tuple[ScanFile | Scan, Scan]]:
         """Readable files, each with its scan."""
-        return _usable(self._read, self.files)
+        return _usable(
+            lambda f: (f, f if isinstance(f, Scan) else read_scan(f.path, self.sensor)), self.files
+        )
 
     @property
     def scans(self) -> list[Scan]:
         """Readable scans; none if there are range images instead."""
         return [] if self.image_of else [scan for _, scan in self.read]
-
-    def _read(self, file: ScanFile | Scan) -> tuple[ScanFile | Scan, Scan]:
-        return file, file if isinstance(file, Scan) else read_scan(file.path, self.sensor)
 
     def images(self, sensor: Sensor) -> list[Float]:
         """Return the range images (5, H, W) float32 for a sensor of the scans that pass checks."""
@@ -135,18 +134,19 @@ def fit_scans(
     settings: NetworkSettings, network: Network, sample: ScanSample, earlier: Sensor | None = None
 ) -> Network:
     """Return a loaded network fitted to scans; the fit for `earlier` results stays."""
-
-    def fit(part: ScanSample, sensor: Sensor, before: Sensor | None) -> Sensor:
-        return _fit_of_network(settings, network.for_sensor(sensor), part, before)
-
+    fit = partial(_fit_of_network, settings, network)
     return network.for_sensor(_by_sensor(fit, sample, network.sensor, earlier))
 
 
 def _fit_of_network(
-    settings: NetworkSettings, network: Network, sample: ScanSample, earlier: Sensor | None
+    settings: NetworkSettings,
+    network: Network,
+    sample: ScanSample,
+    sensor: Sensor,
+    earlier: Sensor | None,
 ) -> Sensor:
-    """Return the sensor of a network, fitted to scans of one sensor."""
-    method, trained, sensor = _method(settings, network), network.card.sensor, network.sensor
+    """Return a sensor for a network, fitted to scans of one sensor."""
+    method, trained = _method(settings, network), network.card.sensor
     if sample.image_of is None:
         sensor = _fitted_view(sample, sensor, earlier, view=settings.fits_view)
     images = cache(lambda: sample.images(sensor))

@@ -188,6 +188,17 @@ def space_of(scans: Sequence[ScanFile], fallback: LabelSpace | None = None) -> L
     return usual if fallback is None or fallback.fits(usual) else fallback
 
 
+def is_of_benchmark(space: LabelSpace) -> bool:
+    """Return whether the test split of a label space is that of SemanticKITTI's benchmark."""
+    return {*with_splits(space).splits.get("test", ())} == {*label_space().splits["test"]}
+
+
+def unmerged(space: LabelSpace, scans: Sequence[ScanFile] = ()) -> LabelSpace | None:
+    """Return the label space, of the data set or the benchmark, whose classes another merges."""
+    finer = [space_of(scans, space), *([label_space()] if is_of_benchmark(space) else [])]
+    return next((full for full in finer if is_merged(space, full)), None)
+
+
 def evenly_spaced(files: Sequence[Item], count: int) -> list[Item]:
     """Return `count` evenly spaced files; all if `count` is 0 or not smaller."""
     if count == 0 or count >= len(files):

@@ -222,10 +222,6 @@ def _are_quantiles(values: Any) -> bool:
     return _are_within(values, count=INTENSITY_LEVELS) and list(values) == sorted(values)
 
 
-def _is_direction(values: Any) -> bool:
-    return _are_within(values, count=3) and math.hypot(*values) > MIN_LENGTH
-
-
 POSSIBLE: dict[str, tuple[Callable[[Any], bool], str]] = {
     "name": (lambda name: isinstance(name, str), "a text"),
     "fov_up": (_is_within, "a number of degrees"),
@@ -239,7 +235,10 @@ POSSIBLE: dict[str, tuple[Callable[[Any], bool], str]] = {
     "range_noise": (partial(_is_within, least=0), "a deviation in metres"),
     "intensity_noise": (partial(_is_within, least=0), "a deviation"),
     "columns": (are_columns, COLUMNS_EXPECTED),
-    "up": (_is_direction, "a direction, three numbers"),
+    "up": (
+        lambda values: _are_within(values, count=3) and math.hypot(*values) > MIN_LENGTH,
+        "a direction, three numbers",
+    ),
     "origin": (partial(_are_within, count=3), "a position, three numbers in metres"),
     "intensity_quantiles": (_are_quantiles, f"{INTENSITY_LEVELS} increasing numbers"),
     "row_gaps": (partial(_is_within, least=0, most=1), "a share"),

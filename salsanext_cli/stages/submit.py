@@ -13,7 +13,6 @@ from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 import numpy as np
 
 from salsanext_cli.classes.label_space import MOVING, RAW_ID_COUNT, LabelSpace, label_space
-from salsanext_cli.classes.merging import is_merged
 from salsanext_cli.errors import LabelError, NoInputError, UsageError, counted, first_few, with_hint
 from salsanext_cli.files.atomic import require_target, writing
 from salsanext_cli.files.reading import is_folder, present, reading, size_of
@@ -22,7 +21,7 @@ from salsanext_cli.formats.kitti import count_points, read_labels
 from salsanext_cli.parallel.run_options import Progress
 from salsanext_cli.results.paths import ScanFile, find_outputs
 from salsanext_cli.results.result_folder import ResultFolder
-from salsanext_cli.results.selection import data_set_of, space_of, with_splits
+from salsanext_cli.results.selection import data_set_of, is_of_benchmark, unmerged, with_splits
 
 LEVEL = 6  # Of compression, so that every Python writes the same bytes
 SPLIT = "test"
@@ -134,29 +133,6 @@ def _full_space(out: Path, scans: Sequence[ScanFile], space: LabelSpace | None) 
     return space
 
 
-def unmerged(space: LabelSpace, scans: Sequence[ScanFile] = ()) -> LabelSpace | None:
-    """Return the label space whose classes a label space merges, None if it merges none.
-
-    Parameters
-    ----------
-    space : LabelSpace
-        Label space of predictions.
-    scans : sequence of ScanFile, optional
-        Scans of a data set that may describe a label space.
-
-    Returns
-    -------
-    LabelSpace or None
-        That of the data set or of the benchmark.
-    """
-    finer = [space_of(scans, space), *([label_space()] if _is_of_benchmark(space) else [])]
-    return next((full for full in finer if is_merged(space, full)), None)
-
-
-def _is_of_benchmark(space: LabelSpace) -> bool:
-    return {*with_splits(space).splits.get(SPLIT, ())} == {*SCANS_OF_TEST}
-
-
 def _scans_at_hand(out: Path, dataset: Path | None, files: Predictions) -> list[ScanFile]:
     """Find the scans of the predictions, as far as they exist."""
     scans: list[ScanFile] = []
@@ -175,7 +151,7 @@ def _required(
     sequences = space.split(SPLIT)
     if not sequences:
         raise UsageError(f"label space {space.name}", f"has no sequences in split {SPLIT}")
-    official = _is_of_benchmark(space) and space.fits(label_space())
+    official = is_of_benchmark(space) and space.fits(label_space())
     at_hand = {(scan.sequence, scan.stem) for scan in scans}
     required = []
     for sequence in sorted(sequences):

@@ -102,43 +102,22 @@ def test_missing_predictions_are_one_error(folders):
     assert not folders.zip.exists()
 
 
-def one_byte_short(path):
-    path.write_bytes(path.read_bytes()[:-1])
-
-
-def one_label_more(path):
-    write_labels(path, np.full(POINTS + 1, 40))
-
-
-def two_bytes_per_label(path):
-    """`eval` reads these labels, the benchmark does not."""
-    path.write_bytes(np.full(POINTS, 40, "<u2").tobytes())
-
-
-def train_ids(path):
-    write_labels(path, np.array([2, 3, 40, 40, 252, 258, 10]))
-
-
-def moving_classes(path):
-    write_labels(path, np.array([252 | 7 << 16, 258, 40, 40, 40, 40, 10]))
-
-
 @pytest.mark.parametrize(
-    ("damage", "kind", "problem"),
+    ("content", "kind", "problem"),
     [
-        (one_byte_short, FormatError, "has 27 bytes"),
-        (one_label_more, LabelError, "has 8 labels"),
-        (two_bytes_per_label, LabelError, "2 bytes per label"),
-        (train_ids, LabelError, "unknown ids 2, 3"),
-        (moving_classes, LabelError, "252 moving-car, 258 moving-truck"),
+        (b"12345", FormatError, "has 5 bytes"),
+        (np.full(POINTS + 1, 40, "<u4"), LabelError, "has 8 labels"),
+        # `eval` reads these labels, the benchmark does not.
+        (np.full(POINTS, 40, "<u2"), LabelError, "2 bytes per label"),
+        (np.array([2, 3, 40, 252, 258, 10, 0], "<u4"), LabelError, "unknown ids 2, 3"),
+        (np.full(POINTS, 252 | 7 << 16, "<u4"), LabelError, "classes, 252 moving-car"),
     ],
-    ids=lambda value: getattr(value, "__name__", None),
 )
-def test_a_wrong_file_is_an_error_and_nothing_written(folders, damage, kind, problem):
+def test_a_wrong_file_is_an_error_and_nothing_written(folders, content, kind, problem):
     """The last file is wrong, since all are checked before the first is written."""
     write_labels(folders.label("16", "000000"), np.full(POINTS, 10 | 7 << 16))
     path = folders.label("21", "000001")
-    damage(path)
+    path.write_bytes(bytes(content))
     with refused(kind, path) as raised:
         folders.submit()
     assert problem in raised.value.problem
