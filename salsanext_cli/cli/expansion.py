@@ -27,6 +27,8 @@ class Shown(dict[str, dict[str, Any]]):
     """
 
 
+Fill = Callable[[dict[str, Any]], Any]
+"""Function that builds a dataclass from the values of its options, which it removes."""
 METAVARS = {int: "N", float: "NUMBER", Path: "PATH", str: "NAME"}
 
 
@@ -37,36 +39,17 @@ def _metavar(kind: Any) -> str | None:
     return "|".join(get_args(kind)) if get_origin(kind) is Literal else METAVARS.get(kind)
 
 
-@dataclasses.dataclass(frozen=True)
-class Group:
-    """Dataclass that a command takes as a parameter."""
-
-    kind: type
-    defaults: dict[str, Any]  # Of all its fields
-    offered: dict[str, inspect.Parameter]  # Options by field
-    nested: dict[str, "Group"]  # Fields that are such dataclasses themselves
-
-    def fill(self, given: dict[str, Any]) -> Any:
-        """Build the dataclass from the values of its options, which are removed from `given`."""
-        typed = {name: group.fill(given) for name, group in self.nested.items()}
-        typed |= {name: given.pop(name) for name in self.offered if name in given}
-        for field in dataclasses.fields(self.kind):
-            if (parse := field.metadata.get("parse")) and field.name in typed:
-                typed[field.name] = parse(typed[field.name])
-        return self.kind(**self.defaults | typed)
-
-
 def expanded(command: Callable[..., None]) -> Callable[..., None]:
     """Return a command with the signature that typer reads: options in the place of dataclasses."""
     parameters: list[inspect.Parameter] = []
-    groups: dict[str, Group] = {}
+    groups: dict[str, Fill] = {}
     hints = get_type_hints(command, include_extras=True)
     for name, parameter in inspect.signature(command).parameters.items():
         hint = hints[name]
         kind, *marks = get_args(hint) if get_origin(hint) is Annotated else (hint,)
         if dataclasses.is_dataclass(kind) and isinstance(kind, type):
-            groups[name] = _group(kind, marks)
-            parameters += groups[name].offered.values()
+            offered, groups[name] = _group(kind, marks)
+            parameters += offered.values()
         elif isinstance(parameter.default, dataclasses.Field):
             parameters.append(_offered(name, hint, parameter.default, parameter.default.default))
         else:
@@ -75,7 +58,7 @@ def expanded(command: Callable[..., None]) -> Callable[..., None]:
     @functools.wraps(command)
     def run(**given: Any) -> None:
         # The last group is `Output`, which decides where messages about the others go.
-        filled = {name: groups[name].fill(given) for name in reversed(groups)}
+        filled = {name: groups[name](given) for name in reversed(groups)}
         command(**filled, **given)
 
     run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
@@ -83,7 +66,8 @@ def expanded(command: Callable[..., None]) -> Callable[..., None]:
     return run
 
 
-def _group(kind: type, marks: list[Any]) -> Group:
+def _group(kind: type, marks: list[Any]) -> tuple[dict[str, inspect.Parameter], Fill]:
+    """Return the options of a dataclass by field, and the function that builds it."""
     fields = {field.name: field for field in dataclasses.fields(kind) if field.init}
     defaults = {name: field.default for name, field in fields.items()}
     changes: dict[str, dict[str, Any]] = {}
@@ -96,14 +80,23 @@ def _group(kind: type, marks: list[Any]) -> Group:
         elif isinstance(mark, Without):
             hidden |= mark
     offered: dict[str, inspect.Parameter] = {}
-    nested: dict[str, Group] = {}
+    nested: dict[str, Fill] = {}  # Of fields that are such dataclasses themselves
     for name, field in fields.items():
         if field.metadata and name not in hidden:
             offered[name] = _offered(name, field.type, field, defaults[name], changes.get(name))
         elif not field.metadata and isinstance(field.type, type):
-            nested[name] = _group(field.type, marks)
-            offered |= nested[name].offered
-    return Group(kind, defaults, offered, nested)
+            options, nested[name] = _group(field.type, marks)
+            offered |= options
+
+    def fill(given: dict[str, Any]) -> Any:
+        typed = {name: build(given) for name, build in nested.items()}
+        for name, field in fields.items():
+            if name in offered and name in given:
+                value, parse = given.pop(name), field.metadata.get("parse")
+                typed[name] = parse(value) if parse else value
+        return kind(**defaults | typed)
+
+    return offered, fill
 
 
 def _offered(

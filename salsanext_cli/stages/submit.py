@@ -165,7 +165,9 @@ def _required(
             problem = f"{share}: {first_few(missing)}" if stems else "has no predictions and scans"
             gone = len({*missing} - here) if here else 0
             hint = f"complete the data set: {gone} of their scans are missing too"
-            raise NoInputError(f"sequence {sequence}", problem, "", hint if gone else "predict it")
+            raise NoInputError(
+                f"sequence {sequence}", problem, "", hint if gone else "predict them"
+            )
         required += [(sequence, stem) for stem in sorted(stems)]
     return required
 
