@@ -84,11 +84,6 @@ def submit(
     -------
     dict
         Number of scans, and whether the numbers of labels and points were compared for all.
-
-    Raises
-    ------
-    SalsanextError
-        If predictions are missing, or the benchmark would refuse a file. Nothing is written then.
     """
     require_target(target, overwrite, ".zip")
     files = find_outputs(out, "predictions")
@@ -100,26 +95,24 @@ def submit(
     scans = _scans_at_hand(out, dataset, files)
     space = _full_space(out, scans, space)
     required = _required(space, scans, files)
-    seen = {scan.sequence for scan in scans}
-    if unseen := sorted({sequence for sequence, _ in required} - seen):
+    if unseen := sorted({name for name, _ in required} - {scan.sequence for scan in scans}):
         problem = f"no scans of sequence {first_few(unseen)}: numbers of labels not checked"
         log.warning("%s", with_hint(problem, "give --dataset"))
     clouds = {(scan.sequence, scan.stem): scan.path for scan in scans}
     members = {} if description is None else {"description.txt": description}
-    steps = count(1)
+    total, steps = len(required), count(1)
 
     def advance() -> None:
         if progress:
-            progress(next(steps), 2 * len(required))
+            progress(next(steps), 2 * total)
 
     for name in required:
         _check_labels(files[name], clouds.get(name), space)
         members[files[name].relative_to(out).as_posix()] = files[name]
         advance()
     _write_zip(target, members, advance)
-    # Programs may read `problems`, which was a list before one error stopped the command.
-    checked = {"lengths_checked": not unseen, "problems": []}
-    return {"stage": "submit", "scans": len(required), **checked}
+    # Programs may read `problems`, a list of earlier versions.
+    return {"stage": "submit", "scans": total, "lengths_checked": not unseen, "problems": []}
 
 
 def _full_space(out: Path, scans: Sequence[ScanFile], space: LabelSpace | None) -> LabelSpace:
