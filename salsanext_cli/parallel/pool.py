@@ -1,32 +1,26 @@
 # SPDX-License-Identifier: MIT
-"""Workers of a run: processes (joblib's loky) or threads of this machine."""
+"""Workers of a run: processes of this machine (joblib's loky) that open a task once."""
 
 import os
 import signal
+import threading
+import time
 import warnings
 from collections.abc import Generator, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import closing, contextmanager
+from dataclasses import dataclass
 from functools import partial
 from itertools import groupby, pairwise
 from multiprocessing import resource_tracker
 from pathlib import Path
-from threading import Event
 from typing import Any
 from uuid import uuid4
 
 from salsanext_cli.errors import WorkersLost
 from salsanext_cli.files.atomic import MARK
 from salsanext_cli.parallel.job import Attempt, OpenableTask, Task
-from salsanext_cli.parallel.pipeline import opened
-from salsanext_cli.parallel.run_options import RunOptions, cores, threads_of_workers
-from salsanext_cli.parallel.worker import (
-    Chunk,
-    WorkerContext,
-    attempt_chunk,
-    attempts_of_chunk,
-    end_with_parent,
-)
+from salsanext_cli.parallel.pipeline import AttemptFunction, opened
+from salsanext_cli.parallel.run_options import RunOptions, cores
 from salsanext_cli.results.paths import ScanFile
 
 CHUNKS_IN_FLIGHT = 2  # Chunks sent per worker, so that the next is ready when one is done
@@ -41,63 +35,36 @@ MAX_CHUNK_SCANS = 16
 """Bound of the work that is lost with a worker, and of the scans between signs of progress."""
 MIN_CHUNKS_PER_WORKER = 4  # Lower bound, so that the last chunks end at about the same time
 
-Results = Generator[list[Attempt[Any]], None, None]
+POLL_INTERVAL_S = 1.0  # Of a worker, whether its parent lives
+
+Chunk = tuple[ScanFile, ...]  # Scans that a worker is sent together
+_OPENED: dict[str, AttemptFunction] = {}  # Task of this process, by the run that it serves
+
+
+@dataclass(frozen=True, slots=True)
+class WorkerContext:
+    """Context of a worker."""
+
+    run: str  # Identifier of the run: a process serves several runs
+    mark: str  # Start of the names of temporary files
+    stop: bool  # Whether the first failure ends the chunk
+    folder: Path  # Working folder, from which relative names start
 
 
 def attempts_of_workers(
     task: Task, scans: Sequence[ScanFile], options: RunOptions
 ) -> Generator[Attempt[Any], None, None]:
-    """Yield the attempts of workers, in no particular order."""
-    workers = min(len(scans), options.workers())
-    threads = max(1, cores() // workers)
-    most = task.max_chunk_scans if isinstance(task, OpenableTask) else MAX_CHUNK_SCANS
-    stop = options.on_error == "stop"
-    context = WorkerContext(uuid4().hex, MARK.get(), stop, Path.cwd(), threads)
-    work = by_threads if options.backend == "threading" else by_processes
-    with closing(work(task, chunks(scans, workers, most), context, workers)) as results:
-        for of_chunk in results:
-            yield from of_chunk
-
-
-def chunks(scans: Sequence[ScanFile], workers: int, most: int = MAX_CHUNK_SCANS) -> list[Chunk]:
-    """Cut scans, in order, into chunks of one sequence and at most `most`, of similar sizes."""
-    size = max(1, min(most, len(scans) // (MIN_CHUNKS_PER_WORKER * workers)))
-    cut: list[Chunk] = []
-    for _, group in groupby(scans, key=lambda scan: scan.sequence):
-        run = tuple(group)
-        parts = -(-len(run) // size)
-        borders = [len(run) * part // parts for part in range(parts + 1)]
-        cut += [run[start:stop] for start, stop in pairwise(borders)]
-    return cut
-
-
-def by_threads(task: Task, cut: Sequence[Chunk], context: WorkerContext, workers: int) -> Results:
-    """Yield the attempts of each chunk by threads, which finish their scans when this is closed."""
-    stopping = Event()
-
-    def work(chunk: Chunk) -> list[Attempt[Any]]:
-        MARK.set(context.mark)
-        return attempts_of_chunk(attempts, chunk, stopping.is_set, stop=context.stop)
-
-    with threads_of_workers(context.threads), ThreadPoolExecutor(workers) as pool:
-        attempts = opened(task)
-        try:
-            for future in as_completed([pool.submit(work, chunk) for chunk in cut]):
-                yield future.result()
-        finally:
-            stopping.set()
-            pool.shutdown(cancel_futures=True)
-
-
-def by_processes(task: Task, cut: Sequence[Chunk], context: WorkerContext, workers: int) -> Results:
-    """Yield the attempts of each chunk by processes, which are killed when this is closed."""
+    """Yield the attempts of workers, which are killed when this is closed, in any order."""
     import joblib
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
+    workers = min(len(scans), options.workers())
+    most = task.max_chunk_scans if isinstance(task, OpenableTask) else MAX_CHUNK_SCANS
+    context = WorkerContext(uuid4().hex, MARK.get(), options.on_error == "stop", Path.cwd())
     backend = joblib.parallel_config(
         "loky",
         n_jobs=workers,
-        inner_max_num_threads=context.threads,
+        inner_max_num_threads=max(1, cores() // workers),
         initializer=end_with_parent,
         initargs=(os.getpid(),),
     )
@@ -112,13 +79,52 @@ def by_processes(task: Task, cut: Sequence[Chunk], context: WorkerContext, worke
             )
         with signals_blocked(signal.SIGINT, signal.SIGTERM):
             work = joblib.delayed(partial(attempt_chunk, context, task))
-            results = parallel(map(work, cut))
+            results = parallel(map(work, chunks(scans, workers, most)))
         try:
             with closing(results):
-                yield from results
+                for of_chunk in results:
+                    yield from of_chunk
         except TerminatedWorkerError as error:
             problem, hint = "the system ended a worker", "use fewer jobs, which need less memory"
             raise WorkersLost(f"--jobs {workers}", problem, hint=hint) from error
+
+
+def chunks(scans: Sequence[ScanFile], workers: int, most: int = MAX_CHUNK_SCANS) -> list[Chunk]:
+    """Cut scans, in order, into chunks of one sequence and at most `most`, of similar sizes."""
+    size = max(1, min(most, len(scans) // (MIN_CHUNKS_PER_WORKER * workers)))
+    cut: list[Chunk] = []
+    for _, group in groupby(scans, key=lambda scan: scan.sequence):
+        run = tuple(group)
+        parts = -(-len(run) // size)
+        borders = [len(run) * part // parts for part in range(parts + 1)]
+        cut += [run[start:stop] for start, stop in pairwise(borders)]
+    return cut
+
+
+def end_with_parent(parent: int) -> None:
+    """End this process within seconds of its parent, a process id, which may be killed."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(POLL_INTERVAL_S)
+        os._exit(1)  # noqa: TID251
+
+    threading.Thread(target=watch, name="end-with-parent", daemon=True).start()
+
+
+def attempt_chunk(context: WorkerContext, task: Task, scans: Chunk) -> list[Attempt[Any]]:
+    """Attempt the scans of a chunk, in a worker process."""
+    MARK.set(context.mark)
+    if context.run not in _OPENED:
+        _OPENED.clear()
+        os.chdir(context.folder)
+        _OPENED[context.run] = opened(task)
+    done: list[Attempt[Any]] = []
+    for attempt in _OPENED[context.run](scans, lambda _: None):
+        done.append(attempt)
+        if context.stop and attempt.error:
+            break
+    return done
 
 
 @contextmanager
