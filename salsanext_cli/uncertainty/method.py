@@ -57,6 +57,9 @@ class UncertaintyMethod:
         require_dropout(network.module)
         if self.is_noisy:
             noise_of(network.sensor)
+        if self.aleatoric == "paper" and network.merging is not None:
+            problem, hint = "paper does not cover merged classes", "use --aleatoric copies"
+            raise UsageError("--aleatoric", problem, "the classes of the weights", hint)
 
     def estimate(self, network: Network, image: RangeImage, scan: ScanFile) -> Estimate:
         """Return the prediction for a scan and the uncertainty of its pixels."""
