@@ -8,7 +8,6 @@ import time
 import warnings
 from collections.abc import Generator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
 from functools import partial
 from itertools import groupby, pairwise
 from multiprocessing import resource_tracker
@@ -41,16 +40,6 @@ Chunk = tuple[ScanFile, ...]  # Scans that a worker is sent together
 _OPENED: dict[str, AttemptFunction] = {}  # Task of this process, by the run that it serves
 
 
-@dataclass(frozen=True, slots=True)
-class WorkerContext:
-    """Context of a worker."""
-
-    run: str  # Identifier of the run: a process serves several runs
-    mark: str  # Start of the names of temporary files
-    stop: bool  # Whether the first failure ends the chunk
-    folder: Path  # Working folder, from which relative names start
-
-
 def attempts_of_workers(
     task: Task, scans: Sequence[ScanFile], options: RunOptions
 ) -> Generator[Attempt[Any], None, None]:
@@ -60,7 +49,8 @@ def attempts_of_workers(
 
     workers = min(len(scans), options.workers())
     most = task.max_chunk_scans if isinstance(task, OpenableTask) else MAX_CHUNK_SCANS
-    context = WorkerContext(uuid4().hex, MARK.get(), options.on_error == "stop", Path.cwd())
+    stop = options.on_error == "stop"
+    function = partial(attempt_chunk, task, uuid4().hex, MARK.get(), Path.cwd(), stop=stop)
     backend = joblib.parallel_config(
         "loky",
         n_jobs=workers,
@@ -78,8 +68,7 @@ def attempts_of_workers(
                 pre_dispatch=CHUNKS_IN_FLIGHT * workers,
             )
         with signals_blocked(signal.SIGINT, signal.SIGTERM):
-            work = joblib.delayed(partial(attempt_chunk, context, task))
-            results = parallel(map(work, chunks(scans, workers, most)))
+            results = parallel(map(joblib.delayed(function), chunks(scans, workers, most)))
         try:
             with closing(results):
                 for of_chunk in results:
@@ -112,17 +101,23 @@ def end_with_parent(parent: int) -> None:
     threading.Thread(target=watch, name="end-with-parent", daemon=True).start()
 
 
-def attempt_chunk(context: WorkerContext, task: Task, scans: Chunk) -> list[Attempt[Any]]:
-    """Attempt the scans of a chunk, in a worker process."""
-    MARK.set(context.mark)
-    if context.run not in _OPENED:
+def attempt_chunk(
+    task: Task, run: str, mark: str, folder: Path, scans: Chunk, *, stop: bool
+) -> list[Attempt[Any]]:
+    """Attempt the scans of a chunk, in a worker process; `stop`: until one fails.
+
+    `run` identifies the run, because a process serves several; `mark` begins the names of temporary
+    files; names of files are relative to `folder`.
+    """
+    MARK.set(mark)
+    if run not in _OPENED:
         _OPENED.clear()
-        os.chdir(context.folder)
-        _OPENED[context.run] = opened(task)
+        os.chdir(folder)
+        _OPENED[run] = opened(task)
     done: list[Attempt[Any]] = []
-    for attempt in _OPENED[context.run](scans, lambda _: None):
+    for attempt in _OPENED[run](scans, lambda _: None):
         done.append(attempt)
-        if context.stop and attempt.error:
+        if stop and attempt.error:
             break
     return done
 

@@ -37,7 +37,7 @@ class Opens(Write):
     def open(self):
         with (self.out / "opened").open("a") as file:
             file.write(f"{os.getpid()}\n")
-        return lambda: self
+        return self.__call__
 
 
 @LOCAL

@@ -69,7 +69,7 @@ def street(tmp_path):
 
 def cars_and_buildings(task):
     """Return whether there is a parked car, a moving one, and a building behind that."""
-    columns_of = task.open()()
+    columns_of = task.open()
     found = [columns_of(file) for file in task.files]
     assert len(found) == len(task.files)
     places, labels = (np.concatenate([part[name] for part in found]) for name in ("y", "label"))
