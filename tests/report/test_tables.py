@@ -134,5 +134,5 @@ def test_no_table_is_cut_in_a_terminal_of_80_columns(weights):
     text = text_of(*tables_of_a_large_data_set(weights), width=80)
     assert "…" not in text.replace(" … ", "")
     words = {"mutual_information", "salsanext", "person-or-cycle", f"{MANY:,}", "4,071"}
-    words |= {"unlabelled", "117,000", "6,711,572", "62.30 G", "other-vehicle"}
+    words |= {"unlabelled", "117,000", "other-vehicle"}
     assert {word for word in words if word not in text} == set()
