@@ -108,7 +108,7 @@ def work(given: argparse.Namespace) -> int:
 
     from salsanext_cli.engines.device import choose_device
     from salsanext_cli.network.card import default_weights
-    from salsanext_cli.parallel.worker import end_with_parent
+    from salsanext_cli.parallel.pool import end_with_parent
 
     end_with_parent(given.parent)
     figures = Figures(given.figures, choose_device(given.device), given.deadline)

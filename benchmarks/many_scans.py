@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Cost of a scan besides the work on it: finding it, recording the run, skipping, sending.
 
-The scans and results are empty files in a new folder below the one given. Only the backends named
-are measured, since some need a package of their own.
+The scans and results are empty files in a new folder below the one given.
 
-Run: python benchmarks/many_scans.py folder/ [20000 loky threading]
+Run: python benchmarks/many_scans.py folder/ [20000]
 """
 
 import sys
@@ -55,19 +54,17 @@ def record(out: Path, scans: list[ScanFile]) -> None:
         pass
 
 
-def send(scans: list[ScanFile], backend: str) -> None:
+def send(scans: list[ScanFile]) -> None:
     """Send scans to two workers that do nothing; starting them is left out."""
     marks: list[tuple[int, float]] = []
-    options = RunOptions(
-        jobs=2, backend=backend, progress=lambda done, _: marks.append((done, time.perf_counter()))
-    )
+    options = RunOptions(jobs=2, progress=lambda done, _: marks.append((done, time.perf_counter())))
     # A function that every worker has and that takes a scan.
     run_over_scans(hash, scans, options)
     (first, start), (last, end) = marks[0], marks[-1]
-    print(f"{f'chunks, {backend}':24} {(last - first) / (end - start):7.0f} scans per second")
+    print(f"{'chunks':24} {(last - first) / (end - start):7.0f} scans per second")
 
 
-def main(folder: str, count: str = "20000", *backends: str) -> None:
+def main(folder: str, count: str = "20000") -> None:
     number = int(count)
     with tempfile.TemporaryDirectory(dir=folder) as made:
         data, out = fill(Path(made), number)
@@ -78,8 +75,7 @@ def main(folder: str, count: str = "20000", *backends: str) -> None:
         done = OutputRun(out, folders=("predictions",)).is_done
         skip = partial(run_over_scans, hash, scans, RunOptions(), is_done=done)
         timed("skip what is done", skip, number)
-        for backend in backends:
-            send(scans, backend)
+        send(scans)
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ from ray_casting import RayScene
 from salsanext_cli.classes.label_space import label_space
 from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.formats.kitti import encode_bin, encode_labels
-from salsanext_cli.parallel.worker import end_with_parent
+from salsanext_cli.parallel.pool import end_with_parent
 from salsanext_cli.results.paths import ScanFile, find_scans
 from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.synthesis.drive import record

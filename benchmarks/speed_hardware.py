@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from torch.utils.flop_counter import FlopCounterMode
 
 from salsanext_cli.engines.device import bfloat16_instructions
-from salsanext_cli.network.complexity import multiply_accumulates
 from salsanext_cli.network.registry import build
+from salsanext_cli.records import CHANNELS
 from salsanext_cli.sensors.sensor import Sensor
 
 MATRIX_ROWS = {"cpu": 2048, "cuda": 8192}
@@ -70,9 +71,10 @@ def least_seconds(
     Only what any program must do is counted: read the input once, write the output once, and
     compute the network's convolutions directly.
     """
-    with torch.device("meta"):
-        operations = 2 * multiply_accumulates(build(architecture), sensor.height, sensor.width)
-    computing, least = operations / ceiling["operations"], {}
+    with torch.device("meta"), torch.no_grad(), FlopCounterMode(display=False) as counter:
+        image = torch.empty(1, len(CHANNELS), sensor.height, sensor.width)
+        build(architecture).eval()(image)
+    computing, least = counter.get_total_flops() / ceiling["operations"], {}
     for part, (point, pixel) in POINT_AND_PIXEL_BYTES.items():
         moving = (points * point + sensor.height * sensor.width * pixel) / ceiling["bytes"]
         least[part] = max(moving, computing) if part in ("network", "predict") else moving

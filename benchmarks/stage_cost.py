@@ -15,10 +15,12 @@ from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 
+import numba
+import torch
+
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.parallel.run_options import threads_of_workers
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.export_ply import export_ply
@@ -62,22 +64,23 @@ def main(dataset: str, out: str, samples: str = "30", weights: str | None = None
         scans, space = ResultFolder(whole).predicted(ScanSelection())
         evaluate(scans, whole, space, options)
 
-    with threads_of_workers(1):
-        measure("project", lambda o: project_scans(data, steps, sensor=sensor, options=o))
-        measure(
-            "predict, range images",
-            lambda o: predict_range_images(steps, steps, settings=network, options=o),
-        )
-        measure("knn-refine", lambda o: knn_refine_scans(steps, options=o))
-        measure("predict, scans", lambda o: predict_scans(data, whole, settings=network, options=o))
-        measure("eval", score)
-        measure("export-ply", lambda o: export_ply(whole, options=o))
-        measure(
-            f"uncertainty, {samples} passes",
-            lambda o: uncertainty(
-                data, whole, settings=network, method=method, selection=few, options=o
-            ),
-        )
+    torch.set_num_threads(1)
+    vars(numba.config)["NUMBA_NUM_THREADS"] = 1
+    measure("project", lambda o: project_scans(data, steps, sensor=sensor, options=o))
+    measure(
+        "predict, range images",
+        lambda o: predict_range_images(steps, steps, settings=network, options=o),
+    )
+    measure("knn-refine", lambda o: knn_refine_scans(steps, options=o))
+    measure("predict, scans", lambda o: predict_scans(data, whole, settings=network, options=o))
+    measure("eval", score)
+    measure("export-ply", lambda o: export_ply(whole, options=o))
+    measure(
+        f"uncertainty, {samples} passes",
+        lambda o: uncertainty(
+            data, whole, settings=network, method=method, selection=few, options=o
+        ),
+    )
 
 
 if __name__ == "__main__":

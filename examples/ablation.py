@@ -15,11 +15,10 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import torch
-from paper_networks.figures import paper_figures
+from paper_networks.figures import costs, paper_figures
 
 import salsanext_cli as sn
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.network.complexity import multiply_accumulates, parameter_count
 from salsanext_cli.network.registry import build
 from salsanext_cli.option_fields import KnnParameters, ScanSelection
 from salsanext_cli.parallel.run import RunOptions
@@ -81,13 +80,15 @@ def row(rung: str, scores: Iterable[float]) -> str:
     """Return a row of the table, with the paper's figures in brackets."""
     architecture, lovasz = LADDER[rung]
     with torch.device("meta"):
-        module = build({"name": architecture}).eval()
+        counted, operations = costs(build({"name": architecture}))
     paper = paper_figures()["salsanext" if lovasz else architecture]
     printed = zip(scores, (paper.miou_pixels, paper.miou), strict=True)
     ious = [f"{score:.1f} ({figure})" for score, figure in printed]
-    parameters = f"{parameter_count(module) / 1e6:.2f} ({paper.parameters})"
-    operations = f"{multiply_accumulates(module) / 1e9:.1f} ({paper.flops})"
-    return " | ".join(("", rung, *ious, parameters, operations, "")).strip()
+    figures = (
+        f"{counted / 1e6:.2f} ({paper.parameters})",
+        f"{operations / 1e9:.1f} ({paper.flops})",
+    )
+    return " | ".join(("", rung, *ious, *figures, "")).strip()
 
 
 def main(dataset: str, folder: str, steps: str = "600", plan: str = "street", *rungs: str) -> None:

@@ -50,6 +50,14 @@ def drawn_alike() -> Iterator[None]:
         yield
 
 
+@pytest.fixture
+def workers_in_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let workers be copies of the task in this process, which has the patches of the test."""
+    from works import attempts_in_process
+
+    monkeypatch.setattr("salsanext_cli.parallel.pool.attempts_of_workers", attempts_in_process)
+
+
 @pytest.fixture(scope="session")
 def real_data() -> Path:
     """Return the folder with `data/` (real scans) and `golden/` (published outputs), or skip."""

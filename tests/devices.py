@@ -1,6 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Tests that run on the CPU and, where there is one, on a GPU."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numba
 import pytest
 import torch
 
@@ -11,3 +15,17 @@ def on_both(*of_cuda: str) -> pytest.MarkDecorator:
     """Run a test on the CPU in float32, and on a GPU in each of some precisions."""
     both = [pytest.param("cuda", precision, marks=CUDA) for precision in of_cuda]
     return pytest.mark.parametrize(("device", "precision"), [("cpu", "float32"), *both])
+
+
+@contextmanager
+def threads(count: int) -> Iterator[None]:
+    """Set the number of threads of torch and of kernels."""
+    settings, of_torch = vars(numba.config), torch.get_num_threads()
+    of_kernels = settings["NUMBA_NUM_THREADS"]
+    torch.set_num_threads(count)
+    settings["NUMBA_NUM_THREADS"] = count
+    try:
+        yield
+    finally:
+        torch.set_num_threads(of_torch)
+        settings["NUMBA_NUM_THREADS"] = of_kernels

@@ -2,13 +2,21 @@
 """Work for all kinds of workers: light, and sometimes deadly."""
 
 import os
+import pickle
 import signal
 import time
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from pathlib import Path
+from typing import Any
 
+import torch
+
+from salsanext_cli.compiled import thread_count
 from salsanext_cli.errors import FormatError
 from salsanext_cli.files.atomic import MARK, sweep, writing
+from salsanext_cli.parallel.job import Attempt, Task
+from salsanext_cli.parallel.pipeline import opened
+from salsanext_cli.parallel.pool import chunks
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.results.paths import ScanFile
 
@@ -40,6 +48,11 @@ class Write:
         return scan.stem
 
 
+def threads_of_process(_: ScanFile) -> tuple[int, int]:
+    """Return the number of threads of torch and of kernels."""
+    return torch.get_num_threads(), thread_count()
+
+
 def scans_of(*stems: str, sequence: str = "s") -> list[ScanFile]:
     """Return scans that nobody reads."""
     return [ScanFile(sequence, stem, Path("/scans") / f"{stem}.bin") for stem in stems]
@@ -53,3 +66,12 @@ def run(work: Write, scans: Sequence[ScanFile], **options: object) -> Outcome:
     finally:
         for folder in {work.path(scan).parent for scan in scans}:
             sweep(folder, MARK.get())
+
+
+def attempts_in_process(
+    task: Task, scans: Sequence[ScanFile], options: RunOptions
+) -> Generator[Attempt[Any], None, None]:
+    """Yield attempts as workers do, but in this process: by a copy, of the last scans first."""
+    attempts = opened(pickle.loads(pickle.dumps(task)))
+    for chunk in reversed(chunks(scans, options.workers())):
+        yield from attempts(chunk, lambda _: None)

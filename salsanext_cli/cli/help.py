@@ -13,7 +13,7 @@ from salsanext_cli.cli.removed import refuse_removed
 DOCUMENTATION = "https://salsanext.readthedocs.io"
 NAMES_WIDTH = 24  # Columns of the names of options; longer ones get a line
 HIDDEN = {
-    "": "--aleatoric --backend --batch --ego --engine --install-completion --intensity "
+    "": "--aleatoric --batch --ego --engine --install-completion --intensity "
     "--knn-cutoff --knn-k --knn-sigma --knn-window --map-voxel --min-range --on-error "
     "--movable-reach --pixel-labels --precision --shard --show-completion",
     "pick": "--seed",

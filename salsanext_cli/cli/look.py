@@ -121,7 +121,7 @@ def view(
     *,
     port: int = option("Port on this machine; 0: any free port.", default=8765, min=0, max=65535),
     query: ResultQuery,
-    running: Annotated[RunOptions, Without({"backend", "shard", "overwrite"})],
+    running: Annotated[RunOptions, Without({"shard", "overwrite"})],
     output: console.Output,
 ) -> None:
     """Show all scans of a run in the browser, until Ctrl-C.

@@ -18,26 +18,25 @@ def models(
     *,
     output: console.Output,
 ) -> None:
-    """List networks with their costs, and plug-ins; describe weights.
+    """Describe weights; list networks and plug-ins.
 
     Example: salsanext models runs/street/best.safetensors
     """
     from rich.console import Group
+    from rich.text import Text
 
-    from salsanext_cli.report.tables import card_table, network_table, table_of
+    from salsanext_cli.network.registry import ARCHITECTURES, plugged_networks
+    from salsanext_cli.report.tables import card_table, table_of
     from salsanext_cli.stages.models import describe_weights, plug_ins
-    from salsanext_cli.stages.models import models as stage
 
-    listed, plugged = stage(), plug_ins()
+    names, plugged = [*ARCHITECTURES, *plugged_networks()], plug_ins()
     described = [describe_weights(weights_file(path)) for path in weights or [DEFAULT_WEIGHTS]]
-    cards = map(card_table, described)
-    networks = [network_table(listed)]
+    tables = [*map(card_table, described)]
     if plugged:
         rows = [[*plug_in.values()] for plug_in in plugged]
-        networks.append(table_of([*plugged[0]], rows, texts=[*plugged[0]], title="Plug-ins"))
-    tables = Group(*cards, *networks) if weights else Group(*networks, *cards)
-    result = {"stage": "models", "models": listed, "plug_ins": plugged, "weights": described}
-    output.result(result, tables)
+        tables.append(table_of([*plugged[0]], rows, texts=[*plugged[0]], title="Plug-ins"))
+    result = {"stage": "models", "models": names, "plug_ins": plugged, "weights": described}
+    output.result(result, Group(*tables, Text(f"networks: {', '.join(names)}")))
 
 
 def import_weights(

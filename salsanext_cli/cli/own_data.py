@@ -78,7 +78,7 @@ def convert(
     topic: str | None = arguments.TOPIC,
     every: int = option("Take only every Nth scan.", default=1),
     limit: int | None = option("Only the first N scans."),
-    running: Annotated[RunOptions, Without({"backend", "shard"})],
+    running: Annotated[RunOptions, Without({"shard"})],
     output: console.Output,
 ) -> None:
     """Write the scans of a recording as `.bin` files, in the layout of SemanticKITTI.

@@ -8,12 +8,10 @@ from salsanext_cli.cli.console import guarded
 from salsanext_cli.errors import UsageError
 
 REMOVED = {
-    ("", "--backend dask"): "use `--shard I/N` on each machine",
-    ("", "--backend ray"): "use `--shard I/N` on each machine",
+    ("", "--backend"): "use `--jobs`, and `--shard I/N` for several machines",
     ("", "--out"): "give the folder as the argument OUT",
     ("", "--scheduler"): "use `--shard I/N` on each machine",
     ("compare", ""): "use `eval` on both folders, then examples/compare_runs.py",
-    ("convert", "--backend"): "use `--jobs`",
     ("demo", "--engine"): "use `predict --engine` on your own scans",
     ("demo", "--intensity"): "use `predict --intensity` on your own scans",
     ("demo", "--precision"): "use `predict --precision` on your own scans",
@@ -43,7 +41,6 @@ REMOVED = {
     ("train", "--strict"): "use the key `warnings` of `--json`",
     ("tune", "--limit"): "use `--subset`",
     ("uncertainty", "--method"): "use fewer passes, such as `--samples 5`, to save time",
-    ("view", "--backend"): "use `--jobs`",
     ("view", "--by-distance"): "use `eval --by-distance`",
 }
 """Hint by command and option, with its value if other values remain; "" stands for all commands, or

@@ -55,11 +55,6 @@ class Network:
         """Classes of the results: the classes of the card, merged if requested."""
         return self.card.space if self.merging is None else self.merging.space
 
-    @property
-    def groups(self) -> tuple[tuple[int, ...], ...] | None:
-        """Train ids of the card that are merged into each class; None without merging."""
-        return None if self.merging is None else self.merging.groups
-
     def for_sensor(self, sensor: Sensor) -> "Network":
         """Return the network for another sensor, whose images have the same size."""
         return replace(self, sensor=sensor)

@@ -77,11 +77,7 @@ class MapTask:
     reach: int  # Scans before and after each scan that show moving objects
     max_chunk_scans: int = 400  # Neighbours share the contents of files.
 
-    def open(self) -> Callable[[], Callable[[ScanFile], Columns]]:
-        """Return the function that opens each chunk of scans."""
-        return self._columns_of_scans
-
-    def _columns_of_scans(self) -> Callable[[ScanFile], Columns]:
+    def open(self) -> Callable[[ScanFile], Columns]:
         """Return the function of a scan; its window moves from one scan to the next."""
         sensor = self.results.sensor()
         window = DriveWindow(self.drive.parts, self.reach, partial(self._seen, sensor=sensor))

@@ -53,7 +53,10 @@ def transfer_labels(points: Float, cloud: Float, labels: Labels) -> LabelTransfe
     wanted = points[finite]
     places = _places(np.concatenate([cloud, wanted]))
     place_of_cloud, place = np.split(places, [len(cloud)])
-    lowest, highest = _extremes(place_of_cloud, labels, int(places.max(initial=-1)) + 1)
+    count = places.max(initial=-1) + 1
+    lowest, highest = np.full(count, NOTHING), np.full(count, -1, np.int64)
+    np.minimum.at(lowest, place_of_cloud, labels)
+    np.maximum.at(highest, place_of_cloud, labels)
     low, high = lowest[place], highest[place]
     alone = low > high
     # A search tree of thousands of equal points, such as the zeros of no return, is slow.
@@ -78,16 +81,6 @@ def _places(points: Float) -> Indices:
     places = np.empty(len(points), np.intp)
     places[order] = np.concatenate([np.zeros(min(1, len(points)), np.intp), np.cumsum(differs)])
     return places
-
-
-def _extremes(
-    places: Indices, labels: Labels, count: int
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Return the lowest and the highest label at each of `count` places, (count,) int64 each."""
-    lowest, highest = np.full(count, NOTHING), np.full(count, -1, np.int64)
-    np.minimum.at(lowest, places, labels)
-    np.maximum.at(highest, places, labels)
-    return lowest, highest
 
 
 def _nearby(points: Float, others: Float) -> npt.NDArray[np.int64]:

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Networks that map range images to logits, their weights files and their costs."""
+"""Networks that map range images to logits, and their weights files."""

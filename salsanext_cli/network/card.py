@@ -60,34 +60,20 @@ def parted(text: object) -> list[str]:
 class RiskThreshold:
     """Threshold above which `predict --reject risk` rejects a label, and its guarantee.
 
-    Attributes
-    ----------
-    kind : str
-        Kind of uncertainty that is compared with the threshold.
-    at_most : float
-        Largest share of the points that may be accepted and wrong, 0…1.
-    confidence : float, optional
-        Share of the units for which the guarantee holds; None if it is about their mean.
-    scans, sequences, digests
-        Number, sequences and joined digests of the scans on which the threshold was chosen.
-    unit : {"scan", "drive"}
-        Unit of the guarantee.
-    settings : dict
-        Settings as `labels_depend_on` returns them.
-    views : tuple of FittedView
-        Fields of view of their sensors.
+    Scans, sequences, digests and views are those on which the threshold was chosen.
     """
 
-    kind: str
+    kind: str  # Kind of uncertainty that is compared with the threshold
     threshold: float
-    at_most: float
+    at_most: float  # Largest share of the points that may be accepted and wrong, 0…1
+    # Share of the units for which the guarantee holds; None if it is about their mean
     confidence: float | None
-    scans: int
+    scans: int  # Number of the scans
     sequences: tuple[str, ...]
-    unit: str = "scan"
-    digests: str = ""
-    settings: Json = field(default_factory=dict)
-    views: tuple[FittedView, ...] = ()
+    unit: str = "scan"  # Unit of the guarantee, or "drive"
+    digests: str = ""  # Joined
+    settings: Json = field(default_factory=dict)  # As `labels_depend_on` returns them
+    views: tuple[FittedView, ...] = ()  # Fields of view of the sensors
 
     def __post_init__(self) -> None:
         if not all(map(math.isfinite, (self.threshold, self.at_most))):
@@ -124,43 +110,21 @@ FITTED = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WeightsCard:
-    """Metadata of a weights file.
+    """Metadata of a weights file."""
 
-    Attributes
-    ----------
-    architecture : dict
-        Name and numbers of the network, as `registry.build` takes them.
-    space : LabelSpace
-        Classes of the logits.
-    sensor : Sensor
-        Geometry and normalisation that the network was trained with.
-    recipe, scores : dict
-        Resolved training recipe, and measurements with these weights; empty if unknown.
-    temperature : float
-        Divisor of the logits that makes the softmax a probability.
-    error, risk, accuracy : optional
-        Error model, threshold with a guarantee, and estimate of the accuracy.
-    int8 : mapping
-        Quantised inputs of layers by name; the other layers compute in float32.
-    trained_on : frozenset of str
-        Digests of the scans that the weights were trained on, as far as known.
-    version : int, optional
-        Version of the default weights; None for other weights.
-    """
-
-    architecture: Json
-    space: LabelSpace
-    sensor: Sensor
-    recipe: Json = field(default_factory=dict)
-    scores: Json = field(default_factory=dict)
+    architecture: Json  # Name and numbers of the network, as `registry.build` takes them
+    space: LabelSpace  # Classes of the logits
+    sensor: Sensor  # Geometry and normalisation that the network was trained with
+    recipe: Json = field(default_factory=dict)  # Resolved training recipe; empty if unknown
+    scores: Json = field(default_factory=dict)  # Measurements with these weights
     description: str = ""
-    temperature: float = 1.0
+    temperature: float = 1.0  # Divisor of the logits that makes the softmax a probability
     error: ErrorModel | None = None
     risk: RiskThreshold | None = None
     accuracy: AccuracyLine | None = None
-    int8: Mapping[str, Int8Input] = field(default_factory=dict)
-    trained_on: frozenset[str] = frozenset()
-    version: int | None = None
+    int8: Mapping[str, Int8Input] = field(default_factory=dict)  # Of layers by name
+    trained_on: frozenset[str] = frozenset()  # Digests of scans, as far as known
+    version: int | None = None  # Version of the default weights; None for other weights
 
     def named(self, path: Path) -> str:
         """Return the version of these weights or the name of their file, and its SHA-256."""

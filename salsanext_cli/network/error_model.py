@@ -67,23 +67,13 @@ def compute_rows(rows: Float, layers: tuple[tuple[Float, Float], ...], last: Flo
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ErrorModel:
-    """Perceptron whose last value is the logit of the probability that a label is wrong.
+    """Perceptron whose last value is the logit of the probability that a label is wrong."""
 
-    Attributes
-    ----------
-    features : tuple of str
-        Names of the F features, in order.
-    layers : sequence of (weights, biases)
-        Float32 layers from F values to one; between two layers, negative values become 0.
-    scores : mapping
-        Measurements on held-out labelled scans, and their number.
-    temperature : float, optional
-        Temperature of the softmax that the features describe; default: temperature of the weights.
-    """
-
-    features: tuple[str, ...]
+    features: tuple[str, ...]  # Names of the F features, in order
+    # Weights and biases, float32, from F values to one; between layers, negative values become 0
     layers: Sequence[tuple[Float, Float]]
-    scores: Mapping[str, Any] = field(default_factory=dict)
+    scores: Mapping[str, Any] = field(default_factory=dict)  # On held-out labelled scans
+    # Of the softmax that the features describe; None for the temperature of the weights
     temperature: float | None = None
 
     def __post_init__(self) -> None:

@@ -34,24 +34,10 @@ def described(name: str, **numbers: float) -> dict[str, Any]:
 
 
 def build(architecture: Mapping[str, Any], source: object = "architecture") -> SegmentationNetwork:
-    """Build a network.
+    """Build a network; `UsageError` about the source if it is unknown, or refuses the numbers.
 
-    Parameters
-    ----------
-    architecture : mapping
-        Name and numbers, such as ``{"name": "salsanext", "class_count": 20, "dropout": 0.2}``. The
-        distribution of a plug-in only serves an error where it is not installed.
-    source : object
-        Subject of errors.
-
-    Returns
-    -------
-    SegmentationNetwork
-
-    Raises
-    ------
-    UsageError
-        If the network is unknown, or refuses the numbers.
+    An architecture is such as ``{"name": "salsanext", "class_count": 20, "dropout": 0.2}``. The
+    distribution of a plug-in only serves an error where it is not installed.
     """
     numbers = dict(architecture)
     name, distribution = numbers.pop("name", None), numbers.pop(DISTRIBUTION, None)

@@ -59,11 +59,8 @@ class OpenableTask(Protocol):
     def max_chunk_scans(self) -> int:
         """Largest number of scans in a chunk, which a worker is sent together."""
 
-    def open(self) -> Callable[[], Any]:
-        """Return a function that each chunk calls, from several threads at a time.
-
-        It returns a function of one scan, a `ScanJob` or a `Pipeline`.
-        """
+    def open(self) -> Any:
+        """Return a function of one scan, a `ScanJob` or a `Pipeline`, for all scans of a worker."""
 
 
 Task = Callable[[ScanFile], Any] | ScanJob[Any, Any, Any] | OpenableTask

@@ -39,11 +39,10 @@ class NetworkTask:
     network: Network | None = field(default=None, compare=False)  # Of this process only
     batch: int | None = None  # Scans computed together; None for a number that suits the device
 
-    def open(self) -> Callable[[], Pipeline[Any, Any, Any]]:
+    def open(self) -> Pipeline[Any, Any, Any]:
         """Load the network, if this process has none."""
         network = self.network or _loaded(self.settings)
-        pipeline = network_pipeline(self.job(network), network, self.batch)
-        return lambda: pipeline
+        return network_pipeline(self.job(network), network, self.batch)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return NetworkTask, (self.job, self.settings, None, self.batch)

@@ -27,24 +27,12 @@ AttemptFunction = Callable[[Iterable[ScanFile], Report], Iterator[Attempt[Any]]]
 
 @dataclass(frozen=True, slots=True)
 class Pipeline(Generic[Prepared, Computed, Result]):
-    """Job on scans, and how its steps overlap.
-
-    Parameters
-    ----------
-    job : ScanJob
-        The three steps.
-    batch : BatchSize
-        Number of scans that are computed together.
-    readers : int
-        Number of threads that prepare scans.
-    device : str
-        Device that computes, for errors.
-    """
+    """Job on scans, and how its steps overlap."""
 
     job: ScanJob[Prepared, Computed, Result]
-    batch: BatchSize = field(default_factory=lambda: BatchSize(1, "scans"))
-    readers: int = 1
-    device: str = "cpu"
+    batch: BatchSize = field(default_factory=lambda: BatchSize(1, "scans"))  # Computed together
+    readers: int = 1  # Threads that prepare scans
+    device: str = "cpu"  # Device that computes, for errors
 
     def run(
         self, files: Iterable[ScanFile], report: Report = lambda _: None
@@ -154,14 +142,12 @@ def attempt(file: ScanFile, function: Callable[..., Value], *arguments: Any) -> 
 
 def opened(task: Task) -> AttemptFunction:
     """Open a task, and return a function that works on the scans of a chunk."""
-    begin = task.open() if isinstance(task, OpenableTask) else lambda: task
+    work = task.open() if isinstance(task, OpenableTask) else task
+    work = Pipeline(work) if isinstance(work, ScanJob) else work
+    if isinstance(work, Pipeline):
+        return work.run
 
     def attempts(files: Iterable[ScanFile], report: Report) -> Iterator[Attempt[Any]]:
-        work = begin()
-        work = Pipeline(work) if isinstance(work, ScanJob) else work
-        if isinstance(work, Pipeline):
-            yield from work.run(files, report)
-            return
         for file in files:
             done = attempt(file, work, file)
             report(done)

@@ -1,32 +1,25 @@
 # SPDX-License-Identifier: MIT
-"""Workers of a run: processes (joblib's loky) or threads of this machine."""
+"""Workers of a run: processes of this machine (joblib's loky) that open a task once."""
 
 import os
 import signal
+import threading
+import time
 import warnings
 from collections.abc import Generator, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import closing, contextmanager
 from functools import partial
 from itertools import groupby, pairwise
 from multiprocessing import resource_tracker
 from pathlib import Path
-from threading import Event
 from typing import Any
 from uuid import uuid4
 
 from salsanext_cli.errors import WorkersLost
 from salsanext_cli.files.atomic import MARK
 from salsanext_cli.parallel.job import Attempt, OpenableTask, Task
-from salsanext_cli.parallel.pipeline import opened
-from salsanext_cli.parallel.run_options import RunOptions, cores, threads_of_workers
-from salsanext_cli.parallel.worker import (
-    Chunk,
-    WorkerContext,
-    attempt_chunk,
-    attempts_of_chunk,
-    end_with_parent,
-)
+from salsanext_cli.parallel.pipeline import AttemptFunction, opened
+from salsanext_cli.parallel.run_options import RunOptions, cores
 from salsanext_cli.results.paths import ScanFile
 
 CHUNKS_IN_FLIGHT = 2  # Chunks sent per worker, so that the next is ready when one is done
@@ -41,22 +34,48 @@ MAX_CHUNK_SCANS = 16
 """Bound of the work that is lost with a worker, and of the scans between signs of progress."""
 MIN_CHUNKS_PER_WORKER = 4  # Lower bound, so that the last chunks end at about the same time
 
-Results = Generator[list[Attempt[Any]], None, None]
+POLL_INTERVAL_S = 1.0  # Of a worker, whether its parent lives
+
+Chunk = tuple[ScanFile, ...]  # Scans that a worker is sent together
+_OPENED: dict[str, AttemptFunction] = {}  # Task of this process, by the run that it serves
 
 
 def attempts_of_workers(
     task: Task, scans: Sequence[ScanFile], options: RunOptions
 ) -> Generator[Attempt[Any], None, None]:
-    """Yield the attempts of workers, in no particular order."""
+    """Yield the attempts of workers, which are killed when this is closed, in any order."""
+    import joblib
+    from joblib.externals.loky.process_executor import TerminatedWorkerError
+
     workers = min(len(scans), options.workers())
-    threads = max(1, cores() // workers)
     most = task.max_chunk_scans if isinstance(task, OpenableTask) else MAX_CHUNK_SCANS
     stop = options.on_error == "stop"
-    context = WorkerContext(uuid4().hex, MARK.get(), stop, Path.cwd(), threads)
-    work = by_threads if options.backend == "threading" else by_processes
-    with closing(work(task, chunks(scans, workers, most), context, workers)) as results:
-        for of_chunk in results:
-            yield from of_chunk
+    function = partial(attempt_chunk, task, uuid4().hex, MARK.get(), Path.cwd(), stop=stop)
+    backend = joblib.parallel_config(
+        "loky",
+        n_jobs=workers,
+        inner_max_num_threads=max(1, cores() // workers),
+        initializer=end_with_parent,
+        initargs=(os.getpid(),),
+    )
+    with warnings.catch_warnings():
+        for message in HARMLESS_WARNINGS:
+            warnings.filterwarnings("ignore", message)
+        with backend:
+            parallel = joblib.Parallel(
+                return_as="generator_unordered",
+                batch_size=1,
+                pre_dispatch=CHUNKS_IN_FLIGHT * workers,
+            )
+        with signals_blocked(signal.SIGINT, signal.SIGTERM):
+            results = parallel(map(joblib.delayed(function), chunks(scans, workers, most)))
+        try:
+            with closing(results):
+                for of_chunk in results:
+                    yield from of_chunk
+        except TerminatedWorkerError as error:
+            problem, hint = "the system ended a worker", "use fewer jobs, which need less memory"
+            raise WorkersLost(f"--jobs {workers}", problem, hint=hint) from error
 
 
 def chunks(scans: Sequence[ScanFile], workers: int, most: int = MAX_CHUNK_SCANS) -> list[Chunk]:
@@ -71,54 +90,36 @@ def chunks(scans: Sequence[ScanFile], workers: int, most: int = MAX_CHUNK_SCANS)
     return cut
 
 
-def by_threads(task: Task, cut: Sequence[Chunk], context: WorkerContext, workers: int) -> Results:
-    """Yield the attempts of each chunk by threads, which finish their scans when this is closed."""
-    stopping = Event()
+def end_with_parent(parent: int) -> None:
+    """End this process within seconds of its parent, a process id, which may be killed."""
 
-    def work(chunk: Chunk) -> list[Attempt[Any]]:
-        MARK.set(context.mark)
-        return attempts_of_chunk(attempts, chunk, stopping.is_set, stop=context.stop)
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(POLL_INTERVAL_S)
+        os._exit(1)  # noqa: TID251
 
-    with threads_of_workers(context.threads), ThreadPoolExecutor(workers) as pool:
-        attempts = opened(task)
-        try:
-            for future in as_completed([pool.submit(work, chunk) for chunk in cut]):
-                yield future.result()
-        finally:
-            stopping.set()
-            pool.shutdown(cancel_futures=True)
+    threading.Thread(target=watch, name="end-with-parent", daemon=True).start()
 
 
-def by_processes(task: Task, cut: Sequence[Chunk], context: WorkerContext, workers: int) -> Results:
-    """Yield the attempts of each chunk by processes, which are killed when this is closed."""
-    import joblib
-    from joblib.externals.loky.process_executor import TerminatedWorkerError
+def attempt_chunk(
+    task: Task, run: str, mark: str, folder: Path, scans: Chunk, *, stop: bool
+) -> list[Attempt[Any]]:
+    """Attempt the scans of a chunk, in a worker process; `stop`: until one fails.
 
-    backend = joblib.parallel_config(
-        "loky",
-        n_jobs=workers,
-        inner_max_num_threads=context.threads,
-        initializer=end_with_parent,
-        initargs=(os.getpid(),),
-    )
-    with warnings.catch_warnings():
-        for message in HARMLESS_WARNINGS:
-            warnings.filterwarnings("ignore", message)
-        with backend:
-            parallel = joblib.Parallel(
-                return_as="generator_unordered",
-                batch_size=1,
-                pre_dispatch=CHUNKS_IN_FLIGHT * workers,
-            )
-        with signals_blocked(signal.SIGINT, signal.SIGTERM):
-            work = joblib.delayed(partial(attempt_chunk, context, task))
-            results = parallel(map(work, cut))
-        try:
-            with closing(results):
-                yield from results
-        except TerminatedWorkerError as error:
-            problem, hint = "the system ended a worker", "use fewer jobs, which need less memory"
-            raise WorkersLost(f"--jobs {workers}", problem, hint=hint) from error
+    `run` identifies the run, because a process serves several; `mark` begins the names of temporary
+    files; names of files are relative to `folder`.
+    """
+    MARK.set(mark)
+    if run not in _OPENED:
+        _OPENED.clear()
+        os.chdir(folder)
+        _OPENED[run] = opened(task)
+    done: list[Attempt[Any]] = []
+    for attempt in _OPENED[run](scans, lambda _: None):
+        done.append(attempt)
+        if stop and attempt.error:
+            break
+    return done
 
 
 @contextmanager

@@ -1,16 +1,13 @@
 # SPDX-License-Identifier: MIT
-"""Options of a run over scans: workers, backend, shard, errors, progress."""
+"""Options of a run over scans: workers, shard, errors, progress."""
 
 import logging
 import os
 import re
-import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from importlib import import_module
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from salsanext_cli.errors import NOTICE, UsageError
 from salsanext_cli.option_fields import option, option_group
@@ -36,35 +33,6 @@ def worker_count(jobs: int) -> int:
     if jobs == 0 or jobs < -1:
         raise UsageError("--jobs", str(jobs), "a number of workers, or -1 for all cores")
     return cores() if jobs == -1 else jobs
-
-
-def use_threads(count: int) -> None:
-    """Set the number of threads of torch and numba, if loaded, here and in new threads."""
-    if torch := _if_loaded("torch"):
-        torch.set_num_threads(count)
-    if numba := _if_loaded("numba"):
-        numba.config.NUMBA_NUM_THREADS = count
-
-
-def _if_loaded(name: str) -> Any:
-    """Return a module that is completely imported, else None."""
-    return import_module(name) if sys.modules.get(name) else None
-
-
-@contextmanager
-def threads_of_workers(count: int) -> Iterator[None]:
-    """Set the number of threads of each thread that is started in the body."""
-    torch, numba = _if_loaded("torch"), _if_loaded("numba")
-    of_torch = torch.get_num_threads() if torch else 0
-    of_kernels = numba.config.NUMBA_NUM_THREADS if numba else 0
-    use_threads(count)
-    try:
-        yield
-    finally:
-        if torch:
-            torch.set_num_threads(of_torch)
-        if numba:
-            numba.config.NUMBA_NUM_THREADS = of_kernels
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,9 +101,6 @@ class RunOptions:
 
     jobs: int = running_option(
         "Number of worker processes; -1: one per core.", "--jobs", "-j", default=1
-    )
-    backend: Literal["loky", "threading"] = running_option(
-        "Workers: processes (loky) or threads.", default="loky"
     )
     shard: Shard = running_option(
         "Work on share I of N of the scans.",

@@ -22,7 +22,6 @@ from salsanext_cli.measures.uncertainty_evaluation import (
     UncertaintyEvaluation,
 )
 from salsanext_cli.network.card import DescribedWeights
-from salsanext_cli.network.complexity import NetworkCosts
 from salsanext_cli.records import CHANNELS
 from salsanext_cli.sensors.sensor import Sensor
 
@@ -175,15 +174,6 @@ def rate_table(rates: Sequence[float], objectives: Sequence[float], best: float)
         for rate, objective in zip(rates, objectives, strict=True)
     )
     return table_of(("rate", "objective per point", ""), rows, title="Dropout rate")
-
-
-def network_table(networks: Sequence[NetworkCosts]) -> Table:
-    """Return a table of the costs of networks."""
-    rows = [
-        (network.name, f"{network.parameters:,}", f"{network.multiply_accumulates / 1e9:.2f} G")
-        for network in networks
-    ]
-    return table_of(("name", "parameters", "MACs at\n64×2048"), rows, title="Networks")
 
 
 def card_table(file: DescribedWeights) -> Table:

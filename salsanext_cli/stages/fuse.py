@@ -89,11 +89,7 @@ class FuseTask:
     fused: OutputRun  # Receives the fused labels
     max_chunk_scans: int = 400  # Neighbours share the contents of files.
 
-    def open(self) -> Callable[[], Callable[[ScanFile], ScanSummary]]:
-        """Return the function that opens each chunk of scans."""
-        return self._fusion
-
-    def _fusion(self) -> Callable[[ScanFile], ScanSummary]:
+    def open(self) -> Callable[[ScanFile], ScanSummary]:
         """Return the function of a scan; its window moves from one scan to the next."""
         window_of = lru_cache(maxsize=1)(self._window)
         numbers = {f: n for files in self.members.values() for n, f in enumerate(files)}

@@ -1,35 +1,13 @@
 # SPDX-License-Identifier: MIT
-"""Costs of the networks, plug-ins, and metadata of weights files."""
+"""Plug-ins, and metadata of weights files."""
 
 from pathlib import Path
-
-import torch
 
 from salsanext_cli.classes.label_space import plugged_label_spaces
 from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.formats import plugged_formats
 from salsanext_cli.network.card import DescribedWeights, read_card
-from salsanext_cli.network.complexity import NetworkCosts, multiply_accumulates, parameter_count
-from salsanext_cli.network.registry import ARCHITECTURES, build, plugged_networks
-
-HEIGHT, WIDTH = 64, 2048
-
-
-def models() -> list[NetworkCosts]:
-    """Compute the costs of every network, for images of 64×2048 pixels.
-
-    Returns
-    -------
-    list of NetworkCosts
-        Parameters and operations.
-    """
-    costs = []
-    for name in ARCHITECTURES:
-        with torch.device("meta"):
-            module = build({"name": name}).eval()
-        operations = multiply_accumulates(module, HEIGHT, WIDTH)
-        costs.append(NetworkCosts(name, parameter_count(module), operations))
-    return costs
+from salsanext_cli.network.registry import plugged_networks
 
 
 def plug_ins() -> list[dict[str, str]]:

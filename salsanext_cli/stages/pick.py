@@ -37,8 +37,7 @@ from salsanext_cli.results.manifest import settings_json
 from salsanext_cli.results.paths import ScanFile, find_scans
 from salsanext_cli.results.selection import choose, evenly_spaced, scans_of, space_of
 from salsanext_cli.sensors.sensor import Sensor
-from salsanext_cli.uncertainty.estimate import Estimate
-from salsanext_cli.uncertainty.monte_carlo import require_sampling
+from salsanext_cli.uncertainty.monte_carlo import Estimate, require_sampling
 from salsanext_cli.uncertainty.scan_description import DescribeJob, ScanDescription, checked_sample
 
 SAMPLES = 8  # Passes of Monte-Carlo dropout, with the same masks for all scans

@@ -29,8 +29,8 @@ from salsanext_cli.results.paths import ERROR, ScanFile
 from salsanext_cli.results.selection import choose, scans_of, space_of
 from salsanext_cli.results.settings import StageSettings
 from salsanext_cli.uncertainty.error_features import error_probability, knows_error
-from salsanext_cli.uncertainty.estimate import Estimate
 from salsanext_cli.uncertainty.method import UncertaintyMethod
+from salsanext_cli.uncertainty.monte_carlo import Estimate
 
 METHOD = "sampling"  # Recorded, because earlier versions had another method
 

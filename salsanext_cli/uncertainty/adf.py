@@ -24,7 +24,6 @@ CHUNK_SIZE = 1 << 15
 """Numbers per step on a CPU: too few for torch to share among threads, which would change bits."""
 MAX_DEVIATIONS = 12.0
 """Standard deviations from the kink beyond which the other side changes no float64."""
-Groups = Sequence[Sequence[int]]  # Classes merged into each class, which may be none
 MIN_DIVISOR = 1e-30  # Lower bound of divisors whose dividend is 0
 DAMPING = 0.15
 """Damping of a second-order shift, so that it grows like √v for large v."""
@@ -55,9 +54,7 @@ def leaky_relu_moments(mean: Tensor, variance: Tensor, slope: float) -> tuple[Te
     return shifted.to(dtype), share.clamp_(min=0).mul_(v).to(dtype)
 
 
-def softmax_moments(
-    mean: Tensor, variance: Tensor, dim: int, groups: Groups | None = None
-) -> tuple[Tensor, Tensor]:
+def softmax_moments(mean: Tensor, variance: Tensor, dim: int) -> tuple[Tensor, Tensor]:
     """Return mean and variance of the softmax of independent Gaussian logits.
 
     The softmax of class c is the logistic function of its logit minus the logarithm of the sum of
@@ -69,10 +66,6 @@ def softmax_moments(
 
     The means p are divided by their sum; each variance keeps its share of p (1 − p), which no
     variable between 0 and 1 exceeds. For variance 0, the means are the plain softmax.
-
-    The mean of a merged class is the sum of the means. For its variance, the logarithm of the sum
-    of exponentials is one log-normal logit; logits of disjoint groups are independent. Every class
-    is in one group.
     """
     wide = torch.promote_types(mean.dtype, torch.float32)
     m, v = (t.to(wide).movedim(dim, 0) for t in (mean, variance))
@@ -83,49 +76,19 @@ def softmax_moments(
     parts = [chunks[0]] * len(chunks)
 
     def compute(number: int) -> None:
-        parts[number] = _softmax_of_groups(*chunks[number], groups=groups)
+        parts[number] = _softmax(*chunks[number])
 
     parallel_for(compute, range(len(chunks)))
-    shape = (len(m) if groups is None else len(groups), *m.shape[1:])
-    results = (torch.cat(part, dim=1).view(shape) for part in zip(*parts, strict=True))
+    results = (torch.cat(part, dim=1).view(m.shape) for part in zip(*parts, strict=True))
     return tuple(t.movedim(0, dim).to(mean.dtype) for t in results)  # type: ignore[return-value]
-
-
-def _softmax_of_groups(m: Tensor, v: Tensor, *, groups: Groups | None) -> tuple[Tensor, Tensor]:
-    """Return the moments (K, N) from the moments (C, N) of the logits."""
-    mean, variance = _softmax(m, v)
-    if groups is None:
-        return mean, variance
-    filled = [number for number, group in enumerate(groups) if group]
-    logits = [_log_sum(m[list(groups[number])], v[list(groups[number])]) for number in filled]
-    _, of_filled = _softmax(*(torch.stack(part) for part in zip(*logits, strict=True)))
-    mean = torch.stack([mean[list(group)].sum(dim=0) for group in groups])
-    variance = torch.zeros_like(mean)
-    variance[filled] = of_filled
-    is_best = _is_best(mean)
-    others = _sum_of_others(mean, mean.masked_fill(is_best, 0), is_best)
-    return mean, variance.minimum(mean * others)
-
-
-def _is_best(values: Tensor) -> Tensor:
-    """Return a mask of the largest of each column, (C, N) bool."""
-    none = torch.zeros_like(values, dtype=torch.bool)
-    return none.scatter_(0, values.argmax(0, keepdim=True), True)
-
-
-def _log_sum(m: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the moments (N,) of the logarithm of the sum of the exponentials of (C, N)."""
-    weights = m.softmax(dim=0)
-    variance = (weights.square() * v).sum(dim=0)
-    shift = 0.5 * ((weights * v).sum(dim=0) - variance).clamp(min=0)
-    return m.logsumexp(dim=0) + shift / (1 + DAMPING * shift).sqrt(), variance
 
 
 def _softmax(m: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
     """Return the moments of (C, N)."""
     if len(m) == 1:
         return torch.ones_like(m), torch.zeros_like(v)
-    is_best = _is_best(m)
+    nowhere = torch.zeros_like(m, dtype=torch.bool)
+    is_best = nowhere.scatter_(0, m.argmax(0, keepdim=True), True)  # The largest of each column
     margin, margin_variance = _margins(m, v, is_best)
     probability, complement, variance = logistic_moments(margin, margin_variance)
     total = probability.sum(dim=0)
@@ -250,9 +213,9 @@ class Gaussian:
             return NotImplemented
         return Gaussian(self.mean + other.mean, self.variance + other.variance)
 
-    def softmax(self, dim: int, groups: Groups | None = None) -> Gaussian:
-        """Return the moments of the softmax over a dimension, of classes merged into groups."""
-        return Gaussian(*softmax_moments(self.mean, self.variance, dim, groups))
+    def softmax(self, dim: int) -> Gaussian:
+        """Return the moments of the softmax over a dimension."""
+        return Gaussian(*softmax_moments(self.mean, self.variance, dim))
 
 
 def _linear(function: Callable[..., Tensor]) -> Callable[..., Gaussian]:

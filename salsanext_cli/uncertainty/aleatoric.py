@@ -58,12 +58,12 @@ def noise_variance(network: Network, image: RangeImage, seed: int) -> Float:
 
 
 def aleatoric(network: Network, image: RangeImage) -> Float:
-    """Return the variance (C, H, W) of the softmax by assumed density filtering."""
+    """Return the variance (C, H, W) of the softmax, unmerged, by assumed density filtering."""
     filled = with_filled_gaps(image.channels, network.sensor, network.card.sensor)
     variance = input_variance(filled, network.sensor)[None]
     mean = network.input(image.channels)
     moments = network.backend.run("moments", _moments, mean, variance, exact=True)
-    softmax = Gaussian(*moments).softmax(dim=1, groups=network.groups)
+    softmax = Gaussian(*moments).softmax(dim=1)
     return softmax.variance[0].cpu().numpy()
 
 

@@ -59,21 +59,14 @@ def mean_in_windows(
         support[i] = total / count
 
 
-def region_means(image: RangeImage, classes: TrainIds, values: Float) -> Float:
-    """Return the mean (H, W) of a value over the region of each pixel; empty pixels are unchanged.
-
-    A region consists of occupied pixels of one class. Neighbours are adjacent, also diagonally and
-    around the image, or have one pixel of their row or column in between.
-    """
-    means = np.empty(values.shape, np.float32)
-    occupied = argument(image.channels[0] > 0, np.bool_)
-    mean_of_regions(occupied, argument(classes, np.uint8), argument(values, np.float32), means)
-    return means
-
-
 @compiled
 def mean_of_regions(occupied: Mask, classes: TrainIds, values: Float, means: Float) -> None:
-    """Write the result of `region_means`, by union-find with the lowest pixel as the root."""
+    """Write the mean (H, W) of a value over the region of each pixel; empty pixels are unchanged.
+
+    A region consists of occupied pixels of one class. Neighbours are adjacent, also diagonally and
+    around the image, or have one pixel of their row or column in between. This is union-find with
+    the lowest pixel as the root.
+    """
     height, width = occupied.shape
     parent = np.arange(height * width)
     for v in range(height):
@@ -135,7 +128,7 @@ def error_features(image: RangeImage, probabilities: Float, labels: TrainIds) ->
 
 def _of_pixels(image: RangeImage, probabilities: Float) -> tuple[TrainIds, Float]:
     """Return the class of each pixel, (H · W,), and features of its nearest point, (H · W, 9)."""
-    largest, second = np.zeros((2, *probabilities.shape[1:]), np.float32)
+    largest, second, means = np.zeros((3, *probabilities.shape[1:]), np.float32)
     classes = np.zeros(largest.shape, np.uint8)
     for train_id, of_class in enumerate(probabilities):
         np.copyto(classes, train_id, where=of_class > largest)
@@ -148,7 +141,8 @@ def _of_pixels(image: RangeImage, probabilities: Float) -> tuple[TrainIds, Float
     occupied = np.flatnonzero(image.channels[0] > 0).astype(np.int32)
     of_pixel = classes.reshape(-1)[occupied]
     table[occupied, 4] = label_support(image, probabilities, of_pixel, occupied)
-    table[:, 5] = region_means(image, classes, largest).reshape(-1)
+    mean_of_regions(image.channels[0] > 0, classes, largest, means)
+    table[:, 5] = means.reshape(-1)
     table[:, 7] = _log_range(image.channels[0]).reshape(-1)
     table[:, 8] = image.channels[3].reshape(-1)
     return classes.reshape(-1), table

@@ -10,8 +10,7 @@ from salsanext_cli.network.dropout import require_dropout
 from salsanext_cli.records import RangeImage
 from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.uncertainty.aleatoric import aleatoric, noise_variance
-from salsanext_cli.uncertainty.estimate import Estimate
-from salsanext_cli.uncertainty.monte_carlo import require_samples, sample, scan_seed
+from salsanext_cli.uncertainty.monte_carlo import Estimate, require_samples, sample, scan_seed
 
 EPISTEMIC_KINDS = ("epistemic", "entropy", "mutual_information")
 ALEATORIC_KINDS = ("aleatoric", "total")  # These need the sensor's noise
@@ -22,19 +21,12 @@ ALEATORIC_METHODS = ("copies", "paper", "none")
 class UncertaintyMethod:
     """Method of estimating uncertainty.
 
-    Attributes
-    ----------
-    samples : int
-        Passes of Monte-Carlo dropout per scan, at least 2; default: the paper's number.
-    seed : int
-        Masks and noise of a scan depend only on this seed and on sequence and name of the scan.
-    aleatoric : {"copies", "paper", "none"}
-        Effect of the sensor's noise: by passes over noisy copies of the scan, by assumed density
-        filtering, or not estimated.
+    The effect of the sensor's noise, `aleatoric`, is estimated by noisy copies of the scan, by
+    assumed density filtering ("paper"), or not at all.
     """
 
-    samples: int = 30
-    seed: int = 0
+    samples: int = 30  # Passes of Monte-Carlo dropout per scan, at least 2; the paper's number
+    seed: int = 0  # With sequence and name of a scan, it determines masks and noise
     aleatoric: str = "copies"
 
     def __post_init__(self) -> None:
@@ -57,6 +49,9 @@ class UncertaintyMethod:
         require_dropout(network.module)
         if self.is_noisy:
             noise_of(network.sensor)
+        if self.aleatoric == "paper" and network.merging is not None:
+            problem, hint = "paper does not cover merged classes", "use --aleatoric copies"
+            raise UsageError("--aleatoric", problem, "the classes of the weights", hint)
 
     def estimate(self, network: Network, image: RangeImage, scan: ScanFile) -> Estimate:
         """Return the prediction for a scan and the uncertainty of its pixels."""

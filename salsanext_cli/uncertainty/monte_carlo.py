@@ -2,6 +2,7 @@
 """Epistemic uncertainty by Monte-Carlo dropout (paper III-C.2)."""
 
 import hashlib
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -9,8 +10,47 @@ from salsanext_cli.engines.moments import entropy
 from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import UsageError
 from salsanext_cli.network.dropout import require_dropout
-from salsanext_cli.records import RangeImage
-from salsanext_cli.uncertainty.estimate import Estimate, Uncertainty
+from salsanext_cli.records import Float, RangeImage
+
+
+@dataclass(frozen=True, slots=True)
+class Uncertainty:
+    """Uncertainty of the pixels of one scan, (H, W) float32.
+
+    Attributes
+    ----------
+    epistemic
+        Variance of the softmax over passes, mean over classes (paper III-C.2); 0…(1 - 1/C)/C.
+    entropy
+        Entropy of the mean softmax in nats; 0…ln C.
+    mutual_information
+        `entropy` minus the mean entropy of the passes in nats; 0…ln C.
+    aleatoric, optional
+        Variance of the softmax by the noise of the sensor, mean over classes; 0…(1 - 1/C)/C. It
+        ranks points; its scale is far too small.
+    """
+
+    epistemic: Float
+    entropy: Float
+    mutual_information: Float
+    aleatoric: Float | None = None
+
+    @property
+    def total(self) -> Float | None:
+        """Epistemic plus aleatoric uncertainty, if both are estimated (paper III-C)."""
+        return None if self.aleatoric is None else self.epistemic + self.aleatoric
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """Mean and variance of the softmax under dropout, (C, H, W) float32, and the uncertainty.
+
+    The mean softmax `probabilities` is the prediction. Empty pixels have values too.
+    """
+
+    probabilities: Float
+    variance: Float
+    uncertainty: Uncertainty
 
 
 def sample(network: Network, image: RangeImage, *, samples: int, seed: int) -> Estimate:

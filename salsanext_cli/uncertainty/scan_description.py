@@ -14,8 +14,7 @@ from salsanext_cli.fitting.scan_checks import ScanCheck
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import Double, Float
 from salsanext_cli.results.paths import ScanFile
-from salsanext_cli.uncertainty.estimate import Estimate
-from salsanext_cli.uncertainty.monte_carlo import sample
+from salsanext_cli.uncertainty.monte_carlo import Estimate, sample
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,15 +44,14 @@ class DescribeJob:
 
     def compute(self, scans: Sequence[PreparedScan]) -> list[tuple[Float, Float]]:
         """Return features (D, H, W) and mutual information (H, W) of each scan."""
-        return [self._compute(*scan) for scan in scans]
-
-    def _compute(
-        self, projected: ProjectedScan, network: Network, image: Float
-    ) -> tuple[Float, Float]:
-        # Every scan has the same masks of dropout, because the mutual information varies more
-        # between masks than between scans of one drive.
-        estimate = checked_sample(projected, network, self.samples, self.seed)
-        return pixel_features(network, image), estimate.uncertainty.mutual_information
+        computed = []
+        for projected, network, image in scans:
+            # Every scan has the same masks of dropout, because the mutual information varies more
+            # between masks than between scans of one drive.
+            estimate = checked_sample(projected, network, self.samples, self.seed)
+            information = estimate.uncertainty.mutual_information
+            computed.append((pixel_features(network, image), information))
+        return computed
 
     def finish(self, scan: PreparedScan, computed: tuple[Float, Float]) -> ScanDescription:
         """Return the means over the occupied pixels."""

@@ -45,9 +45,9 @@ TINY = "fov_up = 3.0\nfov_down = -25.0\nheight = 16\nwidth = 64\n"
 NOISE = "range_noise = 0.02\nintensity_noise = 0.02\n"
 SCAN = "data/sequences/08/velodyne/0.bin"
 RUNS = {
-    "many_scans.py . 40 threading": (
+    "many_scans.py . 40": (
         *("find scans", "record the run", "record another run", "divide into shards"),
-        *("skip what is done", "chunks, threading"),
+        *("skip what is done", "chunks"),
     ),
     "hole_shares.py two=data --sensor tiny.toml": ("two", "mean"),
     "street_statistics.py data --sensor tiny.toml": ("| car | data", "| traffic-sign | data"),

@@ -98,7 +98,7 @@ def test_a_named_sensor_sets_its_device_and_nothing_of_the_training(tmp_path):
     [
         "uncertainty --method analytic",
         "uncertainty --method=sampling",
-        "eval --backend=ray",
+        "eval --backend=loky",
         "tune error data tuned.safetensors --limit 5",
         "eval --split valid --out out",
         "filter out --split --to split",

@@ -279,11 +279,10 @@ def test_file_names_that_are_not_text(run, weights, tmp_path):
 def test_models_lists_networks_and_describes_weights(run, weights):
     result = run("models", weights)
     assert result.exit_code == 0
-    for figure in ("random", "157,820", "2.45 G"):
-        assert figure in result.stdout
-    assert result.stdout.index("SHA-256") < result.stdout.index("157,820")
+    for text in ("random", "SHA-256", "networks: salsanext\n"):
+        assert text in result.stdout
     printed = only_json(run("models", weights, "--json"))
-    assert printed["models"][0]["parameters"] == 157_820
+    assert printed["models"] == ["salsanext"]
     assert printed["weights"][0]["classes"][1] == "car"
     assert printed["weights"][0]["sha256"] == hashlib.sha256(weights.read_bytes()).hexdigest()
 

@@ -18,8 +18,6 @@ from salsanext_cli.engines.loading import load_network, with_dropout
 from salsanext_cli.errors import UsageError, WeightsError
 from salsanext_cli.geometry.network_input import normalise
 from salsanext_cli.network.dropout import dropouts, random_masks, sampling
-from salsanext_cli.uncertainty.adf import softmax_moments
-from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.monte_carlo import pass_seed
 
 
@@ -174,27 +172,6 @@ def test_passes_are_added_before_they_are_counted(weights, image, engine):
     np.testing.assert_allclose(found.uncertainty.epistemic, passes.var(axis=0).mean(0), **close)
     np.testing.assert_allclose(found.uncertainty.entropy, entropy, **close)
     np.testing.assert_allclose(found.uncertainty.mutual_information, entropy - of_passes, **close)
-
-
-def test_moments_have_a_variance_of_each_merged_class_alike_by_both_engines(weights, image):
-    found = [aleatoric(both(weights, engine)[1], image) for engine in ("torch", "openvino")]
-    assert found[0].shape == (8, 16, 128)
-    assert found[0].min() >= 0
-    assert found[0].max() <= 0.25
-    np.testing.assert_allclose(found[1], found[0], rtol=2e-3, atol=1e-6)
-
-
-def test_groups_of_one_class_change_nothing_and_empty_ones_are_impossible():
-    logits = torch.from_numpy(np.random.default_rng(1).normal(0, 3, (5, 50)))
-    spread = logits.abs()
-    plain = softmax_moments(logits, spread, 0)
-    found = softmax_moments(logits, spread, 0, [[0], [], [1], [2], [3], [4]])
-    for expected, values in zip(plain, found, strict=True):
-        np.testing.assert_allclose(np.delete(values.numpy(), 1, 0), expected, rtol=1e-9)
-        assert not values[1].any()
-    mean, variance = softmax_moments(logits, spread, 0, [[], range(5)])
-    np.testing.assert_allclose(mean, [[0] * 50, [1] * 50], atol=1e-12)
-    assert not variance.any()
 
 
 def test_other_classes_are_refused(weights):

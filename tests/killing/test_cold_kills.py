@@ -194,17 +194,16 @@ def when_working(folder: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("options", ["--jobs 2", "--jobs 2 --backend threading"])
 @pytest.mark.parametrize("whom", ["parent", "all"])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL, signal.SIGTERM])
 def test_signals_at_random_moments(
-    tmp_path: Path, long: Trial, number: signal.Signals, whom: str, options: str
+    tmp_path: Path, long: Trial, number: signal.Signals, whom: str
 ) -> None:
     """As Docker sends them, to the first process, or as systemd and Ctrl-C do, to all."""
-    draw = random.Random(f"{number} {whom} {options}")
+    draw = random.Random(f"{number} {whom}")
     for turn in range(3):
         folder = tmp_path / f"{turn}"
-        process = long.start_process(folder, options)
+        process = long.start_process(folder, "--jobs 2")
         if turn % 2:
             when_working(folder)
         time.sleep(draw.uniform(0, 3))

@@ -14,9 +14,7 @@ from works import Write, run, scans_of
 from salsanext_cli.errors import FormatError
 from salsanext_cli.parallel.run import RunOptions, run_over_scans
 
-LOCAL = pytest.mark.parametrize(
-    "options", [{}, {"jobs": 2}, {"jobs": 2, "backend": "threading"}], ids=["1", "2", "threads"]
-)
+LOCAL = pytest.mark.parametrize("options", [{}, {"jobs": 2}], ids=["1", "2"])
 
 
 @LOCAL
@@ -39,20 +37,20 @@ class Opens(Write):
     def open(self):
         with (self.out / "opened").open("a") as file:
             file.write(f"{os.getpid()}\n")
-        return lambda: self
+        return self.__call__
 
 
 @LOCAL
 def test_a_task_is_opened_once_by_each_worker_of_a_run(tmp_path, options):
     # Ctrl-C does not reach processes, because the process that runs them ends them.
-    stems = [*"abcdefg", "ctrl-c" if options == {"jobs": 2} else "h"]
+    stems = [*"abcdefg", "ctrl-c" if options else "h"]
     for sequence in ("first", "second"):
         outcome = run(Opens(tmp_path), scans_of(*stems, sequence=sequence), **options)
         assert outcome.done == 8
         opened = (tmp_path / "opened").read_text().split()
         (tmp_path / "opened").unlink()
         assert len(opened) == len(set(opened)) <= 2
-        if options.get("backend") == "threading" or not options:
+        if not options:
             assert opened == [str(os.getpid())]
 
 
@@ -74,7 +72,7 @@ def test_results_can_be_handed_on_as_they_come(tmp_path):
         seen.append(len(taken))
         progress.append(numbers)
 
-    chosen = RunOptions(jobs=2, backend="threading", progress=note)
+    chosen = RunOptions(jobs=2, progress=note)
     scans = scans_of("a", "bad", "b", "c")
     outcome = run_over_scans(work, scans, chosen, on_result=taken.append)
     assert sorted(taken) == list("abc")

@@ -1,49 +1,27 @@
 # SPDX-License-Identifier: MIT
-"""Threads, GPUs and shards of workers; no GPU is needed, since their number is an argument."""
+"""GPUs and shards of workers; no GPU is needed, since their number is an argument."""
 
 import subprocess
 import sys
 from collections import Counter
-from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from multiprocessing import current_process
 from pathlib import Path
 
-import numba
 import pytest
-import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
 from salsanext_cli.errors import UsageError
 from salsanext_cli.parallel.network_task import device_of_worker
 from salsanext_cli.parallel.pool import MAX_CHUNK_SCANS, MIN_CHUNKS_PER_WORKER, chunks
-from salsanext_cli.parallel.run_options import Shard, cores, threads_of_workers, worker_count
+from salsanext_cli.parallel.run_options import Shard, cores, worker_count
 from salsanext_cli.results.paths import ScanFile
-
-
-@pytest.fixture(autouse=True)
-def as_before():
-    before = torch.get_num_threads(), numba.config.NUMBA_NUM_THREADS
-    yield
-    torch.set_num_threads(before[0])
-    numba.config.NUMBA_NUM_THREADS = before[1]
 
 
 def test_jobs():
     assert worker_count(3) == 3
     assert worker_count(-1) == cores() >= 1
-
-
-def test_threads_begin_with_their_share_and_leave_the_others_alone():
-    torch.set_num_threads(5)
-    with threads_of_workers(3), ThreadPoolExecutor(2) as pool:
-        seen = list(pool.map(lambda _: torch.get_num_threads(), range(4)))
-        assert numba.config.NUMBA_NUM_THREADS == 3
-    assert seen == [3] * 4
-    assert torch.get_num_threads() == 5
-    with ThreadPoolExecutor(1) as pool:
-        assert pool.submit(torch.get_num_threads).result() == 5
 
 
 ASK = """

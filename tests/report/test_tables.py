@@ -14,7 +14,6 @@ from salsanext_cli.labelling.picked_data_set import PickedScan
 from salsanext_cli.measures.scores import confusion_matrix, scores
 from salsanext_cli.measures.survey import Survey
 from salsanext_cli.measures.uncertainty_evaluation import UncertaintyEvaluation
-from salsanext_cli.network.complexity import NetworkCosts
 from salsanext_cli.report.picked import picked_table
 from salsanext_cli.report.tables import (
     accepted_table,
@@ -22,7 +21,6 @@ from salsanext_cli.report.tables import (
     card_table,
     error_table,
     imported_table,
-    network_table,
     score_table,
     survey_tables,
     uncertainty_tables,
@@ -119,7 +117,6 @@ def tables_of_a_large_data_set(weights):
     models = dict.fromkeys(("confidence", "existing", "error"), of_error)
     yield error_table({"folds": 5, **models})
     yield accepted_table({"person-or-cycle": (MANY, 1000)})
-    yield network_table([NetworkCosts("salsanext", 6_711_572, 62_297_997_312)])
     described = describe_weights(weights)
     card = replace(described.card, scores={"iou_other-vehicle": 0.5})
     yield card_table(replace(described, card=card))
@@ -137,5 +134,5 @@ def test_no_table_is_cut_in_a_terminal_of_80_columns(weights):
     text = text_of(*tables_of_a_large_data_set(weights), width=80)
     assert "…" not in text.replace(" … ", "")
     words = {"mutual_information", "salsanext", "person-or-cycle", f"{MANY:,}", "4,071"}
-    words |= {"unlabelled", "117,000", "6,711,572", "62.30 G", "other-vehicle"}
+    words |= {"unlabelled", "117,000", "other-vehicle"}
     assert {word for word in words if word not in text} == set()

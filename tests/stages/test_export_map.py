@@ -69,7 +69,7 @@ def street(tmp_path):
 
 def cars_and_buildings(task):
     """Return whether there is a parked car, a moving one, and a building behind that."""
-    columns_of = task.open()()
+    columns_of = task.open()
     found = [columns_of(file) for file in task.files]
     assert len(found) == len(task.files)
     places, labels = (np.concatenate([part[name] for part in found]) for name in ("y", "label"))
@@ -179,10 +179,11 @@ def test_voxels_too_small_for_the_way_are_refused(fused, monkeypatch):
     assert export(fused, voxel=0.02).done == 2
 
 
+@pytest.mark.usefixtures("workers_in_process")
 def test_workers_change_nothing_and_a_map_of_the_user_is_kept(fused):
     export(fused)
     alone = map_of(fused).read_bytes()
-    export(fused, options=RunOptions(jobs=2, backend="threading"))
+    export(fused, options=RunOptions(jobs=2))
     assert map_of(fused).read_bytes() == alone
     map_of(fused).write_text("mine")
     with pytest.raises(OutputError) as refused:

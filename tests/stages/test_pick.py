@@ -69,7 +69,7 @@ def with_drive(world):
 
 
 def run(world, source=None, out=None, *, jobs=1, overwrite=False, **how):
-    options = RunOptions(jobs=jobs, backend="threading", overwrite=overwrite)
+    options = RunOptions(jobs=jobs, overwrite=overwrite)
     given = {"settings": world.network, "count": 3} | how
     return pick(source or world.data, out or world.out, options=options, **given)
 
@@ -149,6 +149,7 @@ def test_intensity_stays_on_the_scale_of_the_files(drive):
     np.testing.assert_allclose(read_scan(written.path).intensity, 200 * scan.intensity, rtol=1e-6)
 
 
+@pytest.mark.usefixtures("workers_in_process")
 def test_workers_and_order_change_nothing(drive, tmp_path):
     alone, many = tmp_path / "alone", tmp_path / "many"
     run(drive, out=alone)

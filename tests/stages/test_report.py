@@ -159,13 +159,14 @@ def test_names_of_classes_are_no_markup(world):
     assert any(evil in reason for reason in result.shown.values())
 
 
+@pytest.mark.usefixtures("workers_in_process")
 def test_a_page_is_the_same_whatever_the_order_of_the_scans(world):
     for number in range(2, 30):
         world.add(f"{number:06}", TRUTH, PREDICTED if number % 3 else TRUTH)
         world.put("uncertainty/entropy", f"{number:06}", [0.1 * number, 0, np.nan, 1])
     one, _ = made(world)
     first = one.page.read_bytes()
-    made(world, options=RunOptions(jobs=2, backend="threading"))
+    made(world, options=RunOptions(jobs=2))
     assert one.page.read_bytes() == first
 
 

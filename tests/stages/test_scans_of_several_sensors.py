@@ -82,11 +82,12 @@ def test_labels_are_those_of_separate_folders(mixed, network, apart, tmp_path, c
     assert uncertainty(mixed, out, settings=network, method=few).done == 5
 
 
+@pytest.mark.usefixtures("workers_in_process")
 def test_parts_steps_workers_and_batches_give_the_same(mixed, network, apart, tmp_path):
     parts, steps, batched = (tmp_path / name for name in ("parts", "steps", "batched"))
     predict_scans(mixed, parts, settings=network, selection=ScanSelection(limit=1))
     for number in (1, 2):
-        options = RunOptions(shard=Shard(number, 2), jobs=2, backend="threading")
+        options = RunOptions(shard=Shard(number, 2), jobs=2)
         predict_scans(mixed, parts, settings=network, options=options)
     project_scans(mixed, steps, sensor=SMALL, fit=True)
     predict_range_images(steps, steps, settings=network)

@@ -51,6 +51,7 @@ def test_labels_do_not_depend_on_the_scale_of_the_files(knowing, tmp_path):
     assert share_alike(knowing.out, tmp_path / "raw") < 0.95
 
 
+@pytest.mark.usefixtures("workers_in_process")
 def test_step_by_step_in_shards_and_by_workers_the_bytes_are_the_same(knowing, tmp_path):
     run(knowing)
     steps = tmp_path / "steps"
@@ -59,7 +60,7 @@ def test_step_by_step_in_shards_and_by_workers_the_bytes_are_the_same(knowing, t
     knn_refine_scans(steps)
     for number in (1, 2):
         run(knowing, tmp_path / "shards", options=RunOptions(shard=Shard(number, 2)))
-    run(knowing, tmp_path / "workers", options=RunOptions(jobs=2, backend="threading"))
+    run(knowing, tmp_path / "workers", options=RunOptions(jobs=2))
     expected = labels_below(knowing.out)
     assert len(expected) == 3
     for other in (steps, tmp_path / "shards", tmp_path / "workers"):

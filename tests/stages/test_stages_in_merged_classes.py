@@ -170,6 +170,11 @@ def test_uncertainty_beside_labels_has_their_classes(coarse, world):
         uncertainty(world.data, world.out, settings=world.network, **more)
     assert uncertainty(coarse.data, coarse.out, settings=coarse.network, **more).done == 1
     assert np.nanmax(np.load(coarse.result("uncertainty/entropy", "00"))) <= np.log(8) + 1e-5
+    paper = UncertaintyMethod(samples=2, aleatoric="paper")
+    with pytest.raises(UsageError, match="merged") as caught:
+        uncertainty(coarse.data, coarse.out, settings=coarse.network, method=paper)
+    assert caught.value.subject == "--aleatoric"
+    assert "--aleatoric copies" in caught.value.hint
     predict(world, selection=ONE, options=RunOptions(overwrite=True))
     with refused(OutputError, coarse.out):
         export_ply(coarse.out, colour="entropy")

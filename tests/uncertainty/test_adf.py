@@ -16,8 +16,8 @@ from scipy.special import expit
 from scipy.stats import norm
 from torch import nn
 
-from salsanext_cli.network.blocks import Unit, average_pooling
 from salsanext_cli.network.dropout import ChannelDropout
+from salsanext_cli.network.salsanext import Unit, average_pooling
 from salsanext_cli.uncertainty.adf import (
     MAX_DEVIATIONS,
     Gaussian,

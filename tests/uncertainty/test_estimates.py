@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from devices import threads
 from scans import SMALL, make_scan
 from shallow import slow_on_openvino
 
@@ -14,7 +15,6 @@ from salsanext_cli.engines.batches import BatchSize
 from salsanext_cli.engines.torch_backend import TorchBackend
 from salsanext_cli.geometry.network_input import normalise
 from salsanext_cli.network.dropout import ChannelDropout, random_masks, sampling
-from salsanext_cli.parallel.run_options import threads_of_workers
 from salsanext_cli.uncertainty.aleatoric import aleatoric, noise_variance
 from salsanext_cli.uncertainty.monte_carlo import pass_seed
 
@@ -177,8 +177,8 @@ def test_shapes_types_and_bounds(network, image):
 )
 def test_no_bit_depends_on_the_number_of_threads(weights, image, variance):
     found = []
-    for threads in (1, 2, 3):
-        with threads_of_workers(threads):
+    for count in (1, 2, 3):
+        with threads(count):
             found.append(variance(load_network(weights, "cpu", engine="openvino"), image))
     np.testing.assert_array_equal(found[1], found[0])
     np.testing.assert_array_equal(found[2], found[0])

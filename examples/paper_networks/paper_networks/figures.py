@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Figures of the networks that the papers print."""
+"""Figures of the networks: counted, and as the papers print them."""
 
 import tomllib
 from collections.abc import Sequence
@@ -7,6 +7,12 @@ from dataclasses import dataclass
 from decimal import ROUND_DOWN, ROUND_HALF_UP, Decimal
 from functools import cache
 from pathlib import Path
+
+import torch
+from torch.utils.flop_counter import FlopCounterMode
+
+from salsanext_cli.network.segmentation import SegmentationNetwork
+from salsanext_cli.records import CHANNELS
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,3 +58,13 @@ def agrees(count: int, printed: str) -> bool:
     """Return whether a count is the printed number of millions, rounded or cut off."""
     digit, millions = Decimal(printed), Decimal(count) / 1_000_000
     return digit in (millions.quantize(digit, way) for way in (ROUND_HALF_UP, ROUND_DOWN))
+
+
+def costs(module: SegmentationNetwork, height: int = 64, width: int = 2048) -> tuple[int, int]:
+    """Count parameters, and multiply-accumulates of the convolutions of one image.
+
+    The module is on the device "meta", so that nothing is computed.
+    """
+    with FlopCounterMode(display=False) as counter, torch.no_grad():
+        module.eval()(torch.empty(1, len(CHANNELS), height, width, device="meta"))
+    return sum(p.numel() for p in module.parameters()), counter.get_total_flops() // 2

@@ -14,16 +14,16 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from salsanext_cli.network.blocks import (
+from salsanext_cli.network.dropout import ChannelDropout
+from salsanext_cli.network.salsanext import (
     SLOPE,
     ContextBlock,
     DilatedStack,
+    SalsaNext,
     Unit,
     average_pooling,
     shortcut,
 )
-from salsanext_cli.network.dropout import ChannelDropout
-from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import CHANNELS
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Any
 
+import numba
 import numpy as np
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, default_collate
@@ -24,7 +25,6 @@ from salsanext_cli.geometry.network_input import (
     with_filled_gaps,
 )
 from salsanext_cli.geometry.projection import pixels_from_points, project
-from salsanext_cli.parallel.run_options import use_threads
 from salsanext_cli.records import Float, Mask
 from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.sensors.sensor import ORIGIN, UP, Sensor
@@ -238,7 +238,8 @@ def batches(
 
 
 def _use_one_thread(_: int) -> None:
-    use_threads(1)
+    # Torch has one thread in each worker already.
+    vars(numba.config)["NUMBA_NUM_THREADS"] = 1
 
 
 def _collate(items: list[Sample] | SalsanextError) -> Any:

@@ -1,26 +1,20 @@
 # SPDX-License-Identifier: MIT
-"""Every backend with real workers: the bytes do not depend on it, and deaths are survived."""
+"""Real workers: the bytes do not depend on their number, and deaths are survived."""
 
 import signal
 from pathlib import Path
 
 import pytest
+from devices import threads
 from scans import files_below, write_sequence
-from works import Write, run, scans_of
+from works import Write, run, scans_of, threads_of_process
 
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import WorkersLost
-from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.parallel.run_options import threads_of_workers
+from salsanext_cli.parallel.run import RunOptions, run_over_scans
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.uncertainty.method import UncertaintyMethod
-
-
-@pytest.fixture(params=["loky", "threading"])
-def workers(request):
-    """Return the options for two workers of each kind."""
-    return {"backend": request.param, "jobs": 2}
 
 
 def everything(data, out, weights, **options):
@@ -38,23 +32,33 @@ def alone(tmp_path_factory, weights):
     folder = tmp_path_factory.mktemp("alone")
     write_sequence(folder / "sequences/00", ["000000"], seed=7)
     write_sequence(folder / "sequences/08", ["000000", "000001", "000002"])
-    with threads_of_workers(1):
+    with threads(1):
         return folder, everything(folder, folder / "out", weights)
 
 
-def test_the_bytes_do_not_depend_on_who_works(tmp_path, alone, weights, workers, monkeypatch):
+def test_the_bytes_do_not_depend_on_who_works(tmp_path, alone, weights, monkeypatch):
     # One thread for each of two workers, whatever the machine.
     monkeypatch.setattr("joblib.cpu_count", lambda: 2)
     data, expected = alone
     assert len(expected) == 4 * (3 + 3) + 3
-    assert everything(data, tmp_path / "out", weights, **workers) == expected
+    assert everything(data, tmp_path / "out", weights, jobs=2) == expected
 
 
-def test_failures_are_named_and_the_rest_is_done(tmp_path, workers, monkeypatch):
+def test_cores_are_divided_among_the_workers(monkeypatch):
+    monkeypatch.setattr("joblib.cpu_count", lambda: 2)
+    seen = []
+    with threads(2):
+        run_over_scans(
+            threads_of_process, scans_of("a", "b"), RunOptions(jobs=2), on_result=seen.append
+        )
+    assert seen == [(1, 1)] * 2
+
+
+def test_failures_are_named_and_the_rest_is_done(tmp_path, monkeypatch):
     """Relative names start where the run was started; who handled SIGTERM still does."""
     monkeypatch.chdir(tmp_path)
     handler = signal.getsignal(signal.SIGTERM)
-    outcome = run(Write(Path("out")), scans_of("bad2", "a", "bad1", "b"), **workers)
+    outcome = run(Write(Path("out")), scans_of("bad2", "a", "bad1", "b"), jobs=2)
     assert [failure.reason for failure in outcome.failures] == [
         "/scans/bad1.bin: cut off",
         "/scans/bad2.bin: cut off",
@@ -62,20 +66,18 @@ def test_failures_are_named_and_the_rest_is_done(tmp_path, workers, monkeypatch)
     assert sorted(path.name for path in Path("out/s").iterdir()) == ["a", "b"]
     assert signal.getsignal(signal.SIGTERM) is handler
     with pytest.raises(ZeroDivisionError, match="a bug of ours"):
-        run(Write(tmp_path), scans_of("a", "bug", "b"), **workers)
+        run(Write(tmp_path), scans_of("a", "bug", "b"), jobs=2)
 
 
-def test_a_scan_that_kills_its_workers_is_one_error_and_the_next_run_goes_on(tmp_path, workers):
-    if workers["backend"] == "threading":
-        pytest.skip("a thread that is killed takes the run with it")
+def test_a_scan_that_kills_its_workers_is_one_error_and_the_next_run_goes_on(tmp_path):
     scans = scans_of(*(f"{n:02d}" for n in range(8)), "killed", *(f"{n:02d}" for n in range(8, 15)))
     with pytest.raises(WorkersLost) as caught:
-        run(Write(tmp_path), scans, **workers)
+        run(Write(tmp_path), scans, jobs=2)
     missing = [scan for scan in scans if not (tmp_path / "s" / scan.stem).exists()]
     assert "killed" in {scan.stem for scan in missing}
     named = ", ".join(f"s/{scan.stem}" for scan in missing[:3])
     assert f" {len(missing)} of 16 scans are missing: {named}" in caught.value.problem
     assert caught.value.subject == "--jobs 2"
-    again = run(Write(tmp_path, peaceful=True), scans, **workers)
+    again = run(Write(tmp_path, peaceful=True), scans, jobs=2)
     assert (again.done, again.skipped) == (len(missing), 16 - len(missing))
     assert {path.name for path in (tmp_path / "s").iterdir()} == {scan.stem for scan in scans}
