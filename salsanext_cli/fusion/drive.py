@@ -50,7 +50,7 @@ def recorded_drive(folder: Path) -> Drive | None:
         return None
     with refusing_damage(folder / DRIVE, "the record of `fuse`"):
         stems, parts = [*map(str, record["scans"])], np.array(record.get("parts", ()), np.int64)
-        drive = Drive(read_fused_poses(path, stems, stems), parts)
+        drive = Drive(read_fused_poses(path, stems), parts)
     if drive.record(stems) != record:
         problem = "differs from the poses that the scans were fused by"
         raise OutputError(path, problem, hint="fuse the sequence again with --overwrite")

@@ -248,7 +248,7 @@ def test_poses_may_be_named_for_one_sequence(world, tmp_path):
     assert not (world.out / "fused").exists()
     result = CliRunner().invoke(app, [*words, "--sequences", "08"])
     assert result.exit_code == 0, result.output
-    used = read_fused_poses(fused_folder(world) / "poses.txt", STEMS, STEMS)
+    used = read_fused_poses(fused_folder(world) / "poses.txt", STEMS)
     np.testing.assert_allclose(used, way(3), atol=1e-12)
     path.write_text("\n".join(lines[1:]))
     assert CliRunner().invoke(app, [*words, "--sequences", "08"]).exit_code == 1
@@ -264,7 +264,7 @@ def test_names_that_count_from_1_find_their_lines(world, caplog):
     predict_scans(folder, world.out, settings=world.network, extras=("votes",))
     with caplog.at_level(NOTICE):
         assert fuse_results(world.out).done == 3
-    used = read_fused_poses(fused_folder(world) / "poses.txt", stems, stems)
+    used = read_fused_poses(fused_folder(world) / "poses.txt", stems)
     np.testing.assert_array_equal(used, way(3))
     assert "line numbers counted from 1" in caplog.text
 
