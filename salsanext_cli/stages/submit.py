@@ -106,18 +106,13 @@ def submit(
 
     Parameters
     ----------
-    out : Path
-        Output folder with predictions.
-    target : Path
-        ZIP file to write.
-    dataset, space : optional
-        Data set with the scans, and label space of its labels, if not the recorded ones.
-    description : Path, optional
-        Text file about the method.
-    overwrite : bool, optional
-        Whether to replace an existing file.
-    progress : callable, optional
-        Function of the number of finished files and of all files.
+    out, target : Path
+        Output folder with predictions, and ZIP file to write.
+    dataset, space, description : Path, LabelSpace, Path, optional
+        Data set with the scans, and label space of its labels, if not the recorded ones; text file
+        about the method.
+    overwrite, progress : bool, callable, optional
+        Whether to replace an existing file; function of the number of finished files and of all.
 
     Returns
     -------
@@ -170,10 +165,8 @@ def unmerged(space: LabelSpace, scans: Sequence[ScanFile] = ()) -> LabelSpace | 
 
     Parameters
     ----------
-    space : LabelSpace
-        Label space of predictions.
-    scans : sequence of ScanFile, optional
-        Scans of a data set that may describe a label space.
+    space, scans : LabelSpace, sequence of ScanFile
+        Label space of predictions, and scans of a data set that may describe another.
 
     Returns
     -------
