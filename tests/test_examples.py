@@ -15,11 +15,16 @@ from typing import Any
 from unittest.mock import MagicMock
 
 import numpy as np
+import plyfile
 import pytest
 from evaluated import CAR, ROAD, World
 from scans import make_scan, write_array, write_bin, write_sequence
 
-from salsanext_cli import read_labels
+from salsanext_cli import Scan, label_space, read_labels, write_labels
+from salsanext_cli.errors import SalsanextError
+from salsanext_cli.files.json_files import encode_json
+from salsanext_cli.fusion.drive import Drive
+from salsanext_cli.fusion.poses import encode_poses
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.network.salsanext import SalsaNext
@@ -221,6 +226,92 @@ def test_rerun_recording(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun", rerun)
     load("rerun_recording")(str(world.out), "drive.rrd")
     assert [*dict.fromkeys(logged)] == ["/", "name", "label", "uncertainty/entropy"]
+
+
+def ray_cast(x, walls):
+    """Return points that rays of an HDL-64 from (x, 0) hit of walls, and their labels.
+
+    Each wall is at y, from one x to another, 3 m high around the sensor.
+    """
+    azimuth = (np.arange(1024) + 0.5) / 1024 * 2 * np.pi - np.pi
+    elevation = np.radians(3 - 28 * (np.arange(10) + 0.5) / 32)
+    elevation, azimuth = (angles.ravel() for angles in np.meshgrid(elevation, azimuth))
+    nearest, labels = np.full(len(azimuth), np.inf), np.zeros(len(azimuth), np.uint32)
+    for y, start, end, label in walls:
+        distance = y / np.sin(azimuth)
+        place = x + distance * np.cos(azimuth)
+        hit = (distance > 0) & (distance < np.minimum(nearest, 40)) & (place >= start)
+        hit &= place <= end
+        nearest[hit], labels[hit] = distance[hit], label
+    seen = np.isfinite(nearest)
+    points = np.stack([np.cos(azimuth), np.sin(azimuth), np.tan(elevation)], 1) * nearest[:, None]
+    return points[seen].astype(np.float32), labels[seen]
+
+
+ORIGIN = np.array([4e5, 5e6, 30.0])
+BUILDING = 50
+
+
+@pytest.fixture
+def drive(tmp_path):
+    """Fuse four scans of a parked and a moving car between two walls, by hand; the last is apart.
+
+    Return the folder of the results, and every place on the walls, with its range, in the others.
+    """
+    poses, places = np.tile(np.eye(4), (4, 1, 1)), []
+    fused = tmp_path / "fused/sequences/08"
+    walls = (10.0, -30, 30, BUILDING), (-10.0, -30, 30, BUILDING)
+    for i, pose in enumerate(poses):
+        pose[:3, 3] = ORIGIN + [i, 0, 0]
+        cars = (5.0, 0, 4, CAR), (-5.0, 4 * i - 6, 4 * i - 4, CAR)
+        points, labels = ray_cast(i, (*cars, *walls))
+        labels[::50] = 0
+        write_bin(tmp_path / f"08/velodyne/{i}.bin", Scan(points, np.zeros(len(points), "f4")))
+        write_labels(fused / f"predictions/{i}.label", labels | 7 << 16)
+        if i < 3:
+            on_walls = points[labels == BUILDING]
+            places += [(point + pose[:3, 3], np.linalg.norm(point)) for point in on_walls]
+    record = Drive(poses, np.array([0, 0, 0, 1])).record([*"0123"])
+    (fused / "drive.json").write_bytes(encode_json(record))
+    (fused / "poses.txt").write_bytes(encode_poses(poses))
+    return fused, places
+
+
+def test_drive_map(drive, tmp_path, capsys):
+    fused, places = drive
+    nearest: dict[tuple[int, ...], float] = {}
+    for place, distance in places:
+        voxel = tuple(np.floor(place / 0.5).astype(int))
+        nearest[voxel] = min(nearest.get(voxel, np.inf), distance)
+    draw = load("drive_map")
+    draw(fused, tmp_path / "08", tmp_path / "map.ply", 0.5, "semantic-kitti")
+    printed = capsys.readouterr().out
+    assert "3 of 4 scans" in printed
+    assert f"{len(nearest)} points of 3 scans" in printed
+    vertices = plyfile.PlyData.read(tmp_path / "map.ply")["vertex"]
+    found = np.stack([vertices[axis] for axis in "xyz"], axis=1)
+    voxels = map(tuple, np.floor(found / 0.5).astype(int))
+    assert dict(zip(voxels, vertices["range"], strict=True)) == pytest.approx(nearest)
+    assert np.abs(np.abs(found[:, 1] - ORIGIN[1]) - 10).max() < 1e-4
+    assert set(vertices["label"]) == {BUILDING}
+    rgb = np.stack([vertices[name] for name in ("red", "green", "blue")], axis=1)
+    space = label_space()
+    assert (rgb == space.colours[space.names.index("building")]).all()
+    for change in (
+        {"size": 0.0},
+        {"target": tmp_path / "map.ply"},
+        {"target": tmp_path / "map.las"},
+        {"fused": tmp_path},
+        {"scans": tmp_path / "fused"},
+    ):
+        given = {"fused": fused, "scans": tmp_path / "08", "target": tmp_path / "new.ply"}
+        with pytest.raises((SystemExit, SalsanextError)):
+            draw(**{**given, "size": 0.5, "classes": "semantic-kitti", **change})
+    for line in ("", "1 0 0\n", "1 0 0 0 0 1 0 0 0 0 1 0\n"):
+        (fused / "poses.txt").write_text(line)
+        with pytest.raises(SystemExit, match="salsanext fuse"):
+            draw(fused, tmp_path / "08", tmp_path / "new.ply", 0.5, "semantic-kitti")
+    assert not (tmp_path / "new.ply").exists()
 
 
 def test_every_example_has_a_command_line_and_a_test():

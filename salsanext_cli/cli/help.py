@@ -14,8 +14,8 @@ DOCUMENTATION = "https://salsanext.readthedocs.io"
 NAMES_WIDTH = 24  # Columns of the names of options; longer ones get a line
 HIDDEN = {
     "": "--aleatoric --batch --ego --engine --install-completion --intensity "
-    "--knn-cutoff --knn-k --knn-sigma --knn-window --map-voxel --min-range --on-error "
-    "--movable-reach --pixel-labels --precision --shard --show-completion",
+    "--knn-cutoff --knn-k --knn-sigma --knn-window --min-range --movable-reach --on-error "
+    "--pixel-labels --precision --shard --show-completion",
     "pick": "--seed",
     **dict.fromkeys(("export-ply", "picture", "report", "view"), "--label-space"),
 }

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from salsanext_cli.cli import arguments, console, summary
 from salsanext_cli.cli.console import over_scans
 from salsanext_cli.cli.expansion import Without
-from salsanext_cli.errors import UsageError, counted
+from salsanext_cli.errors import counted
 from salsanext_cli.option_fields import FusionReach, argument, names_in, option, option_group
 from salsanext_cli.parallel.run_options import RunOptions
 from salsanext_cli.results.query import ResultQuery
@@ -166,17 +166,6 @@ def export_ply(
     *,
     colour: str = option(f"{COLOUR_HELP}.", "--colour", "--color", default="label"),
     scale: tuple[float, float] | None = arguments.SCALE,
-    max_error: float | None = option(
-        "Write points as unlabelled whose probability of error is above this."
-    ),
-    as_map: bool = option(
-        "Write one cloud for each drive, with the labels of `fuse`.", "--map", default=False
-    ),
-    voxel: float | None = option(
-        "Edge of the voxels of --map, each with one point, in metres.",
-        "--map-voxel",
-        show_default="0.1",
-    ),
     query: ResultQuery,
     running: RunOptions,
     output: console.Output,
@@ -187,17 +176,6 @@ def export_ply(
     """
     from salsanext_cli.stages.export_ply import export_ply as stage
 
-    if voxel is not None and not as_map:
-        raise UsageError("--map-voxel", "given without --map", "both or neither")
     with over_scans("export-ply", running, output.quiet) as run:
-        map_voxel = (0.1 if voxel is None else voxel) if as_map else None
-        outcome = stage(
-            out,
-            colour=colour,
-            scale=scale,
-            max_error=max_error,
-            voxel=map_voxel,
-            query=query,
-            options=run,
-        )
-    summary.finish("export-ply", outcome, out, output, limit=max_error)
+        outcome = stage(out, colour=colour, scale=scale, query=query, options=run)
+    summary.finish("export-ply", outcome, out, output)

@@ -21,24 +21,12 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class PlugIn:
-    """Object of another distribution.
+    """Object of another distribution."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the entry point.
-    distribution : str
-        Name and version of the distribution, such as ``radian-lidar 1.0``.
-    module : str
-        Module that the entry point names.
-    target : Any
-        The object.
-    """
-
-    name: str
-    distribution: str
-    module: str
-    target: Any
+    name: str  # Name of the entry point
+    distribution: str  # Name and version, such as radian-lidar 1.0
+    module: str  # Module that the entry point names
+    target: Any  # The object
 
     def __str__(self) -> str:
         return f"{self.name} ({self.distribution})"
@@ -60,23 +48,11 @@ def load_plug_ins(
     expected: Any,
     fault: Callable[[Any, Collection[PlugIn]], str] = lambda *_: "",
 ) -> dict[str, PlugIn]:
-    """Import the plug-ins of a kind, sorted by name; warn of unusable ones.
+    """Import the plug-ins of a kind, by name of their entry point, sorted; warn of unusable ones.
 
-    Parameters
-    ----------
-    kind : str
-        Group of entry points without ``salsanext.``: formats, networks or label_spaces.
-    built_in : collection of str
-        Names that a plug-in cannot have.
-    expected : type
-        Type of the objects.
-    fault : callable
-        Function of an object and the earlier plug-ins; returns a problem with the object, or "".
-
-    Returns
-    -------
-    dict of str to PlugIn
-        Usable plug-ins by the name of their entry point.
+    `kind`: group of entry points without ``salsanext.``, such as formats; `built_in`: names that a
+    plug-in cannot have; `expected`: type of the objects; `fault`: function of an object and the
+    earlier plug-ins that returns a problem with the object, or "".
     """
     from importlib.metadata import entry_points
 

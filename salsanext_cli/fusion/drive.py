@@ -43,26 +43,18 @@ class Drive:
         return {"scans": [*stems], "poses": digest, "parts": self.parts.tolist()}
 
 
-def recorded_drive(folder: Path, wanted: Sequence[str] | None = None) -> Drive | None:
-    """Return the drive that `fuse` recorded in the folder of a sequence, None without a record.
-
-    It is cut to the `wanted` stems, and None if not all of them were fused.
-    """
+def recorded_drive(folder: Path) -> Drive | None:
+    """Return the drive that `fuse` recorded in the folder of a sequence, None without a record."""
     record, path = read_json(folder / DRIVE), folder / POSES
     if record is None or not present(path):
         return None
     with refusing_damage(folder / DRIVE, "the record of `fuse`"):
         stems, parts = [*map(str, record["scans"])], np.array(record.get("parts", ()), np.int64)
-        drive = Drive(read_fused_poses(path, stems, stems), parts)
-    wanted = stems if wanted is None else wanted
+        drive = Drive(read_fused_poses(path, stems), parts)
     if drive.record(stems) != record:
         problem = "differs from the poses that the scans were fused by"
         raise OutputError(path, problem, hint="fuse the sequence again with --overwrite")
-    numbers = {stem: number for number, stem in enumerate(stems)}
-    if not numbers.keys() >= {*wanted}:
-        return None
-    chosen = [numbers[stem] for stem in wanted]
-    return Drive(drive.poses[chosen], parts[chosen])
+    return drive
 
 
 def poses_beside(files: Sequence[ScanFile]) -> Path | None:

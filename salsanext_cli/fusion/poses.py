@@ -70,10 +70,10 @@ def _poses_of_lines(path: Path, rows: Sequence[str], numbers: Sequence[int]) -> 
     return poses
 
 
-def read_fused_poses(path: Path, scans: Sequence[str], wanted: Sequence[str]) -> Poses:
+def read_fused_poses(path: Path, scans: Sequence[str]) -> Poses:
     """Read poses that `fuse` wrote, with a line for each scan whatever its name."""
-    scans, wanted = ([f"scan {name}" for name in names] for names in (scans, wanted))
-    (poses,) = pose_readings(path, scans, wanted)
+    names = [f"scan {name}" for name in scans]
+    (poses,) = pose_readings(path, names, names)
     return poses
 
 

@@ -3,7 +3,7 @@
 
 import logging
 from collections.abc import Callable, Mapping
-from typing import Generic, NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -11,8 +11,6 @@ import numpy.typing as npt
 from salsanext_cli.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.errors import SalsanextError, UsageError, warn_once
 from salsanext_cli.fusion.drive import Drive
-from salsanext_cli.fusion.pose_checks import Parts
-from salsanext_cli.fusion.poses import Poses
 from salsanext_cli.fusion.visibility import nearest_ranges, seen_by
 from salsanext_cli.fusion.votes import (
     MAX_CELLS,
@@ -29,7 +27,6 @@ from salsanext_cli.records import Double, Float, Mask
 MOVABLE_SHARE = 0.2  # Least share of votes for movable classes that needs a look by other scans
 SCAN_M = 500.0  # Least reach of the voxels around the farthest scan of a drive
 log = logging.getLogger(__name__)
-Content = TypeVar("Content")
 ReadScan = Callable[[int], tuple[Float, Float]]
 """Function from the number of a scan in its drive to its points (N, 3) and softmax (N, C)."""
 
@@ -41,45 +38,6 @@ def warn_without_movable_classes(space: LabelSpace) -> None:
         warn_once(log, f"{problem}: moving objects are fused as if they stood still")
 
 
-def in_drive(points: Float, rotation: Poses, place: Poses) -> Double:
-    """Return points (N, 3) turned by (3, 3) and moved by (3,); infinite ones become NaN."""
-    with np.errstate(invalid="ignore"):
-        return points.astype(np.float64) @ rotation.T + place
-
-
-def require_near(places: Double, size: float, subject: object, hint: str) -> None:
-    """Refuse positions (…, 3) of scans, from the first of their part, beyond the voxel keys."""
-    farthest, most = np.abs(places).max(initial=0), size * MAX_CELLS - SCAN_M
-    if not farthest <= most:
-        problem = f"is {farthest / 1000:.1f} km from the first scan of its part of the drive"
-        raise UsageError(subject, problem, f"at most {most / 1000:.1f} km", hint)
-
-
-class DriveWindow(Generic[Content]):
-    """Contents of the scans around one of a drive, read once while the window moves."""
-
-    def __init__(self, parts: Parts, reach: int, read: Callable[[int], Content]) -> None:
-        self.parts, self.reach, self.read = parts, reach, read
-        self.contents: dict[int, Content | SalsanextError] = {}
-
-    def around(self, index: int) -> tuple[Content, dict[int, Content]]:
-        """Return the content of a scan, and of the readable others in reach in its part."""
-        near = range(max(0, index - self.reach), min(len(self.parts), index + self.reach + 1))
-        members = [i for i in near if self.parts[i] == self.parts[index]]
-        before = self.contents
-        self.contents = {i: before[i] if i in before else self._read(i) for i in members}
-        if isinstance(error := self.contents[index], SalsanextError):
-            raise error
-        readable = {i: c for i, c in self.contents.items() if not isinstance(c, SalsanextError)}
-        return readable.pop(index), readable
-
-    def _read(self, index: int) -> Content | SalsanextError:
-        try:
-            return self.read(index)
-        except SalsanextError as error:
-            return error
-
-
 class PlacedScan(NamedTuple):
     """Scan in the frame of the drive."""
 
@@ -89,18 +47,21 @@ class PlacedScan(NamedTuple):
 
 
 class FusionWindow:
-    """Votes of the scans around one of a drive; `movable` (C,): movable classes."""
+    """Votes of the scans around one of a drive, which are read once while the window moves.
+
+    `movable` (C,): mask of the movable classes.
+    """
 
     def __init__(self, drive: Drive, read: ReadScan, reach: FusionReach, movable: Mask) -> None:
-        self.poses, self.read, self.reach = drive.poses, read, reach
+        self.poses, self.parts, self.read, self.reach = drive.poses, drive.parts, read, reach
         self.places = drive.poses[:, :3, 3] - drive.origins[drive.parts]
-        self.window = DriveWindow(drive.parts, reach.reach, self._seen)
+        self.seen: dict[int, PlacedScan | SalsanextError] = {}
         self.movable = movable
         self.counted = {True: np.ones(len(movable), np.uint8), False: (~movable).astype(np.uint8)}
 
     def tally(self, index: int) -> Tally:
         """Return the votes of the scans of the window for the points of a scan."""
-        scan, others = self.window.around(index)
+        scan, others = self._around(index)
         tallies = []
         for size, votes in enumerate(scan.votes):
             counted = [
@@ -110,6 +71,18 @@ class FusionWindow:
             tallies.append(tally(votes, counted, self._stands(votes, scan, others)))
         mean = np.mean([part.probabilities for part in tallies], axis=0)
         return Tally(mean, tallies[-1].views)
+
+    def _around(self, index: int) -> tuple[PlacedScan, dict[int, PlacedScan]]:
+        """Return a scan, and the readable others in reach in its part."""
+        reach = self.reach.reach
+        near = range(max(0, index - reach), min(len(self.parts), index + reach + 1))
+        members = [i for i in near if self.parts[i] == self.parts[index]]
+        before = self.seen
+        self.seen = {i: before[i] if i in before else self._placed(i) for i in members}
+        if isinstance(error := self.seen[index], SalsanextError):
+            raise error
+        readable = {i: s for i, s in self.seen.items() if not isinstance(s, SalsanextError)}
+        return readable.pop(index), readable
 
     def _stands(
         self, votes: VoxelVotes, scan: PlacedScan, others: Mapping[int, PlacedScan]
@@ -126,11 +99,18 @@ class FusionWindow:
         stands[voxels] = through < there
         return stands
 
-    def _seen(self, index: int) -> PlacedScan:
-        place = self.places[index]
-        require_near(place, VOXEL_SIZES_M[0], f"pose of scan {index}", "fuse shorter drives")
-        points, softmax = self.read(index)
-        placed = in_drive(points, self.poses[index, :3, :3], place)
+    def _placed(self, index: int) -> PlacedScan | SalsanextError:
+        place, most = self.places[index], VOXEL_SIZES_M[0] * MAX_CELLS - SCAN_M
+        try:
+            if not (farthest := np.abs(place).max()) <= most:
+                subject, expected = f"pose of scan {index}", f"at most {most / 1000:.1f} km"
+                away = f"is {farthest / 1000:.1f} km from the first scan of its part of the drive"
+                raise UsageError(subject, away, expected, "fuse shorter drives")
+            points, softmax = self.read(index)
+        except SalsanextError as error:
+            return error
+        with np.errstate(invalid="ignore"):  # Infinite points become NaN.
+            placed = points.astype(np.float64) @ self.poses[index, :3, :3].T + place
         has_vote = softmax[:, 0] < 1  # Points with a label
         votes = [votes_of_scan(placed, softmax, has_vote, size) for size in VOXEL_SIZES_M]
         return PlacedScan(placed, votes, nearest_ranges(points))

@@ -72,32 +72,15 @@ class LabelOrigin:
 
 @dataclass(slots=True)
 class LabelImport:
-    """Result of an import of labels.
+    """Result of an import of labels."""
 
-    Attributes
-    ----------
-    space : LabelSpace
-        Classes of the labels.
-    class_points : (C,) int64
-        Number of imported points by train id.
-    scans : list of ImportedScan
-        Scans with imported labels.
-    failures : list of FailedImport
-        Files that were not imported.
-    unedited : list of str
-        Files with unchanged pre-labels, which are not imported.
-    unchanged : int
-        Number of scans without an edited file.
-    pre_labelled : list of str
-        Scans whose label file still contains pre-labels, as sequence/stem.
-    """
-
-    space: LabelSpace
-    class_points: Counts
+    space: LabelSpace  # Classes of the labels
+    class_points: Counts  # (C,) int64: number of imported points by train id
     scans: list[ImportedScan] = field(default_factory=list)
     failures: list[FailedImport] = field(default_factory=list)
-    unedited: list[str] = field(default_factory=list)
-    unchanged: int = 0
+    unedited: list[str] = field(default_factory=list)  # Files with unchanged pre-labels
+    unchanged: int = 0  # Number of scans without an edited file
+    # Scans whose label file still contains pre-labels, as sequence/stem
     pre_labelled: list[str] = field(default_factory=list)
 
     def largest_classes(self) -> dict[str, float]:
@@ -144,7 +127,11 @@ class LabelRecords:
                     with suppress(*MALFORMED):  # A line that was cut off.
                         entry = json.loads(line)
                         entries[entry["scan"]] = entry
-        return {name: _origin(entry) for name, entry in entries.items()}
+        origins = dict.fromkeys(entries, LabelOrigin())
+        for name, entry in entries.items():
+            with suppress(*MALFORMED):
+                origins[name] = decoded(LabelOrigin, entry)
+        return origins
 
     @cached_property
     def _states(self) -> States:
@@ -197,12 +184,6 @@ def require_truth(scans: Iterable[ScanFile]) -> None:
         problem = f"contains unchanged pre-labels{more}"
         hint = "label the scan, then run `salsanext import-labels`"
         raise LabelError(unlabelled[0].label_path, problem, "labels by a person", hint)
-
-
-def _origin(entry: object) -> LabelOrigin:
-    with suppress(*MALFORMED):
-        return decoded(LabelOrigin, entry)
-    return LabelOrigin()
 
 
 def _table(path: Path, key: str) -> Mapping[str, object]:

@@ -40,21 +40,35 @@ def choose_scans(
 ) -> list[Choice]:
     """Choose the scans most worth labelling, the most valuable first.
 
-    The weights of the `features` (S, F) are equal; `uncertainty` (S,) is at least 0; the indices in
+    They are chosen by uncertainty times distance, among scans far enough from all chosen ones. The
+    weights of the `features` (S, F) are equal; `uncertainty` (S,) is at least 0; the indices in
     `labelled` count as chosen before all others and are not returned.
     """
     weights = np.asarray(uncertainty, np.float64)
-    points, before = standardised(features), list(labelled)
-    total = min(len(before) + count, len(weights))
-    order = _greedy(points, weights, total, before)
+    points, total = standardised(features), min(len(labelled) + count, len(weights))
+    least = SHARE_OF_SPREAD * spread(points, total)
     ranks = np.empty(len(weights), np.intp)
     ranks[np.argsort(-weights, kind="stable")] = np.arange(1, len(weights) + 1)
+    left = ~np.isin(np.arange(len(weights)), labelled)
+    apart, nearest = np.full(len(weights), math.inf), np.zeros(len(weights), np.intp)
     chosen = []
-    for number, scan in enumerate(order[len(before) :], start=len(before)):
-        apart = distances(points, scan)[order[:number]]
-        distance = float(apart.min()) if number else math.nan
-        nearest = order[int(apart.argmin())] if number else None
-        chosen.append(Choice(scan, float(weights[scan]), int(ranks[scan]), distance, nearest))
+    for number in range(total):
+        if number < len(labelled):
+            scan = labelled[number]
+        else:
+            unlike = left & (apart > 0)
+            # Scans equal to chosen ones come last, in the order of their uncertainty.
+            score = weights * apart if number and unlike.any() else weights
+            # By rounding, no scan may be far enough.
+            levels = (unlike & (apart >= least), unlike, left)
+            eligible = next(level for level in levels if level.any())
+            scan = int(np.where(eligible, score, -math.inf).argmax())
+            before = (float(apart[scan]), int(nearest[scan])) if number else (math.nan, None)
+            chosen.append(Choice(scan, float(weights[scan]), int(ranks[scan]), *before))
+        left[scan] = False
+        distance = distances(points, scan)
+        nearest[distance < apart] = scan
+        apart = np.minimum(apart, distance)
     return chosen
 
 
@@ -91,24 +105,3 @@ def spread(points: Double, count: int) -> float:
         scan = int(apart.argmax())
         least = float(apart[scan])
     return least
-
-
-def _greedy(points: Double, weights: Double, count: int, before: Sequence[int]) -> list[int]:
-    """Choose by uncertainty times distance, among scans far enough from all chosen ones."""
-    least = SHARE_OF_SPREAD * spread(points, count)
-    order = list(before) or [int(weights.argmax())]
-    apart = np.min([distances(points, scan) for scan in order], axis=0)
-    left = np.ones(len(weights), bool)
-    left[order] = False
-    while len(order) < count:
-        unlike = left & (apart > 0)
-        # Scans equal to chosen ones come last, in the order of their uncertainty.
-        score = weights * apart if unlike.any() else weights
-        # By rounding, no scan may be far enough.
-        levels = (unlike & (apart >= least), unlike, left)
-        eligible = next(level for level in levels if level.any())
-        scan = int(np.where(eligible, score, -math.inf).argmax())
-        order.append(scan)
-        left[scan] = False
-        apart = np.minimum(apart, distances(points, scan))
-    return order

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numpy.lib import format as npy
 
 from salsanext_cli.classes.label_space import RawIds
 from salsanext_cli.errors import OutputError
@@ -128,9 +127,8 @@ class OutputRun(OwnedFolder):
 
 def encode_array(array: npt.NDArray[Any]) -> bytes:
     """Return the content of a `.npy` file."""
-    array = np.ascontiguousarray(array)
     with io.BytesIO() as file:
-        npy.write_array(file, array, version=(1, 0), allow_pickle=False)
+        np.save(file, np.ascontiguousarray(array), allow_pickle=False)
         return file.getvalue()
 
 

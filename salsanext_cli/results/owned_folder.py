@@ -17,7 +17,6 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import BinaryIO
 from urllib.parse import quote_from_bytes, unquote_to_bytes
 from uuid import uuid4
 
@@ -115,16 +114,10 @@ class OwnedFolder:
         if not self.root.is_dir() or any(p.name[0] != "." for p in self.root.iterdir()):
             raise OutputError(self.root, "contains other files", "a new or empty folder")
 
-    @contextmanager
-    def writing(self, path: Path, *, durable: bool = False) -> Iterator[BinaryIO]:
-        """Open a file of the folder as `atomic.writing` does, and list it."""
-        listed = partial(self._list, path, durable=durable)
-        with writing(path, durable=durable, before_rename=listed) as file:
-            yield file
-
     def write(self, path: Path, content: bytes, *, durable: bool = False) -> None:
         """Write a file of the folder atomically, and list it."""
-        with self.writing(path, durable=durable) as file:
+        listed = partial(self._list, path, durable=durable)
+        with writing(path, durable=durable, before_rename=listed) as file:
             file.write(content)
 
     def write_missing(self, path: Path, content: bytes) -> None:
@@ -141,10 +134,6 @@ class OwnedFolder:
             self.remove_written(absent)
             for path, content in files.items():
                 self.write(path, content, durable=True)
-
-    def add(self, path: Path) -> None:
-        """List a file of the folder in its present state."""
-        self._list(path, path.lstat())
 
     def foreign_files(self, paths: Iterable[Path], states: States | None = None) -> list[Path]:
         """Return the foreign files among some paths; `states`: as of `states()`."""

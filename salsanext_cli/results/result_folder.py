@@ -101,15 +101,6 @@ class ScanResults:
         coverage, risk = len(judged) / max(known.sum(), 1), judged.sum() / max(len(judged), 1)
         return f"coverage {100 * coverage:.1f} %, risk {100 * risk:.1f} %"
 
-    def rejecting(self, max_error: float, space: LabelSpace) -> "ScanResults":
-        """Return the results with points above a threshold of the error rejected."""
-        if self.label is None:
-            return self
-        above = self.uncertainty["error"] > max_error
-        unaccepted = above if self.rejected is None else above | self.rejected
-        unlabelled = space.to_raw(np.zeros(1, np.uint8)).astype(self.label.dtype)
-        return replace(self, label=np.where(above, unlabelled, self.label), rejected=unaccepted)
-
 
 @dataclass(frozen=True, slots=True)
 class ChosenResults:

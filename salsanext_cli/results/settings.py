@@ -40,7 +40,7 @@ class StageSettings:
     scales: Mapping[str, tuple[float, ...]] | None = None
     colour: str | None = None  # Value in point clouds, and ends of its scale
     scale: tuple[float, ...] | None = None
-    max_error: float | None = None  # Error above which points are shown as unlabelled
+    max_error: float | None = None  # Largest error of the points that `filter` writes
     origins: Mapping[str, str] | None = None  # Digests of the settings of earlier stages, by name
     trained_on: str | None = None  # Joined digests of the scans that the weights were trained on
 

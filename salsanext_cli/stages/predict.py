@@ -111,7 +111,7 @@ class LabelWriter:
         raw = space.to_raw(scan.labels)
         if "objects" in output.folders:
             objects = find_objects(image, scan.labels, space.movable)
-            output.write(output.path(file, "objects"), object_table(scan, objects, space))
+            output.write(output.path(file, "objects"), _object_table(scan, objects, space))
             raw |= objects.astype(np.uint32) << 16
         output.write_labels(file, raw)
         summary = ScanSummary.of_scan(scan, space, int(rejected.sum()))
@@ -119,19 +119,8 @@ class LabelWriter:
         return replace(summary, confidence=1 - float(known.mean()) if known.size else np.nan)
 
 
-def object_table(scan: LabelledScan, objects: Objects, space: LabelSpace) -> bytes:
-    """Return the .csv table of the objects.
-
-    Parameters
-    ----------
-    scan, objects, space
-        Labelled scan, object number of each point (0 for none), and classes.
-
-    Returns
-    -------
-    bytes
-        Class, number of points and box of each object.
-    """
+def _object_table(scan: LabelledScan, objects: Objects, space: LabelSpace) -> bytes:
+    """Return the .csv table of the class, the number of points and the box of each object."""
     file, sizes = io.StringIO(), np.bincount(objects)
     of_object = np.zeros(len(sizes), np.uint8)
     of_object[objects] = scan.labels

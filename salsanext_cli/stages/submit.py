@@ -67,18 +67,13 @@ def submit(
 
     Parameters
     ----------
-    out : Path
-        Output folder with predictions.
-    target : Path
-        ZIP file to write.
-    dataset, space : optional
-        Data set with the scans, and label space of its labels, if not the recorded ones.
-    description : Path, optional
-        Text file about the method.
-    overwrite : bool, optional
-        Whether to replace an existing file.
-    progress : callable, optional
-        Function of the number of finished files and of all files.
+    out, target : Path
+        Output folder with predictions, and ZIP file to write.
+    dataset, space, description : Path, LabelSpace, Path, optional
+        Data set with the scans, and label space of its labels, if not the recorded ones; text file
+        about the method.
+    overwrite, progress : bool, callable, optional
+        Whether to replace an existing file; function of the number of finished files and of all.
 
     Returns
     -------

@@ -170,12 +170,6 @@ def test_errors_of_points_are_evaluated_and_reject_points(run, results, data):
     assert result.exit_code == 0, result.output
     printed = " ".join(result.stdout.split())
     assert only_json(run("eval", results, "--json"))["accepted"]["sentence"] in printed
-    result = run("export-ply", results, "--max-error", "0.5")
-    assert result.exit_code == 0, result.output
-    assert "1,500 points rejected: probability of error above 0.5" in result.stderr
-    printed = only_json(run("export-ply", results, "--max-error", 0.5, "--overwrite", "--json"))
-    assert printed["rejected_points"] == 1500
-    assert undocumented(printed, "export-ply") == set()
 
 
 def test_skipped_scans_are_no_failure_and_scans_that_lack_results_are(
@@ -203,7 +197,6 @@ TUNE = "tune dropout {data} other.safetensors --split valid --weights {weights}"
     ("line", "expected"),
     [
         ("export-ply --colour rainbow", "--colour"),
-        ("export-ply --max-error 1.5", "--max-error"),
         ("picture --colour range --scale 2 1", "--scale"),
         ("picture --colour label --scale 1 2", "--scale"),
         (f"{TUNE} --samples 1", "--samples"),

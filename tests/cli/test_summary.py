@@ -5,6 +5,7 @@ import shlex
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from command_line import only_json, subject
@@ -13,7 +14,7 @@ from scans import SMALL, make_scan, write_bin, write_sequence
 
 from salsanext_cli import label_space
 from salsanext_cli.cli.pipeline import MANY_SCANS, _advice
-from salsanext_cli.cli.summary import _lines, next_command
+from salsanext_cli.cli.summary import _as_data, _lines, _rejection_lines, next_command
 from salsanext_cli.engines import device
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.measures.scan_summary import RunSummary
@@ -36,6 +37,18 @@ def test_the_next_commands_lead_from_scans_to_scores(run, data, weights, tmp_pat
         assert result.exit_code == 0, result.output
         printed = only_json(result)
     assert commands == ["predict", "knn-refine", "eval"]
+
+
+def test_rejected_points_are_counted():
+    summary = RunSummary(SMALL, label_space(), class_points=np.array([1500, 500] + [0] * 18))
+    outcome = Outcome(2, (), 1, summary=summary, rejected_points=1500)
+    (line,) = _rejection_lines(outcome, 0.5)
+    reason = "probability of error above 0.5; 2 done already not counted"
+    assert line == f"1,500 points (75.0 %) rejected: {reason}"
+    (line,) = _rejection_lines(replace(outcome, skipped=0), "risk")
+    assert line.endswith(" rejected: above the threshold of `tune risk`")
+    assert _as_data(outcome)["rejected_points"] == 1500
+    assert not [*_rejection_lines(replace(outcome, rejected_points=None), None)]
 
 
 @pytest.mark.parametrize(

@@ -55,7 +55,7 @@ def test_names_may_be_line_numbers_from_0_or_from_1(tmp_path):
         with pytest.raises(FormatError, match="10 lines"):
             pose_readings(path, scans.split(), wanted.split())
     with pytest.raises(FormatError, match="10 lines"):
-        read_fused_poses(path, ["2", "7"], ["2", "7"])
+        read_fused_poses(path, ["2", "7"])
 
 
 def test_tum_is_read_as_kitti(tmp_path):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Votes of scans of a drive, and its map."""
+"""Votes of scans of a drive."""
 
 import math
 from collections import defaultdict
@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from salsanext_cli import LabelSpace, Scan, label_space
 from salsanext_cli.errors import UsageError, warn_once
 from salsanext_cli.fusion.drive import Drive
-from salsanext_cli.fusion.drive_map import one_per_voxel
 from salsanext_cli.fusion.top_classes import LEVELS, STORED, softmax_of, top_classes
 from salsanext_cli.fusion.votes import MAX_CELLS, SCALE, VOXEL_SIZES_M, keys_of
 from salsanext_cli.fusion.window import (
@@ -220,58 +219,3 @@ def test_kept_classes_are_the_most_probable(seed, classes):
         np.sort(kept, axis=1)[:, ::-1][:, :STORED], largest, atol=0.51 / LEVELS
     )
     np.testing.assert_array_less(np.abs(kept - softmax)[kept > 0], 0.51 / LEVELS)
-
-
-ORIGIN = np.array([4e5, 5e6, 30.0])
-
-
-def columns(seed, count, spread=2.0, part=0):
-    random = np.random.default_rng(seed)
-    places = ORIGIN + random.uniform(-spread, spread, (count, 3))
-    found = dict(zip("xyz", places.T, strict=True))
-    found["range"] = random.integers(1, 9, count).astype(np.float32)
-    found |= {"scan": np.full(count, seed, np.int32), "part": np.full(count, part, np.int32)}
-    return found | {"label": random.integers(0, 9, count)}
-
-
-@given(st.lists(st.integers(1, 60), min_size=1, max_size=4))
-def test_each_voxel_keeps_its_nearest_point(counts):
-    parts = [columns(seed, count) for seed, count in enumerate(counts)]
-    best = {}
-    for part in parts:
-        for i in range(len(part["x"])):
-            place = np.array([part[axis][i] for axis in "xyz"]) - ORIGIN
-            voxel = tuple(np.floor(place / 0.5).astype(int))
-            point = (part["range"][i], part["scan"][i])
-            best[voxel] = min(best.get(voxel, point), point)
-    found = one_per_voxel(parts, 0.5, ORIGIN[None])
-    merged = one_per_voxel(
-        [*parts[1:], one_per_voxel(parts[:1], 0.5, ORIGIN[None])], 0.5, ORIGIN[None]
-    )
-    for name, values in found.items():
-        np.testing.assert_array_equal(values, merged[name])
-    assert len(found["x"]) == len(best)
-    for i in range(len(found["x"])):
-        place = np.array([found[axis][i] for axis in "xyz"]) - ORIGIN
-        voxel = tuple(np.floor(place / 0.5).astype(int))
-        assert best[voxel] == (found["range"][i], found["scan"][i])
-
-
-def test_parts_of_a_drive_have_separate_voxels():
-    alone = [columns(0, 300), columns(1, 300, part=1)]
-    origins = np.stack([ORIGIN, ORIGIN + [0.1, 0, 0]])
-    found = one_per_voxel(alone, 0.5, origins)
-    for part in (0, 1):
-        own = one_per_voxel([alone[part]], 0.5, origins)
-        for name, values in own.items():
-            np.testing.assert_array_equal(found[name][found["part"] == part], values)
-
-
-def test_points_without_a_voxel_and_columns_that_some_scan_lacks_are_skipped():
-    points = columns(0, 5)
-    points["x"][:2] = ORIGIN[0] + 1e12, np.nan
-    found = one_per_voxel([points], 0.01, ORIGIN[None])
-    assert sorted(found["label"]) == sorted(points["label"][2:])
-    lacking = columns(1, 9)
-    del lacking["label"]
-    assert "label" not in one_per_voxel([columns(0, 9), lacking], 0.5, ORIGIN[None])

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: MIT
 import json
-import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +13,7 @@ from salsanext_cli.errors import LabelError, NoInputError, OutputError
 from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.report.colours import EMPTY, RIGHT, WRONG, map_colours
+from salsanext_cli.results.manifest import Manifest, StageRecord
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.export_ply import export_ply
@@ -263,21 +263,13 @@ def test_error_is_the_first_choice_of_uncertainty(known):
     assert export(known, colour="error").skipped == 3
 
 
-def test_points_above_the_threshold_are_unlabelled(known):
-    outcome = export(known, max_error=0.5)
-    above = ERROR > 0.5
-    assert outcome.rejected_points == 3 * above.sum()
-    expected = np.where(above, 0, CAR)
-    np.testing.assert_array_equal(column(known, "label"), expected)
-    np.testing.assert_array_equal(colours(known), SPACE.colours[SPACE.to_train(expected)])
-    np.testing.assert_array_equal(column(known, "error"), ERROR)
-    assert "unlabelled where error is above 0.5" in ply(known).comments
-    assert set(read_labels(known.result("predictions"))) == {CAR}
-
-
 def test_rejected_points_are_neither_right_nor_wrong(known):
+    """The run rejected the points of the labels that are 0."""
+    settings = {"label_space": SPACE.to_dict(), "sensor": SMALL.to_dict(), "reject": 0.5}
+    Manifest(known.out).write(StageRecord("predict", settings, ("predictions",)))
     above, truth = ERROR > 0.5, truth_of(known)
-    export(known, colour="wrong", max_error=0.5)
+    write_labels(known.result("predictions"), np.where(above, 0, CAR).astype(np.uint32))
+    export(known, colour="wrong")
     wrong = column(known, "wrong")
     assert np.isnan(wrong[above]).all()
     accepted = ~above & SPACE.scored[truth]
@@ -286,17 +278,8 @@ def test_rejected_points_are_neither_right_nor_wrong(known):
     for colour, points in ((EMPTY, ~accepted), (RIGHT, accepted & car), (WRONG, accepted & ~car)):
         assert points.any()
         assert (colours(known)[points] == colour).all()
-
-
-def test_a_threshold_needs_probabilities_of_error(known):
-    known.result("uncertainty/error", "08", "000001").unlink()
-    outcome = export(known, max_error=0.1)
-    assert (outcome.done, codes(outcome)) == (2, ["no-input"])
-    for sequence in ("00", "08"):
-        shutil.rmtree(known.out / "sequences" / sequence / "uncertainty", ignore_errors=True)
-    with pytest.raises(NoInputError) as caught:
-        export(known, max_error=0.1, options=OVERWRITE)
-    assert "--error" in caught.value.hint
+    share, risk = accepted.sum() / SPACE.scored[truth].sum(), 1 - car[accepted].mean()
+    assert f"coverage {share:.1%}, risk {risk:.1%}".replace("%", " %") in ply(known).comments
 
 
 def test_errors_of_other_weights_than_the_labels_are_refused(known):
@@ -307,10 +290,9 @@ def test_errors_of_other_weights_than_the_labels_are_refused(known):
     ):
         recorded = settings | {"weights": weights * 64}
         begin_and_end(known.out, stage, recorded, [folder], overwrite=True)
-    for options in ({"colour": "error"}, {"max_error": 0.5}):
-        with pytest.raises(OutputError) as caught:
-            export(known, **options)
-        assert caught.value.subject == str(known.out)
+    with pytest.raises(OutputError) as caught:
+        export(known, colour="error")
+    assert caught.value.subject == str(known.out)
 
 
 def test_other_classes_than_those_predicted_are_refused(predicted):

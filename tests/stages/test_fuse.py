@@ -6,7 +6,6 @@ import sys
 from contextlib import ExitStack
 
 import numpy as np
-import plyfile
 import pytest
 from command_line import only_json
 from fused import fuse
@@ -32,7 +31,6 @@ from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.evaluate import evaluate
-from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.fuse import fuse_results
 from salsanext_cli.stages.predict import predict_scans
 
@@ -182,7 +180,7 @@ def test_votes_of_other_scans_are_not_mixed(drive):
     assert refused.value.subject == str(record)
 
 
-def test_unpadded_numbers_are_in_order_for_labels_and_map(world):
+def test_unpadded_numbers_are_in_order_for_labels_and_poses(world):
     folder = write_drive(world, 3)
     for name, number in zip(STEMS, ("9", "10", "11"), strict=True):
         for kind, suffix in (("velodyne", "bin"), ("labels", "label")):
@@ -194,9 +192,9 @@ def test_unpadded_numbers_are_in_order_for_labels_and_map(world):
     fuse_results(world.out)
     views = {n: np.load(fused_folder(world) / f"views/{n}.npy").max() for n in ("9", "10", "11")}
     assert views == {"9": 2, "10": 2, "11": 1}
-    export_ply(world.out / "fused", voxel=0.1)
-    points = plyfile.PlyData.read(fused_folder(world) / "map.ply")["vertex"]
-    assert ((points["x"] > 300) == (points["scalar_scan"] == 2)).all()
+    record = json.loads((fused_folder(world) / "drive.json").read_bytes())
+    assert record["scans"] == ["9", "10", "11"]
+    assert np.loadtxt(fused_folder(world) / "poses.txt")[:, 3].argmax() == 2
 
 
 def test_a_drive_in_parts_is_a_finding(drive):
@@ -250,7 +248,7 @@ def test_poses_may_be_named_for_one_sequence(world, tmp_path):
     assert not (world.out / "fused").exists()
     result = CliRunner().invoke(app, [*words, "--sequences", "08"])
     assert result.exit_code == 0, result.output
-    used = read_fused_poses(fused_folder(world) / "poses.txt", STEMS, STEMS)
+    used = read_fused_poses(fused_folder(world) / "poses.txt", STEMS)
     np.testing.assert_allclose(used, way(3), atol=1e-12)
     path.write_text("\n".join(lines[1:]))
     assert CliRunner().invoke(app, [*words, "--sequences", "08"]).exit_code == 1
@@ -266,7 +264,7 @@ def test_names_that_count_from_1_find_their_lines(world, caplog):
     predict_scans(folder, world.out, settings=world.network, extras=("votes",))
     with caplog.at_level(NOTICE):
         assert fuse_results(world.out).done == 3
-    used = read_fused_poses(fused_folder(world) / "poses.txt", stems, stems)
+    used = read_fused_poses(fused_folder(world) / "poses.txt", stems)
     np.testing.assert_array_equal(used, way(3))
     assert "line numbers counted from 1" in caplog.text
 
@@ -322,9 +320,18 @@ def test_edited_poses_are_neither_used_nor_replaced(drive):
         with pytest.raises(OutputError) as refused:
             fuse_results(drive.out, options=RunOptions(overwrite=overwrite))
         assert refused.value.subject == str(path)
-    with pytest.raises(OutputError) as refused:
-        export_ply(drive.out / "fused", voxel=0.1)
-    assert refused.value.subject == str(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "subject"), [({"parts": ["x"]}, "drive.json"), ({"poses": "0"}, "poses.txt")]
+)
+def test_a_damaged_record_of_a_drive_is_refused(drive, change, subject):
+    fuse_results(drive.out)
+    path = fused_folder(drive) / "drive.json"
+    path.write_text(json.dumps(json.loads(path.read_bytes()) | change))
+    with pytest.raises(SalsanextError) as refused:
+        fuse_results(drive.out)
+    assert refused.value.subject == str(path.with_name(subject))
 
 
 def shifted(folder, metres):
