@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from salsanext_cli.measures.histograms import Histogram, highest_of_bins
+from salsanext_cli.measures.histograms import Histogram, Reliability, highest_of_bins
 from salsanext_cli.measures.scores import Counts, Ratios
 from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 
@@ -22,7 +22,7 @@ SERIES_FROM = 16  # Harmonic numbers from here on: their series is exact to the 
 
 @dataclass(frozen=True, slots=True)
 class RankingScores:
-    """Scores of an uncertainty as a detector of wrong points; NaN where undefined."""
+    """Scores of a kind of uncertainty as a detector of wrong points; NaN where undefined."""
 
     points: int
     wrong: int  # Number of points whose label is not the true one
@@ -34,15 +34,23 @@ class RankingScores:
     # Area between the sparsification curves of this and of the best order, as multiples of the
     # share of wrong points; lower is better
     ause: float
+    scans: int  # Number of scans with points
+    without_value: int  # Number of points
+    risk_coverage: Ratios  # (100,): share of wrong points among the least uncertain 1 %, … 100 %
+    thresholds: Ratios  # (100,) float64: largest uncertainty of these points, at most 1 % too large
+    # Only for the error, which is a probability: expected calibration error, 0…1, and its diagram
+    ece: float | None = None
+    reliability: Reliability | None = None
 
 
-def ranking_scores(histogram: Histogram) -> RankingScores:
-    """Divide the counts of an `uncertainty_histogram`."""
+def ranking_scores(histogram: Histogram, diagram: Reliability | None = None) -> RankingScores:
+    """Divide the counts of an `uncertainty_histogram`; `diagram`: of the error only."""
     right, wrong = histogram.counts
     points, errors = int(histogram.counts.sum()), int(wrong.sum())
     area = aurc(right, wrong)
     # In the best order, every wrong point is more uncertain than every right one.
     excess = area - aurc(np.array([right.sum(), 0]), np.array([0, errors]))
+    risk, thresholds = risk_coverage(right, wrong)
     return RankingScores(
         points=points,
         wrong=errors,
@@ -52,6 +60,12 @@ def ranking_scores(histogram: Histogram) -> RankingScores:
         aurc=area,
         excess_aurc=excess,
         ause=excess * points / errors if errors else math.nan,
+        scans=histogram.scans,
+        without_value=histogram.without_value,
+        risk_coverage=risk,
+        thresholds=thresholds,
+        ece=diagram.error if diagram else None,
+        reliability=diagram,
     )
 
 
