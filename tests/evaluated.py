@@ -14,9 +14,8 @@ from salsanext_cli.measures.histograms import (
     reliability,
     uncertainty_histogram,
 )
-from salsanext_cli.measures.risk_coverage import RankingScores
 from salsanext_cli.measures.scan_counts import SOFTMAX, ScanCounts
-from salsanext_cli.measures.uncertainty_evaluation import evaluate_uncertainty
+from salsanext_cli.measures.uncertainty_evaluation import RankingScores, evaluate_uncertainty
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.paths import find_scans, output_path
 from salsanext_cli.stages.evaluate import evaluate

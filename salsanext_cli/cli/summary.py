@@ -148,7 +148,7 @@ def next_command(
         if split == SUBMITTED_SPLIT and not summary.labelled:
             from salsanext_cli.stages.submit import unmerged
 
-            if not unmerged(summary.space, [summary.first] if summary.first else []):
+            if not unmerged(summary.space, summary.scans[:1]):
                 words = ["submit", out, SUBMISSION]
     return shlex.join(["salsanext", *words, *more])
 

@@ -106,6 +106,10 @@ class RunSummary:
 
     sensor: Sensor  # Sensor that the scans were projected for
     space: LabelSpace | None = None  # Classes of the predicted points, if any are predicted
+    scans: Sequence[
+        ScanFile
+    ] = ()  # Scans of the run; the data set of the first may describe others
+    accuracy: AccuracyLine | None = None  # As in `WeightsCard`
     class_points: Counts | None = None  # (C,): number of points by predicted train id
     # Names and findings of scans and sequences by code
     findings: dict[str, list[tuple[str, Finding]]] = field(default_factory=dict)
@@ -116,24 +120,11 @@ class RunSummary:
     ego_shares: list[tuple[float, int]] = field(default_factory=list)
     # Mean of the largest probabilities of the points, 0…1, by name of the scan
     confidences: dict[str, float] = field(default_factory=dict)
-    accuracy: AccuracyLine | None = None  # As in `WeightsCard`
-    first: ScanFile | None = None  # First scan of the run, whose data set may describe others
-
-    @classmethod
-    def of_scans(
-        cls,
-        scans: Sequence[ScanFile],
-        sensor: Sensor,
-        space: LabelSpace | None = None,
-        accuracy: AccuracyLine | None = None,
-    ) -> RunSummary:
-        """Begin the summary of a run over some scans."""
-        return cls(sensor, space, accuracy=accuracy, first=scans[0] if scans else None)
 
     @property
     def labelled(self) -> bool:
         """Whether the first scan has labels."""
-        return self.first is not None and present(self.first.label_path)
+        return bool(self.scans) and present(self.scans[0].label_path)
 
     def add(self, scan: ScanSummary) -> None:
         """Add a scan; log the first finding of each code at once."""

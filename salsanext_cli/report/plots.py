@@ -10,9 +10,12 @@ import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.measures.histograms import Reliability
-from salsanext_cli.measures.risk_coverage import COVERAGE, RankingScores
 from salsanext_cli.measures.scores import Counts, ratio, scored_rows
-from salsanext_cli.measures.uncertainty_evaluation import UncertaintyEvaluation
+from salsanext_cli.measures.uncertainty_evaluation import (
+    COVERAGE,
+    RankingScores,
+    UncertaintyEvaluation,
+)
 from salsanext_cli.report import canvas
 from salsanext_cli.report.canvas import DARK
 from salsanext_cli.report.tables import percent

@@ -15,10 +15,9 @@ from salsanext_cli.errors import counted, first_few, printable
 from salsanext_cli.labelling.label_records import ImportedScan, LabelImport
 from salsanext_cli.measures.histograms import CalibrationScores
 from salsanext_cli.measures.risk_control import guarantee
-from salsanext_cli.measures.risk_coverage import RankingScores
 from salsanext_cli.measures.scores import FREQUENT_POINTS, Scores, band_rows
 from salsanext_cli.measures.survey import Survey
-from salsanext_cli.measures.uncertainty_evaluation import UncertaintyEvaluation
+from salsanext_cli.measures.uncertainty_evaluation import RankingScores, UncertaintyEvaluation
 from salsanext_cli.network.card import DescribedWeights
 from salsanext_cli.network.complexity import NetworkCosts
 from salsanext_cli.records import CHANNELS
@@ -129,15 +128,10 @@ def _number(value: float) -> str:
 
 def temperature_table(tuned: Mapping[str, Any]) -> Table:
     """Return a table of `temperature`, `nll` in nats and `ece` as a share, before and after."""
-    rows = (
-        (
-            name,
-            f"{tuned[name]['temperature']:.4f}",
-            f"{tuned[name]['nll']:.4f}",
-            percent(tuned[name]["ece"], 2),
-        )
-        for name in ("before", "after")
-    )
+    rows = []
+    for name in ("before", "after"):
+        numbers = (f"{tuned[name][score]:.4f}" for score in ("temperature", "nll"))
+        rows.append((name, *numbers, percent(tuned[name]["ece"], 2)))
     headings = ("", "temperature", "NLL in nats", "ECE in %")
     return table_of(headings, rows, title=f"Held-out scans, {counted(tuned['folds'], 'fold')}")
 

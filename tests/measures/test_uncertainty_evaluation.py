@@ -25,7 +25,7 @@ from salsanext_cli.measures.histograms import (
     softmax_entropy,
     uncertainty_histogram,
 )
-from salsanext_cli.measures.risk_coverage import (
+from salsanext_cli.measures.uncertainty_evaluation import (
     COVERAGE,
     accepted_points,
     ranking_scores,
