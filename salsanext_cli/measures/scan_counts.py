@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields
 from functools import cache
-from operator import add, iadd
+from operator import add
 from pathlib import Path
 from typing import Any
 
@@ -127,9 +127,10 @@ def _total(counts: Any, others: Any) -> Any:
     if isinstance(counts, tuple):
         return tuple(map(add, counts, others))
     if isinstance(counts, Counter) or not isinstance(counts, dict):
-        return iadd(counts, others)
+        counts += others
+        return counts
     for key, other in others.items():
-        counts[key] = iadd(counts[key], other) if key in counts else other
+        counts[key] = _total(counts[key], other) if key in counts else other
     return counts
 
 
@@ -171,16 +172,9 @@ class ScanComparison:
         cls, results: Manifest, space: LabelSpace, labels: LabelSpace, *, by_distance: bool = False
     ) -> ScanComparison:
         """Return the settings that the records of an output folder imply."""
-        return cls(
-            results.root,
-            space,
-            labels,
-            results.merging_into(space),
-            results.sensor(),
-            results.rejection(),
-            results.trained_on(),
-            by_distance,
-        )
+        merging, sensor = results.merging_into(space), results.sensor()
+        of_weights = results.rejection(), results.trained_on()
+        return cls(results.root, space, labels, merging, sensor, *of_weights, by_distance)
 
     def count(self, scan: ScanFile) -> ScanCounts:
         """Count one scan; a scan without predictions counts as missing.
