@@ -28,8 +28,7 @@ from salsanext_cli.fitting.sensor_fit import with_image_statistics
 from salsanext_cli.measures.survey import Survey, survey
 from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.synthesis import drive
-from salsanext_cli.synthesis.lidar import Lasers
-from salsanext_cli.synthesis.rig import Beams, Rig, hdl64_rig
+from salsanext_cli.synthesis.lidar import Beams, Lasers, Rig, hdl64_rig
 from salsanext_cli.training.data.augment import LabelledScan
 
 SEED, SEQUENCES, SCANS, SPACING_M = 777, 8, 2, 25.0

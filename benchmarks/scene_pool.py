@@ -24,7 +24,7 @@ from salsanext_cli.parallel.pool import end_with_parent
 from salsanext_cli.results.paths import ScanFile, find_scans
 from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.synthesis.drive import record
-from salsanext_cli.synthesis.rig import RIGS
+from salsanext_cli.synthesis.lidar import RIGS
 from salsanext_cli.training.data.sources import Source, fitted_source
 
 KINDS = tuple(RIGS)

@@ -109,6 +109,9 @@ class SalsanextError(Exception):
     code: ClassVar[str] = "error"
     reported_elsewhere: bool = False
 
+    def __init_subclass__(cls, code: str = "") -> None:
+        cls.code = code or cls.code
+
     def __init__(
         self, subject: object, problem: str = "", expected: str = "", hint: str = ""
     ) -> None:
@@ -128,58 +131,40 @@ class SalsanextError(Exception):
         return with_hint(self.headline, printable(self.hint))
 
 
-class UsageError(SalsanextError):
+class UsageError(SalsanextError, code="usage"):
     """The command line or a setting is wrong (exit status 2)."""
 
-    code = "usage"
 
-
-class NoInputError(SalsanextError):
+class NoInputError(SalsanextError, code="no-input"):
     """The input contains nothing to process."""
 
-    code = "no-input"
 
-
-class FormatError(SalsanextError):
+class FormatError(SalsanextError, code="format"):
     """A file is damaged or not of its format."""
 
-    code = "format"
 
-
-class LabelError(SalsanextError):
+class LabelError(SalsanextError, code="label"):
     """Labels do not match their scan or their label space."""
 
-    code = "label"
 
-
-class WeightsError(SalsanextError):
+class WeightsError(SalsanextError, code="weights"):
     """A weights file cannot be used."""
 
-    code = "weights"
 
-
-class OutputError(SalsanextError):
+class OutputError(SalsanextError, code="output"):
     """A result cannot be written, or would replace another."""
 
-    code = "output"
 
-
-class TrainingError(SalsanextError):
+class TrainingError(SalsanextError, code="training"):
     """Training cannot start or continue."""
 
-    code = "training"
 
-
-class WorkersLost(SalsanextError):  # noqa: N818 - the name states the problem
+class WorkersLost(SalsanextError, code="workers-lost"):  # noqa: N818 - the name states the problem
     """Worker processes died."""
 
-    code = "workers-lost"
 
-
-class MissingDependency(SalsanextError):  # noqa: N818 - the name states the problem
+class MissingDependency(SalsanextError, code="missing-dependency"):  # noqa: N818 - the name states the problem
     """An optional package or a system library is absent."""
-
-    code = "missing-dependency"
 
 
 @cache

@@ -7,18 +7,15 @@ import numpy as np
 from scans import write_array, write_bin
 
 from salsanext_cli import LabelSpace, Scan, label_space, write_labels
-from salsanext_cli.measures.calibration import SCAN_BINS, reliability
 from salsanext_cli.measures.histograms import (
+    SCAN_BINS,
+    CalibrationScores,
     confidence_histogram,
-    softmax_errors,
+    reliability,
     uncertainty_histogram,
 )
 from salsanext_cli.measures.scan_counts import SOFTMAX, ScanCounts
-from salsanext_cli.measures.uncertainty_evaluation import (
-    CalibrationResult,
-    RankingResult,
-    evaluate_uncertainty,
-)
+from salsanext_cli.measures.uncertainty_evaluation import RankingScores, evaluate_uncertainty
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.paths import find_scans, output_path
 from salsanext_cli.stages.evaluate import evaluate
@@ -64,12 +61,11 @@ class World:
         write_array(output_path(self.out, sequence, folder, stem), np.asarray(values, dtype))
 
 
-def calibration_result(truth) -> CalibrationResult:
+def calibration_result(truth) -> CalibrationScores:
     """Return the calibration of points with 75 % of class 1 and 25 % of class 2."""
     rows = np.zeros((len(truth), SPACE.class_count), np.float16)
     rows[:, 1], rows[:, 2] = 0.75, 0.25
-    errors = softmax_errors(rows, np.array(truth, int))
-    histogram = confidence_histogram(errors)
+    histogram = confidence_histogram(rows, np.array(truth, int))
     counts = ScanCounts.none(SPACE)
     counts.histograms[SOFTMAX] = histogram
     if len(truth):
@@ -77,7 +73,7 @@ def calibration_result(truth) -> CalibrationResult:
     return evaluate_uncertainty(counts).calibration
 
 
-def ranking_result(uncertainty, wrong) -> RankingResult:
+def ranking_result(uncertainty, wrong) -> RankingScores:
     """Return the scores of an uncertainty as a detector of wrong points."""
     counts, values = ScanCounts.none(SPACE), np.array(uncertainty, np.float32)
     counts.histograms["epistemic"] = uncertainty_histogram(values, np.array(wrong, bool))

@@ -146,7 +146,7 @@ def next_command(
         if split == "test" and not summary.labelled:
             from salsanext_cli.results.selection import unmerged
 
-            if not unmerged(summary.space, [summary.first] if summary.first else []):
+            if not unmerged(summary.space, summary.scans[:1]):
                 words = ["submit", out, "submission.zip"]
     return shlex.join(["salsanext", *words, *more])
 

@@ -118,9 +118,8 @@ class AcceptedLabels:
         """Count the points whose predicted class is not 0; `scans`: as `worst`, by name."""
         matrix = scored_rows(confusion, space)
         accepted, right = matrix[:, 1:].sum(axis=0), matrix.diagonal()[1:]
-        of_classes = zip(
-            space.names[1:], accepted.tolist(), (accepted - right).tolist(), strict=True
-        )
+        rows = zip(space.names[1:], accepted.tolist(), (accepted - right).tolist(), strict=True)
+        classes = {name: (count, wrong) for name, count, wrong in rows if count}
         people = np.isin(space.names, PEOPLE)
         worst = max(scans, key=lambda name: scans[name][2] / max(scans[name][0], 1))
         return cls(
@@ -129,11 +128,7 @@ class AcceptedLabels:
             wrong=int((accepted - right).sum()),
             people=int(matrix[people].sum()),
             missed_people=int(matrix[people][:, 1:][:, ~people[1:]].sum()),
-            classes={
-                name: (count, wrong)
-                for name, count, wrong in sorted(of_classes, key=lambda item: item[0] not in PEOPLE)
-                if count
-            },
+            classes=dict(sorted(classes.items(), key=lambda item: item[0] not in PEOPLE)),
             worst=(worst, *scans[worst]),
         )
 

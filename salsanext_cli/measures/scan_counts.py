@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields
 from functools import cache
 from operator import add
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -23,14 +23,14 @@ from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.npy import read_probabilities
 from salsanext_cli.geometry.projection import in_sensor_frame, measured_ranges
 from salsanext_cli.geometry.scan_traits import sensor_of
-from salsanext_cli.measures.calibration import SCAN_BINS, reliability
 from salsanext_cli.measures.histograms import (
+    SCAN_BINS,
     Histogram,
     confidence_histogram,
     error_histogram,
     lack_of_confidence,
+    reliability,
     softmax_entropy,
-    softmax_errors,
     uncertainty_histogram,
 )
 from salsanext_cli.measures.scores import (
@@ -61,15 +61,6 @@ BAND_STARTS_M = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0)  # The last band has no end
 BAND_NAMES = ("0–10 m", "10–20 m", "20–30 m", "30–40 m", "40–50 m", "over 50 m")
 
 
-@dataclass(frozen=True, slots=True)
-class ScanScores:
-    """Scores of one scan, as in `Scores`."""
-
-    points: int
-    accuracy: float
-    iou_mean_present: float
-
-
 @dataclass(slots=True)
 class ScanCounts:
     """Counts over scans."""
@@ -91,7 +82,8 @@ class ScanCounts:
     # By kind of uncertainty, `SOFTMAX` for the confidence, or `OF_ERROR`
     histograms: dict[str, Histogram] = field(default_factory=dict)
     by_sequence: dict[str, Counts] = field(default_factory=dict)
-    by_scan: dict[str, ScanScores] = field(default_factory=dict)  # By name of the scan
+    # Some of `Scores`, by name of the scan
+    by_scan: dict[str, dict[str, float]] = field(default_factory=dict)
 
     @classmethod
     def none(cls, space: LabelSpace, by_distance: bool = False) -> ScanCounts:
@@ -102,21 +94,8 @@ class ScanCounts:
 
     def add(self, other: ScanCounts) -> None:
         """Add the counts of other scans, which are used up."""
-        self.confusion += other.confusion
-        self.bands = tuple(map(add, self.bands, other.bands))
-        self.unknown_truth += other.unknown_truth
-        self.unknown_predictions += other.unknown_predictions
-        self.files += other.files
-        self.scans += other.scans
-        self.trained_on += other.trained_on
-        self.skipped += other.skipped
-        self.calibrated += other.calibrated
-        self.missing += other.missing
-        self.calibration_errors += other.calibration_errors
-        self.accepted |= other.accepted
-        self.by_scan |= other.by_scan
-        _add_by_key(self.histograms, other.histograms)
-        _add_by_key(self.by_sequence, other.by_sequence)
+        for name in (count.name for count in fields(self)):
+            setattr(self, name, _total(getattr(self, name), getattr(other, name)))
 
     def label_warnings(self, space: LabelSpace) -> Iterator[str]:
         """Yield reasons to doubt the scores, in words."""
@@ -143,15 +122,16 @@ class ScanCounts:
             yield with_hint(agreement, "check --label-space and the settings of the sensor")
 
 
-Sum = TypeVar("Sum", Histogram, Counts)
-
-
-def _add_by_key(sums: dict[Any, Sum], others: Mapping[Any, Sum]) -> None:
+def _total(counts: Any, others: Any) -> Any:
+    """Add other counts, of a tuple by place and of a dictionary by key, to counts."""
+    if isinstance(counts, tuple):
+        return tuple(map(add, counts, others))
+    if isinstance(counts, Counter) or not isinstance(counts, dict):
+        counts += others
+        return counts
     for key, other in others.items():
-        if key in sums:
-            sums[key] += other
-        else:
-            sums[key] = other
+        counts[key] = _total(counts[key], other) if key in counts else other
+    return counts
 
 
 class SeparateCounts:
@@ -174,19 +154,6 @@ class SeparateCounts:
         return self.trained_on
 
 
-class JudgedLabels(NamedTuple):
-    """Labels and truth of the N points of a scan."""
-
-    truth: TrainIds  # (N,)
-    predicted: TrainIds  # (N,)
-    scored: Mask  # (N,): points whose truth counts
-
-    @property
-    def wrong(self) -> Mask:
-        """Whether each of the M scored points is wrong, (M,)."""
-        return (self.predicted != self.truth)[self.scored]
-
-
 @dataclass(frozen=True, slots=True)
 class ScanComparison:
     """Settings of the comparison of results with labels."""
@@ -205,16 +172,9 @@ class ScanComparison:
         cls, results: Manifest, space: LabelSpace, labels: LabelSpace, *, by_distance: bool = False
     ) -> ScanComparison:
         """Return the settings that the records of an output folder imply."""
-        return cls(
-            results.root,
-            space,
-            labels,
-            results.merging_into(space),
-            results.sensor(),
-            results.rejection(),
-            results.trained_on(),
-            by_distance,
-        )
+        merging, sensor = results.merging_into(space), results.sensor()
+        of_weights = results.rejection(), results.trained_on()
+        return cls(results.root, space, labels, merging, sensor, *of_weights, by_distance)
 
     def count(self, scan: ScanFile) -> ScanCounts:
         """Count one scan; a scan without predictions counts as missing.
@@ -239,9 +199,8 @@ class ScanComparison:
         counts.confusion = confusion_matrix(truth, predicted, space.class_count)
         counts.by_sequence[scan.sequence] = counts.confusion.copy()
         of_scan = scores(counts.confusion, space)
-        counts.by_scan[scan.name] = ScanScores(
-            of_scan.points, of_scan.accuracy, of_scan.iou_mean_present
-        )
+        names = ("points", "accuracy", "iou_mean_present")
+        counts.by_scan[scan.name] = {name: getattr(of_scan, name) for name in names}
         if cloud is not None:
             seen = in_sensor_frame(cloud, sensor_of(cloud, self.sensor))
             bands = band_of_point(seen.points)
@@ -249,36 +208,39 @@ class ScanComparison:
                 confusion_matrix(truth[bands == i], predicted[bands == i], space.class_count)
                 for i in range(len(BAND_NAMES))
             )
-        judged = JudgedLabels(truth, predicted, space.scored[truth])
-        values = self._count_softmax(scan, judged, counts)
-        values |= self._uncertainties(scan, judged, counts)
+        scored = space.scored[truth]
+        truth, predicted = truth[scored], predicted[scored]
+        wrong = predicted != truth
+        values = self._count_softmax(scan, scored, truth, counts)
+        values |= self._uncertainties(scan, scored, counts)
         if self.rejection:
-            labelled = predicted[judged.scored] != 0
-            wrong = int((labelled & judged.wrong).sum())
-            counts.accepted[scan.name] = len(labelled), int(labelled.sum()), wrong
-            counts.calibrated = int(is_among(self.rejection.chosen_on, len(truth), read))
+            labelled = predicted != 0
+            accepted_points, wrong_points = int(labelled.sum()), int((labelled & wrong).sum())
+            counts.accepted[scan.name] = len(labelled), accepted_points, wrong_points
+            counts.calibrated = int(is_among(self.rejection.chosen_on, len(scored), read))
             values = {kind: np.where(labelled, v, np.nan) for kind, v in values.items()}
-        _count_uncertainties(values, judged.wrong, counts)
+        for kind, of_points in values.items():
+            counts.histograms[kind] = uncertainty_histogram(of_points, wrong)
+        if "error" in values:
+            counts.histograms[OF_ERROR] = error_histogram(values["error"], wrong)
         return counts
 
     def _count_softmax(
-        self, scan: ScanFile, judged: JudgedLabels, counts: ScanCounts
+        self, scan: ScanFile, scored: Mask, truth: TrainIds, counts: ScanCounts
     ) -> dict[str, Float]:
         """Count the probabilities of scored points, if any; return uncertainties from them."""
         path = output_path(self.out, scan.sequence, SOFTMAX, scan.stem)
         if not present(path):
             return {}
         counts.files[SOFTMAX] = 1
-        softmax = read_softmax(path, judged.scored, self.space, self.merging)
-        errors = softmax_errors(softmax, judged.truth[judged.scored])
-        of_scan = counts.histograms[SOFTMAX] = confidence_histogram(errors)
+        softmax = read_softmax(path, scored, self.space, self.merging)
+        of_scan = confidence_histogram(softmax, truth)
+        counts.histograms[SOFTMAX] = of_scan
         if of_scan.scans:
             counts.calibration_errors.append(reliability(of_scan.counts, SCAN_BINS).error)
         return {kind: derive(softmax) for kind, derive in OF_SOFTMAX.items()}
 
-    def _uncertainties(
-        self, scan: ScanFile, judged: JudgedLabels, counts: ScanCounts
-    ) -> dict[str, Float]:
+    def _uncertainties(self, scan: ScanFile, scored: Mask, counts: ScanCounts) -> dict[str, Float]:
         """Read the uncertainties of scored points, by kind."""
         values = {}
         for kind in UNCERTAINTY:
@@ -287,16 +249,8 @@ class ScanComparison:
                 counts.files[folder] = 1
                 # The files contain the confidence before classes are merged.
                 if self.merging is None or kind not in OF_SOFTMAX or SOFTMAX not in counts.files:
-                    values[kind] = read_kind(path, kind, len(judged.scored))[judged.scored]
+                    values[kind] = read_kind(path, kind, len(scored))[scored]
         return values
-
-
-def _count_uncertainties(values: Mapping[str, Float], wrong: Mask, counts: ScanCounts) -> None:
-    """Count the uncertainties (M,) of scored points, by kind."""
-    for kind, of_points in values.items():
-        counts.histograms[kind] = uncertainty_histogram(of_points, wrong)
-    if "error" in values:
-        counts.histograms[OF_ERROR] = error_histogram(values["error"], wrong)
 
 
 def read_softmax(

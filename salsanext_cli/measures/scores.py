@@ -124,7 +124,8 @@ def scores(confusion: Counts, space: LabelSpace) -> Scores:
     hits, truths, predictions = matrix.diagonal(), matrix.sum(axis=1), matrix.sum(axis=0)
     union = truths + predictions - hits
     iou, iou_official = ratio(hits, union), hits / (union + EPSILON)
-    precision, recall = ratio(hits, predictions), ratio(hits, truths)
+    of_classes = (iou, iou_official, ratio(hits, predictions), ratio(hits, truths))
+    columns = (*of_classes, truths, predictions)  # In the order of the fields of `ClassScore`
     return Scores(
         accuracy=float(hits.sum() / points) if points else math.nan,
         accuracy_official=float(hits.sum() / (matrix[:, scored].sum() + EPSILON)),
@@ -133,16 +134,7 @@ def scores(confusion: Counts, space: LabelSpace) -> Scores:
         iou_mean_frequent=_mean(iou[scored & (truths >= FREQUENT_POINTS)]),
         points=points,
         classes=tuple(
-            ClassScore(
-                name=space.names[i],
-                train_id=i,
-                iou=float(iou[i]),
-                iou_official=float(iou_official[i]),
-                precision=float(precision[i]),
-                recall=float(recall[i]),
-                points=int(truths[i]),
-                predicted=int(predictions[i]),
-            )
+            ClassScore(space.names[i], i, *(column[i].item() for column in columns))
             for i in np.flatnonzero(scored).tolist()
         ),
     )

@@ -9,10 +9,13 @@ from typing import Any
 import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.measures.calibration import Reliability
-from salsanext_cli.measures.risk_coverage import COVERAGE
+from salsanext_cli.measures.histograms import Reliability
 from salsanext_cli.measures.scores import Counts, ratio, scored_rows
-from salsanext_cli.measures.uncertainty_evaluation import RankingResult, UncertaintyEvaluation
+from salsanext_cli.measures.uncertainty_evaluation import (
+    COVERAGE,
+    RankingScores,
+    UncertaintyEvaluation,
+)
 from salsanext_cli.report import canvas
 from salsanext_cli.report.canvas import DARK
 from salsanext_cli.report.tables import percent
@@ -126,19 +129,19 @@ def reliability_diagram(diagram: Reliability, title: str, value: str, share: str
     return canvas.png_of(figure)
 
 
-def risk_coverage(kinds: Mapping[str, RankingResult]) -> bytes:
+def risk_coverage(kinds: Mapping[str, RankingScores]) -> bytes:
     """Draw the share of wrong points among the least uncertain, a curve per kind, as a PNG."""
     title = "Share of wrong points among the accepted points"
     figure, axes = canvas.new_plot(*PLOT_PX, MAIN_PX, title)
-    for kind, result in kinds.items():
+    for kind, scores in kinds.items():
         colour, dashes = LINES[kind]
-        label = f"{kind} · AURC {percent(result.scores.aurc, 2, ' %')}"
-        risk = 100 * result.risk_coverage
+        label = f"{kind} · AURC {percent(scores.aurc, 2, ' %')}"
+        risk = 100 * scores.risk_coverage
         axes.plot(100 * COVERAGE, risk, color=colour, linestyle=dashes, label=label)
     dotted: dict[str, Any] = {"color": canvas.FAINT, "linestyle": (0, (1, 2)), "linewidth": 1.4}
     # Kinds may be known of different points, with different shares of wrong ones.
-    scores = [result.scores for result in kinds.values()]
-    for i, rate in enumerate(sorted({s.wrong / s.points for s in scores if s.wrong})):
+    rates = {scores.wrong / scores.points for scores in kinds.values() if scores.wrong}
+    for i, rate in enumerate(sorted(rates)):
         risk = np.maximum(0, 1 - (1 - rate) / COVERAGE)
         axes.plot(100 * COVERAGE, 100 * risk, **dotted, label="" if i else "best order")
     axes.set_xlabel("coverage: least uncertain points that are accepted, in %")

@@ -13,14 +13,11 @@ from rich.text import Text
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import counted, first_few, printable
 from salsanext_cli.labelling.label_records import ImportedScan, LabelImport
+from salsanext_cli.measures.histograms import CalibrationScores
 from salsanext_cli.measures.risk_control import guarantee
 from salsanext_cli.measures.scores import FREQUENT_POINTS, Scores, band_rows
 from salsanext_cli.measures.survey import Survey
-from salsanext_cli.measures.uncertainty_evaluation import (
-    CalibrationResult,
-    RankingResult,
-    UncertaintyEvaluation,
-)
+from salsanext_cli.measures.uncertainty_evaluation import RankingScores, UncertaintyEvaluation
 from salsanext_cli.network.card import DescribedWeights
 from salsanext_cli.records import CHANNELS
 from salsanext_cli.sensors.sensor import Sensor
@@ -97,29 +94,26 @@ def uncertainty_tables(evaluation: UncertaintyEvaluation) -> list[Table]:
     return [*tables, _ranking_table(evaluation.kinds)] if evaluation.kinds else tables
 
 
-def _calibration_table(softmax: CalibrationResult | None, error: RankingResult | None) -> Table:
+def _calibration_table(softmax: CalibrationScores | None, error: RankingScores | None) -> Table:
     rows: list[Sequence[str]] = []
     caption = ""
     if softmax:
-        scores = softmax.scores
-        likelihood = (_number(scores.nll), _number(scores.brier))
-        shares = (percent(s, 2) for s in (scores.ece, softmax.ece_per_scan))
-        rows.append(("softmax", *likelihood, *shares, f"{softmax.scans:,}", f"{scores.points:,}"))
+        likelihood = (_number(softmax.nll), _number(softmax.brier))
+        shares = (percent(s, 2) for s in (softmax.ece, softmax.ece_per_scan))
+        rows.append(("softmax", *likelihood, *shares, f"{softmax.scans:,}", f"{softmax.points:,}"))
     if error and error.ece is not None:
-        points = error.scores
-        counts = (f"{error.scans:,}", f"{points.points:,}")
+        counts = (f"{error.scans:,}", f"{error.points:,}")
         rows.append(("error", "", "", percent(error.ece, 2), "", *counts))
-        mean, wrong = percent(points.mean), percent(points.wrong / max(points.points, 1))
+        mean, wrong = percent(error.mean), percent(error.wrong / max(error.points, 1))
         caption = f"error: probability that a label is wrong; mean {mean} %, wrong {wrong} %"
     errors = ("ECE %", "ECE per\nscan %")
     headings = ("calibration", "NLL,\nnats", "Brier", *errors, "scans", "points")
     return table_of(headings, rows, caption=caption)
 
 
-def _ranking_table(kinds: Mapping[str, RankingResult]) -> Table:
+def _ranking_table(kinds: Mapping[str, RankingScores]) -> Table:
     rows = []
-    for kind, result in kinds.items():
-        scores = result.scores
+    for kind, scores in kinds.items():
         wrong = scores.wrong / scores.points if scores.points else math.nan
         areas = (percent(scores.auroc), percent(scores.aupr), percent(scores.aurc, 2))
         rows.append((kind, *areas, percent(wrong), f"{scores.points:,}"))
@@ -133,15 +127,10 @@ def _number(value: float) -> str:
 
 def temperature_table(tuned: Mapping[str, Any]) -> Table:
     """Return a table of `temperature`, `nll` in nats and `ece` as a share, before and after."""
-    rows = (
-        (
-            name,
-            f"{tuned[name]['temperature']:.4f}",
-            f"{tuned[name]['nll']:.4f}",
-            percent(tuned[name]["ece"], 2),
-        )
-        for name in ("before", "after")
-    )
+    rows = []
+    for name in ("before", "after"):
+        numbers = (f"{tuned[name][score]:.4f}" for score in ("temperature", "nll"))
+        rows.append((name, *numbers, percent(tuned[name]["ece"], 2)))
     headings = ("", "temperature", "NLL in nats", "ECE in %")
     return table_of(headings, rows, title=f"Held-out scans, {counted(tuned['folds'], 'fold')}")
 

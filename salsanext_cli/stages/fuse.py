@@ -226,7 +226,7 @@ def fuse_results(
     fusible = _fusible_results(out, query)
     warn_without_movable_classes(fusible.space)  # Here, not in each worker
     given, sensor, scans = fusible.given_drives(poses, options), fusible.sensor, fusible.scans
-    summary = RunSummary.of_scans(scans, sensor, fusible.space)
+    summary = RunSummary(sensor, fusible.space, scans)
     kinds, overwrite = (DISAGREEMENT, "views"), options.overwrite
     of_single, of_fused = fusible.settings(reach, target)
     of_target = (target, "fuse", of_fused, (*kinds, "predictions"), scans)

@@ -128,7 +128,7 @@ def knn_refine_scans(
         knn=knn,
         origins=None if labels else results.origins(["predict"]),
     )
-    summary = RunSummary.of_scans(scans, sensor, space)
+    summary = RunSummary(sensor, space, scans)
     wanted, overwrite = (out, "knn-refine", settings, ("predictions",), scans), options.overwrite
     run = output_run(*wanted, overwrite=overwrite, record_scans=dataset is not None)
     with run as output, summary.recorded_in(output, scans):

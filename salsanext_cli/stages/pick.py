@@ -175,7 +175,7 @@ def _chosen(
     options: RunOptions,
 ) -> PickRecord:
     """Describe scans; choose uncertain ones that differ from each other and from labelled ones."""
-    summary = RunSummary.of_scans(scans, sensor)
+    summary = RunSummary(sensor, scans=scans)
     of_scan: dict[ScanFile, ScanDescription] = {}
 
     def add(scan: ScanDescription) -> None:

@@ -206,7 +206,7 @@ def predict_scans(
         objects="objects" in extras or None,
         **(rejection.recorded if rejection else {}),
     )
-    summary = RunSummary.of_scans(scans, network.sensor, network.space, accuracy)
+    summary = RunSummary(network.sensor, network.space, scans, accuracy)
     folders = (*extras, LEAST_CONFIDENCE, "predictions")
     run = output_run(out, "predict", recorded, folders, scans, overwrite=options.overwrite)
     with run as output, summary.recorded_in(output, scans):

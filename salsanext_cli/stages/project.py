@@ -71,7 +71,7 @@ def project_scans(
     scans = choose(listed, selection, space_of(listed), source)
     recorded = None if options.overwrite else Manifest(out).settings("project")
     sensor = fitted_view(listed, sensor, recorded.sensor if recorded else None, view=fit)
-    settings, summary = StageSettings(sensor=sensor), RunSummary.of_scans(scans, sensor)
+    settings, summary = StageSettings(sensor=sensor), RunSummary(sensor, scans=scans)
     run = output_run(out, "project", settings, FOLDERS, scans, overwrite=options.overwrite)
     with run as output, summary.recorded_in(output, scans):
         job = ProjectJob(sensor, output)

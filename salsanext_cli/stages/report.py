@@ -226,7 +226,8 @@ def _rows(
     if not rows:
         raise NoInputError(reader.out, f"no results can be read: {outcome.failures[0].reason}")
     if (scored := counts.scored()).skipped:
-        rows = [replace(row, confusion=None) if row in trained_on else row for row in rows]
+        none = np.zeros_like(rows[0].confusion)
+        rows = [replace(row, confusion=none) if row in trained_on else row for row in rows]
     rows.sort(key=lambda row: row.file)  # Workers finish in any order.
     return rows, scored if scored.scans else None, outcome.failures
 

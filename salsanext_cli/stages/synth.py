@@ -23,7 +23,7 @@ from salsanext_cli.results.manifest import StageRecord, require_same_settings, s
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.synthesis.drive import record
-from salsanext_cli.synthesis.rig import RIGS
+from salsanext_cli.synthesis.lidar import RIGS
 
 STAGE = "synth"
 LABEL_SPACE = "labels.yaml"

@@ -24,7 +24,7 @@ from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.selection import evenly_spaced
 from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.stages.synth import SynthSettings, synthesise
-from salsanext_cli.synthesis.rig import RIGS
+from salsanext_cli.synthesis.lidar import RIGS
 from salsanext_cli.training.cross_validation import Expectation
 from salsanext_cli.training.data.class_counts import ClassCounts, class_counts, require_labels
 from salsanext_cli.training.data.sources import (

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.synthesis.surfaces import Material
+from salsanext_cli.synthesis.presets import Material
 
 Array = npt.NDArray[np.float64]
 Rng = np.random.Generator
@@ -78,13 +78,11 @@ def merge(meshes: Iterable[Mesh]) -> Mesh:
     """Join meshes into one."""
     parts = list(meshes)
     starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
-    return Mesh(
-        np.concatenate([part.vertices for part in parts]),
-        np.concatenate([part.triangles + start for part, start in zip(parts, starts, strict=True)]),
-        np.concatenate([part.labels for part in parts]),
-        np.concatenate([part.materials for part in parts]),
-        np.concatenate([part.shades for part in parts]),
+    columns = (
+        (part.vertices, part.triangles + start, part.labels, part.materials, part.shades)
+        for part, start in zip(parts, starts, strict=True)
     )
+    return Mesh(*map(np.concatenate, zip(*columns, strict=True)))
 
 
 def box(corner: npt.ArrayLike, opposite: npt.ArrayLike, skin: Skin) -> Mesh:

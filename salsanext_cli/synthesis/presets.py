@@ -1,22 +1,78 @@
 # SPDX-License-Identifier: MIT
-"""Parameters of streets, vehicles and sensors from presets/streets.toml."""
+"""Parameters of simulated streets: raw ids, materials and their optics, presets/streets.toml.
+
+The optics of a 905 nm laser pulse reproduce the spread of the intensity of every class in scans of
+an HDL-64E.
+"""
 
 import tomllib
 from collections.abc import Mapping
+from enum import IntEnum
 from importlib import resources
 from types import SimpleNamespace
+from typing import Self
 
 import numpy as np
-
-from salsanext_cli.synthesis.mesh import Rng
 
 _FILE = resources.files("salsanext_cli").joinpath("presets/streets.toml")
 _TABLES = tomllib.loads(_FILE.read_text("utf-8"))
 
 Numbers = SimpleNamespace  # One table as attributes; the file documents them
 
+CAR, BICYCLE, BUS, MOTORCYCLE, TRUCK, OTHER_VEHICLE = 10, 11, 13, 15, 18, 20
+PERSON, BICYCLIST, MOTORCYCLIST = 30, 31, 32
+ROAD, PARKING, SIDEWALK, OTHER_GROUND, MARKING, TERRAIN = 40, 44, 48, 49, 60, 72
+BUILDING, FENCE, STRUCTURE = 50, 51, 52
+VEGETATION, TRUNK = 70, 71
+POLE, SIGN, CLUTTER = 80, 81, 99
 
-def weighted_choice(rng: Rng, weights: Mapping[str, float]) -> str:
+MOVING = {
+    CAR: 252, BICYCLIST: 253, PERSON: 254, MOTORCYCLIST: 255, BUS: 257, TRUCK: 258,
+    OTHER_VEHICLE: 259,
+}  # fmt: skip
+"""Raw ids of classes in motion."""
+
+
+class Material(IntEnum):
+    """Material of a surface, numbered from 0, and its optics."""
+
+    # Brightness: intensity of a surface facing the sensor at 15 m. Texture: relative spread of the
+    # brightness from point to point. Falloff: exponent of the cosine of incidence, near grazing.
+    # Gloss: share of the pulses that a dark mirror reflects away from the sensor. Roughness:
+    # standard deviation of the surface along the ray, metres.
+    optics: tuple[float, ...]
+
+    def __new__(cls, *optics: float) -> Self:
+        """Give a material its number and its optics."""
+        member = int.__new__(cls, len(cls.__members__))
+        member._value_, member.optics = int(member), optics
+        return member
+
+    ASPHALT = 0.39, 0.14, 1.2, 0.0, 0.004
+    PAVING = 0.43, 0.12, 0.8, 0.0, 0.004
+    GRASS = 0.43, 0.16, 0.4, 0.0, 0.012
+    MARKING = 0.5, 0.15, 0.7, 0.0, 0.004
+    PLASTER = 0.47, 0.16, 0.3, 0.0, 0.0
+    BRICK = 0.43, 0.14, 0.3, 0.0, 0.004
+    GLASS = 0.06, 0.8, 0.5, 1.0, 0.0
+    LEAF = 0.47, 0.22, 0.25, 0.0, 0.015
+    FOLIAGE = 0.47, 0.22, 0.25, 0.0, 0.06
+    BARK = 0.45, 0.2, 0.3, 0.0, 0.006
+    WOOD = 0.43, 0.16, 0.3, 0.0, 0.004
+    METAL = 0.32, 0.35, 0.5, 0.1, 0.0
+    PAINT = 0.34, 0.35, 0.9, 0.12, 0.0
+    RUBBER = 0.04, 0.5, 0.4, 0.15, 0.0
+    CLOTH = 0.52, 0.2, 0.3, 0.0, 0.012
+    SKIN = 0.5, 0.12, 0.3, 0.0, 0.005
+    RETRO = 0.95, 0.1, 0.2, 0.0, 0.0
+    LAMP = 0.6, 0.5, 0.3, 0.2, 0.0
+
+
+OPTICS = np.array([material.optics for material in Material])
+"""Optics of all materials, (materials, 5)."""
+
+
+def weighted_choice(rng: np.random.Generator, weights: Mapping[str, float]) -> str:
     """Draw a key with a probability in proportion to its weight."""
     shares = np.array(list(weights.values()))
     return list(weights)[rng.choice(len(shares), p=shares / shares.sum())]
@@ -31,7 +87,7 @@ def _body(name: str) -> Numbers:
 STYLES = tuple(Numbers(**_TABLES["style"][name]) for name in _TABLES["styles"])
 """Styles in the order of the sequences that use them."""
 CARS = tuple(map(_body, _TABLES["cars"]))
-BUS, CARAVAN = map(_body, ("bus", "caravan"))
+BUS_BODY, CARAVAN_BODY = map(_body, ("bus", "caravan"))
 TRUCKS = {
     name: Numbers(**table | {"cab": _body(table["cab"])})
     for name, table in _TABLES["truck"].items()

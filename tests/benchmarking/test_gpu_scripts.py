@@ -15,7 +15,7 @@ from salsanext_cli import read_labels, read_scan
 from salsanext_cli.network.card import read_card
 from salsanext_cli.results.paths import find_scans
 from salsanext_cli.synthesis.mesh import Mesh, Skin
-from salsanext_cli.synthesis.surfaces import Material
+from salsanext_cli.synthesis.presets import Material
 
 # Packed scans
 

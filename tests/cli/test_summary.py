@@ -74,11 +74,11 @@ def test_next_commands(stage, split, done, expected, tmp_path):
         other = Outcome(0, (), done, summary=RunSummary(SMALL, space))
         assert next_command(stage, other, "a b", (), split) == expected
         (file,) = find_scans(write_sequence(tmp_path / "sequences/90", labels=False).parents[1])
-        other = replace(other, summary=RunSummary.of_scans([file], SMALL, space))
+        other = replace(other, summary=RunSummary(SMALL, space, [file]))
         (tmp_path / "labels.yaml").write_text(yaml.safe_dump(label_space().to_dict()))
         assert next_command(stage, other, "a b", (), split) == "salsanext export-ply 'a b'"
     (file,) = find_scans(write_sequence(tmp_path / "labelled/00", ["0"]))
-    labelled = Outcome(0, (), done, summary=replace(summary, first=file))
+    labelled = Outcome(0, (), done, summary=replace(summary, scans=[file]))
     if done and stage != "uncertainty":
         assert next_command(stage, labelled, "a b", (), split) == "salsanext eval 'a b'"
     assert next_command("export-ply", Outcome(0, (), done), "a b", ()) is None

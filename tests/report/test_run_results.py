@@ -39,7 +39,7 @@ SPACE = small_space("unlabeled", "car", "road")
 
 def row(stem, confusion=None, sequence="00", **uncertainty):
     file = ScanFile(sequence, stem, Path(f"/{stem}.bin"))
-    matrix = None if confusion is None else np.array(confusion)
+    matrix = np.zeros((3, 3), int) if confusion is None else np.array(confusion)
     return ScanRow(file, 10, np.array([0, 5, 5]), uncertainty, matrix)
 
 

@@ -110,8 +110,8 @@ def tables_of_a_large_data_set(weights):
     yield score_table(scores(few, space))
     yield band_table({"0–10 m": scores(every, space), "over 50 m": scores(few, space)})
     calibration, ranking = calibration_result([1, 2]), ranked(0.1, 0.2)
-    calibration = replace(calibration, scans=4071, scores=replace(calibration.scores, points=MANY))
-    ranking = replace(ranking, scores=replace(ranking.scores, points=MANY, wrong=MANY // 3))
+    calibration = replace(calibration, scans=4071, points=MANY)
+    ranking = replace(ranking, points=MANY, wrong=MANY // 3)
     yield from tables_of(calibration, mutual_information=ranking, error=replace(ranking, ece=0.1))
     of_error = {"ece": 0.1, "risk_80": 0.1, "auroc": 0.9, "aurc": 0.1, "nll": 0.5}
     models = dict.fromkeys(("confidence", "existing", "error"), of_error)

@@ -93,7 +93,7 @@ def test_the_error_per_scan_is_the_mean_over_the_scans_that_have_points(world):
         world.put("probabilities", stem, softmax(*[0.5] * len(truth)))
     calibration = uncertainty_of(world).calibration
     assert (calibration.ece_per_scan, calibration.scans) == (0.5, 2)
-    assert calibration.scores.ece == 0
+    assert calibration.ece == 0
 
 
 def test_files_of_some_scans_are_used_with_a_warning(world, caplog):
@@ -105,7 +105,7 @@ def test_files_of_some_scans_are_used_with_a_warning(world, caplog):
     with caplog.at_level(logging.WARNING):
         evaluation = uncertainty_of(world)
     assert evaluation.kinds["epistemic"].scans == 2
-    assert evaluation.kinds["epistemic"].scores.points == 4
+    assert evaluation.kinds["epistemic"].points == 4
     assert evaluation.calibration.scans == 1
     softmax_warning, epistemic_warning = caplog.messages
     assert "1 of 4" in softmax_warning
@@ -151,8 +151,8 @@ def test_the_error_is_scored_as_an_uncertainty_and_as_a_probability(world):
     world.put("uncertainty/error", "000001", [0.125, np.nan])
     evaluation = world.evaluate()
     error = evaluation.uncertainty.kinds["error"]
-    assert (error.scores.points, error.scores.wrong, error.without_value) == (4, 1, 1)
-    assert error.scores.auroc == pytest.approx(5 / 6)
+    assert (error.points, error.wrong, error.without_value) == (4, 1, 1)
+    assert error.auroc == pytest.approx(5 / 6)
     assert error.ece == pytest.approx(2 * 0.125 / 4)
     report = report_of(world)
     assert report["uncertainty"]["error"]["ece"] == error.ece

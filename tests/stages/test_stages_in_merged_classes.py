@@ -14,7 +14,7 @@ from salsanext_cli import LabelSpace, knn_refine, label_space, project, read_lab
 from salsanext_cli.classes.merging import ClassMerging
 from salsanext_cli.errors import OutputError, UsageError
 from salsanext_cli.formats.kitti import write_labels
-from salsanext_cli.measures.histograms import softmax_errors
+from salsanext_cli.measures.histograms import confidence_histogram
 from salsanext_cli.measures.scores import confusion_matrix
 from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
@@ -116,14 +116,14 @@ def test_full_predictions_and_their_probabilities_are_merged_by_eval(world):
         softmax = np.load(world.result("probabilities", sequence, stem)).astype(np.float64)
         counts = (truth > 0) & (softmax[:, 0] < 1)
         sums = np.stack([softmax[:, list(group)].sum(axis=1) for group in MERGING.groups], axis=1)
-        brier += softmax_errors(sums[counts], truth[counts]).brier.sum()
+        brier += confidence_histogram(sums[counts], truth[counts]).scan_sums["brier"][0]
         points += counts.sum()
     np.testing.assert_array_equal(merged.counts.confusion, expected)
-    scores = merged.uncertainty.calibration.scores
+    scores = merged.uncertainty.calibration
     assert scores.brier == pytest.approx(brier / points, rel=1e-4)
     assert scores.points == points
     # The files of `least_confidence` are of classes before merging, the sums of merged classes.
-    before, after = (e.uncertainty.kinds["least_confidence"].scores.mean for e in (full, merged))
+    before, after = (e.uncertainty.kinds["least_confidence"].mean for e in (full, merged))
     assert after < before
 
 

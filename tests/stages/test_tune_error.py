@@ -19,7 +19,7 @@ from salsanext_cli.errors import (
     UsageError,
     WeightsError,
 )
-from salsanext_cli.measures.expected_accuracy import expected_accuracy
+from salsanext_cli.measures.scan_summary import expected_accuracy
 from salsanext_cli.network.card import AccuracyLine, read_card
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.option_fields import ScanSelection
@@ -107,7 +107,7 @@ def test_wrong_points_have_a_high_error_on_held_out_scans(
     # Rejected points are misses, but do not count in the scores of the error.
     space, scans = label_space(), find_scans(world.data)
     judged, whole = (
-        evaluate(scans, out, space).uncertainty.kinds["error"].scores for out in (few, world.out)
+        evaluate(scans, out, space).uncertainty.kinds["error"] for out in (few, world.out)
     )
     scored = [space.scored[space.to_train(read_labels(scan.label_path))] for scan in scans]
     errors = [np.load(world.result(ERROR, scan.sequence, scan.stem)) for scan in scans]

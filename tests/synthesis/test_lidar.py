@@ -6,8 +6,7 @@ import pytest
 
 from salsanext_cli.synthesis.lidar import INTENSITY_NOISE, USUAL_ECHO, Lasers, Scene, measure
 from salsanext_cli.synthesis.mesh import Skin, quads
-from salsanext_cli.synthesis.presets import HDL64, Numbers
-from salsanext_cli.synthesis.surfaces import BUILDING, CAR, ROAD, Material
+from salsanext_cli.synthesis.presets import BUILDING, CAR, HDL64, ROAD, Material, Numbers
 
 
 def wall(distance, material=Material.PLASTER, label=BUILDING, shade=1.0):

@@ -5,10 +5,9 @@ import numpy as np
 import pytest
 from sklearn.neighbors import NearestNeighbors
 
-from salsanext_cli.synthesis import surfaces
+from salsanext_cli.synthesis import presets
 from salsanext_cli.synthesis.drive import record
-from salsanext_cli.synthesis.presets import RANDOM_SENSOR
-from salsanext_cli.synthesis.rig import (
+from salsanext_cli.synthesis.lidar import (
     ENCODER_STEP_DEG,
     HDL64_MOUNT_M,
     LOWER_BLOCK,
@@ -17,6 +16,7 @@ from salsanext_cli.synthesis.rig import (
     hdl64_rig,
     random_rig,
 )
+from salsanext_cli.synthesis.presets import RANDOM_SENSOR
 
 
 @pytest.fixture(scope="module")
@@ -109,7 +109,7 @@ def test_the_street_is_the_same_through_any_sensor():
     frames = [next(record(4, 1, 1, 3.0, make_rig)) for make_rig in RIGS.values()]
     places = []
     for frame in frames:
-        chosen = np.isin(frame.labels, (surfaces.BUILDING, surfaces.FENCE))
+        chosen = np.isin(frame.labels, (presets.BUILDING, presets.FENCE))
         near = np.linalg.norm(frame.scan.points, axis=1) < 25
         points = frame.scan.points[chosen & near]
         world = points @ frame.pose[:3, :3].T + frame.pose[:3, 3]
@@ -151,14 +151,14 @@ def test_scans_resemble_those_of_an_hdl64(frames):
         assert reach.min() > 1
         assert reach.max() < 82
         assert len(np.unique(frame.labels)) > 8
-        road = scan.points[np.isin(frame.labels, (surfaces.ROAD, surfaces.MARKING))]
+        road = scan.points[np.isin(frame.labels, (presets.ROAD, presets.MARKING))]
         near = road[np.hypot(road[:, 0], road[:, 1]) < 8]
         assert np.median(near[:, 2]) == pytest.approx(-HDL64_MOUNT_M, abs=0.15)
         assert near[:, 2].std() < 0.15
 
 
 def test_static_objects_stay(frames):
-    still = (surfaces.BUILDING, surfaces.FENCE, surfaces.POLE, surfaces.CLUTTER, surfaces.CAR)
+    still = (presets.BUILDING, presets.FENCE, presets.POLE, presets.CLUTTER, presets.CAR)
     first, second = (world(frame, still) for frame in frames[:2])
     here = first[np.linalg.norm(first - frames[1].pose[:3, 3], axis=1) < 12]
     distance, _ = NearestNeighbors(n_neighbors=1).fit(second).kneighbors(here)
@@ -179,7 +179,7 @@ def test_poses_are_rigid_and_evenly_spaced(frames):
 
 
 def test_moving_objects_change_position():
-    moving = tuple(surfaces.MOVING.values())
+    moving = tuple(presets.MOVING.values())
     before, after = (world(frame, moving) for frame in record(7, 1, 2, 3.0))
     assert len(before)
     assert len(after)

@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 from scipy.spatial import Delaunay
 
-from salsanext_cli.synthesis import surfaces
+from salsanext_cli.synthesis import presets
+from salsanext_cli.synthesis.drive import Mover, lanes
 from salsanext_cli.synthesis.presets import STYLES, Numbers
 from salsanext_cli.synthesis.street import lots, roadside
-from salsanext_cli.synthesis.street.builder import Builder
-from salsanext_cli.synthesis.street.ground import ground
+from salsanext_cli.synthesis.street.builder import Builder, ground
 from salsanext_cli.synthesis.street.plan import LEFT, REACH_M, Crossing, Lot, draw_plan
-from salsanext_cli.synthesis.street.traffic import Mover, lanes
 from salsanext_cli.synthesis.things import furniture
 
 PLANS = [draw_plan(np.random.default_rng(seed), STYLES[seed], 160.0) for seed in range(len(STYLES))]
@@ -37,7 +36,7 @@ def test_strips_lie_in_order_from_the_kerb_outwards(plan):
         ends = np.cumsum([side.parking, side.verge, side.sidewalk])
         starts = ends - [side.parking, side.verge, side.sidewalk]
         for start, end, label in zip(
-            starts, ends, (surfaces.PARKING, side.strip, surfaces.SIDEWALK), strict=True
+            starts, ends, (presets.PARKING, side.strip, presets.SIDEWALK), strict=True
         ):
             if end > start:
                 t = side.sign * (plan.half + (start + end) / 2)
@@ -50,7 +49,7 @@ def test_side_streets_are_road_and_level_with_it(plan):
             s = np.array([crossing.s])
             for out in (0.5, 5.0, 30.0):
                 t = np.array([side.sign * (plan.half + out)])
-                assert plan.label(s, t).item() == surfaces.ROAD
+                assert plan.label(s, t).item() == presets.ROAD
                 camber = -0.015 * plan.half
                 assert plan.relief(s, t).item() == pytest.approx(camber, abs=1e-9)
 
@@ -92,8 +91,8 @@ def test_the_ground_has_no_holes_and_the_plans_labels():
     # On a bend the outside gains what the inside loses: the area is that of the straight street.
     assert twice.sum() / 2 == pytest.approx(2 * REACH_M * plan.length, rel=0.01)
     assert set(np.unique(mesh.labels)) <= {
-        surfaces.ROAD, surfaces.MARKING, surfaces.PARKING, surfaces.SIDEWALK, surfaces.TERRAIN,
-        surfaces.OTHER_GROUND,
+        presets.ROAD, presets.MARKING, presets.PARKING, presets.SIDEWALK, presets.TERRAIN,
+        presets.OTHER_GROUND,
     }  # fmt: skip
 
 
@@ -111,9 +110,7 @@ def test_an_embankment_is_steep_and_green():
             np.testing.assert_allclose(high - low, side.bank.slope * side.bank.width)
 
 
-VEHICLES = {
-    *(surfaces.CAR, surfaces.TRUCK, surfaces.BUS, surfaces.OTHER_VEHICLE, surfaces.MOTORCYCLE)
-}
+VEHICLES = {*(presets.CAR, presets.TRUCK, presets.BUS, presets.OTHER_VEHICLE, presets.MOTORCYCLE)}
 NARROW = Numbers(**vars(STYLES[4]) | {"crossing_gap": (300, 900)})
 STREET = draw_plan(np.random.default_rng(0), NARROW, 120.0)
 """A narrow street without side streets; its houses may stand at the kerb."""
@@ -144,7 +141,7 @@ def test_no_car_parks_on_islands_between_parking_spaces(seed):
         t = side.sign * (plan.half + side.parking / 2)
         for low, high in side.islands:
             s = np.array([low - 0.01, (low + high) / 2, high + 0.01])
-            strips = [surfaces.PARKING, side.strip, surfaces.PARKING]
+            strips = [presets.PARKING, side.strip, presets.PARKING]
             assert plan.label(s, np.full(3, t)).tolist() == strips
             if low > 3 and high < plan.length - 3:
                 places.append(plan.world(s[1], t)[:2])
@@ -160,7 +157,7 @@ def test_parking_spaces_may_have_the_surface_of_the_road_or_another():
     for seed in range(24):
         rng = np.random.default_rng(seed)
         mesh = ground(rng, draw_plan(rng, style, 40.0))
-        road, parking = (mesh.labels == label for label in (surfaces.ROAD, surfaces.PARKING))
+        road, parking = (mesh.labels == label for label in (presets.ROAD, presets.PARKING))
         same = set(mesh.materials[road]) == set(mesh.materials[parking])
         brighter = np.median(mesh.shades[parking]) / np.median(mesh.shades[road])
         alike.append(same and abs(brighter - 1) < 0.03)

@@ -4,21 +4,13 @@
 import numpy as np
 import pytest
 
-from salsanext_cli.synthesis import surfaces
+from salsanext_cli.synthesis import presets
 from salsanext_cli.synthesis.mesh import Skin, box, merge, tube
-from salsanext_cli.synthesis.presets import STYLES
+from salsanext_cli.synthesis.presets import CAR, POLE, STYLES, Material
 from salsanext_cli.synthesis.street import lots
 from salsanext_cli.synthesis.street.builder import Builder
 from salsanext_cli.synthesis.street.plan import Lot, draw_plan
-from salsanext_cli.synthesis.surfaces import CAR, POLE, Material
-from salsanext_cli.synthesis.things import (
-    boundaries,
-    cycles,
-    furniture,
-    people,
-    vegetation,
-    vehicles,
-)
+from salsanext_cli.synthesis.things import furniture, people, vegetation, vehicles
 
 STEEL = Skin(POLE, Material.METAL, 0.5)
 
@@ -44,36 +36,36 @@ def test_merging_keeps_every_triangle_and_its_skin():
 
 
 THINGS = {
-    "car": (vehicles.car, {surfaces.CAR}, (3.4, 1.6, 1.3), (6.0, 2.4, 2.7)),
-    "truck": (vehicles.truck, {surfaces.TRUCK}, (4.2, 1.6, 1.5), (17.5, 3.3, 4.2)),
-    "person": (people.person, {surfaces.PERSON}, (0.2, 0.2, 1.0), (1.4, 1.1, 2.0)),
-    "bicycle": (cycles.bicycle, {surfaces.BICYCLE}, (1.5, 0.4, 0.8), (2.0, 0.8, 1.3)),
-    "bicyclist": (cycles.bicyclist, {surfaces.BICYCLIST}, (1.5, 0.4, 1.6), (2.1, 0.9, 2.1)),
-    "motorcycle": (cycles.motorcycle, {surfaces.MOTORCYCLE}, (1.5, 0.5, 0.9), (2.3, 1.0, 1.7)),
+    "car": (vehicles.car, {presets.CAR}, (3.4, 1.6, 1.3), (6.0, 2.4, 2.7)),
+    "truck": (vehicles.truck, {presets.TRUCK}, (4.2, 1.6, 1.5), (17.5, 3.3, 4.2)),
+    "person": (people.person, {presets.PERSON}, (0.2, 0.2, 1.0), (1.4, 1.1, 2.0)),
+    "bicycle": (people.bicycle, {presets.BICYCLE}, (1.5, 0.4, 0.8), (2.0, 0.8, 1.3)),
+    "bicyclist": (people.bicyclist, {presets.BICYCLIST}, (1.5, 0.4, 1.6), (2.1, 0.9, 2.1)),
+    "motorcycle": (people.motorcycle, {presets.MOTORCYCLE}, (1.5, 0.5, 0.9), (2.3, 1.0, 1.7)),
     "motorcyclist": (
-        cycles.motorcyclist, {surfaces.MOTORCYCLIST}, (1.5, 0.5, 1.5), (2.4, 1.0, 2.2),
+        people.motorcyclist, {presets.MOTORCYCLIST}, (1.5, 0.5, 1.5), (2.4, 1.0, 2.2),
     ),
     "sitter": (
-        lambda rng: people.person(rng, sitting=True), {surfaces.PERSON},
+        lambda rng: people.person(rng, sitting=True), {presets.PERSON},
         (0.4, 0.2, 0.7), (1.2, 1.1, 1.6),
     ),
-    "bus": (vehicles.bus, {surfaces.BUS}, (6.0, 2.1, 2.4), (13.0, 3.1, 3.7)),
-    "other": (vehicles.other_vehicle, {surfaces.OTHER_VEHICLE}, (2.0, 1.1, 0.5), (8.5, 3.4, 5.0)),
-    "lamp": (furniture.lamp, {surfaces.POLE}, (0.1, 0.1, 3.5), (0.6, 3.5, 9.8)),
-    "post": (furniture.post, {surfaces.POLE}, (0.07, 0.07, 0.9), (0.25, 0.25, 8.5)),
-    "sign": (furniture.sign, {surfaces.POLE, surfaces.SIGN}, (0.05, 0.05, 1.3), (1.6, 0.3, 4.2)),
-    "board": (furniture.board, {surfaces.POLE, surfaces.SIGN}, (0.7, 0.1, 1.3), (3.0, 0.3, 3.5)),
+    "bus": (vehicles.bus, {presets.BUS}, (6.0, 2.1, 2.4), (13.0, 3.1, 3.7)),
+    "other": (vehicles.other_vehicle, {presets.OTHER_VEHICLE}, (2.0, 1.1, 0.5), (8.5, 3.4, 5.0)),
+    "lamp": (furniture.lamp, {presets.POLE}, (0.1, 0.1, 3.5), (0.6, 3.5, 9.8)),
+    "post": (furniture.post, {presets.POLE}, (0.07, 0.07, 0.9), (0.25, 0.25, 8.5)),
+    "sign": (furniture.sign, {presets.POLE, presets.SIGN}, (0.05, 0.05, 1.3), (1.6, 0.3, 4.2)),
+    "board": (furniture.board, {presets.POLE, presets.SIGN}, (0.7, 0.1, 1.3), (3.0, 0.3, 3.5)),
     "light": (
-        furniture.traffic_light, {surfaces.POLE, surfaces.CLUTTER},
+        furniture.traffic_light, {presets.POLE, presets.CLUTTER},
         (0.1, 0.1, 3.2), (0.5, 0.6, 4.0),
     ),
-    "bench": (furniture.bench, {surfaces.CLUTTER}, (1.4, 0.4, 1.1), (2.2, 0.5, 1.2)),
-    "clutter": (furniture.clutter, {surfaces.CLUTTER}, (0.3, 0.2, 0.15), (4.0, 4.0, 3.6)),
+    "bench": (furniture.bench, {presets.CLUTTER}, (1.4, 0.4, 1.1), (2.2, 0.5, 1.2)),
+    "clutter": (furniture.clutter, {presets.CLUTTER}, (0.3, 0.2, 0.15), (4.0, 4.0, 3.6)),
     "ground cover": (
-        lambda rng: vegetation.ground_cover(rng, 1.5), {surfaces.VEGETATION},
+        lambda rng: vegetation.ground_cover(rng, 1.5), {presets.VEGETATION},
         (2.0, 2.0, 0.05), (3.6, 3.6, 1.0),
     ),
-    "shelter": (furniture.shelter, {surfaces.STRUCTURE}, (2.4, 1.3, 2.4), (4.8, 1.8, 2.9)),
+    "shelter": (furniture.shelter, {presets.STRUCTURE}, (2.4, 1.3, 2.4), (4.8, 1.8, 2.9)),
 }  # fmt: skip
 
 
@@ -94,8 +86,8 @@ def test_objects_have_the_right_classes_and_sizes(name):
 @pytest.mark.parametrize("seed", range(8))
 def test_a_clipped_hedge_is_nearly_even(seed):
     height, depth = 0.8, 0.6
-    mesh = boundaries.hedge(np.random.default_rng(seed), 5.0, height, depth, boundaries.CLIPPED_M)
-    assert set(mesh.labels.tolist()) == {surfaces.VEGETATION}
+    mesh = vegetation.hedge(np.random.default_rng(seed), 5.0, height, depth, vegetation.CLIPPED_M)
+    assert set(mesh.labels.tolist()) == {presets.VEGETATION}
     across, up = np.abs(mesh.vertices[:, 1]), mesh.vertices[:, 2]
     assert np.quantile(across, 0.99) < depth / 2 + 0.08
     assert np.quantile(up, 0.99) < height + 0.08

@@ -72,7 +72,7 @@ def html_of(
     out, space, sensor = run.reader.out, run.reader.space, run.reader.sensor
     live = served is not None
     offered = {scan.name: scan.reason for scan in shown} if served is None else served
-    colours, class_points = screen_colours(space), _class_points(run.rows, space)
+    colours, class_points = screen_colours(space), np.array([r.class_points for r in run.rows])
     steps = np.linspace(DARKEST_STEP, 255, NO_VALUE)  # Of the colours of the values 0 to 254
     named_colours = zip(space.names, colours.tolist(), strict=True)
     data = {
@@ -163,12 +163,6 @@ def _sentence(compared: Comparison | None) -> str:
     return "".join(f'<p class="sentence">{_text(s[:1].upper() + s[1:])}.</p>' for s in sentences)
 
 
-def _class_points(rows: Sequence[ScanRow], space: LabelSpace) -> Counts:
-    """Return the number of points by scan and predicted train id, (R, C)."""
-    none = np.zeros(space.class_count, np.int64)
-    return np.array([none if row.class_points is None else row.class_points for row in rows])
-
-
 def _shares(
     points: Counts, compared: Comparison | None, space: LabelSpace, colours: Colours
 ) -> str:
@@ -203,19 +197,13 @@ def _comparison(compared: Comparison, space: LabelSpace) -> str:
     """Return the section on labelled scans: confusions and plots."""
     confusions = _confusions(compared.counts.confusion, space)
     parts = _listed("Largest confusions", '<ol class="confusions">', "</ol>", confusions)
-    pictures = uncertainty_pictures(compared.uncertainty)
-    parts += _figures({PICTURES[name]: png for name, png in pictures.items()})
-    return f'<section id="plots"><h2>Comparison with labels</h2>{parts}</section>' * bool(parts)
-
-
-def _figures(pictures: Mapping[str, bytes]) -> str:
-    """Return elements with PNGs, by title."""
     figures = "".join(
-        f'<figure tabindex="0"><img alt="{_text(text)}" '
+        f'<figure tabindex="0"><img alt="{_text(PICTURES[name])}" '
         f'src="data:image/png;base64,{b64encode(png).decode("ascii")}"></figure>'
-        for text, png in pictures.items()
+        for name, png in uncertainty_pictures(compared.uncertainty).items()
     )
-    return f'<div class="plots">{figures}</div>' * bool(figures)
+    parts += f'<div class="plots">{figures}</div>' * bool(figures)
+    return f'<section id="plots"><h2>Comparison with labels</h2>{parts}</section>' * bool(parts)
 
 
 def _confusions(confusion: Counts, space: LabelSpace) -> list[str]:

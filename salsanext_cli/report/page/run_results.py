@@ -24,7 +24,6 @@ from salsanext_cli.files.reading import present, reading, refusing_damage
 from salsanext_cli.fitting.field_of_view import view_text
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.objects import BOX
-from salsanext_cli.measures.expected_accuracy import ExpectedAccuracy, expected_accuracy
 from salsanext_cli.measures.histograms import lack_of_confidence
 from salsanext_cli.measures.risk_control import (
     RISK_BOUND_EXCEEDED,
@@ -33,6 +32,7 @@ from salsanext_cli.measures.risk_control import (
     guarantee,
 )
 from salsanext_cli.measures.scan_counts import SOFTMAX, ScanComparison, ScanCounts, read_softmax
+from salsanext_cli.measures.scan_summary import ExpectedAccuracy, expected_accuracy
 from salsanext_cli.measures.scores import Counts, Scores, accepted, scored_rows, scores
 from salsanext_cli.measures.uncertainty_evaluation import (
     UncertaintyEvaluation,
@@ -63,25 +63,24 @@ class ScanRow:
 
     file: ScanFile
     points: int  # Number of points with a label or an uncertainty
-    class_points: Counts | None  # (C,) int64 or None: number of points by predicted train id
+    class_points: Counts  # (C,) int64: number of points by predicted train id
     uncertainty: dict[str, float]  # Mean over the points by kind; NaN without any
-    # (C, C) as `scored_rows`, of accepted points if the run rejected labels; None without labels
-    confusion: Counts | None = None
+    # (C, C) as `scored_rows`, of accepted points if the run rejected labels
+    confusion: Counts
 
     @property
     def wrong(self) -> float:
         """Share of wrong points in `confusion`, 0…1; NaN without points."""
-        if self.confusion is None or not self.confusion.any():
-            return math.nan
-        return float(1 - self.confusion.trace() / self.confusion.sum())
+        points = self.confusion.sum()
+        return float(1 - self.confusion.trace() / points) if points else math.nan
 
 
 def read_row(file: ScanFile, reader: ScanComparison) -> tuple[ScanRow, ScanCounts | None]:
     """Read the results of a scan and, if it has labels, count its points."""
     out, space = reader.out, reader.space
     path_of = partial(output_path, out, file.sequence, stem=file.stem)
-    class_points, points = None, 0
-    if present(path := path_of(folder="predictions")):
+    points, class_points = 0, np.zeros(space.class_count, np.int64)
+    if is_labelled := present(path := path_of(folder="predictions")):
         predicted = space.to_train(read_labels(path), strict=False, source=path)
         points = len(predicted)
         class_points = np.bincount(predicted, minlength=space.class_count)
@@ -92,11 +91,11 @@ def read_row(file: ScanFile, reader: ScanComparison) -> tuple[ScanRow, ScanCount
             points = len(values)
             finite = values[np.isfinite(values)]
             uncertainty[kind] = float(finite.mean(dtype=np.float64)) if len(finite) else math.nan
-    if class_points is None or not present(file.label_path):
-        return ScanRow(file, points, class_points, uncertainty), None
-    counts = reader.count(file)
-    confusion = scored_rows(counts.confusion, space)
-    confusion = accepted(confusion) if reader.rejection else confusion
+    counts, confusion = None, np.zeros((space.class_count, space.class_count), np.int64)
+    if is_labelled and present(file.label_path):
+        counts = reader.count(file)
+        confusion = scored_rows(counts.confusion, space)
+        confusion = accepted(confusion) if reader.rejection else confusion
     return ScanRow(file, points, class_points, uncertainty, confusion), counts
 
 
@@ -218,8 +217,7 @@ def notable_scans(rows: Sequence[ScanRow], space: LabelSpace) -> dict[str, str]:
         add_largest(means, lambda value: f"{words} {value:.3g})")
     wrong = [row.wrong for row in rows]
     add_largest(wrong, lambda share: f"most wrong ({100 * share:.1f} % of the points with a label)")
-    none = np.zeros((space.class_count, space.class_count), np.int64)
-    confusions = np.stack([none if row.confusion is None else row.confusion for row in rows])
+    confusions = np.stack([row.confusion for row in rows])
     classes = [c for c in scores(confusions.sum(axis=0), space).classes if c.points]
     if classes:
         worst = min(classes, key=lambda c: c.iou)

@@ -9,14 +9,7 @@ import numpy as np
 from salsanext_cli.synthesis.mesh import Mesh, Rng
 from salsanext_cli.synthesis.street.builder import Builder
 from salsanext_cli.synthesis.street.plan import REACH_M, Lot, Side
-from salsanext_cli.synthesis.things import (
-    boundaries,
-    buildings,
-    cycles,
-    furniture,
-    people,
-    vegetation,
-)
+from salsanext_cli.synthesis.things import buildings, furniture, people, vegetation
 from salsanext_cli.synthesis.things.vehicles import car, length_of, truck, vehicle
 
 CAR_ROOM_M = 5.2  # Distance from the kerb to the house that a car in the driveway needs
@@ -53,7 +46,7 @@ def _overgrow(builder: Builder, side: Side, lot: Lot, front: float) -> None:
     start = builder.between(lot.start, (lot.start + lot.end) / 2)
     end = builder.between(start + 1, lot.end)
     if builder.chance(0.15):
-        ivy = partial(boundaries.ivy, builder.rng, height=builder.between(2, 8))
+        ivy = partial(vegetation.ivy, builder.rng, height=builder.between(2, 8))
         builder.put_line(ivy, side, start, end, front)
     if builder.chance(0.2) and lot.setback > 0.7:
         for s in np.arange(start, end, builder.between(0.8, 1.5)):
@@ -94,15 +87,15 @@ def _house(builder: Builder, side: Side, lot: Lot) -> None:
     if builder.chance(0.5):
         end = front + builder.between(2, 12)
         builder.put_outward(_boundary(builder), side, lot.end, side.depth + 0.3, end)
-    _scatter(builder, side, lot, _clutter, (0, 1), 0.8)
-    _scatter(builder, side, lot, _motorcycle, (0, 1), 0.12)
+    _scatter(builder, side, lot, _sizeless(furniture.clutter), (0, 1), 0.8)
+    _scatter(builder, side, lot, _sizeless(people.motorcycle), (0, 1), 0.12)
 
 
 def _yard(builder: Builder, side: Side, lot: Lot) -> None:
     _close(builder, side, lot.start, lot.end, side.depth + 0.25, open_chance=0.0)
     _scatter(builder, side, lot, vegetation.tree, (4.0, 9.0), 1.5, reach=15)
     _plant(builder, side, lot, 4, reach=12)
-    _scatter(builder, side, lot, _clutter, (0, 1), 1.5, reach=8)
+    _scatter(builder, side, lot, _sizeless(furniture.clutter), (0, 1), 1.5, reach=8)
     if builder.chance(0.35):
         _park(builder, side, builder.between(lot.start + 2, lot.end - 2), side.depth + 5, 0.3, 2.0)
     if builder.chance(0.5) and lot.end - lot.start > 8:
@@ -116,8 +109,8 @@ def _green(builder: Builder, side: Side, lot: Lot) -> None:
     _scatter(builder, side, lot, vegetation.conifer, (3.0, 9.0), 0.5 * area, reach=25)
     _plant(builder, side, lot, 3.0 * area, reach=20)
     _scatter(builder, side, lot, vegetation.weeds, (0.5, 1.6), 2.0 * area, reach=15)
-    _scatter(builder, side, lot, _person, (0, 1), 0.5 * area, reach=12)
-    _scatter(builder, side, lot, _clutter, (0, 1), 0.5 * area, reach=6)
+    _scatter(builder, side, lot, _sizeless(people.person), (0, 1), 0.5 * area, reach=12)
+    _scatter(builder, side, lot, _sizeless(furniture.clutter), (0, 1), 0.5 * area, reach=6)
 
 
 def _field(builder: Builder, side: Side, lot: Lot) -> None:
@@ -129,7 +122,7 @@ def _field(builder: Builder, side: Side, lot: Lot) -> None:
     if is_barrier or builder.chance(0.25):
         kind, out = ("barrier", 0.8) if is_barrier else ("mesh", 3.0)
         shade, height = builder.between(0.7, 1.4), builder.between(0.9, 1.3)
-        fence = partial(boundaries.fence, builder.rng, kind=kind, height=height, shade=shade)
+        fence = partial(buildings.fence, builder.rng, kind=kind, height=height, shade=shade)
         builder.put_line(fence, side, lot.start, lot.end, side.depth + out)
 
 
@@ -165,10 +158,10 @@ def _high_wall(builder: Builder, side: Side, lot: Lot) -> None:
     kind = "wall" if builder.chance(0.6) else "boards"
     heights = (1.5, 3.5) if builder.plan.style.barrier else (1.0, 1.9)
     height, shade = builder.between(*heights), builder.between(0.6, 1.4)
-    wall = partial(boundaries.fence, builder.rng, kind=kind, height=height, shade=shade)
+    wall = partial(buildings.fence, builder.rng, kind=kind, height=height, shade=shade)
     builder.put_line(wall, side, lot.start, lot.end, out)
     if builder.chance(0.4):
-        ivy = partial(boundaries.ivy, builder.rng, height=height * builder.between(0.5, 1.1))
+        ivy = partial(vegetation.ivy, builder.rng, height=height * builder.between(0.5, 1.1))
         low = builder.between(lot.start, (lot.start + lot.end) / 2)
         builder.put_line(ivy, side, low, builder.between(low, lot.end), out - 0.15)
     _scatter(builder, side, lot, vegetation.tree, (5.0, 11.0), 3.0, reach=10)
@@ -184,8 +177,8 @@ def _forecourt(builder: Builder, side: Side, lot: Lot) -> None:
         out = side.depth + builder.between(half, max(half + 0.1, lot.setback - half))
         builder.put_if_free(mesh, side, float(s), out, half, yaw)
     _house_behind(builder, side, lot, side.depth + lot.setback)
-    _scatter(builder, side, lot, _person, (0, 1), 0.7)
-    _scatter(builder, side, lot, _clutter, (0, 1), 1.0)
+    _scatter(builder, side, lot, _sizeless(people.person), (0, 1), 0.7)
+    _scatter(builder, side, lot, _sizeless(furniture.clutter), (0, 1), 1.0)
 
 
 def _carpark(builder: Builder, side: Side, lot: Lot) -> None:
@@ -233,16 +226,8 @@ def _plant(
         _scatter(builder, side, lot, make, size, share * count, reach)
 
 
-def _clutter(rng: Rng, _size: float) -> Mesh:
-    return furniture.clutter(rng)
-
-
-def _motorcycle(rng: Rng, _size: float) -> Mesh:
-    return cycles.motorcycle(rng)
-
-
-def _person(rng: Rng, _size: float) -> Mesh:
-    return people.person(rng)
+def _sizeless(make: Callable[[Rng], Mesh]) -> Callable[[Rng, float], Mesh]:
+    return lambda rng, _size: make(rng)
 
 
 def _background(builder: Builder, side: Side, lot: Lot) -> None:
@@ -268,13 +253,13 @@ def _boundary(builder: Builder) -> Maker:
     """Return a maker of pieces of a hedge, a fence or a wall."""
     if builder.chance(0.4):
         return _hedge(builder)
-    kind = str(builder.rng.choice(boundaries.FENCES))
+    kind = str(builder.rng.choice(buildings.FENCES))
     if kind in ("wall", "boards"):
         height = builder.between(0.3, SOLID_M)
     else:
         height = builder.between(*(1.1, 2.2) if builder.chance(0.25) else (0.5, 1.1))
     shade = builder.between(0.7, 1.5)
-    return partial(boundaries.fence, builder.rng, kind=kind, height=height, shade=shade)
+    return partial(buildings.fence, builder.rng, kind=kind, height=height, shade=shade)
 
 
 def _hedge(builder: Builder) -> Maker:
@@ -282,8 +267,8 @@ def _hedge(builder: Builder) -> Maker:
     height = builder.between(*(0.4, 1.2) if low else (0.7, 2.7))
     depth = builder.between(0.4, 1.0 if low else 1.5)
     clipped = builder.chance(0.75 if low else 0.5)
-    ragged = builder.between(*(0.003, boundaries.CLIPPED_M) if clipped else (0.03, 0.2))
-    return partial(boundaries.hedge, builder.rng, height=height, depth=depth, ragged=ragged)
+    ragged = builder.between(*(0.003, vegetation.CLIPPED_M) if clipped else (0.03, 0.2))
+    return partial(vegetation.hedge, builder.rng, height=height, depth=depth, ragged=ragged)
 
 
 def _undergrowth(builder: Builder, heights: Span, depths: Span) -> Maker:

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.records import Mask
-from salsanext_cli.synthesis import surfaces
+from salsanext_cli.synthesis import presets
 from salsanext_cli.synthesis.mesh import Array, Rng
 from salsanext_cli.synthesis.presets import Numbers, weighted_choice
 
@@ -24,8 +24,7 @@ RUN_OUT_M = 70.0  # Length of the street behind the first scan and beyond the la
 MULTILANE_HALF_WIDTH_M = 5.5
 """Half the width from which a carriageway has several lanes per direction."""
 GREEN = ("thicket", "scrub", "field", "green")  # Kinds of lot on an embankment
-ACROSS_M = 4.0
-"""Width of a parking strip from which cars stand across it."""
+ACROSS_M = 4.0  # Width of a parking strip from which cars stand across it
 MAX_KERB_M = 0.14
 CORNER_LINES_M = np.arange(0.15, 4.1, 0.15)
 """Distances from the kerb of grid lines for rounded corners."""
@@ -112,23 +111,23 @@ class Side:
 
     def label(self, s: Array, beyond: Array) -> npt.NDArray[np.uint32]:
         """Raw id of the ground `beyond` the kerb."""
-        label = np.full(np.shape(s), surfaces.TERRAIN, np.uint32)
+        label = np.full(np.shape(s), presets.TERRAIN, np.uint32)
         for lot in self.lots:
             inside = (s >= lot.start) & (s < lot.end)
             front = beyond < self.depth + lot.setback
             drive = (s > lot.drive[0]) & (s < lot.drive[1]) & front
-            ground = np.where(drive, surfaces.SIDEWALK, np.where(front, lot.front, lot.back))
+            ground = np.where(drive, presets.SIDEWALK, np.where(front, lot.front, lot.back))
             label = np.where(inside, ground, label)
-        label = np.where(beyond < self.depth, surfaces.SIDEWALK, label)
+        label = np.where(beyond < self.depth, presets.SIDEWALK, label)
         label = np.where(beyond < self.parking + self.verge, self.strip, label)
         on_island = np.zeros(np.shape(s), bool)
         for low, high in self.islands:
             on_island |= (s >= low) & (s < high)
-        label = np.where((beyond < self.parking) & ~on_island, surfaces.PARKING, label)
+        label = np.where((beyond < self.parking) & ~on_island, presets.PARKING, label)
         for crossing in self.crossings:
             paved = np.abs(s - crossing.s) - crossing.half < crossing.pavement
-            label = np.where(paved & (beyond > self.parking), surfaces.SIDEWALK, label)
-        label[self.on_side_street(s, beyond)] = surfaces.ROAD
+            label = np.where(paved & (beyond > self.parking), presets.SIDEWALK, label)
+        label[self.on_side_street(s, beyond)] = presets.ROAD
         return label.astype(np.uint32)
 
 
@@ -180,7 +179,7 @@ class Plan:
 
     def label(self, s: Array, t: Array) -> npt.NDArray[np.uint32]:
         """Raw id of the ground at (s, t)."""
-        label = np.where(self._painted(s, t), surfaces.MARKING, surfaces.ROAD).astype(np.uint32)
+        label = np.where(self._painted(s, t), presets.MARKING, presets.ROAD).astype(np.uint32)
         for side in self.sides:
             beyond = side.sign * t - self.half
             label = np.where(beyond > -KERB_M / 2, side.label(s, beyond), label)
@@ -273,7 +272,7 @@ def _side(
     sidewalk = rng.uniform(*style.sidewalk_width) if rng.random() < style.sidewalk else 0.0
     low = MAX_KERB_M * rng.random() ** 1.3  # Most are lower than half of it
     kerb = low if sidewalk and rng.random() >= style.flush else 0.0
-    strip = surfaces.OTHER_GROUND if rng.random() < style.gravel else surfaces.TERRAIN
+    strip = presets.OTHER_GROUND if rng.random() < style.gravel else presets.TERRAIN
     bank = Bank(rng.uniform(-0.6, 1) * style.bank, 0.5, 14.0)
     kinds = style.lots
     if rng.random() < style.embankment:
@@ -319,19 +318,19 @@ def _lots(
 
 
 def _lot(rng: Rng, kind: str, start: float, end: float, setback: float) -> Lot:
-    paved = surfaces.SIDEWALK if rng.random() < 0.55 else surfaces.TERRAIN
-    front = back = surfaces.TERRAIN
+    paved = presets.SIDEWALK if rng.random() < 0.55 else presets.TERRAIN
+    front = back = presets.TERRAIN
     drive = (start, start)
     if kind == "terrace":
-        front = paved if setback > 2 else surfaces.SIDEWALK
+        front = paved if setback > 2 else presets.SIDEWALK
     elif kind == "carpark":
-        front, back, setback = surfaces.PARKING, paved, rng.uniform(5.5, 12)
+        front, back, setback = presets.PARKING, paved, rng.uniform(5.5, 12)
     elif kind == "forecourt":
-        front, setback = surfaces.OTHER_GROUND, rng.uniform(5, 12)
+        front, setback = presets.OTHER_GROUND, rng.uniform(5, 12)
     elif kind == "house":
         if rng.random() < 0.6 and end - start > 8:
             drive = (start + 0.4, start + 0.4 + rng.uniform(2.6, 3.6))
-        front = surfaces.SIDEWALK if rng.random() < 0.35 else surfaces.TERRAIN
+        front = presets.SIDEWALK if rng.random() < 0.35 else presets.TERRAIN
     elif kind == "yard" and rng.random() < 0.3:
-        front = surfaces.PARKING
+        front = presets.PARKING
     return Lot(kind, start, end, setback, front, back, drive)

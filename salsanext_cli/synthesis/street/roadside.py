@@ -7,7 +7,7 @@ import numpy as np
 
 from salsanext_cli.synthesis.street.builder import Builder
 from salsanext_cli.synthesis.street.plan import ACROSS_M, Crossing, Side
-from salsanext_cli.synthesis.things import boundaries, cycles, furniture, people, vegetation
+from salsanext_cli.synthesis.things import buildings, furniture, people, vegetation
 from salsanext_cli.synthesis.things.vehicles import car, length_of, vehicle
 
 TOWARDS_TRAFFIC_RAD = np.pi / 2
@@ -28,7 +28,7 @@ def furnish(builder: Builder, side: Side) -> None:
 def separate_directions(builder: Builder) -> None:
     """Separate the directions of traffic by a crash barrier."""
     plan, shade = builder.plan, builder.between(0.6, 1.3)
-    piece = partial(boundaries.fence, builder.rng, kind="barrier", height=0.8, shade=shade)
+    piece = partial(buildings.fence, builder.rng, kind="barrier", height=0.8, shade=shade)
     builder.put_line(piece, plan.sides[0], 0.0, plan.length, -plan.half)
 
 
@@ -40,7 +40,7 @@ def _road_works(builder: Builder, side: Side) -> None:
     end = min(start + builder.between(8, 50), builder.plan.length - 1)
     height, shade = builder.between(0.75, 1.1), builder.between(0.5, 1.5)
     length, gap = builder.between(1, 4), builder.between(0, 0.4)
-    piece = boundaries.fence(builder.rng, length - gap, "block", height, shade)
+    piece = buildings.fence(builder.rng, length - gap, "block", height, shade)
     out = builder.between(-0.7, 0.5)
     for s in np.arange(start, end, length):
         builder.put_if_free(piece, side, float(s), out + builder.rng.normal(0, 0.04), 0.45 * length)
@@ -168,7 +168,7 @@ def _group(builder: Builder, side: Side, s: float, out: float) -> None:
         yaw = builder.between(0, 6.28)
         builder.put_if_free(people.person(builder.rng), side, *place, 0.19, yaw)
         if builder.chance(0.12):
-            bicycle = cycles.bicycle(builder.rng)
+            bicycle = people.bicycle(builder.rng)
             builder.put_if_free(bicycle, side, place[0], place[1] + 0.5, 0.15, yaw * 0.05)
 
 
@@ -189,7 +189,7 @@ def _bicycles(builder: Builder, side: Side, s: float) -> None:
         backwards = builder.chance(0.4)
         turned = yaw + builder.rng.normal(0, 0.08) + np.pi * backwards
         lean = builder.rng.normal(0, 0.1) if rack else abs(builder.rng.normal(0.1, 0.1))
-        mesh = cycles.bicycle(builder.rng).leaned(lean if backwards else -lean)
+        mesh = people.bicycle(builder.rng).leaned(lean if backwards else -lean)
         place = s + step * (builder.between(0.45, 0.7) if rack else IN_A_ROW_M)
         builder.put_if_free(mesh, side, place, out, 0.22, turned)
 
@@ -200,7 +200,7 @@ def _motorcycles(builder: Builder, side: Side, s: float) -> None:
     yaw = builder.rng.choice([0.0, np.pi / 2, 1.0]) + np.pi * builder.chance(0.5)
     out += 0.9 * abs(np.sin(yaw)) * at_kerb
     for step in range(int(builder.rng.choice([1, 1, 1, 2, 4]))):
-        mesh = cycles.motorcycle(builder.rng).leaned(builder.rng.normal(0, 0.1))
+        mesh = people.motorcycle(builder.rng).leaned(builder.rng.normal(0, 0.1))
         turned = yaw + builder.rng.normal(0, 0.1)
         builder.put_if_free(mesh, side, s + (0.9 + abs(np.cos(yaw))) * step, out, 0.35, turned)
 
@@ -228,7 +228,7 @@ def _side_street(builder: Builder, side: Side, crossing: Crossing) -> None:
         builder.put(car(builder.rng), side, s, builder.between(2.6, 5), TOWARDS_ROAD_RAD)
     for _ in builder.count(2 if crossing.pavement else 0.5):
         away = (crossing.half + builder.between(0.4, 1.4)) * builder.rng.choice([-1, 1])
-        makers = (people.person, people.person, furniture.post, cycles.bicycle, furniture.sign)
+        makers = (people.person, people.person, furniture.post, people.bicycle, furniture.sign)
         mesh = makers[builder.rng.integers(5)](builder.rng)
         out = side.depth + builder.between(0, 25)
         builder.put(mesh, side, crossing.s + away, out, builder.between(0, 6.28))

@@ -4,7 +4,7 @@
 import numpy as np
 
 from salsanext_cli.synthesis.mesh import Mesh, Rng, Skin, box, disc, ellipsoid, merge, quads, tube
-from salsanext_cli.synthesis.surfaces import CLUTTER, POLE, SIGN, STRUCTURE, Material
+from salsanext_cli.synthesis.presets import CLUTTER, POLE, SIGN, STRUCTURE, Material
 
 FOOT_M = -0.3  # Height of the foot of poles and boxes: below the uneven ground
 

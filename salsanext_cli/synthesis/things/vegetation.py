@@ -1,13 +1,29 @@
 # SPDX-License-Identifier: MIT
-"""Trees, bushes and thickets: many small facets that let some rays through."""
+"""Trees, bushes, thickets, hedges and ivy: many small facets that let some rays through."""
 
 import numpy as np
 
-from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, Skin, ellipsoid, facets, merge, tube
-from salsanext_cli.synthesis.surfaces import TRUNK, VEGETATION, Material
+from salsanext_cli.synthesis.mesh import (
+    Array,
+    Mesh,
+    Rng,
+    Skin,
+    ellipsoid,
+    extrusion,
+    facets,
+    merge,
+    tube,
+)
+from salsanext_cli.synthesis.presets import TRUNK, VEGETATION, Material
 
 THIN_M = 0.06  # Largest radius of a stem with the label of vegetation
 FOOT_M = -0.4  # Height of the foot of trunks and stems, below the uneven ground
+CLIPPED_M = 0.03  # Largest unevenness of a clipped hedge, whose leaves are small and dense
+HEDGE_OUTLINE = np.array(
+    [[-0.5, 0.0], [-0.52, 0.35], [-0.5, 0.7], [-0.42, 0.95], [0, 1.0]]
+    + [[0.42, 0.95], [0.5, 0.7], [0.52, 0.35], [0.5, 0.0]]
+)
+"""Cross-section of a hedge in shares of depth and height."""
 
 
 def leaf_skin(rng: Rng, material: Material = Material.LEAF) -> Skin:
@@ -129,3 +145,31 @@ def weeds(rng: Rng, radius: float) -> Mesh:
     centres[:, 2] = rng.uniform(0.0, 0.45, count) * rng.uniform(0.3, 1.0)
     leaf = Skin.random(rng, VEGETATION, Material.LEAF, 0.8, 1.15)
     return facets(centres, rng.uniform(0.04, 0.14, count), leaf, rng)
+
+
+def hedge(rng: Rng, length: float, height: float, depth: float, ragged: float) -> Mesh:
+    """Return a hedge under leaves, its surface with a standard deviation of `ragged` metres."""
+    leaf = leaf_skin(rng)
+    stations = np.linspace(0, length, max(3, int(length / 0.4)))
+    section = HEDGE_OUTLINE * [depth * 0.9, height * 0.96]
+    section[[0, -1], 1] = FOOT_M
+    sides = section + rng.normal(0, ragged, (len(stations), len(section), 2))
+    core = extrusion(stations, sides, leaf)
+    clipped = ragged <= CLIPPED_M
+    count = int(length * (height + depth) * rng.uniform(15, 45) * (1 + 0.4 * clipped))
+    centres = rng.uniform([0, -0.5, 0], [1, 0.5, 1], (count, 3)) * [length, depth, height]
+    outer, largest = rng.random(count), rng.uniform(*(0.025, 0.05) if clipped else (0.04, 0.12))
+    centres[:, 1] = np.where(outer < 0.75, np.sign(centres[:, 1]) * depth * 0.48, centres[:, 1])
+    centres[:, 2] = np.where(outer >= 0.75, height, centres[:, 2])
+    centres += rng.normal(0, ragged, centres.shape)
+    return merge([core, facets(centres, rng.uniform(0.02, largest, count), leaf, rng)])
+
+
+def ivy(rng: Rng, length: float, height: float) -> Mesh:
+    """Return ivy with an uneven upper edge on a wall at y = 0."""
+    x = rng.uniform(0, length, int(60 * length * height))
+    phase, wave = rng.uniform(0, 2 * np.pi, 3), rng.uniform(0.3, 3, 3)
+    edge = height * (0.7 + 0.1 * np.sin(x[:, None] * wave + phase).sum(-1))
+    y = -np.abs(rng.normal(0.05, 0.07, len(x)))
+    places = np.stack([x, y, rng.uniform(0, 1, len(x)) * edge], -1)
+    return facets(places, rng.uniform(0.08, 0.2, len(x)), leaf_skin(rng), rng)

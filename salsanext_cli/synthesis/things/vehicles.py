@@ -7,8 +7,7 @@ import numpy as np
 
 from salsanext_cli.synthesis import presets
 from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, Skin, box, disc, loft, merge, quads, tube
-from salsanext_cli.synthesis.presets import Numbers, weighted_choice
-from salsanext_cli.synthesis.surfaces import BUS, CAR, OTHER_VEHICLE, TRUCK, Material
+from salsanext_cli.synthesis.presets import BUS, CAR, OTHER_VEHICLE, TRUCK, Material, Numbers
 
 STEEL = Skin(TRUCK, Material.METAL, 0.5)
 IRON = Skin(OTHER_VEHICLE, Material.METAL, 0.6)
@@ -17,7 +16,7 @@ IRON = Skin(OTHER_VEHICLE, Material.METAL, 0.6)
 def vehicle(rng: Rng) -> Mesh:
     """Return a car, truck, bus or other vehicle with the frequencies of the presets."""
     makers = {"car": car, "truck": truck, "bus": bus, "other": other_vehicle}
-    return makers[weighted_choice(rng, presets.TRAFFIC)](rng)
+    return makers[presets.weighted_choice(rng, presets.TRAFFIC)](rng)
 
 
 def length_of(mesh: Mesh) -> float:
@@ -107,7 +106,7 @@ def car(rng: Rng) -> Mesh:
 
 def bus(rng: Rng) -> Mesh:
     """Return a bus, from a minibus to one of 12 m and more."""
-    shape = presets.BUS
+    shape = presets.BUS_BODY
     stretch = rng.uniform([0.55, 0.88, 0.85], [1.1, 1.02, 1.08])
     length, width = shape.length * stretch[0], shape.width * stretch[1]
     dark = rng.random() < 0.5
@@ -135,7 +134,7 @@ class Bed(NamedTuple):
 def truck(rng: Rng) -> Mesh:
     """Return a truck of one of the kinds in the presets."""
     shares = {name: kind.share for name, kind in presets.TRUCKS.items()}
-    kind = presets.TRUCKS[weighted_choice(rng, shares)]
+    kind = presets.TRUCKS[presets.weighted_choice(rng, shares)]
     cab = kind.cab
     stretch = rng.uniform([0.85, 0.88, 0.85], [1.1, 1.08, 1.15])
     material = (Material.PLASTER, Material.PAINT, Material.METAL)[rng.integers(3)]
@@ -233,7 +232,7 @@ def _rear(rng: Rng, bed: Bed) -> list[Mesh]:
 
 
 def _caravan(rng: Rng) -> Mesh:
-    shape = presets.CARAVAN
+    shape = presets.CARAVAN_BODY
     stretch = rng.uniform([0.7, 0.85, 0.8], [1.25, 1.08, 1.06])
     half = shape.width / 2 * stretch[1]
     front = shape.length / 2 * stretch[0]

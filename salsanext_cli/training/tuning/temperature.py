@@ -13,8 +13,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from salsanext_cli.errors import NOTICE, TrainingError, WeightsError
-from salsanext_cli.measures.calibration import calibration_scores
-from salsanext_cli.measures.histograms import confidence_histogram, softmax_errors
+from salsanext_cli.measures.histograms import confidence_histogram, reliability
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.error_model import TEMPERATURES
 from salsanext_cli.parallel.job import Steps
@@ -119,12 +118,11 @@ def _scores(tempered: Sequence[tuple[Points, float]]) -> dict[str, float]:
     """Return `nll` and `ece` of all points, each part at its temperature."""
     softmax = torch.cat([torch.softmax(logits / t, dim=1) for (logits, _), t in tempered])
     every_truth = torch.cat([truth for (_, truth), _ in tempered])
-    errors = softmax_errors(softmax.numpy(), every_truth.numpy())
-    histogram = confidence_histogram(errors)
+    histogram = confidence_histogram(softmax.numpy(), every_truth.numpy())
     counts = [len(truth) for (_, truth), _ in tempered]
     losses = [negative_log_likelihood(*points, t) for points, t in tempered]
     nll = float(np.average(losses, weights=counts))
-    return {"nll": nll, "ece": calibration_scores(histogram).ece}
+    return {"nll": nll, "ece": reliability(histogram.counts).error}
 
 
 def negative_log_likelihood(logits: Tensor, truth: Tensor, temperature: float) -> float:
