@@ -66,10 +66,8 @@ def slowly_standing(places, number, scans, poses, reach):
             point = (place - poses[other][:3, 3]) @ poses[other][:3, :3]
             distance = np.linalg.norm(point)
             behind = nearest.get(slow_direction(point), np.nan) - distance
-            is_seen = (
-                other != number
-                and abs(math.degrees(math.atan2(point[2], math.hypot(*point[:2])))) < 45
-            )
+            inclination = math.degrees(math.atan2(point[2], math.hypot(*point[:2])))
+            is_seen = other != number and abs(inclination) < 45
             there += is_seen and abs(behind) <= 0.3
             through += is_seen and behind > 0.3 + 0.1 * distance
         standing[voxel] = through < there
@@ -106,9 +104,8 @@ def slowly(scans, softmax, poses, reach, movable):
                 for other, view in enumerate(views):
                     away = abs(other - index)
                     if away <= reach.reach and voxel in view:
-                        counted = (
-                            (away <= reach.movable_reach) | ~movable | standing.get(voxel, False)
-                        )
+                        is_near = away <= reach.movable_reach
+                        counted = is_near | ~movable | standing.get(voxel, False)
                         total += view[voxel] * counted
                         counts += counted
                         seen[number] += 1
@@ -132,7 +129,7 @@ def test_votes_equal_a_slow_loop(seed, reach, movable_reach):
         np.testing.assert_allclose(tally.probabilities, shares, atol=rounding)
 
 
-def test_a_label_changes_only_where_another_scan_sees_the_place():
+def test_a_label_changes_only_where_another_scan_sees_the_place_and_has_a_label():
     place = np.float32([[0.1, 0.1, 0.1], [5, 5, 5]])
     scans = [Scan(place[:count], np.zeros(count, np.float32)) for count in (2, 1, 1)]
     road, car = np.eye(CLASSES, dtype=np.float32)[[ROAD, CAR]]
@@ -140,6 +137,12 @@ def test_a_label_changes_only_where_another_scan_sees_the_place():
     tally = fuse(scans, [[car, road], [road], [road]], np.tile(np.eye(4), (3, 1, 1)))[0]
     assert fused_labels(tally, labels).tolist() == [ROAD, CAR]
     np.testing.assert_allclose(disagreement(tally, labels), [2 / 3, 1], atol=1e-4)
+    scan = Scan(np.zeros((2, 3), np.float32), np.zeros(2, np.float32))
+    softmax = np.eye(CLASSES, dtype=np.float32)[[0, ROAD]]
+    tally = fuse([scan], [softmax], np.eye(4)[None])[0]
+    assert tally.views.tolist() == [0, 1]
+    assert np.isnan(disagreement(tally, np.uint8([0, ROAD]))).tolist() == [True, False]
+    assert fused_labels(tally, np.uint8([0, ROAD])).tolist() == [0, ROAD]
 
 
 def test_a_label_space_without_movable_classes_is_a_warning(caplog):
@@ -152,15 +155,6 @@ def test_a_label_space_without_movable_classes_is_a_warning(caplog):
         warn_without_movable_classes(LabelSpace.from_dict(data | stated))
     assert [record.levelname for record in caplog.records] == ["WARNING"]
     assert "silent" in caplog.text
-
-
-def test_points_without_a_label_neither_vote_nor_are_judged():
-    scan = Scan(np.zeros((2, 3), np.float32), np.zeros(2, np.float32))
-    softmax = np.eye(CLASSES, dtype=np.float32)[[0, ROAD]]
-    tally = fuse([scan], [softmax], np.eye(4)[None])[0]
-    assert tally.views.tolist() == [0, 1]
-    assert np.isnan(disagreement(tally, np.uint8([0, ROAD]))).tolist() == [True, False]
-    assert fused_labels(tally, np.uint8([0, ROAD])).tolist() == [0, ROAD]
 
 
 def test_voxels_have_different_keys_and_points_outside_have_none():
@@ -216,9 +210,8 @@ def test_kept_classes_are_the_most_probable(seed, classes):
     kept = softmax_of(top_classes(softmax), classes)
     assert ((kept > 0).sum(axis=1) <= STORED).all()
     largest = np.sort(softmax, axis=1)[:, ::-1][:, :STORED]
-    np.testing.assert_allclose(
-        np.sort(kept, axis=1)[:, ::-1][:, :STORED], largest, atol=0.51 / LEVELS
-    )
+    of_kept = np.sort(kept, axis=1)[:, ::-1][:, :STORED]
+    np.testing.assert_allclose(of_kept, largest, atol=0.51 / LEVELS)
     np.testing.assert_array_less(np.abs(kept - softmax)[kept > 0], 0.51 / LEVELS)
 
 
@@ -245,9 +238,8 @@ def test_each_voxel_keeps_its_nearest_point(counts):
             point = (part["range"][i], part["scan"][i])
             best[voxel] = min(best.get(voxel, point), point)
     found = one_per_voxel(parts, 0.5, ORIGIN[None])
-    merged = one_per_voxel(
-        [*parts[1:], one_per_voxel(parts[:1], 0.5, ORIGIN[None])], 0.5, ORIGIN[None]
-    )
+    first = one_per_voxel(parts[:1], 0.5, ORIGIN[None])
+    merged = one_per_voxel([*parts[1:], first], 0.5, ORIGIN[None])
     for name, values in found.items():
         np.testing.assert_array_equal(values, merged[name])
     assert len(found["x"]) == len(best)
@@ -257,7 +249,7 @@ def test_each_voxel_keeps_its_nearest_point(counts):
         assert best[voxel] == (found["range"][i], found["scan"][i])
 
 
-def test_parts_of_a_drive_have_separate_voxels():
+def test_parts_have_separate_voxels_and_points_or_columns_without_one_are_skipped():
     alone = [columns(0, 300), columns(1, 300, part=1)]
     origins = np.stack([ORIGIN, ORIGIN + [0.1, 0, 0]])
     found = one_per_voxel(alone, 0.5, origins)
@@ -265,9 +257,6 @@ def test_parts_of_a_drive_have_separate_voxels():
         own = one_per_voxel([alone[part]], 0.5, origins)
         for name, values in own.items():
             np.testing.assert_array_equal(found[name][found["part"] == part], values)
-
-
-def test_points_without_a_voxel_and_columns_that_some_scan_lacks_are_skipped():
     points = columns(0, 5)
     points["x"][:2] = ORIGIN[0] + 1e12, np.nan
     found = one_per_voxel([points], 0.01, ORIGIN[None])

@@ -171,8 +171,7 @@ def test_uncertainty_beside_labels_has_their_classes(coarse, world):
     assert uncertainty(coarse.data, coarse.out, settings=coarse.network, **more).done == 1
     assert np.nanmax(np.load(coarse.result("uncertainty/entropy", "00"))) <= np.log(8) + 1e-5
     predict(world, selection=ONE, options=RunOptions(overwrite=True))
-    with refused(OutputError, coarse.out):
-        export_ply(coarse.out, colour="entropy")
+    refused(OutputError, coarse.out, export_ply, coarse.out, colour="entropy")
 
 
 NOT_IN_LABELS = {
@@ -199,5 +198,4 @@ def test_the_same_classes_are_the_same_settings(world):
     same = replace(world, network=replace(world.network, classes=FULL))
     assert predict(same).skipped == 3
     coarse = replace(world, network=replace(world.network, classes=COARSE))
-    with refused(OutputError, world.out / "predict.json"):
-        predict(coarse)
+    refused(OutputError, world.out / "predict.json", predict, coarse)
