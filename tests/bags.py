@@ -97,12 +97,11 @@ def write_bag(
     with writer:
         for number, (topic, time, make) in enumerate(written, start=1):
             message = make(store.types)
+            kind_of = message.__msgtype__
             if topic not in connections:
-                connections[topic] = writer.add_connection(
-                    topic, message.__msgtype__, typestore=store
-                )
+                connections[topic] = writer.add_connection(topic, kind_of, typestore=store)
             pack = store.serialize_ros1 if is_ros1 else store.serialize_cdr
-            writer.write(connections[topic], time, pack(message, message.__msgtype__))
+            writer.write(connections[topic], time, pack(message, kind_of))
             if kind == ".mcap" and number % 3 == 0:
                 writer.storage.close_chunk()
     return folder / "drive.bag" if is_ros1 else folder / "drive" / f"drive{kind}"

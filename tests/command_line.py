@@ -11,9 +11,16 @@ from typing import Any
 
 import pytest
 import typer
-from typer.testing import Result
+from typer.testing import CliRunner, Result
 
 from salsanext_cli.cli.app import app
+
+
+def called(*words: object, status: int | None = 0) -> Result:
+    """Run a command in this process; fail if it ends with another status, unless it is None."""
+    result = CliRunner().invoke(app, [str(word) for word in words])
+    assert status is None or result.exit_code == status, (words, result.output)
+    return result
 
 
 def every_command() -> dict[str, Callable[..., None]]:

@@ -2,32 +2,20 @@
 """Fixtures of a network of few channels, for tests that ask what is done with a network."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
 import pytest
-from scans import write_weights
+from scans import salsanext_of, write_weights
 from world import Stored, World
 
 from salsanext_cli.engines import loading
 from salsanext_cli.files.identity import fingerprint
-from salsanext_cli.network.registry import ARCHITECTURES
-from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.segmentation import SegmentationNetwork
 
 NARROW = {"context_width": 8, "widths": (8, 16, 32, 32, 32), "decoder_widths": (32, 32, 16, 16)}
 """Few channels: a network of full size would take most of the time of a test."""
-
-
-@contextmanager
-def narrow_salsanext() -> Iterator[None]:
-    """Have few channels in the network that is called salsanext, in this process."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(ARCHITECTURES, "salsanext", partial(SalsaNext, **NARROW))
-        yield
-
-
+narrow_salsanext = partial(salsanext_of, **NARROW)
 READ: dict[tuple[str, str], SegmentationNetwork] = {}
 """Networks by the SHA-256 of their file and device: to read one takes half of a short run."""
 

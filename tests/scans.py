@@ -4,7 +4,9 @@
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +20,8 @@ from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.formats.kitti import encode_bin
 from salsanext_cli.formats.ply import write_ply
 from salsanext_cli.network.card import WeightsCard
-from salsanext_cli.network.registry import build
+from salsanext_cli.network.registry import ARCHITECTURES, build
+from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.weights import save_weights
 from salsanext_cli.results.owned_folder import FILE_LISTS
 
@@ -36,14 +39,24 @@ IN_BYTES = replace(SMALL, intensity_scale=255.0)
 """Sensor with intensities from 0 to 255."""
 
 
-@contextmanager
-def refused(
-    kind: type[SalsanextError], subject: object
-) -> Iterator[pytest.ExceptionInfo[SalsanextError]]:
-    """Expect an error with a subject."""
-    with pytest.raises(kind) as caught:
-        yield caught
-    assert caught.value.subject == str(subject)
+def refused(kind: type[SalsanextError], subject: object, *call: Any, **options: Any) -> Any:
+    """Expect an error with a subject: of a function and its arguments, else of the body of `with`.
+
+    The latter gives what `pytest.raises` gives.
+    """
+
+    @contextmanager
+    def refusing() -> Iterator[pytest.ExceptionInfo[SalsanextError]]:
+        with pytest.raises(kind) as caught:
+            yield caught
+        assert caught.value.subject == str(subject)
+
+    if not call:
+        return refusing()
+    function, *arguments = call
+    with refusing() as caught:
+        function(*arguments, **options)
+    return caught
 
 
 def make_scan(count: int = 1500, seed: int = 0) -> Scan:
@@ -56,9 +69,8 @@ def make_scan(count: int = 1500, seed: int = 0) -> Scan:
     distance = np.minimum(wall / np.cos(elevation), ground)
     flat = distance * np.cos(elevation)
     points = (flat * np.cos(azimuth), flat * np.sin(azimuth), distance * np.sin(elevation))
-    return Scan(
-        np.stack(points, axis=1).astype(np.float32), random.random(count).astype(np.float32)
-    )
+    intensity = random.random(count).astype(np.float32)
+    return Scan(np.stack(points, axis=1).astype(np.float32), intensity)
 
 
 def write_bin(path: Path, scan: Scan) -> None:
@@ -96,6 +108,14 @@ def write_sequence(
             train = np.random.default_rng(number).integers(0, space.class_count, count)
             write_labels(folder / "labels" / f"{stem}.label", space.to_raw(train))
     return folder
+
+
+@contextmanager
+def salsanext_of(**channels: Any) -> Iterator[None]:
+    """Have other channels in the network that is called salsanext, in this process."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(ARCHITECTURES, "salsanext", partial(SalsaNext, **channels))
+        yield
 
 
 def lively(module: nn.Module, seed: int = 0) -> nn.Module:

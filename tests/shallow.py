@@ -2,14 +2,10 @@
 """Fixtures of a SalsaNext of two levels, whose graphs compile in a third of the time."""
 
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 
 import pytest
-from scans import write_weights
-
-from salsanext_cli.network.registry import ARCHITECTURES
-from salsanext_cli.network.salsanext import SalsaNext
+from scans import salsanext_of, write_weights
 
 SHALLOW = {"context_width": 8, "widths": (8, 16), "decoder_widths": (16,)}
 
@@ -22,8 +18,7 @@ slow_on_openvino = pytest.mark.parametrize(
 @pytest.fixture(autouse=True, scope="module")
 def shallow() -> Iterator[None]:
     """Have two levels and few channels in the network that is called salsanext."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(ARCHITECTURES, "salsanext", partial(SalsaNext, **SHALLOW))
+    with salsanext_of(**SHALLOW):
         yield
 
 

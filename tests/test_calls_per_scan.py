@@ -11,12 +11,11 @@ from pathlib import Path
 from types import FrameType
 
 import pytest
+from command_line import called
 from scans import SMALL, write_sequence, write_weights
 from tiny_network import TinyNetwork
-from typer.testing import CliRunner
 
 import salsanext_cli
-from salsanext_cli.cli.app import app
 from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.results.selection import scans_of
 
@@ -112,8 +111,7 @@ def counts_of(folder: Path, commands, weights: Path, scans: int) -> list:
 
 
 def succeed(words: list[str]) -> None:
-    result = CliRunner().invoke(app, words)
-    assert result.exit_code == 0, (words, result.output)
+    called(*words)
 
 
 @pytest.fixture
@@ -134,8 +132,7 @@ def tiny(tmp_path: Path, monkeypatch) -> Path:
 )
 def test_steps_over_a_run(tmp_path: Path, tiny: Path, commands, scans: int) -> None:
     # The first run imports libraries and compiles kernels, which is slow with counting.
-    _, few, many = (
-        counts_of(tmp_path / f"{count}", commands, tiny, count) for count in (2, scans, 2 * scans)
-    )
+    numbers = (2, scans, 2 * scans)
+    _, few, many = (counts_of(tmp_path / f"{n}", commands, tiny, n) for n in numbers)
     for command, *counts in zip(commands, few, many, strict=True):
         require_linear(scans, *counts, command)

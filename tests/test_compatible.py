@@ -5,7 +5,8 @@ import json
 import shutil
 
 import pytest
-from compatible import DATA, OUT, SCANS, WEIGHTS, few_channels, predict, run
+from command_line import called
+from compatible import DATA, OUT, SCANS, WEIGHTS, few_channels, predict
 
 from salsanext_cli import read_labels
 
@@ -18,18 +19,14 @@ def folder(request, tmp_path):
     return shutil.copytree(DATA / request.param, tmp_path / "copy")
 
 
-def test_weights_give_the_labels_that_they_gave(folder, tmp_path):
+def test_weights_are_described_and_give_the_labels_that_they_gave(folder, tmp_path):
     with few_channels():
-        result = predict(folder, tmp_path / "new")
-    assert result.exit_code == 0, result.output
+        predict(folder, tmp_path / "new")
     name = "sequences/08/predictions/000000.label"
     labels, expected = (read_labels(path / name) for path in (tmp_path / "new", folder / OUT))
     assert (labels == expected).mean() > 0.99  # Processors round differently.
-
-
-def test_weights_are_described(folder):
     with few_channels():
-        result = run("models", folder / WEIGHTS, "--json")
+        result = called("models", folder / WEIGHTS, "--json")
     (weights,) = json.loads(result.stdout)["weights"]
     assert weights["description"] == "random"
 
@@ -39,8 +36,7 @@ def test_output_folders_are_evaluated(folder):
     before = json.loads(file.read_text("utf-8"))
     for path in (file, file.with_name("scores.txt")):
         path.unlink()  # Times of a checkout are not those of the record.
-    result = run("eval", folder / OUT, "--dataset", folder / SCANS)
-    assert result.exit_code == 0, result.output
+    called("eval", folder / OUT, "--dataset", folder / SCANS)
     after = json.loads(file.read_text("utf-8"))
     assert after["scores"] == before["scores"]
     assert after["confusion"] == before["confusion"]
@@ -48,11 +44,7 @@ def test_output_folders_are_evaluated(folder):
 
 def test_output_folders_are_exported_and_reported(folder):
     data = ("--dataset", folder / SCANS)
-    for words in (
-        ("export-ply", folder / OUT, *data, "--colour", "truth"),
-        ("report", folder / OUT, *data),
-    ):
-        result = run(*words)
-        assert result.exit_code == 0, result.output
+    called("export-ply", folder / OUT, *data, "--colour", "truth")
+    called("report", folder / OUT, *data)
     assert (folder / OUT / "sequences/08/ply/truth/000000.ply").is_file()
     assert (folder / OUT / "report.html").is_file()

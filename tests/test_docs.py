@@ -325,11 +325,12 @@ def test_every_link_leads_somewhere(pages):
                 assert anchor in [h.lower().replace(" ", "-") for h in headings], target
 
 
-def test_every_page_is_in_the_navigation_and_the_version_in_the_changelog():
+def test_every_page_is_in_the_navigation_the_version_in_the_changelog_the_readme_short():
     # mkdocs' own tags, which plain yaml does not know, do not occur in this file.
     listed = set(re.findall(r"[:-] (\S+\.md)$", text_of("mkdocs.yml"), re.MULTILINE))
     assert listed == {str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md")}
     assert f"## [{salsanext_cli.__version__}]" in text_of("CHANGELOG.md")
+    assert len(text_of("README.md").splitlines()) <= 120
 
 
 @pytest.mark.parametrize("page", guide.PAGES, ids=lambda page: page.name + "-" + page.parent.name)
@@ -342,10 +343,6 @@ def test_the_figures_shown_are_those_measured_with_the_shipped_weights(page):
     assert text.count("<!-- / -->") == len(guide.FIGURE.findall(text))
     # A comment at the beginning of a line would end the paragraph.
     assert not re.search(r"^<!-- \w+\.", text, re.MULTILINE)
-
-
-def test_the_readme_stays_short():
-    assert len(text_of("README.md").splitlines()) <= 120
 
 
 def test_every_picture_is_shown_and_can_be_drawn_again():

@@ -29,7 +29,7 @@ from salsanext_cli.network.card import read_card
 from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.results.paths import output_path
-from salsanext_cli.training.log import write_log
+from salsanext_cli.training.run_folder import write_log
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
@@ -86,9 +86,8 @@ def test_own_sensor(scan, weights, tmp_path, capsys):
 def test_parallel_sequences(tmp_path, weights, capsys):
     for name in ("00", "01"):
         write_sequence(tmp_path / "data" / "sequences" / name, labels=False)
-    load("parallel_sequences")(
-        str(tmp_path / "data"), str(tmp_path / "out"), str(weights), "sequential"
-    )
+    places = (tmp_path / "data", tmp_path / "out", weights)
+    load("parallel_sequences")(*map(str, places), "sequential")
     assert capsys.readouterr().out.splitlines() == ["00: 1 done, 0 failed", "01: 1 done, 0 failed"]
     assert output_path(tmp_path / "out", "01", "predictions", "000000").exists()
 

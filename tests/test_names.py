@@ -12,22 +12,9 @@ import pytest
 import salsanext_cli
 
 PACKAGE = Path(salsanext_cli.__file__).parent
-PARTS = sorted(
-    path for path in PACKAGE.iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()
-)
-VAGUE = {
-    "found",
-    "own",
-    "each",
-    "kept",
-    "those",
-    "these",
-    "what",
-    "anew",
-    "said",
-    "told",
-    "left_out",
-}
+PARTS = sorted({*PACKAGE.glob("*.py"), *(path.parent for path in PACKAGE.glob("*/__init__.py"))})
+VAGUE = {"found", "own", "each", "kept", "those", "these", "what", "anew", "said", "told"}
+VAGUE |= {"left_out"}
 PRIVATE = re.compile("promis|guess|anew|_own_?$")
 """Words that the documentation has a standard term for."""
 PUBLIC = [
@@ -63,9 +50,8 @@ def contract(function):
     result = signature.return_annotation
     sections = ["Parameters"] if names else []
     if result not in (None, "None", "NoReturn", inspect.Signature.empty):
-        sections.append(
-            "Yields" if re.match("(Iterator|Generator|Iterable)", str(result)) else "Returns"
-        )
+        is_iterator = re.match("(Iterator|Generator|Iterable)", str(result))
+        sections.append("Yields" if is_iterator else "Returns")
     return names, sections
 
 

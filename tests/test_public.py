@@ -13,12 +13,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import python
+from command_line import called, python
 from scans import SMALL, labels_below, make_scan, write_bin, write_weights
-from typer.testing import CliRunner
 
 import salsanext_cli as sn
-from salsanext_cli.cli.app import app
 from salsanext_cli.cli.console import Output
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import FormatError, OutputError, SalsanextError, escaped, printable
@@ -38,16 +36,13 @@ def typed_names():
     return {name: home for name, home in homes.items() if home != "typing"}
 
 
-def test_all_names_are_those_of_type_checkers_and_of_their_modules():
+def test_names_are_those_of_type_checkers_and_modules_and_others_are_errors():
     assert set(NAMES) == set(typed_names())
     assert list(sn.__all__) == sorted(set(sn.__all__))
     assert set(NAMES) <= set(dir(sn))
     for name, home in typed_names().items():
         assert getattr(sn, name) is getattr(importlib.import_module(home), name)
         assert getattr(sn, name).__doc__, name
-
-
-def test_other_names_are_attribute_errors():
     with pytest.raises(AttributeError) as caught:
         _ = sn.predikt
     assert "predikt" in str(caught.value)
@@ -57,8 +52,10 @@ def test_other_names_are_attribute_errors():
 
 
 def test_importing_imports_nothing_heavy():
-    code = f"import sys, salsanext_cli; print([n for n in {HEAVY!r} if n in sys.modules])"
-    assert python(code).stdout == "[]\n"
+    """And the table of formats neither numpy nor readers."""
+    code = f"import sys, salsanext_cli; print([n for n in {HEAVY!r} if n in sys.modules])\n"
+    code += "import salsanext_cli.formats; print({'numpy', 'importlib.metadata'} & {*sys.modules})"
+    assert python(code).stdout == "[]\nset()\n"
 
 
 @pytest.fixture
@@ -81,8 +78,7 @@ def other_sensor(tmp_path, monkeypatch, weights):
 
 def test_python_labels_as_the_command_line_does(other_sensor, tmp_path):
     options = ["--weights", "weights.safetensors", "--device", "cpu", "--quiet"]
-    typed = CliRunner().invoke(app, ["predict", "scans", "out", *options])
-    assert typed.exit_code == 0, typed.output
+    called("predict", "scans", "out", *options)
     expected = labels_below(tmp_path / "out")
 
     stage = NetworkSettings(Path("weights.safetensors"), "cpu")
@@ -107,8 +103,7 @@ def test_python_labels_as_the_command_line_does(other_sensor, tmp_path):
 def test_label_labels_as_the_command_line_does(other_sensor, tmp_path, caplog):
     options = ["--weights", "weights.safetensors", "--device", "cpu", "--quiet", "--probabilities"]
     (first, *_) = sorted(other_sensor.iterdir())
-    typed = CliRunner().invoke(app, ["predict", str(first), "out", *options])
-    assert typed.exit_code == 0, typed.output
+    called("predict", first, "out", *options)
     (expected,) = labels_below(tmp_path / "out").values()
     (softmax,) = (tmp_path / "out").glob("sequences/*/probabilities/*.npy")
 
@@ -171,13 +166,20 @@ def test_a_fit_may_exclude_field_of_view_or_intensity(other_sensor):
     assert caught.value.subject == "nowhere"
 
 
-def test_errors_contain_their_parts_and_can_be_pickled():
+def test_errors_and_data_for_other_programs_are_printable_and_errors_can_be_pickled():
     assert str(SalsanextError("a", "b", "c", "d")) == "a: b (expected c)\nhint: d"
     assert str(SalsanextError("a", "b", hint="d")) == "a: b\nhint: d"
     error = OutputError("out", "disk full", hint="free some space")
     copy = pickle.loads(pickle.dumps(error))
     assert type(copy) is OutputError
     assert vars(copy) == vars(error)
+    text = str(FormatError("a\nerror: b\x1b]0;x\x07.bin", "cut\x9b off", hint="größer"))
+    assert text == "a\\x0aerror: b\\x1b]0;x\\x07.bin: cut\\x9b off\nhint: größer"
+    assert printable("ä\t\x7f") == "ä\\x09\\x7f"
+    assert printable("a\u202enib.bin\u2028\u2066") == "a\\u202enib.bin\\u2028\\u2066"
+    data = {"a\udcff": ["b\udc80\n", ("ü", 1)], "deep": {"c": None, 3: 0.5}}
+    expected = {"a\\xff": ["b\\x80\n", ["ü", 1]], "deep": {"c": None, 3: 0.5}}
+    assert escaped(data) == expected
 
 
 def test_every_error_has_a_documented_code():
@@ -187,19 +189,6 @@ def test_every_error_has_a_documented_code():
     codes = set(re.findall(r"`([a-z-]+)`", table)) - {"interrupted", "terminated"}
     assert codes == {kind.code for kind in kinds}
     assert len(codes) == len(kinds)
-
-
-def test_control_characters_in_names_of_files_are_escaped():
-    text = str(FormatError("a\nerror: b\x1b]0;x\x07.bin", "cut\x9b off", hint="größer"))
-    assert text == "a\\x0aerror: b\\x1b]0;x\\x07.bin: cut\\x9b off\nhint: größer"
-    assert printable("ä\t\x7f") == "ä\\x09\\x7f"
-    assert printable("a\u202enib.bin\u2028\u2066") == "a\\u202enib.bin\\u2028\\u2066"
-
-
-def test_data_for_other_programs_is_text():
-    data = {"a\udcff": ["b\udc80\n", ("ü", 1)], "deep": {"c": None, 3: 0.5}}
-    expected = {"a\\xff": ["b\\x80\n", ["ü", 1]], "deep": {"c": None, 3: 0.5}}
-    assert escaped(data) == expected
 
 
 def test_commands_log_and_print_printable_text(capsys, monkeypatch):

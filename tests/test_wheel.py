@@ -17,13 +17,10 @@ TOOL = runpy.run_path(str(ROOT / "tools" / "lowest.py"))
 LARGEST_MB = 20
 
 
-def test_the_lowest_versions_are_those_of_the_package():
+def test_every_dependency_has_a_lowest_version_that_is_pinned():
     lines = (ROOT / "constraints-lowest.txt").read_text("utf-8").splitlines()
     pinned = dict(line.split("==") for line in lines if not line.startswith("#"))
     assert pinned == TOOL["lowest"](ROOT / "pyproject.toml") | TOOL["OTHERS"]
-
-
-def test_every_dependency_has_a_lowest_version():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
     assert all(">=" in text for text in project["dependencies"])
     assert len(TOOL["lowest"](ROOT / "pyproject.toml")) >= len(project["dependencies"])
@@ -44,9 +41,7 @@ def test_the_wheel_holds_the_package_only(wheel):
     names = ZipFile(wheel).namelist()
     assert {name.split("/")[0].split("-")[0] for name in names} == {"salsanext_cli", "salsanext"}
     package = ROOT / "salsanext_cli"
-    files = {
-        path for path in package.rglob("*") if path.is_file() and "__pycache__" not in path.parts
-    }
+    files = [path for path in package.rglob("*") if path.is_file() and path.suffix != ".pyc"]
     assert {str(path.relative_to(ROOT)) for path in files} <= set(names)
     assert "salsanext_cli/presets/weights/default.safetensors" in names
     assert wheel.stat().st_size < LARGEST_MB * 1e6
@@ -57,23 +52,18 @@ def test_the_wheel_works_where_nothing_else_is(wheel, tmp_path):
     """The demonstration, and `predict` on its scans, from another folder."""
     venv.create(tmp_path / "env", with_pip=True)
     scripts = next(tmp_path.glob("env/[bS]*"))
-    environment = {
-        "PATH": os.pathsep.join((str(scripts), os.environ["PATH"])),
-        "HOME": str(tmp_path),
-    }
+    path = os.pathsep.join((str(scripts), os.environ["PATH"]))
+    environment = {"PATH": path, "HOME": str(tmp_path)}
     folder = tmp_path / "elsewhere"
     folder.mkdir()
 
     def run(*words):
-        done = subprocess.run(
-            words, cwd=folder, env=environment, check=True, capture_output=True, text=True
-        )
-        return done.stdout
+        how = {"check": True, "capture_output": True, "text": True}
+        return subprocess.run(words, cwd=folder, env=environment, **how).stdout
 
     run(scripts / "python", "-m", "pip", "install", "-q", "-c", ROOT / "constraints.txt", wheel)
-    version = run(
-        scripts / "python", "-c", "import salsanext_cli as s; print(s.__version__)"
-    ).strip()
+    code = "import salsanext_cli as s; print(s.__version__)"
+    version = run(scripts / "python", "-c", code).strip()
     assert version == wheel.name.split("-")[1]
     assert run(scripts / "salsanext", "--version").strip() == f"salsanext {version}"
     run(scripts / "salsanext", "demo", "demo")

@@ -1,10 +1,15 @@
 # SPDX-License-Identifier: MIT
 """A network of a few hundred weights for tests of what is around a network."""
 
+import torch
 from torch import Tensor, nn
 
 from salsanext_cli.network.dropout import ChannelDropout
 from salsanext_cli.network.segmentation import SegmentationNetwork
+from salsanext_cli.training.learner import Learner
+from salsanext_cli.training.recipe import Recipe
+
+CLASS_WEIGHTS = torch.tensor([0.0, 1.0, 2.0])
 
 
 class TinyNetwork(SegmentationNetwork):
@@ -24,3 +29,18 @@ class TinyNetwork(SegmentationNetwork):
 
     def decoded(self, *features: Tensor) -> Tensor:
         return self.dropout(*features)
+
+
+def learner(device: str = "cpu", **changes: object) -> Learner:
+    """Return a learner of a tiny network of three classes, the same on every device."""
+    recipe = Recipe(batch=2, warm_up=0.0).with_changes(**changes)
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        module = TinyNetwork(3, dropout=recipe.dropout)
+    return Learner(module, recipe, CLASS_WEIGHTS, torch.device(device))
+
+
+def batch(seed: int = 0) -> tuple[Tensor, Tensor]:
+    """Return images and, for each pixel, which of two classes it is of."""
+    images = torch.randn(2, 5, 16, 32, generator=torch.Generator().manual_seed(seed))
+    return images, (images[:, 0] > 0).byte() + 1

@@ -37,7 +37,6 @@ from salsanext_cli.training.data.sources import (
 from salsanext_cli.training.distributed import ProcessGroup, group_of_environment, process_group
 from salsanext_cli.training.fit import StepReport
 from salsanext_cli.training.learner import common_precision
-from salsanext_cli.training.log import Row
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.run_folder import (
     BEST,
@@ -46,6 +45,7 @@ from salsanext_cli.training.run_folder import (
     LAST,
     STAGE,
     STREETS,
+    Row,
     TrainingSettings,
     record_start,
     recorded_precision,

@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from salsanext_cli.errors import TrainingError, error_text
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.training.learner import Learner
-from salsanext_cli.training.log import Row
+from salsanext_cli.training.run_folder import Row
 
 KEY = "salsanext-checkpoint"  # The only key, as in weights files
 DAMAGE = (safetensors.SafetensorError, OSError, LookupError, RuntimeError, TypeError, ValueError)

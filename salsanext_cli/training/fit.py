@@ -22,8 +22,7 @@ from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, sa
 from salsanext_cli.training.data.dataset import Batch, Samples, batches
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.learner import Learner, learning_rate
-from salsanext_cli.training.log import Row, write_log
-from salsanext_cli.training.run_folder import BEST, CHECKPOINT, LAST, LOG
+from salsanext_cli.training.run_folder import BEST, CHECKPOINT, LAST, LOG, Row, write_log
 from salsanext_cli.training.validation import validate
 
 SAVE_INTERVAL_S = 600.0  # Seconds between two checkpoints within an epoch

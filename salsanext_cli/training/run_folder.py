@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Run folder of a training: its files, and the settings that determine their content."""
 
+import csv
 import hashlib
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,6 +31,9 @@ LAST, BEST = "last.safetensors", "best.safetensors"
 LOG, RECIPE, CLASS_COUNTS = "log.csv", "recipe.toml", "class_counts.json"
 FOLDS, STREETS = "folds", "streets"
 RESULTS = (CHECKPOINT, BEST, LAST, LOG)  # A new training removes them
+
+Row = dict[str, float]
+"""One epoch: epoch, learning_rate, loss, seconds; if validated, also what `validate` returns."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,3 +148,15 @@ def _extended(recorded: TrainingSettings, wanted: TrainingSettings) -> TrainingS
     if steady and recorded.recipe.epochs < recipe.epochs:
         return replace(recorded, recipe=replace(recorded.recipe, epochs=recipe.epochs))
     return recorded
+
+
+def write_log(path: Path, rows: Sequence[Row]) -> None:
+    """Write one line per epoch as CSV; cells without a measurement are empty."""
+    text = io.StringIO()
+    columns = dict.fromkeys(key for row in rows for key in row)
+    table = csv.DictWriter(text, columns, lineterminator="\n")
+    table.writeheader()
+    for row in rows:
+        # NaN is no measurement.
+        table.writerow({k: f"{value:.6g}" for k, value in row.items() if value == value})
+    OwnedFolder(path.parent).write(path, text.getvalue().encode())

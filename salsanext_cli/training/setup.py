@@ -34,7 +34,6 @@ from salsanext_cli.training.data.targets import class_sets
 from salsanext_cli.training.distributed import ProcessGroup
 from salsanext_cli.training.fit import StepReport, Training
 from salsanext_cli.training.learner import Learner
-from salsanext_cli.training.log import Row
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.tuning.error import (
     JudgedPoints,
@@ -176,7 +175,7 @@ class Setup:
 
     def cross_validated(self) -> Expectation | None:
         """Train once without each fold of the scans and score it; None for a single scan."""
-        first, parts, logs = self.sources[0], self._parts(), list[list[Row]]()
+        first, parts, logs = self.sources[0], self._parts(), list[list[run_folder.Row]]()
         if not parts:
             log.warning("a single labelled scan gives no estimate for other scans")
             return None

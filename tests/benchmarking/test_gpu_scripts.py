@@ -52,9 +52,8 @@ def triangles(count: int, seed: int = 0) -> Mesh:
     """Return triangles of very different sizes; some have no area, some are the same."""
     random = np.random.default_rng(seed)
     centres = random.uniform(-20, 20, (count, 1, 3))
-    vertices = centres + random.normal(size=(count, 3, 3)) * random.choice(
-        [0.1, 1, 8], (count, 1, 1)
-    )
+    shapes, sizes = random.normal(size=(count, 3, 3)), random.choice([0.1, 1, 8], (count, 1, 1))
+    vertices = centres + shapes * sizes
     vertices[: count // 10, 2] = vertices[: count // 10, 1]
     vertices[-count // 10 :] = vertices[-1]
     skin = Skin(40, Material.ASPHALT)
@@ -87,12 +86,9 @@ def test_rays_hit_the_nearest_triangle(count):
     distance = np.array([each[0] for each in expected])
     np.testing.assert_allclose(found, distance, rtol=1e-5)
     hit = np.isfinite(distance)
-    same = (
-        corners[triangle[hit].astype(int)]
-        == corners[[each[1] for each in expected if each[1] >= 0]]
-    )
-    assert same.all()
-    a, b, c = corners[triangle[hit].astype(int)].transpose(1, 0, 2)
+    found = corners[triangle[hit].astype(int)]
+    np.testing.assert_array_equal(found, corners[[each[1] for each in expected if each[1] >= 0]])
+    a, b, c = found.transpose(1, 0, 2)
     normal = np.cross(b - a, c - a)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     np.testing.assert_allclose(cosine[hit], abs((normal * rays[hit, 3:]).sum(1)), atol=1e-5)
@@ -125,10 +121,8 @@ def test_every_part_runs_on_a_cpu(tmp_path):
     words = ("--device", "cpu", "--minutes", "4", "--small", "--pack", str(tmp_path / "p.npz"))
     assert gpu_run.main(str(out), *words) == 0, (out / "run.log").read_text()
     names = {"run.log", "report.json", "log.csv", "scores.json", "class_counts.json"}
-    assert {path.name for path in out.iterdir()} == names | {
-        "last.safetensors",
-        "module.safetensors",
-    }
+    names |= {"last.safetensors", "module.safetensors"}
+    assert {path.name for path in out.iterdir()} == names
     report = json.loads((out / "report.json").read_text())
     figures = {
         part: {row["name"]: row["value"] for row in found["figures"]}

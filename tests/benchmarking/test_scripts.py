@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 import speed
 import speed_product as product
+from command_line import called
 from corruption_models import LEVELS
 from scans import IN_BYTES, SMALL, make_scan, write_bin, write_sequence
 from tiny_network import TinyNetwork
-from typer.testing import CliRunner
 
 from salsanext_cli import (
     RangeImage,
@@ -28,7 +28,6 @@ from salsanext_cli import (
     read_labels,
     read_scan,
 )
-from salsanext_cli.cli.app import app
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.network.card import AccuracyLine, WeightsCard, read_card
 from salsanext_cli.network.error_model import ErrorModel
@@ -88,8 +87,7 @@ def place(tmp_path, narrow_weights, monkeypatch):
     (tmp_path / "w.safetensors").symlink_to(narrow_weights)
 
     def command(words, **_):
-        result = CliRunner().invoke(app, words[1:])
-        assert result.exit_code == 0, result.stderr
+        result = called(*words[1:])
         return subprocess.CompletedProcess(words, 0, result.stdout.encode())
 
     monkeypatch.setattr(subprocess, "run", command)
@@ -228,9 +226,8 @@ def test_default_weights_have_a_version_and_inherit_nothing(tmp_path, tiny_train
     card = replace(card, recipe={"class_weight": 0.5}, accuracy=line)
     (tmp_path / "run").mkdir()
     error = ErrorModel(FEATURES, layers, {"inherited_from": mark}, temperature=2.0)
-    save_weights(
-        tmp_path / "run/last.safetensors", TinyNetwork(), replace(card, error=error, version=4)
-    )
+    card = replace(card, error=error, version=4)
+    save_weights(tmp_path / "run/last.safetensors", TinyNetwork(), card)
     points = dict.fromkeys(label_space().names, 10)
     (tmp_path / "run/class_counts.json").write_text(json.dumps({"points": points}))
     script["finish"](tmp_path / "run", [tmp_path / "data"], tmp_path / "default.safetensors", "")

@@ -9,6 +9,7 @@ import torch
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
+from scans import refused
 
 from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.classes.merging import ClassMerging, contradiction
@@ -146,9 +147,7 @@ MALFORMED = {
 
 @pytest.mark.parametrize(("key", "value"), [(k, v) for k, each in MALFORMED.items() for v in each])
 def test_malformed_spaces(key, value):
-    with pytest.raises(UsageError) as caught:
-        LabelSpace.from_dict(changed(**{key: value}), "small")
-    assert caught.value.subject == "small"
+    refused(UsageError, "small", LabelSpace.from_dict, changed(**{key: value}), "small")
 
 
 def names_of_movable(space):
@@ -284,11 +283,15 @@ def test_coarse_has_seven_classes_of_all_raw_ids_of_semantic_kitti():
     ]
 
 
-def test_raw_ids_determine_the_merged_classes():
+def test_raw_ids_determine_the_merged_classes_and_splits():
     merging = ClassMerging.between(FULL, COARSE)
     groups = [" ".join(FULL.names[i] for i in group) for group in merging.groups]
     assert dict(zip(COARSE.names, groups, strict=True)) == MERGED
     assert merging.space.fits(COARSE)
+    targets = [0, *[1] * 8, *[2] * 11]
+    assert ClassMerging.between(FULL, space_of(targets)).space.splits == FULL.splits
+    merging = ClassMerging.between(FULL, space_of(targets, split={"valid": [3]}))
+    assert merging.space.splits == {"valid": ("03",)}
 
 
 @given(st.lists(st.integers(0, 6), min_size=19, max_size=19), st.integers(0, 2**32 - 1))
@@ -353,13 +356,6 @@ def test_alternatives_are_those_of_the_merged_classes(targets, others):
     stated = {70: [targets[FULL.learning_map[70]]]}
     merged = space_of(targets, 4, learning_alternatives=stated)
     assert ClassMerging.between(own, merged).space.alternatives[70] == tuple(stated[70])
-
-
-def test_splits_are_those_of_the_other_label_space_without_splits():
-    targets = [0, *[1] * 8, *[2] * 11]
-    assert ClassMerging.between(FULL, space_of(targets)).space.splits == FULL.splits
-    merging = ClassMerging.between(FULL, space_of(targets, split={"valid": [3]}))
-    assert merging.space.splits == {"valid": ("03",)}
 
 
 TWO = [0, *[1] * 8, *[2] * 11]

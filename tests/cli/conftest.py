@@ -2,14 +2,14 @@
 """A command line in this process, and a data set for it."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
+from command_line import called
 from narrow import narrow, once_predicted, predicted, weights  # noqa: F401
 from scans import write_sequence
-from typer.testing import CliRunner, Result
-
-from salsanext_cli.cli.app import app
+from typer.testing import Result
 
 ALONE = ("SALSANEXT_OUT", "SALSANEXT_DATASET")
 Run = Callable[..., Result]
@@ -17,15 +17,11 @@ Run = Callable[..., Result]
 
 @pytest.fixture
 def run(monkeypatch: pytest.MonkeyPatch) -> Run:
-    """Return a function that runs a command, with stdout and stderr apart."""
+    """Return a function that runs a command, with any status unless it is given."""
     for name in ALONE:
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("SALSANEXT_ENGINE", "torch")  # Compiling graphs takes longer.
-
-    def call(*arguments: object) -> Result:
-        return CliRunner().invoke(app, [str(argument) for argument in arguments])
-
-    return call
+    return partial(called, status=None)
 
 
 @pytest.fixture

@@ -22,10 +22,8 @@ from salsanext_cli.cli.app import COMMANDS
 from salsanext_cli.errors import FormatError, UsageError, with_hint
 
 ROOT = Path(__file__).parents[2]
-HEAVY = (
-    *("torch", "open3d", "numba", "matplotlib", "numpy", "scipy", "pandas", "joblib", "plyfile"),
-    "rich",
-)
+HEAVY = ("torch", "open3d", "numba", "matplotlib", "numpy", "scipy", "pandas", "joblib", "rich")
+HEAVY += ("plyfile",)
 UNUSED_BY_PREDICT = (
     *("torch", "open3d", "matplotlib", "pandas", "sklearn", "joblib", "plyfile", "rich"),
     "numba.typed.dictimpl",  # the compiler, not what runs compiled kernels
@@ -34,9 +32,8 @@ UNUSED_BY_PREDICT = (
 
 def test_help_lists_the_commands_by_section_in_order(run):
     lines = run("--help").stdout.splitlines()
-    names = [
-        line.split()[0].removesuffix(":") for line in lines if line[:1].isupper() or line[2:3] > " "
-    ]
+    named = [line for line in lines if line[:1].isupper() or line[2:3] > " "]
+    names = [line.split()[0].removesuffix(":") for line in named]
     expected = [word for section, members in COMMANDS.items() for word in (section, *members)]
     assert names[names.index("Start") : names.index("Options")] == expected
     assert lines[:1] == ["Usage: salsanext [OPTIONS] COMMAND"]
@@ -60,7 +57,7 @@ def test_help_is_short_and_the_whole_help_lists_every_option(run, monkeypatch):
     assert "--install-completion" in run("--help-all").stdout
 
 
-def test_hidden_options_exist_and_removed_ones_do_not():
+def test_hidden_and_common_options_exist_and_removed_ones_do_not():
     offered = {name: {o for p in parsed(name).params for o in p.opts} for name in every_command()}
     every = {"--install-completion", "--show-completion"}.union(*offered.values())
     for command, options in help.HIDDEN.items():
@@ -69,6 +66,10 @@ def test_hidden_options_exist_and_removed_ones_do_not():
         commands = [name for name in offered if command in ("", name, *name.split())]
         assert commands or not option
         assert " " in option or all(option not in offered[name] for name in commands)
+    for name in every_command():
+        flags = {flag for parameter in parsed(name).params for flag in parameter.opts}
+        assert flags >= {"--json", "-v", "--verbose", "-q", "--quiet"}, name
+        assert not any(flag.startswith("--no-") for flag in flags), name
 
 
 def test_the_addresses_of_the_project_are_those_of_its_metadata():
@@ -186,13 +187,6 @@ def test_a_wrong_command_line_is_status_two_and_one_object_of_json(run, line, wo
     assert (result.exit_code, result.stdout) == (2, "")
 
 
-def test_every_command_prints_json_and_can_be_silent():
-    for name in every_command():
-        flags = {flag for parameter in parsed(name).params for flag in parameter.opts}
-        assert flags >= {"--json", "-v", "--verbose", "-q", "--quiet"}, name
-        assert not any(flag.startswith("--no-") for flag in flags), name
-
-
 def invoke(body, *arguments):
     """Run a command of one line."""
     app = typer.Typer(pretty_exceptions_enable=False)
@@ -212,7 +206,7 @@ def raising(error):
     return body
 
 
-def test_an_error_has_a_line_for_its_hint_and_a_status():
+def test_an_error_has_a_line_for_its_hint_and_a_status_and_a_bug_its_traceback():
     for error, flags, status, stdout, stderr in (
         (
             *(FormatError("a.bin", "17 bytes", "a multiple of 16", "copy it again"), [], 1, ""),
@@ -234,9 +228,6 @@ def test_an_error_has_a_line_for_its_hint_and_a_status():
     ):
         result = invoke(raising(error), *flags)
         assert (result.exit_code, result.stdout, result.stderr) == (status, stdout, stderr)
-
-
-def test_a_bug_keeps_its_traceback():
     result = invoke(raising(ZeroDivisionError("of ours")))
     assert isinstance(result.exception, ZeroDivisionError)
     assert result.exit_code not in (0, 2, 130)

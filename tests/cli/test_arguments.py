@@ -44,14 +44,11 @@ def test_a_group_is_expanded_filled_and_handed_over():
     assert given["knn"] == KnnParameters(k=3)
 
 
-def test_help_lists_the_formats_of_scans():
+def test_help_lists_the_formats_of_scans_and_the_default_weights_have_a_name():
     (scans,) = (p for p in parsed("predict").params if p.name == "scans")
     listed = re.findall(r" (\.[a-z0-9.]*[a-z0-9])\b", scans.help)
     assert sorted(listed) == sorted((*SCAN_SUFFIXES, *RECORDING_SUFFIXES))
     assert {".bin", ".bag", ".osf"} <= {*listed}
-
-
-def test_the_default_weights_have_a_name():
     assert weights_file(Path("default")) == weights_file(None) == default_weights()
     assert weights_file(Path("a/default")) == Path("a/default")
 
@@ -62,8 +59,7 @@ def test_tasks_of_an_array_share_the_scans(run, data, tmp_path, weights, monkeyp
     for number in (5, 4):
         for name, value in {"ID": number, "MIN": 4, "COUNT": 2}.items():
             monkeypatch.setenv(f"SLURM_ARRAY_TASK_{name}", str(value))
-        result = run(*call, "--json")
-        assert result.exit_code == 0
+        result = run(*call, "--json", status=0)
         assert f"shard {number - 3}/2 of the scans" in result.stderr
         assert only_json(result)["done"] == 1
     assert len(labels_below(out)) == 2

@@ -48,22 +48,15 @@ def interrupted(body: str, number: signal.Signals) -> None:
 
 
 @SIGNALS
-def test_a_signal_during_a_command(number):
+def test_a_signal_during_a_command_or_while_commands_are_imported(number):
     interrupted(f"send({number:d})", number)
-
-
-@SIGNALS
-def test_a_signal_while_the_commands_are_imported(number):
     ended = python(IMPORT.replace("NUMBER", f"{number:d}"))
     assert (ended.stdout, ended.stderr, ended.returncode) == ("", LINES[number], 128 + number)
 
 
-def test_a_signal_that_a_library_turns_into_another_error():
+def test_a_signal_that_a_library_ignores_or_turns_into_another_error_counts():
     body = "\n    try: send(2)\n    except KeyboardInterrupt: raise MissingDependency('a', 'b')"
     interrupted(body, signal.SIGINT)
-
-
-def test_a_signal_that_a_library_ignores_counts_at_the_end():
     interrupted("\n    try: send(2)\n    except KeyboardInterrupt: pass", signal.SIGINT)
 
 
@@ -75,9 +68,8 @@ def test_the_same_signal_twice_lets_the_command_tidy_up(tmp_path):
 
 
 def test_a_second_signal_ends_the_process_at_once():
-    ended = python(
-        COMMAND.replace("BODY", "\n    try: send(2)\n    finally: time.sleep(1.2); send(15)")
-    )
+    body = "\n    try: send(2)\n    finally: time.sleep(1.2); send(15)"
+    ended = python(COMMAND.replace("BODY", body))
     assert (ended.stdout, ended.stderr, ended.returncode) == ("", "", 143)
 
 

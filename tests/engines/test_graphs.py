@@ -15,7 +15,7 @@ import numpy as np
 import openvino
 import pytest
 import torch
-from scans import SMALL, make_scan
+from scans import SMALL, make_scan, refused
 from tiny_network import TinyNetwork
 from torch import nn
 
@@ -55,9 +55,17 @@ def fresh():
         cache.cache_clear()
 
 
-def test_devices_that_are():
+def test_chosen_devices_precisions_and_engines():
     assert choose_device("cpu") == choose_device("cpu:0") == "cpu"
     assert choose_device("auto") == ("cuda" if torch.cuda.is_available() else "cpu")
+    assert choose_precision("int8", "cpu") == "int8"
+    assert choose_precision("auto", "cpu") != "int8"
+    for place, engine in (("cuda", "torch"), ("cpu", "torch")):
+        refused(UsageError, "--precision", choose_precision, "int8", place, engine)
+    assert choose_engine("auto", "cpu") == choose_engine("openvino", "cpu") == "openvino"
+    assert choose_engine("torch", "cpu") == choose_engine("auto", "cuda:1") == "torch"
+    for name, place in (("openvino", "cuda"), ("onnx", "cpu")):
+        refused(UsageError, "--engine", choose_engine, name, place)
 
 
 @pytest.mark.parametrize(
@@ -102,24 +110,6 @@ def test_a_gpu_with_tensor_cores_takes_float16(monkeypatch, capability):
     assert choose_precision("auto", "cuda") == expected
 
 
-def test_int8_is_for_openvino_on_cpus_and_never_chosen():
-    assert choose_precision("int8", "cpu") == "int8"
-    assert choose_precision("auto", "cpu") != "int8"
-    for place, engine in (("cuda", "torch"), ("cpu", "torch")):
-        with pytest.raises(UsageError) as caught:
-            choose_precision("int8", place, engine)
-        assert caught.value.subject == "--precision"
-
-
-def test_engines():
-    assert choose_engine("auto", "cpu") == choose_engine("openvino", "cpu") == "openvino"
-    assert choose_engine("torch", "cpu") == choose_engine("auto", "cuda:1") == "torch"
-    for name, place in (("openvino", "cuda"), ("onnx", "cpu")):
-        with pytest.raises(UsageError) as caught:
-            choose_engine(name, place)
-        assert caught.value.subject == "--engine"
-
-
 @pytest.mark.parametrize(
     "error",
     [
@@ -128,18 +118,14 @@ def test_engines():
         MissingDependency("openvino", "cannot be imported: libfoo.so", hint="install it again"),
     ],
 )
-def test_where_openvino_does_not_start_torch_computes_with_one_warning(
-    fresh, monkeypatch, caplog, error
-):
+def test_without_openvino_torch_computes_with_one_warning(fresh, monkeypatch, caplog, error):
     def fail():
         raise error
 
     monkeypatch.setattr(device, "openvino_core", fail)
     assert choose_engine("auto", "cpu") == choose_engine("auto", "cpu") == "torch"
     assert len(caplog.records) == 1
-    with pytest.raises(MissingDependency) as caught:
-        choose_engine("openvino", "cpu")
-    assert caught.value.subject == "openvino"
+    caught = refused(MissingDependency, "openvino", choose_engine, "openvino", "cpu")
     assert "--engine torch" in caught.value.hint
 
 
@@ -169,13 +155,18 @@ def compiled(module, x, **options):
     return Graph(compiled_graph(make, "test", **options))
 
 
-def test_a_graph_in_float32():
+def test_a_graph_in_float32_refuses_inputs_that_do_not_fit():
     module, x = network(), images(*SIZE)
     (found,) = compiled(module, x)(x.numpy())
     with torch.inference_mode():
         expected = module.double()(x.double()).numpy()
     assert found.dtype == np.float32
     assert np.abs(found - expected).max() < 1e-4 * np.abs(expected).max()
+    run = compiled(nn.Conv2d(5, 8, 3), images(*SIZE))
+    with pytest.raises(RuntimeError):
+        run(images(1, 5, 16, 16).numpy())
+    with pytest.raises(RuntimeError):
+        run.in_parallel([[images(1, 5, 16, 16).numpy()]])
 
 
 @pytest.mark.skipif(not bfloat16_instructions(), reason="a CPU without bfloat16")
@@ -238,14 +229,6 @@ def test_computing_threads_are_not_bound_to_cores(threads, streams):
         assert len(computing.result()) == 5
     assert found
     assert all(each == cores for each in found)
-
-
-def test_inputs_that_do_not_fit_are_an_error():
-    run = compiled(nn.Conv2d(5, 8, 3), images(*SIZE))
-    with pytest.raises(RuntimeError):
-        run(images(1, 5, 16, 16).numpy())
-    with pytest.raises(RuntimeError):
-        run.in_parallel([[images(1, 5, 16, 16).numpy()]])
 
 
 def test_a_compiled_graph_is_read_from_the_cache(tmp_path, caplog):

@@ -13,7 +13,7 @@ from hypothesis.extra.numpy import arrays
 from scans import SMALL, make_scan, refused, write_weights
 from torch import nn
 
-from salsanext_cli import label_space, load_network, project, sample
+from salsanext_cli import label_space, load_network, project
 from salsanext_cli.engines.graphs import Graph, compiled_graph, converted
 from salsanext_cli.engines.int8_graphs import quantised
 from salsanext_cli.engines.openvino_backend import OpenVinoBackend
@@ -172,11 +172,14 @@ def weights(tmp_path_factory):
     return file
 
 
-def test_weights_without_ranges_other_engines_and_devices_are_refused(weights, tmp_path):
+def test_a_card_holds_the_ranges_and_int8_needs_them_and_openvino(weights, tmp_path):
+    card = read_card(weights)
+    again = WeightsCard.from_metadata(card.to_metadata(), "again")
+    assert again.int8 == card.int8 != {}
+    assert set(card.int8) == set(int8_layers(load_network(weights, "cpu").module))
     bare = tmp_path / "bare.safetensors"
     save_with_card(weights, bare, replace(read_card(weights), int8={}))
-    with refused(WeightsError, bare):
-        load_network(bare, "cpu", precision="int8")
+    refused(WeightsError, bare, load_network, bare, "cpu", precision="int8")
     with refused(UsageError, "--precision"):
         load_network(weights, "cpu", precision="int8", engine="torch")
 
@@ -187,15 +190,7 @@ def test_ranges_of_another_network_are_refused():
     name = "block1.shortcut.0"
     broken = replace(layers[name], shifts=layers[name].shifts[1:])
     for others in ({**layers, "block9.shortcut.0": layers[name]}, {**layers, name: broken}):
-        with refused(WeightsError, "test"):
-            compiled(module, others, x)
-
-
-def test_a_card_holds_the_ranges(weights):
-    card = read_card(weights)
-    again = WeightsCard.from_metadata(card.to_metadata(), "again")
-    assert again.int8 == card.int8 != {}
-    assert set(card.int8) == set(int8_layers(load_network(weights, "cpu").module))
+        refused(WeightsError, "test", compiled, module, others, x)
 
 
 @pytest.mark.parametrize(
@@ -210,14 +205,4 @@ def test_damaged_ranges_are_refused(weights, changes):
     content = metadata["salsanext"]
     assert '"step"' in content
     broken = content.replace('"step"', '"stride"')
-    with refused(WeightsError, "weights"):
-        WeightsCard.from_metadata({"salsanext": broken}, "weights")
-
-
-def test_sampling_by_the_command_line_of_networks_works_in_int8(weights):
-    image_of_scan = project(make_scan(), SMALL)
-    estimates = [
-        sample(load_network(weights, "cpu", SMALL, precision=p), image_of_scan, samples=2, seed=0)
-        for p in ("int8", "float32")
-    ]
-    assert np.array_equal(*(estimate.probabilities for estimate in estimates))
+    refused(WeightsError, "weights", WeightsCard.from_metadata, {"salsanext": broken}, "weights")

@@ -39,8 +39,10 @@ def test_records_come_back_as_they_were(record: Outer, tmp_path: Path) -> None:
     assert read_record(Outer, tmp_path / "none.json") is None
 
 
-def test_whole_numbers_are_floats_and_unknown_keys_are_skipped() -> None:
+def test_whole_numbers_are_floats_unknown_keys_skipped_arrays_lists_and_nan_null():
     assert decoded(Outer, {"count": 1, "ends": [1, 2], "later": 5}) == Outer(1, (1.0, 2.0))
+    data = {"a": np.array([1.0, np.nan]), "b": (np.float64(2), {3}), "c": Path("x")}
+    assert plain(data) == {"a": [1.0, None], "b": [2.0, [3]], "c": "x"}
 
 
 @pytest.mark.parametrize(
@@ -58,8 +60,3 @@ def test_errors_name_the_file(change: dict[str, object], tmp_path: Path) -> None
     with pytest.raises(OutputError) as caught:
         read_record(Outer, tmp_path / "a.json")
     assert (caught.value.subject, caught.value.code) == (str(tmp_path / "a.json"), "output")
-
-
-def test_arrays_are_lists_and_nan_is_null() -> None:
-    data = {"a": np.array([1.0, np.nan]), "b": (np.float64(2), {3}), "c": Path("x")}
-    assert plain(data) == {"a": [1.0, None], "b": [2.0, [3]], "c": "x"}

@@ -6,6 +6,7 @@ import signal
 from pathlib import Path
 
 import pytest
+from scans import refused
 
 from salsanext_cli.errors import OutputError
 from salsanext_cli.files.atomic import write_bytes
@@ -26,9 +27,7 @@ def test_a_durable_file_needs_no_open_folder(tmp_path, monkeypatch):
 def test_a_file_that_another_program_has_open_stays_and_is_one_error(tmp_path, monkeypatch):
     write_bytes(tmp_path / "a", b"old")
     monkeypatch.setattr(Path, "replace", refuse)
-    with pytest.raises(OutputError) as caught:
-        write_bytes(tmp_path / "a", b"new")
-    assert caught.value.subject == str(tmp_path / "a")
+    caught = refused(OutputError, tmp_path / "a", write_bytes, tmp_path / "a", b"new")
     assert "in use" in caught.value.problem
     assert [path.name for path in tmp_path.iterdir()] == ["a"]
     assert (tmp_path / "a").read_bytes() == b"old"

@@ -18,7 +18,7 @@ with temporary_folder(Path(sys.argv[1])) as folder:
 """
 
 
-def test_a_folder_is_gone_after_the_body_and_others_stay(tmp_path):
+def test_a_folder_is_gone_after_the_body_and_those_that_others_made_or_hold_stay(tmp_path):
     (tmp_path / "mine").mkdir()
     with temporary_folder(tmp_path) as first:
         (first / "file").write_text("x")
@@ -26,6 +26,14 @@ def test_a_folder_is_gone_after_the_body_and_others_stay(tmp_path):
             assert first != second
         assert (first / "file").exists()
     assert [path.name for path in tmp_path.iterdir()] == ["mine"]
+    mine = tmp_path / f"{PREFIX}mine"
+    mine.mkdir()
+    os.utime(mine, (0, 0))
+    with temporary_folder(tmp_path) as held:
+        os.utime(held / LOCK, (0, 0))
+        with temporary_folder(tmp_path):
+            assert mine.exists()
+            assert held.exists()
 
 
 def test_the_folder_of_a_killed_process_goes_with_the_next_one(tmp_path):
@@ -39,14 +47,3 @@ def test_the_folder_of_a_killed_process_goes_with_the_next_one(tmp_path):
     with temporary_folder(tmp_path) as folder:
         assert [*tmp_path.iterdir()] == [folder]
     assert not [*tmp_path.iterdir()]
-
-
-def test_folders_that_others_made_or_hold_stay(tmp_path):
-    mine = tmp_path / f"{PREFIX}mine"
-    mine.mkdir()
-    os.utime(mine, (0, 0))
-    with temporary_folder(tmp_path) as held:
-        os.utime(held / LOCK, (0, 0))
-        with temporary_folder(tmp_path):
-            assert mine.exists()
-            assert held.exists()

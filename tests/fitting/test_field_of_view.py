@@ -37,13 +37,10 @@ def turned(scan, up):
     return Scan(points.astype(np.float32), scan.intensity)
 
 
-def test_a_matching_field_of_view_stays():
+def test_a_matching_field_of_view_and_the_image_stay_and_another_view_is_fitted():
     assert fit_view(SCANS, KNOWN_EGO) == KNOWN_EGO
     nearly = replace(KNOWN_EGO, fov_up=1.0)
     assert fit_view(SCANS, nearly) == nearly
-
-
-def test_another_field_of_view_is_fitted_and_the_image_stays():
     above = replace(KNOWN_EGO, fov_up=25.0, fov_down=-7.0)
     found = fit_view(SCANS, above)
     assert (found.fov_up, found.fov_down) == pytest.approx((3, -25), abs=0.3)
@@ -64,10 +61,8 @@ def test_points_above_and_below_the_field_of_view_are_counted(out_of_view):
 def test_the_field_of_view_is_no_larger_than_most_points_need(extent):
     """Else objects would be lower in the image than in training."""
     found = fit_view(SCANS, replace(SMALL, fov_up=30.0 + extent, fov_down=30.0))
-    elevations = [
-        np.degrees(np.arcsin(s.points[:, 2] / np.linalg.norm(s.points, axis=1))) for s in SCANS
-    ]
-    elevations = np.sort(np.concatenate(elevations))
+    points = np.concatenate([scan.points for scan in SCANS])
+    elevations = np.sort(np.degrees(np.arcsin(points[:, 2] / np.linalg.norm(points, axis=1))))
     count = round(SHOWN * len(elevations))
     narrowest = min(b - a for a, b in zip(elevations, elevations[count - 1 :], strict=False))
     assert found.fov_up - found.fov_down == pytest.approx(max(narrowest, extent), abs=0.1)
@@ -166,9 +161,7 @@ def hits(box: np.ndarray) -> np.ndarray:
     return np.where((entry < end) & (entry > 0), entry, np.inf)
 
 
-def driven(
-    count: int, *, moving: bool = True, beside: int = 0, roof: bool = True, height: float = HEIGHT
-) -> list[Scan]:
+def driven(count, *, moving=True, beside=0, roof=True, height=HEIGHT):
     """Return scans of a flat place with a roof below the sensor, some with a car beside it."""
     scans = []
     with np.errstate(divide="ignore"):

@@ -174,6 +174,5 @@ def test_points_without_a_measurement_get_none_in_another_frame():
 def test_the_mounting_of_other_scans_is_not_used(other):
     """As that of weights that were tuned on them, which an earlier version did."""
     for scans in ([street(32)], [moved(street(32), (0.9, 0, HEIGHT))]):
-        assert (
-            fit_mounting(scans, replace(SMALL, **other)).origin == fit_mounting(scans, SMALL).origin
-        )
+        found = fit_mounting(scans, replace(SMALL, **other))
+        assert found.origin == fit_mounting(scans, SMALL).origin

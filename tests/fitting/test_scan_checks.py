@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scans import SMALL, make_scan
+from scans import SMALL, make_scan, refused
 
 from salsanext_cli import Scan, project
 from salsanext_cli.errors import FormatError
@@ -42,9 +42,17 @@ def mostly_missing():
     return Scan(points, np.tile(STREET.intensity, 4))
 
 
-def test_a_correct_scan_has_no_finding():
+def test_wrong_fields_of_view_are_findings_that_a_fit_corrects():
     assert codes(STREET) == []
     assert codes(STREET, trained=None) == []
+    assert codes(STREET, replace(SMALL, fov_up=-8.0)) == ["out-of-view"]
+    assert codes(STREET, replace(SMALL, fov_up=75.0, fov_down=-75.0)) == ["sparse"]
+    named = replace(SMALL, name="mine", fov_up=-8.0)
+    assert hints(STREET, named)["out-of-view"] == "--sensor auto"
+    assert codes(STREET, fit_view([STREET], TRAINED)) == []
+    plain = replace(SMALL, fov_up=-8.0)
+    assert "inspect SCANS --fit" in hints(STREET, plain, plain)["out-of-view"]
+    assert codes(STREET, fit_view([STREET], plain)) == []
 
 
 def unmeasured(value):
@@ -60,9 +68,7 @@ def unmeasured(value):
     ],
 )
 def test_other_units_and_scans_without_measurements_are_an_error(scan):
-    with pytest.raises(FormatError) as refused:
-        codes(scan)
-    assert refused.value.subject == "s.bin"
+    refused(FormatError, "s.bin", codes, scan)
 
 
 def test_doubtful_scans():
@@ -86,25 +92,11 @@ def test_doubtful_scans():
         assert code in codes(scan)
 
 
-def test_doubtful_fields_of_view():
-    assert codes(STREET, replace(SMALL, fov_up=-8.0)) == ["out-of-view"]
-    assert codes(STREET, replace(SMALL, fov_up=75.0, fov_down=-75.0)) == ["sparse"]
-
-
 FITTED = replace(SMALL, name="fitted")
 
 
 def hints(scan, of, trained=TRAINED):
     return {f.code: f.hint for f in check_scan(Path("s.bin"), scan, of, trained).findings}
-
-
-def test_a_fit_corrects_a_wrong_field_of_view():
-    named = replace(SMALL, name="mine", fov_up=-8.0)
-    assert hints(STREET, named)["out-of-view"] == "--sensor auto"
-    assert codes(STREET, fit_view([STREET], TRAINED)) == []
-    plain = replace(SMALL, fov_up=-8.0)
-    assert "inspect SCANS --fit" in hints(STREET, plain, plain)["out-of-view"]
-    assert codes(STREET, fit_view([STREET], plain)) == []
 
 
 @pytest.mark.parametrize("of", [FITTED, replace(TRAINED, min_range=1.0)])

@@ -61,7 +61,7 @@ def test_the_scalar_is_named_if_there_is_none_or_several(tmp_path):
     np.testing.assert_array_equal(read_labelled_cloud(path, "class").ids, IDS)
 
 
-def test_a_classification_of_0_is_not_a_label(tmp_path):
+def test_a_classification_of_0_is_not_a_label_and_one_of_the_asprs_must_be_named(tmp_path):
     cloud = read_labelled_cloud(write_las(tmp_path / "s.las", {"label": IDS.astype("u2")}))
     assert cloud.scalar == "label"
     both = {"label": IDS.astype("u2"), "classification": IDS.astype("u1")}
@@ -69,9 +69,6 @@ def test_a_classification_of_0_is_not_a_label(tmp_path):
         read_labelled_cloud(write_las(tmp_path / "s.las", both))
     path = write_las(tmp_path / "s.las", {"classification": IDS.astype("u1")})
     np.testing.assert_array_equal(read_labelled_cloud(path).ids, IDS)
-
-
-def test_a_classification_of_the_asprs_must_be_named(tmp_path):
     path = write_las(tmp_path / "s.las", {"classification": (IDS // 8).astype("u1")})
     with pytest.raises(LabelError, match="up to 10"):
         read_labelled_cloud(path)
@@ -129,7 +126,7 @@ def test_ids_of_a_tool_are_mapped_by_name_or_raw_id(tmp_path):
     assert meanings.described() == "-1 unlabeled, 0 road, 1 car, 2 moving-car"
 
 
-def test_a_map_that_cannot_be_used_is_one_error(tmp_path):
+def test_a_map_that_cannot_be_used_is_one_error_and_class_0_must_be_ignored(tmp_path):
     for text, problem in (
         ("1: tree", "1: 'tree'"),
         ("car: 1", "'car': 1"),
@@ -141,9 +138,6 @@ def test_a_map_that_cannot_be_used_is_one_error(tmp_path):
         with pytest.raises(UsageError) as caught:
             mapped(tmp_path, text)
         assert problem in caught.value.problem
-
-
-def test_class_0_must_be_ignored():
     everything = replace(SPACE, ignored=(False,) * SPACE.class_count)
     with pytest.raises(UsageError, match="class 0"):
         LabelIds.of_space(everything)

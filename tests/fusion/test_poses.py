@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from scans import make_scan
+from scans import make_scan, refused
 
 from salsanext_cli.errors import FormatError
 from salsanext_cli.fusion.pose_checks import (
@@ -76,17 +76,14 @@ def test_poses_of_the_camera_become_poses_of_the_scans(tmp_path):
     np.testing.assert_allclose(read_poses(path, STEMS, STEMS), poses, atol=1e-8)
     for line in ("P0", "Tr"):
         (tmp_path / "calib.txt").write_text(f"{line}: 1 0 0 0 0 1 0 0 0 0 0 0\n")
-        with pytest.raises(FormatError) as refused:
-            read_poses(path, STEMS, STEMS)
-        assert refused.value.subject == str(tmp_path / "calib.txt")
+        refused(FormatError, tmp_path / "calib.txt", read_poses, path, STEMS, STEMS)
 
 
 def test_rounded_rotations_become_rigid(tmp_path):
     poses = along(0, 1, 2)
     path = written(tmp_path, encode_poses(poses * [[1.004], [1.004], [1.004], [1]]))
-    np.testing.assert_allclose(
-        read_poses(path, STEMS, STEMS)[:, :3, :3], poses[:, :3, :3], atol=1e-8
-    )
+    turns = read_poses(path, STEMS, STEMS)[:, :3, :3]
+    np.testing.assert_allclose(turns, poses[:, :3, :3], atol=1e-8)
     exact = read_poses(written(tmp_path, encode_poses(poses)), STEMS, STEMS)
     np.testing.assert_array_equal(exact, poses)
     np.testing.assert_array_equal(read_poses(path, STEMS, STEMS[1:]), poses[1:])
@@ -184,42 +181,34 @@ def test_scans_without_upright_points_go_on_with_the_part():
     assert fitting_parts(away, lambda number: SEEN(number)[:9])[0].tolist() == [0] * 6 + [1] * 6
 
 
-def test_poses_of_a_slow_drive_must_fit_over_some_metres():
-    slow = along(*np.arange(0, 12, 0.4))
-    seen = street(slow)
-    assert require_fitting("poses.txt", slow, seen).tolist() == [0] * 30
-    for wrong in (np.tile(np.eye(4), (30, 1, 1)), CAMERA @ slow @ np.linalg.inv(CAMERA)):
-        with pytest.raises(FormatError) as refused:
-            require_fitting("poses.txt", wrong, seen)
-        assert refused.value.subject == "poses.txt"
-
-
-def test_poses_must_align_the_scans():
+def test_poses_must_align_the_scans_and_of_a_slow_drive_over_some_metres():
     frozen = WAY.copy()
     frozen[6:] = WAY[6]
     inverse, backwards = np.linalg.inv(WAY), along(*range(0, -84, -7))
     for wrong in (inverse, backwards, frozen, CAMERA @ WAY @ np.linalg.inv(CAMERA)):
         with pytest.raises(FormatError):
             require_fitting("poses.txt", wrong, SEEN)
+    slow = along(*np.arange(0, 12, 0.4))
+    seen = street(slow)
+    assert require_fitting("poses.txt", slow, seen).tolist() == [0] * 30
+    for wrong in (np.tile(np.eye(4), (30, 1, 1)), CAMERA @ slow @ np.linalg.inv(CAMERA)):
+        refused(FormatError, "poses.txt", require_fitting, "poses.txt", wrong, seen)
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(100, "centimetres"), (1000, "millimetres")])
 def test_poses_in_other_units_are_refused(factor, unit):
-    with pytest.raises(FormatError) as refused:
+    with pytest.raises(FormatError) as caught:
         require_fitting("poses.txt", WAY * [1, 1, 1, factor], SEEN)
-    assert refused.value.problem == f"positions in {unit}"
+    assert caught.value.problem == f"positions in {unit}"
 
 
-def test_scans_that_stand_apart_or_still_may_have_such_poses():
+def test_laps_and_halts_are_one_part_and_scans_may_stand_apart_or_still():
     still = np.tile(np.eye(4), (3, 1, 1))
     assert require_fitting("p", still, lambda number: make_scan().points).tolist() == [0, 0, 0]
     apart = along(0, 200, 400)
     parts = require_fitting("p", apart, lambda number: make_scan(seed=number).points)
     assert parts.tolist() == [0, 1, 2]
     assert require_fitting("p", along(0), SEEN).tolist() == [0]
-
-
-def test_two_laps_and_a_long_halt_are_one_part():
     halt = along(*[0.0] * 40, 2, 4, 6)
     assert not fitting_parts(halt, street(halt))[0].any()
     there = np.array(range(0, 24, 3))

@@ -13,15 +13,12 @@ SEEN = street(WAY)
 ELSEWHERE = np.random.default_rng(1).uniform([-30, -15, -1.7], [30, 15, 2], (8000, 3))
 
 
-def test_the_way_is_found_from_the_scans_alone():
+def test_the_way_is_found_from_the_scans_and_a_scan_elsewhere_begins_a_part():
     drive = register(SEEN(number) for number in range(len(WAY)))
     np.testing.assert_allclose(drive.poses[:, :3, 3], WAY[:, :3, 3], atol=0.1)
     np.testing.assert_allclose(drive.poses[:, :3, :3], WAY[:, :3, :3], atol=0.01)
     assert not drive.parts.any()
     assert register([]).poses.shape == (0, 4, 4)
-
-
-def test_what_does_not_lie_on_the_scan_before_begins_a_part():
     drive = register([SEEN(0), SEEN(1), ELSEWHERE, ELSEWHERE, ELSEWHERE])
     assert drive.parts.tolist() == [0, 0, 1, 1, 1]
     assert drive.poses[2, 0, 3] > 900

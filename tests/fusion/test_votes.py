@@ -65,10 +65,8 @@ def slowly_standing(places, number, scans, poses, reach):
             point = (place - poses[other][:3, 3]) @ poses[other][:3, :3]
             distance = np.linalg.norm(point)
             behind = nearest.get(slow_direction(point), np.nan) - distance
-            is_seen = (
-                other != number
-                and abs(math.degrees(math.atan2(point[2], math.hypot(*point[:2])))) < 45
-            )
+            inclination = math.degrees(math.atan2(point[2], math.hypot(*point[:2])))
+            is_seen = other != number and abs(inclination) < 45
             there += is_seen and abs(behind) <= 0.3
             through += is_seen and behind > 0.3 + 0.1 * distance
         standing[voxel] = through < there
@@ -105,9 +103,8 @@ def slowly(scans, softmax, poses, reach, movable):
                 for other, view in enumerate(views):
                     away = abs(other - index)
                     if away <= reach.reach and voxel in view:
-                        counted = (
-                            (away <= reach.movable_reach) | ~movable | standing.get(voxel, False)
-                        )
+                        is_near = away <= reach.movable_reach
+                        counted = is_near | ~movable | standing.get(voxel, False)
                         total += view[voxel] * counted
                         counts += counted
                         seen[number] += 1
@@ -131,7 +128,7 @@ def test_votes_equal_a_slow_loop(seed, reach, movable_reach):
         np.testing.assert_allclose(tally.probabilities, shares, atol=rounding)
 
 
-def test_a_label_changes_only_where_another_scan_sees_the_place():
+def test_a_label_changes_only_where_another_scan_sees_the_place_and_has_a_label():
     place = np.float32([[0.1, 0.1, 0.1], [5, 5, 5]])
     scans = [Scan(place[:count], np.zeros(count, np.float32)) for count in (2, 1, 1)]
     road, car = np.eye(CLASSES, dtype=np.float32)[[ROAD, CAR]]
@@ -139,6 +136,12 @@ def test_a_label_changes_only_where_another_scan_sees_the_place():
     tally = fuse(scans, [[car, road], [road], [road]], np.tile(np.eye(4), (3, 1, 1)))[0]
     assert fused_labels(tally, labels).tolist() == [ROAD, CAR]
     np.testing.assert_allclose(disagreement(tally, labels), [2 / 3, 1], atol=1e-4)
+    scan = Scan(np.zeros((2, 3), np.float32), np.zeros(2, np.float32))
+    softmax = np.eye(CLASSES, dtype=np.float32)[[0, ROAD]]
+    tally = fuse([scan], [softmax], np.eye(4)[None])[0]
+    assert tally.views.tolist() == [0, 1]
+    assert np.isnan(disagreement(tally, np.uint8([0, ROAD]))).tolist() == [True, False]
+    assert fused_labels(tally, np.uint8([0, ROAD])).tolist() == [0, ROAD]
 
 
 def test_a_label_space_without_movable_classes_is_a_warning(caplog):
@@ -151,15 +154,6 @@ def test_a_label_space_without_movable_classes_is_a_warning(caplog):
         warn_without_movable_classes(LabelSpace.from_dict(data | stated))
     assert [record.levelname for record in caplog.records] == ["WARNING"]
     assert "silent" in caplog.text
-
-
-def test_points_without_a_label_neither_vote_nor_are_judged():
-    scan = Scan(np.zeros((2, 3), np.float32), np.zeros(2, np.float32))
-    softmax = np.eye(CLASSES, dtype=np.float32)[[0, ROAD]]
-    tally = fuse([scan], [softmax], np.eye(4)[None])[0]
-    assert tally.views.tolist() == [0, 1]
-    assert np.isnan(disagreement(tally, np.uint8([0, ROAD]))).tolist() == [True, False]
-    assert fused_labels(tally, np.uint8([0, ROAD])).tolist() == [0, ROAD]
 
 
 def test_voxels_have_different_keys_and_points_outside_have_none():
@@ -215,7 +209,6 @@ def test_kept_classes_are_the_most_probable(seed, classes):
     kept = softmax_of(top_classes(softmax), classes)
     assert ((kept > 0).sum(axis=1) <= STORED).all()
     largest = np.sort(softmax, axis=1)[:, ::-1][:, :STORED]
-    np.testing.assert_allclose(
-        np.sort(kept, axis=1)[:, ::-1][:, :STORED], largest, atol=0.51 / LEVELS
-    )
+    of_kept = np.sort(kept, axis=1)[:, ::-1][:, :STORED]
+    np.testing.assert_allclose(of_kept, largest, atol=0.51 / LEVELS)
     np.testing.assert_array_less(np.abs(kept - softmax)[kept > 0], 0.51 / LEVELS)

@@ -137,7 +137,7 @@ def test_many_points_on_any_number_of_threads(rings, cell, threads, monkeypatch)
     np.testing.assert_array_equal(refined[::97], slow(some, labels, parameters))
 
 
-def test_impossible_parameters():
+def test_impossible_parameters_labels_and_pixels_are_refused():
     for wrong in (
         *({"k": 0}, {"k": 26}, {"k": 2, "window": 1}, {"window": 4}, {"window": -1}),
         *({"sigma": 0.0}, {"sigma": math.nan}, {"sigma": math.inf}),
@@ -145,9 +145,6 @@ def test_impossible_parameters():
     ):
         with pytest.raises(UsageError):
             KnnParameters(**wrong)
-
-
-def test_labels_and_pixels_that_do_not_fit():
     for labels, pixel, problem in (
         (np.zeros((8, 3), int), 0, "shape"),
         (np.zeros((3, 8)), 0, "dtype"),

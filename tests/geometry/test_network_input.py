@@ -209,6 +209,5 @@ def test_gaps_are_filled_where_training_had_fewer():
         sensors = [replace(SMALL, row_gaps=gaps) for gaps in (own, trained)]
         assert fills_rows(*sensors) is filled
         given = image(0.4)
-        np.testing.assert_array_equal(
-            with_filled_gaps(given, *sensors), fill_rows(given) if filled else given
-        )
+        expected = fill_rows(given) if filled else given
+        np.testing.assert_array_equal(with_filled_gaps(given, *sensors), expected)

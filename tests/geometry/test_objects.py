@@ -88,19 +88,16 @@ def test_objects_end_where_class_or_range_does_and_go_on_behind_the_sensor():
     assert (found[0] > 0).mean() > 0.95
 
 
-def test_objects_beyond_16_bits_have_no_number(monkeypatch):
-    monkeypatch.setattr(objects, "MAX_OBJECTS", 2)
-    found = objects_of([thing(angle, 8) for angle in (0, 30, 60)], [CAR] * 3)
-    assert sorted({number for each in found for number in each[each > 0].tolist()}) == [1, 2]
-
-
-def test_few_points_and_unmeasured_points_are_no_object():
+def test_few_and_unmeasured_points_are_no_object_and_objects_beyond_16_bits_unnumbered(monkeypatch):
     few = thing(0, 8, count=objects.MIN_OBJECT_POINTS - 1, width=0.3)
     none = np.zeros((50, 3), np.float32)
     assert not np.concatenate(objects_of([few, none], [CAR, CAR])).any()
     empty = project(Scan(np.zeros((0, 3), np.float32), np.zeros(0, np.float32)), sensor("hdl64"))
     assert len(find_objects(empty, np.zeros(0, np.uint8), THINGS)) == 0
     assert fit_boxes(np.zeros((4, 3), np.float32), np.zeros(4, np.uint16)) == []
+    monkeypatch.setattr(objects, "MAX_OBJECTS", 2)
+    found = objects_of([thing(angle, 8) for angle in (0, 30, 60)], [CAR] * 3)
+    assert sorted({number for each in found for number in each[each > 0].tolist()}) == [1, 2]
 
 
 @given(st.floats(-1.5, 1.5), st.floats(5, 40), st.floats(-3.1, 3.1))

@@ -7,15 +7,12 @@ file below the folder, from 1. Removals do not count: an exception in the hook w
 
 import os
 import sys
-from collections.abc import Callable
 
 STEPS = ("open", "os.rename", "os.mkdir")
 """Names of the operations in audit events of Python."""
 
 
-def at_each_step(
-    folder: str, call: Callable[[int], object], steps: tuple[str, ...] = STEPS
-) -> None:
+def at_each_step(folder, call, steps=STEPS):
     """Call a function with the number of a step before every step of this process."""
     number = 0
 

@@ -14,13 +14,12 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from command_line import called
 from file_steps import at_each_step
 from scans import SMALL, write_sequence, write_weights
-from typer.testing import CliRunner
 from whole_files import require_alike, require_tidy, require_whole
 
 import salsanext_cli
-from salsanext_cli.cli.app import app
 
 psutil = pytest.importorskip("psutil")
 pytestmark = pytest.mark.drawn
@@ -50,8 +49,7 @@ at_each_step(OUT, lambda steps: STEPS_SEEN.append(steps))
 
 def call(command: str) -> None:
     """Run a command to its end in this process."""
-    result = CliRunner().invoke(app, command.split())
-    assert result.exit_code == 0, result.output
+    called(*command.split())
 
 
 class Trial:
@@ -76,9 +74,7 @@ class Trial:
         self.steps = STEPS_SEEN[-1] - first
         self.expected = whole / OUT
 
-    def start_process(
-        self, folder: Path, options: str = "", **environment: str
-    ) -> subprocess.Popen[str]:
+    def start_process(self, folder, options="", **environment):
         """Start the command in a new process and session, in a copy of the first folder."""
         shutil.copytree(self.start, folder, dirs_exist_ok=True)
         paths = os.pathsep.join(map(str, (Path(salsanext_cli.__file__).parents[1], HERE)))
@@ -159,9 +155,7 @@ SLOW = (
         *(pytest.param(*case, marks=pytest.mark.slow) for case in SLOW),
     ],
 )
-def test_a_signal_at_a_step(
-    tmp_path: Path, trials: Callable[[str], Trial], name: str, number: signal.Signals, most: int
-) -> None:
+def test_a_signal_at_a_step(tmp_path, trials, name, number, most):
     """At most `most` steps, evenly spaced."""
     trial = trials(name)
     spacing = max(1, trial.steps // most)
@@ -196,9 +190,7 @@ def when_working(folder: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("whom", ["parent", "all"])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL, signal.SIGTERM])
-def test_signals_at_random_moments(
-    tmp_path: Path, long: Trial, number: signal.Signals, whom: str
-) -> None:
+def test_signals_at_random_moments(tmp_path, long, number, whom):
     """As Docker sends them, to the first process, or as systemd and Ctrl-C do, to all."""
     draw = random.Random(f"{number} {whom}")
     for turn in range(3):

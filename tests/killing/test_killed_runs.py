@@ -83,9 +83,8 @@ def overwriting(folder: Path) -> Run:
     def run(out: Path) -> None:
         if not (out / "predict.json").exists():
             predict_scans(data, out, settings=network, knn=KnnParameters(k=1))
-        predict_scans(
-            data, out, settings=network, extras=extras, options=RunOptions(overwrite=True)
-        )
+        again = RunOptions(overwrite=True)
+        predict_scans(data, out, settings=network, extras=extras, options=again)
 
     # Load modules here instead of in every fork.
     run(folder / "warm")
@@ -142,19 +141,14 @@ def scenes(folder: Path) -> Run:
     return run
 
 
-JOBS: dict[str, Callable[[Path], Run]] = {
-    "overwriting": overwriting,
-    "scenes": scenes,
-    "training": training,
-}
+JOBS = {job.__name__: job for job in (overwriting, scenes, training)}
 
 
 def kills_of(folder: Path, *jobs: str) -> list[int]:
     """Return the numbers of kills of jobs in a new process; ``job:2`` is every second step."""
     here = Path(__file__)
-    places = os.pathsep.join(
-        map(str, (Path(salsanext_cli.__file__).parents[1], here.parents[1], here.parent))
-    )
+    folders = (Path(salsanext_cli.__file__).parents[1], here.parents[1], here.parent)
+    places = os.pathsep.join(map(str, folders))
     done = subprocess.run(
         [sys.executable, str(here), str(folder), *jobs],
         capture_output=True,

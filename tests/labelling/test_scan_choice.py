@@ -65,7 +65,7 @@ def test_the_choice_is_that_of_a_slow_clear_loop(scans, count):
     assert order(features, weights, count) == slow(features, weights, count)
 
 
-def test_a_choice_has_rank_distance_and_nearest_scan():
+def test_a_choice_has_rank_distance_and_nearest_scan_also_of_all_or_equal_ones():
     features, weights = np.array([[0.0], [1], [4]]), [0.1, 0.3, 0.2]
     first, second, third = choose_scans(features, weights, 3)
     assert (first.scan, first.uncertainty, first.uncertainty_rank) == (1, 0.3, 1)
@@ -74,6 +74,11 @@ def test_a_choice_has_rank_distance_and_nearest_scan():
     assert (second.scan, second.uncertainty_rank, second.nearest) == (2, 2, 1)
     assert second.distance == pytest.approx(3 * third.distance)
     assert (third.scan, third.nearest) == (0, 1)
+    features, weights = pool(6, seed=3)
+    assert sorted(order(features, weights, 6)) == list(range(6))
+    assert order(features, weights, 99) == order(features, weights, 6)
+    found = order(np.ones((5, 4)), [1, 3, 2, 3, 0], 5)
+    assert found == [1, 3, 2, 0, 4]
 
 
 @given(
@@ -90,14 +95,6 @@ def test_every_scan_once_and_equal_ones_last(points, count, data):
     assert distinct == min(count, len(set(points)))
     # A distance of 0 begins when nothing new is left.
     assert [choice.distance != 0 for choice in found] == [i < distinct for i in range(len(found))]
-
-
-def test_more_than_there_are_and_all_equal():
-    features, weights = pool(6, seed=3)
-    assert sorted(order(features, weights, 6)) == list(range(6))
-    assert order(features, weights, 99) == order(features, weights, 6)
-    found = order(np.ones((5, 4)), [1, 3, 2, 3, 0], 5)
-    assert found == [1, 3, 2, 0, 4]
 
 
 def test_labelled_scans_count_as_chosen_and_are_not_chosen_again():

@@ -43,12 +43,16 @@ def test_the_estimate_is_a_share_within_its_interval(confidences, deviation):
     assert estimate.scans == len(confidences)
 
 
-def test_the_mean_confidence_of_the_usual_scans_decides():
+def test_the_mean_confidence_of_usual_scans_of_one_sensor_decides():
     confidences = {"a": 0.8, "b": 0.6, "c": 0.1}
     estimate = expected_accuracy(LINE, confidences, {"tilted": ["c"], "part-of-circle": ["a"]})
     assert estimate.accuracy == pytest.approx(0.7, abs=1e-4)
     assert estimate.interval == pytest.approx((0.6, 0.8), abs=1e-4)
     assert (estimate.scans, estimate.withheld) == (2, {"tilted": 1})
+    estimate = expected_accuracy(LINE, {"a": 0.8, "b": 0.8}, {"mixed-sensors": ["b"]})
+    assert (estimate.accuracy, estimate.withheld) == (None, {"mixed-sensors": 1})
+    assert expected_accuracy(None, {"a": 0.8}, {}) is None
+    assert expected_accuracy(LINE, {}, {}) is None
 
 
 @pytest.mark.parametrize("code", WITHHELD_FOR)
@@ -60,13 +64,3 @@ def test_nothing_is_estimated_for_scans_unlike_the_labelled_drives(code):
         "scans": 0,
         "withheld": {code: 1},
     }
-
-
-def test_one_scan_of_another_sensor_forbids_the_estimate_of_the_run():
-    estimate = expected_accuracy(LINE, {"a": 0.8, "b": 0.8}, {"mixed-sensors": ["b"]})
-    assert (estimate.accuracy, estimate.withheld) == (None, {"mixed-sensors": 1})
-
-
-def test_without_a_line_or_scans_there_is_no_estimate():
-    assert expected_accuracy(None, {"a": 0.8}, {}) is None
-    assert expected_accuracy(LINE, {}, {}) is None

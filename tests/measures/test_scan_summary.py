@@ -68,9 +68,7 @@ def test_a_class_of_nearly_the_whole_scan_is_doubted(count, share, codes):
 def test_warnings_do_not_depend_on_the_order_of_the_scans(order):
     scans = []
     for number in range(6):
-        codes = [
-            code for place, code in enumerate(("tilted", "height", "of-3")) if number % 3 > place
-        ]
+        codes = ("tilted", "height", "of-3")[: number % 3]
         findings = tuple(Finding(code, f"{code} of {number}", "turn it") for code in codes)
         file = ScanFile("08", f"{number}", Path("scan.bin"))
         scans.append(ScanSummary(file, ScanCheck(findings)))
@@ -163,26 +161,20 @@ def test_a_truncated_or_thinned_scan_is_of_the_same_sensor(part, share):
         assert mixed(traits(scan), traits(part(scan, share))) == {}
 
 
-def test_small_scans_of_two_sensors_are_mixed_with_a_large_one():
+def test_small_scans_of_two_sensors_are_mixed_and_different_fits_not_compared():
     small, other = (traits(thinned(scan_of(n, 0), 0.2)) for n in ("of-16", "wide"))
     large = traits(scan_of("dense", 0))
     assert len(mixed(large, small, other)) == 2
     assert len({*groups_of([large, small, other])}) == 3
-
-
-def test_scans_of_different_fits_are_not_compared():
     assert mixed(OF["of-16"][0], traits(scan_of("of-64", 0), replace(SMALL, fov_up=20.0))) == {}
 
 
-def test_intensities_of_two_scales_are_mixed():
+def test_intensities_of_two_scales_are_mixed_but_not_those_of_a_wet_road():
     usual, in_bytes, none = (replace(OF["of-64"][0], bright=b) for b in (0.5, 130.0, 0.0))
     ((file, finding),) = mixed(usual, usual, in_bytes, none).items()
     assert file.stem == "000002"
     assert "130)" in finding.problem
-
-
-def test_scans_of_one_sensor_may_differ_in_brightness_as_on_a_wet_road():
-    """The factor is the largest of one real sensor; scales differ by 100 or more."""
+    # The factor is the largest of one real sensor; scales differ by 100 or more.
     dry, wet = (replace(OF["of-64"][0], bright=bright) for bright in (0.247, 0.043))
     assert groups_of([dry, wet]) == [0, 0]
 

@@ -67,7 +67,7 @@ def _same(share, part, whole):
     return share == pytest.approx(part / whole, abs=1e-12) if whole else math.isnan(share)
 
 
-def test_accuracy_and_means_of_points_predicted_unlabelled_and_of_absent_classes():
+def test_accuracy_and_means_of_unlabelled_points_and_of_absent_and_frequent_classes():
     result = of([(1, 1), (1, 0), (2, 2), (2, 3)])
     assert [c.iou for c in result.classes] == [0.5, 0.5, 0]
     assert result.accuracy == 0.5
@@ -76,9 +76,6 @@ def test_accuracy_and_means_of_points_predicted_unlabelled_and_of_absent_classes
     # An absent class that is predicted has an IoU of 0, which the mean of those present ignores.
     assert result.iou_mean_present == 0.5
     assert result.iou_mean_official == pytest.approx(1 / 3)
-
-
-def test_the_mean_of_frequent_classes_is_that_of_at_least_500_points():
     # The tree has one point too few.
     truth, predicted = np.repeat([1, 2, 2, 3], [500, 500, 250, 499]), np.repeat(1, 1749)
     predicted[750:1000], predicted[1000:] = 2, 3
@@ -92,10 +89,8 @@ def test_the_mean_of_frequent_classes_is_that_of_at_least_500_points():
 def test_the_official_text_is_sorted_yaml_with_every_digit():
     text = of([(1, 1), (1, 2), (1, 3), (2, 2)]).official_yaml()
     # 10⁻¹⁵ in the denominator shows where points are few.
-    assert text.splitlines()[:2] == [
-        f"accuracy_mean: {2 / (4 + 1e-15)}",
-        f"iou_car: {1 / (3 + 1e-15)}",
-    ]
+    first = [f"accuracy_mean: {2 / (4 + 1e-15)}", f"iou_car: {1 / (3 + 1e-15)}"]
+    assert text.splitlines()[:2] == first
     assert f"{2 / (4 + 1e-15)}" != "0.5"
     assert list(yaml.safe_load(text)) == sorted(yaml.safe_load(text))
     assert yaml.safe_load(text)["iou_on: road"] == pytest.approx(0.5)

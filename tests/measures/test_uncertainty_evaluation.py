@@ -88,9 +88,8 @@ def test_risk_and_sparsification_are_those_of_a_slow_loop(points):
     assert result.excess_aurc == pytest.approx(mean(risks) - mean(best), abs=1e-12)
     counts = of(*zip(*points, strict=True)).counts
     coverage = np.arange(1, len(points) + 1) / len(points)
-    np.testing.assert_allclose(
-        risk_coverage(*counts, coverage)[0], np.array(risks, float), atol=1e-12
-    )
+    found = risk_coverage(*counts, coverage)[0]
+    np.testing.assert_allclose(found, np.array(risks, float), atol=1e-12)
     if not result.wrong:
         assert math.isnan(result.ause)
         return
@@ -229,9 +228,8 @@ def test_log_likelihood_and_brier_are_those_of_scikit_learn(seed):
     of_truth = clamped[np.arange(len(truth)), truth]
     pairs = np.stack([1 - of_truth, of_truth], axis=1)
     expected = log_loss(np.ones(len(truth)), pairs, labels=[0, 1])
-    assert calibration_scores(confidence_histogram(probabilities, truth)).nll == pytest.approx(
-        expected, rel=1e-12
-    )
+    scores = calibration_scores(confidence_histogram(probabilities, truth))
+    assert scores.nll == pytest.approx(expected, rel=1e-12)
 
 
 @SEEDS
@@ -245,15 +243,12 @@ def test_errors_are_those_of_a_slow_loop(seed, scale):
     assert of_ten_bins.error == pytest.approx(slow_error(probabilities, truth, 10))
 
 
-def test_a_probability_of_0_costs_as_much_as_the_smallest_float16():
+def test_a_probability_of_0_costs_as_much_as_the_smallest_float16_and_none_nothing():
     probabilities = np.array([[1, 0, 0, 0]], np.float16)
     result = calibration_scores(confidence_histogram(probabilities, np.array([1])))
     assert result.nll == pytest.approx(24 * math.log(2))
     assert result.brier == 2
     assert result.ece == 1
-
-
-def test_points_without_a_softmax_are_skipped():
     probabilities, truth = softmax(1)
     some = probabilities.copy()
     some[::2] = np.nan

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from scans import lively
+from scans import lively, refused
 
 from salsanext_cli import load_network
 from salsanext_cli.errors import OutputError, WeightsError
@@ -94,9 +94,7 @@ def test_files_that_are_no_checkpoints(tmp_path):
         ({"state_dict": {"unheard.of.weight": torch.zeros(1)}}, "unheard.of.weight"),
     ):
         path = save(tmp_path / "SalsaNext", content)
-        with pytest.raises(WeightsError) as caught:
-            read_published(path)
-        assert caught.value.subject == str(path)
+        caught = refused(WeightsError, path, read_published, path)
         assert part in caught.value.problem
 
 
@@ -157,9 +155,7 @@ def test_rubbish_is_refused(tmp_path, content):
     path = tmp_path / "SalsaNext"
     cut_off = save(path, {"state_dict": FEW}).read_bytes()[:-300]
     path.write_bytes(cut_off if content is None else content)
-    with pytest.raises(WeightsError) as caught:
-        read_published(path)
-    assert caught.value.subject == str(path)
+    refused(WeightsError, path, read_published, path)
 
 
 def test_a_damaged_length_reserves_no_memory(tmp_path):
@@ -191,10 +187,8 @@ def test_ours_are_stored_again_in_half_the_size(weights, tmp_path):
 def test_an_existing_target_is_replaced_only_by_overwriting(checkpoint, tmp_path):
     target = tmp_path / "w.safetensors"
     target.write_bytes(b"precious")
-    for refused in (target, tmp_path / "w.pt"):
-        with pytest.raises(OutputError) as caught:
-            import_weights(checkpoint, refused)
-        assert caught.value.subject == str(refused)
+    for existing in (target, tmp_path / "w.pt"):
+        refused(OutputError, existing, import_weights, checkpoint, existing)
     assert target.read_bytes() == b"precious"
     import_weights(checkpoint, target, overwrite=True)
     assert read_weights(target)

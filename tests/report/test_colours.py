@@ -44,7 +44,7 @@ SPACE = label_space()
 CAR, ROAD = SPACE.names.index("car"), SPACE.names.index("road")
 
 
-def test_values_have_the_colours_of_the_map():
+def test_values_have_the_colours_of_the_map_by_equal_steps_between_marks():
     values = np.array([-9.0, 1.0, 2.0, 3.0, np.inf, np.nan])
     colours = value_colours(values, 1.0, 3.0, colour_map=map_colours("viridis"))
     viridis = matplotlib.colormaps["viridis"]
@@ -53,9 +53,6 @@ def test_values_have_the_colours_of_the_map():
     in_pictures = [*on_dark(expected), EMPTY]
     np.testing.assert_array_equal(value_colours(values, 1.0, 3.0), in_pictures)
     assert value_colours(np.array([2.0, 2.0]), 2.0, 2.0).shape == (2, 3)
-
-
-def test_marks_of_a_scale_are_at_equal_steps_of_the_map():
     values = np.array([0.01, 0.02, 0.35, 1.0, 9.0, np.nan])
     colours = value_colours(values, 0.0, 0.02, 0.2, 0.5, 1.0, 2.0, 3.0)
     steps = np.rint(np.array([0.5, 1, 2.5, 4, 6]) / 6 * 255).astype(int)
@@ -117,15 +114,12 @@ def test_classes_differ_clearly_in_pictures(name):
         assert np.linalg.norm(colours[name] - original[name]) < 25
 
 
-def test_classes_of_one_colour_get_colours_that_differ_clearly():
+def test_classes_of_one_colour_get_others_and_those_of_another_label_space_stay():
     colours = screen_of(np.zeros((17, 3))).astype(int)
     assert len(colours) == 17
     for first, second in combinations(colours, 2):
         assert np.linalg.norm(first - second) > 30
-
-
-def test_colours_of_another_label_space_stay():
-    """Only classes of SemanticKITTI get its colours for dark backgrounds."""
+    # Only classes of SemanticKITTI get its colours for dark backgrounds.
     person_and_car = SPACE.colours[[SPACE.names.index("person"), CAR]]
     renamed = {i: f"other {name}" for i, name in SPACE.labels.items()}
     colours = screen_colours(replace(SPACE, labels=renamed, colours=person_and_car))
@@ -150,20 +144,18 @@ def pixels(png: bytes) -> np.ndarray:
     return (imread(BytesIO(png))[:, :, :3] * 255).round().astype(int)
 
 
-def test_cells_are_as_dark_as_the_share_of_the_row():
+def test_cells_are_as_dark_as_the_share_of_the_row_with_any_points_and_names():
     picture = pixels(confusion_picture(counts(), SPACE))
 
     def cell(truth, predicted):
-        return picture[30 + (truth - 1) * CELL_PX + 5, NAMES_PX + predicted * CELL_PX + 5].sum()
+        row, column = 30 + (truth - 1) * CELL_PX, NAMES_PX + predicted * CELL_PX
+        return picture[row + 5, column + 5].sum()
 
     assert cell(CAR, CAR) < cell(ROAD, ROAD) < cell(CAR, ROAD)
     # The row of an absent class is grey from end to end.
     grey = picture[30 + 5 * CELL_PX + 5, NAMES_PX + 5]
     assert grey.max() - grey.min() < 10
     assert cell(6, 3) == cell(6, 6) < cell(CAR, ROAD)
-
-
-def test_without_points_and_with_any_names_there_is_a_picture():
     space = small_space("none", "$\\frac{$ [b]", "Straße")
     some = confusion_matrix(np.array([1, 2]), np.array([1, 1]), 3)
     for confusion in (np.zeros_like(some), some):

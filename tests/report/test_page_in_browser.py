@@ -28,92 +28,14 @@ pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs chromium: make t
 COUNT = 1500
 STEMS = ("000000", "000001")
 RESULT = re.compile(r"RESULT (\{.*\})\"")
-PROBE = """<script>
-{
-const shown = () => +document.documentElement.dataset.shown;
-const result = { shown: shown(), summary: byId("summary").textContent };
-const picture = () => {
-  view.draw();
-  const { gl } = view, { width, height } = gl.canvas;
-  const pixels = new Uint8Array(4 * width * height);
-  gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
-  return new Set(new Uint32Array(pixels.buffer));
-};
-const change = (id, value, name) => {
-  byId(id).value = value;
-  byId(id).dispatchEvent(new Event(name));
-};
-const legend = () => [...byId("legend").children];
-const at = (target, name, x, y) => target.dispatchEvent(
-  new PointerEvent(name, { clientX: x, clientY: y, bubbles: true, pointerId: 1 }));
-(async () => {
-  result.state = [byId("scan").value, byId("colour").value, byId("by").value, byId("size").value];
-  result.colours = Object.fromEntries([...byId("colour").options].map(({ value }) => {
-    change("colour", value, "change");
-    return [value, picture().size];
-  }));
-  change("colour", "label", "change");
-  byId("all").click();
-  result.boxed = ["wrong", "label"].map(colour => {
-    change("colour", colour, "change");
-    const boxed = picture().size;
-    byId("boxes").click();
-    const without = picture().size;
-    byId("boxes").click();
-    return boxed - without;
-  });
-  result.all = shown();
-  result.legend = legend().map(button => button.textContent);
-  legend()[0].click();
-  result.pressed = legend()[0].getAttribute("aria-pressed");
-  await new Promise(done => setTimeout(done, 300));
-  result.without = [shown(), picture().size, location.hash];
-  legend()[1].dispatchEvent(new MouseEvent("dblclick"));
-  result.alone = shown();
-  byId("all").click();
-  change("by", "entropy", "change");
-  change("above", 64, "input");
-  result.below = [shown(), byId("above-value").textContent];
-  data.scales.error = { marks: [0, 0.1, 1], unit: "" };
-  result.marks = [0, 127, 254].map(byte => valueOf("error", byte));
-  byId("all").click();
-  view.azimuth = 0; view.elevation = 89; view.draw();
-  const m = view.matrix(), [x, y, z] = view.place(700);
-  const canvas = byId("cloud"), box = canvas.getBoundingClientRect();
-  const row = i => m[i] * x + m[4 + i] * y + m[8 + i] * z + m[12 + i];
-  const px = (row(0) / row(3) + 1) / 2 * box.width;
-  const py = (1 - row(1) / row(3)) / 2 * box.height;
-  result.picked = view.pick(px, py);
-  at(canvas, "pointermove", box.left + px, box.top + py);
-  await new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)));
-  const point = byId("point");
-  result.hover = [point.hidden, point.textContent, +document.documentElement.dataset.point];
-  const before_hiding = point.hidden, label = cloud.values.label[result.picked];
-  const button = legend().find(entry => entry.textContent.startsWith(data.classes[label].name));
-  button.click();
-  result.hidden = [before_hiding, point.hidden, view.marked];
-  button.click();
-  const stage = byId("full").closest("#stage");
-  const controls = ["cloud", "play", "colour", "above", "legend"];
-  stage.requestFullscreen = () => { result.full = controls.every(id => stage.contains(byId(id))); };
-  byId("full").click();
-  const before = view.azimuth;
-  canvas.dispatchEvent(new KeyboardEvent("keydown", { key: "ArrowLeft" }));
-  result.turned = view.azimuth - before;
-  result.pixels = Array.from({ length: cloud.shown }, (_, i) => pixelOf(i))
-    .every((pixel, i) => pixel < 0 || (cloud.first[pixel] <= i && i < cloud.first[pixel + 1]));
-  const strip = byId("strip"), area = strip.getBoundingClientRect(), pixel = pixelOf(700);
-  at(strip, "pointermove", area.left + (pixel % cloud.width + 0.5) * area.width / cloud.width,
-    area.top + (Math.floor(pixel / cloud.width) + 0.5) * area.height / cloud.height);
-  result.strip = [cloud.first[pixel], +document.documentElement.dataset.point];
-  byId("columns").dispatchEvent(new KeyboardEvent("keydown", { key: "End" }));
-  byId("columns").dispatchEvent(new KeyboardEvent("keydown", { key: "Enter" }));
-  result.opened = [cloud.name, byId("column").textContent];
-  result.fetched = performance.getEntriesByType("resource").length;
-  console.log("RESULT " + JSON.stringify(result));
-})();
-}
-</script>"""
+
+
+def script(name: str) -> str:
+    """Return the element of a script that a test adds to a page."""
+    return f"<script>{Path(__file__).with_name(name).read_text('utf-8')}</script>"
+
+
+PROBE, LIVE_PROBE = script("page_probe.js"), script("live_page_probe.js")
 
 
 @pytest.fixture
@@ -134,55 +56,6 @@ def world(tmp_path):
     settings = {"label_space": SPACE.to_dict(), "sensor": SMALL.to_dict()}
     Manifest(world.out).write(StageRecord("predict", settings, ("predictions",)))
     return world
-
-
-LIVE_PROBE = """<script>
-(async () => {
-  const soon = () => new Promise(done => setTimeout(done, 20));
-  const until = async there => { while (!there()) await soon(); };
-  const change = (id, value, name) => {
-    byId(id).value = value;
-    byId(id).dispatchEvent(new Event(name));
-  };
-  const played = async () => {
-    result.from = [];
-    byId("play").click();
-    result.playing = byId("play").textContent;
-    await until(() => byId("play").textContent === "play");
-  };
-  const result = { early: view.pick(100, 100), from: [] };
-  byId("strip").dispatchEvent(new PointerEvent("pointermove", { clientX: 1, clientY: 1 }));
-  await until(() => cloud);
-  Object.assign(result, { first: cloud.name, left: document.documentElement.dataset.shown });
-  view.show = (old => cloud => { result.from.push(cloud.name); old.call(view, cloud); })(view.show);
-  await played();
-  result.unread = byId("unread").textContent;
-  result.played = [[...result.from], cloud.name, byId("place").value];
-  result.column = byId("column").textContent;
-  for (const place of [0, 1, 3, 0]) change("place", place, "input");
-  await until(() => cloud.name === "08/000000");
-  result.summary = byId("summary").textContent;
-  result.legend = byId("legend").children[0];
-  change("scan", 1, "change");
-  await until(() => cloud.name === "08/000001");
-  result.legend = result.legend === byId("legend").children[0];
-  byId("play").click();
-  change("scan", 0, "change");
-  await until(() => cloud.name === "08/000000");
-  await new Promise(done => setTimeout(done, 500));
-  result.chosen = [cloud.name, byId("play").textContent];
-  byId("columns").dispatchEvent(new KeyboardEvent("keydown", { key: "End" }));
-  byId("columns").dispatchEvent(new KeyboardEvent("keydown", { key: "Enter" }));
-  await until(() => cloud.name === "08/000003");
-  result.colours = [...byId("colour").options].map(option => option.value);
-  change("scan", 2, "change");
-  await until(() => byId("scan").value === "3");
-  result.failed = [byId("summary").textContent, cloud.name];
-  const paths = performance.getEntriesByType("resource").map(entry => new URL(entry.name).pathname);
-  result.fetched = paths.map(path => path.split("/").pop());
-  console.log("RESULT " + JSON.stringify(result));
-})();
-</script>"""
 
 
 def console_of(page: str, tmp_path: Path) -> str:

@@ -11,7 +11,7 @@ import pytest
 from evaluated import small_space
 from hypothesis import example, given
 from hypothesis import strategies as st
-from scans import SMALL, make_scan
+from scans import SMALL, make_scan, refused
 
 from salsanext_cli import Scan, label_space, project
 from salsanext_cli.errors import FormatError, UsageError
@@ -43,10 +43,14 @@ def row(stem, confusion=None, sequence="00", **uncertainty):
     return ScanRow(file, 10, np.array([0, 5, 5]), uncertainty, matrix)
 
 
-def test_the_share_of_wrong_points_counts_judged_points_only():
+def test_wrong_points_are_judged_ones_and_the_error_leads_before_the_entropy():
     assert row("a", [[0, 0, 0], [1, 3, 0], [0, 2, 4]]).wrong == pytest.approx(3 / 10)
     assert math.isnan(row("a").wrong)
     assert math.isnan(row("a", np.zeros((3, 3), int)).wrong)
+    rows = [row("1", entropy=1.0), row("2", error=0.5)]
+    assert leading_kind(rows) == "error"
+    assert leading_kind(rows[:1]) == "entropy"
+    assert leading_kind([row("3")]) is None
 
 
 def test_most_uncertain_most_wrong_and_worst_class_are_chosen():
@@ -64,13 +68,6 @@ def test_most_uncertain_most_wrong_and_worst_class_are_chosen():
     assert sorted(chosen.values())[0] == "at random"
     assert len(chosen) == 4
     assert chosen == notable_scans(rows, SPACE)
-
-
-def test_the_error_leads_before_the_entropy():
-    rows = [row("1", entropy=1.0), row("2", error=0.5)]
-    assert leading_kind(rows) == "error"
-    assert leading_kind(rows[:1]) == "entropy"
-    assert leading_kind([row("3")]) is None
 
 
 def test_scans_are_named_by_sequence_and_stem_or_by_the_stem_alone():
@@ -140,9 +137,7 @@ def test_boxes_are_read_from_the_table_or_it_is_refused(tmp_path):
     assert read_boxes(path, space) == [[car, 1, 2, 3, 4, 2, 1.5, -0.5], [0, 0, 0, 0, 1, 1, 1, 0]]
     for damaged in ("1,car,12,1,2,3,4,2,1.5,nan", "1,car,12,1,2", "1,car,12,1,2,3,4,2,1.5,wide"):
         path.write_text(head + damaged)
-        with pytest.raises(FormatError) as caught:
-            read_boxes(path, space)
-        assert caught.value.subject == str(path)
+        refused(FormatError, path, read_boxes, path, space)
 
 
 SEMANTIC_KITTI = label_space()
@@ -216,7 +211,7 @@ def test_values_come_back_on_their_scale_and_none_stays_none():
         assert (np.abs(back - wanted[known]) <= 0.5 * step * (len(marks) - 1) / 254 + 1e-6).all()
 
 
-def test_classes_are_train_ids_and_wrong_points_are_two():
+def test_classes_are_train_ids_wrong_points_two_and_unmeasured_ones_skipped():
     scan = Scan(np.array([[1, 0, 0], [2, 1, 0], [3, -1, 0]], np.float32), np.zeros(3, np.float32))
     raw = np.array([10, 40, 10], np.uint32), np.array([10, 10, 0], np.uint32)
     one = shown(scan, label=raw[0], truth=raw[1])
@@ -225,9 +220,6 @@ def test_classes_are_train_ids_and_wrong_points_are_two():
     assert values["label"].tolist() == np.array([1, 9, 1])[order].tolist()
     assert values["truth"].tolist() == np.array([1, 1, 0])[order].tolist()
     assert values["wrong"].tolist() == np.array([1, 2, 0])[order].tolist()
-
-
-def test_points_without_a_measurement_or_too_far_are_skipped():
     scan = make_scan(50)
     points = scan.points.copy()
     points[3], points[4], points[5, 0] = np.nan, np.inf, 1e8

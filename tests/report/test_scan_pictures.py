@@ -12,16 +12,6 @@ from salsanext_cli import Scan, label_space
 from salsanext_cli.report import scan_pictures
 from salsanext_cli.report.canvas import MARGIN_PX
 from salsanext_cli.report.colours import EMPTY, WRONG, screen_colours
-from salsanext_cli.report.scan_pictures import (
-    HEAD_PX,
-    NARROW_PX,
-    STRIP_HEIGHT_PX,
-    VIEW_TITLE_PX,
-    WIDTH_PX,
-    picture_of_results,
-    raster,
-    scan_picture,
-)
 from salsanext_cli.results.result_folder import ScanResults
 
 RED, GREEN = (255, 0, 0), (0, 255, 0)
@@ -45,10 +35,10 @@ def test_views_are_side_by_side():
         title: np.full((5000, 3), colour, np.uint8)
         for title, colour in {"truth": RED, "prediction": GREEN}.items()
     }
-    drawn = pixels(scan_picture("00/1", points, views, (), [("car", (1, 2, 250))]))
-    assert drawn.shape[1] == WIDTH_PX + 2 * MARGIN_PX
-    size = (WIDTH_PX - MARGIN_PX) // 2
-    top = HEAD_PX + VIEW_TITLE_PX
+    drawn = pixels(scan_pictures.scan_picture("00/1", points, views, (), [("car", (1, 2, 250))]))
+    assert drawn.shape[1] == scan_pictures.WIDTH_PX + 2 * MARGIN_PX
+    size = (scan_pictures.WIDTH_PX - MARGIN_PX) // 2
+    top = scan_pictures.HEAD_PX + scan_pictures.VIEW_TITLE_PX
     body = drawn[top : top + size].astype(int)
     starts = (MARGIN_PX, 2 * MARGIN_PX + size)
     for start, channel, other in zip(starts, (0, 1), (1, 0), strict=True):
@@ -71,13 +61,14 @@ def results():
 
 def draw(results, *colours, strips=None, scales=None):
     strips = colours if strips is None else strips
-    return picture_of_results("08/1", results, SPACE, SMALL, scales or {}, colours, strips)
+    given = ("08/1", results, SPACE, SMALL, scales or {}, colours, strips)
+    return scan_pictures.picture_of_results(*given)
 
 
 def test_pictures_show_the_classes_of_the_scan(results):
     of_class = dict(zip(SPACE.names, map(tuple, screen_colours(SPACE).tolist()), strict=True))
     drawn = pixels(draw(results, "label"))
-    assert drawn.shape[1] == NARROW_PX + 2 * MARGIN_PX
+    assert drawn.shape[1] == scan_pictures.NARROW_PX + 2 * MARGIN_PX
     for name in ("car", "sidewalk"):
         assert count(drawn, of_class[name]) > 2000
     assert not count(drawn, of_class["road"])
@@ -95,7 +86,7 @@ def test_strips_of_values_have_their_scale(results):
     assert near != far
     assert near == draw(results, "entropy", scales={"entropy": (0, 1)})
     with_strip, alone = pixels(near), pixels(draw(results, "entropy", strips=()))
-    assert with_strip.shape[0] - alone.shape[0] > STRIP_HEIGHT_PX
+    assert with_strip.shape[0] - alone.shape[0] > scan_pictures.STRIP_HEIGHT_PX
 
 
 @pytest.mark.parametrize("points", [np.zeros((0, 3)), np.full((5, 3), np.nan), np.zeros((5, 3))])
@@ -103,15 +94,14 @@ def test_a_scan_without_a_measurement(points):
     count = len(points)
     labels = np.zeros(count, np.uint32)
     scan = Scan(points.astype(np.float32), np.zeros(count, np.float32))
-    known = ScanResults(
-        scan, labels, labels, {"entropy": np.full(count, np.nan, np.float32)}, SMALL
-    )
+    entropy = np.full(count, np.nan, np.float32)
+    known = ScanResults(scan, labels, labels, {"entropy": entropy}, SMALL)
     assert draw(known, "label", "wrong", "entropy", "range").startswith(b"\x89PNG")
 
 
 def seen(points, colours, **how):
     points, colours = np.array(points, np.float32), np.array(colours, np.uint8)
-    return raster(points, colours, reach=10, size=20, **how)
+    return scan_pictures.raster(points, colours, reach=10, size=20, **how)
 
 
 def test_forward_is_up_and_left_is_left():
@@ -150,5 +140,5 @@ def test_a_picture_from_above_is_as_wide_as_the_scan(farthest, reach, monkeypatc
     points = np.zeros((1000, 3), np.float32)
     points[:700, 1] = np.linspace(0.1, farthest, 700)
     points[0, 0], points[1] = 80, np.nan  # A far point, and one without a measurement
-    scan_picture("", points, {"": np.zeros((1000, 3), np.uint8)})
+    scan_pictures.scan_picture("", points, {"": np.zeros((1000, 3), np.uint8)})
     assert drawn == [reach]

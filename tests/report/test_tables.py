@@ -82,21 +82,16 @@ def tables_of(calibration=None, **kinds):
     return uncertainty_tables(UncertaintyEvaluation(calibration, kinds))
 
 
-def test_a_row_of_calibration_and_one_for_each_kind():
+def test_a_row_of_calibration_and_one_for_each_kind_with_dashes_where_undefined():
     kinds = {"epistemic": ranked(0.1, 0.2, 0.4), "total": ranked(0.4, 0.4)}
     assert printed(*tables_of(calibration_result([1, 1, 2, 2]), **kinds)) == [
         ["softmax", "0.837", "0.625", "25.00", "25.00", "1", "4"],
         ["epistemic", "100.0", "100.0", "11.11", "33.3", "3"],
         ["total", "50.0", "50.0", "50.00", "50.0", "2"],
     ]
-
-
-def test_undefined_scores_are_dashes_and_absent_results_have_no_table():
     tables = tables_of(calibration_result([]), mutual_information=ranked())
-    assert printed(*tables) == [
-        ["softmax", *"––––", "0", "0"],
-        ["mutual_information", *"––––", "0"],
-    ]
+    rows = [["softmax", *"––––", "0", "0"], ["mutual_information", *"––––", "0"]]
+    assert printed(*tables) == rows
     assert tables_of() == []
     assert [len(tables_of(calibration_result([1]))), len(tables_of(total=ranked(0.1)))] == [1, 1]
 
@@ -120,9 +115,8 @@ def tables_of_a_large_data_set(weights):
     described = describe_weights(weights)
     card = replace(described.card, scores={"iou_other-vehicle": 0.5})
     yield card_table(replace(described, card=card))
-    survey = Survey(
-        4071, 4071, MANY, MANY, 117_000, 131_072, 119.9, 255, classes=Counter({10: MANY})
-    )
+    numbers = (4071, 4071, MANY, MANY, 117_000, 131_072, 119.9, 255)
+    survey = Survey(*numbers, classes=Counter({10: MANY}))
     yield survey_tables({"2011_09_26_drive_0001": survey}, survey, space, SMALL)
     counts = [131_072] * 7
     yield imported_table([ImportedScan("08/000000", (), *counts[:-1], "scalar_Classification")])

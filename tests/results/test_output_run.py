@@ -76,7 +76,6 @@ def test_runs_of_the_same_settings_may_write_more(tmp_path: Path) -> None:
     predict(tmp_path, scans=scans[1:])
     assert files_below(tmp_path) == before
     record = Manifest(tmp_path).record("predict")
-    assert record is not None
     assert record.writes == ("pixel_labels", "predictions")
     assert {*record.scans["08"].suffixes} == {"a", "b"}
 
@@ -92,9 +91,7 @@ def test_runs_of_the_same_settings_may_write_more(tmp_path: Path) -> None:
 def test_other_settings_are_refused_and_named(tmp_path: Path, other, named: list[str]) -> None:
     predict(tmp_path)
     before = files_below(tmp_path)
-    with pytest.raises(OutputError) as caught:
-        predict(tmp_path, other)
-    assert caught.value.subject == str(tmp_path / "predict.json")
+    caught = refused(OutputError, tmp_path / "predict.json", predict, tmp_path, other)
     assert all(difference in caught.value.problem for difference in named)
     assert "--overwrite" in caught.value.hint
     assert files_below(tmp_path) == before
@@ -113,14 +110,10 @@ def test_overwriting_removes_what_was_written_with_other_settings(tmp_path: Path
     assert all(path.exists() for path in paths)
     predict(tmp_path / "out", {"weights": "new"}, scans=scans[:1], overwrite=True)
     assert not any(path.exists() for path in paths)
-    record = Manifest(tmp_path / "out").record("predict")
-    assert record is not None
-    assert {*record.scans["08"].suffixes} == {"a"}
+    assert {*Manifest(tmp_path / "out").record("predict").scans["08"].suffixes} == {"a"}
 
 
-def test_overwriting_does_not_remove_foreign_files(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_overwriting_does_not_remove_foreign_files(tmp_path, caplog):
     """They are a corrected label, results of others, notes, and a sequence behind a link."""
     out = tmp_path / "out"
     scans = scans_of(tmp_path, "a", "b")
@@ -140,8 +133,7 @@ def test_overwriting_does_not_remove_foreign_files(
     ) as output:
         assert output.foreign == {corrected}
         output.require_replaceable(scans[0])
-        with refused(OutputError, corrected):
-            output.require_replaceable(scans[1])
+        refused(OutputError, corrected, output.require_replaceable, scans[1])
     assert json.loads((out / "predict.json").read_text())["foreign"] == [
         str(path.relative_to(out)) for path in (linked, corrected, foreign)
     ]
@@ -164,8 +156,7 @@ def test_overwriting_does_not_remove_foreign_files(
 def test_results_of_another_stage_are_refused(tmp_path: Path) -> None:
     (path,) = predicted(tmp_path, scans_of(tmp_path, "a"))
     refine = (tmp_path, "knn-refine", {}, ["predictions"])
-    with refused(OutputError, tmp_path / "predict.json"):
-        begin_and_end(*refine)
+    refused(OutputError, tmp_path / "predict.json", begin_and_end, *refine)
     assert path.exists()
     begin_and_end(*refine, overwrite=True)
     assert Manifest(tmp_path).owner("predictions") == "knn-refine"
@@ -179,8 +170,7 @@ def test_results_that_no_stage_recorded(tmp_path: Path) -> None:
         path = out / "sequences/08" / folder / name
         path.parent.mkdir(parents=True)
         path.write_bytes(b"mine")
-        with refused(OutputError, path):
-            predict(out, folders=("predictions", folder), scans=scans)
+        refused(OutputError, path, predict, out, folders=("predictions", folder), scans=scans)
         output = predict(out, folders=("predictions", folder), scans=scans, overwrite=True)
         assert path in output.foreign
         assert path.read_bytes() == b"mine"
@@ -207,8 +197,7 @@ def test_an_infinite_setting_is_recorded_as_text(tmp_path: Path) -> None:
 def test_damaged_records_are_refused(tmp_path: Path, content: str) -> None:
     (tmp_path / "predict.json").write_text(content)
     for read in (predict, lambda folder: Manifest(folder).owner("predictions")):
-        with refused(OutputError, tmp_path / "predict.json"):
-            read(tmp_path)
+        refused(OutputError, tmp_path / "predict.json", read, tmp_path)
 
 
 def test_label_space_and_sensor_are_those_of_the_stage_that_wrote(tmp_path: Path) -> None:
@@ -216,7 +205,6 @@ def test_label_space_and_sensor_are_those_of_the_stage_that_wrote(tmp_path: Path
     assert (records.label_space(), records.sensor()) == (None, sensor("hdl64"))
     predict(tmp_path, {"label_space": space.to_dict(), "sensor": hdl32.to_dict()})
     recorded = records.label_space()
-    assert recorded is not None
     assert (recorded.to_dict(), records.sensor()) == (space.to_dict(), hdl32)
 
 
@@ -270,9 +258,7 @@ def test_records_contain_the_scans_of_all_runs(tmp_path: Path) -> None:
     stems = [f"{number:03d}" for number in range(40)]
     with ThreadPoolExecutor(8) as threads:
         list(threads.map(lambda s: predict(tmp_path, scans=scans_of(tmp_path, s)), stems))
-    record = Manifest(tmp_path).record("predict")
-    assert record is not None
-    assert {*record.scans["08"].suffixes} == {*stems}
+    assert {*Manifest(tmp_path).record("predict").scans["08"].suffixes} == {*stems}
 
 
 def test_old_temporary_files_are_removed(tmp_path: Path) -> None:
@@ -333,16 +319,14 @@ def test_workers_refuse_replaced_weights(world, tmp_path):
     output = OutputRun(world.out, folders=("predictions",))
     writer = LabelWriter(KnnParameters(), output, None)
     task = NetworkTask(partial(PredictJob, writer=writer), settings, network)
-    with refused(WeightsError, weights):
-        run_over_scans(task, find_scans(world.data), RunOptions(jobs=2))
+    refused(WeightsError, weights, run_over_scans, task, find_scans(world.data), RunOptions(jobs=2))
     assert labels_below(world.out) == {}
 
 
 def test_an_output_folder_that_is_deleted(world, tmp_path):
     """The deleted results do not count as done."""
     predict_scans(world.data, tmp_path / "whole", settings=world.network)
-    with refused(OutputError, world.out):
-        run(world, lambda: shutil.rmtree(world.out))
+    refused(OutputError, world.out, run, world, lambda: shutil.rmtree(world.out))
     with pytest.raises(OutputError):
         run(world)
     assert run(world, overwrite=True).done == 3

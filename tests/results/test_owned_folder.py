@@ -103,9 +103,7 @@ def test_many_threads_lose_no_line(written: OwnedFolder) -> None:
 
 
 @pytest.mark.parametrize("name", ["../victim", "{folder}/victim", "a/../../victim", "%2e./victim"])
-def test_lists_with_files_elsewhere_remove_nothing(
-    written: OwnedFolder, tmp_path: Path, name: str
-) -> None:
+def test_lists_with_files_elsewhere_remove_nothing(written, tmp_path, name):
     victim = tmp_path / "victim"
     victim.write_bytes(b"mine")
     state = victim.stat()

@@ -105,8 +105,7 @@ def test_sequences_are_chosen_by_name_or_number(dataset, names, expected) -> Non
 
 @pytest.mark.parametrize("name", ["9", "8.0", "-8", "x", "", "empty", ".hidden", "../08"])
 def test_a_missing_sequence_is_refused(dataset: Path, name: str) -> None:
-    with refused(NoInputError, dataset):
-        find_scans(dataset, ["08", name])
+    refused(NoInputError, dataset, find_scans, dataset, ["08", name])
 
 
 def test_exact_name_wins_over_number_and_text_beside_sequences_is_no_scan(tmp_path: Path) -> None:
@@ -122,8 +121,7 @@ def test_exact_name_wins_over_number_and_text_beside_sequences_is_no_scan(tmp_pa
 )
 def test_sources_without_scans_are_refused(tmp_path: Path, source: str) -> None:
     make(tmp_path / "folder", "notes.md", ".hidden.bin")
-    with refused(NoInputError, tmp_path / source):
-        find_scans(tmp_path / source)
+    refused(NoInputError, tmp_path / source, find_scans, tmp_path / source)
 
 
 @pytest.mark.parametrize(
@@ -169,8 +167,7 @@ def test_other_files_are_counted_once(tmp_path: Path, caplog) -> None:
 
 def test_two_scans_of_one_stem_are_refused(tmp_path: Path) -> None:
     make(tmp_path, "000000.bin", "000000.pcd", "000001.bin")
-    with refused(OutputError, f"{tmp_path.name}/000000"):
-        find_scans(tmp_path)
+    refused(OutputError, f"{tmp_path.name}/000000", find_scans, tmp_path)
 
 
 @pytest.mark.parametrize("folder", ["predictions", "uncertainty/entropy", "ply/label"])

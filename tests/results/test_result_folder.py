@@ -70,13 +70,6 @@ def test_an_output_folder_without_results_is_refused(tmp_path, name):
         ResultFolder(tmp_path / name).scans()
 
 
-def test_undecodable_names_are_recorded(tmp_path):
-    scans, out = find_scans(write_sequence(tmp_path / "Stra\udcdfe", ["a"])), tmp_path / "out"
-    begin_and_end(out, "predict", {}, ["pixel_labels"], scans)
-    write_array(out / "sequences/Stra\udcdfe/pixel_labels/a.npy", np.zeros((2, 2), np.uint8))
-    assert ResultFolder(out).scans() == scans
-
-
 def test_results_of_scans_that_were_not_asked_for_are_not_missing(world):
     scans = find_scans(world.data)
     ask(world, scans[1:2])
@@ -116,8 +109,7 @@ def test_the_predicted_file_is_chosen_among_files_of_its_stem(world, tmp_path, s
     for stem in "ab":
         write_ply(folder / f"{stem}.ply", dict.fromkeys("xyz", np.ones(5, np.float32)))
     write_array(folder / "a.npy", np.ones((5, 4)))
-    with refused(OutputError, "drive/a"):
-        find_scans(folder)
+    refused(OutputError, "drive/a", find_scans, folder)
     named = find_scans(folder / f"a{suffix}")
     ask(world, named)
     write_labels(world.out / "sequences/drive/predictions/a.label", np.zeros(5, np.uint32))
@@ -129,8 +121,7 @@ def test_the_predicted_file_is_chosen_among_files_of_its_stem(world, tmp_path, s
     assert not [scan for scan in ResultFolder(world.out).scans() if scan.stem == "a"]
     gone.rename(named[0].path)
     other = find_scans(folder / ("a.ply" if suffix == ".bin" else "a.bin"))
-    with refused(OutputError, world.out):
-        ask(world, other)
+    refused(OutputError, world.out, ask, world, other)
 
 
 def test_files_of_one_stem_are_refused_if_the_record_names_none(world, tmp_path):
@@ -179,14 +170,11 @@ def test_columns_of_all_results(world, file):
     np.testing.assert_allclose(cloud.range, np.sqrt((cloud.scan.points**2).sum(1)), rtol=1e-6)
 
 
-def test_wrong_is_one_zero_or_nan():
+def test_wrong_is_one_zero_or_nan_and_ranges_may_be_too_large_for_their_squares():
     truth = np.array([CAR, CAR, 0, MOVING_CAR, ROAD], np.uint32)
     label = np.array([CAR, ROAD, CAR, CAR, 0], np.uint32)
     wrong = ScanResults(make_scan(5), label, truth).wrong(SPACE)
     np.testing.assert_array_equal(wrong, np.float32([0, 1, np.nan, 0, 1]), strict=True)
-
-
-def test_ranges_too_large_for_their_squares():
     points = np.array([[3e30, 4e30, 0], [3e38, 3e38, 3e38], [np.nan, 0, 0]], np.float32)
     distance = ScanResults(Scan(points, np.zeros(3, np.float32))).range
     np.testing.assert_allclose(distance, [5e30, np.inf, np.nan], rtol=1e-6)

@@ -20,7 +20,7 @@ def test_presets_have_a_name_and_noise_and_survive_json(name: str) -> None:
     assert Sensor.from_dict(json.loads(json.dumps(preset.to_dict()))) == preset
 
 
-def test_impossible_sensors() -> None:
+def test_impossible_sensors_and_excessive_sizes_are_refused():
     for change in (
         {"fov_up": -25},
         {"fov_up": math.nan},
@@ -54,9 +54,6 @@ def test_impossible_sensors() -> None:
     ):
         with pytest.raises(UsageError, match="sensor"):
             Sensor.from_dict(VALID.to_dict() | change)
-
-
-def test_an_excessive_size_is_refused() -> None:
     assert VALID.resized() == VALID
     assert VALID.resized(height=32) == replace(VALID, height=32)
     assert VALID.resized(width=32768) == replace(VALID, width=32768)
@@ -66,7 +63,13 @@ def test_an_excessive_size_is_refused() -> None:
         VALID.resized(1 << 2000, 1 << 2000)
 
 
-def test_unknown_and_missing_keys() -> None:
+def test_file_and_its_unknown_and_missing_keys(tmp_path):
+    path = tmp_path / "mein sensor.toml"
+    path.write_text("fov_up = 10\nfov_down = -10.5\nheight = 16\nwidth = 900\n")
+    read = sensor(path)
+    assert read == Sensor("mein sensor", 10, -10.5, 16, 900)
+    path.write_text(path.read_text() + 'name = "eigen"\nmeans = [1, 2, 3, 4, 5]\n')
+    assert sensor(str(path)) == replace(read, name="eigen", means=(1, 2, 3, 4, 5))
     with pytest.raises(UsageError, match="fov_upp"):
         Sensor.from_dict(VALID.to_dict() | {"fov_upp": 3})
     with pytest.raises(UsageError, match="lacks fov_down, height"):
@@ -85,15 +88,6 @@ def test_columns_and_origin_are_written_if_stated(tmp_path: Path) -> None:
         (tmp_path / "valid.toml").write_text(stated.to_toml())
         assert sensor(tmp_path / "valid.toml") == stated
         assert Sensor.from_dict(json.loads(json.dumps(stated.to_dict()))) == stated
-
-
-def test_file(tmp_path: Path) -> None:
-    path = tmp_path / "mein sensor.toml"
-    path.write_text("fov_up = 10\nfov_down = -10.5\nheight = 16\nwidth = 900\n")
-    read = sensor(path)
-    assert read == Sensor("mein sensor", 10, -10.5, 16, 900)
-    path.write_text(path.read_text() + 'name = "eigen"\nmeans = [1, 2, 3, 4, 5]\n')
-    assert sensor(str(path)) == replace(read, name="eigen", means=(1, 2, 3, 4, 5))
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scans import SMALL, write_bin, write_sequence
+from scans import SMALL, refused, write_bin, write_sequence
 
 from salsanext_cli import Scan, read_scan
 from salsanext_cli.errors import FormatError
@@ -79,9 +79,7 @@ def test_doubtful_scans_are_named_by_both(dataset, caplog, changes, codes):
 
 def test_scans_in_millimetres_are_not_trained_on(dataset):
     change(dataset, scale=1000.0, sequence="08", stem="0")
-    with pytest.raises(FormatError) as refused:
-        trained(dataset)
-    assert refused.value.subject == str(dataset / "sequences/08/velodyne/0.bin")
+    refused(FormatError, dataset / "sequences/08/velodyne/0.bin", trained, dataset)
     assert not (dataset.parent / "run/train.json").exists()
     (failure,) = inspect(dataset, sensor=SMALL).failures
     assert (failure.scan.name, failure.code) == ("08/0", "format")
@@ -92,9 +90,8 @@ def test_scans_are_checked_with_the_fitted_sensor(dataset):
     assert {*by_code(inspect(dataset, sensor=upwards).warnings)} == {"out-of-view"}
     assert inspect(dataset, sensor=upwards, fit=True).warnings == []
     change(dataset, brighter=0.0)
-    assert by_code(inspect(dataset, sensor=upwards, fit=True).warnings) == {
-        "no-intensity": ["00/1"]
-    }
+    warnings = inspect(dataset, sensor=upwards, fit=True).warnings
+    assert by_code(warnings) == {"no-intensity": ["00/1"]}
 
 
 def test_sequences_of_two_sensors(dataset):

@@ -48,10 +48,9 @@ def test_scans_of_several_sequences_are_pooled(world):
 
 
 def test_unknown_ids_are_counted_as_unlabelled(world, caplog):
-    world.add(
-        "000000", [CAR, CAR, UNKNOWN | 5 << 16, *[ROAD] * 8], [CAR, UNKNOWN, CAR, *[ROAD] * 8]
-    )
-    world.add("000001", [CAR, UNKNOWN, *[ROAD] * 8], [65535, CAR, *[ROAD] * 8])
+    road = [ROAD] * 8
+    world.add("000000", [CAR, CAR, UNKNOWN | 5 << 16, *road], [CAR, UNKNOWN, CAR, *road])
+    world.add("000001", [CAR, UNKNOWN, *road], [65535, CAR, *road])
     with caplog.at_level(logging.WARNING):
         evaluation = world.evaluate()
     assert evaluation.counts.unknown_truth == {UNKNOWN: 2}
@@ -66,8 +65,7 @@ def test_ids_of_something_else_are_refused(world):
     """A few of nuScenes' ids are SemanticKITTI's of other things; so are a few train ids."""
     nuscenes, right = [24, 24, 28, 28, 30, 17, 0], [ROAD, ROAD, CAR, CAR, CAR, CAR, 0]
     world.add("000000", 10 * right, 10 * nuscenes)
-    with refused(NoInputError, world.out):
-        world.evaluate()
+    refused(NoInputError, world.out, world.evaluate)
     assert not (world.out / "eval.json").exists()
     # One such scan is a failure.
     world.add("000001", right, right)
@@ -92,15 +90,13 @@ def test_bad_scans_are_named_and_the_others_are_scored(world):
 
 def test_no_scores_without_a_scan_that_can_be_compared_or_labels_of_a_sequence(world):
     world.add("000000", [CAR, ROAD], [CAR])
-    with refused(NoInputError, world.out):
-        world.evaluate()
+    refused(NoInputError, world.out, world.evaluate)
     world.add("000001", [CAR], [CAR])
     with refused(LabelError, output_path(world.out, "08", "predictions", "000000")):
         world.evaluate(on_error="stop")
     assert not (world.out / "scores.txt").exists()
     world.add("000000", None, [CAR], "11")
-    with refused(LabelError, world.dataset / "sequences/11/labels"):
-        world.evaluate()
+    refused(LabelError, world.dataset / "sequences/11/labels", world.evaluate)
 
 
 def test_distance_bands(world):
@@ -147,8 +143,7 @@ def test_foreign_files_stay(world, name):
     world.add("000000", [CAR], [CAR])
     (world.out / name).write_text("mine")
     before = files_below(world.out)
-    with refused(OutputError, world.out / name):
-        world.evaluate(by_distance=True)
+    refused(OutputError, world.out / name, world.evaluate, by_distance=True)
     assert files_below(world.out) == before
 
 

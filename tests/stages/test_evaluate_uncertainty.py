@@ -48,9 +48,8 @@ def random_scan(world: World, stem: str, count: int, distance: float = 5) -> Non
     wrong = rng.random(count) < np.clip(4 * uncertainty, 0, 0.9)
     predicted = np.where(wrong, np.where(truth == CAR, ROAD, CAR), truth)
     world.add(stem, truth, predicted, distance=distance)
-    cars = np.where(
-        predicted == CAR, 1 - np.clip(uncertainty, 0, 0.5), np.clip(uncertainty, 0, 0.5)
-    )
+    doubt = np.clip(uncertainty, 0, 0.5)
+    cars = np.where(predicted == CAR, 1 - doubt, doubt)
     world.put("probabilities", stem, softmax(*cars))
     for i, kind in enumerate(UNCERTAINTY):
         values = uncertainty ** (i + 1)
@@ -112,10 +111,7 @@ def test_files_of_some_scans_are_used_with_a_warning(world, caplog):
     assert "2 of 4" in epistemic_warning
 
 
-BAD = {
-    "probabilities": np.full((2, 3), 1 / 3, np.float16),
-    "uncertainty/error": np.float32([0.5, 1.5]),
-}
+BAD = {"probabilities": np.full((2, 3), 1 / 3, "f2"), "uncertainty/error": np.float32([0.5, 1.5])}
 
 
 @pytest.mark.parametrize("folder", BAD)

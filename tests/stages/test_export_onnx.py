@@ -5,7 +5,7 @@ import sys
 from dataclasses import replace
 
 import pytest
-from scans import SMALL, lively
+from scans import SMALL, lively, refused
 
 from salsanext_cli import label_space
 from salsanext_cli.engines import onnx_export
@@ -43,8 +43,10 @@ def test_a_dynamic_width(weights):
 
 
 def test_opset_names_shapes_and_the_whole_card(tmp_path, weights):
+    """A model is no weights file."""
     path = tmp_path / "model.onnx"
     report = export_onnx(weights, path)
+    refused(WeightsError, path, NetworkSettings(path).load)
     assert (report["input"], report["bytes"]) == ([1, 5, 16, 128], path.stat().st_size)
     assert report["difference"] < 1e-4
     model = onnx.load(path)
@@ -76,24 +78,12 @@ def test_a_wrong_model_is_refused(tmp_path, weights, monkeypatch):
         return run(content, image) * 1.002
 
     monkeypatch.setattr(onnx_export, "run", wrong)
-    with pytest.raises(WeightsError) as caught:
-        export_onnx(weights, tmp_path / "m.onnx")
-    assert caught.value.subject == "ONNX model"
+    refused(WeightsError, "ONNX model", export_onnx, weights, tmp_path / "m.onnx")
     assert not (tmp_path / "m.onnx").exists()
-
-
-def test_a_model_is_no_weights_file(tmp_path, weights):
-    path = tmp_path / "m.onnx"
-    export_onnx(weights, path)
-    with pytest.raises(WeightsError) as caught:
-        NetworkSettings(path).load()
-    assert caught.value.subject == str(path)
 
 
 def test_without_onnx_runtime_the_model_is_not_compared(tmp_path, weights, monkeypatch):
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     assert export_onnx(weights, tmp_path / "m.onnx")["difference"] is None
     monkeypatch.setitem(sys.modules, "onnx", None)
-    with pytest.raises(MissingDependency) as caught:
-        export_onnx(weights, tmp_path / "other.onnx")
-    assert caught.value.subject == "onnx"
+    refused(MissingDependency, "onnx", export_onnx, weights, tmp_path / "other.onnx")

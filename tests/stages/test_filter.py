@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from bags import KINDS, START, STEP, TOPIC, cloud, structured, write_bag
 from evaluated import World
-from scans import files_below, make_scan, write_array, write_bin
+from scans import files_below, make_scan, refused, write_array, write_bin
 
 from salsanext_cli import LabelSpace, Scan, label_space, sensor, write_labels
 from salsanext_cli.errors import NoInputError, OutputError, UsageError
@@ -89,9 +89,8 @@ def test_moving_points_go_by_the_sensor_that_was_fitted_to_the_scan(apply, world
     points = make_scan(3000).points
     scan = Scan(points, np.arange(3000, dtype=np.float32))
     write_bin(world.dataset / "sequences/08/velodyne/000000.bin", scan)
-    write_labels(
-        output_path(world.out, "08", "predictions", "000000"), np.full(3000, TREE, np.uint32)
-    )
+    predicted = output_path(world.out, "08", "predictions", "000000")
+    write_labels(predicted, np.full(3000, TREE, np.uint32))
     traits = traits_of(scan).compared
     other = replace(sensor("hdl64"), min_range=6.0, ego_box=(), traits=traits)
     usual = tuple(10 * trait for trait in traits)
@@ -159,9 +158,7 @@ def test_a_run_with_other_settings_waits_for_one_that_has_written_nothing_yet(ap
     record = StageRecord("filter", {"classes": ["car"]})
     with OwnedFolder(target, "filter").open(shared=True):
         Manifest(target).write(record)
-        with pytest.raises(OutputError) as caught:
-            apply(drop=["truck"])
-        assert caught.value.subject == str(target)
+        refused(OutputError, target, apply, drop=["truck"])
     assert Manifest(target).record("filter") == record
 
 
@@ -204,10 +201,10 @@ def test_a_bag_is_refused_but_for_masks(tmp_path, kind):
         raw = np.uint32([10, 40, 10, 0, 40, 30])
         write_labels(output_path(tmp_path / "out", "drive", "predictions", str(stem)), raw)
     call = partial(filter_scans, tmp_path / "out", tmp_path / "to", drop=["car"])
-    with pytest.raises(UsageError) as refused:
+    with pytest.raises(UsageError) as caught:
         call(query=ResultQuery(source))
-    assert (refused.value.subject, refused.value.code) == (str(source.parent), "usage")
-    assert f"`salsanext convert {source.parent} DATA`" in str(refused.value.hint)
+    assert (caught.value.subject, caught.value.code) == (str(source.parent), "usage")
+    assert f"`salsanext convert {source.parent} DATA`" in str(caught.value.hint)
     assert not (tmp_path / "to").exists()
     assert call(query=ResultQuery(source), indices=True).accepted_points == (18, 12)
     mask = np.load(tmp_path / f"to/sequences/drive/masks/{START}.npy")
@@ -221,6 +218,4 @@ def test_classes_are_those_of_the_label_space():
     silent = LabelSpace.from_dict(SPACE.to_dict() | {"movable": []})
     assert named_classes(["car"], silent).tolist() == [i == 1 for i in range(20)]
     for name, space in (("car", coarse), ("moving", silent)):
-        with pytest.raises(UsageError) as refused:
-            named_classes([name], space)
-        assert refused.value.subject == f"class {name}"
+        refused(UsageError, f"class {name}", named_classes, [name], space)

@@ -7,9 +7,9 @@ from contextlib import ExitStack
 
 import numpy as np
 import pytest
-from command_line import only_json
+from command_line import called, only_json
 from fused import fuse
-from scans import files_below, write_bin
+from scans import files_below, refused, write_bin
 from typer.testing import CliRunner
 
 from salsanext_cli import KnnParameters, Scan, label_drive, label_space, read_labels, read_scan
@@ -55,20 +55,18 @@ def write_drive(world, count):
     for number in range(1, count):
         noise = np.random.default_rng(number).normal(0, 0.02, scan.points.shape)
         seen = (scan.points + noise - poses[number, :3, 3]) @ poses[number, :3, :3]
-        write_bin(
-            folder / f"velodyne/{number:06}.bin", Scan(seen.astype(np.float32), scan.intensity)
-        )
+        moved = Scan(seen.astype(np.float32), scan.intensity)
+        write_bin(folder / f"velodyne/{number:06}.bin", moved)
         shutil.copy(folder / "labels/000000.label", folder / f"labels/{number:06}.label")
     (folder / "poses.txt").write_bytes(encode_poses(poses))
     return folder
 
 
-def typed(hint, *more, **names):
-    """Run the command that a hint names, with names put in, and more options."""
-    words = shlex.split(hint.split("`")[1])
-    assert words[0] == "salsanext"
-    words = [str(names.get(word, word)) for word in words[1:]]
-    return CliRunner().invoke(app, [*words, *map(str, more)])
+def typed(hint):
+    """Run the command that a hint names."""
+    name, *words = shlex.split(hint.split("`")[1])
+    assert name == "salsanext"
+    called(*words)
 
 
 @pytest.fixture
@@ -116,15 +114,12 @@ def test_fused_labels_are_a_folder_of_results_and_rejected_ones_are_not_fused(dr
     for folder, kinds in ((drive.out / "fused", set()), (drive.out, {"least_confidence"})):
         scans, space = ResultFolder(folder).predicted(ScanSelection())
         found = evaluate(scans, folder, space).uncertainty
-        assert found is not None
         assert {*found.kinds} >= {"disagreement", *kinds}
     path = drive.out / "predict.json"
     record = json.loads(path.read_text())
     record["settings"] |= {"reject": 0.9, "reject_by": "least_confidence"}
     path.write_text(json.dumps(record))
-    with pytest.raises(OutputError) as refused:
-        fuse_results(drive.out)
-    assert refused.value.subject == str(drive.out)
+    refused(OutputError, drive.out, fuse_results, drive.out)
 
 
 def test_a_run_goes_on_with_the_same_bytes(drive, tmp_path):
@@ -156,10 +151,9 @@ def test_fused_labels_of_refined_ones_are_fused_again(drive):
     record = json.loads((drive.out / "predict.json").read_text())
     record["settings"]["knn"] = None
     (drive.out / "predict.json").write_text(json.dumps(record))
-    with pytest.raises(OutputError) as refused:
+    with pytest.raises(OutputError) as caught:
         ResultFolder(drive.out / "TARGET").scans()
-    done = typed(refused.value.hint)
-    assert done.exit_code == 0, done.output
+    typed(caught.value.hint)
     assert ResultFolder(drive.out / "TARGET").scans()
 
 
@@ -169,15 +163,11 @@ def test_votes_of_other_scans_are_not_mixed(drive):
     assert [scan.stem for scan in fuse_results(drive.out).missing.scans] == ["000002"]
     hidden.with_suffix(".hidden").rename(hidden)
     record = fused_folder(drive) / "drive.json"
-    with pytest.raises(OutputError) as refused:
-        fuse_results(drive.out)
-    assert refused.value.subject == str(record)
-    assert typed(refused.value.hint).exit_code == 0
+    caught = refused(OutputError, record, fuse_results, drive.out)
+    typed(caught.value.hint)
     assert fuse_results(drive.out).skipped == 3
     record.unlink()
-    with pytest.raises(OutputError) as refused:
-        fuse_results(drive.out)
-    assert refused.value.subject == str(record)
+    refused(OutputError, record, fuse_results, drive.out)
 
 
 def test_unpadded_numbers_are_in_order_for_labels_and_poses(world):
@@ -201,14 +191,13 @@ def test_a_drive_in_parts_is_a_finding(drive):
     poses = way(3)
     poses[2, 0, 3] = 500
     (drive.data / "sequences/08/poses.txt").write_bytes(encode_poses(poses))
-    words = ["fuse", str(drive.out), "--json"]
     for _ in range(2):
-        result = CliRunner().invoke(app, words)
+        result = called("fuse", drive.out, "--json")
         ((warning),) = [w for w in only_json(result)["warnings"] if w["code"] == "apart"]
         assert warning["scans"] == ["08"]
         assert "2 parts" in warning["message"]
         assert "000002" in warning["message"]
-        assert (result.exit_code, result.stderr.count("apart")) == (0, 1)
+        assert result.stderr.count("apart") == 1
 
 
 def test_a_sequence_with_bad_poses_fails_alone(world, caplog):
@@ -217,12 +206,11 @@ def test_a_sequence_with_bad_poses_fails_alone(world, caplog):
     bad.write_bytes(b"no poses")
     words = ["--weights", str(world.network.weights), "--engine", "torch", "--json"]
     words = ["predict", str(world.data), str(world.out), "--fuse", *words]
-    stopped = CliRunner().invoke(app, [*words, "--on-error", "stop"])
-    assert (stopped.exit_code, world.out.exists()) == (1, False)
+    called(*words, "--on-error", "stop", status=1)
+    assert not world.out.exists()
     for command, done in ((words, 3), (["fuse", str(world.out), "--json"], 0)):
-        result = CliRunner().invoke(app, command)
-        found = only_json(result)
-        assert (result.exit_code, found["done"], found["failed"]) == (1, done, 1)
+        found = only_json(called(*command, status=1))
+        assert (found["done"], found["failed"]) == (done, 1)
         assert found["failures"][0]["code"] == "format"
         assert str(bad) in found["failures"][0]["reason"]
     assert len(list((fused_folder(world) / "predictions").iterdir())) == 2
@@ -244,14 +232,13 @@ def test_poses_may_be_named_for_one_sequence(world, tmp_path):
     path = tmp_path / "tum.txt"
     path.write_text("\n".join(lines))
     words = ["fuse", str(world.out), "--poses", str(path)]
-    assert CliRunner().invoke(app, words).exit_code == 2
+    called(*words, status=2)
     assert not (world.out / "fused").exists()
-    result = CliRunner().invoke(app, [*words, "--sequences", "08"])
-    assert result.exit_code == 0, result.output
+    called(*words, "--sequences", "08")
     used = read_fused_poses(fused_folder(world) / "poses.txt", STEMS)
     np.testing.assert_allclose(used, way(3), atol=1e-12)
     path.write_text("\n".join(lines[1:]))
-    assert CliRunner().invoke(app, [*words, "--sequences", "08"]).exit_code == 1
+    called(*words, "--sequences", "08", status=1)
 
 
 def test_names_that_count_from_1_find_their_lines(world, caplog):
@@ -270,9 +257,7 @@ def test_names_that_count_from_1_find_their_lines(world, caplog):
 
 
 def test_unfusible_results_are_refused(world, drive):
-    with pytest.raises(UsageError) as refused:
-        fuse_results(drive.out, drive.out)
-    assert refused.value.subject == "TARGET"
+    refused(UsageError, "TARGET", fuse_results, drive.out, drive.out)
     with pytest.raises(NoInputError, match="77"):
         fuse_results(drive.out, query=ResultQuery(selection=ScanSelection(sequences=("77",))))
     poses = drive.data / "sequences/08/poses.txt"
@@ -317,9 +302,7 @@ def test_edited_poses_are_neither_used_nor_replaced(drive):
     moved[:, 1, 3] += 1
     path.write_bytes(encode_poses(moved))
     for overwrite in (False, True):
-        with pytest.raises(OutputError) as refused:
-            fuse_results(drive.out, options=RunOptions(overwrite=overwrite))
-        assert refused.value.subject == str(path)
+        refused(OutputError, path, fuse_results, drive.out, options=RunOptions(overwrite=overwrite))
 
 
 @pytest.mark.parametrize(
@@ -329,9 +312,7 @@ def test_a_damaged_record_of_a_drive_is_refused(drive, change, subject):
     fuse_results(drive.out)
     path = fused_folder(drive) / "drive.json"
     path.write_text(json.dumps(json.loads(path.read_bytes()) | change))
-    with pytest.raises(SalsanextError) as refused:
-        fuse_results(drive.out)
-    assert refused.value.subject == str(path.with_name(subject))
+    refused(SalsanextError, path.with_name(subject), fuse_results, drive.out)
 
 
 def shifted(folder, metres):
@@ -368,18 +349,16 @@ def test_a_killed_run_by_other_poses_leaves_no_labels_of_the_earlier_ones(drive,
 def test_predict_can_fuse_at_once(world):
     folder = write_drive(world, 2)
     words = ["predict", folder, world.out, "--weights", world.network.weights, "--fuse", "--json"]
-    result = CliRunner().invoke(app, [*map(str, words), "--engine", "torch"])
-    assert result.exit_code == 0, result.output
+    result = called(*words, "--engine", "torch")
     found = only_json(result)
     assert (found["done"], shlex.split(found["next"])[-1]) == (2, str(world.out / "fused"))
     assert len(list((fused_folder(world) / "predictions").iterdir())) == 2
     (folder / "poses.txt").write_bytes(b"nan " * 12 + b"\n" + b"1 " * 12)
     words[2] = world.out.with_name("never")
-    bad = CliRunner().invoke(app, [*map(str, words), "--engine", "torch"])
-    assert (bad.exit_code, words[2].exists()) == (1, False)
+    called(*words, "--engine", "torch", status=1)
+    assert not words[2].exists()
     words[2] = world.out
-    shared = CliRunner().invoke(app, [*map(str, words), "--engine", "torch", "--shard", "1/2"])
-    assert shared.exit_code == 2
+    called(*words, "--engine", "torch", "--shard", "1/2", status=2)
     votes = np.load(world.result("votes"))
     assert (votes.dtype, votes.shape) == (np.uint16, (1500, 3))
     assert not world.result("probabilities").exists()

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 from edited_clouds import WRITERS, write_ply
-from scans import files_below, write_sequence
+from scans import files_below, refused, write_sequence
 
 from salsanext_cli import label_space, read_labels, read_scan, write_labels
 from salsanext_cli.errors import NoInputError
@@ -74,11 +74,9 @@ def test_shuffled_and_cut_clouds_give_the_truth_back(world, name):
     expected[order] = world.truth[0][order]
     np.testing.assert_array_equal(world.labels(), expected)
     (row,) = found.scans
-    counts = [
-        getattr(row, key) for key in ("labelled", "unlabelled", "ambiguous", "missing", "unmatched")
-    ]
     labelled = SPACE.scored[SPACE.to_train(expected)].sum()
-    assert counts == [labelled, 1100 - labelled, 0, 400, 0]
+    assert (row.labelled, row.unlabelled) == (labelled, 1100 - labelled)
+    assert (row.ambiguous, row.missing, row.unmatched) == (0, 400, 0)
     assert (row.scan, row.points, row.scalar) == ("08/000010", 1500, "scalar_Label")
     assert (found.failures, found.unchanged, found.unedited) == ([], 2, [])
     assert found.pre_labelled == ["08/000011", "08/000012"]
@@ -169,11 +167,8 @@ def test_a_tool_with_ids_of_its_own(world, tmp_path):
 
 
 def test_points_without_a_label_get_the_raw_id_of_unlabelled(world):
-    classes = {
-        "labels": {255: "void", 0: "thing"},
-        "learning_map": {0: 1},
-        "learning_map_inv": {0: 255, 1: 0},
-    }
+    maps = {"learning_map": {0: 1}, "learning_map_inv": {0: 255, 1: 0}}
+    classes = {"labels": {255: "void", 0: "thing"}, **maps}
     (world.data / "labels.yaml").write_text(json.dumps(classes))
     world.write(labels=np.zeros(1500), chosen=slice(600))
     (row,) = world.run().scans
@@ -235,9 +230,7 @@ def test_foreign_labels_are_not_replaced_without_overwriting(world):
 
 def test_unchanged_pre_labels_are_not_imported(world):
     world.write(labels=np.full(1500, 40))
-    with pytest.raises(NoInputError) as caught:
-        world.run()
-    assert caught.value.subject == str(world.edited)
+    refused(NoInputError, world.edited, world.run)
     corrected = world.write("000011.ply", index=1)
     found = world.run()
     assert found.unedited == [str(world.edited / "000010.ply")]
@@ -255,9 +248,7 @@ def test_a_named_file_imports_unchanged_pre_labels(world, caplog):
 
 
 def test_the_data_set_itself_may_contain_the_edited_files(world):
-    with pytest.raises(NoInputError) as caught:
-        world.run(world.data)
-    assert caught.value.subject == str(world.data)
+    refused(NoInputError, world.data, world.run, world.data)
     world.edited = world.data / "sequences/08/ply"
     world.write()
     assert len(world.run(world.data).scans) == 1

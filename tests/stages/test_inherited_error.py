@@ -71,10 +71,8 @@ def mean_confidences(weights: Path, data: Path, *temperatures: float) -> list[fl
 def test_validated_weights_inherit_both_at_another_temperature(data, start, tmp_path, caplog):
     caplog.set_level(NOTICE)
     result = go(data, tmp_path / "run", start)
-    card, name = (
-        read_card(result.best),
-        f"default weights version 5 (SHA-256 {fingerprint(start)[:16]})",
-    )
+    name = f"default weights version 5 (SHA-256 {fingerprint(start)[:16]})"
+    card = read_card(result.best)
     assert card.version is None
     assert card.recipe["initial"] == name
     parts = f"error model and expected accuracy of {name}"
@@ -84,14 +82,12 @@ def test_validated_weights_inherit_both_at_another_temperature(data, start, tmp_
     ]
     # The error model describes the softmax that it was fitted to.
     marked = replace(MODEL, temperature=1.3, scores={"inherited_from": name, "folds": 5})
-    assert card.error is not None
     assert card.error.to_dict() == marked.to_dict()
     # At the confidence by the temperature of the validation, the line gives the same accuracy.
     assert card.temperature == pytest.approx(result.rows[-1]["temperature"])
     assert card.temperature != 1.3
     old, new = mean_confidences(result.best, data, 1.3, card.temperature)
     logits = [np.log(share / (1 - share)) for share in (old, new)]
-    assert card.accuracy is not None
     assert (card.accuracy.inherited_from, card.accuracy.slope) == (name, 1.25)
     expected = 1.25 * logits[0] + 0.5
     assert 1.25 * logits[1] + card.accuracy.offset == pytest.approx(expected, abs=1e-4)
@@ -108,7 +104,6 @@ def test_a_single_scan_leaves_the_temperature_and_the_line(data, start, tmp_path
         (data / f"sequences/00/labels/{stem}.label").unlink()
     card = read_card(go(data, tmp_path / "run", start, ONCE.with_changes(folds=2)).best)
     assert card.temperature == 1.3
-    assert card.error is not None
     assert card.error.temperature in (None, 1.3)
     assert replace(card.accuracy, inherited_from=None) == LINE
 
@@ -146,7 +141,6 @@ def test_weights_without_either_have_no_heirs_and_no_notice(data, start, tmp_pat
 def heirs(world: World) -> World:
     """Have the weights of a world inherit an error model and a line."""
     path, city = world.network.weights, "city (SHA-256 abc)"
-    assert path is not None
     card = replace(read_card(path), error=replace(MODEL, scores={"inherited_from": city}))
     card = replace(card, accuracy=replace(LINE, inherited_from=city))
     target = world.out.parent / "heirs.safetensors"
@@ -167,7 +161,6 @@ def test_a_run_names_once_inherited_parts_of_its_weights(heirs, tmp_path, caplog
     facts = dict(facts_of_run(world.out, SMALL))
     assert facts["Inherited"] == f"{both}, not fitted to these weights"
     assert expected_of_run(world.out, []) is None
-    assert world.network.weights is not None
     described = describe_weights(world.network.weights).to_dict()
     assert described["error"] == {"inherited_from": "city (SHA-256 abc)"}
     # A fitted model is no longer inherited; the line still is.

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scans import SMALL, files_below, labels_below, write_array, write_weights
+from scans import SMALL, files_below, labels_below, refused, write_array, write_weights
 
 from salsanext_cli import KnnParameters, knn_refine, label_space, project, read_labels, read_scan
 from salsanext_cli.errors import NoInputError, OutputError, UsageError
@@ -77,9 +77,8 @@ def test_labels_are_not_refined_onto_themselves(world, truth):
     predict_scans(world.data, world.out, settings=world.network)
     before = files_below(world.out)
     for inside in (world.out, world.out / "sequences/08/predictions"):
-        with pytest.raises(UsageError) as refused:
+        with refused(UsageError, "--labels"):
             knn_refine_scans(world.out, labels=inside, options=RunOptions(overwrite=True))
-        assert refused.value.subject == "--labels"
     assert files_below(world.out) == before
 
 
@@ -110,23 +109,23 @@ def test_rejected_labels_are_not_restored(world, tmp_path):
     network = replace(network, weights=weights)
     predict_scans(world.data, world.out, settings=network, extras=("pixel_labels",), reject="risk")
     before = files_below(world.out)
-    with pytest.raises(OutputError) as refused:
-        knn_refine_scans(world.out)
-    assert refused.value.subject == str(world.out)
+    refused(OutputError, world.out, knn_refine_scans, world.out)
     for labels in (world.out, world.out / "sequences/08/predictions"):
-        with pytest.raises(OutputError) as refused:
+        with refused(OutputError, labels):
             knn_refine_scans(tmp_path / "refined", labels=labels, dataset=world.data)
-        assert refused.value.subject == str(labels)
     assert files_below(world.out) == before
     assert not (tmp_path / "refined").exists()
 
 
-def test_no_pixel_labels_at_all(world):
+def test_a_folder_without_labels_or_pixel_labels_is_named_once(world, tmp_path):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "file").touch()
+    for name in ("typo", "file", "empty"):
+        refused(NoInputError, tmp_path / name, refine, world, tmp_path / name)
+    assert not world.out.exists()
     project_scans(world.data, world.out, sensor=SMALL)
     for out in (world.out, world.out / "none"):
-        with pytest.raises(NoInputError) as refused:
-            knn_refine_scans(out)
-        assert refused.value.subject == str(out)
+        refused(NoInputError, out, knn_refine_scans, out)
 
 
 @pytest.mark.parametrize(
@@ -148,13 +147,3 @@ def test_another_network_between_project_and_knn_refine(world):
         write_array(world.result("pixel_labels", sequence, stem), np.full((16, 128), 9, np.uint8))
     assert knn_refine_scans(world.out).done == 3
     assert set(world.labels()) == {40}
-
-
-def test_a_folder_without_labels_is_named_once(world, tmp_path):
-    (tmp_path / "empty").mkdir()
-    (tmp_path / "file").touch()
-    for name in ("typo", "file", "empty"):
-        with pytest.raises(NoInputError) as refused:
-            refine(world, tmp_path / name)
-        assert refused.value.subject == str(tmp_path / name)
-    assert not world.out.exists()

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
-from scans import SMALL, files_below, make_scan, write_sequence, write_weights
+from scans import SMALL, files_below, make_scan, refused, write_sequence, write_weights
 from world import Stored
 
 from salsanext_cli import (
@@ -203,9 +203,7 @@ def test_files_that_were_changed_are_never_replaced(picked):
         change()
         before = files_below(picked.out)
         for how in ({}, {"count": 2}):
-            with pytest.raises(OutputError) as caught:
-                run(picked, overwrite=True, **how)
-            assert caught.value.subject == str(labels)
+            refused(OutputError, labels, run, picked, overwrite=True, **how)
         assert files_below(picked.out) == before
     OwnedFolder(picked.out).write(labels, pre_labels)
     assert len(run(picked, count=2, overwrite=True).picked) == 2
@@ -223,9 +221,7 @@ def test_labels_that_are_imported_during_a_run_are_not_replaced(picked, monkeypa
         return chosen(*given)
 
     monkeypatch.setattr(stage, "_chosen", slowly)
-    with pytest.raises(OutputError) as caught:
-        run(picked, count=2, overwrite=True)
-    assert caught.value.subject == str(labels)
+    refused(OutputError, labels, run, picked, count=2, overwrite=True)
     assert labels.read_bytes() == corrected
 
 
@@ -257,9 +253,7 @@ def test_an_interrupted_run_records_its_pre_labels_and_is_finished_later(drive, 
 def test_the_folder_of_the_scans_is_refused(drive):
     sequence = drive.data / "sequences/08"
     for out in (drive.data, sequence, sequence / "velodyne", drive.data / "sequences/../"):
-        with pytest.raises(UsageError) as caught:
-            run(drive, out=out)
-        assert caught.value.subject == "OUT"
+        refused(UsageError, "OUT", run, drive, out=out)
     assert not (drive.data / "pick.json").exists()
 
 
@@ -281,10 +275,8 @@ def test_all_of_too_few(drive, caplog):
 
 
 def test_the_classes_are_those_of_the_data_set_if_they_fit(drive):
-    own = copy.deepcopy(label_space().to_dict()) | {
-        "name": "mine",
-        "learning_ignore": {0: True, 1: True},
-    }
+    own = copy.deepcopy(label_space().to_dict())
+    own |= {"name": "mine", "learning_ignore": {0: True, 1: True}}
     (drive.data / "labels.yaml").write_text(yaml.safe_dump(own))
     run(drive)
     written = label_space(drive.out / "labels.yaml")
@@ -309,9 +301,8 @@ def test_wrong_settings_are_refused_before_a_scan_is_read(drive, tmp_path):
 def test_scans_that_are_labelled_already_are_not_picked_again(picked, tmp_path):
     first = run(picked)
     more = run(picked, out=tmp_path / "more", labelled=[picked.out])
-    assert {*names(more)} == {
-        file.sequence + "/" + file.stem for file in find_scans(picked.data)
-    } - {*names(first)}
+    every = {file.name for file in find_scans(picked.data)}
+    assert {*names(more)} == every - {*names(first)}
     assert more.picked[0].nearest in names(first)
     with pytest.raises(NoInputError, match="labelled"):
         run(picked, out=tmp_path / "none", labelled=[picked.out, tmp_path / "more"])

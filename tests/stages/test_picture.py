@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 from PIL import Image
-from scans import files_below, write_array
+from scans import files_below, refused, write_array
 
 from salsanext_cli import label_space
 from salsanext_cli.errors import OutputError
@@ -101,9 +101,7 @@ def test_pictures_stay_until_results_or_settings_change(predicted):
     assert picture(world.out).done == 3
     before = pngs(world)
     assert picture(world.out).skipped == 3
-    with pytest.raises(OutputError) as caught:
-        picture(world.out, colours=["range"])
-    assert caught.value.subject == str(world.out / "picture.json")
+    refused(OutputError, world.out / "picture.json", picture, world.out, colours=["range"])
     assert pngs(world) == before
     other = KnnParameters(k=3)
     predict_scans(world.data, world.out, settings=world.network, knn=other, options=OVERWRITE)

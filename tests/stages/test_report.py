@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from evaluated import CAR, MOVING_CAR, ROAD, SPACE, UNKNOWN, World
-from scans import SMALL, write_array
+from scans import SMALL, refused, write_array
 
 from salsanext_cli import label_space
 from salsanext_cli.errors import NoInputError, OutputError
@@ -94,9 +94,8 @@ def test_confusions_are_in_words_and_absent_classes_have_no_iou(world):
         "road taken for person: 55.6 % of 9 points",
         "road taken for car: 11.1 % of 9 points",
     ]
-    rows = dict(
-        re.findall(r"<tr><td>([\w-]+)</td>.*?<td>(?:<i [^>]*></i> )?([^<]*)</td></tr>", page.source)
-    )
+    row = r"<tr><td>([\w-]+)</td>.*?<td>(?:<i [^>]*></i> )?([^<]*)</td></tr>"
+    rows = dict(re.findall(row, page.source))
     assert rows == {"car": "80.0 %", "road": "33.3 %", "person": "–"}
     assert page.data["occurring"]["truth"] == [1, 9]
     assert page.data["occurring"]["label"] == [1, 6, 9]
@@ -184,9 +183,7 @@ def test_a_scan_that_cannot_be_read_is_named(world):
 
 
 def test_missing_results_missing_scans_and_foreign_pages_are_refused(world):
-    with pytest.raises(NoInputError) as caught:
-        report(world.out / "none")
-    assert caught.value.subject == str(world.out / "none")
+    refused(NoInputError, world.out / "none", report, world.out / "none")
     page = made(world)[0].page
     made(world)
     page.write_text("mine")
@@ -195,9 +192,7 @@ def test_missing_results_missing_scans_and_foreign_pages_are_refused(world):
     assert (caught.value.subject, page.read_text()) == (str(page), "mine")
     page.unlink()
     world.dataset.rename(world.dataset.with_name("moved"))
-    with pytest.raises(NoInputError) as caught:
-        report(world.out)
-    assert caught.value.subject == str(world.out / "sequences/08")
+    refused(NoInputError, world.out / "sequences/08", report, world.out)
 
 
 def test_probabilities_of_merged_classes_are_added(world):

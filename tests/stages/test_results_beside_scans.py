@@ -5,11 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import only_json
-from scans import make_scan, write_bin, write_sequence
-from typer.testing import CliRunner
+from command_line import called, only_json
+from scans import make_scan, refused, write_bin, write_sequence
 
-from salsanext_cli.cli.app import app
 from salsanext_cli.errors import OutputError
 from salsanext_cli.results.paths import find_scans, require_none_hidden
 
@@ -28,8 +26,7 @@ def drive(tmp_path, monkeypatch):
 
 
 def call(command):
-    result = CliRunner().invoke(app, command.split())
-    assert result.exit_code == 0, result.output
+    result = called(*command.split())
     return only_json(result)
 
 
@@ -64,8 +61,6 @@ def test_later_commands_find_the_scans(drive: None, weights, source: str, out: s
 @pytest.mark.usefixtures("drive")
 def test_sequences_with_scans_would_hide_others() -> None:
     for place in ("plain", "data/sequences/00", "streets"):
-        with pytest.raises(OutputError) as caught:
-            require_none_hidden(Path(place))
-        assert caught.value.subject == place
+        refused(OutputError, place, require_none_hidden, Path(place))
     for place in ("data", "tables", "new"):
         require_none_hidden(Path(place))

@@ -5,12 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from command_line import only_json
+from command_line import called, only_json
 from scans import SMALL, files_below, labels_below, make_scan, write_bin, write_weights
-from typer.testing import CliRunner
 
 from salsanext_cli import Scan, read_scan
-from salsanext_cli.cli.app import app
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NoInputError, UsageError
 from salsanext_cli.geometry.projection import in_sensor_frame, measured_ranges, upright_rotation
@@ -53,9 +51,8 @@ def mixed(tmp_path):
 
 @pytest.fixture
 def network(tmp_path, weights):
-    return NetworkSettings(
-        write_weights(tmp_path / "w.safetensors", sensor=TRAINED), engine="torch"
-    )
+    file = write_weights(tmp_path / "w.safetensors", sensor=TRAINED)
+    return NetworkSettings(file, engine="torch")
 
 
 @pytest.fixture
@@ -140,9 +137,9 @@ def test_a_scan_of_another_sensor_outside_the_sample_is_named(tmp_path):
 
 def test_a_sensor_file_of_scans_of_several_sensors_is_refused_before_the_survey(mixed, monkeypatch):
     monkeypatch.setattr("salsanext_cli.stages.inspect.run_over_scans", None)
-    with pytest.raises(NoInputError, match="2 sensors") as refused:
+    with pytest.raises(NoInputError, match="2 sensors") as caught:
         inspect(mixed, sensor=SMALL, fit=True)
-    assert refused.value.subject == str(mixed)
+    assert caught.value.subject == str(mixed)
 
 
 def test_a_fit_is_not_advised_where_it_is_refused(mixed, tmp_path):
@@ -170,13 +167,11 @@ def test_inspect_writes_the_sensor_that_predict_fits(mixed, tmp_path, narrow_def
     folder, file = tmp_path / "leaning", tmp_path / "s.toml"
     for stem in "13":
         write_bin(folder / f"{stem}.bin", read_scan(mixed / f"{stem}.bin"))
-    run = CliRunner().invoke
-    fitted = run(app, ["inspect", str(folder), "--fit", str(file)])
-    assert fitted.exit_code == 0, fitted.stderr
+    called("inspect", folder, "--fit", file)
     outs = [tmp_path / "auto", tmp_path / "file"]
-    for out, more in zip(outs, ([], ["--sensor", str(file)]), strict=True):
-        line = ["predict", str(folder), str(out), "--engine", "torch", "--json", *more]
-        found = only_json(run(app, line))["sensor"]
+    for out, more in zip(outs, ([], ["--sensor", file]), strict=True):
+        line = ("predict", folder, out, "--engine", "torch", "--json", *more)
+        found = only_json(called(*line))["sensor"]
         assert np.dot(found["up"], LEANING[2]) > 0.99
     one, other = map(labels_below, outs)
     assert one == other
@@ -189,6 +184,5 @@ def test_images_unlike_training_are_named(tmp_path, narrow_default):
         file, out = tmp_path / f"{height}.toml", tmp_path / f"out-{height}"
         file.write_text(replace(SMALL, height=height).to_toml())
         line = ["predict", str(tmp_path / "one"), str(out), "--engine", "torch"]
-        result = CliRunner().invoke(app, [*line, "--sensor", str(file)])
-        assert result.exit_code == 0, result.stderr
+        result = called(*line, "--sensor", file)
         assert ("(other-images)" in result.stderr) == is_named

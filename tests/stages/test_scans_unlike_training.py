@@ -5,7 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scans import SMALL, labels_below, share_alike, write_bin, write_sequence, write_weights
+from scans import (
+    SMALL,
+    labels_below,
+    refused,
+    share_alike,
+    write_bin,
+    write_sequence,
+    write_weights,
+)
 
 from salsanext_cli import Scan, knn_refine, project, read_scan
 from salsanext_cli.errors import OutputError, UsageError
@@ -159,9 +167,7 @@ def test_scans_of_another_scale_than_earlier_ones_are_a_warning(knowing, tmp_pat
 
 def test_weights_without_the_intensity_of_training(world):
     network = replace(world.network, intensity="match")
-    with pytest.raises(UsageError) as refused:
-        predict_scans(world.data, world.out, settings=network)
-    assert refused.value.subject == "--intensity"
+    refused(UsageError, "--intensity", predict_scans, world.data, world.out, settings=network)
     predict_scans(world.data, world.out, settings=replace(network, intensity="auto"))
     recorded = Manifest(world.out).settings("predict").sensor
     assert recorded.intensity_quantiles == ()

@@ -176,8 +176,7 @@ def test_uncertainty_beside_labels_has_their_classes(coarse, world):
     assert caught.value.subject == "--aleatoric"
     assert "--aleatoric copies" in caught.value.hint
     predict(world, selection=ONE, options=RunOptions(overwrite=True))
-    with refused(OutputError, coarse.out):
-        export_ply(coarse.out, colour="entropy")
+    refused(OutputError, coarse.out, export_ply, coarse.out, colour="entropy")
 
 
 NOT_IN_LABELS = {
@@ -204,5 +203,4 @@ def test_the_same_classes_are_the_same_settings(world):
     same = replace(world, network=replace(world.network, classes=FULL))
     assert predict(same).skipped == 3
     coarse = replace(world, network=replace(world.network, classes=COARSE))
-    with refused(OutputError, world.out / "predict.json"):
-        predict(coarse)
+    refused(OutputError, world.out / "predict.json", predict, coarse)

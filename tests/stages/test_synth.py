@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scans import files_below
+from scans import files_below, refused
 
 from salsanext_cli import Scan, __version__, label_space, read_labels
 from salsanext_cli.errors import MissingDependency, OutputError, UsageError
@@ -28,10 +28,8 @@ TINY = {"scans": 2, "spacing": 12.0, "seed": 3}
 def streets(tmp_path_factory):
     """Return a folder with three small sequences, the result and the progress."""
     out = tmp_path_factory.mktemp("synth") / "streets"
-    calls = []
-    made = synthesise(
-        out, train=1, valid=1, test=1, **TINY, progress=lambda *counts: calls.append(counts)
-    )
+    calls, counts = [], dict.fromkeys(("train", "valid", "test"), 1)
+    made = synthesise(out, **counts, **TINY, progress=lambda *done: calls.append(done))
     return out, made, calls
 
 
@@ -114,9 +112,8 @@ def test_a_folder_with_other_files_is_refused(tmp_path):
     scan.write_bytes(b"precious")
     for overwrite in (False, True):
         for folder in (out, scan):
-            with pytest.raises(OutputError) as caught:
+            with refused(OutputError, folder):
                 synthesise(folder, train=1, valid=0, scans=1, overwrite=overwrite)
-            assert caught.value.subject == str(folder)
     assert list(files_below(out).values()) == [b"precious"]
 
 
@@ -138,9 +135,8 @@ def test_overwrite_replaces_generated_files_only(again):
     assert [read_bin(file.path).points[0, 0] for file in find_scans(out, ["00"])] == [1]
     labels = out / "sequences/00/labels/000000.label"
     assert set(out.rglob("*.label")) == {labels}
-    assert {path.name for path in out.rglob("*.txt")} == {
-        *("poses.txt", "times.txt", "calib.txt", "notes.txt")
-    }
+    names = {"poses.txt", "times.txt", "calib.txt", "notes.txt"}
+    assert {path.name for path in out.rglob("*.txt")} == names
     assert notes.read_text() == "mine"
     replace()
 
@@ -191,13 +187,9 @@ def test_a_partial_data_set_is_completed_by_the_same_settings_only(quick, tmp_pa
     synthesise(out, **how)
     (out / "labels.yaml").unlink()
     before = files_below(out)
-    with pytest.raises(OutputError) as caught:
-        synthesise(out, **how, seed=1)
-    assert caught.value.subject == str(out / "synth.json")
+    refused(OutputError, out / "synth.json", synthesise, out, **how, seed=1)
     older_version(out)
-    with pytest.raises(OutputError) as caught:
-        synthesise(out, **how)
-    assert caught.value.subject == str(out / "synth.json")
+    refused(OutputError, out / "synth.json", synthesise, out, **how)
     older_version(out, __version__)
     with locked(out / ".synth.lock"), pytest.raises(OutputError):
         synthesise(out, **how)
@@ -223,9 +215,7 @@ def test_a_linked_sequence_keeps_its_scans(again, tmp_path):
     folder.rename(elsewhere)
     folder.symlink_to(elsewhere)
     before = files_below(elsewhere)
-    with pytest.raises(OutputError) as caught:
-        replace()
-    assert caught.value.subject == str(folder)
+    refused(OutputError, folder, replace)
     assert files_below(elsewhere) == before
 
 
@@ -238,9 +228,7 @@ def test_an_edited_file_stays_and_is_named(again, caplog):
     assert label.read_bytes() == b"corrected"
     (out / "labels.yaml").write_bytes(b"corrected")
     before = files_below(out)
-    with pytest.raises(OutputError) as caught:
-        replace()
-    assert caught.value.subject == str(out / "labels.yaml")
+    refused(OutputError, out / "labels.yaml", replace)
     assert files_below(out) == before
 
 

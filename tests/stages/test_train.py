@@ -102,10 +102,8 @@ def test_a_run_folder_holds_weights_log_and_recipe(dataset, tmp_path):
     assert result.best_miou == max(row["miou"] for row in result.rows)
     card = read_card(run / "best.safetensors")
     assert card.recipe == TINY.to_dict()
-    images = [
-        project(read_scan(scan), SMALL).channels
-        for scan in sorted(dataset.glob("sequences/00/*/*.bin"))
-    ]
+    scans = sorted(dataset.glob("sequences/00/*/*.bin"))
+    images = [project(read_scan(scan), SMALL).channels for scan in scans]
     quantiles, gaps = intensity_quantiles(images), row_gaps(images)
     assert card.sensor == replace(SMALL, intensity_quantiles=quantiles, row_gaps=gaps)
     assert card.scores["miou"] == result.best_miou
@@ -145,9 +143,7 @@ def require_same(whole, parts):
 
 
 @pytest.mark.parametrize(("stop", "jobs"), [(2, 1), pytest.param(3, 2, marks=pytest.mark.slow)])
-def test_an_interrupted_training_ends_with_the_weights_of_an_uninterrupted_one(
-    dataset, tmp_path, stop, jobs
-):
+def test_an_interrupted_training_ends_with_the_same_weights(dataset, tmp_path, stop, jobs):
     stop_at(dataset, tmp_path / "parts", stop)
     steps = []
     parts = go(dataset, tmp_path / "parts", jobs=jobs, progress=lambda r: steps.append(r.step))
@@ -167,9 +163,7 @@ OTHERWISE = dict.fromkeys(CHANGES, 0.5) | {"sensors": "fitted", "no_intensity": 
         (4, {"precision": "bfloat16", "samples_per_epoch": 8, **OTHERWISE}),
     ],
 )
-def test_from_a_checkpoint_within_an_epoch_it_goes_on_at_the_next_step(
-    dataset, tmp_path, monkeypatch, stop, changes
-):
+def test_it_goes_on_at_a_step_within_an_epoch(dataset, tmp_path, monkeypatch, stop, changes):
     monkeypatch.setattr(fit, "SAVE_INTERVAL_S", -1.0)
     wanted = {"recipe": TINY.with_changes(epochs=2, samples_per_epoch=6).with_changes(**changes)}
     stop_at(dataset, tmp_path / "parts", stop, **wanted)
@@ -198,9 +192,8 @@ def test_another_network_by_its_name(dataset, tmp_path, monkeypatch):
 def test_another_recipe_is_refused_and_overwrite_starts_again(dataset, tmp_path):
     run, fewer = tmp_path / "run", TINY.with_changes(epochs=1)
     go(dataset, run)
-    assert "recipe.epochs was 3 and is 1" in str(
-        refused(OutputError, run / "train.json", dataset, run, recipe=fewer)
-    )
+    error = refused(OutputError, run / "train.json", dataset, run, recipe=fewer)
+    assert "recipe.epochs was 3 and is 1" in str(error)
     again = go(dataset, run, recipe=fewer, overwrite=True)
     assert len(again.rows) == 1
     assert same(again.last, go(dataset, tmp_path / "other", recipe=fewer).last)
@@ -225,10 +218,8 @@ def test_labels_edited_since_they_were_counted_are_counted_again(dataset, tmp_pa
     path = dataset / "sequences" / "00" / "labels" / "1.label"
     write_labels(path, np.full(600, 40, np.uint32))
     go(dataset, tmp_path / "run", recipe=recipe)
-    change = (
-        json.loads(counted.read_text())["points"]["road"] - json.loads(before)["points"]["road"]
-    )
-    assert change > 300
+    roads = [json.loads(text)["points"]["road"] for text in (before, counted.read_text())]
+    assert roads[1] > roads[0] + 300
     write_labels(path, np.full(600, 77, np.uint32))
     refused(LabelError, path, dataset, tmp_path / "run", recipe=recipe)
 
@@ -366,7 +357,7 @@ def test_lack_of_memory_names_the_step(dataset, tmp_path, monkeypatch):
     [(1, 600, 3), (4, 600, 5), (0, -1.0, 1)],
     ids=["after some steps", "at the end of an epoch", "before a checkpoint"],
 )
-def test_losses_that_are_checked_late_name_the_scans_of_their_step(
+def test_late_checks_name_the_scans_of_the_step(
     spoilt, saving_s, taken, dataset, tmp_path, monkeypatch
 ):
     """As on a GPU. Nothing is written after a step that is not finite."""
@@ -397,7 +388,7 @@ def test_losses_that_are_checked_late_name_the_scans_of_their_step(
     ("jobs", "device", "cores", "expected"),
     [(None, "cpu", 16, 0), (None, "meta", 16, 8), (None, "meta", 6, 6), (1, "meta", 16, 0)],
 )
-def test_a_gpu_gets_several_processes_that_prepare_samples(
+def test_processes_that_prepare_samples(
     jobs, device, cores, expected, dataset, tmp_path, monkeypatch
 ):
     """The GPU is one without memory, so the training ends before its first step."""

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 from safetensors.torch import load_file
-from scans import SMALL, write_sequence
+from scans import SMALL, refused, write_sequence
 from tiny_network import TinyNetwork
 
 from salsanext_cli import label_space, read_labels, read_scan, write_labels
@@ -88,7 +88,6 @@ def test_the_folds_choose_the_epochs_and_all_scans_are_trained_on(data, tmp_path
     run = tmp_path / "run"
     result = go(data, run, progress=reports.append)
     expected = result.expected
-    assert expected is not None
     assert expected.folds == 2
     assert [r.fold for r in reports if r.row] == [1] * 3 + [2] * 3 + [0] * expected.epochs
     steps = [(r.step, r.steps) for r in reports]
@@ -110,7 +109,6 @@ def test_the_folds_choose_the_epochs_and_all_scans_are_trained_on(data, tmp_path
     assert card.recipe == FEW.with_changes(epochs=expected.epochs).to_dict()
     assert result.best.read_bytes() == result.last.read_bytes()
     # The error model is fitted to all scans, each held out once.
-    assert card.error is not None
     assert card.error.scores["scans"] == 3
     assert card.error.scores["folds"] == 2
     # The row of the training itself has no scores, since no scan is held out.
@@ -151,7 +149,6 @@ def test_the_card_names_the_initial_weights(data, tmp_path, initial, monkeypatch
     save_with_card(other, other, replace(read_card(other), error=start))
     result = go(data, tmp_path / "run", few, weights=other)
     model = read_card(result.best).error
-    assert model is not None
     assert model.to_dict() == replace(start, temperature=None).to_dict()
     origin = f"other.safetensors (SHA-256 {fingerprint(other)[:16]})"
     for path in (result.best, result.last, tmp_path / "run/folds/1/last.safetensors"):
@@ -203,9 +200,8 @@ def test_pre_labels_are_not_trained_on(data, tmp_path, caplog):
     go(data, tmp_path / "run")
     assert "skipped without labels: 1 scan, 1 with pre-labels only" in caplog.messages
     write_splits(data, train=["a", "b"], valid=["c"])
-    with pytest.raises(LabelError) as caught:
+    with refused(LabelError, files[2].label_path):
         go(data, tmp_path / "split", FEW.with_changes(folds=0))
-    assert caught.value.subject == str(files[2].label_path)
 
 
 def test_a_single_scan_is_trained_on_with_a_warning(data, tmp_path, caplog):
@@ -258,9 +254,7 @@ def simulated(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
     """Write tiny scans instead of simulated scenes, too few points for the checks; list them."""
     made: list[Path] = []
 
-    def write(
-        out: Path, *, train: int, scans: int, seed: int, spacing: float, sensor: str, **_: object
-    ) -> None:
+    def write(out, *, train, scans, seed, spacing, sensor, **_):
         made.append(out)
         shutil.rmtree(out, ignore_errors=True)
         counts = {"train": train, "valid": 0, "test": 0}
@@ -299,9 +293,7 @@ def test_simulated_scenes_are_further_data_sets(data, tmp_path, simulated):
     assert not all(torch.equal(tensor, tensors[2][name]) for name, tensor in tensors[0].items())
 
 
-def test_scenes_of_an_older_version_or_settings_are_simulated_again(
-    data, tmp_path, simulated, caplog
-):
+def test_scenes_of_another_version_or_settings_are_made_again(data, tmp_path, simulated, caplog):
     caplog.set_level(NOTICE)
     run, recipe = tmp_path / "run", FEW.with_changes(streets=1, epochs=1)
     go(data, run, recipe)

@@ -45,8 +45,7 @@ def test_ranges_are_added_and_nothing_else_changes(world, network, target):
     layers = int8_layers(network.load().module)
     assert after.int8.keys() == layers.keys()
     assert (report["scans"], report["layers"]) == (3, len(layers))
-    with refused(OutputError, target):
-        tune_int8(world.data, target, settings=network)
+    refused(OutputError, target, tune_int8, world.data, target, settings=network)
 
 
 @pytest.mark.parametrize("precision", ["int8", "float32"])
@@ -85,8 +84,7 @@ def test_a_network_without_hidden_layers_is_refused(world, network, target, monk
     monkeypatch.setitem(ARCHITECTURES, "salsanext", TinyNetwork)
     file = write_weights(target.with_name("tiny.safetensors"))
     settings = replace(network, weights=file)
-    with refused(WeightsError, file):
-        tune_int8(world.data, target, settings=settings)
+    refused(WeightsError, file, tune_int8, world.data, target, settings=settings)
     assert not target.exists()
 
 
@@ -95,6 +93,5 @@ def test_what_cannot_be_fitted_is_refused(world, network, target):
         replace(network, precision="int8").load()
     for scan in world.data.glob("sequences/*/velodyne/*"):
         scan.write_bytes(b"")
-    with refused(FormatError, world.scan()):
-        tune_int8(world.scan(), target, settings=network)
+    refused(FormatError, world.scan(), tune_int8, world.scan(), target, settings=network)
     assert not target.exists()

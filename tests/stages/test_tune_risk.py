@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scans import refused
 from world import World
 
 from salsanext_cli import label_space, read_labels, write_labels
@@ -76,9 +77,8 @@ def test_the_threshold_holds_the_guarantee(unsure_is_wrong: World, target, caplo
     assert judged.to_dict()["rejection"]["guarantee"] == numbers
     page = report(world.out).page.read_text("utf-8")
     assert f"<dd>{tuned['guarantee']}</dd>" in page
-    assert all(
-        sentence[1:] in page for sentence in (judged.guarantee.sentence, *judged.accepted.sentences)
-    )
+    sentences = (judged.guarantee.sentence, *judged.accepted.sentences)
+    assert all(sentence[1:] in page for sentence in sentences)
     labels = judged.accepted
     assert plain(labels) == tuned["accepted"]
     # (3 R + 1) / 4 ≤ 0.3, with no finer step than a bin
@@ -144,18 +144,14 @@ def test_too_few_scans_for_a_guarantee_are_refused(world: World, target, numbers
 def test_impossible_levels_are_refused(unsure_is_wrong: World, target) -> None:
     levels = {"--at-most": {"at_most": 5}, "--confidence": {"at_most": 0.5, "confidence": 1}}
     for option, numbers in levels.items():
-        with pytest.raises(UsageError) as caught:
-            unsure_is_wrong.tune("risk", target, **numbers)
-        assert caught.value.subject == option
+        refused(UsageError, option, unsure_is_wrong.tune, "risk", target, **numbers)
     assert not target.exists()
     unsure_is_wrong.tune("risk", target, at_most=0.05, confidence=0.6)
     assert read_card(target).risk.confidence == 0.6
 
 
 @pytest.mark.usefixtures("in_few_steps")
-def test_an_error_that_was_fitted_to_these_scans_warns(
-    unsure_is_wrong: World, target, tmp_path, caplog
-) -> None:
+def test_an_error_that_was_fitted_to_these_scans_warns(unsure_is_wrong, target, tmp_path, caplog):
     world, fitted = unsure_is_wrong, tmp_path / "fitted.safetensors"
     world.tune("error", fitted, selection=ScanSelection("valid"))
     network = replace(world.network, weights=fitted)
@@ -189,9 +185,7 @@ def test_a_void_threshold_is_refused(unsure_is_wrong: World, target, tmp_path) -
     runs["--classes"] = {"settings": coarse}
     runs["--knn-…"] = {"settings": network, "knn": KnnParameters(k=3)}
     for option, options in runs.items():
-        with pytest.raises(UsageError) as caught:
-            predict_scans(world.data, world.out, reject="risk", **options)
-        assert caught.value.subject == option
+        refused(UsageError, option, predict_scans, world.data, world.out, reject="risk", **options)
     assert not world.out.exists()
     # Another error or another temperature is another uncertainty.
     for part in ("error", "temperature"):
@@ -210,12 +204,10 @@ def test_a_run_estimates_its_accuracy(world: World, tmp_path) -> None:
         np.nanmean(np.load(world.result(LEAST_CONFIDENCE, file.sequence, file.stem)))
         for file in find_scans(world.data)
     ]
-    assert summary is not None
     estimate = summary.expected_accuracy()
     assert estimate.accuracy == pytest.approx(1 - np.mean(doubts), abs=1e-3)
     assert expected_of_run(world.out, read_run(world.out)[0].rows) == estimate
     plain = predict_scans(world.data, tmp_path / "plain", settings=world.network).summary
-    assert plain is not None
     assert plain.expected_accuracy() is None
     # A key that older folders lack would refuse them.
     assert Manifest(tmp_path / "plain").settings("predict").accuracy is None

@@ -125,15 +125,13 @@ def test_without_aleatoric_there_is_no_total(world):
 
 
 def test_labels_made_step_by_step_remember_their_weights(world, tmp_path):
-    other = NetworkSettings(
-        write_weights(tmp_path / "other.safetensors", seed=1), "cpu", engine="torch"
-    )
+    file = write_weights(tmp_path / "other.safetensors", seed=1)
+    other = NetworkSettings(file, "cpu", engine="torch")
     project_scans(world.data, world.out, sensor=SMALL)
     predict_range_images(world.out, world.out, settings=other)
     knn_refine_scans(world.out)
-    assert ResultFolder(world.out).provenance(ScanSelection())["weights"] == fingerprint(
-        other.weights
-    )
+    recorded = ResultFolder(world.out).provenance(ScanSelection())
+    assert recorded["weights"] == fingerprint(other.weights)
     with pytest.raises(OutputError) as caught:
         run(world)
     assert "weights" in caught.value.problem

@@ -84,14 +84,11 @@ def test_glass_and_dark_paint_lose_pulses_in_runs():
     assert (lost[1:] & lost[:-1]).mean() > 1.5 * share**2
 
 
-def test_nothing_comes_back_from_the_sky_or_from_too_near():
+def test_the_nearer_of_two_scenes_counts_and_nothing_returns_from_afar_or_too_near():
     rays, _ = fan(100)
     for x in (-10.0, 200.0, 0.8):
         distance, _, _ = look([wall(x)], rays)
         assert np.isnan(distance).all()
-
-
-def test_the_nearer_of_two_scenes_counts():
     rays, _ = fan(500)
     near, far = wall(6, label=CAR), wall(12)
     for scenes in ([near, far], [far, near]):

@@ -54,7 +54,7 @@ def test_side_streets_are_road_and_level_with_it(plan):
                 assert plan.relief(s, t).item() == pytest.approx(camber, abs=1e-9)
 
 
-def test_a_kerb_is_a_step_of_its_height():
+def test_a_kerb_is_a_step_of_its_height_and_lowered_at_driveways():
     sides = ((p, p.sides[0]) for p in PLANS)
     plan, left = next((p, s) for p, s in sides if s.sidewalk and s.kerb and not s.parking)
     s = away_from_crossings(plan, left)
@@ -63,9 +63,6 @@ def test_a_kerb_is_a_step_of_its_height():
     assert len(s) > 20
     low, high = (plan.relief(s, np.full_like(s, plan.half + offset)) for offset in (-0.01, 0.01))
     np.testing.assert_allclose(high - low, left.kerb, atol=1e-3)
-
-
-def test_a_kerb_is_lowered_at_driveways():
     drives = [
         (plan, side, sum(lot.drive) / 2)
         for plan in PLANS

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: MIT
 import copy
 import math
-from collections.abc import Callable
 
 import pytest
 import torch
-from tiny_network import TinyNetwork
+from tiny_network import CLASS_WEIGHTS, TinyNetwork, batch, learner
 from torch import Tensor, nn
 
 from salsanext_cli.training.learner import (
@@ -19,21 +18,6 @@ from salsanext_cli.training.losses import SegmentationLoss
 from salsanext_cli.training.recipe import Recipe
 
 CPU = torch.device("cpu")
-WEIGHTS = torch.tensor([0.0, 1.0, 2.0])
-
-
-def batch(seed: int = 0) -> tuple[Tensor, Tensor]:
-    random = torch.Generator().manual_seed(seed)
-    images = torch.randn(2, 5, 16, 32, generator=random)
-    return images, (images[:, 0] > 0).byte() + 1
-
-
-def learner(**changes: object) -> Learner:
-    recipe = Recipe(batch=2, warm_up=0.0).with_changes(**changes)
-    with torch.random.fork_rng():
-        torch.manual_seed(0)
-        module = TinyNetwork(3, dropout=recipe.dropout)
-    return Learner(module, recipe, WEIGHTS, CPU)
 
 
 def test_a_step_is_a_function_of_its_number_and_leaves_the_global_generator_alone() -> None:
@@ -59,9 +43,7 @@ def fused(learning: Learner) -> Learner:
 @pytest.mark.parametrize("spoilt", ["image", "gradient"])
 @pytest.mark.parametrize("optimiser", ["sgd", "adamw"])
 @pytest.mark.parametrize("prepare", [lambda learning: learning, fused])
-def test_a_loss_or_gradient_that_is_not_finite_changes_no_weight(
-    clip: float, spoilt: str, optimiser: str, prepare: Callable[[Learner], Learner]
-) -> None:
+def test_a_loss_or_gradient_that_is_not_finite_changes_no_weight(clip, spoilt, optimiser, prepare):
     """Nor the state of the optimiser: the next step is as if it were the first."""
     changes = {"clip_gradient": clip, "average": 0.5, "optimiser": optimiser}
     learning, other = prepare(learner(**changes)), prepare(learner(**changes))
@@ -112,7 +94,7 @@ def test_a_fused_optimiser_learns_the_same(changes: dict[str, object]) -> None:
 def test_a_step_reads_nothing_from_the_device(changes: dict[str, object]) -> None:
     """Tensors on the device "meta" have no values, so that reading one is an error."""
     meta, recipe = torch.device("meta"), Recipe(batch=2).with_changes(**changes)
-    learning = Learner(TinyNetwork(3), recipe, WEIGHTS, CPU, sets=((1, 2),))
+    learning = Learner(TinyNetwork(3), recipe, CLASS_WEIGHTS, CPU, sets=((1, 2),))
     learning.device = meta
     # A fused optimiser does not support this device, so its kernel is replaced.
     learning.module = learning.forward = learning.module.to(meta)
@@ -164,7 +146,7 @@ def test_lovasz_is_the_mean_of_the_parts() -> None:
     """The step beside the same loss put together by hand from the losses of the parts."""
     images, truth = five()
     learning = without_norm(accumulate=2)
-    entropy, both = (SegmentationLoss(WEIGHTS, lovasz) for lovasz in (0.0, 1.0))
+    entropy, both = (SegmentationLoss(CLASS_WEIGHTS, lovasz) for lovasz in (0.0, 1.0))
     with torch.no_grad():
         logits = learning.module(images)
     parts = [slice(0, 3), slice(3, 5)]
@@ -190,7 +172,7 @@ def stepped(precision: str) -> tuple[Learner, float, list[torch.dtype]]:
     with torch.random.fork_rng():
         torch.manual_seed(0)
         module = ThreeLayers()
-    learning, seen = Learner(module, recipe, WEIGHTS, CPU), []
+    learning, seen = Learner(module, recipe, CLASS_WEIGHTS, CPU), []
     for layer in (module.features, module.norm[0], module.logits):
         layer.register_forward_hook(lambda layer, given, made: seen.append(made.dtype))
     return learning, learning.step(*batch(), 0, 1).item(), seen
@@ -228,13 +210,10 @@ def test_steps_with_overflow_in_float16_are_skipped_and_the_scale_falls() -> Non
 # Optimiser, learning rate and average
 
 
-def test_sgd_is_the_papers() -> None:
+def test_sgd_and_its_decay_are_the_papers():
     defaults = build_optimiser(nn.Linear(1, 1), Recipe()).defaults
     papers = {"lr": 0.01, "momentum": 0.9, "weight_decay": 1e-4, "dampening": 0, "nesterov": False}
     assert defaults.items() >= papers.items()
-
-
-def test_decay_warms_up_then_falls_by_a_hundredth_per_epoch() -> None:
     recipe = Recipe(learning_rate=0.01, epochs=5)
     rates = [learning_rate(recipe, step, 10) for step in range(50)]
     assert rates[0] == pytest.approx(0.001)
@@ -250,9 +229,8 @@ def test_one_cycle_is_torchs() -> None:
     warm_up = 0.3 * epochs - 1 / steps
     recipe = Recipe(epochs=epochs, schedule="one-cycle", learning_rate=0.003, warm_up=warm_up)
     optimiser = torch.optim.SGD([nn.Parameter(torch.zeros(1))], lr=1.0, momentum=0.9)
-    cycle = torch.optim.lr_scheduler.OneCycleLR(
-        optimiser, 0.003, epochs * steps, pct_start=0.3, cycle_momentum=False
-    )
+    shape = {"pct_start": 0.3, "cycle_momentum": False}
+    cycle = torch.optim.lr_scheduler.OneCycleLR(optimiser, 0.003, epochs * steps, **shape)
     for step in range(epochs * steps):
         assert learning_rate(recipe, step, steps) == pytest.approx(cycle.get_last_lr()[0])
         optimiser.step()
@@ -282,12 +260,7 @@ def test_the_average_includes_batch_norm_and_soon_leaves_the_initial_weights() -
         (False, (7, 5), ("float32", "float16")),
     ],
 )
-def test_auto_is_the_fastest_type_of_the_device(
-    multiplies: bool,
-    capability: tuple[int, int],
-    chosen: tuple[str, str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_auto_is_the_fastest_type_of_the_device(multiplies, capability, chosen, monkeypatch):
     monkeypatch.setattr("salsanext_cli.training.learner.bfloat16_instructions", lambda: multiplies)
     monkeypatch.setattr(torch.cuda, "get_device_capability", lambda device: capability)
     devices = (torch.device("cpu"), torch.device("cuda", 0))

@@ -11,7 +11,6 @@ from tiny_network import TinyNetwork
 from torch import Tensor, nn
 
 from salsanext_cli.errors import TrainingError
-from salsanext_cli.training.data.targets import ClassSets
 from salsanext_cli.training.distributed import ProcessGroup, process_group
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.recipe import Recipe
@@ -53,9 +52,7 @@ def share(whole: Tensor, group: ProcessGroup) -> Tensor:
     return whole[group.rank :: group.size]
 
 
-def learner(
-    group: ProcessGroup, *, norm: bool = False, sets: ClassSets = (), **changes: object
-) -> Learner:
+def learner(group, *, norm=False, sets=(), **changes):
     """Return the same network in every process."""
     recipe = Recipe(batch=5, dropout=0.0, learning_rate=0.1, **changes)  # type: ignore[arg-type]
     with torch.random.fork_rng():

@@ -111,9 +111,8 @@ def test_fewer_passes_at_once_when_memory_is_short(network, image, monkeypatch):
 
 @slow_on_openvino
 def test_the_temperature_is_left_out(network, image, sampled):
-    hot = replace(
-        network, backend=replace(network.backend, card=replace(network.card, temperature=1e6))
-    )
+    card = replace(network.card, temperature=1e6)
+    hot = replace(network, backend=replace(network.backend, card=card))
     again = sample(hot, image, samples=SAMPLES, seed=5)
     np.testing.assert_array_equal(again.variance, sampled.variance)
     np.testing.assert_array_equal(aleatoric(hot, image), aleatoric(network, image))

@@ -208,7 +208,13 @@ def fit_error(
         linear = [nn.Linear(*size) for size in sizes]
         model = nn.Sequential(*(m for layer in linear for m in (layer, nn.ReLU())))[:-1]
         if start:
-            _copy_layers(linear, start, mean, np.where(np.isinf(spread), 0, spread))
+            (weight, bias), *others = start.layers
+            scale = np.where(np.isinf(spread), 0, spread)
+            first_layer = (weight * scale[:, None], bias + mean @ weight)
+            with torch.no_grad():
+                for layer, (weight, bias) in zip(linear, (first_layer, *others), strict=True):
+                    layer.weight.copy_(torch.from_numpy(weight.T))
+                    layer.bias.copy_(torch.from_numpy(bias))
         steps_per_epoch = -(-len(values) // BATCH)
         epochs = max(EPOCHS, -(-MIN_STEPS // steps_per_epoch))
         optimiser = torch.optim.AdamW(model.parameters(), LEARNING_RATE, weight_decay=WEIGHT_DECAY)
@@ -230,18 +236,6 @@ def fit_error(
     weight = weight / spread[:, None]
     layers[0] = weight.astype(np.float32), (bias - mean @ weight).astype(np.float32)
     return ErrorModel(FEATURES, layers)
-
-
-def _copy_layers(
-    linear: Sequence[nn.Linear], start: ErrorModel, mean: Float, spread: Float
-) -> None:
-    """Copy the numbers of a model into layers for standardised features."""
-    (weight, bias), *others = start.layers
-    first = (weight * spread[:, None], bias + mean @ weight)
-    with torch.no_grad():
-        for layer, (weight, bias) in zip(linear, (first, *others), strict=True):
-            layer.weight.copy_(torch.from_numpy(weight.T))
-            layer.bias.copy_(torch.from_numpy(bias))
 
 
 def error_scores(error: Float, wrong: Mask) -> dict[str, float]:

@@ -14,14 +14,7 @@ from hypothesis.extra import numpy as hnp
 from scans import make_scan
 
 from salsanext_cli.errors import FormatError, LabelError
-from salsanext_cli.formats.kitti import (
-    COUNTS,
-    encode_bin,
-    evident_count,
-    read_bin,
-    read_labels,
-    write_labels,
-)
+from salsanext_cli.formats import kitti
 
 
 @pytest.mark.parametrize("count", [40, 41, 42, 43])
@@ -32,7 +25,7 @@ def test_another_number_of_columns_is_recognised(tmp_path, count, columns, suffi
     table = [random.normal(0, 20, (count, 3)), *random.integers(0, (256, 32), (1, count, 2))]
     path.write_bytes(np.hstack(table).astype("<f4")[:, :columns].tobytes())
     with pytest.raises(FormatError) as caught:
-        read_bin(path)
+        kitti.read_bin(path)
     assert caught.value.hint.startswith(f"rename it to {'.pcd.bin' if columns == 5 else '.bin'},")
 
 
@@ -40,7 +33,7 @@ def test_negative_intensities_and_signalling_nans_are_read(tmp_path):
     table = np.random.default_rng(0).normal(0, 20, (59, 4)).astype("<f4")
     nan = struct.pack("<3f", 1, 2, 3) + b"\x01\x00\xa0\x7f"
     (tmp_path / "s.bin").write_bytes(table.tobytes() + nan)
-    scan = read_bin(tmp_path / "s.bin", intensity_scale=255)
+    scan = kitti.read_bin(tmp_path / "s.bin", intensity_scale=255)
     assert np.flatnonzero(np.isnan(scan.intensity)).tolist() == [59]
 
 
@@ -56,11 +49,11 @@ def test_no_real_scan_is_refused(real_data, tmp_path):
         columns = 5 if "five" in path.name else 4
         link = tmp_path / f"{len(list(tmp_path.iterdir()))}{'.pcd' * (columns == 5)}.bin"
         link.symlink_to(path)
-        scan = read_bin(link)
+        scan = kitti.read_bin(link)
         assert len(scan) == path.stat().st_size // (4 * columns)
         labels = path.parent.parent / "labels" / f"{path.stem}.label"
         if labels.exists():
-            raw = read_labels(labels, len(scan))
+            raw = kitti.read_labels(labels, len(scan))
             assert raw.any()
             assert raw.max() < 33 or "nuscenes" not in str(path)
 
@@ -82,9 +75,9 @@ def test_a_real_scan_with_other_columns_is_refused_with_names_to_try(real_data, 
     ):
         path.write_bytes(np.hstack(columns).astype("<f4").tobytes())
         with pytest.raises(FormatError) as caught:
-            read_bin(path)
+            kitti.read_bin(path)
         (names,) = re.findall(r"--columns (\S+)", caught.value.hint)
-        scan = read_bin(path, columns=tuple(names.split(",")))
+        scan = kitti.read_bin(path, columns=tuple(names.split(",")))
         np.testing.assert_array_equal(scan.points, table[:, :3])
 
 
@@ -95,22 +88,22 @@ def test_no_real_scan_in_another_order_is_refused(real_data):
         table = np.fromfile(path, "<f4").reshape(-1, count)
         shuffled = np.random.default_rng(0).permutation(table)
         for rows in (table, shuffled, table[: len(table) // 2], shuffled[:100]):
-            assert evident_count(rows.ravel(), count) is None, path
-            assert evident_count(rows.ravel(), 9 - count) in {count, None}, path
-        assert evident_count(shuffled.ravel(), 9 - count) == count, path
+            assert kitti.evident_count(rows.ravel(), count) is None, path
+            assert kitti.evident_count(rows.ravel(), 9 - count) in {count, None}, path
+        assert kitti.evident_count(shuffled.ravel(), 9 - count) == count, path
 
 
 @given(hnp.arrays(np.uint32, st.integers(0, 50)))
 def test_labels_survive_the_round_trip(tmp_path_factory, raw):
     path = tmp_path_factory.mktemp("label") / "s.label"
-    write_labels(path, raw)
+    kitti.write_labels(path, raw)
     assert path.read_bytes() == b"".join(struct.pack("<I", value) for value in raw.tolist())
-    np.testing.assert_array_equal(read_labels(path, len(raw)), raw)
+    np.testing.assert_array_equal(kitti.read_labels(path, len(raw)), raw)
     with pytest.raises(LabelError, match=rf"{len(raw)} labels? \(expected {len(raw) + 53}"):
-        read_labels(path, len(raw) + 53)
+        kitti.read_labels(path, len(raw) + 53)
     path.write_bytes(path.read_bytes() + b"cut")
     with pytest.raises(FormatError, match=f"{4 * len(raw) + 3} bytes"):
-        read_labels(path)
+        kitti.read_labels(path)
 
 
 @pytest.mark.parametrize("kind", ["<u4", "<u2", "u1"])
@@ -118,20 +111,20 @@ def test_labels_of_one_two_or_four_bytes(tmp_path, kind):
     path = tmp_path / "s.label"
     raw = np.arange(100, dtype=kind)
     path.write_bytes(raw.tobytes())
-    read = read_labels(path, 100)
+    read = kitti.read_labels(path, 100)
     assert read.dtype == np.uint32
     np.testing.assert_array_equal(read, raw)
     with pytest.raises(LabelError, match=r"\d+ labels \(expected 99"):
-        read_labels(path, 99)
+        kitti.read_labels(path, 99)
     if raw.itemsize < 4:
         path.write_bytes(np.arange(25 * raw.itemsize, dtype="<u4").tobytes())
         with pytest.raises(LabelError, match=r"\d+ labels \(expected 100"):
-            read_labels(path, 100)
+            kitti.read_labels(path, 100)
         path.write_bytes(bytes(100 * raw.itemsize))
-        assert not read_labels(path, 100).any()
+        assert not kitti.read_labels(path, 100).any()
     path.write_bytes(raw.tobytes())
     # Without the number of points they are four.
-    assert len(read_labels(path)) == raw.nbytes // 4
+    assert len(kitti.read_labels(path)) == raw.nbytes // 4
 
 
 SCAN = make_scan(3000)
@@ -152,7 +145,7 @@ OTHERS = {
     "a short text": ("Grüße aus Köln!\n".encode() * 16, "is text"),
     "ply": (b"ply\nformat binary_little_endian 1.0\n" + bytes(16 * 99), "is a .ply file"),
     "npy": (npy(TABLE), "is a .npy file"),
-    "gzip": (gzip.compress(encode_bin(SCAN)), "is a gzip file"),
+    "gzip": (gzip.compress(kitti.encode_bin(SCAN)), "is a gzip file"),
     "float64": (TABLE.astype("<f8").tobytes(), "float64"),
     "float64, decimals": (TABLE.astype("<f8").round(3).tobytes(), "float64"),
     "float64, dyadic": (np.rint(TABLE.astype("<f8") * 128) / 128, "float64"),
@@ -170,7 +163,7 @@ def test_other_content_is_refused(tmp_path, name, columns):
     path = tmp_path / "s.bin"
     path.write_bytes(content if isinstance(content, bytes) else content.tobytes())
     with pytest.raises(FormatError) as caught:
-        read_bin(path, columns=columns)
+        kitti.read_bin(path, columns=columns)
     assert problem in caught.value.problem
     assert "\n" not in caught.value.headline
 
@@ -190,7 +183,7 @@ def test_unusual_points_are_read(tmp_path, name):
     path = tmp_path / "s.bin"
     table = UNUSUAL[name].astype("<f4")
     path.write_bytes(table.tobytes())
-    np.testing.assert_array_equal(read_bin(path).points, table[:, :3])
+    np.testing.assert_array_equal(kitti.read_bin(path).points, table[:, :3])
 
 
 def test_any_columns(tmp_path):
@@ -198,15 +191,15 @@ def test_any_columns(tmp_path):
     table = np.hstack([RING, TABLE[:, 3:] * 255, TABLE[:, :3], -TABLE[:, :2]]).astype("<f4")
     path.write_bytes(table.tobytes())
     names = ("ring", "intensity", "x", "y", "z", "_", "_")
-    scan = read_bin(path, columns=names, intensity_scale=255)
+    scan = kitti.read_bin(path, columns=names, intensity_scale=255)
     np.testing.assert_array_equal(scan.points, SCAN.points)
     np.testing.assert_allclose(scan.intensity, SCAN.intensity, rtol=1e-6)
     for columns, cut, sizes in (((*names, "_", "_"), 0, (7, 9)), (names, 4, (83996, 28))):
         path.write_bytes(table.tobytes()[: table.nbytes - cut])
         with pytest.raises(FormatError, match=r"{}.*expected .*{}".format(*sizes)):
-            read_bin(path, columns=columns)
+            kitti.read_bin(path, columns=columns)
     path.write_bytes(SCAN.points.tobytes())
-    assert not read_bin(path, columns=("x", "y", "z")).intensity.any()
+    assert not kitti.read_bin(path, columns=("x", "y", "z")).intensity.any()
 
 
 VLP16_DEG = [-15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15]
@@ -275,10 +268,10 @@ def test_a_wrong_number_of_columns_is_noticed_and_the_right_one_never(names):
     # Zeros are points without a return where the coordinates lie in the right columns.
     padded = names[1:2] == ("zero",)
     for values in in_both_orders(rows):
-        assert evident_count(values, count) is None
+        assert kitti.evident_count(values, count) is None
         for expected in {4, 5} if padded else {*range(3, 8), 16}:
             if expected != count:
-                assert evident_count(values, expected) == count, expected
+                assert kitti.evident_count(values, expected) == count, expected
 
 
 @pytest.mark.parametrize("names", RECORDS, ids="-".join)
@@ -287,8 +280,8 @@ def test_a_multiple_of_the_columns_which_halves_the_points_is_noticed(names):
     rows = table(names, scan(beams=[*range(-25, 7)]))
     count = rows.shape[1]
     for values in in_both_orders(rows):
-        for expected in range(2 * count, COUNTS.stop, count):
-            assert evident_count(values, expected) == count, expected
+        for expected in range(2 * count, kitti.COUNTS.stop, count):
+            assert kitti.evident_count(values, expected) == count, expected
 
 
 @pytest.mark.real
@@ -300,11 +293,11 @@ def test_a_multiple_of_the_columns_of_a_real_scan_is_noticed(real_data):
         shuffled = np.random.default_rng(0).permutation(rows)
         for points in (rows, shuffled):
             for times in range(2, 16 // count + 1):
-                assert evident_count(points.ravel(), times * count) == count, path
+                assert kitti.evident_count(points.ravel(), times * count) == count, path
             # Normals, zeros and colours beside the coordinates are no further points.
             for others in (normals, 0 * normals, np.abs(normals) * 99 // 1):
                 wide = np.hstack([points[:, :3], others]).astype("<f4")
-                assert evident_count(wide.ravel(), 6) is None, path
+                assert kitti.evident_count(wide.ravel(), 6) is None, path
 
 
 @pytest.mark.parametrize("lost", [0.0, np.nan])
@@ -312,8 +305,8 @@ def test_points_without_a_return_change_nothing(lost):
     rows = table(("byte",), scan())
     rows[np.random.default_rng(3).random(len(rows)) < 0.7] = lost
     for values in in_both_orders(rows):
-        assert evident_count(values, 4) is None
-        assert evident_count(values, 5) == 4
+        assert kitti.evident_count(values, 4) is None
+        assert kitti.evident_count(values, 5) == 4
 
 
 def test_few_points_are_enough_or_undecided():
@@ -321,14 +314,14 @@ def test_few_points_are_enough_or_undecided():
     for names in RECORDS:
         for count in (25, 50, 200):
             values = table(names, points[:count]).ravel()
-            assert evident_count(values, 3 + len(names)) is None, names
-            assert evident_count(values, 4) in {None, 3 + len(names)}, names
+            assert kitti.evident_count(values, 3 + len(names)) is None, names
+            assert kitti.evident_count(values, 4) in {None, 3 + len(names)}, names
 
 
-@given(hnp.arrays("<u4", st.integers(0, 300)), st.sampled_from([*COUNTS, 40]))
+@given(hnp.arrays("<u4", st.integers(0, 300)), st.sampled_from([*kitti.COUNTS, 40]))
 def test_any_bytes_have_some_number_of_columns_or_none(content, expected):
-    found = evident_count(content.view("<f4"), expected)
-    assert found is None or (found in COUNTS and found != expected)
+    found = kitti.evident_count(content.view("<f4"), expected)
+    assert found is None or (found in kitti.COUNTS and found != expected)
 
 
 def wide_records(points, random):
@@ -351,9 +344,8 @@ def wide_records(points, random):
 
 
 def rotation_about_z(angle):
-    return np.array(
-        [[np.cos(angle), np.sin(angle), 0], [-np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
-    )
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
 
 
 def require_wide_records_are_read(path, points):
@@ -361,14 +353,14 @@ def require_wide_records_are_read(path, points):
     for name, rows in wide_records(points, np.random.default_rng(0)).items():
         for values in in_both_orders(rows.astype("<f4")):
             path.write_bytes(values.tobytes())
-            found = read_bin(path, columns=columns)
+            found = kitti.read_bin(path, columns=columns)
             np.testing.assert_array_equal(found.points, values.reshape(-1, 8)[:, :3], name)
     # Rows of two points each, the second of which the columns would skip.
     pairs = table(("fraction",), points[: len(points) // 2 * 2])
     for values in in_both_orders(pairs):
         path.write_bytes(values.tobytes())
         with pytest.raises(FormatError, match="has 4 columns") as caught:
-            read_bin(path, columns=columns)
+            kitti.read_bin(path, columns=columns)
         assert caught.value.hint == "omit --columns"
 
 

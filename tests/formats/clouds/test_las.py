@@ -5,7 +5,7 @@ import sys
 
 import numpy as np
 import pytest
-from scans import make_scan
+from scans import make_scan, refused
 
 from salsanext_cli import read_scan
 from salsanext_cli.errors import FormatError, MissingDependency
@@ -110,8 +110,6 @@ def test_a_missing_package_is_named_with_the_file(tmp_path, monkeypatch, name, s
     laspy.create().write(tmp_path / "s.laz")
     (tmp_path / "s.laz").rename(path)
     monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(MissingDependency) as caught:
-        read_scan(path)
-    assert caught.value.subject == str(path)
+    caught = refused(MissingDependency, path, read_scan, path)
     assert name in caught.value.problem
     assert caught.value.hint == "pip install 'salsanext[las]'"

@@ -91,13 +91,16 @@ def test_some_of_their_points_are_written_in_their_layout(tmp_path, name):
     np.testing.assert_array_equal(read_scan(kept).intensity, SCAN.intensity[keep])
 
 
-def test_named_columns_of_transposed_tables_and_of_arrays(tmp_path):
+def test_named_columns_of_transposed_tables_arrays_and_integers(tmp_path):
     named = replace(SMALL, columns=("intensity", "x", "y", "z", "_", "_"))
     rows = np.stack([I, X, Y, Z, X, X])
     np.save(tmp_path / "s.npy", rows)
     np.savez(tmp_path / "s.npz", *rows)
     for name in ("s.npy", "s.npz"):
         np.testing.assert_array_equal(read_scan(tmp_path / name, named).points, SCAN.points)
+    np.savez(tmp_path / "s.npz", X, Y, Z, np.arange(300))
+    scan = read_scan(tmp_path / "s.npz", replace(SMALL, columns=("x", "y", "z", "intensity")))
+    np.testing.assert_array_equal(scan.intensity, np.arange(300))
 
 
 @pytest.mark.parametrize("points", [[X, Y, Z], [TABLE[:, :3]]], ids=["columns", "table"])
@@ -108,12 +111,6 @@ def test_integers_without_a_name_are_no_intensity(tmp_path, said, points):
     assert not scan.intensity.any()
     assert f"arr_{len(points)}" in said.text
     assert "ignored" in said.text
-
-
-def test_integers_that_columns_name_are_the_intensity(tmp_path):
-    np.savez(tmp_path / "s.npz", X, Y, Z, np.arange(300))
-    scan = read_scan(tmp_path / "s.npz", replace(SMALL, columns=("x", "y", "z", "intensity")))
-    np.testing.assert_array_equal(scan.intensity, np.arange(300))
 
 
 def test_a_short_line_lacks_only_its_last_values(tmp_path, said):

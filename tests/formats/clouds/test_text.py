@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scans import SMALL
+from scans import SMALL, refused
 
 from salsanext_cli import read_scan
 from salsanext_cli.errors import FormatError
@@ -90,7 +90,5 @@ def test_other_text_is_refused(tmp_path):
     ):
         path = tmp_path / "s.txt"
         path.write_text(text)
-        with pytest.raises(FormatError) as caught:
-            read_scan(path)
-        assert caught.value.subject == str(path)
+        caught = refused(FormatError, path, read_scan, path)
         assert problem in caught.value.problem

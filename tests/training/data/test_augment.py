@@ -24,25 +24,6 @@ from salsanext_cli.training.data.augment import (
     select,
     shift,
 )
-from salsanext_cli.training.data.other_sensors import (
-    CONTINUED,
-    EDGE_RATIO,
-    EDGE_SHIFT_DEG,
-    HOLE_SHARES,
-    LOWERED_M,
-    MAX_HOLES,
-    MAX_JITTER_M,
-    MAX_RUN,
-    RAISED_M,
-    RANGE_EDGES_M,
-    change_intensity,
-    fewer_beams,
-    hole_cells,
-    jitter,
-    make_holes,
-    mount_otherwise,
-    other_view,
-)
 from salsanext_cli.training.recipe import Recipe
 
 BOARDS = [(4, 1), (6, 1), (1, 2), (1, 6), (2, 2), (3, 4), (5, 6)]
@@ -58,16 +39,13 @@ def labelled(seed: int, first: int = 0, count: int = 1500) -> LabelledScan:
 
 
 def augmented(seed: int = 0, **probabilities: float) -> LabelledScan:
-    return augment(
-        labelled(0, count=500), NEVER.with_changes(**probabilities), np.random.default_rng(seed)
-    )
+    recipe = NEVER.with_changes(**probabilities)
+    return augment(labelled(0, count=500), recipe, np.random.default_rng(seed))
 
 
 def test_shift_moves_all_points_alike_and_within_bounds() -> None:
-    moved = [
-        augmented(seed, shift=1.0)[0].points - labelled(0, count=500)[0].points
-        for seed in range(50)
-    ]
+    before = labelled(0, count=500)[0].points
+    moved = [augmented(seed, shift=1.0)[0].points - before for seed in range(50)]
     for offsets in moved:
         np.testing.assert_allclose(offsets, np.broadcast_to(offsets[0], offsets.shape), atol=1e-5)
     first = np.array([offsets[0] for offsets in moved])
@@ -76,17 +54,14 @@ def test_shift_moves_all_points_alike_and_within_bounds() -> None:
     assert (np.ptp(first, axis=0) > [6, 4, 0.6]).all()
 
 
-def test_points_without_a_measurement_stay_without() -> None:
+def test_flip_mirrors_left_and_right_and_points_without_a_measurement_stay_without():
+    after = augmented(flip=1.0)[0].points
+    np.testing.assert_array_equal(after, labelled(0, count=500)[0].points * np.float32([1, -1, 1]))
     points = np.array([[0, 0, 0], [np.nan, 1, 1], [np.inf, 0, 0], [1, 2, 3]], np.float32)
     moved = rotate(shift(points, np.array([1.0, 2.0, -0.5])), 0.3)
     np.testing.assert_array_equal(moved[0], 0)
     assert not np.isfinite(moved[1:3]).all(axis=1).any()
     assert np.isfinite(moved[3]).all()
-
-
-def test_flip_mirrors_left_and_right() -> None:
-    after = augmented(flip=1.0)[0].points
-    np.testing.assert_array_equal(after, labelled(0, count=500)[0].points * np.float32([1, -1, 1]))
 
 
 def test_dropping_is_without_replacement_and_points_have_their_labels() -> None:
@@ -144,10 +119,8 @@ def by_cells(scan: Scan, bands: int, sectors: int, azimuth: float) -> list[bool 
     odd: list[bool | None] = []
     for point in scan.points:
         places = cell(point, bands, sectors, azimuth)
-        unsure = any(
-            n > 1 and abs(p - round(p)) < 1e-4
-            for n, p in zip((bands, sectors), places, strict=True)
-        )
+        parts = zip((bands, sectors), places, strict=True)
+        unsure = any(n > 1 and abs(p - round(p)) < 1e-4 for n, p in parts)
         row, column = math.floor(places[0]), math.floor(places[1]) % sectors
         odd.append(None if unsure else (row + column) % 2 == 1)
     return odd
@@ -251,7 +224,7 @@ def test_intensities_follow_one_law_of_intensity_and_range(seed: int, bright: fl
         * (gain * (i / bright) ** gamma * (np.linalg.norm(p.astype(float)) / 10) ** power + offset)
         for p, i in zip(scan.points, scan.intensity.astype(float), strict=True)
     ]
-    changed = change_intensity(scan, bright, rng(seed))
+    changed = other_sensors.change_intensity(scan, bright, rng(seed))
     np.testing.assert_allclose(changed.intensity, expected, rtol=1e-4, atol=1e-5 * bright)
     np.testing.assert_array_equal(changed.points, scan.points)
 
@@ -259,7 +232,7 @@ def test_intensities_follow_one_law_of_intensity_and_range(seed: int, bright: fl
 @given(SEEDS)
 def test_another_mounting_is_a_small_rotation_and_a_shift_up_or_down(seed: int) -> None:
     points = make_scan(50, seed).points
-    other = mount_otherwise(points, rng(seed)).astype(float)
+    other = other_sensors.mount_otherwise(points, rng(seed)).astype(float)
     centred, moved = points - points.mean(axis=0), other - other.mean(axis=0)
     turn = np.linalg.lstsq(centred, moved, rcond=None)[0].T
     np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-4)
@@ -269,22 +242,22 @@ def test_another_mounting_is_a_small_rotation_and_a_shift_up_or_down(seed: int) 
     assert turn[0, 1] - turn[1, 0] == pytest.approx(0, abs=1e-4)
     offset = other.mean(axis=0) - turn @ points.mean(axis=0)
     np.testing.assert_allclose(offset[:2], 0, atol=1e-3)
-    assert -RAISED_M - 1e-3 < offset[2] < LOWERED_M + 1e-3
+    assert -other_sensors.RAISED_M - 1e-3 < offset[2] < other_sensors.LOWERED_M + 1e-3
 
 
 def test_edges_of_the_field_of_view_move_independently() -> None:
-    views = [other_view(SMALL, rng(seed)) for seed in range(200)]
+    views = [other_sensors.other_view(SMALL, rng(seed)) for seed in range(200)]
     up, down = (np.array([getattr(v, key) for v in views]) for key in ("fov_up", "fov_down"))
     for edges, usual in ((up, SMALL.fov_up), (down, SMALL.fov_down)):
-        assert np.abs(edges - usual).max() <= EDGE_SHIFT_DEG
-        assert np.ptp(edges) > 1.8 * EDGE_SHIFT_DEG
+        assert np.abs(edges - usual).max() <= other_sensors.EDGE_SHIFT_DEG
+        assert np.ptp(edges) > 1.8 * other_sensors.EDGE_SHIFT_DEG
     assert abs(np.corrcoef(up, down)[0, 1]) < 0.3
 
 
 @pytest.mark.parametrize("seed", range(8))
 def test_rows_are_unchanged_or_empty(seed: int) -> None:
     channels = project(make_scan(20_000), SMALL).channels
-    thinned = fewer_beams(channels, rng(seed))
+    thinned = other_sensors.fewer_beams(channels, rng(seed))
     same = [np.array_equal(thinned[:, row], channels[:, row]) for row in range(SMALL.height)]
     assert all(is_same or not thinned[:, row].any() for row, is_same in enumerate(same))
     low, high = other_sensors.MIN_ROWS, other_sensors.MAX_ROWS
@@ -306,35 +279,36 @@ def cell_by_walking(row: list[float], column: int) -> int:
     """Return the cell of a pixel: walk from it both ways round the circle."""
     sides = []
     for way in (-1, 1):
-        for step in range(1, MAX_RUN + 1):
+        for step in range(1, other_sensors.MAX_RUN + 1):
             if there := row[(column + way * step) % len(row)]:
                 sides.append((there, step))
                 break
-    if len(sides) < 2 or sides[0][1] + sides[1][1] - 1 > MAX_RUN:
+    if len(sides) < 2 or sides[0][1] + sides[1][1] - 1 > other_sensors.MAX_RUN:
         return -1
     near, far = sorted(value for value, _ in sides)
-    kind = int(far / near > EDGE_RATIO)
-    return kind * HOLE_SHARES.shape[1] + sum(near >= edge for edge in RANGE_EDGES_M)
+    kind = int(far / near > other_sensors.EDGE_RATIO)
+    place = sum(near >= edge for edge in other_sensors.RANGE_EDGES_M)
+    return kind * other_sensors.HOLE_SHARES.shape[1] + place
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_cells_depend_on_the_next_measured_pixels(seed: int) -> None:
     ranges = image(seed)
     wanted = [[cell_by_walking(row, k) for k in range(len(row))] for row in ranges.tolist()]
-    np.testing.assert_array_equal(hole_cells(ranges), wanted)
+    np.testing.assert_array_equal(other_sensors.hole_cells(ranges), wanted)
 
 
 def test_pixels_are_lost_with_the_share_of_their_cell() -> None:
     channels = np.stack([image(1, (64, 512), 0.1), np.full((64, 512), 7, np.float32)])
-    before, cells = channels.copy(), hole_cells(channels[0])
+    before, cells = channels.copy(), other_sensors.hole_cells(channels[0])
     for seed in range(12):
-        factor = rng(seed).uniform(0, MAX_HOLES)
-        holed = make_holes(channels, rng(seed))
+        factor = rng(seed).uniform(0, other_sensors.MAX_HOLES)
+        holed = other_sensors.make_holes(channels, rng(seed))
         lost = holed[1] == 0
         np.testing.assert_array_equal(holed, np.where(lost, 0, before))
         assert holed.dtype == np.float32
         assert not lost[cells < 0].any()
-        for cell, share in enumerate(HOLE_SHARES.ravel()):
+        for cell, share in enumerate(other_sensors.HOLE_SHARES.ravel()):
             of_cell, wanted = lost[cells == cell], factor * share
             # Runs make the mean vary as that of fewer pixels would.
             spread = 5 * np.sqrt(2.5 * wanted / len(of_cell))
@@ -345,24 +319,25 @@ def test_pixels_are_lost_with_the_share_of_their_cell() -> None:
 def test_holes_of_one_surface_come_in_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     """The next pixel is lost with this one, or by chance."""
     monkeypatch.setattr(other_sensors, "MAX_HOLES", 0.0)
-    assert make_holes(np.full((1, 8, 64), 7, np.float32), rng(0)).all()
+    assert other_sensors.make_holes(np.full((1, 8, 64), 7, np.float32), rng(0)).all()
     monkeypatch.setattr(other_sensors, "MAX_HOLES", 3.0)
-    lost = make_holes(np.full((1, 400, 512), 7, np.float32), rng(5))[0] == 0
+    lost = other_sensors.make_holes(np.full((1, 400, 512), 7, np.float32), rng(5))[0] == 0
     going_on = lost[:, 1:][lost[:, :-1]].mean()
-    assert going_on == pytest.approx(CONTINUED + (1 - CONTINUED) * lost.mean(), abs=0.02)
+    share = other_sensors.CONTINUED
+    assert going_on == pytest.approx(share + (1 - share) * lost.mean(), abs=0.02)
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_jitter_is_normal_noise_on_measured_points(seed: int) -> None:
     points = np.full((20_000, 3), 9, np.float32)
     points[:3] = [[0, 0, 0], [np.nan, 1, 1], [np.inf, 0, 0]]
-    moved = jitter(points, rng(seed))
+    moved = other_sensors.jitter(points, rng(seed))
     assert moved.dtype == np.float32
     assert not moved[0].any()
     assert not np.isfinite(moved[1:3]).all(axis=1).any()
     offset = moved[3:].astype(float) - 9
-    wanted = rng(seed).uniform(0, MAX_JITTER_M)
+    wanted = rng(seed).uniform(0, other_sensors.MAX_JITTER_M)
     np.testing.assert_allclose(offset.std(axis=0), wanted, rtol=0.05)
-    np.testing.assert_allclose(offset.mean(axis=0), 0, atol=0.05 * MAX_JITTER_M)
+    np.testing.assert_allclose(offset.mean(axis=0), 0, atol=0.05 * other_sensors.MAX_JITTER_M)
     assert abs(np.corrcoef(offset.T) - np.eye(3)).max() < 0.05
     assert (np.abs(offset) < 2 * wanted).mean() == pytest.approx(0.954, abs=0.01)

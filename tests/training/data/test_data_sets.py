@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from scans import SMALL, make_scan, write_bin, write_sequence
+from scans import SMALL, make_scan, refused, write_bin, write_sequence
 from shallow import shallow, weights  # noqa: F401
 
 from salsanext_cli import (
@@ -43,9 +43,7 @@ NEVER = np.zeros(SPACE.class_count, bool)
 
 
 @pytest.mark.parametrize(("also", "counts"), [(0.4, [7, 3, 5]), (1.0, [3, 4]), (0.0, [3, 4])])
-def test_further_data_sets_have_their_share_and_each_scan_its_turn(
-    also: float, counts: list[int]
-) -> None:
+def test_further_data_sets_have_their_share_and_each_scan_its_turn(also, counts):
     plan = SamplingPlan(counts, Recipe(epochs=10, batch=4, samples_per_epoch=60, also=also))
     drawn = [index for batch in plan.batches() for _, index in batch]
     ends = np.cumsum(counts)
@@ -112,9 +110,8 @@ def test_a_fitted_sequence_is_seen_as_predict_sees_it(roots: list[Path]) -> None
     own = fitted.sensor_of(file)
     assert own.up != SMALL.up
     image = project(read_scan(file.path), own)
-    channels = match_intensity(
-        image.channels, own.intensity_quantiles, first.sensor.intensity_quantiles
-    )
+    quantiles = (own.intensity_quantiles, first.sensor.intensity_quantiles)
+    channels = match_intensity(image.channels, *quantiles)
     expected = with_filled_gaps(channels, own, first.sensor)
     recipe = NOTHING.with_changes(also=1.0)
     found = Samples([first, fitted], first.sensor, recipe, NEVER, class_sets([second.space]))[0, 4]
@@ -135,9 +132,8 @@ def test_each_change_to_another_sensor_is_made(roots: list[Path], key: str) -> N
     """Each by a drawing of its own: intensities stay in their pixels, others move points."""
     (found, truth), (plain, own) = changed(roots, **{key: 1.0}), changed(roots)
     assert not np.array_equal(found[4], plain[4])
-    assert (
-        np.array_equal(found[:4], plain[:4]) == np.array_equal(truth, own) == (key == "intensity")
-    )
+    same = np.array_equal(found[:4], plain[:4]), np.array_equal(truth, own)
+    assert same == (key == "intensity",) * 2
 
 
 def test_further_data_sets_are_checked(roots: list[Path], tmp_path: Path) -> None:
@@ -147,9 +143,7 @@ def test_further_data_sets_are_checked(roots: list[Path], tmp_path: Path) -> Non
     other["learning_map_inv"] = {**SPACE.learning_map_inv, 1: 252}
     other["learning_map"] = {**SPACE.learning_map, 256: 1}
     (roots[1] / "labels.yaml").write_text(yaml.safe_dump(other))
-    with pytest.raises(LabelError) as caught:
-        further_source(roots[1], SPACE, SMALL)
-    assert caught.value.subject == str(roots[1])
+    refused(LabelError, roots[1], further_source, roots[1], SPACE, SMALL)
     describe(roots[1], COARSE)
     with pytest.raises(LabelError):
         further_source(roots[1], SPACE, SMALL)
@@ -174,9 +168,7 @@ def test_a_label_space_that_is_named_keeps_its_own_splits(roots: list[Path]) -> 
     (roots[0] / "labels.yaml").write_text("labels: 3")
     assert labelled_split(roots[0], mine, "train")[0].splits == mine.splits
     for unknown in (None, COARSE):
-        with pytest.raises(UsageError) as caught:
-            labelled_split(roots[0], unknown, "train")
-        assert caught.value.subject == str(roots[0] / "labels.yaml")
+        refused(UsageError, roots[0] / "labels.yaml", labelled_split, roots[0], unknown, "train")
     (roots[0] / "labels.yaml").unlink()
     assert labelled_split(roots[0], COARSE, "train")[0].splits == SPACE.splits
 
@@ -213,9 +205,8 @@ def test_scores_count_points_after_knn(tmp_path: Path, weights: Path) -> None:
     wanted = scores(expected, space)
     row, _ = validate(network, Source(files, space, network.sensor))
     assert (row["accuracy"], row["miou"]) == (wanted.accuracy, wanted.iou_mean_present)
-    np.testing.assert_equal(
-        [row[f"iou_{s.name}"] for s in wanted.classes], [s.iou for s in wanted.classes]
-    )
+    found = [row[f"iou_{s.name}"] for s in wanted.classes]
+    np.testing.assert_equal(found, [s.iou for s in wanted.classes])
 
 
 def test_validation_sees_each_sequence_by_its_own_sensor(tmp_path: Path, weights: Path) -> None:

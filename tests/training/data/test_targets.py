@@ -7,6 +7,7 @@ import torch
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
+from scans import refused
 
 from salsanext_cli import LabelSpace, label_space
 from salsanext_cli.errors import LabelError, UsageError
@@ -26,14 +27,11 @@ def test_an_id_of_several_classes_is_the_target_of_their_set() -> None:
     assert targets.dtype == np.uint8
     assert to_targets(raw, PLAIN, sets, "a.label").tolist() == PLAIN.to_train(raw).tolist()
     assert class_sets([PLAIN]) == ()
-    with pytest.raises(LabelError) as caught:
+    with refused(LabelError, "a.label"):
         to_targets(np.uint32([40, 7]), OTHER, class_sets([OTHER]), "a.label")
-    assert caught.value.subject == "a.label"
 
 
-def slow_loss(
-    logits: np.ndarray, truth: np.ndarray, weights: np.ndarray, sets: tuple[tuple[int, ...], ...]
-) -> float:
+def slow_loss(logits, truth, weights, sets):
     """Return the cross-entropy, a pixel at a time."""
     total = weight = 0.0
     for z, target in zip(logits, truth, strict=True):

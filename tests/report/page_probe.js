@@ -1,0 +1,85 @@
+// SPDX-License-Identifier: MIT
+{
+const shown = () => +document.documentElement.dataset.shown;
+const result = { shown: shown(), summary: byId("summary").textContent };
+const picture = () => {
+  view.draw();
+  const { gl } = view, { width, height } = gl.canvas;
+  const pixels = new Uint8Array(4 * width * height);
+  gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+  return new Set(new Uint32Array(pixels.buffer));
+};
+const change = (id, value, name) => {
+  byId(id).value = value;
+  byId(id).dispatchEvent(new Event(name));
+};
+const legend = () => [...byId("legend").children];
+const at = (target, name, x, y) => target.dispatchEvent(
+  new PointerEvent(name, { clientX: x, clientY: y, bubbles: true, pointerId: 1 }));
+(async () => {
+  result.state = [byId("scan").value, byId("colour").value, byId("by").value, byId("size").value];
+  result.colours = Object.fromEntries([...byId("colour").options].map(({ value }) => {
+    change("colour", value, "change");
+    return [value, picture().size];
+  }));
+  change("colour", "label", "change");
+  byId("all").click();
+  result.boxed = ["wrong", "label"].map(colour => {
+    change("colour", colour, "change");
+    const boxed = picture().size;
+    byId("boxes").click();
+    const without = picture().size;
+    byId("boxes").click();
+    return boxed - without;
+  });
+  result.all = shown();
+  result.legend = legend().map(button => button.textContent);
+  legend()[0].click();
+  result.pressed = legend()[0].getAttribute("aria-pressed");
+  await new Promise(done => setTimeout(done, 300));
+  result.without = [shown(), picture().size, location.hash];
+  legend()[1].dispatchEvent(new MouseEvent("dblclick"));
+  result.alone = shown();
+  byId("all").click();
+  change("by", "entropy", "change");
+  change("above", 64, "input");
+  result.below = [shown(), byId("above-value").textContent];
+  data.scales.error = { marks: [0, 0.1, 1], unit: "" };
+  result.marks = [0, 127, 254].map(byte => valueOf("error", byte));
+  byId("all").click();
+  view.azimuth = 0; view.elevation = 89; view.draw();
+  const m = view.matrix(), [x, y, z] = view.place(700);
+  const canvas = byId("cloud"), box = canvas.getBoundingClientRect();
+  const row = i => m[i] * x + m[4 + i] * y + m[8 + i] * z + m[12 + i];
+  const px = (row(0) / row(3) + 1) / 2 * box.width;
+  const py = (1 - row(1) / row(3)) / 2 * box.height;
+  result.picked = view.pick(px, py);
+  at(canvas, "pointermove", box.left + px, box.top + py);
+  await new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)));
+  const point = byId("point");
+  result.hover = [point.hidden, point.textContent, +document.documentElement.dataset.point];
+  const before_hiding = point.hidden, label = cloud.values.label[result.picked];
+  const button = legend().find(entry => entry.textContent.startsWith(data.classes[label].name));
+  button.click();
+  result.hidden = [before_hiding, point.hidden, view.marked];
+  button.click();
+  const stage = byId("full").closest("#stage");
+  const controls = ["cloud", "play", "colour", "above", "legend"];
+  stage.requestFullscreen = () => { result.full = controls.every(id => stage.contains(byId(id))); };
+  byId("full").click();
+  const before = view.azimuth;
+  canvas.dispatchEvent(new KeyboardEvent("keydown", { key: "ArrowLeft" }));
+  result.turned = view.azimuth - before;
+  result.pixels = Array.from({ length: cloud.shown }, (_, i) => pixelOf(i))
+    .every((pixel, i) => pixel < 0 || (cloud.first[pixel] <= i && i < cloud.first[pixel + 1]));
+  const strip = byId("strip"), area = strip.getBoundingClientRect(), pixel = pixelOf(700);
+  at(strip, "pointermove", area.left + (pixel % cloud.width + 0.5) * area.width / cloud.width,
+    area.top + (Math.floor(pixel / cloud.width) + 0.5) * area.height / cloud.height);
+  result.strip = [cloud.first[pixel], +document.documentElement.dataset.point];
+  byId("columns").dispatchEvent(new KeyboardEvent("keydown", { key: "End" }));
+  byId("columns").dispatchEvent(new KeyboardEvent("keydown", { key: "Enter" }));
+  result.opened = [cloud.name, byId("column").textContent];
+  result.fetched = performance.getEntriesByType("resource").length;
+  console.log("RESULT " + JSON.stringify(result));
+})();
+}
