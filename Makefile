@@ -34,9 +34,10 @@ $(INSTALLED): pyproject.toml $(CONSTRAINTS)
 demo: $(INSTALLED)
 	$(BIN)/salsanext demo $(DEMO)
 
+# Tests start many processes, which load compiled modules faster than they compile them.
 test: $(INSTALLED)
 	@tools/system-libraries chromium
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses $(WORKERS) --dist worksteal
+	PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses $(WORKERS) --dist worksteal
 
 test-slow: $(INSTALLED)
 	$(BIN)/python -m pytest -m 'slow or hypothesis' --hypothesis-profile=many

@@ -73,6 +73,7 @@ def nearest_hit(ray: np.ndarray, corners: np.ndarray) -> tuple[float, int]:
     return nearest
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 4, 5, 300])
 def test_rays_hit_the_nearest_triangle(count):
     mesh, random = triangles(count), np.random.default_rng(1)

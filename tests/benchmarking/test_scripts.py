@@ -50,12 +50,12 @@ RUNS = {
     ),
     "hole_shares.py two=data --sensor tiny.toml": ("two", "mean"),
     "street_statistics.py data --sensor tiny.toml": ("| car | data", "| traffic-sign | data"),
-    "corruptions.py data out --weights w.safetensors --corruptions crosstalk --severities 2": (
-        *("clean", "crosstalk 2", "crosstalk mean"),
-    ),
 }
 """Lines that begin with these words, in this order, by the script and its arguments."""
 SLOW_RUNS = {
+    "corruptions.py data out --weights w.safetensors --corruptions crosstalk --severities 2": (
+        *("clean", "crosstalk 2", "crosstalk mean"),
+    ),
     "checks_cost.py data 1 w.safetensors": (
         *("with checks", "without", "checks, elapsed", "checks, CPU", "fit, once a run"),
     ),
@@ -326,6 +326,7 @@ def is_inner(image: RangeImage) -> np.ndarray:
     return (v >= 2) & (v < image.height - 2) & (u >= 2) & (u < image.width - 2)
 
 
+@pytest.mark.slow
 def test_script_and_benchmark_label_a_scan_as_predict_does(tmp_path, weights, monkeypatch):
     """No window of the points compared reaches an edge of the image, and all have a label."""
     scan, file = make_scan(), tmp_path / "000000.bin"

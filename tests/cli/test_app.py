@@ -169,7 +169,6 @@ def test_characters_outside_the_encoding_of_stdout_are_replaced():
         ("predikt", ["predikt"]),
         ("predict --overwrit", ["salsanext predict", "--overwrit"]),
         ("knn-refine a b", ["salsanext knn-refine", "b"]),
-        ("predict --backend loky", ["--backend", "removed"]),
         ("predict --engine onnx", ["--engine", "onnx", "openvino"]),
         ("tune temperature only-one", ["salsanext tune temperature", "WEIGHTS_OUT"]),
         ("tune dropout data w.safetensors --samples few", ["tune dropout", "--samples"]),

@@ -14,7 +14,6 @@ from scans import SMALL, labels_below, write_array, write_sequence
 
 from salsanext_cli.network.card import read_card
 from salsanext_cli.results.paths import output_path
-from salsanext_cli.stages import models as stages
 
 ROOT = Path(__file__).parents[2]
 
@@ -233,7 +232,6 @@ def test_nothing_to_work_on_is_status_one(run, weights, tmp_path, monkeypatch, l
     monkeypatch.chdir(tmp_path)
     (tmp_path / "empty").mkdir()
     (tmp_path / "rubbish.safetensors").write_bytes(b"rubbish")
-    monkeypatch.setattr(stages, "ARCHITECTURES", {})  # counting takes seconds
     result = run(*(word.format(weights=weights) for word in line.split()))
     assert (result.exit_code, result.stdout, subject(result)) == (1, "", expected)
 
@@ -295,7 +293,6 @@ def test_several_scans_and_globs(run, data, weights, tmp_path):
 
 
 def test_a_temperature_is_printed_and_stored(run, data, weights, tmp_path, monkeypatch):
-    monkeypatch.setattr(stages, "ARCHITECTURES", {})  # counting takes seconds
     target = tmp_path / "tuned.safetensors"
     arguments = ("tune", "temperature", data, target, "--weights", weights, "--device", "cpu")
     result = run(*arguments, status=0)
