@@ -21,6 +21,7 @@ import sys
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import groupby
 from pathlib import Path
 
@@ -38,6 +39,7 @@ from salsanext_cli.formats import read_scan
 from salsanext_cli.network.card import scan_digest
 from salsanext_cli.network.weights import read_weights, save_weights, save_with_card
 from salsanext_cli.option_fields import ScanSelection
+from salsanext_cli.parallel.network_task import network_pipeline
 from salsanext_cli.results.paths import ScanFile, find_scans
 from salsanext_cli.results.selection import data_set_label_space, evenly_spaced
 from salsanext_cli.stages.tune import tune
@@ -45,9 +47,9 @@ from salsanext_cli.training.cross_validation import folds
 from salsanext_cli.training.data.augment import rotate
 from salsanext_cli.training.data.class_counts import class_shares
 from salsanext_cli.training.data.sources import labelled_split
-from salsanext_cli.training.tuning.error import FOLDS, JudgedPoints, cross_validated, judged_points
+from salsanext_cli.training.tuning.error import FOLDS, JudgedPoints, cross_validated, judge_job
 from salsanext_cli.training.tuning.int8 import int8_inputs
-from salsanext_cli.training.tuning.scans import labelled_scans
+from salsanext_cli.training.tuning.scans import labelled_scans, read_labelled_image
 
 DRIVES = ("001", "002")
 HELD_OUT = 10
@@ -250,7 +252,9 @@ def add_error(weights: Path, datasets: Sequence[Path]) -> None:
         ):
             files = list(members)
             own = fit_scans(settings, network, ScanSample(files, network.sensor))
-            judged |= {file: judged_points(file, own, space, POINTS_OF_SCAN) for file in files}
+            read = partial(read_labelled_image, network=own, space=space)
+            points = network_pipeline(judge_job(own, read, POINTS_OF_SCAN), own).results(files)
+            judged |= zip(files, points, strict=True)
             parts[fold_of[sequence]] += files
     model = cross_validated(judged, parts)
     roots = {dataset.name for dataset in datasets}

@@ -42,6 +42,7 @@ from salsanext_cli.training.tuning.error import (
     is_better,
     judge_job,
     of_both_kinds,
+    points_of_scan,
 )
 from salsanext_cli.training.tuning.scans import LabelledImage, read_labelled_image
 from salsanext_cli.training.validation import validate
@@ -253,7 +254,7 @@ class Setup:
                 seen = network.for_sensor(source.sensor_of(file))
                 return read_labelled_image(file, seen, source.space)
 
-            job = judge_job(network, read, len(source.files))
+            job = judge_job(network, read, points_of_scan(len(source.files)))
             judged |= zip(part, network_pipeline(job, network).results(part), strict=True)
         if of_both_kinds(judged.values()):
             start = self.error if self.error and self.error.features == FEATURES else None

@@ -236,6 +236,30 @@ def test_default_weights_have_a_version_and_inherit_nothing(tmp_path, tiny_train
     assert (finished.error, finished.accuracy, finished.temperature) == (None, None, 1.5)
 
 
+@pytest.mark.slow
+def test_default_weights_get_an_error_model_of_all_sequences_and_int8_ranges(
+    tmp_path, tiny_training, monkeypatch
+):
+    script = runpy.run_path(str(BENCHMARKS / "default_weights.py"))
+    monkeypatch.setitem(script["add_error"].__globals__, "CORRUPTIONS", 1)
+    weights, datasets = tmp_path / "w.safetensors", [tmp_path / "a", tmp_path / "b"]
+    card = WeightsCard({"name": "salsanext", "class_count": 20}, label_space(), SMALL)
+    save_weights(weights, TinyNetwork(), card)
+    space = label_space().to_dict() | {"split": {"train": ["00"], "valid": ["08", "09"]}}
+    for dataset in datasets:
+        for number in ("00", "08", "09"):
+            write_sequence(dataset / "sequences" / number, ["0"], seed=int(number))
+        (dataset / "labels.yaml").write_text(json.dumps(space))
+    monkeypatch.setattr("salsanext_cli.training.tuning.error.MIN_STEPS", 10)
+    monkeypatch.setattr("salsanext_cli.training.tuning.error.EPOCHS", 1)
+    script["add_error"](weights, datasets)
+    script["add_int8"](weights, datasets)
+    card = read_card(weights)
+    assert card.error.scores["sequences"] == ["a/08", "a/09", "b/08", "b/09"]
+    assert card.error.scores["points"] > 4 * 1000
+    assert card.int8 is not None
+
+
 @pytest.mark.parametrize("name", ["pandaset", "aachen"])
 def test_the_label_spaces_have_the_classes_of_semantickitti(name):
     space = label_space(BENCHMARKS / f"{name}.yaml")

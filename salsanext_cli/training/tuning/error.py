@@ -53,15 +53,16 @@ class JudgedPoints:
     several: float = 0.0  # Share of skipped points, whose label is of several classes
 
 
+def points_of_scan(scans: int) -> int:
+    """Return the largest number of points that are judged in each of some scans."""
+    return max(1, min(MAX_POINTS_OF_SCAN, MAX_POINTS // scans))
+
+
 JudgeJob = Steps[LabelledImage, PixelPrediction, JudgedPoints]
 
 
-def judge_job(network: Network, read: Callable[[ScanFile], LabelledImage], scans: int) -> JudgeJob:
-    """Return the job that labels scans as `predict` does, and judges points of each.
-
-    `scans` is their number.
-    """
-    most = max(1, min(MAX_POINTS_OF_SCAN, MAX_POINTS // scans))
+def judge_job(network: Network, read: Callable[[ScanFile], LabelledImage], most: int) -> JudgeJob:
+    """Return the job that labels scans as `predict` does, and judges at most `most` points each."""
 
     def predict(scans: Sequence[LabelledImage]) -> list[PixelPrediction]:
         return network.predict([scan.input for scan in scans], softmax=True)
@@ -89,7 +90,7 @@ def fit_error_model(scans: TuningScans) -> Tuned:
     on the same held-out scans, and whether the weights were `changed`.
     """
     files, network = scans.files, scans.network
-    judged = scans.run(judge_job(network, scans.read, len(files)))
+    judged = scans.run(judge_job(network, scans.read, points_of_scan(len(files))))
     wrong = np.concatenate([points.wrong for points in judged.values()])
     scans.require_points(len(wrong))
     if not of_both_kinds(judged.values()):
