@@ -24,11 +24,21 @@ if TYPE_CHECKING:
 
 
 class PixelPrediction(NamedTuple):
-    """Prediction for the pixels of a range image."""
+    """Prediction for the pixels of a range image.
 
-    labels: TrainIds  # (H, W) uint8: the likeliest class, the first of equal ones
-    confidence: Float  # (H, W) float32: its probability
-    softmax: Float | None = None  # (C, H, W) float32: of all classes, if requested
+    Attributes
+    ----------
+    labels : (H, W) uint8
+        The likeliest class, the first of equal ones.
+    confidence : (H, W) float32
+        Its probability.
+    softmax : (C, H, W) float32, optional
+        Probabilities of all classes, if requested.
+    """
+
+    labels: TrainIds
+    confidence: Float
+    softmax: Float | None = None
 
     @classmethod
     def of(cls, softmax: Float, *, keep: bool = False) -> "PixelPrediction":
@@ -64,19 +74,35 @@ class Backend(ABC):
     """Weights on a device, in evaluation mode, computed by one library.
 
     Images are inputs of the network, (1, 5, H, W) float32, normalised.
+
+    Attributes
+    ----------
+    load_module : callable
+        Returns the network in torch, float32, on the device; called when it is first needed.
+    card : WeightsCard
+        Metadata of the weights.
+    size : tuple of int
+        Height and width of the images.
+    device : str
+        ``"cpu"``, ``"cuda"``, ``"cuda:1"`` …
+    precision : {"float32", "bfloat16", "float16", "int8"}
+        Number type of most layers.
+    name, sha256 : str
+        Name of the weights file, for errors, and its digest; None for weights without a file.
+    code : str
+        Digest of the source of a plug-in's network.
     """
 
     library: ClassVar[str]
 
-    # Returns the network in torch, float32, on the device; called when it is first needed
     load_module: "Callable[[], SegmentationNetwork]"
     card: WeightsCard
-    size: tuple[int, int]  # Height and width of the images
-    device: str = "cpu"  # Or "cuda", "cuda:1" …
-    precision: str = "float32"  # Number type of most layers; or "bfloat16", "float16", "int8"
-    name: str = "the weights"  # Name of the weights file, for errors
-    sha256: str | None = None  # None for weights without a file
-    code: str = ""  # Digest of the source of a plug-in's network
+    size: tuple[int, int]
+    device: str = "cpu"
+    precision: str = "float32"
+    name: str = "the weights"
+    sha256: str | None = None
+    code: str = ""
 
     @cached_property
     def module(self) -> "SegmentationNetwork":

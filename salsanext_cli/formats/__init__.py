@@ -27,20 +27,32 @@ Names = tuple[str, ...]  # Of columns
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """Format of files of one scan each."""
+    """Format of files of one scan each.
 
-    suffixes: tuple[str, ...]  # In lower case, such as ``.pcd``; longer ones first
-    # Reader: path, names of the columns (``--columns``, may be empty) and divisor of the intensity
-    # to `Scan`. It raises `FormatError` for a file of another format.
+    Attributes
+    ----------
+    suffixes : tuple of str
+        Suffixes of the files, in lower case, such as ``.pcd``; longer ones first.
+    read : callable
+        Reader: path, names of the columns (``--columns``, may be empty) and divisor of the
+        intensity to `Scan`. It raises `FormatError` for a file of another format.
+    magic : tuple of bytes
+        First bytes of the files; empty if they vary.
+    is_table : bool
+        Whether files with these suffixes often contain something else. Such files in a folder
+        are scans only if it has no others.
+    subset : callable, optional
+        Writer of some points, for `filter`: path and names of the columns to a function from a
+        mask (N,) bool of the remaining points to the content, bytes, of a file.
+    label_columns : callable, optional
+        Reader for `import-labels`: path to all columns, (N,) each, by name; x, y, z in metres.
+    """
+
+    suffixes: tuple[str, ...]
     read: Callable[[Path, Names, float], Scan]
-    magic: tuple[bytes, ...] = ()  # First bytes of the files; empty if they vary
-    # Whether files with these suffixes often contain something else. Such files in a folder are
-    # scans only if it has no others.
+    magic: tuple[bytes, ...] = ()
     is_table: bool = False
-    # Writer of some points, for `filter`: path and names of the columns to a function from a mask
-    # (N,) bool of the remaining points to the content, bytes, of a file
     subset: Callable[[Path, Names], Callable[[Mask], bytes]] | None = None
-    # Reader for `import-labels`: path to all columns, (N,) each, by name; x, y, z in metres
     label_columns: Callable[[Path], Columns] | None = None
 
 

@@ -27,12 +27,24 @@ AttemptFunction = Callable[[Iterable[ScanFile], Report], Iterator[Attempt[Any]]]
 
 @dataclass(frozen=True, slots=True)
 class Pipeline(Generic[Prepared, Computed, Result]):
-    """Job on scans, and how its steps overlap."""
+    """Job on scans, and how its steps overlap.
+
+    Parameters
+    ----------
+    job : ScanJob
+        The three steps.
+    batch : BatchSize
+        Number of scans that are computed together.
+    readers : int
+        Number of threads that prepare scans.
+    device : str
+        Device that computes, for errors.
+    """
 
     job: ScanJob[Prepared, Computed, Result]
-    batch: BatchSize = field(default_factory=lambda: BatchSize(1, "scans"))  # Computed together
-    readers: int = 1  # Threads that prepare scans
-    device: str = "cpu"  # Device that computes, for errors
+    batch: BatchSize = field(default_factory=lambda: BatchSize(1, "scans"))
+    readers: int = 1
+    device: str = "cpu"
 
     def run(
         self, files: Iterable[ScanFile], report: Report = lambda _: None

@@ -48,16 +48,34 @@ class Failure:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """Numbers of a run."""
+    """Numbers of a run.
 
-    skipped: int  # Scans with complete results before the run
-    failures: tuple[Failure, ...]  # In order of the scans
-    done: int  # Scans that succeeded
-    missing: MissingResults | None = None  # Scans without the results that the stage needs
-    seconds: float = 0.0  # Duration of the work on scans
+    Attributes
+    ----------
+    skipped, done : int
+        Number of scans with complete results before the run, and of scans that succeeded in it.
+    failures : tuple of Failure
+        Scans that failed, in order.
+    missing : MissingResults, optional
+        Scans without the results that the stage needs.
+    seconds : float
+        Duration of the work on scans.
+    summary : RunSummary, optional
+        Summary of the scans.
+    rejected_points : int, optional
+        Number of points that were left unlabelled because of their uncertainty.
+    accepted_points : (int, int), optional
+        Number of points of the scans, and of points that passed a filter.
+    """
+
+    skipped: int
+    failures: tuple[Failure, ...]
+    done: int
+    missing: MissingResults | None = None
+    seconds: float = 0.0
     summary: RunSummary | None = None
-    rejected_points: int | None = None  # Left unlabelled because of their uncertainty
-    accepted_points: tuple[int, int] | None = None  # Of the scans, and those that passed a filter
+    rejected_points: int | None = None
+    accepted_points: tuple[int, int] | None = None
 
 
 def run_over_scans(

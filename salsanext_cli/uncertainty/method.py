@@ -21,12 +21,19 @@ ALEATORIC_METHODS = ("copies", "paper", "none")
 class UncertaintyMethod:
     """Method of estimating uncertainty.
 
-    The effect of the sensor's noise, `aleatoric`, is estimated by noisy copies of the scan, by
-    assumed density filtering ("paper"), or not at all.
+    Attributes
+    ----------
+    samples : int
+        Passes of Monte-Carlo dropout per scan, at least 2; default: the paper's number.
+    seed : int
+        Masks and noise of a scan depend only on this seed and on sequence and name of the scan.
+    aleatoric : {"copies", "paper", "none"}
+        Effect of the sensor's noise: by passes over noisy copies of the scan, by assumed density
+        filtering, or not estimated.
     """
 
-    samples: int = 30  # Passes of Monte-Carlo dropout per scan, at least 2; the paper's number
-    seed: int = 0  # With sequence and name of a scan, it determines masks and noise
+    samples: int = 30
+    seed: int = 0
     aleatoric: str = "copies"
 
     def __post_init__(self) -> None:
