@@ -77,8 +77,9 @@ class FusionWindow:
         reach = self.reach.reach
         near = range(max(0, index - reach), min(len(self.parts), index + reach + 1))
         members = [i for i in near if self.parts[i] == self.parts[index]]
-        before = self.seen
-        self.seen = {i: before[i] if i in before else self._placed(i) for i in members}
+        # Scans out of reach are freed before others are read: the next chunk may lie far away.
+        self.seen = {i: self.seen[i] for i in members if i in self.seen}
+        self.seen = {i: self.seen[i] if i in self.seen else self._placed(i) for i in members}
         if isinstance(error := self.seen[index], SalsanextError):
             raise error
         readable = {i: s for i, s in self.seen.items() if not isinstance(s, SalsanextError)}

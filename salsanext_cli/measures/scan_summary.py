@@ -170,9 +170,8 @@ class RunSummary:
 
     sensor: Sensor  # Sensor that the scans were projected for
     space: LabelSpace | None = None  # Classes of the predicted points, if any are predicted
-    scans: Sequence[
-        ScanFile
-    ] = ()  # Scans of the run; the data set of the first may describe others
+    # Scans of the run; the data set of the first may describe others
+    scans: Sequence[ScanFile] = ()
     accuracy: AccuracyLine | None = None  # As in `WeightsCard`
     class_points: Counts | None = None  # (C,): number of points by predicted train id
     # Names and findings of scans and sequences by code

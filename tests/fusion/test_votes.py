@@ -203,6 +203,23 @@ def test_parts_may_be_far_apart_but_not_the_scans_of_a_part():
         window.tally(4)
 
 
+def test_a_window_that_jumps_frees_its_scans_before_it_reads_others():
+    scans, softmax, poses = drive(0)
+    held = []
+
+    def read(index):
+        held.append({*window.seen})
+        return scans[index].points, softmax[index]
+
+    parts, movable = np.zeros(5, np.int64), np.zeros(CLASSES, bool)
+    window = FusionWindow(Drive(poses, parts), read, FusionReach(1, 1), movable)
+    for index in (0, 1, 4):
+        held.clear()
+        window.tally(index)
+        assert held
+        assert set().union(*held) <= {index - 1, index, index + 1}
+
+
 @given(st.integers(0, 10_000), st.integers(2, CLASSES))
 def test_kept_classes_are_the_most_probable(seed, classes):
     softmax = np.random.default_rng(seed).dirichlet(np.full(classes, 0.4), 50).astype(np.float32)
