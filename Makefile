@@ -73,4 +73,5 @@ workflows: $(INSTALLED)
 	$(BIN)/zizmor --offline .github
 
 clean:
+	find . -name __pycache__ -not -path './.venv/*' -prune -exec rm -rf {} +
 	rm -rf .venv dist site demo .pytest_cache .mypy_cache .ruff_cache .hypothesis

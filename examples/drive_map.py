@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 import salsanext_cli as sn
+from salsanext_cli.fusion.drive import recorded_drive
 from salsanext_cli.results.paths import find_scans
 
 
@@ -42,17 +43,15 @@ def one_per_voxel(columns: dict[str, Any], size: float) -> dict[str, Any]:
 
 def poses_of(folder: Path) -> dict[str, Any]:
     """Return the poses (3, 4) of the scans of the largest part of a fused drive, by name."""
-    try:
-        record = json.loads((folder / "drive.json").read_bytes())
-        rows = np.array((folder / "poses.txt").read_bytes().split(), float).reshape(-1, 3, 4)
-        drive = [*zip(record["scans"], record["parts"], rows, strict=True)]
-        largest = np.bincount(record["parts"]).argmax()
-    except (OSError, LookupError, TypeError, ValueError) as error:
+    if (drive := recorded_drive(folder)) is None:
         hint = "run `salsanext fuse OUT`, and give OUT/fused/sequences/NAME"
-        sys.exit(f"error: {folder}: contains no results of `fuse`: {error}\nhint: {hint}")
-    poses = {name: pose for name, part, pose in drive if part == largest}
-    if len(poses) < len(drive):
-        print(f"{len(poses)} of {len(drive)} scans: the poses do not connect the others")
+        sys.exit(f"error: {folder}: contains no results of `fuse`\nhint: {hint}")
+    names = json.loads((folder / "drive.json").read_bytes())["scans"]
+    largest = np.bincount(drive.parts).argmax()
+    poses = {n: drive.poses[i, :3] for i, n in enumerate(names) if drive.parts[i] == largest}
+    if len(poses) < len(names):
+        text = f"{len(poses)} of {len(names)} scans: the poses do not connect the others"
+        print(f"warning: {text}", file=sys.stderr)
     return poses
 
 
@@ -67,14 +66,17 @@ def main(fused: Path, scans: Path, target: Path, size: float, classes: str) -> N
         sys.exit(f"error: {scans}: contains several sequences\nhint: give the folder of one")
     clouds, poses = [], poses_of(fused)
     for file in files:
-        labels, pose = fused / f"predictions/{file.stem}.label", poses.get(file.stem)
-        if pose is not None and labels.exists():
-            clouds.append(one_per_voxel(points_of_scan(file.path, labels, pose, space), size))
+        labels = fused / f"predictions/{file.stem}.label"
+        if file.stem in poses and labels.exists():
+            points = points_of_scan(file.path, labels, poses.pop(file.stem), space)
+            clouds.append(one_per_voxel(points, size))
     if not clouds:
         sys.exit(f"error: {scans}: contains no scan with labels in {fused}")
     joined = {name: np.concatenate([cloud[name] for cloud in clouds]) for name in clouds[0]}
     sn.write_ply(target, columns := one_per_voxel(joined, size))
     print(f"{target}: {len(columns['x'])} points of {len(clouds)} scans")
+    if poses:
+        sys.exit(f"error: {len(poses)} scans lack a file or labels, such as {min(poses)}")
 
 
 if __name__ == "__main__":

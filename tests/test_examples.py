@@ -284,9 +284,9 @@ def test_drive_map(drive, tmp_path, capsys):
         nearest[voxel] = min(nearest.get(voxel, np.inf), distance)
     draw = load("drive_map")
     draw(fused, tmp_path / "08", tmp_path / "map.ply", 0.5, "semantic-kitti")
-    printed = capsys.readouterr().out
-    assert "3 of 4 scans" in printed
-    assert f"{len(nearest)} points of 3 scans" in printed
+    printed = capsys.readouterr()
+    assert "3 of 4 scans" in printed.err
+    assert f"{len(nearest)} points of 3 scans" in printed.out
     vertices = plyfile.PlyData.read(tmp_path / "map.ply")["vertex"]
     found = np.stack([vertices[axis] for axis in "xyz"], axis=1)
     voxels = map(tuple, np.floor(found / 0.5).astype(int))
@@ -306,11 +306,17 @@ def test_drive_map(drive, tmp_path, capsys):
         given = {"fused": fused, "scans": tmp_path / "08", "target": tmp_path / "new.ply"}
         with pytest.raises((SystemExit, SalsanextError)):
             draw(**{**given, "size": 0.5, "classes": "semantic-kitti", **change})
-    for line in ("", "1 0 0\n", "1 0 0 0 0 1 0 0 0 0 1 0\n"):
+    edited = (fused / "poses.txt").read_text().replace("4.00001", "4.00002")
+    for line in ("", "1 0 0\n", "1 0 0 0 0 1 0 0 0 0 1 0\n", edited):
+        whole = (fused / "poses.txt").read_bytes()
         (fused / "poses.txt").write_text(line)
-        with pytest.raises(SystemExit, match="salsanext fuse"):
+        with pytest.raises(SalsanextError):
             draw(fused, tmp_path / "08", tmp_path / "new.ply", 0.5, "semantic-kitti")
+        (fused / "poses.txt").write_bytes(whole)
     assert not (tmp_path / "new.ply").exists()
+    (fused / "predictions/1.label").unlink()
+    with pytest.raises(SystemExit, match=r"1 scans lack .* 1$"):
+        draw(fused, tmp_path / "08", tmp_path / "new.ply", 0.5, "semantic-kitti")
 
 
 def test_every_example_has_a_command_line_and_a_test():

@@ -296,3 +296,11 @@ def test_a_run_without_need_of_plug_ins_imports_none(tmp_path, monkeypatch, capl
     assert build({"name": "salsanext"}).stride == (16, 16)
     assert "odd_plug_in" not in sys.modules
     assert not [record for record in caplog.records if "zz-odd" in record.getMessage()]
+
+
+def test_the_table_of_formats_needs_neither_numpy_nor_readers():
+    code = (
+        "import salsanext_cli.formats, sys; print({'numpy', 'importlib.metadata'} & {*sys.modules})"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "set()"

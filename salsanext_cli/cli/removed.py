@@ -8,7 +8,7 @@ from salsanext_cli.cli.console import guarded
 from salsanext_cli.errors import UsageError
 
 REMOVED = {
-    ("", "--backend"): "use `--jobs`, and `--shard I/N` for several machines",
+    ("", "--backend"): "use `--jobs`",
     ("", "--out"): "give the folder as the argument OUT",
     ("", "--scheduler"): "use `--shard I/N` on each machine",
     ("compare", ""): "use `eval` on both folders, then examples/compare_runs.py",

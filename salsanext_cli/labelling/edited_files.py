@@ -116,7 +116,8 @@ def read_edited(
 ) -> tuple[RawIds, ImportedScan]:
     """Read the labels of the points (N, 3) of a scan, matched by coordinates or order.
 
-    Return raw ids with instances, (N,) uint32, unlabelled where there are none, and numbers.
+    Return raw ids with instances, (N,) uint32, unlabelled where there are none, and the numbers of
+    points.
     """
     has_points = _has_points(path)
     cloud = read_labelled_cloud(path, scalar) if has_points else _of_all_points(path, points)

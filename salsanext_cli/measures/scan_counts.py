@@ -82,7 +82,7 @@ class ScanCounts:
     # By kind of uncertainty, `SOFTMAX` for the confidence, or `OF_ERROR`
     histograms: dict[str, Histogram] = field(default_factory=dict)
     by_sequence: dict[str, Counts] = field(default_factory=dict)
-    # Some of `Scores`, by name of the scan
+    # By name of the scan: accuracy, mean IoU and number of points
     by_scan: dict[str, dict[str, float]] = field(default_factory=dict)
 
     @classmethod

@@ -70,8 +70,8 @@ class RiskThreshold:
     confidence: float | None
     scans: int  # Number of the scans
     sequences: tuple[str, ...]
-    unit: str = "scan"  # Unit of the guarantee, or "drive"
-    digests: str = ""  # Joined
+    unit: str = "scan"  # Unit of the guarantee: "scan" or "drive"
+    digests: str = ""  # Joined digests of the scans
     settings: Json = field(default_factory=dict)  # As `labels_depend_on` returns them
     views: tuple[FittedView, ...] = ()  # Fields of view of the sensors
 
@@ -122,7 +122,8 @@ class WeightsCard:
     error: ErrorModel | None = None
     risk: RiskThreshold | None = None
     accuracy: AccuracyLine | None = None
-    int8: Mapping[str, Int8Input] = field(default_factory=dict)  # Of layers by name
+    # Quantised inputs of layers by name; the other layers compute in float32
+    int8: Mapping[str, Int8Input] = field(default_factory=dict)
     trained_on: frozenset[str] = frozenset()  # Digests of scans, as far as known
     version: int | None = None  # Version of the default weights; None for other weights
 

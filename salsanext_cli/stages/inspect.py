@@ -180,7 +180,8 @@ def write_sensor(
     path, sensor : Path, Sensor
         File, and sensor to write.
     images, overwrite : bool
-        Whether to write the size and normalisation of the images too; replace an existing file.
+        Whether to write the size and normalisation of the images too; whether to replace
+        an existing file.
     """
     require_absent(path, overwrite)
     write_bytes(path, sensor.to_toml(images=images).encode())

@@ -150,11 +150,13 @@ def _required(
         missing = sorted(stem for stem in stems if (sequence, stem) not in files)
         if missing or not stems:
             share = f"lacks {len(missing):,} of {counted(len(stems), 'prediction')}"
-            problem = f"{share}: {first_few(missing)}" if stems else "has no predictions and scans"
+            problem = (
+                f"{share}: {first_few(missing)}" if stems else "has neither predictions nor scans"
+            )
             gone = len({*missing} - here) if here else 0
-            hint = f"complete the data set: {gone} of their scans are missing too"
+            hint = f"complete the data set: it lacks {counted(gone, 'scan')}"
             raise NoInputError(
-                f"sequence {sequence}", problem, "", hint if gone else "predict them"
+                f"sequence {sequence}", problem, "", hint if gone else "predict the sequence"
             )
         required += [(sequence, stem) for stem in sorted(stems)]
     return required

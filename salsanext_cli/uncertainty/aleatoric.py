@@ -58,7 +58,7 @@ def noise_variance(network: Network, image: RangeImage, seed: int) -> Float:
 
 
 def aleatoric(network: Network, image: RangeImage) -> Float:
-    """Return the variance (C, H, W) of the softmax, unmerged, by assumed density filtering."""
+    """Return the variance (C, H, W) of the softmax of unmerged classes by density filtering."""
     filled = with_filled_gaps(image.channels, network.sensor, network.card.sensor)
     variance = input_variance(filled, network.sensor)[None]
     mean = network.input(image.channels)

@@ -257,7 +257,7 @@ def test_default_weights_get_an_error_model_of_all_sequences_and_int8_ranges(
     card = read_card(weights)
     assert card.error.scores["sequences"] == ["a/08", "a/09", "b/08", "b/09"]
     assert card.error.scores["points"] > 4 * 1000
-    assert card.int8 is not None
+    assert card.int8
 
 
 @pytest.mark.parametrize("name", ["pandaset", "aachen"])

@@ -158,7 +158,7 @@ def test_eval_scores_the_uncertainty_again_when_it_changes(run, predict, data, w
     assert report["settings"]["uncertainty"]["samples"] == 3
 
 
-def test_errors_of_points_are_evaluated_and_reject_points(run, results, data):
+def test_errors_of_points_are_evaluated(run, results):
     for stem in ("000000", "000001"):
         path = output_path(results, "08", "uncertainty/error", stem)
         write_array(path, np.linspace(0, 1, 1500, dtype=np.float32))

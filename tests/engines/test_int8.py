@@ -13,7 +13,7 @@ from hypothesis.extra.numpy import arrays
 from scans import SMALL, make_scan, refused, write_weights
 from torch import nn
 
-from salsanext_cli import label_space, load_network, project
+from salsanext_cli import label_space, load_network, project, sample
 from salsanext_cli.engines.graphs import Graph, compiled_graph, converted
 from salsanext_cli.engines.int8_graphs import quantised
 from salsanext_cli.engines.openvino_backend import OpenVinoBackend
@@ -206,3 +206,12 @@ def test_damaged_ranges_are_refused(weights, changes):
     assert '"step"' in content
     broken = content.replace('"step"', '"stride"')
     refused(WeightsError, "weights", WeightsCard.from_metadata, {"salsanext": broken}, "weights")
+
+
+def test_samples_of_int8_weights_are_those_of_float32(weights):
+    image_of_scan = project(make_scan(), SMALL)
+    estimates = [
+        sample(load_network(weights, "cpu", SMALL, precision=p), image_of_scan, samples=2, seed=0)
+        for p in ("int8", "float32")
+    ]
+    assert np.array_equal(*(estimate.probabilities for estimate in estimates))

@@ -98,7 +98,7 @@ def test_missing_predictions_are_one_error(folders):
     with refused(NoInputError, "sequence 11") as raised:
         folders.submit()
     assert "2 of 3 predictions: 000000, 000002" in raised.value.problem
-    assert "1 of their scans" in raised.value.hint
+    assert "it lacks 1 scan" in raised.value.hint
     assert not folders.zip.exists()
 
 
@@ -132,7 +132,7 @@ def test_an_incomplete_data_set_is_noticed(folders):
     for with_data in (True, False):
         with refused(NoInputError, "sequence 21") as raised:
             folders.submit(with_data=with_data)
-        assert ("their scans" in raised.value.hint) == with_data
+        assert ("complete the data set" in raised.value.hint) == with_data
 
 
 def test_nothing_is_replaced_unasked(folders):

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import load_file
 from scans import SMALL, refused, write_sequence, write_weights
 
 from salsanext_cli import (
@@ -58,6 +59,15 @@ def labelled_points(world):
         counts = (labels != 0) & (image.pixel_of_point >= 0)
         places = np.divmod(image.pixel_of_point[counts], image.width)
         yield stem, image, list(zip(*places, labels[counts].tolist(), strict=True))
+
+
+def test_tensors_stay_as_they_are_stored(world, target, tmp_path):
+    source = tmp_path / "source.safetensors"
+    save_weights(source, *read_weights(world.network.weights), half=True)
+    go(world, target, settings=NetworkSettings(source, "cpu", engine="torch"))
+    old, new = load_file(source), load_file(target)
+    assert {name: t.dtype for name, t in old.items()} == {name: t.dtype for name, t in new.items()}
+    assert all(torch.equal(new[name], tensor) for name, tensor in old.items())
 
 
 def test_progress_and_selection(world, target, caplog):
