@@ -76,7 +76,9 @@ def main(fused: Path, scans: Path, target: Path, size: float, classes: str) -> N
     sn.write_ply(target, columns := one_per_voxel(joined, size))
     print(f"{target}: {len(columns['x'])} points of {len(clouds)} scans")
     if poses:
-        sys.exit(f"error: {len(poses)} scans lack a file or labels, such as {min(poses)}")
+        sys.exit(
+            f"error: a file or labels are missing for {len(poses)} of the scans: {min(poses)} …"
+        )
 
 
 if __name__ == "__main__":

@@ -7,13 +7,8 @@ import numpy as np
 from scans import write_array, write_bin
 
 from salsanext_cli import LabelSpace, Scan, label_space, write_labels
-from salsanext_cli.measures.histograms import (
-    SCAN_BINS,
-    CalibrationScores,
-    confidence_histogram,
-    reliability,
-    uncertainty_histogram,
-)
+from salsanext_cli.measures.calibration import SCAN_BINS, CalibrationScores, reliability
+from salsanext_cli.measures.histograms import confidence_histogram, uncertainty_histogram
 from salsanext_cli.measures.scan_counts import SOFTMAX, ScanCounts
 from salsanext_cli.measures.uncertainty_evaluation import RankingScores, evaluate_uncertainty
 from salsanext_cli.parallel.run import RunOptions

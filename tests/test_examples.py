@@ -315,7 +315,7 @@ def test_drive_map(drive, tmp_path, capsys):
         (fused / "poses.txt").write_bytes(whole)
     assert not (tmp_path / "new.ply").exists()
     (fused / "predictions/1.label").unlink()
-    with pytest.raises(SystemExit, match=r"1 scans lack .* 1$"):
+    with pytest.raises(SystemExit, match=r"missing for 1 of the scans: 1 "):
         draw(fused, tmp_path / "08", tmp_path / "new.ply", 0.5, "semantic-kitti")
 
 

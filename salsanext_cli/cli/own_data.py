@@ -257,5 +257,5 @@ def submit(
             overwrite=overwrite,
             progress=on_progress,
         )
-    output.result(made | {"zip": str(target)})
-    output.print(f"submit: {counted(made['scans'], 'scan')} → {target}")
+    output.result({"stage": "submit", **asdict(made), "zip": str(target)})
+    output.print(f"submit: {counted(made.scans, 'scan')} → {target}")

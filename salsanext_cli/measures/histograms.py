@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Histograms of confidence and of uncertainty, of right and of wrong points; calibration.
+"""Histograms of confidence and of uncertainty, of right and of wrong points.
 
 Probabilities are float16 on disk: a bin for each of the 15 361 such numbers from 0 to 1 makes
 errors exact for any number of scans. A bin of uncertainty is a bfloat16 number, to which
@@ -13,14 +13,14 @@ probability is the true one, so the softmax is evaluated before the vote of the 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.measures.scores import Counts, Mask, Ratios, ratio
+from salsanext_cli.measures.scores import Counts, Mask, Ratios
 from salsanext_cli.records import Float, Indices
 
 MIN_PROBABILITY = 2.0**-24
@@ -33,8 +33,6 @@ LOWEST, HIGHEST = -48, 8  # Exponents of two of the first and the last bin
 UNCERTAINTY_BINS = 1 + (HIGHEST - LOWEST) * BINS_PER_OCTAVE
 BFLOAT16_SHIFT = 16  # Bits of a float32 that a bfloat16 does not have
 FIRST_KEY = int(np.float32(2.0**LOWEST).view(np.int32)) >> BFLOAT16_SHIFT
-POOLED_BINS = 15  # Number of bins of the pooled errors and of the diagram
-SCAN_BINS = 10  # Number of bins of the error of a single scan, as in Calib3D
 
 
 def lack_of_confidence(probabilities: npt.NDArray[Any]) -> Float:
@@ -133,62 +131,3 @@ def highest_of_bins() -> Ratios:
     highest: Ratios = (next_key - 1).view(np.float32).astype(np.float64)
     highest[-1] = np.inf
     return highest
-
-
-@dataclass(frozen=True, slots=True)
-class Reliability:
-    """Reliability diagram: bin b of B contains the confidences above b/B up to (b + 1)/B."""
-
-    points: Counts  # (B,) int64
-    confidence: Ratios  # (B,) float64: mean confidence; NaN for a bin without points
-    accuracy: Ratios  # (B,) float64: share of right points; NaN for a bin without points
-
-    @property
-    def error(self) -> float:
-        """Expected calibration error, Σ_b n_b/n · |accuracy_b − confidence_b|; NaN if empty."""
-        filled = self.points > 0
-        gaps = np.abs(self.accuracy - self.confidence)[filled]
-        return float(self.points[filled] @ gaps / self.points.sum()) if filled.any() else math.nan
-
-
-def reliability(counts: Counts, bin_count: int = POOLED_BINS) -> Reliability:
-    """Sum counts by index into `CONFIDENCES`, (2, 15361), in bins of equal width."""
-    values = CONFIDENCES.astype(np.float64)
-    # The product is exact: a float16 has 11 binary digits.
-    diagram_bin = np.maximum(np.ceil(values * bin_count).astype(np.intp) - 1, 0)
-    starts = np.searchsorted(diagram_bin, np.arange(bin_count))
-    points = np.add.reduceat(counts.sum(axis=0), starts)
-    hits = np.add.reduceat(counts[0], starts)
-    confidence = np.add.reduceat(counts.sum(axis=0) * values, starts)
-    return Reliability(points, ratio(confidence, points), ratio(hits, points))
-
-
-@dataclass(frozen=True, slots=True)
-class CalibrationScores:
-    """Calibration of the probabilities of the points of some scans; NaN without points."""
-
-    points: int
-    nll: float  # Mean negative log-likelihood of the true class in nats, 0…16.6; lower is better
-    brier: float  # Mean squared distance Σ_c (p_c − [c is true])², 0…2; lower is better
-    ece: float  # Expected calibration error over 15 bins of equal width, 0…1; lower is better
-    scans: int  # Number of scans with points
-    without_value: int  # Number of points
-    ece_per_scan: float  # Expected calibration error of a scan over 10 bins, mean over the scans
-    reliability: Reliability  # The diagram over 15 bins
-
-
-def calibration_scores(
-    histogram: Histogram, scan_errors: Sequence[float] = ()
-) -> CalibrationScores:
-    """Divide the counts of a `confidence_histogram`, and the sum of the errors of its scans."""
-    diagram = reliability(histogram.counts)
-    return CalibrationScores(
-        points=int(histogram.counts.sum()),
-        nll=histogram.mean("nll"),
-        brier=histogram.mean("brier"),
-        ece=diagram.error,
-        scans=histogram.scans,
-        without_value=histogram.without_value,
-        ece_per_scan=math.fsum(scan_errors) / len(scan_errors) if scan_errors else math.nan,
-        reliability=diagram,
-    )

@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import dataclass, field, fields
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from functools import cache
 from operator import add
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -23,13 +23,12 @@ from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.npy import read_probabilities
 from salsanext_cli.geometry.projection import in_sensor_frame, measured_ranges
 from salsanext_cli.geometry.scan_traits import sensor_of
+from salsanext_cli.measures.calibration import SCAN_BINS, reliability
 from salsanext_cli.measures.histograms import (
-    SCAN_BINS,
     Histogram,
     confidence_histogram,
     error_histogram,
     lack_of_confidence,
-    reliability,
     softmax_entropy,
     uncertainty_histogram,
 )
@@ -61,6 +60,15 @@ BAND_STARTS_M = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0)  # The last band has no end
 BAND_NAMES = ("0–10 m", "10–20 m", "20–30 m", "30–40 m", "40–50 m", "over 50 m")
 
 
+@dataclass(frozen=True, slots=True)
+class ScanScores:
+    """Scores of one scan, as in `Scores`."""
+
+    points: int
+    accuracy: float
+    iou_mean_present: float
+
+
 @dataclass(slots=True)
 class ScanCounts:
     """Counts over scans."""
@@ -82,8 +90,7 @@ class ScanCounts:
     # By kind of uncertainty, `SOFTMAX` for the confidence, or `OF_ERROR`
     histograms: dict[str, Histogram] = field(default_factory=dict)
     by_sequence: dict[str, Counts] = field(default_factory=dict)
-    # By name of the scan: accuracy, mean IoU and number of points
-    by_scan: dict[str, dict[str, float]] = field(default_factory=dict)
+    by_scan: dict[str, ScanScores] = field(default_factory=dict)  # By name of the scan
 
     @classmethod
     def none(cls, space: LabelSpace, by_distance: bool = False) -> ScanCounts:
@@ -94,8 +101,21 @@ class ScanCounts:
 
     def add(self, other: ScanCounts) -> None:
         """Add the counts of other scans, which are used up."""
-        for name in (count.name for count in fields(self)):
-            setattr(self, name, _total(getattr(self, name), getattr(other, name)))
+        self.confusion += other.confusion
+        self.bands = tuple(map(add, self.bands, other.bands))
+        self.unknown_truth += other.unknown_truth
+        self.unknown_predictions += other.unknown_predictions
+        self.files += other.files
+        self.scans += other.scans
+        self.trained_on += other.trained_on
+        self.skipped += other.skipped
+        self.calibrated += other.calibrated
+        self.missing += other.missing
+        self.calibration_errors += other.calibration_errors
+        self.accepted |= other.accepted
+        self.by_scan |= other.by_scan
+        _add_by_key(self.histograms, other.histograms)
+        _add_by_key(self.by_sequence, other.by_sequence)
 
     def label_warnings(self, space: LabelSpace) -> Iterator[str]:
         """Yield reasons to doubt the scores, in words."""
@@ -122,16 +142,15 @@ class ScanCounts:
             yield with_hint(agreement, "check --label-space and the settings of the sensor")
 
 
-def _total(counts: Any, others: Any) -> Any:
-    """Add other counts, of a tuple by place and of a dictionary by key, to counts."""
-    if isinstance(counts, tuple):
-        return tuple(map(add, counts, others))
-    if isinstance(counts, Counter) or not isinstance(counts, dict):
-        counts += others
-        return counts
+Sum = TypeVar("Sum", Histogram, Counts)
+
+
+def _add_by_key(sums: dict[Any, Sum], others: Mapping[Any, Sum]) -> None:
     for key, other in others.items():
-        counts[key] = _total(counts[key], other) if key in counts else other
-    return counts
+        if key in sums:
+            sums[key] += other
+        else:
+            sums[key] = other
 
 
 class SeparateCounts:
@@ -199,8 +218,8 @@ class ScanComparison:
         counts.confusion = confusion_matrix(truth, predicted, space.class_count)
         counts.by_sequence[scan.sequence] = counts.confusion.copy()
         of_scan = scores(counts.confusion, space)
-        names = ("points", "accuracy", "iou_mean_present")
-        counts.by_scan[scan.name] = {name: getattr(of_scan, name) for name in names}
+        shown = of_scan.points, of_scan.accuracy, of_scan.iou_mean_present
+        counts.by_scan[scan.name] = ScanScores(*shown)
         if cloud is not None:
             seen = in_sensor_frame(cloud, sensor_of(cloud, self.sensor))
             bands = band_of_point(seen.points)

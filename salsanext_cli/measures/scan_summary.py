@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Summary of a run over scans, from a few numbers about each, and its estimated accuracy."""
+"""Summary of a run over scans, from a few numbers about each."""
 
 from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import chain
@@ -19,6 +19,7 @@ from salsanext_cli.files.reading import present
 from salsanext_cli.fitting.label_scan import LabelledScan
 from salsanext_cli.fitting.scan_checks import UNCHECKED, Finding, ScanCheck
 from salsanext_cli.geometry.scan_traits import MIN_TRAIT_POINTS, ScanTraits, groups_of
+from salsanext_cli.measures.expected_accuracy import ExpectedAccuracy, expected_accuracy
 from salsanext_cli.measures.scores import Counts
 from salsanext_cli.network.card import AccuracyLine
 from salsanext_cli.results.output_run import OutputRun
@@ -36,19 +37,6 @@ MIN_CONFIDENCE = 0.575  # Least usual mean of a scan; scans of cities had 0.58 o
 USUAL = "check the sensor and its settings; the default weights have 0.58 or more in cities"
 APART = "put the scans of each sensor into a separate folder"
 LOOK = "look at the labels: `salsanext export-ply OUT`"
-DEVIATIONS = 2.0
-"""Half the width of the interval, in root mean squares of estimated minus measured accuracy: nine
-of ten labelled drives lie in the interval that the nine others give."""
-OF_RUN = ("mixed-sensors",)
-"""Warnings that concern every scan of a run: the fit to its scans suits none of the sensors."""
-WITHHELD_FOR = (
-    *(*OF_RUN, "few-directions", "few-points", "height", "indoor", "low-confidence"),
-    *("not-measured", "one-class", "other-images", "out-of-view", "sparse", "tilted", "units"),
-    "upside-down",
-)
-"""Warnings that a scan is unlike the ten drives. Solid-state sensors, which only get
-`part-of-circle`, had the estimated accuracy within 3 points."""
-EDGE = 1e-6  # Mean confidences closer to 0 or 1 have no useful logit
 log = logging.getLogger(__name__)
 
 
@@ -100,58 +88,6 @@ def _label_findings(points: Counts, confidence: float, space: LabelSpace) -> Ite
     if not few and confidence < MIN_CONFIDENCE:
         mean = f"the labels have a mean probability of {confidence:.2f}"
         yield Finding("low-confidence", mean, f"{USUAL}; {LOOK}")
-
-
-@dataclass(frozen=True, slots=True)
-class ExpectedAccuracy:
-    """Estimated accuracy of some scans of a run, or the warnings that forbid an estimate."""
-
-    accuracy: float | None  # Share of the points, 0…1; None if the estimate is withheld
-    interval: tuple[float, float] | None  # Holds for nine of ten drives, 0…1
-    scans: int  # Number of scans that the estimate covers
-    withheld: Mapping[str, int]  # Number of other scans by code of the warning
-
-    @property
-    def text(self) -> str:
-        """One line for the summary of a run."""
-        reasons = ", ".join(
-            f"{code} in {counted(count, 'scan')}" for code, count in self.withheld.items()
-        )
-        if self.interval is None:
-            return f"Accuracy not estimated: {reasons}"
-        low, high = math.floor(100 * self.interval[0]), math.ceil(100 * self.interval[1])
-        others = f"; not estimated for the others: {reasons}" if reasons else ""
-        scans = f" of {counted(self.scans, 'scan')}" if reasons else ""
-        return f"Estimated accuracy{scans}: {low} to {high} % (from confidence{others})"
-
-
-def expected_accuracy(
-    line: AccuracyLine | None,
-    confidences: Mapping[str, float],
-    warnings: Mapping[str, Collection[str]],
-) -> ExpectedAccuracy | None:
-    """Estimate the accuracy of a run by a line through logits of confidence and accuracy.
-
-    `confidences`: mean of the largest probabilities of each scan's points, 0…1, by name of the
-    scan; `warnings`: names of scans by code. None without a line or scans.
-    """
-    if line is None or not confidences:
-        return None
-    withheld = {code: {*warnings.get(code, ())} & confidences.keys() for code in WITHHELD_FOR}
-    counts = {code: len(names) for code, names in sorted(withheld.items()) if names}
-    unlike = set().union(*withheld.values())
-    if any(code in counts for code in OF_RUN):
-        unlike = set(confidences)
-    usual = [confidence for name, confidence in confidences.items() if name not in unlike]
-    if not usual:
-        return ExpectedAccuracy(None, None, 0, counts)
-    # Rounded, since the order of the scans is that of the workers.
-    mean = min(max(round(math.fsum(usual) / len(usual), 6), EDGE), 1 - EDGE)
-    logit = line.slope * math.log(mean / (1 - mean)) + line.offset
-    accuracy = (1 + math.tanh(logit / 2)) / 2  # The logistic function, without overflow
-    margin = DEVIATIONS * line.deviation
-    interval = (round(max(accuracy - margin, 0), 4), round(min(accuracy + margin, 1), 4))
-    return ExpectedAccuracy(round(accuracy, 4), interval, len(usual), counts)
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,14 +12,13 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from salsanext_cli.files.json_files import plain
-from salsanext_cli.measures.histograms import (
+from salsanext_cli.measures.calibration import (
     CalibrationScores,
-    Histogram,
     Reliability,
     calibration_scores,
-    highest_of_bins,
     reliability,
 )
+from salsanext_cli.measures.histograms import Histogram, highest_of_bins
 from salsanext_cli.measures.scan_counts import EVALUATED_KINDS, OF_ERROR, SOFTMAX, ScanCounts
 from salsanext_cli.measures.scores import Counts, Ratios
 from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.measures.histograms import Reliability
+from salsanext_cli.measures.calibration import Reliability
 from salsanext_cli.measures.scores import Counts, ratio, scored_rows
 from salsanext_cli.measures.uncertainty_evaluation import (
     COVERAGE,

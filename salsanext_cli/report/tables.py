@@ -13,7 +13,7 @@ from rich.text import Text
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import counted, first_few, printable
 from salsanext_cli.labelling.label_records import ImportedScan, LabelImport
-from salsanext_cli.measures.histograms import CalibrationScores
+from salsanext_cli.measures.calibration import CalibrationScores
 from salsanext_cli.measures.risk_control import guarantee
 from salsanext_cli.measures.scores import FREQUENT_POINTS, Scores, band_rows
 from salsanext_cli.measures.survey import Survey

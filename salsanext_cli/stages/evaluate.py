@@ -126,12 +126,22 @@ def evaluate(
 
     Parameters
     ----------
-    scans, out, space : sequence of ScanFile, Path, LabelSpace
-        Scans, output folder with predictions, and classes of the comparison.
-    options, part, by_distance : RunOptions, str, bool, optional
-        Workers; name of the part of the scans, as of `part_of`; whether to score distance bands.
-    settings, labels : dict, LabelSpace, optional
-        Further settings for the record; label space of the labels, if not of the data set.
+    scans : sequence of ScanFile
+        Scans to compare.
+    out : Path
+        Output folder with predictions.
+    space : LabelSpace
+        Classes of the comparison.
+    options : RunOptions, optional
+        Workers, and the reaction to errors.
+    part : str, optional
+        Name of the part of the scans, as of `part_of`.
+    by_distance : bool, optional
+        Whether to score distance bands too.
+    settings : dict, optional
+        Further settings for the record.
+    labels : LabelSpace, optional
+        Label space of the labels, by default that of the data set.
 
     Returns
     -------
@@ -208,8 +218,12 @@ def part_of(folder: ResultFolder, scans: Sequence[ScanFile], selection: ScanSele
 
     Parameters
     ----------
-    folder, scans, selection : ResultFolder, sequence of ScanFile, ScanSelection
-        Output folder, and scans that were selected by split, sequences and limit.
+    folder : ResultFolder
+        Output folder.
+    scans : sequence of ScanFile
+        Selected scans.
+    selection : ScanSelection
+        Selection by split, sequences and limit.
 
     Returns
     -------

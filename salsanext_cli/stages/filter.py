@@ -51,8 +51,10 @@ def named_classes(names: Collection[str], space: LabelSpace) -> Mask:
 
     Parameters
     ----------
-    names, space : collection of str, LabelSpace
-        Classes of a label space with C classes, coarse classes, or `MOVING`.
+    names : collection of str
+        Classes of the label space, coarse classes, or `MOVING`.
+    space : LabelSpace
+        Label space with C classes.
 
     Returns
     -------
@@ -164,15 +166,20 @@ def filter_scans(
 
     Parameters
     ----------
-    out, folder : Path
-        Folder with the labels, and folder for the scans.
-    drop, keep, max_error : collection of str, float, optional
-        Classes as of `named_classes` that are removed, or that alone remain, and the largest
-        probability of error of the remaining points.
+    out : Path
+        Folder with the labels.
+    folder : Path
+        Folder for the scans.
+    drop, keep : collection of str
+        Classes as of `named_classes` that are removed, or that alone remain.
+    max_error : float, optional
+        Largest probability of error of the remaining points.
     indices : bool
         Whether to write masks (N,) bool instead of scans.
-    query, options : ResultQuery, RunOptions
-        Data set, label space and selection of scans; workers and overwriting.
+    query : ResultQuery
+        Data set, label space and selection of scans.
+    options : RunOptions
+        Workers, and what to do with existing results and errors.
 
     Returns
     -------

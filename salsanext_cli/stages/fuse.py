@@ -208,13 +208,18 @@ def fuse_results(
 
     Parameters
     ----------
-    out, target : Path
-        Folder with labels and softmax of single scans, and folder for the fused labels, `OUT/fused`
-        by default.
+    out : Path
+        Folder with labels and softmax of single scans.
+    target : Path, optional
+        Folder for the fused labels, `OUT/fused` by default.
     poses : Path, optional
         Poses of the one sequence; by default those in its folder, else they are computed.
-    reach, query, options : FusionReach, ResultQuery, RunOptions
-        Scans that vote; data set and selection of scans; workers and overwriting.
+    reach : FusionReach
+        Scans that vote.
+    query : ResultQuery
+        Data set and selection of scans.
+    options : RunOptions
+        Workers, and what to do with existing results and errors.
 
     Returns
     -------
@@ -275,8 +280,12 @@ def require_fusable(source: Path | Sequence[Path], out: Path, options: RunOption
 
     Parameters
     ----------
-    source, out, options : Path or sequence of Path, Path, RunOptions
-        Scans to predict, output folder for the hint, and options of the run.
+    source : Path or sequence of Path
+        Scans to predict.
+    out : Path
+        Output folder, for the hint.
+    options : RunOptions
+        Options of the run.
 
     Raises
     ------

@@ -56,14 +56,18 @@ def import_labels(
     ----------
     edited, dataset : Path
         File of one scan or folder of such files, and data set of `pick` or folder of scans.
-    scalar, ids : str, Path, optional
-        Name of the scalar with the labels, by default the only one with a usual name; YAML file
-        that maps the ids of the tool to class names or raw ids.
-    space, sensor : LabelSpace, Sensor, optional
-        Classes of the labels, by default those of the data set, and names of the columns of scans.
-    overwrite, progress : bool, callable, optional
-        Whether to replace labels that were changed or imported from another file; function of the
-        number of finished scans and of all.
+    scalar : str, optional
+        Name of the scalar with the labels; by default the only one with a usual name.
+    ids : Path, optional
+        YAML file that maps the ids of the tool to class names or raw ids.
+    space : LabelSpace, optional
+        Classes of the labels; by default those of the data set.
+    sensor : Sensor, optional
+        Names of the columns of scan files without names.
+    overwrite : bool
+        Whether to replace labels that were changed or imported from another file.
+    progress : callable, optional
+        Function of the number of finished scans and of all.
 
     Returns
     -------

@@ -79,10 +79,16 @@ def inspect(
 
     Parameters
     ----------
-    source, sensor : Path, Sensor
-        Scans, and sensor of the range images.
-    space, selection, options : LabelSpace, ScanSelection, RunOptions, optional
-        Label space of the labels, by default that of the data set; scans to survey; workers.
+    source : Path
+        Scans.
+    sensor : Sensor
+        Sensor of the range images.
+    space : LabelSpace, optional
+        Label space of the labels; by default that of the data set.
+    selection : ScanSelection
+        Scans to survey.
+    options : RunOptions
+        Workers, and what to do with errors.
     fit : bool
         Whether to fit the sensor to the scans, as `predict` does.
     images : bool
@@ -177,11 +183,14 @@ def write_sensor(
 
     Parameters
     ----------
-    path, sensor : Path, Sensor
-        File, and sensor to write.
-    images, overwrite : bool
-        Whether to write the size and normalisation of the images too; whether to replace
-        an existing file.
+    path : Path
+        File to write.
+    sensor : Sensor
+        Sensor to write.
+    images : bool
+        Whether to write the size and normalisation of the images too.
+    overwrite : bool
+        Whether to replace an existing file.
     """
     require_absent(path, overwrite)
     write_bytes(path, sensor.to_toml(images=images).encode())

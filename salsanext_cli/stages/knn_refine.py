@@ -79,6 +79,15 @@ def _given_labels(folder: Path, file: ScanFile) -> Path:
     return nested if present(nested) else folder / nested.name
 
 
+def _require_some(folder: Path, scans: list[ScanFile]) -> None:
+    """Refuse a folder without labels of any scan."""
+    if not any(present(_given_labels(folder, scan)) for scan in scans):
+        nested = output_path(Path(), scans[0].sequence, "predictions", scans[0].stem)
+        problem = f"has labels of none of {counted(len(scans), 'scan')}"
+        problem = problem if present(folder) else "no such folder"
+        raise NoInputError(folder, problem, f"files like {nested} or {nested.name}")
+
+
 def _require_all_labels(out: Path, labels: Path | None) -> None:
     """Refuse results of a run that rejected labels, since the vote would restore them."""
     folder = "predictions" if labels else "pixel_labels"
@@ -105,13 +114,20 @@ def knn_refine_scans(
 
     Parameters
     ----------
-    out, labels : Path
-        Output folder, with the labels of pixels unless `labels`, a folder of labels of points, is
-        given.
-    dataset, sensor, space : Path, Sensor, LabelSpace, optional
-        Scans, sensor of the range images and label space; by default as recorded in `out`.
-    knn, selection, options : KnnParameters, ScanSelection, RunOptions
-        Neighbourhood, scans to refine, workers and overwriting.
+    out : Path
+        Output folder, with the labels of pixels unless `labels` is given.
+    labels : Path, optional
+        Folder of labels of points.
+    dataset : Path, optional
+        Scans; by default those of `out`.
+    sensor, space : optional
+        Sensor of the range images and label space; by default as recorded in `out`.
+    knn : KnnParameters
+        Neighbourhood.
+    selection : ScanSelection
+        Scans to refine.
+    options : RunOptions
+        Workers, and what to do with existing results and errors.
 
     Returns
     -------
@@ -159,9 +175,6 @@ def _scans_to_refine(
             hint = f"run `salsanext predict SCANS {out} --pixel-labels` first, or use --labels"
             raise NoInputError(out, "has no pixel labels", hint=hint)
     scans = choose(scans, selection, space_of(scans, space), out)
-    if labels and not any(present(_given_labels(labels, scan)) for scan in scans):
-        nested = output_path(Path(), scans[0].sequence, "predictions", scans[0].stem)
-        problem = f"has labels of none of {counted(len(scans), 'scan')}"
-        problem = problem if present(labels) else "no such folder"
-        raise NoInputError(labels, problem, f"files like {nested} or {nested.name}")
+    if labels is not None:
+        _require_some(labels, scans)
     return results, scans, space

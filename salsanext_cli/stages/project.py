@@ -56,16 +56,23 @@ def project_scans(
 
     Parameters
     ----------
-    source, out : Path
-        Scans, and folder of the results.
-    sensor, fit : Sensor, bool
-        Sensor of the range images, and whether to fit its field of view and mounting to the scans.
-    selection, options : ScanSelection, RunOptions
-        Scans to project, workers and overwriting.
+    source : Path or sequence of Path
+        Scans.
+    out : Path
+        Output folder.
+    sensor : Sensor
+        Sensor of the range images.
+    fit : bool
+        Whether to fit the field of view and the mounting to the scans.
+    selection : ScanSelection
+        Scans to project.
+    options : RunOptions
+        Workers, and what to do with existing results and errors.
 
     Returns
     -------
     Outcome
+        Numbers of the run.
     """
     listed = scans_of(source)
     scans = choose(listed, selection, space_of(listed), source)

@@ -5,9 +5,9 @@ import logging
 import stat
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from itertools import count
 from pathlib import Path, PurePosixPath
-from typing import Any
 from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
 import numpy as np
@@ -53,6 +53,14 @@ def _write_zip(path: Path, members: Mapping[str, Path], advance: Callable[[], No
             advance()
 
 
+@dataclass(frozen=True, slots=True)
+class Submission:
+    """Predictions that were checked and packed."""
+
+    scans: int  # Number of scans of the test split
+    lengths_checked: bool  # Whether the numbers of labels and points were compared for all scans
+
+
 def submit(
     out: Path,
     target: Path,
@@ -62,23 +70,28 @@ def submit(
     description: Path | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
-) -> dict[str, Any]:
+) -> Submission:
     """Check the predictions of the test split, and pack them for the benchmark if all are right.
 
     Parameters
     ----------
-    out, target : Path
-        Output folder with predictions, and ZIP file to write.
-    dataset, space, description : Path, LabelSpace, Path, optional
-        Data set with the scans, and label space of its labels, if not the recorded ones; text file
-        about the method.
-    overwrite, progress : bool, callable, optional
-        Whether to replace an existing file; function of the number of finished files and of all.
+    out : Path
+        Output folder with predictions.
+    target : Path
+        ZIP file to write.
+    dataset, space : optional
+        Data set with the scans, and label space of its labels, if not the recorded ones.
+    description : Path, optional
+        Text file about the method.
+    overwrite : bool, optional
+        Whether to replace an existing file.
+    progress : callable, optional
+        Function of the number of finished files and of all files.
 
     Returns
     -------
-    dict
-        Number of scans, and whether the numbers of labels and points were compared for all.
+    Submission
+        Numbers of the written file.
     """
     require_target(target, overwrite, ".zip")
     files = find_outputs(out, "predictions")
@@ -106,8 +119,7 @@ def submit(
         members[files[name].relative_to(out).as_posix()] = files[name]
         advance()
     _write_zip(target, members, advance)
-    # Programs may read `problems`, a list of earlier versions.
-    return {"stage": "submit", "scans": total, "lengths_checked": not unseen, "problems": []}
+    return Submission(total, lengths_checked=not unseen)
 
 
 def _full_space(out: Path, scans: Sequence[ScanFile], space: LabelSpace | None) -> LabelSpace:

@@ -75,13 +75,18 @@ def synthesise(
 
     Parameters
     ----------
-    out, train, valid, test : Path, int
-        Folder of the data set, and numbers of sequences of the splits.
+    out : Path
+        Folder of the data set.
+    train, valid, test : int
+        Numbers of sequences of the splits.
     scans, seed, spacing, sensor
         See `SynthSettings`; the same seed gives the same bytes.
-    jobs, overwrite, progress : int, bool, callable, optional
-        Number of worker processes; whether to replace an earlier simulated data set; function of
-        the numbers of finished and of all sequences.
+    jobs : int
+        Number of worker processes.
+    overwrite : bool
+        Whether to replace an earlier simulated data set.
+    progress : callable, optional
+        Called with the numbers of finished and of all sequences.
 
     Returns
     -------

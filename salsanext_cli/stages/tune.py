@@ -58,8 +58,10 @@ def tune(
         Labelled data set, and weights file to write.
     settings, selection : NetworkSettings, ScanSelection
         By default the scans are those of the split ``valid`` and of no split.
-    overwrite, progress : bool, callable, optional
-        Whether to replace an existing file; function of the numbers of finished and of all scans.
+    overwrite : bool
+        Whether to replace an existing file.
+    progress : callable, optional
+        Called after each scan with the number of finished scans and of all scans.
     **numbers
         Further arguments of the fit.
 

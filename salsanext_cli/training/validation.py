@@ -2,6 +2,7 @@
 """Validation of a network in training: scores on labelled scans, and the best temperature."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -25,10 +26,20 @@ from salsanext_cli.training.tuning.temperature import best_temperature, with_tem
 MAX_VALIDATED_POINTS = 200_000  # Points that the temperature is fitted to
 
 
-# Network for the sensor of a scan, train ids of its points (N,) uint8, and its projection
-ProjectedTruth = tuple[Network, TrainIds, RangeImage]
-# Confusion of a scan (C, C); logits (C, M) float32 and truth (M,) int64 of some of its points
-ValidatedScan = tuple[Counts, torch.Tensor, torch.Tensor]
+class ProjectedTruth(NamedTuple):
+    """Scan with labels, projected for the sensor of its sequence."""
+
+    network: Network  # For that sensor
+    labels: TrainIds  # (N,) uint8
+    image: RangeImage
+
+
+class ValidatedScan(NamedTuple):
+    """Confusion of a validated scan, and a sample of its points."""
+
+    confusion: Counts  # (C, C)
+    logits: torch.Tensor  # (C, M) float32: of some points of scored classes
+    truth: torch.Tensor  # (M,) int64
 
 
 def validate(
@@ -45,27 +56,27 @@ def validate(
     def read(file: ScanFile) -> ProjectedTruth:
         fitted = network.for_sensor(source.sensor_of(file))
         scan, labels = read_labelled(file, source.space, fitted.sensor)
-        return fitted, labels, project(scan, fitted.sensor)
+        return ProjectedTruth(fitted, labels, project(scan, fitted.sensor))
 
     def logits_of(scans: Sequence[ProjectedTruth]) -> list[Float]:
-        return network.backend.logits([fitted.input(image.channels) for fitted, _, image in scans])
+        return network.backend.logits([s.network.input(s.image.channels) for s in scans])
 
     def compare(scan: ProjectedTruth, of_pixels: Float) -> ValidatedScan:
-        _, labels, image = scan
+        labels, image = scan.labels, scan.image
         refined = knn_refine(image, of_pixels.argmax(axis=0), space.class_count)
         of_classes = confusion_matrix(labels, refined, space.class_count)
         usable = np.flatnonzero(space.scored[labels] & (image.pixel_of_point >= 0))
         chosen = usable[:: max(1, len(usable) * len(source.files) // MAX_VALIDATED_POINTS)]
         of_points = of_pixels.reshape(space.class_count, -1)[:, image.pixel_of_point[chosen]]
         of_truth = torch.from_numpy(labels[chosen].astype(np.int64))
-        return of_classes, torch.from_numpy(of_points), of_truth
+        return ValidatedScan(of_classes, torch.from_numpy(of_points), of_truth)
 
     job = Steps(read, logits_of, compare)
     files = source.files[group.rank :: group.size]
-    for of_scan, of_points, of_truth in network_pipeline(job, network).results(files):
-        confusion += of_scan
-        logits.append(of_points)
-        truth.append(of_truth)
+    for scan in network_pipeline(job, network).results(files):
+        confusion += scan.confusion
+        logits.append(scan.logits)
+        truth.append(scan.truth)
     counts = group.sum(torch.from_numpy(confusion).to(network.device)).cpu().numpy()
     all_logits, all_truth = (
         torch.cat(group.gather(torch.cat(parts, dim=-1).to(network.device)), dim=-1).cpu()

@@ -15,13 +15,12 @@ from scipy.stats import entropy
 from sklearn.metrics import average_precision_score, brier_score_loss, log_loss, roc_auc_score
 
 from salsanext_cli.files.json_files import plain
+from salsanext_cli.measures.calibration import calibration_scores, reliability
 from salsanext_cli.measures.histograms import (
     MIN_PROBABILITY,
     Histogram,
-    calibration_scores,
     confidence_histogram,
     lack_of_confidence,
-    reliability,
     softmax_entropy,
     uncertainty_histogram,
 )

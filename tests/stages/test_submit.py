@@ -11,7 +11,7 @@ from salsanext_cli import label_space, write_labels
 from salsanext_cli.errors import FormatError, LabelError, NoInputError, OutputError
 from salsanext_cli.results.paths import output_path
 from salsanext_cli.stages import submit as module
-from salsanext_cli.stages.submit import SCANS_OF_TEST, submit
+from salsanext_cli.stages.submit import SCANS_OF_TEST, Submission, submit
 
 SPACE = label_space()
 COUNTS = dict.fromkeys(SCANS_OF_TEST, 1) | {"11": 3, "21": 2}
@@ -61,7 +61,7 @@ def test_the_file_is_what_the_benchmark_wants(folders, with_data, caplog):
     write_labels(folders.label("08", "000000"), np.full(3, 10))
     steps = []
     made = folders.submit(with_data=with_data, progress=lambda *step: steps.append(step))
-    assert made == {"stage": "submit", "scans": 14, "lengths_checked": with_data, "problems": []}
+    assert made == Submission(14, lengths_checked=with_data)
     assert steps == [(number, 28) for number in range(1, 29)]
     assert ("sequence 11, 12, 13 and 8 more" in caplog.text) != with_data
     with zipfile.ZipFile(folders.zip) as packed:
@@ -158,7 +158,7 @@ def test_another_label_space_needs_the_scans_of_its_test_split(folders):
     with refused(NoInputError, "sequence 11") as raised:
         folders.submit(space=only)
     assert "1 of 3 predictions: 000002" in raised.value.problem
-    assert folders.submit(space=only, with_data=False)["scans"] == 2
+    assert folders.submit(space=only, with_data=False).scans == 2
 
 
 def test_a_label_space_may_group_the_raw_ids_of_semantic_kitti(folders):
@@ -166,7 +166,7 @@ def test_a_label_space_may_group_the_raw_ids_of_semantic_kitti(folders):
     mine = replace(label_space("coarse"), name="mine", splits={"test": ("11",)})
     for with_data in (True, False):
         made = folders.submit(with_data=with_data, space=mine, overwrite=True)
-        assert made["scans"] == 3
+        assert made.scans == 3
     official = replace(mine, splits=SPACE.splits)
     for space in (official, replace(mine, splits={})):
         with refused(LabelError, folders.out):

@@ -20,7 +20,7 @@ from salsanext_cli.errors import (
     UsageError,
     WeightsError,
 )
-from salsanext_cli.measures.scan_summary import expected_accuracy
+from salsanext_cli.measures.expected_accuracy import expected_accuracy
 from salsanext_cli.network.card import AccuracyLine, read_card
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.option_fields import ScanSelection

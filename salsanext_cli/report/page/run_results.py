@@ -24,6 +24,7 @@ from salsanext_cli.files.reading import present, reading, refusing_damage
 from salsanext_cli.fitting.field_of_view import view_text
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.objects import BOX
+from salsanext_cli.measures.expected_accuracy import ExpectedAccuracy, expected_accuracy
 from salsanext_cli.measures.histograms import lack_of_confidence
 from salsanext_cli.measures.risk_control import (
     RISK_BOUND_EXCEEDED,
@@ -32,7 +33,6 @@ from salsanext_cli.measures.risk_control import (
     guarantee,
 )
 from salsanext_cli.measures.scan_counts import SOFTMAX, ScanComparison, ScanCounts, read_softmax
-from salsanext_cli.measures.scan_summary import ExpectedAccuracy, expected_accuracy
 from salsanext_cli.measures.scores import Counts, Scores, accepted, scored_rows, scores
 from salsanext_cli.measures.uncertainty_evaluation import (
     UncertaintyEvaluation,

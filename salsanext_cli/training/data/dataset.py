@@ -239,7 +239,7 @@ def batches(
 
 def _use_one_thread(_: int) -> None:
     # Torch has one thread in each worker already.
-    vars(numba.config)["NUMBA_NUM_THREADS"] = 1
+    numba.config.NUMBA_NUM_THREADS = 1  # type: ignore[attr-defined]
 
 
 def _collate(items: list[Sample] | SalsanextError) -> Any:

@@ -16,7 +16,8 @@ from salsanext_cli.engines.backend import PixelPrediction
 from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import TrainingError, counted, first_few
 from salsanext_cli.geometry.knn import knn_refine
-from salsanext_cli.measures.histograms import error_histogram, reliability, uncertainty_histogram
+from salsanext_cli.measures.calibration import reliability
+from salsanext_cli.measures.histograms import error_histogram, uncertainty_histogram
 from salsanext_cli.measures.uncertainty_evaluation import accepted_points, ranking_scores
 from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.parallel.job import Steps

@@ -13,7 +13,8 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from salsanext_cli.errors import NOTICE, TrainingError, WeightsError
-from salsanext_cli.measures.histograms import confidence_histogram, reliability
+from salsanext_cli.measures.calibration import reliability
+from salsanext_cli.measures.histograms import confidence_histogram
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.error_model import TEMPERATURES
 from salsanext_cli.parallel.job import Steps
