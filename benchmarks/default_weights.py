@@ -6,10 +6,11 @@ the Pandar64 of two drives, x forward, y left, z up, intensity / 255, and labels
 SemanticKITTI (model-card.md has the map). The last ten of 002 are never trained on. PANDARGT
 holds scans of the second sensor of both drives; those from the same time are never trained on
 either. AACHEN holds ``sequences/a0`` and ``sequences/a1``, front sectors of a VLP-32C. The same
-command continues an interrupted rebuild. What follows --train goes to `salsanext train`.
+command continues an interrupted rebuild. What follows --train goes to `salsanext train`. With
+--run nothing is trained: a training of `gpu_run.py` is finished.
 
 Run: python benchmarks/default_weights.py pandaset/ folder/ [aachen/] [--pandargt pandargt/]
-     [--streets 240] [--seed 0] [--train --weights default --set epochs=6]
+     [--streets 240] [--seed 0] [--run OUT | --train --weights default --set epochs=6]
 """
 
 import argparse
@@ -67,12 +68,14 @@ CORRUPTIONS = 5
 RANGED = 16
 """Training scans of each data set that the ranges for int8 are fitted to."""
 SCANS_OF_STREET = 8
+SIMULATED = "scenes simulated"
+"""Figure of a training on a GPU: streets, each of as many scans."""
 STREETS = ("--valid", "5", "--scans", SCANS_OF_STREET, "--spacing", "10", "--jobs", "2")
 
 DESCRIPTION = (
     "Trained on simulated streets and sensors and on two drives of PandaSet: {simulated} scans "
-    "each of `salsanext synth` with an HDL-64 and with random sensors, {real} of PandaSet (Hesai "
-    "and Scale AI, CC BY 4.0).{aachen} See model-card.md; not for use on real roads."
+    "of `salsanext synth`, half with an HDL-64 and half with random sensors, {real} of PandaSet "
+    "(Hesai and Scale AI, CC BY 4.0).{aachen} See model-card.md; not for use on real roads."
 )
 AACHEN = (
     " Also {sectors} front sectors of one drive in Aachen (ika, RWTH Aachen, MIT), whose labels "
@@ -279,6 +282,13 @@ def add_int8(weights: Path, datasets: Sequence[Path]) -> None:
     save_with_card(weights, weights, card)
 
 
+def simulated_scans(run: Path) -> int:
+    """Return the number of scans that a run of `gpu_run.py` simulated."""
+    figures = json.loads((run / "report.json").read_text())["parts"]["train"]["figures"]
+    scenes = next(row["value"] for row in figures if row["name"] == SIMULATED)
+    return int(scenes) * SCANS_OF_STREET
+
+
 def main() -> None:
     parser = argparse.ArgumentParser()
     for name in ("pandaset", "folder"):
@@ -289,6 +299,7 @@ def main() -> None:
     parser.add_argument("--streets", type=int, default=240, help=text)
     text = "seed of the streets; the next one is that of the random sensors' (%(default)s)"
     parser.add_argument("--seed", type=int, default=0, help=text)
+    parser.add_argument("--run", type=Path, help="results of gpu_run.py to finish")
     parser.add_argument("--train", nargs=argparse.REMAINDER, default=[])
     given = parser.parse_args()
     # The command that runs ends with this script.
@@ -306,15 +317,17 @@ def main() -> None:
         sectors = sectors_of(given.aachen)
         compose_circles(given.aachen, out / "aachen")
         also.append(out / "aachen")
-    how = [word for dataset in also for word in ("--also", dataset)]
-    how += ["--recipe", "street", "--sensor", "hdl64-512", *given.train]
-    salsanext("train", out / "validated", out / "run", *how)
+    run: Path = given.run or out / "run"
+    if not given.run:
+        how = [word for dataset in also for word in ("--also", dataset)]
+        how += ["--recipe", "street", "--sensor", "hdl64-512", *given.train]
+        salsanext("train", out / "validated", run, *how)
     description = DESCRIPTION.format(
-        simulated=given.streets * SCANS_OF_STREET,
+        simulated=simulated_scans(run) if given.run else 2 * given.streets * SCANS_OF_STREET,
         real=len(scans),
         aachen=AACHEN.format(sectors=len(sectors)) if sectors else "",
     )
-    finish(out / "run", (streets, real), out / "default.safetensors", description, sectors)
+    finish(run, (streets, real), out / "default.safetensors", description, sectors)
     add_error(out / "default.safetensors", (streets, sensors))
     add_int8(out / "default.safetensors", (streets, sensors, real))
 

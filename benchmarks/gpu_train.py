@@ -19,7 +19,7 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 import torch
-from default_weights import compose_circles, split_pandaset
+from default_weights import SIMULATED, compose_circles, split_pandaset
 from gpu_measures import Figures, mean_text, utilisation
 from gpu_training import STEPS, gpu_recipe, small_weights
 from pack import unpack
@@ -157,7 +157,9 @@ def train(
     pool = ScenePool(scratch / "scenes", sensor, **numbers)
     # Processes that start from here on have one thread each.
     os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"))
-    with pool.working(max(1, cores - 1)) as makers:
+    loaders = 0 if small else max(1, cores // 2)
+    # Oversubscribed cores would delay this process, which feeds the GPU.
+    with pool.working(max(1, cores - loaders - 1)) as makers:
         real, held_out = real_data(pack, scratch / "real", sensor, cores)
         figures.add("real scans are ready after", time.monotonic() - start, "s")
         patience = start + SHARE_BEFORE * figures.left()
@@ -178,7 +180,6 @@ def train(
         figures.add("training is ready after", before - start, "s")
         run.save(0)
         reserve_s = 1.5 * (time.monotonic() - before) + 1
-        loaders = 0 if small else max(1, cores * 3 // 4)
         stream = batches(samples, 0, loaders, pinned=device.type == "cuda")
         begun = time.monotonic()
         with utilisation(figures.device) as used:
@@ -191,7 +192,7 @@ def train(
     figures.add("images trained on", run.steps * recipe.batch / seconds, "images/s")
     figures.add("waiting for batches", 100 * run.waited_s / seconds, "% of the time")
     figures.add("GPU used", mean_text(used), "%")
-    figures.add("scenes simulated", sum(scenes.values()), str(scenes))
+    figures.add(SIMULATED, sum(scenes.values()), str(scenes))
     figures.add("learning rate at the end", run.rows[-1]["learning_rate"])
 
 

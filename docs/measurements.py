@@ -14,7 +14,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-"""Epochs of the fine-tuning that is scored on other drives; `folds=0` needs their number."""
 NUSCENES = "0001", "0004"
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 

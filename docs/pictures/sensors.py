@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from io import BytesIO
 from pathlib import Path
@@ -32,6 +33,8 @@ SCANS = {
     "xyz": "sensors/ply/float64_xyz_only.ply",
 }
 """Scan of each sensor, in the folder of the real data."""
+COLUMNS = {"hdl64-s3": ("x", "y", "z", "intensity", "_")}
+"""Columns of scans whose files do not state them."""
 
 
 @cache
@@ -43,7 +46,8 @@ def network() -> sn.Network:
 def draw(data: Path, picture: Path) -> None:
     """Draw a scan from above, labelled as it is and with the fitted sensor and intensity."""
     name, space = picture.stem, network().card.space
-    scan = sn.read_scan(data / SCANS[name], network().sensor)
+    sensor = replace(network().sensor, columns=COLUMNS.get(name, ()))
+    scan = sn.read_scan(data / SCANS[name], sensor)
     fitted = sn.fit_network(network(), [scan])
     labels = {}
     for title, used in {"as it is": network(), "default: fitted": fitted}.items():

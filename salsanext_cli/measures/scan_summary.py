@@ -33,8 +33,8 @@ FEW_CLASSES, MAX_SHARE_OF_FEW = 10, 0.85
 """The same for at most so many classes, as in `coarse`; right settings gave at most 0.67."""
 MIN_CLASSES = 5
 """One of fewer classes may cover a whole scan. Both numbers include the class "unlabelled"."""
-MIN_CONFIDENCE = 0.575  # Least usual mean of a scan; scans of cities had 0.58 or more
-USUAL = "check the sensor and its settings; the default weights have 0.58 or more in cities"
+MIN_CONFIDENCE = 0.575  # Least usual mean of a scan; weights version 4 had 0.58 or more in cities
+USUAL = "check the sensor and its settings; the default weights have 0.62 or more in cities"
 APART = "put the scans of each sensor into a separate folder"
 LOOK = "look at the labels: `salsanext export-ply OUT`"
 log = logging.getLogger(__name__)

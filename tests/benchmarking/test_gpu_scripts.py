@@ -8,6 +8,7 @@ import gpu_run
 import numpy as np
 import pack
 import pytest
+from default_weights import simulated_scans
 from ray_casting import RayScene
 from scans import write_bin, write_sequence
 
@@ -134,6 +135,7 @@ def test_every_part_runs_on_a_cpu(tmp_path):
     assert figures["speed"]["16×64 network, times as fast"] > 0
     assert figures["training"]["step on the device, width 64, batch 2"] > 0
     assert figures["train"]["steps"] > 0
+    assert simulated_scans(out) > 0
     assert figures["train"]["learning rate at the end"] < 1e-5
     scores = json.loads((out / "scores.json").read_text())["scores"]
     assert scores.keys() == {"validation", "pandaset"}
