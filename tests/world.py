@@ -14,9 +14,9 @@ from salsanext_cli import read_labels, write_labels
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.files.json_files import record_of
 from salsanext_cli.option_fields import ScanSelection
+from salsanext_cli.results.manifest import StageSettings
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.paths import SUFFIX_OF_FOLDER, ScanFile
-from salsanext_cli.results.settings import StageSettings
 from salsanext_cli.stages.predict import predict_scans
 
 EVERY = ScanSelection(sequences=("00", "08"))

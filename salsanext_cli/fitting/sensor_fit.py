@@ -27,10 +27,9 @@ from salsanext_cli.geometry.network_input import (
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.geometry.scan_traits import kinds_of, sensor_of
 from salsanext_cli.records import Float, Scan
-from salsanext_cli.results.manifest import Manifest
+from salsanext_cli.results.manifest import Manifest, StageSettings
 from salsanext_cli.results.paths import ScanFile, find_scans
 from salsanext_cli.results.selection import evenly_spaced
-from salsanext_cli.results.settings import StageSettings
 from salsanext_cli.sensors.sensor import FittedView, Sensor
 
 log = logging.getLogger(__name__)

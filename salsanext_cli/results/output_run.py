@@ -19,13 +19,13 @@ from salsanext_cli.results.manifest import (
     Manifest,
     ScanSource,
     StageRecord,
+    StageSettings,
     merged_sources,
     require_same_settings,
     settings_json,
 )
 from salsanext_cli.results.owned_folder import OwnedFolder, foreign_file
 from salsanext_cli.results.paths import DISAGREEMENT, ERROR, ScanFile, find_outputs, output_path
-from salsanext_cli.results.settings import StageSettings
 
 
 @dataclass(frozen=True, slots=True)

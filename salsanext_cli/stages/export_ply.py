@@ -12,11 +12,11 @@ from salsanext_cli.formats.label_scalars import PREFIX
 from salsanext_cli.formats.ply import encode_ply
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.report.colours import PointColours, common_scales, require_colouring
+from salsanext_cli.results.manifest import StageSettings
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.paths import PREDICTION_STAGES, ScanFile
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import ResultFolder, scalar_columns
-from salsanext_cli.results.settings import StageSettings
 from salsanext_cli.sensors.sensor import Sensor
 
 log = logging.getLogger(__name__)

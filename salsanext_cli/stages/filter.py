@@ -21,7 +21,12 @@ from salsanext_cli.geometry.projection import measured_ranges, without_ego
 from salsanext_cli.geometry.scan_traits import sensor_of
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.records import Mask
-from salsanext_cli.results.manifest import StageRecord, require_same_settings, settings_json
+from salsanext_cli.results.manifest import (
+    StageRecord,
+    StageSettings,
+    require_same_settings,
+    settings_json,
+)
 from salsanext_cli.results.output_run import encode_array
 from salsanext_cli.results.owned_folder import OwnedFolder, foreign_file
 from salsanext_cli.results.paths import (
@@ -34,7 +39,6 @@ from salsanext_cli.results.paths import (
 )
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import ChosenResults, ResultFolder, read_kind
-from salsanext_cli.results.settings import StageSettings
 from salsanext_cli.sensors.sensor import Sensor
 
 MASKS = "masks"  # Folder of a sequence with masks of the points of its scans

@@ -10,11 +10,10 @@ from salsanext_cli.fitting.sensor_fit import fitted_view
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
-from salsanext_cli.results.manifest import Manifest
+from salsanext_cli.results.manifest import Manifest, StageSettings
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.results.selection import choose, scans_of, space_of
-from salsanext_cli.results.settings import StageSettings
 from salsanext_cli.sensors.sensor import Sensor
 
 FOLDERS = ("range", "pixels")

@@ -23,11 +23,10 @@ from salsanext_cli.option_fields import KnnParameters, ScanSelection
 from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.records import Float
-from salsanext_cli.results.manifest import Manifest
+from salsanext_cli.results.manifest import Manifest, StageSettings
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.paths import ERROR, ScanFile
 from salsanext_cli.results.selection import choose, scans_of, space_of
-from salsanext_cli.results.settings import StageSettings
 from salsanext_cli.uncertainty.error_features import error_probability, knows_error
 from salsanext_cli.uncertainty.method import UncertaintyMethod
 from salsanext_cli.uncertainty.monte_carlo import Estimate

@@ -19,9 +19,8 @@ from salsanext_cli.engines import device
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.measures.scan_summary import RunSummary
 from salsanext_cli.parallel.run import Outcome
-from salsanext_cli.results.manifest import Manifest
+from salsanext_cli.results.manifest import Manifest, StageSettings
 from salsanext_cli.results.paths import find_scans
-from salsanext_cli.results.settings import StageSettings
 
 
 def test_the_next_commands_lead_from_scans_to_scores(run, data, weights, tmp_path):

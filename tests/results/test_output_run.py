@@ -23,10 +23,9 @@ from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.option_fields import KnnParameters
 from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import RunOptions, run_over_scans
-from salsanext_cli.results.manifest import Manifest
+from salsanext_cli.results.manifest import Manifest, StageSettings
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.paths import ScanFile, find_scans
-from salsanext_cli.results.settings import StageSettings
 from salsanext_cli.stages.predict import LabelWriter, PredictJob, predict_scans
 
 KNN = asdict(KnnParameters())

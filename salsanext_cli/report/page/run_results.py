@@ -39,12 +39,11 @@ from salsanext_cli.measures.uncertainty_evaluation import (
     evaluate_uncertainty,
 )
 from salsanext_cli.network.card import default_weights, read_card
-from salsanext_cli.results.manifest import Manifest
+from salsanext_cli.results.manifest import Manifest, StageSettings
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.paths import ERROR, PREDICTION_STAGES, ScanFile, output_path
 from salsanext_cli.results.result_folder import ResultFolder, ScanResults, read_kind
 from salsanext_cli.results.selection import MissingResults
-from salsanext_cli.results.settings import StageSettings
 from salsanext_cli.results.uncertainty_kinds import MEANT_BY_UNCERTAINTY, UNCERTAINTY
 from salsanext_cli.sensors.sensor import Sensor
 
