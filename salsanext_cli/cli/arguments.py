@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from salsanext_cli.cli.expansion import Default, Without
-from salsanext_cli.engines.settings import COLUMNS_DEFAULT, COLUMNS_HELP, NetworkSettings
+from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import UsageError
 from salsanext_cli.formats import RECORDING_SUFFIXES, SCAN_SUFFIXES
 from salsanext_cli.option_fields import argument, network_option, option, selection_option
@@ -26,12 +26,12 @@ SUBSET = {"names": ("--subset",), "help": "Only N scans, evenly spaced over the 
 DEFAULT_SCANS = "the data set or sequence in the current folder"
 
 
-def _shared(name: str, group: type[Any] = ResultQuery) -> Any:
-    """Return one option of a group as typed, for commands that take no other."""
+def _shared(name: str, group: type[Any] = ResultQuery, **changes: Any) -> Any:
+    """Return one option of a group as typed, for commands that take no other; change arguments."""
     (field,) = (field for field in fields(group) if field.name == name)
-    shown = dict(field.metadata["option"])
+    shown = {"default": field.default, **field.metadata["option"], **changes}
     text, panel = shown.pop("help"), shown.pop("rich_help_panel")
-    return option(text, panel=panel, default=field.default, **shown)
+    return option(text, *field.metadata["names"], panel=panel, **shown)
 
 
 SCANS = argument(SCANS_HELP, metavar="SCANS", show_default=DEFAULT_SCANS)
@@ -69,13 +69,11 @@ DEVICE = _shared("device", NetworkSettings)
 Network = Annotated[NetworkSettings, Default(precision="auto")]
 sensor_option = partial(network_option, "Sensor of the scans.", metavar="NAME|FILE")
 SENSOR = sensor_option(show_default="hdl64")
-columns_option = partial(network_option, COLUMNS_HELP, metavar="NAMES")
-COLUMNS = columns_option(show_default=COLUMNS_DEFAULT)
-jobs_option = partial(
-    running_option, "Number of worker processes; -1: one per core.", "--jobs", "-j"
-)
-JOBS = jobs_option(default=1)
-OVERWRITE = running_option("Replace existing results.", default=False)
+columns_option = partial(_shared, "columns", NetworkSettings)
+COLUMNS = columns_option()
+jobs_option = partial(_shared, "jobs", RunOptions)
+JOBS = jobs_option()
+OVERWRITE = _shared("overwrite", RunOptions)
 STRICT = running_option("Exit with status 1 after a warning about a scan.", default=False)
 Unsharded = Annotated[RunOptions, Without({"shard"})]
 Reading = Annotated[RunOptions, Without({"shard", "overwrite"})]

@@ -4,11 +4,9 @@
 import os
 import shlex
 from pathlib import Path
-from typing import Annotated
 
 from salsanext_cli.cli import arguments, console, summary
 from salsanext_cli.cli.console import over_scans, progress
-from salsanext_cli.cli.expansion import Without
 from salsanext_cli.cli.interruption import ARRIVED
 from salsanext_cli.engines.settings import AUTO, NetworkSettings
 from salsanext_cli.errors import counted
@@ -121,7 +119,7 @@ def view(
     *,
     port: int = option("Port on this machine; 0: any free port.", default=8765, min=0, max=65535),
     query: ResultQuery,
-    running: Annotated[RunOptions, Without({"shard", "overwrite"})],
+    running: arguments.Reading,
     output: console.Output,
 ) -> None:
     """Show all scans of a run in the browser, until Ctrl-C.

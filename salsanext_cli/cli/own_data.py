@@ -8,11 +8,10 @@ from typing import Annotated, Literal
 
 from salsanext_cli.cli import arguments, console, summary
 from salsanext_cli.cli.console import over_scans, print_line, progress
-from salsanext_cli.cli.expansion import Shown, Without
+from salsanext_cli.cli.expansion import Shown
 from salsanext_cli.engines.settings import with_columns
 from salsanext_cli.errors import counted, printable, with_hint
 from salsanext_cli.option_fields import ScanSelection, argument, option, option_group
-from salsanext_cli.parallel.run_options import RunOptions
 from salsanext_cli.results.query import named_label_space
 
 
@@ -78,7 +77,7 @@ def convert(
     topic: str | None = arguments.TOPIC,
     every: int = option("Take only every Nth scan.", default=1),
     limit: int | None = option("Only the first N scans."),
-    running: Annotated[RunOptions, Without({"shard"})],
+    running: arguments.Unsharded,
     output: console.Output,
 ) -> None:
     """Write the scans of a recording as `.bin` files, in the layout of SemanticKITTI.

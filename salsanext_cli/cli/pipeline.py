@@ -44,18 +44,14 @@ def project(
     from salsanext_cli.stages.project import project_scans
 
     source, out = arguments.sources(context, scans, out, dataset, topic)
+    sensor = settings.named_sensor() or settings.trained_sensor()
     with over_scans("project", running, output.quiet) as run:
         outcome = project_scans(
-            source,
-            out,
-            sensor=settings.named_sensor() or settings.trained_sensor(),
-            fit=settings.fits_view,
-            selection=selection,
-            options=run,
+            source, out, sensor=sensor, fit=settings.fits_view, selection=selection, options=run
         )
-    sensor = None if settings.sensor == AUTO else settings.sensor
-    named = {"--weights": settings.weights, "--sensor": sensor}
-    more = [word for name, value in named.items() if value for word in (name, str(value))]
+    named = None if settings.sensor == AUTO else settings.sensor
+    given = {"--weights": settings.weights, "--sensor": named}
+    more = [word for name, value in given.items() if value for word in (name, str(value))]
     summary.finish("project", outcome, out, output, *more, strict=strict)
 
 

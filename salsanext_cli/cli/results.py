@@ -111,19 +111,11 @@ def evaluate(
     files, space = folder.predicted(query.selection, query.label_space, query.classes)
     part = part_of(folder, files, query.selection)
     with over_scans("eval", running, output.quiet) as run:
-        settings, rejection = folder.provenance(query.selection), folder.rejection()
+        settings, labels = folder.provenance(query.selection), query.label_space
         evaluation = stage(
-            files,
-            out,
-            space,
-            run,
-            part,
-            by_distance=by_distance,
-            settings=settings,
-            labels=query.label_space,
+            files, out, space, run, part, by_distance=by_distance, settings=settings, labels=labels
         )
-    above = rejection.above if rejection else None
-    output.result(evaluation.to_dict(), _evaluation_tables(evaluation, above))
+    output.result(evaluation.to_dict(), _evaluation_tables(evaluation))
     summary.print_failures(evaluation.failures)
     missing = evaluation.missing
     scans = f"{counted(evaluation.counts.scans, 'scan')}{summary.skipped_text(missing)}"
@@ -131,8 +123,8 @@ def evaluate(
     summary.leave(evaluation.failures, missing)
 
 
-def _evaluation_tables(evaluation: "Evaluation", above: float | None) -> "Group":
-    """Return the tables and sentences of an evaluation, with rejection `above` a threshold."""
+def _evaluation_tables(evaluation: "Evaluation") -> "Group":
+    """Return the tables and sentences of an evaluation."""
     from rich.console import Group
     from rich.text import Text
 
@@ -151,8 +143,9 @@ def _evaluation_tables(evaluation: "Evaluation", above: float | None) -> "Group"
     tables += uncertainty_tables(uncertainty)
     tables += [Text(uncertainty.accepted.sentence)] if uncertainty.accepted else []
     if accepted:
+        threshold = evaluation.settings["reject"]
         missed = (
-            f"Points rejected by `predict --reject` (threshold {above:.4g}) count as wrong in "
+            f"Points rejected by `predict --reject` (threshold {threshold:.4g}) count as wrong in "
             "accuracy and IoU, and do not count in the official accuracy."
         )
         guarantee = [evaluation.guarantee.sentence] if evaluation.guarantee else []

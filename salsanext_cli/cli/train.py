@@ -65,7 +65,9 @@ def train(
     start: Start,
     label_space: str | None = arguments.LABEL_SPACE,
     device: str = arguments.DEVICE,
-    jobs: int | None = arguments.jobs_option(show_default="1; on a GPU one per core, up to 8"),
+    jobs: int | None = arguments.jobs_option(
+        default=None, show_default="1; on a GPU one per core, up to 8"
+    ),
     overwrite: bool = arguments.OVERWRITE,
     output: console.Output,
 ) -> None:

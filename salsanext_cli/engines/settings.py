@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
 AUTO = "auto"
 DEFAULT_WEIGHTS = Path("default")  # Of the package; a file of that name needs an absolute path
-COLUMNS_HELP = "Columns of files without a header, such as x,y,z,intensity,_; _ skips a column."
-COLUMNS_DEFAULT = "columns of the sensor"
 
 log = logging.getLogger(__name__)
 
@@ -56,7 +54,9 @@ class NetworkSettings:
         metavar="auto|NAME|FILE",
     )
     columns: str | None = network_option(
-        COLUMNS_HELP, metavar="NAMES", show_default=COLUMNS_DEFAULT
+        "Columns of files without a header, such as x,y,z,intensity,_; _ skips a column.",
+        metavar="NAMES",
+        show_default="columns of the sensor",
     )
     min_range: float | None = network_option(
         "Leave points nearer than this unlabelled, in metres.",
