@@ -6,17 +6,19 @@ Classes become the class of their raw ids in the other label space.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.errors import UsageError, first_few
 
 MIN_MERGED_CLASSES = 2
 """Least number of classes after merging, ignored ones aside."""
+MOVING = "moving"  # Name of all movable classes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,6 +105,24 @@ def contradiction(space: LabelSpace, merged: LabelSpace) -> str:
         few = first_few([merged.names[k] for k in sorted(left)])
         return f"merges all {len(every)} classes into {few}"
     return ""
+
+
+def named_classes(names: Collection[str], space: LabelSpace) -> npt.NDArray[np.bool_]:
+    """Return the mask (C,) of the train ids of classes, coarse classes or `MOVING`, by name."""
+    known: dict[str, npt.NDArray[np.bool_]] = {MOVING: space.movable}
+    if MOVING in names:
+        space.require_movable(f"class {MOVING}")
+    coarse = label_space("coarse")
+    if not contradiction(space, coarse):
+        groups = zip(coarse.names, ClassMerging.between(space, coarse).groups, strict=True)
+        known |= {name: np.isin(np.arange(space.class_count), ids) for name, ids in groups}
+    known |= dict(zip(space.names, np.eye(space.class_count, dtype=bool), strict=True))
+    if unknown := [name for name in names if name not in known]:
+        raise UsageError(f"class {unknown[0]}", "no such class", f"one of {', '.join(known)}")
+    selected = np.zeros(space.class_count, bool)
+    for name in names:
+        selected |= known[name]
+    return selected
 
 
 def _targets(space: LabelSpace, merged: LabelSpace, train_id: int) -> list[int]:

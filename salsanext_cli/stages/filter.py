@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from salsanext_cli.classes.label_space import LabelSpace, label_space
-from salsanext_cli.classes.merging import ClassMerging, contradiction
+from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.classes.merging import MOVING, named_classes
 from salsanext_cli.errors import UsageError, counted, first_few
 from salsanext_cli.files.reading import filled, present
 from salsanext_cli.formats import read_scan
@@ -42,48 +42,10 @@ from salsanext_cli.results.result_folder import ChosenResults, ResultFolder, rea
 from salsanext_cli.sensors.sensor import Sensor
 
 MASKS = "masks"  # Folder of a sequence with masks of the points of its scans
-MOVING = "moving"
-"""Name of all movable classes; if dropped, also of all points that are not of the scene."""
 CONVERT = "run `salsanext convert {} DATA`, then predict and filter DATA; or use --indices"
 Count = tuple[str, int, int]  # Name of a scan, number of its points, and of the remaining ones
 
 log = logging.getLogger(__name__)
-
-
-def named_classes(names: Collection[str], space: LabelSpace) -> Mask:
-    """Return the train ids of named classes.
-
-    Parameters
-    ----------
-    names : collection of str
-        Classes of the label space, coarse classes, or `MOVING`.
-    space : LabelSpace
-        Label space with C classes.
-
-    Returns
-    -------
-    (C,) bool
-        Mask of the train ids.
-
-    Raises
-    ------
-    UsageError
-        If a name is unknown, or the label space does not state its movable classes.
-    """
-    known: dict[str, Mask] = {MOVING: space.movable}
-    if MOVING in names:
-        space.require_movable(f"class {MOVING}")
-    coarse = label_space("coarse")
-    if not contradiction(space, coarse):
-        groups = zip(coarse.names, ClassMerging.between(space, coarse).groups, strict=True)
-        known |= {name: np.isin(np.arange(space.class_count), ids) for name, ids in groups}
-    known |= dict(zip(space.names, np.eye(space.class_count, dtype=bool), strict=True))
-    if unknown := [name for name in names if name not in known]:
-        raise UsageError(f"class {unknown[0]}", "no such class", f"one of {', '.join(known)}")
-    selected = np.zeros(space.class_count, bool)
-    for name in names:
-        selected |= known[name]
-    return selected
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,7 +55,8 @@ class FilterSettings(StageSettings):
     results: str  # Absolute path of the folder of the labels
     classes: tuple[str, ...]  # Classes whose points remain
     indices: bool
-    measured_only: bool | None = None  # Whether only measurements of the scene remain
+    # Whether only measurements of the scene remain, as without `MOVING` classes
+    measured_only: bool | None = None
 
 
 @dataclass(frozen=True, slots=True)
