@@ -75,17 +75,28 @@ class LabelRejection:
 
 
 @dataclass(frozen=True, slots=True)
-class LabelWriter:
-    """Writer of the requested results of a scan, the labels last."""
+class PredictJob:
+    """Job that labels the points of scans and writes the requested results, the labels last."""
 
+    network: Network
     knn: KnnParameters
     output: OutputRun
     reject: LabelRejection | None = None
 
-    def write(self, scan: LabelledScan, network: Network) -> ScanSummary:
-        """Write the results of a scan; return numbers about it."""
-        file, image, pixels, space = scan.file, scan.image, scan.pixels, network.space
-        output = self.output
+    def prepare(self, file: ScanFile) -> PreparedScan:
+        """Read, check and project a scan whose results may be replaced."""
+        self.output.require_replaceable(file)
+        return prepared_for(self.network, file)
+
+    def compute(self, scans: Sequence[PreparedScan]) -> list[PixelPrediction]:
+        """Predict the pixels of scans, with the softmax if a result needs it."""
+        softmax = bool(OF_SOFTMAX & {*self.output.folders})
+        return self.network.predict([scan.input for scan in scans], softmax=softmax)
+
+    def finish(self, prepared: PreparedScan, pixels: PixelPrediction) -> ScanSummary:
+        """Refine the labels on the points and write the results; return numbers about the scan."""
+        scan, network, output = labelled(prepared, pixels, self.knn), prepared.network, self.output
+        file, image, space = scan.file, scan.image, network.space
         least_confidence = points_from_pixels(1 - pixels.confidence, image.pixel_of_point, np.nan)
         output.write_array(file, LEAST_CONFIDENCE, least_confidence)
         values = {"least_confidence": least_confidence}
@@ -130,28 +141,6 @@ def _object_table(scan: LabelledScan, objects: Objects, space: LabelSpace) -> by
         name, numbers = space.names[of_object[number]], [f"{value:.3f}" for value in box]
         table.writerow((number, name, sizes[number], *numbers))
     return file.getvalue().encode()
-
-
-@dataclass(frozen=True, slots=True)
-class PredictJob:
-    """Job that labels the points of scans and writes the results."""
-
-    network: Network
-    writer: LabelWriter
-
-    def prepare(self, file: ScanFile) -> PreparedScan:
-        """Read, check and project a scan whose results may be replaced."""
-        self.writer.output.require_replaceable(file)
-        return prepared_for(self.network, file)
-
-    def compute(self, scans: Sequence[PreparedScan]) -> list[PixelPrediction]:
-        """Predict the pixels of scans, with the softmax if a result needs it."""
-        softmax = bool(OF_SOFTMAX & {*self.writer.output.folders})
-        return self.network.predict([scan.input for scan in scans], softmax=softmax)
-
-    def finish(self, scan: PreparedScan, pixels: PixelPrediction) -> ScanSummary:
-        """Refine the labels on the points, and write the results."""
-        return self.writer.write(labelled(scan, pixels, self.writer.knn), scan.network)
 
 
 def predict_scans(
@@ -210,7 +199,7 @@ def predict_scans(
     folders = (*extras, LEAST_CONFIDENCE, "predictions")
     run = output_run(out, "predict", recorded, folders, scans, overwrite=options.overwrite)
     with run as output, summary.recorded_in(output, scans):
-        job = partial(PredictJob, writer=LabelWriter(knn, output, rejection))
+        job = partial(PredictJob, knn=knn, output=output, reject=rejection)
         task = NetworkTask(job, settings.resolved(network), network, batch)
         outcome = run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)
     return replace(outcome, rejected_points=summary.rejected_points if rejection else None)
@@ -321,17 +310,12 @@ def predict_range_images(
     network = network.for_sensor(sensor_of_images(folder, projected, fitted))
     listed = with_outputs(ResultFolder(folder).scans(), folder, "range")
     scans = choose(listed, selection, space_of(listed, network.card.space), folder)
-    network = network_of_run(
-        settings,
-        network,
-        listed,
-        out,
-        overwrite=options.overwrite,
-        image_of=lambda file: range_image(file, folder, network.sensor),
-    )
+    images = partial(range_image, folder=folder, sensor=network.sensor)
+    overwrite = options.overwrite
+    network = network_of_run(settings, network, listed, out, overwrite=overwrite, image_of=images)
     recorded, folders = settings_of_network(network), ("pixel_labels",)
     summary = RunSummary(network.sensor)
-    run = output_run(out, "predict", recorded, folders, scans, overwrite=options.overwrite)
+    run = output_run(out, "predict", recorded, folders, scans, overwrite=overwrite)
     with run as output, summary.recorded_in(output, scans):
         job = partial(PredictImageJob, folder=folder, output=output)
         task = NetworkTask(job, settings.resolved(network), network)

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -32,15 +31,9 @@ from salsanext_cli.uncertainty.method import UncertaintyMethod
 from salsanext_cli.uncertainty.monte_carlo import Estimate
 
 METHOD = "sampling"  # Recorded, because earlier versions had another method
+Computed = tuple[Estimate, Float | None]  # The softmax (C, H, W) of one pass is for the error model
 
 log = logging.getLogger(__name__)
-
-
-class EstimatedScan(NamedTuple):
-    """Result of `UncertaintyJob.compute`."""
-
-    estimate: Estimate
-    softmax: Float | None  # (C, H, W) of a single pass, for the error model
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,20 +50,20 @@ class UncertaintyJob:
         self.output.require_replaceable(file)
         return prepared_for(self.network, file)
 
-    def compute(self, scans: Sequence[PreparedScan]) -> list[EstimatedScan]:
+    def compute(self, scans: Sequence[PreparedScan]) -> list[Computed]:
         """Estimate the uncertainty of the pixels of scans, one after the other."""
         return [self._estimate(*scan) for scan in scans]
 
-    def _estimate(self, projected: ProjectedScan, network: Network, image: Float) -> EstimatedScan:
+    def _estimate(self, projected: ProjectedScan, network: Network, image: Float) -> Computed:
         estimate = self.method.estimate(network, projected.image, projected.file)
         network.backend.require_finite(estimate.probabilities, projected.file.path)
         if ERROR not in self.output.folders:
-            return EstimatedScan(estimate, None)
+            return estimate, None
         (pixels,) = network.predict([image], softmax=True)
         network.backend.require_finite(pixels.confidence, projected.file.path)
-        return EstimatedScan(estimate, pixels.softmax)
+        return estimate, pixels.softmax
 
-    def finish(self, scan: PreparedScan, computed: EstimatedScan) -> ScanSummary:
+    def finish(self, scan: PreparedScan, computed: Computed) -> ScanSummary:
         """Write the uncertainty of the points, and their labels."""
         (projected, network, _), (estimate, softmax) = scan, computed
         file, image, output = projected.file, projected.image, self.output
@@ -150,8 +143,7 @@ def _require_network_of_labels(out: Path, settings: StageSettings) -> None:
     """Refuse to mix the uncertainty of one network with the labels of another."""
     records = Manifest(out)
     stage = records.owner("predictions")
-    recorded = records.settings(stage) if stage not in (None, "uncertainty") else None
-    if recorded is None or stage is None:
+    if stage in (None, "uncertainty") or (recorded := records.settings(stage)) is None:
         return
     before, now = (
         of.sensor and replace(of.sensor.without_noise(), name="") for of in (recorded, settings)

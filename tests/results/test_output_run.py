@@ -26,7 +26,7 @@ from salsanext_cli.parallel.run import RunOptions, run_over_scans
 from salsanext_cli.results.manifest import Manifest, StageSettings
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.paths import ScanFile, find_scans
-from salsanext_cli.stages.predict import LabelWriter, PredictJob, predict_scans
+from salsanext_cli.stages.predict import PredictJob, predict_scans
 
 KNN = asdict(KnnParameters())
 SETTINGS = {"weights": "abc", "knn": KNN}
@@ -316,8 +316,8 @@ def test_workers_refuse_replaced_weights(world, tmp_path):
     settings = NetworkSettings(weights, "cpu").resolved(network)
     write_weights(weights, seed=1)
     output = OutputRun(world.out, folders=("predictions",))
-    writer = LabelWriter(KnnParameters(), output, None)
-    task = NetworkTask(partial(PredictJob, writer=writer), settings, network)
+    job = partial(PredictJob, knn=KnnParameters(), output=output)
+    task = NetworkTask(job, settings, network)
     refused(WeightsError, weights, run_over_scans, task, find_scans(world.data), RunOptions(jobs=2))
     assert labels_below(world.out) == {}
 
