@@ -89,9 +89,8 @@ class LabelImport:
 
     def fail(self, files: Iterable[Path], error: SalsanextError) -> None:
         """Record files that are not imported."""
-        self.failures.append(
-            FailedImport(tuple(map(str, files)), error.headline, error.hint, error.code)
-        )
+        paths = tuple(map(str, files))
+        self.failures.append(FailedImport(paths, error.headline, error.hint, error.code))
 
     def to_dict(self) -> dict[str, object]:
         """Return plain data for JSON."""

@@ -13,8 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.errors import UsageError
-
-Double = npt.NDArray[np.float64]
+from salsanext_cli.records import Double
 
 SHARE_OF_SPREAD = 0.5
 """Least distance of a chosen scan from earlier ones, as a share of `spread`.

@@ -311,12 +311,9 @@ class Manifest:
         for folder in ("uncertainty/epistemic", ERROR):
             estimated, other = self.weights(folder), self.label_space(folder)
             if labels and estimated and labels != estimated:
-                problem = (
-                    f"has labels of the weights {labels[:12]}…, uncertainty of {estimated[:12]}…"
-                )
-                raise OutputError(
-                    self.root, problem, "the same weights", f"{hint} weights of the labels"
-                )
+                both = f"{labels[:12]}…, uncertainty of {estimated[:12]}…"
+                problem, hint = f"has labels of the weights {both}", f"{hint} weights of the labels"
+                raise OutputError(self.root, problem, "the same weights", hint)
             if labels and space and other and not space.fits(other):
                 problem = f"has labels in the classes of {space.name}, uncertainty in {other.name}"
                 hint = f"{hint} --classes of the labels"

@@ -108,11 +108,10 @@ def find_scans(
     try:
         is_file = present(source) and not source.is_dir()
         if is_file and not recording_of(_absolute(source)) and not scan_suffix(source.name):
-            problem = (
-                f"{source.suffix} files are not supported" if source.suffix else "has no suffix"
-            )
+            suffix = source.suffix
+            problem = f"{suffix} files are not supported" if suffix else "has no suffix"
             hint = "convert it to .ply or .las, for example with CloudCompare or PDAL"
-            if source.suffix == ".gz":
+            if suffix == ".gz":
                 hint = "decompress it with gunzip"
             raise NoInputError(source, problem, f"one of {suffixes_in_words()}", hint)
         scans = sorted(_scans_of(_absolute(source)))

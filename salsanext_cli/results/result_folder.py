@@ -138,9 +138,8 @@ class ResultFolder(Manifest):
         scans = _one_of_each_name(scans, known, wanted)
         if gone := sorted(wanted - {(scan.sequence, scan.stem) for scan in scans}):
             names = first_few(["/".join(key) for key in gone])
-            log.warning(
-                "%s with results skipped, no such file: %s", counted(len(gone), "scan"), names
-            )
+            text = "%s with results skipped, no such file: %s"
+            log.warning(text, counted(len(gone), "scan"), names)
         return scans
 
     def _require_current(self) -> None:

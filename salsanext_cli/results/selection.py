@@ -117,10 +117,8 @@ def choose(
                 log_unused(scans, chosen, space, "choose with --sequences")
             scans = chosen
         elif any(map(space.split_of, sequences)):
-            named = ", ".join(members) or "no sequences"
-            problem = (
-                f"has no scans of split {selection.split} ({named}), only {', '.join(sequences)}"
-            )
+            split = f"split {selection.split} ({', '.join(members) or 'no sequences'})"
+            problem = f"has no scans of {split}, only {', '.join(sequences)}"
             raise NoInputError(source, problem, hint="choose with --split or --sequences")
         else:
             log.warning("no split names %s: using all scans", ", ".join(sequences))

@@ -60,15 +60,6 @@ class Evaluation:
     folder: Path  # Folder of the files
     by_sequence: dict[str, Scores]
 
-    def log_warnings(self) -> None:
-        """Log reasons to doubt the scores."""
-        for text in self.counts.label_warnings(self.space):
-            log.warning("%s", text)
-        if self.guarantee and self.guarantee.is_exceeded:
-            log.warning("%s", RISK_BOUND_EXCEEDED)
-        compared = self.counts.scans + len(self.failures) + len(self.counts.missing)
-        self.missing.log_error(compared, "predictions")
-
     def files(self) -> dict[str, bytes]:
         """Return the content of the files of an evaluation by name."""
         heading = f"# {ON_TRAINING_SCANS}\n" if self.counts.trained_on else ""
@@ -159,7 +150,13 @@ def evaluate(
     results = ResultFolder(out)
     comparison = ScanComparison.of_results(results, space, labels, by_distance=by_distance)
     evaluation = _evaluation(results, comparison, scans, options, as_json(settings), folder)
-    evaluation.log_warnings()
+    counts, guarantee = evaluation.counts, evaluation.guarantee
+    for text in counts.label_warnings(space):
+        log.warning("%s", text)
+    if guarantee and guarantee.is_exceeded:
+        log.warning("%s", RISK_BOUND_EXCEEDED)
+    compared = counts.scans + len(evaluation.failures) + len(counts.missing)
+    evaluation.missing.log_error(compared, "predictions")
     files = {folder / name: content for name, content in evaluation.files().items()}
     OwnedFolder(out).replace(files, absent=[path for path in paths if path not in files])
     return evaluation
@@ -176,7 +173,16 @@ def _evaluation(
     """Count the scans and divide the counts."""
     space = comparison.space
     guarantee = results.guarantee(space)
-    counts, failures = _counted(comparison, scans, options)
+    separate = SeparateCounts(space, comparison.by_distance)
+    outcome = run_over_scans(comparison.count, scans, options, on_result=separate.add)
+    counts = separate.scored()
+    if not counts.scans:
+        if outcome.failures:
+            problem = f"no scan could be compared: {outcome.failures[0].reason}"
+            raise NoInputError(results.root, problem)
+        problem = f"has no predictions of {counted(len(counts.missing), 'scan')}"
+        hint = "run `salsanext predict` first, or give their folder: salsanext eval OUT"
+        raise NoInputError(results.root, problem, hint=hint)
     accepted = None
     if counts.accepted:
         accepted = AcceptedLabels.of_confusion(counts.confusion, space, counts.accepted)
@@ -187,7 +193,7 @@ def _evaluation(
         scores=scores(counts.confusion, space),
         by_distance={name: scores(band, space) for name, band in bands},
         missing=results.missing_predictions(counts.missing),
-        failures=failures,
+        failures=outcome.failures,
         settings=settings,
         uncertainty=evaluate_uncertainty(counts),
         folder=folder,
@@ -195,22 +201,6 @@ def _evaluation(
         accepted=accepted,
         guarantee=RiskBoundCheck.of_scans(guarantee, counts.accepted) if guarantee else None,
     )
-
-
-def _counted(
-    comparison: ScanComparison, scans: Sequence[ScanFile], options: RunOptions
-) -> tuple[ScanCounts, tuple[Failure, ...]]:
-    """Count the scored scans; return the counts and the failures."""
-    separate = SeparateCounts(comparison.space, comparison.by_distance)
-    outcome = run_over_scans(comparison.count, scans, options, on_result=separate.add)
-    counts, out = separate.scored(), comparison.out
-    if not counts.scans:
-        if outcome.failures:
-            raise NoInputError(out, f"no scan could be compared: {outcome.failures[0].reason}")
-        problem = f"has no predictions of {counted(len(counts.missing), 'scan')}"
-        hint = "run `salsanext predict` first, or give their folder: salsanext eval OUT"
-        raise NoInputError(out, problem, hint=hint)
-    return counts, outcome.failures
 
 
 def part_of(folder: ResultFolder, scans: Sequence[ScanFile], selection: ScanSelection) -> str:

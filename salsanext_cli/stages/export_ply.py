@@ -83,7 +83,9 @@ def export_ply(
     if colour == "uncertainty":
         colour = results.meant_uncertainty(scans)
     results.require_column(colour, scans)
-    stage, folder = _stage_and_folder(results, colour)
+    stage, folder, first = "export-ply", "ply", results.settings("export-ply")
+    if first is not None and first.colour != colour:
+        stage, folder = f"export-ply-{colour}", f"ply/{colour}"
     origins, earlier = results.origins(PREDICTION_STAGES), results.settings(stage)
     overwrite = options.overwrite or (earlier is not None and earlier.origins != origins)
     ends = scale or (earlier.scale if earlier and not overwrite else None)
@@ -97,11 +99,3 @@ def export_ply(
         outcome = run_over_scans(task, scans, options, is_done=output.is_done)
     log.log(NOTICE, "coloured by %s: %s", colour, out / "sequences/*" / folder)
     return replace(outcome, missing=chosen.missing)
-
-
-def _stage_and_folder(results: ResultFolder, colour: str) -> tuple[str, str]:
-    """Return the stage and the folder of a colouring."""
-    first = results.settings("export-ply")
-    if first is None or first.colour == colour:
-        return "export-ply", "ply"
-    return f"export-ply-{colour}", f"ply/{colour}"

@@ -78,15 +78,6 @@ def _given_labels(folder: Path, file: ScanFile) -> Path:
     return nested if present(nested) else folder / nested.name
 
 
-def _require_some(folder: Path, scans: list[ScanFile]) -> None:
-    """Refuse a folder without labels of any scan."""
-    if not any(present(_given_labels(folder, scan)) for scan in scans):
-        nested = output_path(Path(), scans[0].sequence, "predictions", scans[0].stem)
-        problem = f"has labels of none of {counted(len(scans), 'scan')}"
-        problem = problem if present(folder) else "no such folder"
-        raise NoInputError(folder, problem, f"files like {nested} or {nested.name}")
-
-
 def _require_all_labels(out: Path, labels: Path | None) -> None:
     """Refuse results of a run that rejected labels, since the vote would restore them."""
     folder = "predictions" if labels else "pixel_labels"
@@ -174,6 +165,9 @@ def _scans_to_refine(
             hint = f"run `salsanext predict SCANS {out} --pixel-labels` first, or use --labels"
             raise NoInputError(out, "has no pixel labels", hint=hint)
     scans = choose(scans, selection, space_of(scans, space), out)
-    if labels is not None:
-        _require_some(labels, scans)
+    if labels is not None and not any(present(_given_labels(labels, scan)) for scan in scans):
+        nested = output_path(Path(), scans[0].sequence, "predictions", scans[0].stem)
+        problem = f"has labels of none of {counted(len(scans), 'scan')}"
+        problem = problem if present(labels) else "no such folder"
+        raise NoInputError(labels, problem, f"files like {nested} or {nested.name}")
     return results, scans, space

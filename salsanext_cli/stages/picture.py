@@ -76,7 +76,10 @@ def picture(
     Outcome
         Numbers of drawn and skipped scans, and the failures.
     """
-    _require_colouring(colours, scale)
+    require_colouring(colours, scale)
+    if scale and (len(colours) != 1 or {*colours} & {*CLASS_COLOURS}):
+        problem = f"--colour is {', '.join(colours) or 'missing'}"
+        raise UsageError("--scale", problem, "a single colour of values, such as error")
     results = ResultFolder(out, query.dataset)
     chosen = results.chosen(query)
     scans, space = chosen.scans, chosen.space
@@ -98,18 +101,10 @@ def picture(
     settings = StageSettings(
         colours=tuple(colours), scales=scales, sensor=view, label_space=space, origins=origins
     )
-    with output_run(
-        *(out, STAGE, settings, (FOLDER,), scans), overwrite=overwrite, record_scans=False
-    ) as output:
+    run = (out, STAGE, settings, (FOLDER,), scans)
+    with output_run(*run, overwrite=overwrite, record_scans=False) as output:
         task = partial(_picture_scan, colours=colours, scales=scales, space=space, sensor=view)
         task = partial(task, output=output, classes=query.classes, labels=chosen.labels)
         outcome = run_over_scans(task, scans, options, is_done=output.is_done)
         log.log(NOTICE, "pictures: %s", out / "sequences/*" / FOLDER)
     return replace(outcome, missing=chosen.missing)
-
-
-def _require_colouring(colours: Collection[str], scale: tuple[float, float] | None) -> None:
-    require_colouring(colours, scale)
-    if scale and (len(colours) != 1 or {*colours} & {*CLASS_COLOURS}):
-        problem = f"--colour is {', '.join(colours) or 'missing'}"
-        raise UsageError("--scale", problem, "a single colour of values, such as error")

@@ -26,7 +26,7 @@ from salsanext_cli.report.page.run_results import (
 )
 from salsanext_cli.report.page.server import PageServer
 from salsanext_cli.results.owned_folder import OwnedFolder
-from salsanext_cli.results.paths import PREDICTION_STAGES, ScanFile
+from salsanext_cli.results.paths import PREDICTION_STAGES
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import ResultFolder
 
@@ -46,10 +46,9 @@ class Report:
 
     def to_dict(self) -> dict[str, object]:
         """Return plain data for JSON, null for NaN."""
-        counts, scores = self.run.counts, self.compared and self.compared.scores
-        compared = self.compared
+        counts, compared = self.run.counts, self.compared
+        scores, labels = compared and compared.scores, compared and compared.accepted
         best = compared and compared.uncertainty.accepted
-        labels = compared and compared.accepted
         return {
             "stage": "report",
             "page": str(self.page),
@@ -127,8 +126,7 @@ class RunServer(PageServer):
     def to_dict(self) -> dict[str, object]:
         """Return plain data for JSON."""
         server = {"stage": "view", "url": self.url, "scans": self.scans}
-        failures = [failure.to_dict() for failure in self.failures]
-        return server | self.missing.to_dict() | {"failures": failures}
+        return server | self.missing.to_dict() | {"failures": plain(self.failures)}
 
     def cloud(self, index: int) -> dict[str, object] | None:
         """Read a scan; a kind of value keeps its first scale."""
@@ -201,14 +199,6 @@ def read_run(
     results = ResultFolder(out, query.dataset)
     chosen = results.chosen(query)
     reader = ScanComparison.of_results(results, chosen.space, chosen.labels)
-    rows, counts, failures = _rows(chosen.scans, reader, options)
-    return RunResults(reader, rows, counts, chosen.missing), failures
-
-
-def _rows(
-    files: Sequence[ScanFile], reader: ScanComparison, options: RunOptions
-) -> tuple[list[ScanRow], ScanCounts | None, tuple[Failure, ...]]:
-    """Read the results of all scans; count the points of scans with labels."""
     rows: list[ScanRow] = []
     counts = SeparateCounts(reader.space)
     trained_on: set[ScanRow] = set()
@@ -222,14 +212,15 @@ def _rows(
                 trained_on.add(row)
 
     task = partial(read_row, reader=reader)
-    outcome = run_over_scans(task, files, options, on_result=add)
+    outcome = run_over_scans(task, chosen.scans, options, on_result=add)
     if not rows:
-        raise NoInputError(reader.out, f"no results can be read: {outcome.failures[0].reason}")
+        raise NoInputError(out, f"no results can be read: {outcome.failures[0].reason}")
     if (scored := counts.scored()).skipped:
         none = np.zeros_like(rows[0].confusion)
         rows = [replace(row, confusion=none) if row in trained_on else row for row in rows]
     rows.sort(key=lambda row: row.file)  # Workers finish in any order.
-    return rows, scored if scored.scans else None, outcome.failures
+    of_labelled = scored if scored.scans else None
+    return RunResults(reader, rows, of_labelled, chosen.missing), outcome.failures
 
 
 def _readable(

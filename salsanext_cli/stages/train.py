@@ -8,6 +8,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import torch
 
@@ -102,9 +103,7 @@ class NewTraining:
         locks.enter_context(OwnedFolder(run, STAGE).open())
         require_free(run, settings, overwrite=self.overwrite)
         require_labels([file for source in given for file in source.files])
-        scenes = _simulated_scenes(
-            run / STREETS, recipe.streets, first.space, first.sensor, self.jobs
-        )
+        scenes = _simulated_scenes(run / STREETS, recipe.streets, first, self.jobs)
         is_fitted = recipe.sensors == "fitted"
         first, scored, *others = training_sources([*given, *scenes], fit=is_fitted, jobs=self.jobs)
         sources, validated = [first, *others], evenly_spaced(scored.files, recipe.validation_scans)
@@ -132,10 +131,8 @@ class NewTraining:
             lambda: scans_to_train_on(dataset, space, divisible=divisible)
         )
         if recipe.precision == "auto":
-            recorded = group.on_main(
-                lambda: None if self.overwrite else recorded_precision(self.run)
-            )
-            recipe = replace(recipe, precision=recorded or common_precision(device, group))
+            known = None if self.overwrite else group.on_main(partial(recorded_precision, self.run))
+            recipe = replace(recipe, precision=known or common_precision(device, group))
         initial, card = initial_network(start, classes, recipe, sensor)
         further = group.on_main(lambda: [further_source(p, classes, card.sensor) for p in also])
         given = [Source(files, classes, card.sensor) for files in (training, validation)] + further
@@ -255,32 +252,22 @@ def _require_batch(samples: int, group: ProcessGroup) -> None:
         raise error
 
 
-def _simulated_scenes(
-    folder: Path, count: int, classes: LabelSpace, sensor: Sensor, jobs: int
-) -> list[Source]:
+def _simulated_scenes(folder: Path, count: int, real: Source, jobs: int) -> list[Source]:
     """Return simulated data sets by kind of sensor, made if need be; none for other classes."""
     if not count:
         return []
-    if merged_into(label_space(), classes) is None:
+    if merged_into(label_space(), real.space) is None:
         log.log(NOTICE, "no simulated scenes: their classes cannot be merged into your classes")
         return []
     splits, sources = {"train": count, "valid": 0, "test": 0}, []
+    scenes: dict[str, Any] = {"scans": SCANS_OF_STREET, "seed": 0, "spacing": STREET_SPACING_M}
     for kind in RIGS:
         root = folder / kind
-        wanted = SynthSettings.of(splits, SCANS_OF_STREET, 0, STREET_SPACING_M, kind).record
+        wanted = SynthSettings.of(splits, **scenes, sensor=kind).record
         if (recorded := Manifest(root).record(wanted.stage)) != wanted:
             reason = ": the existing ones have another version or settings" if recorded else ""
             log.log(NOTICE, "simulating %s in %s%s", counted(count, "scene"), root, reason)
-        synthesise(
-            root,
-            train=count,
-            valid=0,
-            scans=SCANS_OF_STREET,
-            seed=0,
-            spacing=STREET_SPACING_M,
-            sensor=kind,
-            jobs=jobs,
-            overwrite=recorded not in (None, wanted),
-        )
-        sources.append(replace(further_source(root, classes, sensor), simulated=True))
+        is_other = recorded not in (None, wanted)
+        synthesise(root, train=count, valid=0, **scenes, sensor=kind, jobs=jobs, overwrite=is_other)
+        sources.append(replace(further_source(root, real.space, real.sensor), simulated=True))
     return sources
