@@ -40,12 +40,6 @@ class Mover:
         return self.mesh.moved(plan.world(s, self.t), yaw)
 
 
-def moving(builder: Builder, ego_speed: float, duration: float) -> tuple[Mover, ...]:
-    """Return moving objects of a drive of `duration` seconds at `ego_speed` metres per second."""
-    movers = [*_vehicles(builder, ego_speed, duration), *_walkers(builder, duration)]
-    return (*movers, *_riders(builder, ego_speed, duration))
-
-
 def _vehicles(builder: Builder, speed: float, duration: float) -> Iterator[Mover]:
     """Yield vehicles in all lanes; the recording vehicle uses the outer lane."""
     plan = builder.plan
@@ -127,11 +121,13 @@ def build_street(
             lots.furnish(builder, side, lot)
     if style.barrier:
         roadside.separate_directions(builder)
-    movers = moving(builder, ego_speed, distance / ego_speed)
+    duration = distance / ego_speed
+    movers = [*_vehicles(builder, ego_speed, duration), *_walkers(builder, duration)]
+    movers += _riders(builder, ego_speed, duration)
     brightness = _draw_brightness(rng)
     standing = with_brightness(merge(builder.parts), brightness)
-    movers = tuple(replace(m, mesh=with_brightness(m.mesh, brightness)) for m in movers)
-    return plan, standing, movers
+    shown = (replace(m, mesh=with_brightness(m.mesh, brightness)) for m in movers)
+    return plan, standing, tuple(shown)
 
 
 def _draw_brightness(rng: Rng) -> Array:

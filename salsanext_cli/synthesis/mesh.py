@@ -92,11 +92,12 @@ def box(corner: npt.ArrayLike, opposite: npt.ArrayLike, skin: Skin) -> Mesh:
     return Mesh.of(corners, BOX_FACES, skin)
 
 
-def quads(corners: Array, skin: Skin) -> Mesh:
-    """Return quadrangles with corners (Q, 4, 3) in cyclic order."""
-    count = len(corners)
-    faces = np.arange(count)[:, None, None] * 4 + np.array([[0, 1, 2], [0, 2, 3]])
-    return Mesh.of(corners.reshape(-1, 3), faces.reshape(-1, 3), skin)
+def faces(corners: Array, skin: Skin) -> Mesh:
+    """Return flat polygons with corners (Q, P, 3) in cyclic order, as fans around the first."""
+    count, sides = corners.shape[:2]
+    fan = np.array([[0, k, k + 1] for k in range(1, sides - 1)])
+    triangles = np.arange(count)[:, None, None] * sides + fan
+    return Mesh.of(corners.reshape(-1, 3), triangles.reshape(-1, 3), skin)
 
 
 def loft(sections: Array, skin: Skin) -> Mesh:
@@ -151,16 +152,14 @@ def disc(centre: npt.ArrayLike, radius: float, skin: Skin, sides: int = 12) -> M
     """Return a flat disc across the y axis."""
     angle = np.linspace(0, 2 * np.pi, sides, endpoint=False)
     rim = np.stack([radius * np.cos(angle), np.zeros(sides), radius * np.sin(angle)], -1)
-    vertices = np.concatenate([np.zeros((1, 3)), rim]) + np.asarray(centre, float)
-    index = np.arange(sides)
-    faces = np.stack([0 * index, index + 1, (index + 1) % sides + 1], -1)
-    return Mesh.of(vertices, faces, skin)
+    corners = np.concatenate([np.zeros((1, 3)), rim, rim[:1]]) + np.asarray(centre, float)
+    return faces(corners[None], skin)
 
 
 def facets(centres: Array, sizes: Array, skin: Skin, rng: Rng) -> Mesh:
     """Return randomly turned triangles of sizes (F,) around centres (F, 3), as leaves."""
     count = len(centres)
     corners = centres[:, None] + sizes[:, None, None] * rng.uniform(-1, 1, (count, 3, 3))
-    mesh = Mesh.of(corners.reshape(-1, 3), np.arange(count * 3).reshape(-1, 3), skin)
+    mesh = faces(corners, skin)
     mesh.shades[:] *= np.exp(0.2 * rng.standard_normal(count)).astype(np.float32)
     return mesh

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from salsanext_cli.synthesis.lidar import INTENSITY_NOISE, USUAL_ECHO, Lasers, Scene, measure
-from salsanext_cli.synthesis.mesh import Skin, quads
+from salsanext_cli.synthesis.mesh import Skin, faces
 from salsanext_cli.synthesis.presets import BUILDING, CAR, HDL64, ROAD, Material, Numbers
 
 
@@ -13,14 +13,14 @@ def wall(distance, material=Material.PLASTER, label=BUILDING, shade=1.0):
     """Build a wall across x, 200 m wide and high."""
     x, w = distance, 100.0
     corners = np.array([[[x, -w, -w], [x, w, -w], [x, w, w], [x, -w, w]]])
-    return Scene(quads(corners, Skin(label, material, shade)))
+    return Scene(faces(corners, Skin(label, material, shade)))
 
 
 def floor(material):
     """Build a road 1.73 m below the sensor."""
     z, w = -1.73, 300.0
     corners = np.array([[[-w, -w, z], [w, -w, z], [w, w, z], [-w, w, z]]])
-    return Scene(quads(corners, Skin(ROAD, material)))
+    return Scene(faces(corners, Skin(ROAD, material)))
 
 
 def fan(count=20_000, spread=0.3):

@@ -20,6 +20,7 @@ SAME_SURFACE = (
     (presets.OTHER_GROUND, presets.SIDEWALK),
 )  # fmt: skip
 """Ground that may have the surface of another, so that only its location differs."""
+Maker = Callable[[float], Mesh]  # Returns a piece of a length in metres
 
 
 def with_brightness(mesh: Mesh, of_material: Array) -> Mesh:
@@ -80,10 +81,8 @@ class Builder:
         self.put(mesh, side, s, out, yaw)
         return True
 
-    def put_line(
-        self, make: Callable[[float], Mesh], side: Side, start: float, end: float, out: float
-    ) -> None:
-        """Place a long object along the street; ``make(length)`` returns a piece along x."""
+    def put_line(self, make: Maker, side: Side, start: float, end: float, out: float) -> None:
+        """Place a long object along the street, made of pieces along x."""
         t = side.sign * (self.plan.half + out)
         for low, high in _pieces(max(start, 0.0), min(end, self.plan.length)):
             ends = self.plan.world([low, high], t)
@@ -95,9 +94,7 @@ class Builder:
             mesh.vertices[:, 2] += mesh.vertices[:, 0] * step[2] / max(length, 1e-6)
             self.parts.append(mesh.moved(first, float(np.arctan2(step[1], step[0]))))
 
-    def put_outward(
-        self, make: Callable[[float], Mesh], side: Side, s: float, start: float, end: float
-    ) -> None:
+    def put_outward(self, make: Maker, side: Side, s: float, start: float, end: float) -> None:
         """Place a long object across the street, `start` to `end` metres beyond the kerb."""
         if 0 < s < self.plan.length:
             for low, high in _pieces(start, end):

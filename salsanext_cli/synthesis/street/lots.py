@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from salsanext_cli.synthesis.mesh import Mesh, Rng
-from salsanext_cli.synthesis.street.builder import Builder
+from salsanext_cli.synthesis.street.builder import Builder, Maker
 from salsanext_cli.synthesis.street.plan import REACH_M, Lot, Side
 from salsanext_cli.synthesis.things import buildings, furniture, people, vegetation
 from salsanext_cli.synthesis.things.vehicles import car, length_of, truck, vehicle
@@ -15,7 +15,7 @@ from salsanext_cli.synthesis.things.vehicles import car, length_of, truck, vehic
 CAR_ROOM_M = 5.2  # Distance from the kerb to the house that a car in the driveway needs
 SOLID_M = 1.1  # Height of walls around a lot; higher ones are rarely labelled fence
 Span = tuple[float, float]
-Maker = Callable[[float], Mesh]  # Returns a piece of a length in metres
+Sized = Callable[[Rng, float], Mesh]  # Returns an object of a size in metres
 
 
 def furnish(builder: Builder, side: Side, lot: Lot) -> None:
@@ -199,16 +199,10 @@ def _park(builder: Builder, side: Side, s: float, out: float, yaw: float, radius
 
 
 def _scatter(
-    builder: Builder,
-    side: Side,
-    lot: Lot,
-    make: Callable[[Rng, float], Mesh],
-    size: Span,
-    count: float,
-    reach: float | None = None,
+    builder: Builder, side: Side, lot: Lot, make: Sized, size: Span, count: float, reach: float = 0
 ) -> None:
-    """Scatter objects over the front of a lot, or `reach` metres deep."""
-    depth = lot.setback if reach is None else reach
+    """Scatter objects over the front of a lot, or `reach` metres deep if that is above 0."""
+    depth = reach or lot.setback
     if depth < 0.8 or lot.end - lot.start < 1.5:
         return
     for _ in builder.count(count):
@@ -218,15 +212,13 @@ def _scatter(
         builder.put_if_free(mesh, side, s, out, 0.7, builder.between(0, 6.28))
 
 
-def _plant(
-    builder: Builder, side: Side, lot: Lot, count: float, reach: float | None = None
-) -> None:
+def _plant(builder: Builder, side: Side, lot: Lot, count: float, reach: float = 0) -> None:
     """Scatter low and high bushes and ground cover."""
     for make, size, share in PLANTS:
         _scatter(builder, side, lot, make, size, share * count, reach)
 
 
-def _sizeless(make: Callable[[Rng], Mesh]) -> Callable[[Rng, float], Mesh]:
+def _sizeless(make: Callable[[Rng], Mesh]) -> Sized:
     return lambda rng, _size: make(rng)
 
 
@@ -241,9 +233,8 @@ def _background(builder: Builder, side: Side, lot: Lot) -> None:
         builder.put(mesh, side, (lot.start + lot.end) / 2, out)
         for _ in builder.count(width / 12):
             tree = vegetation.tree(rng, builder.between(4, 10))
-            builder.put(
-                tree, side, builder.between(lot.start, lot.end), out - builder.between(2, 9)
-            )
+            s = builder.between(lot.start, lot.end)
+            builder.put(tree, side, s, out - builder.between(2, 9))
     elif builder.chance(0.9):
         wood = partial(vegetation.thicket, rng, height=builder.between(4, 9), depth=4)
         builder.put_line(wood, side, lot.start, lot.end, out)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, Skin, box, extrusion, merge, quads
+from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, Skin, box, extrusion, faces, merge
 from salsanext_cli.synthesis.presets import BUILDING, FENCE, Material
 
 FOOT_M = -1.5  # Height of the foot of a wall: below the uneven ground
@@ -93,7 +93,7 @@ def _facade(rng: Rng, house: House, ends: Array, *, front: bool) -> Mesh:
     shutters = Skin.random(rng, BUILDING, Material.WOOD, 0.4, 1.1)
     skins = (house.base, house.wall, Skin(BUILDING, Material.GLASS), shutters)
     skinned = zip(panels, skins, strict=True)
-    mesh = merge(quads(np.array(corners), skin) for corners, skin in skinned if corners)
+    mesh = merge(faces(np.array(corners), skin) for corners, skin in skinned if corners)
     return mesh.moved((*ends[0], 0), float(np.arctan2(*along[::-1])))
 
 
@@ -153,7 +153,7 @@ def _roof(rng: Rng, house: House) -> Mesh:
         [[end, 0, height], [end, depth, height], [end, middle, peak], [end, middle, peak]]
         for end in (-width / 2, width / 2)
     ]
-    return merge([quads(np.array(slopes), skin), quads(np.array(gables), house.wall)])
+    return merge([faces(np.array(slopes), skin), faces(np.array(gables), house.wall)])
 
 
 def _details(rng: Rng, house: House) -> list[Mesh]:
@@ -238,4 +238,4 @@ def _strips(*edges: Array | float, skin: Skin) -> Mesh:
     """Return upright rectangles in planes y: left, right, lower and upper edges and y."""
     x0, x1, z0, z1, y = np.broadcast_arrays(*edges)
     corners = [np.stack(c, -1) for c in ((x0, y, z0), (x1, y, z0), (x1, y, z1), (x0, y, z1))]
-    return quads(np.stack(corners, 1), skin)
+    return faces(np.stack(corners, 1), skin)

@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from salsanext_cli.synthesis.mesh import Mesh, Rng, Skin, box, disc, ellipsoid, merge, quads, tube
+from salsanext_cli.synthesis.mesh import Mesh, Rng, Skin, box, disc, ellipsoid, faces, merge, tube
 from salsanext_cli.synthesis.presets import CLUTTER, POLE, SIGN, STRUCTURE, Material
 
 FOOT_M = -0.3  # Height of the foot of poles and boxes: below the uneven ground
@@ -45,10 +45,10 @@ def _face(rng: Rng) -> Mesh:
         front = disc((0, 0, 0), radius, bright, 14)
     elif kind == "triangle":
         r, x = radius * 1.25, radius * 1.1
-        front = quads(np.array([[[-x, 0, -r / 2], [x, 0, -r / 2], [0, 0, r], [0, 0, r]]]), bright)
+        front = faces(np.array([[[-x, 0, -r / 2], [x, 0, -r / 2], [0, 0, r], [0, 0, r]]]), bright)
     else:
         x, z = radius * rng.uniform(0.6, 1.6), radius * rng.uniform(0.5, 1.2)
-        front = quads(np.array([[[-x, 0, -z], [x, 0, -z], [x, 0, z], [-x, 0, z]]]), bright)
+        front = faces(np.array([[[-x, 0, -z], [x, 0, -z], [x, 0, z], [-x, 0, z]]]), bright)
     back = Mesh.of(front.vertices + [0, 0.02, 0], front.triangles, Skin(SIGN, Material.METAL, 0.9))
     return merge([front, back])
 
@@ -70,8 +70,8 @@ def board(rng: Rng) -> Mesh:
     bright = Skin.random(rng, SIGN, Material.RETRO, 0.6, 1.1)
     parts = [tube([[x, 0, FOOT_M], [x, 0, high]], 0.05, steel) for x in (-half * 0.8, half * 0.8)]
     plate = np.array([[[-half, 0, low], [half, 0, low], [half, 0, high], [-half, 0, high]]])
-    parts.append(quads(plate - [0, 0.08, 0], bright))
-    parts.append(quads(plate - [0, 0.06, 0], Skin(SIGN, Material.METAL, 0.9)))
+    parts.append(faces(plate - [0, 0.08, 0], bright))
+    parts.append(faces(plate - [0, 0.06, 0], Skin(SIGN, Material.METAL, 0.9)))
     return merge(parts)
 
 

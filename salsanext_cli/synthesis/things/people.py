@@ -3,15 +3,9 @@
 
 import numpy as np
 
+from salsanext_cli.synthesis import presets
 from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, Skin, box, disc, ellipsoid, merge, tube
-from salsanext_cli.synthesis.presets import (
-    BICYCLE,
-    BICYCLIST,
-    MOTORCYCLE,
-    MOTORCYCLIST,
-    PERSON,
-    Material,
-)
+from salsanext_cli.synthesis.presets import PERSON, Material
 from salsanext_cli.synthesis.things.vehicles import dark_paint
 
 HIP, SHOULDER, SEAT = 0.52, 0.82, 0.28
@@ -100,7 +94,7 @@ def _ring(centre: Array, radius: float, thickness: float, skin: Skin) -> Mesh:
     return tube(path, thickness, skin, 5)
 
 
-def bicycle(rng: Rng, label: int = BICYCLE) -> Mesh:
+def bicycle(rng: Rng, label: int = presets.BICYCLE) -> Mesh:
     """Return a bicycle: spoked wheels, frame, handlebar, saddle, perhaps a carrier and baskets."""
     frame = Skin.random(rng, label, Material.METAL, 0.6, 2.2)
     tyre = Skin(label, Material.RUBBER, TYRE_SHADE)
@@ -134,7 +128,7 @@ def bicycle(rng: Rng, label: int = BICYCLE) -> Mesh:
     return merge(parts).scaled(rng.uniform([0.92, 0.95, 0.95], [1.06, 1.05, 1.06]))
 
 
-def motorcycle(rng: Rng, label: int = MOTORCYCLE) -> Mesh:
+def motorcycle(rng: Rng, label: int = presets.MOTORCYCLE) -> Mesh:
     """Return a motorcycle or a scooter; some parked ones are under a cover."""
     paint, iron = dark_paint(rng, label), Skin(label, Material.METAL, 0.6)
     tyre = Skin.random(rng, label, Material.RUBBER, 0.5, TYRE_SHADE)
@@ -154,7 +148,7 @@ def motorcycle(rng: Rng, label: int = MOTORCYCLE) -> Mesh:
         parts.append(box((0.42, -0.2, 0.95), (0.45, 0.2, 1.35), Skin(label, Material.GLASS)))
     if rng.random() < 0.4:
         parts.append(box((-0.9, -0.2, 0.85), (-0.55, 0.2, 1.15), paint))
-    if label == MOTORCYCLE and rng.random() < COVERED_SHARE:
+    if label == presets.MOTORCYCLE and rng.random() < COVERED_SHARE:
         cover = Skin.random(rng, label, Material.CLOTH, 0.2, 1.2)
         parts += [
             ellipsoid((-0.3, 0, 0.55), (0.72, 0.3, 0.45), cover),
@@ -220,19 +214,19 @@ def bicyclist(rng: Rng) -> Mesh:
     feet = np.stack(
         [-0.05 + 0.16 * np.cos(angle), np.array([-0.13, 0.13]), 0.3 + 0.16 * np.sin(angle)], -1
     )
-    body = _seated(rng, BICYCLIST, hip, lean, feet, np.array([0.3, 0.25, 1.02]))
-    head = _head(hip, lean, 1.0, Skin(BICYCLIST, Material.SKIN))
-    return merge([bicycle(rng, BICYCLIST), *body, head])
+    body = _seated(rng, presets.BICYCLIST, hip, lean, feet, np.array([0.3, 0.25, 1.02]))
+    head = _head(hip, lean, 1.0, Skin(presets.BICYCLIST, Material.SKIN))
+    return merge([bicycle(rng, presets.BICYCLIST), *body, head])
 
 
 def motorcyclist(rng: Rng) -> Mesh:
     """Return a motorcycle with one or two riders in helmets."""
-    parts = [motorcycle(rng, MOTORCYCLIST)]
-    helmet = dark_paint(rng, MOTORCYCLIST)
+    parts = [motorcycle(rng, presets.MOTORCYCLIST)]
+    helmet = dark_paint(rng, presets.MOTORCYCLIST)
     for n in range(2 if rng.random() < 0.15 else 1):
         hip, lean = np.array([-0.25 - 0.35 * n, 0, 0.87 + 0.06 * n]), rng.uniform(0.05, 0.35)
         feet = np.array([[0.0, -0.2, 0.36], [0.0, 0.2, 0.36]]) - [0.3 * n, 0, 0]
         grip = np.array([0.3 - 0.5 * n, 0.3, 1.02])
-        parts += _seated(rng, MOTORCYCLIST, hip, lean, feet, grip)
+        parts += _seated(rng, presets.MOTORCYCLIST, hip, lean, feet, grip)
         parts.append(_head(hip, lean, 1.35, helmet))
     return merge(parts)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from salsanext_cli.synthesis import presets
-from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, Skin, box, disc, loft, merge, quads, tube
+from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, Skin, box, disc, faces, loft, merge, tube
 from salsanext_cli.synthesis.presets import BUS, CAR, OTHER_VEHICLE, TRUCK, Material, Numbers
 
 STEEL = Skin(TRUCK, Material.METAL, 0.5)
@@ -46,9 +46,7 @@ def _body(body: Numbers, paint: Skin, stretch: Array) -> Mesh:
     windows[np.ix_(body.cabin, (2, 4))] = windows[np.ix_(body.screens, (2, 3, 4))] = True
     glass = np.tile(windows.ravel(), 2)
     shell.materials[glass], shell.shades[glass] = Material.GLASS, 0.8
-    fan = np.array([[0, k, k + 1] for k in range(1, y.shape[1] - 1)])
-    ends = [Mesh.of(sections[i], fan, paint) for i in (0, -1)]
-    return merge([shell, *ends]).scaled(stretch)
+    return merge([shell, faces(sections[[0, -1]], paint)]).scaled(stretch)
 
 
 def _wheels(label: int, axles: list[float], track: float, radius: float, wide: float) -> list[Mesh]:
@@ -200,7 +198,7 @@ def _tub(rng: Rng, bed: Bed) -> list[Mesh]:
     high = [[-half_length - 0.2, -half_width, top], [half_length + 0.2, -half_width, top + 0.2]]
     high += [[half_length + 0.2, half_width, top + 0.2], [-half_length - 0.2, half_width, top]]
     sides = [[low[i], low[i - 3], high[i - 3], high[i]] for i in range(4)]
-    parts = [quads(np.array([low, *sides], float), skin)]
+    parts = [faces(np.array([low, *sides], float), skin)]
     for x in np.arange(-half_length, half_length, rng.uniform(0.5, 1.2)):
         parts.append(box((x, -half_width, floor + 0.1), (x + 0.08, half_width, top - 0.3), STEEL))
     return parts
@@ -227,7 +225,7 @@ def _rear(rng: Rng, bed: Bed) -> list[Mesh]:
     elif rng.random() < 0.08:
         low, high = [rear - 1.8, -side, 0.05], [rear, -side, bed.floor]
         ramp = np.array([[low, [low[0], side, 0.05], [rear, side, bed.floor], high]])
-        parts.append(quads(ramp, STEEL))
+        parts.append(faces(ramp, STEEL))
     return parts
 
 
