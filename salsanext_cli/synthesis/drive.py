@@ -168,7 +168,7 @@ def record(
     plan, standing, movers = build_street(rng, style, spacing * (scans - 1), speed)
     rig = make_rig(rng)
     track = _Track(rng, plan, speed, rig)
-    rays, lasers = rig.rays(), rig.lasers()
+    *rays, lasers = rig.rays()
     scene = make_scene(standing)
     for index in range(scans):
         noise = np.random.default_rng([seed, sequence, index, 1])

@@ -100,16 +100,11 @@ class Rig:
     mount: float  # Height above the road, metres
     tilt: Array  # (2,): pitch and roll of the mounting, radians
 
-    def rays(self) -> tuple[Array, Array, Array]:
-        """Return origins, directions and times of the rays that leave the vehicle."""
-        origins, directions, times = self.beams.rays()
-        return origins[self.unblocked], directions[self.unblocked], times[self.unblocked]
-
-    def lasers(self) -> Lasers:
-        """Return the properties of the lasers by ray."""
-        return Lasers(
-            *(np.repeat(v, self.beams.columns)[self.unblocked] for v in self.beams.lasers)
-        )
+    def rays(self) -> tuple[Array, Array, Array, Lasers]:
+        """Return origins, directions, times and lasers of the rays that leave the vehicle."""
+        origins, directions, times = (values[self.unblocked] for values in self.beams.rays())
+        of_rays = (np.repeat(values, self.beams.columns) for values in self.beams.lasers)
+        return origins, directions, times, Lasers(*(values[self.unblocked] for values in of_rays))
 
 
 RigMaker = Callable[[Rng], Rig]  # Draws a sensor and its mounting
