@@ -2,7 +2,7 @@
 """Sums of the softmax over passes or noisy copies, in float64 for an exact variance."""
 
 from dataclasses import dataclass
-from typing import Self, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -21,11 +21,6 @@ class Moments:
     sum: Double
     sum_of_squares: Double
     sum_of_entropies: Double
-
-    @classmethod
-    def none(cls, shape: tuple[int, ...]) -> Self:
-        """Return sums of 0 for a softmax (C, H, W)."""
-        return cls(0, np.zeros(shape), np.zeros(shape), np.zeros(shape[1:]))
 
     def add(self, softmax: Float, nats: Float | None, merging: ClassMerging | None) -> None:
         """Add a softmax (C, H, W) and optionally its entropy (H, W), both of unmerged classes."""

@@ -11,8 +11,7 @@ import numpy as np
 from salsanext_cli.classes.merging import ClassMerging
 from salsanext_cli.compiled import thread_count
 from salsanext_cli.engines.backend import Backend, PixelPrediction
-from salsanext_cli.engines.graphs import Graph, compiled_graph, converted
-from salsanext_cli.engines.int8_graphs import quantised
+from salsanext_cli.engines.graphs import Graph, compiled_graph, converted, quantised
 from salsanext_cli.engines.moments import Moments
 from salsanext_cli.records import CHANNELS, Float
 
@@ -60,7 +59,7 @@ class OpenVinoBackend(Backend):
         """Return the moments of the softmax over dropout passes, one per seed of the masks."""
         from salsanext_cli.network.segmentation import SegmentationNetwork as Module
 
-        trunk = self.graph("trunk", Module.padded_trunk, [image], precision=self.sampling_precision)
+        trunk = self.graph("trunk", Module.padded_trunk, [image], self.sampling_precision)
         moments, (height, width) = self._no_moments(merging), image.shape[-2:]
         for softmax, nats in self._passes(trunk(image), seeds):
             inside = (..., slice(height), slice(width))
@@ -81,8 +80,7 @@ class OpenVinoBackend(Backend):
         """Return ``function(module, *images)`` of a graph with that name."""
         import torch
 
-        precision = "float32" if exact else self.precision
-        graph = self.graph(name, function, images, precision=precision)
+        graph = self.graph(name, function, images, "float32" if exact else self.precision)
         return tuple(map(torch.from_numpy, graph(*images)))
 
     def output_graph(self, temperature: float | None, precision: str | None = None) -> Graph:
@@ -94,15 +92,10 @@ class OpenVinoBackend(Backend):
 
         name = "logits" if temperature is None else f"softmax at {temperature}"
         image = np.zeros((1, len(CHANNELS), *self.size), np.float32)
-        return self.graph(name, output, [image], precision=precision)
+        return self.graph(name, output, [image], precision or self.precision)
 
     def graph(
-        self,
-        name: str,
-        function: Callable[..., Any],
-        images: Sequence[Float],
-        *,
-        precision: str | None = None,
+        self, name: str, function: Callable[..., Any], images: Sequence[Float], precision: str
     ) -> Graph:
         """Return a named function of the module and of images as a graph."""
 
@@ -113,7 +106,6 @@ class OpenVinoBackend(Backend):
             is_int8 = precision == "int8"
             return quantised(model, self.card.int8, self.name) if is_int8 else model
 
-        precision = precision or self.precision
         return self._compiled(name, make, precision)
 
     def _passes(self, features: Sequence[Float], seeds: Sequence[int]) -> Iterator[Sequence[Float]]:
@@ -131,12 +123,13 @@ class OpenVinoBackend(Backend):
             return converted(self.module, rest_with_factors, inputs)
 
         rest = self._compiled("rest", make, self.sampling_precision, threads)
+        channels = [port.shape[1] for port in rest.compiled.inputs[len(features) :]]
         size = PASSES_PER_THREAD * threads
         for start in range(0, len(seeds), size):
             calls = []
             for seed in seeds[start : start + size]:
                 draw = random_masks([torch.Generator().manual_seed(seed)])
-                factors = [draw(shape[1], rate).numpy() for shape in rest.shapes[len(features) :]]
+                factors = [draw(count, rate).numpy() for count in channels]
                 calls.append([*features, *factors])
             yield from rest.in_parallel(calls)
 
@@ -153,4 +146,5 @@ class OpenVinoBackend(Backend):
 
     def _no_moments(self, merging: ClassMerging | None) -> Moments:
         space = self.card.space if merging is None else merging.space
-        return Moments.none((space.class_count, *self.size))
+        total, squares = np.zeros((2, space.class_count, *self.size))
+        return Moments(0, total, squares, np.zeros(self.size))

@@ -14,8 +14,7 @@ from scans import SMALL, make_scan, refused, write_weights
 from torch import nn
 
 from salsanext_cli import label_space, load_network, project, sample
-from salsanext_cli.engines.graphs import Graph, compiled_graph, converted
-from salsanext_cli.engines.int8_graphs import quantised
+from salsanext_cli.engines.graphs import Graph, compiled_graph, converted, quantised
 from salsanext_cli.engines.openvino_backend import OpenVinoBackend
 from salsanext_cli.errors import UsageError, WeightsError
 from salsanext_cli.network.card import WeightsCard, read_card
