@@ -29,8 +29,8 @@ from corruption_models import LEVELS, LabelledScan
 
 import salsanext_cli as sn
 from salsanext_cli.files.atomic import write_bytes
-from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.json_files import read_json, write_json
+from salsanext_cli.files.reading import fingerprint
 from salsanext_cli.formats.kitti import encode_bin
 from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.results.paths import ScanFile, find_scans

@@ -29,8 +29,8 @@ from salsanext_cli.classes.label_space import label_space
 from salsanext_cli.engines.loading import network_of_module
 from salsanext_cli.errors import TrainingError
 from salsanext_cli.files.atomic import write_bytes
-from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.json_files import write_json
+from salsanext_cli.files.reading import fingerprint
 from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.weights import save_weights
 from salsanext_cli.results.paths import ScanFile, find_scans

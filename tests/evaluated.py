@@ -10,7 +10,7 @@ from salsanext_cli import LabelSpace, Scan, label_space, write_labels
 from salsanext_cli.measures.calibration import SCAN_BINS, CalibrationScores, reliability
 from salsanext_cli.measures.histograms import confidence_histogram, uncertainty_histogram
 from salsanext_cli.measures.scan_counts import SOFTMAX, ScanCounts
-from salsanext_cli.measures.uncertainty_evaluation import RankingScores, evaluate_uncertainty
+from salsanext_cli.measures.uncertainty_evaluation import RankingScores, UncertaintyEvaluation
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.paths import find_scans, output_path
 from salsanext_cli.stages.evaluate import evaluate
@@ -65,11 +65,11 @@ def calibration_result(truth) -> CalibrationScores:
     counts.histograms[SOFTMAX] = histogram
     if len(truth):
         counts.calibration_errors.append(reliability(histogram.counts, SCAN_BINS).error)
-    return evaluate_uncertainty(counts).calibration
+    return UncertaintyEvaluation.of_counts(counts).calibration
 
 
 def ranking_result(uncertainty, wrong) -> RankingScores:
     """Return the scores of an uncertainty as a detector of wrong points."""
     counts, values = ScanCounts.none(SPACE), np.array(uncertainty, np.float32)
     counts.histograms["epistemic"] = uncertainty_histogram(values, np.array(wrong, bool))
-    return evaluate_uncertainty(counts).kinds["epistemic"]
+    return UncertaintyEvaluation.of_counts(counts).kinds["epistemic"]

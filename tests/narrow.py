@@ -10,7 +10,7 @@ from scans import salsanext_of, write_weights
 from world import Stored, World
 
 from salsanext_cli.engines import loading
-from salsanext_cli.files.identity import fingerprint
+from salsanext_cli.files.reading import fingerprint
 from salsanext_cli.network.segmentation import SegmentationNetwork
 
 NARROW = {"context_width": 8, "widths": (8, 16, 32, 32, 32), "decoder_widths": (32, 32, 16, 16)}

@@ -12,7 +12,7 @@ from salsanext_cli.engines.device import choose_device, choose_engine, choose_pr
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.openvino_backend import OpenVinoBackend
 from salsanext_cli.errors import WeightsError
-from salsanext_cli.files.identity import fingerprint
+from salsanext_cli.files.reading import fingerprint
 from salsanext_cli.files.user_cache import check_once
 from salsanext_cli.network.card import WeightsCard, default_weights, read_card
 from salsanext_cli.sensors.sensor import Sensor

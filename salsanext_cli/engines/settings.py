@@ -122,7 +122,7 @@ class NetworkSettings:
     def load(self) -> "Network":
         """Load the network."""
         from salsanext_cli.engines.loading import load_network, replaced
-        from salsanext_cli.files.identity import fingerprint
+        from salsanext_cli.files.reading import fingerprint
 
         if self.sha256 and self.sha256 != fingerprint(self.path):
             raise replaced(self.path)

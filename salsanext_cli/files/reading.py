@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""Opening of files, and tests of their presence, for any path."""
+"""Opening of files, tests of their presence, and their identity, for any path."""
 
+import hashlib
 import os
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from io import BufferedIOBase, BufferedReader
 from pathlib import Path
 from typing import Any
@@ -98,3 +100,23 @@ def reason(error: OSError) -> str:
 def size_of(file: BufferedReader) -> int:
     """Return the size of an open file in bytes."""
     return os.fstat(file.fileno()).st_size
+
+
+def fingerprint(path: Path) -> str:
+    """Return the SHA-256 of the content of a file, hexadecimal."""
+    return _fingerprint(path, identity(path))
+
+
+def identity(path: Path) -> tuple[object, ...]:
+    """Return path, inode, size and time of a file, which change with it; empty without a file."""
+    try:
+        status = path.stat()
+    except OSError:
+        return ()
+    return path.absolute(), status.st_ino, status.st_size, status.st_mtime_ns
+
+
+@cache
+def _fingerprint(path: Path, _: tuple[object, ...]) -> str:
+    with reading(path) as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

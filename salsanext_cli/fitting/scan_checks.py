@@ -23,24 +23,14 @@ from salsanext_cli.fitting.mounting_fit import (
     UPSIDE_DOWN_DEG,
     ground_of,
 )
-from salsanext_cli.geometry.network_input import (
-    BRIGHT,
-    INTENSITY_FACTOR,
-    NO_INTENSITY,
-    why_no_intensity,
-)
+from salsanext_cli.geometry.network_input import BRIGHT, INTENSITY_FACTOR, NO_INTENSITY
 from salsanext_cli.geometry.projection import (
     ego_points,
     few_points,
     in_sensor_frame,
     measured_ranges,
 )
-from salsanext_cli.geometry.scan_traits import (
-    MIN_TRAIT_POINTS,
-    ScanTraits,
-    sines_of,
-    upper_intensity,
-)
+from salsanext_cli.geometry.scan_traits import MIN_TRAIT_POINTS, ScanTraits, intensity_of, sines_of
 from salsanext_cli.records import Double, Float, Scan
 from salsanext_cli.sensors.sensor import FITTED_NAME, OF_IMAGES, Sensor, presets
 
@@ -130,7 +120,7 @@ def check_image(channels: Float, sensor: Sensor, trained: Sensor) -> ScanCheck:
     occupied = channels[:, channels[0] > 0]
     if occupied.shape[1] < MIN_TRAIT_POINTS:
         return UNCHECKED
-    reason, bright = why_no_intensity(occupied[1:4].T, occupied[4]), upper_intensity(occupied[4])
+    reason, bright = intensity_of(occupied[1:4].T, occupied[4])
     return ScanCheck(tuple(training_findings(bright, reason, sensor, trained)))
 
 
@@ -166,7 +156,7 @@ def check_scan(
     share, ranges = count / len(some), ranges[measured]
     some = Scan(some.points[measured], some.intensity[measured])
     sines = sines_of(some.points)
-    reason = why_no_intensity(some.points, some.intensity)
+    reason, bright = intensity_of(some.points, some.intensity)
     fit = fit or (FIT if sensor is trained else ALONE)
     if sensor.name not in (FITTED_NAME, *presets(), trained and trained.name):
         fit = AUTO
@@ -175,7 +165,6 @@ def check_scan(
         *_view_findings(some, sines, sensor, fit),
         *_ground_findings(some, fit),
     ]
-    bright = 0.0 if reason else upper_intensity(some.intensity)
     if trained is not None:
         findings += training_findings(bright, reason, sensor, trained)
     per_point = len(scan) * (1 - ego_share) * share / count

@@ -57,12 +57,7 @@ def encode_ply(columns: Mapping[str, npt.NDArray[Any]], comments: Iterable[str] 
     of the header, all but ASCII is escaped.
     """
     plyfile = import_package("plyfile")
-    readable = {name: _readable(values) for name, values in columns.items()}
-    table = np.empty(
-        len(next(iter(readable.values()))), [(name, v.dtype) for name, v in readable.items()]
-    )
-    for name, values in readable.items():
-        table[name] = values
+    table = np.rec.fromarrays([_readable(values) for values in columns.values()], names=[*columns])
     lines = [" ".join(c.split()).encode("ascii", "backslashreplace").decode() for c in comments]
     element = plyfile.PlyElement.describe(table, "vertex")
     with io.BytesIO() as buffer:

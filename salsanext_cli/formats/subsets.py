@@ -4,7 +4,6 @@
 import io
 import re
 from collections.abc import Callable
-from itertools import compress
 from pathlib import Path
 from typing import Any
 
@@ -112,13 +111,14 @@ def _rows_subset(
 
     `number` matches the header up to the number of points.
     """
-    lines = [] if width else [line for line in body.splitlines(keepends=True) if line.strip()]
-    complete = len(body) // width * width if width else 0
-    rows = np.frombuffer(body[:complete], f"V{width}") if width else np.empty(len(lines))
+    if width:
+        rows = np.frombuffer(body[: len(body) // width * width], f"V{width}")
+    else:
+        rows = np.array([line for line in body.splitlines(True) if line.strip()], object)
 
     def subset(mask: Mask) -> bytes:
         remaining = _masked(rows, mask, path)
-        points = remaining.tobytes() if width else b"".join(compress(lines, mask.tolist()))
+        points = remaining.tobytes() if width else b"".join(remaining)
         return number.sub(rb"\g<1>%d" % len(remaining), head) + points
 
     return subset

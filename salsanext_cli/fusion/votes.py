@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from salsanext_cli.classes.label_space import TrainIds
 from salsanext_cli.compiled import argument, compiled, parallel_for_slices
-from salsanext_cli.records import Double, Float, Mask
+from salsanext_cli.records import Double, Float
 
 VOXEL_SIZES_M = (0.3, 0.6)  # Edges of the voxels, whose shares of the votes are averaged
 KEY_BITS = 21  # Bits of a voxel index along each axis: 2²¹ voxels of 0.3 m are 629 km
@@ -41,15 +42,24 @@ class Tally:
     probabilities: Float  # (N, C) float32: mean of the votes, 0 without a vote
     views: npt.NDArray[np.uint16]  # (N,): number of scans that see the location, 0 without a vote
 
+    def fused(self, labels: TrainIds) -> TrainIds:
+        """Return the labels (N,) by all scans that see the points; unlabelled points stay so."""
+        fused = (self.probabilities[:, 1:].argmax(axis=1) + 1).astype(np.uint8)
+        return np.where((self.views > 1) & (labels > 0), fused, labels)
 
-def votes_of_scan(points: Double, probabilities: Float, voting: Mask, size: float) -> VoxelVotes:
-    """Return the votes of a scan in voxels with an edge of `size` metres.
+    def disagreement(self, labels: TrainIds) -> Float:
+        """Return the share of votes against each label, (N,) float32; NaN without any vote."""
+        share = 1 - np.take_along_axis(self.probabilities, labels[:, None].astype(np.intp), 1)[:, 0]
+        return np.where((self.views > 0) & (labels > 0), share, np.nan).astype(np.float32)
 
-    Points (N, 3) are float64 metres in the frame of the drive, probabilities (N, C) float32;
-    `voting` (N,) selects the points with a vote.
+
+def votes_of_scan(points: Double, probabilities: Float, size: float) -> VoxelVotes:
+    """Return the votes of the labelled points of a scan in voxels with an edge of `size` metres.
+
+    Points (N, 3) are float64 metres in the frame of the drive, probabilities (N, C) float32.
     """
     keys = keys_of(points, size)
-    rows = np.flatnonzero(voting & (keys >= 0))
+    rows = np.flatnonzero((probabilities[:, 0] < 1) & (keys >= 0))
     rows = rows[np.argsort(keys[rows], kind="stable")]
     keys = keys[rows]
     first = np.flatnonzero(np.diff(keys, prepend=-1))

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.classes.label_space import LabelSpace, TrainIds
+from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import SalsanextError, UsageError, warn_once
 from salsanext_cli.fusion.drive import Drive
 from salsanext_cli.fusion.visibility import nearest_ranges, seen_by
@@ -112,18 +112,5 @@ class FusionWindow:
             return error
         with np.errstate(invalid="ignore"):  # Infinite points become NaN.
             placed = points.astype(np.float64) @ self.poses[index, :3, :3].T + place
-        has_vote = softmax[:, 0] < 1  # Points with a label
-        votes = [votes_of_scan(placed, softmax, has_vote, size) for size in VOXEL_SIZES_M]
+        votes = [votes_of_scan(placed, softmax, size) for size in VOXEL_SIZES_M]
         return PlacedScan(placed, votes, nearest_ranges(points))
-
-
-def fused_labels(tally: Tally, labels: TrainIds) -> TrainIds:
-    """Return the labels of points (N,) by all scans that see them; unlabelled points stay so."""
-    fused = (tally.probabilities[:, 1:].argmax(axis=1) + 1).astype(np.uint8)
-    return np.where((tally.views > 1) & (labels > 0), fused, labels)
-
-
-def disagreement(tally: Tally, labels: TrainIds) -> Float:
-    """Return the share of votes against the label of each point, (N,) float32; NaN without any."""
-    share = 1 - np.take_along_axis(tally.probabilities, labels[:, None].astype(np.intp), 1)[:, 0]
-    return np.where((tally.views > 0) & (labels > 0), share, np.nan).astype(np.float32)

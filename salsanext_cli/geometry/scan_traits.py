@@ -70,10 +70,12 @@ def sines_of(points: Float) -> Float:
     return (points[:, 2] / np.maximum(ranges, np.finfo(np.float32).tiny)).clip(-1, 1)
 
 
-def upper_intensity(intensity: Float) -> float:
-    """Return the upper intensity among finite values (N,), 0 without any."""
+def intensity_of(points: Float, intensity: Float) -> tuple[str, float]:
+    """Return why values (N,) of points (N, 3) are not intensities, or the upper intensity."""
     finite = intensity[np.isfinite(intensity)]
-    return float(np.quantile(finite, BRIGHT)) if len(finite) else 0.0
+    if (reason := why_no_intensity(points, intensity)) or not len(finite):
+        return reason, 0.0
+    return "", float(np.quantile(finite, BRIGHT))
 
 
 def traits_of(scan: Scan) -> ScanTraits | None:
@@ -83,8 +85,7 @@ def traits_of(scan: Scan) -> ScanTraits | None:
     if len(measured) < MIN_TRAIT_POINTS:
         return None
     per_point, some = len(scan) / len(some), some.take(measured)
-    reason = why_no_intensity(some.points, some.intensity)
-    bright = 0.0 if reason else upper_intensity(some.intensity)
+    _, bright = intensity_of(some.points, some.intensity)
     return ScanTraits.of(sines_of(some.points), bright, per_point)
 
 

@@ -21,9 +21,8 @@ import numpy as np
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import LabelError, SalsanextError, counted
 from salsanext_cli.files.atomic import append_line
-from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.json_files import MALFORMED, decoded, plain, read_json
-from salsanext_cli.files.reading import present, reading
+from salsanext_cli.files.reading import fingerprint, present, reading
 from salsanext_cli.measures.scan_summary import largest_classes
 from salsanext_cli.measures.scores import Counts
 from salsanext_cli.results.owned_folder import OwnedFolder, States

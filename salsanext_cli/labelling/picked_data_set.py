@@ -13,9 +13,8 @@ import yaml
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import FormatError, OutputError, UsageError
-from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.json_files import plain, read_json, record_of, write_json
-from salsanext_cli.files.reading import filled, present, reading
+from salsanext_cli.files.reading import filled, fingerprint, present, reading
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import encode_bin
 from salsanext_cli.fusion.poses import CALIBRATION, POSES, line_numbers

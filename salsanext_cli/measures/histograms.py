@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.measures.scores import Counts, Mask, Ratios
-from salsanext_cli.records import Float, Indices
+from salsanext_cli.measures.scores import Counts, Ratios
+from salsanext_cli.records import Float, Indices, Mask
 
 MIN_PROBABILITY = 2.0**-24
 """Least probability of the true class, the smallest float16 above 0, which costs 16.6 nats."""

@@ -188,11 +188,12 @@ class RiskBoundCheck:
         return cls(guaranteed.at_most, guaranteed.confidence, unit, *measured)
 
     @property
-    def is_exceeded(self) -> bool:
-        """Return whether the losses are larger than the guarantee allows."""
-        if self.confidence is None:
-            return self.mean > self.at_most
-        return self.above / self.units > round(1 - self.confidence, 9)
+    def warning(self) -> str:
+        """Warning if the losses are larger than the guarantee allows, else an empty text."""
+        is_exceeded = self.mean > self.at_most
+        if self.confidence is not None:
+            is_exceeded = self.above / self.units > round(1 - self.confidence, 9)
+        return RISK_BOUND_EXCEEDED if is_exceeded else ""
 
     @property
     def sentence(self) -> str:

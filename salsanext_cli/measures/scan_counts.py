@@ -32,16 +32,9 @@ from salsanext_cli.measures.histograms import (
     softmax_entropy,
     uncertainty_histogram,
 )
-from salsanext_cli.measures.scores import (
-    Counts,
-    Mask,
-    accepted,
-    confusion_matrix,
-    scored_rows,
-    scores,
-)
+from salsanext_cli.measures.scores import Counts, accepted, confusion_matrix, scored_rows, scores
 from salsanext_cli.network.card import is_among
-from salsanext_cli.records import Float, Indices, Scan
+from salsanext_cli.records import Float, Indices, Mask, Scan
 from salsanext_cli.results.manifest import Manifest, Rejection
 from salsanext_cli.results.paths import ScanFile, output_path
 from salsanext_cli.results.result_folder import read_kind

@@ -26,7 +26,6 @@ import yaml
 from salsanext_cli.classes.label_space import LabelSpace
 
 Counts = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.bool_]
 Ratios = npt.NDArray[np.float64]
 
 EPSILON = 1e-15  # Added to every denominator by the official evaluator

@@ -8,6 +8,7 @@ Functions of counts take the numbers of right and of wrong points in bins of asc
 import logging
 import math
 from dataclasses import asdict, dataclass
+from typing import Self
 
 import numpy as np
 
@@ -209,6 +210,41 @@ class UncertaintyEvaluation:
     kinds: dict[str, RankingScores]  # Scores by kind of uncertainty
     accepted: AcceptedPoints | None = None  # Suggested threshold, if all scans have a kind
 
+    @classmethod
+    def of_counts(cls, counts: ScanCounts) -> Self:
+        """Divide the counts of all scans; warn of files that only some of the scans have."""
+        for folder in (SOFTMAX, *(f"uncertainty/{kind}" for kind in UNCERTAINTY)):
+            if 0 < (known := counts.files[folder]) < counts.scans:
+                log.warning("only %d of %d scans have %s", known, counts.scans, folder)
+        histograms, softmax, diagram = counts.histograms, None, None
+        if SOFTMAX in histograms:
+            softmax = calibration_scores(histograms[SOFTMAX], counts.calibration_errors)
+        if OF_ERROR in histograms:
+            diagram = reliability(histograms[OF_ERROR].counts)
+        kinds = {
+            kind: ranking_scores(histograms[kind], diagram if kind == "error" else None)
+            for kind in EVALUATED_KINDS
+            if kind in histograms
+        }
+        error, confidence = kinds.get("error"), kinds.get("least_confidence")
+        if counts.accepted:
+            error = None  # Only accepted points have it, all points have the softmax.
+        if error and confidence and error.aurc > confidence.aurc:
+            log.warning("the error ranks labels worse than the confidence: use --reject with care")
+        if error and error.ece and softmax and error.ece > softmax.ece:
+            log.warning("the error is calibrated worse than the softmax: do not read it as a share")
+        accepted = next(
+            (
+                accepted_points(kind, histogram)
+                for kind in KINDS_OF_THRESHOLD
+                if counts.files[f"uncertainty/{kind}"] == counts.scans
+                and (histogram := histograms.get(kind))
+                and histogram.scans
+            ),
+            None,
+        )
+        return cls(softmax, kinds, accepted)
+
     def to_json(self) -> dict[str, object]:
         """Return plain data for JSON, without absent parts; null stands for NaN."""
         accepted = self.accepted
@@ -222,37 +258,3 @@ class UncertaintyEvaluation:
             "accepted": accepted and plain(accepted) | {"sentence": accepted.sentence},
         }
         return {name: part for name, part in parts.items() if part}
-
-
-def evaluate_uncertainty(counts: ScanCounts) -> UncertaintyEvaluation:
-    """Divide the counts of all scans; warn of files that only some of the scans have."""
-    for folder in (SOFTMAX, *(f"uncertainty/{kind}" for kind in UNCERTAINTY)):
-        if 0 < counts.files[folder] < counts.scans:
-            log.warning("only %d of %d scans have %s", counts.files[folder], counts.scans, folder)
-    histograms, softmax = counts.histograms, None
-    if SOFTMAX in histograms:
-        softmax = calibration_scores(histograms[SOFTMAX], counts.calibration_errors)
-    diagrams = {"error": reliability(histograms[OF_ERROR].counts)} if OF_ERROR in histograms else {}
-    kinds = {
-        kind: ranking_scores(histograms[kind], diagrams.get(kind))
-        for kind in EVALUATED_KINDS
-        if kind in histograms
-    }
-    error, confidence = kinds.get("error"), kinds.get("least_confidence")
-    if counts.accepted:
-        error = None  # Only accepted points have it, all points have the softmax.
-    if error and confidence and error.aurc > confidence.aurc:
-        log.warning("the error ranks labels worse than the confidence: use --reject with care")
-    if error and error.ece and softmax and error.ece > softmax.ece:
-        log.warning("the error is calibrated worse than the softmax: do not read it as a share")
-    accepted = next(
-        (
-            accepted_points(kind, histogram)
-            for kind in KINDS_OF_THRESHOLD
-            if counts.files[f"uncertainty/{kind}"] == counts.scans
-            and (histogram := histograms.get(kind))
-            and histogram.scans
-        ),
-        None,
-    )
-    return UncertaintyEvaluation(softmax, kinds, accepted)

@@ -18,9 +18,8 @@ import safetensors
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import FormatError, UsageError, WeightsError, error_text, shortened
 from salsanext_cli.files.atomic import WEIGHTS_SUFFIX
-from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.json_files import Json, decoded, plain
-from salsanext_cli.files.reading import is_folder, present, reading, refusing_damage
+from salsanext_cli.files.reading import fingerprint, is_folder, present, reading, refusing_damage
 from salsanext_cli.network.error_model import ErrorModel, valid_temperature
 from salsanext_cli.network.int8_inputs import Int8Input
 from salsanext_cli.records import Scan

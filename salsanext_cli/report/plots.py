@@ -42,16 +42,8 @@ LEFT, TOP, WIDTH, HEIGHT = MAIN_PX = 80, 60, 600, 330  # Axes above a legend or 
 BELOW_PX = 90  # Height of the axes below them, which show the distribution of the points
 
 
-def evaluation_pictures(
-    confusion: Counts, uncertainty: UncertaintyEvaluation, space: LabelSpace
-) -> dict[str, bytes]:
-    """Draw all results of an evaluation: PNG by name, in the order of `PICTURES`."""
-    pictures = {"eval_confusion.png": confusion_picture(confusion, space)}
-    return pictures | uncertainty_pictures(uncertainty)
-
-
 def uncertainty_pictures(uncertainty: UncertaintyEvaluation) -> dict[str, bytes]:
-    """Draw the results for probabilities and uncertainty, as `evaluation_pictures`."""
+    """Draw the results for probabilities and uncertainty: PNG by name, as in `PICTURES`."""
     pictures = {}
     if uncertainty.calibration:
         diagram = uncertainty.calibration.reliability

@@ -16,7 +16,6 @@ from typing import Any, NamedTuple, TypeVar
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.classes.merging import ClassMerging, contradiction
 from salsanext_cli.errors import LabelError, OutputError, first_few, shortened
-from salsanext_cli.files.identity import identity
 from salsanext_cli.files.json_files import (
     Json,
     as_json,
@@ -26,6 +25,7 @@ from salsanext_cli.files.json_files import (
     record_of,
     write_json,
 )
+from salsanext_cli.files.reading import identity
 from salsanext_cli.formats import scan_suffix
 from salsanext_cli.network.card import AccuracyLine, RiskThreshold, parted
 from salsanext_cli.option_fields import FusionReach, KnnParameters

@@ -14,7 +14,7 @@ from salsanext_cli.errors import LabelError, NoInputError, counted, escaped
 from salsanext_cli.files.json_files import Json, as_json, encode_json, plain
 from salsanext_cli.files.reading import present
 from salsanext_cli.labelling.label_records import require_truth
-from salsanext_cli.measures.risk_control import RISK_BOUND_EXCEEDED, AcceptedLabels, RiskBoundCheck
+from salsanext_cli.measures.risk_control import AcceptedLabels, RiskBoundCheck
 from salsanext_cli.measures.scan_counts import (
     BAND_NAMES,
     ScanComparison,
@@ -22,13 +22,10 @@ from salsanext_cli.measures.scan_counts import (
     SeparateCounts,
 )
 from salsanext_cli.measures.scores import Scores, band_rows, scores
-from salsanext_cli.measures.uncertainty_evaluation import (
-    UncertaintyEvaluation,
-    evaluate_uncertainty,
-)
+from salsanext_cli.measures.uncertainty_evaluation import UncertaintyEvaluation
 from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
-from salsanext_cli.report.plots import PICTURES, evaluation_pictures
+from salsanext_cli.report.plots import PICTURES, confusion_picture, uncertainty_pictures
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.results.result_folder import ResultFolder
@@ -65,7 +62,8 @@ class Evaluation:
         heading = f"# {ON_TRAINING_SCANS}\n" if self.counts.trained_on else ""
         return {
             "scores.txt": (heading + self.scores.official_yaml()).encode(),
-            **evaluation_pictures(self.counts.confusion, self.uncertainty, self.space),
+            "eval_confusion.png": confusion_picture(self.counts.confusion, self.space),
+            **uncertainty_pictures(self.uncertainty),
             "eval.json": encode_json(escaped(self.to_dict())),
         }
 
@@ -153,8 +151,8 @@ def evaluate(
     counts, guarantee = evaluation.counts, evaluation.guarantee
     for text in counts.label_warnings(space):
         log.warning("%s", text)
-    if guarantee and guarantee.is_exceeded:
-        log.warning("%s", RISK_BOUND_EXCEEDED)
+    if guarantee and guarantee.warning:
+        log.warning("%s", guarantee.warning)
     compared = counts.scans + len(evaluation.failures) + len(counts.missing)
     evaluation.missing.log_error(compared, "predictions")
     files = {folder / name: content for name, content in evaluation.files().items()}
@@ -195,7 +193,7 @@ def _evaluation(
         missing=results.missing_predictions(counts.missing),
         failures=outcome.failures,
         settings=settings,
-        uncertainty=evaluate_uncertainty(counts),
+        uncertainty=UncertaintyEvaluation.of_counts(counts),
         folder=folder,
         by_sequence={name: scores(c, space) for name, c in sorted(counts.by_sequence.items())},
         accepted=accepted,

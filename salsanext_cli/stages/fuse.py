@@ -39,12 +39,7 @@ from salsanext_cli.fusion.drive import (
 from salsanext_cli.fusion.poses import POSES, encode_poses
 from salsanext_cli.fusion.registration import register
 from salsanext_cli.fusion.top_classes import stored_softmax
-from salsanext_cli.fusion.window import (
-    FusionWindow,
-    disagreement,
-    fused_labels,
-    warn_without_movable_classes,
-)
+from salsanext_cli.fusion.window import FusionWindow, warn_without_movable_classes
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.option_fields import FusionReach
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
@@ -112,9 +107,9 @@ class FuseTask:
         tally = window.tally(number)
         path = output_path(self.single.root, file.sequence, "predictions", file.stem)
         labels = self.space.to_train(read_labels(path, len(tally.views)), source=path)
-        fused = fused_labels(tally, labels)
+        fused = tally.fused(labels)
         for run, labels_of_run in ((self.single, labels), (self.fused, fused)):
-            run.write_array(file, DISAGREEMENT, disagreement(tally, labels_of_run))
+            run.write_array(file, DISAGREEMENT, tally.disagreement(labels_of_run))
             run.write_array(file, "views", tally.views)
         self.fused.write_labels(file, self.space.to_raw(fused))
         return ScanSummary.of_labels(file, fused, self.space)

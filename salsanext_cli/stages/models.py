@@ -4,7 +4,7 @@
 from pathlib import Path
 
 from salsanext_cli.classes.label_space import plugged_label_spaces
-from salsanext_cli.files.identity import fingerprint
+from salsanext_cli.files.reading import fingerprint
 from salsanext_cli.formats import plugged_formats
 from salsanext_cli.network.card import DescribedWeights, read_card
 from salsanext_cli.network.registry import plugged_networks

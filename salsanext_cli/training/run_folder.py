@@ -11,8 +11,8 @@ from pathlib import Path
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import OutputError
 from salsanext_cli.files.atomic import require_writable
-from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.json_files import record_of
+from salsanext_cli.files.reading import fingerprint
 from salsanext_cli.results.manifest import (
     Manifest,
     StageRecord,

@@ -15,12 +15,7 @@ from salsanext_cli.errors import UsageError, warn_once
 from salsanext_cli.fusion.drive import Drive
 from salsanext_cli.fusion.top_classes import LEVELS, STORED, softmax_of, top_classes
 from salsanext_cli.fusion.votes import MAX_CELLS, SCALE, VOXEL_SIZES_M, keys_of
-from salsanext_cli.fusion.window import (
-    FusionWindow,
-    disagreement,
-    fused_labels,
-    warn_without_movable_classes,
-)
+from salsanext_cli.fusion.window import FusionWindow, warn_without_movable_classes
 from salsanext_cli.option_fields import FusionReach
 
 CLASSES = 20
@@ -134,14 +129,14 @@ def test_a_label_changes_only_where_another_scan_sees_the_place_and_has_a_label(
     road, car = np.eye(CLASSES, dtype=np.float32)[[ROAD, CAR]]
     labels = np.uint8([CAR, CAR])
     tally = fuse(scans, [[car, road], [road], [road]], np.tile(np.eye(4), (3, 1, 1)))[0]
-    assert fused_labels(tally, labels).tolist() == [ROAD, CAR]
-    np.testing.assert_allclose(disagreement(tally, labels), [2 / 3, 1], atol=1e-4)
+    assert tally.fused(labels).tolist() == [ROAD, CAR]
+    np.testing.assert_allclose(tally.disagreement(labels), [2 / 3, 1], atol=1e-4)
     scan = Scan(np.zeros((2, 3), np.float32), np.zeros(2, np.float32))
     softmax = np.eye(CLASSES, dtype=np.float32)[[0, ROAD]]
     tally = fuse([scan], [softmax], np.eye(4)[None])[0]
     assert tally.views.tolist() == [0, 1]
-    assert np.isnan(disagreement(tally, np.uint8([0, ROAD]))).tolist() == [True, False]
-    assert fused_labels(tally, np.uint8([0, ROAD])).tolist() == [0, ROAD]
+    assert np.isnan(tally.disagreement(np.uint8([0, ROAD]))).tolist() == [True, False]
+    assert tally.fused(np.uint8([0, ROAD])).tolist() == [0, ROAD]
 
 
 def test_a_label_space_without_movable_classes_is_a_warning(caplog):

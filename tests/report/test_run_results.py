@@ -15,7 +15,7 @@ from scans import SMALL, make_scan, refused
 
 from salsanext_cli import Scan, label_space, project
 from salsanext_cli.errors import FormatError, UsageError
-from salsanext_cli.files.identity import fingerprint
+from salsanext_cli.files.reading import fingerprint
 from salsanext_cli.geometry.objects import BOX
 from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.report.page.clouds import NO_VALUE, encode_cloud, scales_of

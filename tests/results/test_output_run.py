@@ -19,7 +19,7 @@ from salsanext_cli import __version__, label_space, sensor
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import OutputError, WeightsError
 from salsanext_cli.files.atomic import STALE_AFTER_S
-from salsanext_cli.files.identity import fingerprint
+from salsanext_cli.files.reading import fingerprint
 from salsanext_cli.option_fields import KnnParameters
 from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import RunOptions, run_over_scans

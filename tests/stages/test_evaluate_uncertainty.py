@@ -8,10 +8,7 @@ from evaluated import CAR, ROAD, SPACE, World
 from scans import write_array
 
 from salsanext_cli.measures.scan_counts import EVALUATED_KINDS, ScanComparison, ScanCounts
-from salsanext_cli.measures.uncertainty_evaluation import (
-    UncertaintyEvaluation,
-    evaluate_uncertainty,
-)
+from salsanext_cli.measures.uncertainty_evaluation import UncertaintyEvaluation
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.results.paths import find_scans, output_path
@@ -63,7 +60,7 @@ def uncertainty_of(world: World) -> UncertaintyEvaluation:
     comparison = ScanComparison.of_results(Manifest(world.out), SPACE, SPACE)
     for scan in find_scans(world.dataset):
         counts.add(comparison.count(scan))
-    return evaluate_uncertainty(counts)
+    return UncertaintyEvaluation.of_counts(counts)
 
 
 def report_of(world: World) -> dict:

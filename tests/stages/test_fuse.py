@@ -24,7 +24,7 @@ from salsanext_cli.errors import (
     UsageError,
 )
 from salsanext_cli.fusion.poses import encode_poses, read_fused_poses
-from salsanext_cli.fusion.window import FusionWindow, disagreement, fused_labels
+from salsanext_cli.fusion.window import FusionWindow
 from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.owned_folder import OwnedFolder
@@ -92,13 +92,13 @@ def test_labels_equal_the_function(drive):
     for stem, tally in zip(STEMS, tallies, strict=True):
         of_fused = fused_folder(drive)
         labels = SPACE.to_train(single[stem])
-        fused = fused_labels(tally, labels)
+        fused = tally.fused(labels)
         written = read_labels(of_fused / f"predictions/{stem}.label")
         np.testing.assert_array_equal(written, SPACE.to_raw(fused))
         np.testing.assert_array_equal(drive.labels(stem=stem), single[stem])
         for folder, of_folder in ((drive.out / "sequences/08", labels), (of_fused, fused)):
             against = np.load(folder / f"uncertainty/disagreement/{stem}.npy")
-            np.testing.assert_array_equal(against, disagreement(tally, of_folder))
+            np.testing.assert_array_equal(against, tally.disagreement(of_folder))
             np.testing.assert_array_equal(np.load(folder / f"views/{stem}.npy"), tally.views)
         changed += int((fused != labels).sum())
         assert (tally.views == 3).mean() > 0.7

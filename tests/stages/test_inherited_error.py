@@ -14,7 +14,7 @@ from world import World
 
 from salsanext_cli import LabelSpace, label_space, load_network, project, read_labels, read_scan
 from salsanext_cli.errors import NOTICE
-from salsanext_cli.files.identity import fingerprint
+from salsanext_cli.files.reading import fingerprint
 from salsanext_cli.network.card import AccuracyLine, WeightsCard, read_card
 from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.network.weights import save_weights, save_with_card

@@ -16,8 +16,8 @@ from tiny_network import TinyNetwork
 
 from salsanext_cli import label_space, read_labels, read_scan, write_labels
 from salsanext_cli.errors import NOTICE, LabelError, NoInputError
-from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.json_files import write_json
+from salsanext_cli.files.reading import fingerprint
 from salsanext_cli.labelling.label_records import pre_labelled_scans
 from salsanext_cli.network.card import WeightsCard, read_card, scan_digest
 from salsanext_cli.network.error_model import ErrorModel

@@ -9,7 +9,7 @@ from scans import SMALL, files_below, labels_below, replace_points, write_weight
 from salsanext_cli import knn_refine, label_space, project, read_scan, sample
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import OutputError, UsageError, WeightsError
-from salsanext_cli.files.identity import fingerprint
+from salsanext_cli.files.reading import fingerprint
 from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.result_folder import ResultFolder

@@ -11,7 +11,7 @@ from world import World
 
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE
-from salsanext_cli.files.identity import fingerprint
+from salsanext_cli.files.reading import fingerprint
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.report.page import run_results

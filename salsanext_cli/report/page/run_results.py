@@ -19,25 +19,16 @@ import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import SalsanextError, UsageError, counted, first_few, shortened
-from salsanext_cli.files.identity import fingerprint
-from salsanext_cli.files.reading import present, reading, refusing_damage
+from salsanext_cli.files.reading import fingerprint, present, reading, refusing_damage
 from salsanext_cli.fitting.field_of_view import view_text
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.objects import BOX
 from salsanext_cli.measures.expected_accuracy import ExpectedAccuracy, expected_accuracy
 from salsanext_cli.measures.histograms import lack_of_confidence
-from salsanext_cli.measures.risk_control import (
-    RISK_BOUND_EXCEEDED,
-    AcceptedLabels,
-    RiskBoundCheck,
-    guarantee,
-)
+from salsanext_cli.measures.risk_control import AcceptedLabels, RiskBoundCheck, guarantee
 from salsanext_cli.measures.scan_counts import SOFTMAX, ScanComparison, ScanCounts, read_softmax
 from salsanext_cli.measures.scores import Counts, Scores, accepted, scored_rows, scores
-from salsanext_cli.measures.uncertainty_evaluation import (
-    UncertaintyEvaluation,
-    evaluate_uncertainty,
-)
+from salsanext_cli.measures.uncertainty_evaluation import UncertaintyEvaluation
 from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.results.manifest import Manifest, StageSettings
 from salsanext_cli.results.owned_folder import OwnedFolder
@@ -166,7 +157,7 @@ class RunResults:
         if self.counts is None:
             return None
         counts, space, labels = self.counts, self.reader.space, None
-        uncertainty = evaluate_uncertainty(counts)
+        uncertainty = UncertaintyEvaluation.of_counts(counts)
         if counts.accepted:
             labels = AcceptedLabels.of_confusion(counts.confusion, space, counts.accepted)
             counts = replace(counts, confusion=accepted(counts.confusion))
@@ -189,8 +180,8 @@ class RunResults:
         lines = warnings_of_run(self.reader.out, wanted)
         if self.counts:
             lines = [*self.counts.label_warnings(self.reader.space), *lines]
-        if self.guarantee and self.guarantee.is_exceeded:
-            lines = [RISK_BOUND_EXCEEDED, *lines]
+        if self.guarantee and self.guarantee.warning:
+            lines = [self.guarantee.warning, *lines]
         if self.missing.scans:
             lines.append(f"{counted(len(self.missing.scans), 'scan')} without results skipped")
         return lines

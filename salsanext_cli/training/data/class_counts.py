@@ -16,8 +16,8 @@ import torch
 from torch import Tensor
 
 from salsanext_cli.errors import LabelError, TrainingError, counted
-from salsanext_cli.files.identity import identity
 from salsanext_cli.files.json_files import MALFORMED, decoded, encode_json, read_json
+from salsanext_cli.files.reading import identity
 from salsanext_cli.fitting.scan_checks import check_scan
 from salsanext_cli.labelling.label_records import require_truth
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary, ScanWarning, log_recorded
