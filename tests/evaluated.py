@@ -4,15 +4,17 @@
 from pathlib import Path
 
 import numpy as np
-from scans import write_array, write_bin
+from scans import SMALL, write_array, write_bin
 
 from salsanext_cli import LabelSpace, Scan, label_space, write_labels
 from salsanext_cli.measures.calibration import SCAN_BINS, CalibrationScores, reliability
 from salsanext_cli.measures.histograms import confidence_histogram, uncertainty_histogram
-from salsanext_cli.measures.scan_counts import SOFTMAX, ScanCounts
+from salsanext_cli.measures.scan_counts import SOFTMAX, ScanComparison, ScanCounts
 from salsanext_cli.measures.uncertainty_evaluation import RankingScores, UncertaintyEvaluation
 from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.report.page.run_results import RunResults
 from salsanext_cli.results.paths import find_scans, output_path
+from salsanext_cli.results.selection import MissingResults
 from salsanext_cli.stages.evaluate import evaluate
 
 SPACE = label_space()
@@ -66,6 +68,12 @@ def calibration_result(truth) -> CalibrationScores:
     if len(truth):
         counts.calibration_errors.append(reliability(histogram.counts, SCAN_BINS).error)
     return UncertaintyEvaluation.of_counts(counts).calibration
+
+
+def run_of(out=Path(), rows=(), space=SPACE) -> RunResults:
+    """Return the results of a run whose scans have no labels."""
+    reader = ScanComparison(out, space, space, None, SMALL)
+    return RunResults(reader, rows, None, MissingResults())
 
 
 def ranking_result(uncertainty, wrong) -> RankingScores:

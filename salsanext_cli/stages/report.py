@@ -20,9 +20,7 @@ from salsanext_cli.report.page.run_results import (
     RunResults,
     ScanRow,
     ShownScan,
-    notable_scans,
     read_row,
-    scans_by_name,
 )
 from salsanext_cli.report.page.server import PageServer
 from salsanext_cli.results.owned_folder import OwnedFolder
@@ -93,7 +91,7 @@ def report(
     page = out / PAGE
     OwnedFolder(out).refuse_foreign([page])
     run, unread = read_run(out, query=query, options=options)
-    chosen = scans_by_name(run.rows, scans) if scans else notable_scans(run.rows, run.reader.space)
+    chosen = run.scans_by_name(scans) if scans else run.notable_scans()
     rows = {row.file.name: row for row in run.rows}
     shown, unshown = _readable(run, ((rows[name], reason) for name, reason in chosen.items()))
     failures, compared = (*unread, *unshown), run.compared()
@@ -109,7 +107,7 @@ class RunServer(PageServer):
     def take(self, run: RunResults, failures: tuple[Failure, ...]) -> None:
         """Take the results to serve; raise `NoInputError` if no scan can be shown."""
         self._run, self._state, self._lock = run, _state_of(run.reader.out), Lock()
-        reasons = notable_scans(run.rows, run.reader.space)
+        reasons = run.notable_scans()
         spaced = {*np.linspace(0, len(run.rows) - 1, SAMPLED).astype(int).tolist()}
         chosen = (r for i, r in enumerate(run.rows) if i in spaced or r.file.name in reasons)
         sample, unread = _readable(run, ((row, "") for row in chosen))

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from evaluated import small_space
+from evaluated import run_of, small_space
 from hypothesis import example, given
 from hypothesis import strategies as st
 from scans import SMALL, make_scan, refused
@@ -19,16 +19,7 @@ from salsanext_cli.files.reading import fingerprint
 from salsanext_cli.geometry.objects import BOX
 from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.report.page.clouds import NO_VALUE, encode_cloud, scales_of
-from salsanext_cli.report.page.run_results import (
-    ScanRow,
-    ShownScan,
-    facts_of_run,
-    leading_kind,
-    notable_scans,
-    read_boxes,
-    scans_by_name,
-    warnings_of_run,
-)
+from salsanext_cli.report.page.run_results import ScanRow, ShownScan, read_boxes, warnings_of_run
 from salsanext_cli.results.manifest import Manifest, StageRecord
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.paths import ScanFile
@@ -48,9 +39,9 @@ def test_wrong_points_are_judged_ones_and_the_error_leads_before_the_entropy():
     assert math.isnan(row("a").wrong)
     assert math.isnan(row("a", np.zeros((3, 3), int)).wrong)
     rows = [row("1", entropy=1.0), row("2", error=0.5)]
-    assert leading_kind(rows) == "error"
-    assert leading_kind(rows[:1]) == "entropy"
-    assert leading_kind([row("3")]) is None
+    assert run_of(rows=rows).leading_kind == "error"
+    assert run_of(rows=rows[:1]).leading_kind == "entropy"
+    assert run_of(rows=[row("3")]).leading_kind is None
 
 
 def test_most_uncertain_most_wrong_and_worst_class_are_chosen():
@@ -61,21 +52,23 @@ def test_most_uncertain_most_wrong_and_worst_class_are_chosen():
         row("3", [[0, 0, 0], [0, 1, 4], [0, 0, 95]], entropy=0.2),
         row("4", [[0, 0, 0], [0, 5, 0], [0, 3, 2]], entropy=0.2),
     ]
-    chosen = notable_scans(rows, SPACE)
+    run = run_of(rows=rows, space=SPACE)
+    chosen = run.notable_scans()
     assert chosen["00/1"] == "most uncertain (mean entropy 0.9)"
     assert chosen["00/4"] == "most wrong (30.0 % of the points with a label)"
     assert chosen["00/3"] == "worst class: 4 points of car wrong"
     assert sorted(chosen.values())[0] == "at random"
     assert len(chosen) == 4
-    assert chosen == notable_scans(rows, SPACE)
+    assert chosen == run.notable_scans()
 
 
 def test_scans_are_named_by_sequence_and_stem_or_by_the_stem_alone():
     rows = [row("1", sequence="00"), row("1", sequence="08"), row("2", sequence="08")]
-    assert scans_by_name(rows, ["2", "00/1"]) == {"08/2": "named", "00/1": "named"}
+    run = run_of(rows=rows)
+    assert run.scans_by_name(["2", "00/1"]) == {"08/2": "named", "00/1": "named"}
     for name in ("1", "08/9"):
         with pytest.raises(UsageError) as caught:
-            scans_by_name(rows, [name])
+            run.scans_by_name([name])
         assert (caught.value.subject, caught.value.code) == ("--scans", "usage")
 
 
@@ -90,7 +83,7 @@ def test_the_default_weights_are_described(tmp_path):
         **{"weights": fingerprint(default_weights()), "engine": "openvino"},
         **{"precision": "bfloat16", "temperature": 1.25, "reject": 0.3},
     )
-    facts = dict(facts_of_run(tmp_path, SMALL))
+    facts = dict(run_of(tmp_path).facts())
     start = read_card(default_weights()).description.replace("`", "").partition(" See ")[0]
     assert start in facts["Weights"]
     # A mailed page has no links to the documentation.
@@ -103,12 +96,12 @@ def test_the_default_weights_are_described(tmp_path):
 
 
 def test_other_weights_are_named_by_their_digest_if_it_is_recorded(tmp_path):
-    assert dict(facts_of_run(tmp_path, SMALL))["Weights"] == "not recorded"
+    assert dict(run_of(tmp_path).facts())["Weights"] == "not recorded"
     record(
         *(tmp_path, "uncertainty", ("uncertainty/epistemic",)),
         **{"weights": "ab" * 32, "method": "sampling", "samples": 30, "aleatoric": "copies"},
     )
-    facts = dict(facts_of_run(tmp_path, SMALL))
+    facts = dict(run_of(tmp_path).facts())
     assert facts["Weights"].startswith("SHA-256 abababababab, not the default weights")
     assert facts["Uncertainty"] == "sampling, samples 30, aleatoric copies"
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from evaluated import run_of
 from scans import SMALL, write_sequence
 from tiny_network import TinyNetwork
 from world import World
@@ -18,7 +19,6 @@ from salsanext_cli.files.reading import fingerprint
 from salsanext_cli.network.card import AccuracyLine, WeightsCard, read_card
 from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.network.weights import save_weights, save_with_card
-from salsanext_cli.report.page.run_results import expected_of_run, facts_of_run
 from salsanext_cli.results.paths import ERROR, find_scans
 from salsanext_cli.stages.models import describe_weights
 from salsanext_cli.stages.predict import predict_scans
@@ -158,9 +158,9 @@ def test_a_run_names_once_inherited_parts_of_its_weights(heirs, tmp_path, caplog
     ]
     assert (np.load(world.result(ERROR))[~np.isnan(np.load(world.result(ERROR)))] <= 1).all()
     assert json.loads((world.out / "predict.json").read_text())["settings"]["inherited"] == both
-    facts = dict(facts_of_run(world.out, SMALL))
+    facts = dict(run_of(world.out).facts())
     assert facts["Inherited"] == f"{both}, not fitted to these weights"
-    assert expected_of_run(world.out, []) is None
+    assert run_of(world.out).expected_accuracy() is None
     described = describe_weights(world.network.weights).to_dict()
     assert described["error"] == {"inherited_from": "city (SHA-256 abc)"}
     # A fitted model is no longer inherited; the line still is.
@@ -181,4 +181,4 @@ def test_weights_with_nothing_inherited_have_no_notice(world, caplog):
     assert "fitted" not in caplog.text
     settings = json.loads((world.out / "predict.json").read_text())["settings"]
     assert {"inherited", "weights_version"}.isdisjoint(settings)
-    assert "Inherited" not in dict(facts_of_run(world.out, SMALL))
+    assert "Inherited" not in dict(run_of(world.out).facts())

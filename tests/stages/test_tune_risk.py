@@ -15,7 +15,6 @@ from salsanext_cli.measures.risk_control import RISK_BOUND_EXCEEDED
 from salsanext_cli.network.card import AccuracyLine, read_card
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.option_fields import KnnParameters, ScanSelection
-from salsanext_cli.report.page.run_results import expected_of_run
 from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.results.paths import LEAST_CONFIDENCE, find_scans
 from salsanext_cli.results.result_folder import ResultFolder
@@ -206,7 +205,7 @@ def test_a_run_estimates_its_accuracy(world: World, tmp_path) -> None:
     ]
     estimate = summary.expected_accuracy()
     assert estimate.accuracy == pytest.approx(1 - np.mean(doubts), abs=1e-3)
-    assert expected_of_run(world.out, read_run(world.out)[0].rows) == estimate
+    assert read_run(world.out)[0].expected_accuracy() == estimate
     plain = predict_scans(world.data, tmp_path / "plain", settings=world.network).summary
     assert plain.expected_accuracy() is None
     # A key that older folders lack would refuse them.

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from scans import SMALL
+from evaluated import run_of
 from world import World
 
 from salsanext_cli.engines.settings import NetworkSettings
@@ -15,7 +15,6 @@ from salsanext_cli.files.reading import fingerprint
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.report.page import run_results
-from salsanext_cli.report.page.run_results import facts_of_run
 from salsanext_cli.report.tables import card_table
 from salsanext_cli.stages.import_weights import import_weights
 from salsanext_cli.stages.models import describe_weights
@@ -49,7 +48,7 @@ def test_a_run_prints_and_records_the_version(world: World, default: Path, caplo
     recorded = json.loads((world.out / "predict.json").read_text())["settings"]
     assert recorded["weights_version"] == 5
     assert recorded["weights"] == fingerprint(default)
-    assert dict(facts_of_run(world.out, SMALL))["Weights"].startswith(f"{name}. Trained on")
+    assert dict(run_of(world.out).facts())["Weights"].startswith(f"{name}. Trained on")
     assert describe_weights(default).to_dict()["version"] == 5
     assert rows_of(default)["weights"] == "default weights version 5"
 

@@ -19,16 +19,7 @@ from salsanext_cli.measures.scan_counts import ScanCounts
 from salsanext_cli.measures.scores import Counts, largest_confusions, scored_rows
 from salsanext_cli.report.colours import COLOUR_MAP, WRONG, Colours, map_colours, screen_colours
 from salsanext_cli.report.page.clouds import NO_VALUE, Scale, base64_of, encode_cloud
-from salsanext_cli.report.page.run_results import (
-    UNCERTAIN,
-    Comparison,
-    RunResults,
-    ScanRow,
-    ShownScan,
-    expected_of_run,
-    facts_of_run,
-    leading_kind,
-)
+from salsanext_cli.report.page.run_results import UNCERTAIN, Comparison, RunResults, ShownScan
 from salsanext_cli.report.plots import PICTURES, uncertainty_pictures
 from salsanext_cli.report.tables import percent
 from salsanext_cli.results.paths import find_outputs
@@ -83,21 +74,18 @@ def html_of(
         "uncertain": list(UNCERTAIN),
         "map": map_colours(COLOUR_MAP)[steps.astype(np.intp)].ravel().tolist(),
         "shown": [{"name": name, "reason": reason} for name, reason in offered.items()],
-        "drive": _drive(run.rows, class_points, list(offered)),
+        "drive": _drive(run, class_points, list(offered)),
         "occurring": _occurring(class_points, run.counts),
     }
     blocks = [script_data("data", {**escaped(data), "live": live, "token": token})]
     for i, scan in enumerate(shown):
         blocks.append(script_data(f"cloud-{i}", escaped(encode_cloud(scan, space, sensor, scales))))
     comparison = _comparison(compared, space) if compared else ""
-    facts = [*facts_of_run(out, sensor)]
-    if expected := expected_of_run(out, run.rows):
-        facts.append(("Without labels", expected.text))
-    warnings = [*run.warnings(), *failures]
+    facts, warnings = run.facts(), [*run.warnings(), *failures]
     return Template(_part("page.html")).substitute(
         title=_text("/".join(out.absolute().parts[-2:])),
         version=_text(__version__),
-        tiles=_tiles(run.rows, compared),
+        tiles=_tiles(run, compared),
         sentence=_sentence(compared),
         facts="".join(f"<dt>{_text(name)}</dt><dd>{_text(fact)}</dd>" for name, fact in facts),
         warnings=_listed("Warnings", '<ul class="warnings">', "</ul>", warnings),
@@ -133,9 +121,9 @@ def _listed(heading: str, start: str, end: str, lines: Sequence[str]) -> str:
     return f"<h3>{heading}</h3>{start}{items}{end}"
 
 
-def _tiles(rows: Sequence[ScanRow], compared: Comparison | None) -> str:
-    points = sum(row.points for row in rows)
-    tiles = [("scans", f"{len(rows):,}"), ("points", f"{points:,}")]
+def _tiles(run: RunResults, compared: Comparison | None) -> str:
+    points = sum(row.points for row in run.rows)
+    tiles = [("scans", f"{len(run.rows):,}"), ("points", f"{points:,}")]
     if compared:
         result, scans = compared.scores, counted(compared.counts.scans, "scan")
         which = "trained on" if compared.counts.trained_on else "with labels"
@@ -224,18 +212,16 @@ def _occurring(class_points: Counts, counts: ScanCounts | None) -> dict[str, lis
     return {name: np.flatnonzero(counts).tolist() for name, counts in points.items()}
 
 
-def _drive(
-    rows: Sequence[ScanRow], class_points: Counts, shown: Sequence[str]
-) -> dict[str, object]:
+def _drive(run: RunResults, class_points: Counts, shown: Sequence[str]) -> dict[str, object]:
     """Return the numbers of all scans as base64 of float32, empty where unknown."""
     places = {name: place for place, name in enumerate(shown)}
-    kind = leading_kind(rows) or ""
-    means = np.array([row.uncertainty.get(kind, np.nan) for row in rows])
-    wrong = np.array([row.wrong for row in rows])
+    kind = run.leading_kind or ""
+    means = np.array([row.uncertainty.get(kind, np.nan) for row in run.rows])
+    wrong = np.array([row.wrong for row in run.rows])
     shares = class_points / np.maximum(class_points.sum(axis=1, keepdims=True), 1)
     return {
-        "names": [row.file.name for row in rows],
-        "shown": [places.get(row.file.name, -1) for row in rows],
+        "names": [row.file.name for row in run.rows],
+        "shown": [places.get(row.file.name, -1) for row in run.rows],
         "kind": kind.replace("_", " "),
         "uncertainty": "" if np.isnan(means).all() else base64_of(means, "<f4"),
         "wrong": "" if np.isnan(wrong).all() else base64_of(wrong, "<f4"),

@@ -36,7 +36,6 @@ from salsanext_cli.results.paths import ERROR, PREDICTION_STAGES, ScanFile, outp
 from salsanext_cli.results.result_folder import ResultFolder, ScanResults, read_kind
 from salsanext_cli.results.selection import MissingResults
 from salsanext_cli.results.uncertainty_kinds import MEANT_BY_UNCERTAINTY, UNCERTAINTY
-from salsanext_cli.sensors.sensor import Sensor
 
 LEADING_KINDS = ("error", "entropy", *UNCERTAINTY)
 """Kinds of uncertainty, the best indicator of an uncertain scan first."""
@@ -186,88 +185,88 @@ class RunResults:
             lines.append(f"{counted(len(self.missing.scans), 'scan')} without results skipped")
         return lines
 
+    @property
+    def leading_kind(self) -> str | None:
+        """First of `LEADING_KINDS` that some scan has, None without any."""
+        known = set[str]().union(*(row.uncertainty for row in self.rows))
+        return next((kind for kind in LEADING_KINDS if kind in known), None)
 
-def leading_kind(rows: Sequence[ScanRow]) -> str | None:
-    """Return the first of `LEADING_KINDS` that some scan has, None without any."""
-    return next((kind for kind in LEADING_KINDS if any(kind in r.uncertainty for r in rows)), None)
+    def notable_scans(self) -> dict[str, str]:
+        """Choose the most uncertain, most wrong, worst-class and a random scan; return why."""
+        rows, reasons = self.rows, dict[str, list[str]]()
 
+        def add_largest(values: Sequence[float], reason: Callable[[float], str]) -> None:
+            largest = int(np.nan_to_num(values).argmax())
+            if values[largest] > 0:
+                reasons.setdefault(rows[largest].file.name, []).append(reason(values[largest]))
 
-def notable_scans(rows: Sequence[ScanRow], space: LabelSpace) -> dict[str, str]:
-    """Choose the most uncertain, most wrong, worst-class and a random scan; return why, by name."""
-    reasons: dict[str, list[str]] = {}
+        if kind := self.leading_kind:
+            means = [row.uncertainty.get(kind, math.nan) for row in rows]
+            words = f"most uncertain (mean {kind.replace('_', ' ')}"
+            add_largest(means, lambda value: f"{words} {value:.3g})")
+        wrong, of_points = [row.wrong for row in rows], "% of the points with a label"
+        add_largest(wrong, lambda share: f"most wrong ({100 * share:.1f} {of_points})")
+        confusions = np.stack([row.confusion for row in rows])
+        classes = [c for c in scores(confusions.sum(axis=0), self.reader.space).classes if c.points]
+        if classes:
+            worst = min(classes, key=lambda c: c.iou)
+            i, name = worst.train_id, worst.name
+            # Points of the class, or predicted as it, that are wrong.
+            missed = confusions[:, i].sum(1) + confusions[:, :, i].sum(1) - 2 * confusions[:, i, i]
+            add_largest(missed.tolist(), lambda n: f"worst class: {n:,} points of {name} wrong")
+        if others := [row for row in rows if row.file.name not in reasons]:
+            # The seed makes the choice reproducible.
+            reasons[random.Random(len(rows)).choice(others).file.name] = ["at random"]
+        return {name: ", ".join(texts) for name, texts in reasons.items()}
 
-    def add_largest(values: Sequence[float], reason: Callable[[float], str]) -> None:
-        largest = int(np.nan_to_num(values).argmax())
-        if values[largest] > 0:
-            reasons.setdefault(rows[largest].file.name, []).append(reason(values[largest]))
+    def scans_by_name(self, names: Sequence[str]) -> dict[str, str]:
+        """Choose scans by name, ``08/000000``, or by stem where only one sequence has it."""
+        files, chosen = [row.file for row in self.rows], dict[str, str]()
+        for name in names:
+            matches = [file.name for file in files if name in (file.name, file.stem)]
+            if len(matches) != 1:
+                holders = f"{len(matches)} scans have" if matches else "no scan has"
+                expected = f"names such as {first_few(matches or [file.name for file in files])}"
+                raise UsageError("--scans", f"{name}: {holders} this name", expected)
+            chosen[matches[0]] = "named"
+        return chosen
 
-    if kind := leading_kind(rows):
-        means = [row.uncertainty.get(kind, math.nan) for row in rows]
-        words = f"most uncertain (mean {kind.replace('_', ' ')}"
-        add_largest(means, lambda value: f"{words} {value:.3g})")
-    wrong = [row.wrong for row in rows]
-    add_largest(wrong, lambda share: f"most wrong ({100 * share:.1f} % of the points with a label)")
-    confusions = np.stack([row.confusion for row in rows])
-    classes = [c for c in scores(confusions.sum(axis=0), space).classes if c.points]
-    if classes:
-        worst = min(classes, key=lambda c: c.iou)
-        i = worst.train_id
-        # Points of the class, or predicted as it, that are wrong.
-        missed = confusions[:, i].sum(1) + confusions[:, :, i].sum(1) - 2 * confusions[:, i, i]
-        add_largest(missed.tolist(), lambda n: f"worst class: {n:,} points of {worst.name} wrong")
-    if others := [row for row in rows if row.file.name not in reasons]:
-        # The seed makes the choice reproducible.
-        reasons[random.Random(len(rows)).choice(others).file.name] = ["at random"]
-    return {name: ", ".join(texts) for name, texts in reasons.items()}
+    def facts(self) -> Iterator[tuple[str, str]]:
+        """Yield titles and texts of the recorded settings of a run."""
+        records = Manifest(self.reader.out)
+        yield "Weights", _weights(records)
+        for member in self.reader.sensor.members:
+            yield "Sensor", f"{member.name}, {member.height}×{member.width}, {view_text(member)}"
+        stage, labels = records.owner("predictions"), records.settings_of("predictions")
+        if stage and labels:
+            yield "Labels", _labels(stage, labels)
+            if labels.guarantee:
+                yield "Guarantee", guarantee(labels.guarantee)
+            if labels.inherited:
+                parts = shortened(labels.inherited, 200)
+                yield "Inherited", f"{parts}, not fitted to these weights"
+        if settings := records.settings("uncertainty"):
+            numbers = {name: getattr(settings, name) for name in ("samples", "seed", "aleatoric")}
+            texts = (f"{name} {value}" for name, value in numbers.items() if value is not None)
+            yield "Uncertainty", ", ".join([str(settings.method), *texts])
+        if records.owner(ERROR) == "predict":
+            yield "Uncertainty", "probability of error, from predict --error"
+        if expected := self.expected_accuracy():
+            yield "Without labels", expected.text
 
-
-def scans_by_name(rows: Sequence[ScanRow], names: Sequence[str]) -> dict[str, str]:
-    """Choose scans by name, ``08/000000``, or by stem where only one sequence has it."""
-    chosen: dict[str, str] = {}
-    for name in names:
-        matches = [row.file.name for row in rows if name in (row.file.name, row.file.stem)]
-        if len(matches) != 1:
-            problem = f"{len(matches)} scans have this name" if matches else "no scan has this name"
-            examples = first_few(matches or [row.file.name for row in rows])
-            raise UsageError("--scans", f"{name}: {problem}", f"names such as {examples}")
-        chosen[matches[0]] = "named"
-    return chosen
-
-
-def facts_of_run(out: Path, sensor: Sensor) -> Iterator[tuple[str, str]]:
-    """Yield titles and texts of the recorded settings of a run."""
-    records = Manifest(out)
-    yield "Weights", _weights(records)
-    for member in sensor.members:
-        yield "Sensor", f"{member.name}, {member.height}×{member.width}, {view_text(member)}"
-    stage, labels = records.owner("predictions"), records.settings_of("predictions")
-    if stage and labels:
-        yield "Labels", _labels(stage, labels)
-        if labels.guarantee:
-            yield "Guarantee", guarantee(labels.guarantee)
-        if labels.inherited:
-            yield "Inherited", f"{shortened(labels.inherited, 200)}, not fitted to these weights"
-    if settings := records.settings("uncertainty"):
-        numbers = {name: getattr(settings, name) for name in ("samples", "seed", "aleatoric")}
-        texts = (f"{name} {value}" for name, value in numbers.items() if value is not None)
-        yield "Uncertainty", ", ".join([str(settings.method), *texts])
-    if records.owner(ERROR) == "predict":
-        yield "Uncertainty", "probability of error, from predict --error"
-
-
-def expected_of_run(out: Path, rows: Sequence[ScanRow]) -> ExpectedAccuracy | None:
-    """Estimate the accuracy of labels of `predict`; None for labels of other stages."""
-    records = Manifest(out)
-    settings = records.settings("predict")
-    if settings is None or records.owner("predictions") != "predict":
-        return None
-    means = {row.file.name: row.uncertainty.get("least_confidence", math.nan) for row in rows}
-    confidences = {name: 1 - mean for name, mean in means.items() if not math.isnan(mean)}
-    warnings: dict[str, list[str]] = {}
-    for name, findings in OwnedFolder(out, "predict").findings().items():
-        for code, *_ in findings:
-            warnings.setdefault(code, []).append(name)
-    return expected_accuracy(settings.accuracy, confidences, warnings)
+    def expected_accuracy(self) -> ExpectedAccuracy | None:
+        """Estimate the accuracy of labels of `predict`; None for labels of other stages."""
+        records = Manifest(self.reader.out)
+        settings = records.settings("predict")
+        if settings is None or records.owner("predictions") != "predict":
+            return None
+        means = {r.file.name: r.uncertainty.get("least_confidence", math.nan) for r in self.rows}
+        confidences = {name: 1 - mean for name, mean in means.items() if not math.isnan(mean)}
+        warnings: dict[str, list[str]] = {}
+        for name, findings in OwnedFolder(records.root, "predict").findings().items():
+            for code, *_ in findings:
+                warnings.setdefault(code, []).append(name)
+        return expected_accuracy(settings.accuracy, confidences, warnings)
 
 
 def _weights(records: Manifest) -> str:
