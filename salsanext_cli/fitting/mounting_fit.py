@@ -42,6 +42,11 @@ class Ground:
         """Angle between the normal and the z axis, 0° if z is up, 180° upside down."""
         return float(np.degrees(np.arccos(np.clip(self.up[UPWARDS], -1, 1))))
 
+    @property
+    def is_usual(self) -> bool:
+        """Whether the height is usual for a sensor on a vehicle."""
+        return HEIGHTS_M[0] <= self.height <= HEIGHTS_M[1]
+
 
 def find_ground(points: Float, max_tilt_deg: float | None = None) -> Ground | None:
     """Return the plane with most of the points (N, 3) near the sensor and few below, or None.
@@ -210,8 +215,7 @@ def fit_mounting(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
         direction = (up / np.linalg.norm(up)).round(DIGITS)
         sensor = replace(sensor, name=FITTED_NAME, up=tuple(direction.tolist()))
     heights = [ground.height for ground in grounds]
-    usual = sum(HEIGHTS_M[0] <= height <= HEIGHTS_M[1] for height in heights)
-    if not scans or usual >= len(scans) / 2:
+    if not scans or sum(ground.is_usual for ground in grounds) >= len(scans) / 2:
         return sensor
     position = _origin_of_beams(scans, sensor, float(np.median(heights)) if heights else None)
     if position is None or np.linalg.norm(position) < MIN_OFFSET_M:
@@ -244,7 +248,7 @@ def ground_of(scan: Scan) -> Ground | None:
     if ground is None or ground.tilt_deg <= MAX_TILT_DEG:
         return ground
     level = find_ground(points, MAX_TILT_DEG)
-    usual = HEIGHTS_M[0] <= ground.height <= HEIGHTS_M[1] or ground.height < MIN_HEIGHT_M
+    usual = ground.is_usual or ground.height < MIN_HEIGHT_M
     in_room = level and level.height > TOLERANCE_M and ground.tilt_deg > UPSIDE_DOWN_DEG
     support = SUPPORT_OF_CEILING if in_room else SUPPORT
     likely = level is None or ground.share > support * level.share

@@ -16,13 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError, counted
-from salsanext_cli.fitting.mounting_fit import (
-    HEIGHTS_M,
-    MAX_TILT_DEG,
-    TOLERANCE_M,
-    UPSIDE_DOWN_DEG,
-    ground_of,
-)
+from salsanext_cli.fitting.mounting_fit import MAX_TILT_DEG, TOLERANCE_M, UPSIDE_DOWN_DEG, ground_of
 from salsanext_cli.geometry.network_input import BRIGHT, INTENSITY_FACTOR, NO_INTENSITY
 from salsanext_cli.geometry.projection import (
     ego_points,
@@ -227,7 +221,7 @@ def _ground_findings(scan: Scan, fit: str) -> Iterator[Finding]:
         yield Finding("upside-down", "the ground lies above the sensor", fit)
     elif ground.tilt_deg > MAX_TILT_DEG:
         yield Finding("tilted", f"the ground is tilted by {ground.tilt_deg:.0f}°", fit)
-    elif not HEIGHTS_M[0] <= ground.height <= HEIGHTS_M[1]:
+    elif not ground.is_usual:
         where = "above" if ground.height > 0 else "below"
         on_it = abs(ground.height) < TOLERANCE_M
         height = "on" if on_it else f"{abs(ground.height):.1f} m {where}"

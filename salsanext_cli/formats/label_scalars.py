@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -43,25 +43,25 @@ class LabelledCloud:
     ids: Ids  # (M,) int64: ids of the program; `NO_VALUE` for none
     scalar: str  # Name of the scalar in the file
 
-
-def read_labelled_cloud(path: Path, scalar: str | None = None) -> LabelledCloud:
-    """Read coordinates and labels of a cloud, by default from the scalar in `LABEL_NAMES`."""
-    form = format_of(path.name)
-    if form is None or form.label_columns is None:
-        expected = f"a {suffixes_in_words(LABEL_READER)} file"
-        raise FormatError(path, "is not a cloud with labels", expected)
-    with errors_of_plug_ins(path):
-        columns = form.label_columns(path)
-    columns = {name: values for name, values in columns.items() if values.dtype.kind in "iuf"}
-    points = coordinates(columns, path)
-    name = _label_column(columns, scalar, path)
-    ids = whole_numbers(columns[name], path, name)
-    largest = int(ids.max(initial=0))
-    if scalar is None and _plain(name) == OF_ASPRS and largest in ASPRS_CLASSES:
-        problem = f"has {name} up to {largest}, probably classes of the ASPRS"
-        hint = f"for raw ids, or with --map, add --scalar {name}"
-        raise LabelError(path, problem, "raw ids of the label space", hint)
-    return LabelledCloud(points, ids, name)
+    @classmethod
+    def read(cls, path: Path, scalar: str | None = None) -> Self:
+        """Read coordinates and labels of a cloud, by default from the scalar in `LABEL_NAMES`."""
+        form = format_of(path.name)
+        if form is None or form.label_columns is None:
+            expected = f"a {suffixes_in_words(LABEL_READER)} file"
+            raise FormatError(path, "is not a cloud with labels", expected)
+        with errors_of_plug_ins(path):
+            columns = form.label_columns(path)
+        columns = {name: values for name, values in columns.items() if values.dtype.kind in "iuf"}
+        points = coordinates(columns, path)
+        name = _label_column(columns, scalar, path)
+        ids = whole_numbers(columns[name], path, name)
+        largest = int(ids.max(initial=0))
+        if scalar is None and _plain(name) == OF_ASPRS and largest in ASPRS_CLASSES:
+            problem = f"has {name} up to {largest}, probably classes of the ASPRS"
+            hint = f"for raw ids, or with --map, add --scalar {name}"
+            raise LabelError(path, problem, "raw ids of the label space", hint)
+        return cls(points, ids, name)
 
 
 def _label_column(columns: Columns, scalar: str | None, path: Path) -> str:

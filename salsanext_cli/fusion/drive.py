@@ -6,6 +6,7 @@ import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 
@@ -30,6 +31,35 @@ class Drive:
     poses: Poses  # (N, 4, 4)
     parts: Parts  # (N,)
 
+    @classmethod
+    def checked(cls, path: Path, files: Sequence[ScanFile], sensor: Sensor) -> Self:
+        """Return the drive by the poses in a file; refuse poses that do not fit the scans."""
+
+        def read(index: int) -> Float:
+            return measured_points(files[index], sensor)
+
+        readings = readings_of(path, files)
+        counted_from = best_reading(readings, read)
+        if counted_from == 1:
+            reason = "scan names are line numbers counted from 1: the scans fit best"
+            log.log(NOTICE, "%s: %s", path, reason)
+        poses = readings[counted_from]
+        return cls(poses, require_fitting(path, poses, read))
+
+    @classmethod
+    def recorded(cls, folder: Path) -> Self | None:
+        """Return the drive that `fuse` recorded in the folder of a sequence, None without one."""
+        record, path = read_json(folder / DRIVE), folder / POSES
+        if record is None or not present(path):
+            return None
+        with refusing_damage(folder / DRIVE, "the record of `fuse`"):
+            stems, parts = [*map(str, record["scans"])], np.array(record.get("parts", ()), np.int64)
+            drive = cls(read_fused_poses(path, stems), parts)
+        if drive.record(stems) != record:
+            problem = "differs from the poses that the scans were fused by"
+            raise OutputError(path, problem, hint="fuse the sequence again with --overwrite")
+        return drive
+
     @property
     def origins(self) -> Poses:
         """Position (P, 3) of the first scan of each part, from which voxels are counted."""
@@ -41,20 +71,6 @@ class Drive:
         """Return the record of the drive, whose scans have these stems."""
         digest = hashlib.sha256(encode_poses(self.poses)).hexdigest()
         return {"scans": [*stems], "poses": digest, "parts": self.parts.tolist()}
-
-
-def recorded_drive(folder: Path) -> Drive | None:
-    """Return the drive that `fuse` recorded in the folder of a sequence, None without a record."""
-    record, path = read_json(folder / DRIVE), folder / POSES
-    if record is None or not present(path):
-        return None
-    with refusing_damage(folder / DRIVE, "the record of `fuse`"):
-        stems, parts = [*map(str, record["scans"])], np.array(record.get("parts", ()), np.int64)
-        drive = Drive(read_fused_poses(path, stems), parts)
-    if drive.record(stems) != record:
-        problem = "differs from the poses that the scans were fused by"
-        raise OutputError(path, problem, hint="fuse the sequence again with --overwrite")
-    return drive
 
 
 def poses_beside(files: Sequence[ScanFile]) -> Path | None:
@@ -69,20 +85,6 @@ def readings_of(path: Path, files: Sequence[ScanFile]) -> list[Poses]:
     listed = sorted(find_scans(files[0].path.parent, unique=False), key=drive_order)
     stems, wanted = ([*dict.fromkeys(file.stem for file in group)] for group in (listed, files))
     return pose_readings(path, stems, wanted)
-
-
-def checked_drive(path: Path, files: Sequence[ScanFile], sensor: Sensor) -> Drive:
-    """Return the drive by the poses in a file; refuse poses that do not fit the scans."""
-
-    def read(index: int) -> Float:
-        return measured_points(files[index], sensor)
-
-    readings = readings_of(path, files)
-    counted_from = best_reading(readings, read)
-    if counted_from == 1:
-        log.log(NOTICE, "%s: scan names are line numbers counted from 1: the scans fit best", path)
-    poses = readings[counted_from]
-    return Drive(poses, require_fitting(path, poses, read))
 
 
 def measured_points(file: ScanFile, sensor: Sensor) -> Float:

@@ -8,6 +8,7 @@ point.
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -34,6 +35,24 @@ class VoxelVotes:
     voxel_of_point: npt.NDArray[np.int32]  # (N,): index in `keys`, -1 for a point without a vote
     points: npt.NDArray[np.intp]  # (V,): index of a point in each voxel
 
+    @classmethod
+    def of_scan(cls, points: Double, probabilities: Float, size: float) -> Self:
+        """Return the votes of labelled points of a scan in voxels with an edge of `size` metres.
+
+        Points (N, 3) are float64 metres in the frame of the drive, probabilities (N, C) float32.
+        """
+        keys = keys_of(points, size)
+        rows = np.flatnonzero((probabilities[:, 0] < 1) & (keys >= 0))
+        rows = rows[np.argsort(keys[rows], kind="stable")]
+        keys = keys[rows]
+        borders = np.append(np.flatnonzero(np.diff(keys, prepend=-1)), len(keys))
+        first = borders[:-1]
+        voxel_of_point = np.full(len(points), -1, np.int32)
+        voxel_of_point[rows] = np.repeat(np.arange(len(first)), np.diff(borders))
+        votes = np.empty((len(first), probabilities.shape[1]), np.uint16)
+        _mean_of_voxels(argument(probabilities, np.float32), rows, borders, votes)
+        return cls(keys[first], votes, voxel_of_point, rows[first])
+
 
 @dataclass(frozen=True, slots=True)
 class Tally:
@@ -51,23 +70,6 @@ class Tally:
         """Return the share of votes against each label, (N,) float32; NaN without any vote."""
         share = 1 - np.take_along_axis(self.probabilities, labels[:, None].astype(np.intp), 1)[:, 0]
         return np.where((self.views > 0) & (labels > 0), share, np.nan).astype(np.float32)
-
-
-def votes_of_scan(points: Double, probabilities: Float, size: float) -> VoxelVotes:
-    """Return the votes of the labelled points of a scan in voxels with an edge of `size` metres.
-
-    Points (N, 3) are float64 metres in the frame of the drive, probabilities (N, C) float32.
-    """
-    keys = keys_of(points, size)
-    rows = np.flatnonzero((probabilities[:, 0] < 1) & (keys >= 0))
-    rows = rows[np.argsort(keys[rows], kind="stable")]
-    keys = keys[rows]
-    first = np.flatnonzero(np.diff(keys, prepend=-1))
-    voxel_of_point = np.full(len(points), -1, np.int32)
-    voxel_of_point[rows] = np.repeat(np.arange(len(first)), np.diff(first, append=len(keys)))
-    votes = np.empty((len(first), probabilities.shape[1]), np.uint16)
-    _mean_of_voxels(argument(probabilities, np.float32), rows, np.append(first, len(keys)), votes)
-    return VoxelVotes(keys[first], votes, voxel_of_point, rows[first])
 
 
 def keys_of(points: Double, size: float) -> Keys:

@@ -12,15 +12,7 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import SalsanextError, UsageError, warn_once
 from salsanext_cli.fusion.drive import Drive
 from salsanext_cli.fusion.visibility import nearest_ranges, seen_by
-from salsanext_cli.fusion.votes import (
-    MAX_CELLS,
-    SCALE,
-    VOXEL_SIZES_M,
-    Tally,
-    VoxelVotes,
-    tally,
-    votes_of_scan,
-)
+from salsanext_cli.fusion.votes import MAX_CELLS, SCALE, VOXEL_SIZES_M, Tally, VoxelVotes, tally
 from salsanext_cli.option_fields import FusionReach
 from salsanext_cli.records import Double, Float, Mask
 
@@ -112,5 +104,5 @@ class FusionWindow:
             return error
         with np.errstate(invalid="ignore"):  # Infinite points become NaN.
             placed = points.astype(np.float64) @ self.poses[index, :3, :3].T + place
-        votes = [votes_of_scan(placed, softmax, size) for size in VOXEL_SIZES_M]
+        votes = [VoxelVotes.of_scan(placed, softmax, size) for size in VOXEL_SIZES_M]
         return PlacedScan(placed, votes, nearest_ranges(points))

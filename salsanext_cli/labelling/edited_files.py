@@ -14,13 +14,7 @@ from salsanext_cli.errors import LabelError, NoInputError, counted, first_few
 from salsanext_cli.files.reading import is_folder, present
 from salsanext_cli.formats import format_of, suffixes_in_words
 from salsanext_cli.formats.kitti import read_labels
-from salsanext_cli.formats.label_scalars import (
-    LABEL_READER,
-    LabelIds,
-    LabelledCloud,
-    read_labelled_cloud,
-    whole_numbers,
-)
+from salsanext_cli.formats.label_scalars import LABEL_READER, LabelIds, LabelledCloud, whole_numbers
 from salsanext_cli.formats.npy import read_integers
 from salsanext_cli.geometry.label_transfer import TOLERANCE_M, LabelTransfer, transfer_labels
 from salsanext_cli.labelling.label_records import ImportedScan
@@ -120,7 +114,7 @@ def read_edited(
     points.
     """
     has_points = _has_points(path)
-    cloud = read_labelled_cloud(path, scalar) if has_points else _of_all_points(path, points)
+    cloud = LabelledCloud.read(path, scalar) if has_points else _of_all_points(path, points)
     if unknown := meanings.unknown(cloud.ids):
         listed = ", ".join(f"{i} ({counted(n, 'point')})" for i, n in sorted(unknown.items()))
         hint = "map the ids of the tool with --map"

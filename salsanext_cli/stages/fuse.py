@@ -27,15 +27,7 @@ from salsanext_cli.files.optional_packages import import_extra
 from salsanext_cli.fitting.scan_checks import Finding
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
-from salsanext_cli.fusion.drive import (
-    DRIVE,
-    Drive,
-    checked_drive,
-    measured_points,
-    poses_beside,
-    readings_of,
-    recorded_drive,
-)
+from salsanext_cli.fusion.drive import DRIVE, Drive, measured_points, poses_beside, readings_of
 from salsanext_cli.fusion.poses import POSES, encode_poses
 from salsanext_cli.fusion.registration import register
 from salsanext_cli.fusion.top_classes import stored_softmax
@@ -142,7 +134,7 @@ class FusibleResults:
         def drive_of(name: str) -> Drive | None:
             files = self.members[name]
             path = poses or poses_beside(files)
-            return checked_drive(path, files, self.sensor) if path else None
+            return Drive.checked(path, files, self.sensor) if path else None
 
         return _by_sequence(self.sequences, drive_of, options)
 
@@ -325,7 +317,7 @@ def _recorded_drive(
     has_same_scans = before is not None and before.get("scans") == stems
     if before is not None and not has_same_scans and not fused.overwrite:
         raise _other_drive(record, single)
-    earlier = recorded_drive(folder) if has_same_scans and not fused.overwrite else None
+    earlier = Drive.recorded(folder) if has_same_scans and not fused.overwrite else None
     if (drive := given or earlier) is None:
         log.log(NOTICE, "sequence %s: no %s, computing poses of its scans", name, POSES)
         drive = register(measured_points(file, sensor) for file in files)

@@ -15,13 +15,7 @@ from salsanext_cli.measures.scan_counts import ScanComparison, ScanCounts, Separ
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.report.page.clouds import encode_cloud, scales_of
 from salsanext_cli.report.page.html import html_of
-from salsanext_cli.report.page.run_results import (
-    Comparison,
-    RunResults,
-    ScanRow,
-    ShownScan,
-    read_row,
-)
+from salsanext_cli.report.page.run_results import Comparison, RunResults, ScanRow, ShownScan
 from salsanext_cli.report.page.server import PageServer
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.paths import PREDICTION_STAGES
@@ -209,7 +203,7 @@ def read_run(
             if scan_counts.trained_on:
                 trained_on.add(row)
 
-    task = partial(read_row, reader=reader)
+    task = partial(ScanRow.read, reader=reader)
     outcome = run_over_scans(task, chosen.scans, options, on_result=add)
     if not rows:
         raise NoInputError(out, f"no results can be read: {outcome.failures[0].reason}")

@@ -9,12 +9,7 @@ from edited_clouds import WRITERS
 
 from salsanext_cli import label_space
 from salsanext_cli.errors import FormatError, LabelError, UsageError
-from salsanext_cli.formats.label_scalars import (
-    NO_VALUE,
-    LabelIds,
-    read_labelled_cloud,
-    whole_numbers,
-)
+from salsanext_cli.formats.label_scalars import NO_VALUE, LabelIds, LabelledCloud, whole_numbers
 
 POINTS = np.random.default_rng(0).uniform(-30, 30, (40, 3))
 IDS = np.arange(40) % 3 * 40
@@ -38,7 +33,7 @@ def write_las(path, scalars):
 @pytest.mark.parametrize("kind", ["f4", "f8", "u2", "i4"])
 def test_labels_and_coordinates_are_read(tmp_path, name, scalar, kind):
     scalars = {"other": np.ones(len(POINTS), "f4"), scalar: IDS.astype(kind)}
-    found = read_labelled_cloud(write(name, tmp_path / name, scalars))
+    found = LabelledCloud.read(write(name, tmp_path / name, scalars))
     np.testing.assert_array_equal(found.ids, IDS)
     assert found.scalar == scalar
     rounding = 0.00051 if name.endswith("z") or name.endswith("las") else 0
@@ -49,30 +44,30 @@ def test_the_scalar_is_named_if_there_is_none_or_several(tmp_path):
     scalars = {"mine": IDS.astype("f4"), "scalar_mine": IDS.astype("f4") + 1}
     path = write_ply(tmp_path / "s.ply", scalars)
     with pytest.raises(FormatError, match="x, y, z, mine"):
-        read_labelled_cloud(path)
+        LabelledCloud.read(path)
     for name, more in (("mine", 0), ("scalar_mine", 1)):
-        np.testing.assert_array_equal(read_labelled_cloud(path, name).ids, IDS + more)
+        np.testing.assert_array_equal(LabelledCloud.read(path, name).ids, IDS + more)
     for name in ("Mine", "his"):
         with pytest.raises(FormatError, match=f"expected one named {name}"):
-            read_labelled_cloud(path, name)
+            LabelledCloud.read(path, name)
     path = write_ply(tmp_path / "s.ply", {"label": IDS.astype("f4"), "CLASS": IDS.astype("f4")})
     with pytest.raises(LabelError, match="label, CLASS"):
-        read_labelled_cloud(path)
-    np.testing.assert_array_equal(read_labelled_cloud(path, "class").ids, IDS)
+        LabelledCloud.read(path)
+    np.testing.assert_array_equal(LabelledCloud.read(path, "class").ids, IDS)
 
 
 def test_a_classification_of_0_is_not_a_label_and_one_of_the_asprs_must_be_named(tmp_path):
-    cloud = read_labelled_cloud(write_las(tmp_path / "s.las", {"label": IDS.astype("u2")}))
+    cloud = LabelledCloud.read(write_las(tmp_path / "s.las", {"label": IDS.astype("u2")}))
     assert cloud.scalar == "label"
     both = {"label": IDS.astype("u2"), "classification": IDS.astype("u1")}
     with pytest.raises(LabelError, match="several"):
-        read_labelled_cloud(write_las(tmp_path / "s.las", both))
+        LabelledCloud.read(write_las(tmp_path / "s.las", both))
     path = write_las(tmp_path / "s.las", {"classification": IDS.astype("u1")})
-    np.testing.assert_array_equal(read_labelled_cloud(path).ids, IDS)
+    np.testing.assert_array_equal(LabelledCloud.read(path).ids, IDS)
     path = write_las(tmp_path / "s.las", {"classification": (IDS // 8).astype("u1")})
     with pytest.raises(LabelError, match="up to 10"):
-        read_labelled_cloud(path)
-    np.testing.assert_array_equal(read_labelled_cloud(path, "classification").ids, IDS // 8)
+        LabelledCloud.read(path)
+    np.testing.assert_array_equal(LabelledCloud.read(path, "classification").ids, IDS // 8)
 
 
 def test_labels_that_are_not_whole_numbers_are_errors(tmp_path):

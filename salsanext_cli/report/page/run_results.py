@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -63,29 +63,30 @@ class ScanRow:
         points = self.confusion.sum()
         return float(1 - self.confusion.trace() / points) if points else math.nan
 
-
-def read_row(file: ScanFile, reader: ScanComparison) -> tuple[ScanRow, ScanCounts | None]:
-    """Read the results of a scan and, if it has labels, count its points."""
-    out, space = reader.out, reader.space
-    path_of = partial(output_path, out, file.sequence, stem=file.stem)
-    points, class_points = 0, np.zeros(space.class_count, np.int64)
-    if is_labelled := present(path := path_of(folder="predictions")):
-        predicted = space.to_train(read_labels(path), strict=False, source=path)
-        points = len(predicted)
-        class_points = np.bincount(predicted, minlength=space.class_count)
-    uncertainty = {}
-    for kind in UNCERTAINTY:
-        if present(path := path_of(folder=f"uncertainty/{kind}")):
-            values = read_kind(path, kind, points or None)
-            points = len(values)
-            finite = values[np.isfinite(values)]
-            uncertainty[kind] = float(finite.mean(dtype=np.float64)) if len(finite) else math.nan
-    counts, confusion = None, np.zeros((space.class_count, space.class_count), np.int64)
-    if is_labelled and present(file.label_path):
-        counts = reader.count(file)
-        confusion = scored_rows(counts.confusion, space)
-        confusion = accepted(confusion) if reader.rejection else confusion
-    return ScanRow(file, points, class_points, uncertainty, confusion), counts
+    @classmethod
+    def read(cls, file: ScanFile, reader: ScanComparison) -> tuple[Self, ScanCounts | None]:
+        """Read the results of a scan and, if it has labels, count its points."""
+        out, space = reader.out, reader.space
+        path_of = partial(output_path, out, file.sequence, stem=file.stem)
+        points, class_points = 0, np.zeros(space.class_count, np.int64)
+        if is_labelled := present(path := path_of(folder="predictions")):
+            predicted = space.to_train(read_labels(path), strict=False, source=path)
+            points = len(predicted)
+            class_points = np.bincount(predicted, minlength=space.class_count)
+        uncertainty = {}
+        for kind in UNCERTAINTY:
+            if present(path := path_of(folder=f"uncertainty/{kind}")):
+                values = read_kind(path, kind, points or None)
+                points = len(values)
+                finite = values[np.isfinite(values)]
+                mean = finite.mean(dtype=np.float64) if len(finite) else math.nan
+                uncertainty[kind] = float(mean)
+        counts, confusion = None, np.zeros((space.class_count, space.class_count), np.int64)
+        if is_labelled and present(file.label_path):
+            counts = reader.count(file)
+            confusion = scored_rows(counts.confusion, space)
+            confusion = accepted(confusion) if reader.rejection else confusion
+        return cls(file, points, class_points, uncertainty, confusion), counts
 
 
 @dataclass(frozen=True, slots=True, eq=False)
