@@ -221,10 +221,8 @@ class LabelSpace:
             labels = {int(i): str(name) for i, name in data["labels"].items()}
             learning_map = {int(i): int(train) for i, train in data["learning_map"].items()}
             inverse = {int(train): int(i) for train, i in data["learning_map_inv"].items()}
-            ignore = {
-                int(train): bool(flag)
-                for train, flag in data.get("learning_ignore", {0: True}).items()
-            }
+            ignored = data.get("learning_ignore", {0: True})
+            ignore = {int(train): bool(flag) for train, flag in ignored.items()}
             alternatives = {
                 int(i): tuple(sorted({int(train) for train in _list(several)}))
                 for i, several in data.get(ALTERNATIVES, {}).items()

@@ -128,20 +128,15 @@ def _evaluation_tables(evaluation: "Evaluation") -> "Group":
     from rich.console import Group
     from rich.text import Text
 
-    from salsanext_cli.report.tables import (
-        accepted_table,
-        band_table,
-        score_table,
-        uncertainty_tables,
-    )
+    from salsanext_cli.report import tables
     from salsanext_cli.stages.evaluate import ON_TRAINING_SCANS
 
     of_training = ON_TRAINING_SCANS if evaluation.counts.trained_on else ""
     uncertainty, accepted = evaluation.uncertainty, evaluation.accepted
-    tables: list[Any] = [score_table(evaluation.scores, of_training)]
-    tables += [band_table(evaluation.by_distance)] if evaluation.by_distance else []
-    tables += uncertainty_tables(uncertainty)
-    tables += [Text(uncertainty.accepted.sentence)] if uncertainty.accepted else []
+    parts: list[Any] = [tables.score_table(evaluation.scores, of_training)]
+    parts += [tables.band_table(evaluation.by_distance)] if evaluation.by_distance else []
+    parts += tables.uncertainty_tables(uncertainty)
+    parts += [Text(uncertainty.accepted.sentence)] if uncertainty.accepted else []
     if accepted:
         threshold = evaluation.settings["reject"]
         missed = (
@@ -150,8 +145,8 @@ def _evaluation_tables(evaluation: "Evaluation") -> "Group":
         )
         guarantee = [evaluation.guarantee.sentence] if evaluation.guarantee else []
         lines = [missed, *accepted.sentences, *guarantee]
-        tables += [accepted_table(accepted.classes), Text("\n".join(lines))]
-    return Group(*tables)
+        parts += [tables.accepted_table(accepted.classes), Text("\n".join(lines))]
+    return Group(*parts)
 
 
 def export_ply(

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Steps of a scan: read, check, project, predict the pixels, refine the labels of the points."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from itertools import starmap
 from pathlib import Path
 from typing import NamedTuple
@@ -69,11 +69,10 @@ def project_scan(
 
 def labelled(scan: PreparedScan, pixels: PixelPrediction, knn: KnnParameters) -> LabelledScan:
     """Return a scan with the labels of its points, refined from the prediction of its pixels."""
-    projected, network = scan.projected, scan.network
-    network.backend.require_finite(pixels.confidence, projected.file.path)
-    labels = knn_refine(projected.image, pixels.labels, network.space.class_count, knn)
-    parts = {field.name: getattr(projected, field.name) for field in fields(projected)}
-    return LabelledScan(**parts, pixels=pixels, labels=labels)
+    done, network = scan.projected, scan.network
+    network.backend.require_finite(pixels.confidence, done.file.path)
+    labels = knn_refine(done.image, pixels.labels, network.space.class_count, knn)
+    return LabelledScan(done.file, done.scan, done.image, done.check, done.sensor, pixels, labels)
 
 
 def range_image(file: ScanFile, folder: Path, sensor: Sensor) -> Float:

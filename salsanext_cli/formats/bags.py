@@ -89,10 +89,6 @@ class Bag:
         connections = sorted(self.reader.connections, key=attrgetter("topic"))
         return {c.topic: c.msgtype for c in connections if c.msgcount}
 
-    def clouds(self) -> list[str]:
-        """Return the topics of point clouds."""
-        return [topic for topic, kind in self.topics().items() if kind == POINT_CLOUD2]
-
     def times(self, topic: str) -> list[int]:
         """Return the recording times of the clouds of a topic in nanoseconds, sorted."""
         with self._lock, refusing_damage(self.path, EXPECTED, HINT):

@@ -15,6 +15,7 @@ from salsanext_cli.files.optional_packages import import_extra
 from salsanext_cli.files.reading import reading, refusing_damage, size_of
 from salsanext_cli.formats.columns import Columns
 
+FRAMES = "Ouster"  # Type of the topics
 EXPECTED = "a recording of Ouster sensors"
 HINT = "put the metadata of the sensor beside a .pcap, as a .json of the same name"
 REWRITE = "rewrite it with a newer ouster-sdk, or convert it"
@@ -58,11 +59,7 @@ class OusterRecording:
 
     def topics(self) -> dict[str, str]:
         """Return the sensors with frames, as topics with their type."""
-        return {name: "Ouster" for name, times in self._times.items() if times}
-
-    def clouds(self) -> list[str]:
-        """Return the sensors with frames."""
-        return [*self.topics()]
+        return {name: FRAMES for name, times in self._times.items() if times}
 
     def times(self, topic: str) -> list[int]:
         """Return the times of the frames of a sensor in nanoseconds, sorted."""

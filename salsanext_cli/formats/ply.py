@@ -57,7 +57,9 @@ def encode_ply(columns: Mapping[str, npt.NDArray[Any]], comments: Iterable[str] 
     of the header, all but ASCII is escaped.
     """
     plyfile = import_package("plyfile")
-    table = np.rec.fromarrays([_readable(values) for values in columns.values()], names=[*columns])
+    readable = {name: _readable(values) for name, values in columns.items()}
+    kinds = [(name, values.dtype) for name, values in readable.items()]
+    table = np.rec.fromarrays(readable.values(), kinds)
     lines = [" ".join(c.split()).encode("ascii", "backslashreplace").decode() for c in comments]
     element = plyfile.PlyElement.describe(table, "vertex")
     with io.BytesIO() as buffer:

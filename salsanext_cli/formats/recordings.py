@@ -12,14 +12,15 @@ from itertools import groupby
 from pathlib import Path
 
 from salsanext_cli.errors import FormatError, NoInputError, UsageError, shortened
-from salsanext_cli.files.reading import is_folder, present
+from salsanext_cli.files.reading import identity, is_folder, present
 from salsanext_cli.formats import BAG_SUFFIXES, RECORDING_SUFFIXES
-from salsanext_cli.formats.bags import Bag
+from salsanext_cli.formats.bags import POINT_CLOUD2, Bag
 from salsanext_cli.formats.columns import Columns
-from salsanext_cli.formats.ouster import OusterRecording
+from salsanext_cli.formats.ouster import FRAMES, OusterRecording
 
 METADATA = "metadata.yaml"  # In the folder of a ROS 2 bag, beside `.db3` or `.mcap` files
 NAME = re.compile(r"(-?\d{1,20})(?:_(\d{1,9}))?", re.ASCII)
+CLOUD_KINDS = (POINT_CLOUD2, FRAMES)  # Types of topics with point clouds
 MAX_SHOWN = 500  # Characters of a list of topics in an error
 
 
@@ -110,15 +111,12 @@ def _opened(path: Path) -> tuple[Path, Recording, dict[str, str]]:
     if folder is None:
         raise FormatError(path, "no such recording", "a recording or a scan in one")
     # An open file of a forked process has one position in both.
-    version = [os.getpid()]
-    for file in files_of(folder):
-        status = file.stat()
-        version += [status.st_ino, status.st_size, status.st_mtime_ns]
-    recording = _recording(folder, tuple(version))
-    return folder, recording, {topic.strip("/"): topic for topic in recording.clouds()}
+    recording = _recording(folder, (os.getpid(), *map(identity, files_of(folder))))
+    clouds = [topic for topic, kind in recording.topics().items() if kind in CLOUD_KINDS]
+    return folder, recording, {topic.strip("/"): topic for topic in clouds}
 
 
 @lru_cache(maxsize=1)
-def _recording(path: Path, version: tuple[int, ...]) -> Recording:
+def _recording(path: Path, version: tuple[object, ...]) -> Recording:
     is_bag = is_folder(path) or path.suffix.lower() in BAG_SUFFIXES
     return Bag(path, files_of(path)) if is_bag else OusterRecording(path)

@@ -173,11 +173,11 @@ class RiskBoundCheck:
 
     @classmethod
     def of_scans(
-        cls, guaranteed: RiskThreshold, scans: Mapping[str, tuple[int, int, int]]
+        cls, guaranteed: RiskThreshold | None, scans: Mapping[str, tuple[int, int, int]]
     ) -> Self | None:
-        """Compare with scored, accepted and wrong points of scans by name; None without points."""
+        """Compare with scored, accepted and wrong points of scans by name; None without either."""
         judged = {name: wrong / points for name, (points, _, wrong) in scans.items() if points}
-        if not judged:
+        if guaranteed is None or not judged:
             return None
         losses, unit = np.array([*judged.values()]), guaranteed.unit
         if unit == "drive":

@@ -100,12 +100,11 @@ def band_rows(bands: Mapping[str, Scores]) -> list[tuple[str, Scores, float, lis
     held = {name: {c.name for c in band.classes if c.points} for name, band in bands.items()}
     every = set[str]().union(*held.values())
     same = every.intersection(*filter(None, held.values()))
-    means = (
-        _mean(np.array([c.iou for c in band.classes if c.name in same & held[name]]))
-        for name, band in bands.items()
-    )
-    absent = (sorted(every - names) for names in held.values())
-    return list(zip(bands, bands.values(), means, absent, strict=True))
+    rows = []
+    for name, band in bands.items():
+        ious = [c.iou for c in band.classes if c.name in same & held[name]]
+        rows.append((name, band, _mean(np.array(ious)), sorted(every - held[name])))
+    return rows
 
 
 def largest_confusions(matrix: Counts, most: int) -> list[tuple[int, int, int]]:

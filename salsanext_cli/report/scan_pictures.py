@@ -87,13 +87,12 @@ def picture_of_results(
         if colour in strips:
             pixels = pixels_from_points(colours, image.point_of_pixel, EMPTY)
             strip_list.append(Strip(title, pixels, scale, UNITS.get(colour, "")))
-    label_colours = [colour for colour in ("label", "truth") if colour in shown]
-    labels = [space.to_train(columns[colour], strict=False) for colour in label_colours]
+    labels = [space.to_train(columns[c], strict=False) for c in ("label", "truth") if c in shown]
     legend: list[tuple[str, tuple[int, int, int]]] = []
     absent: set[str] = set()
     if labels:
         legend += legend_of(space, np.arange(space.class_count))
-        absent = {entry for entry, _ in legend} - {entry for entry, _ in legend_of(space, *labels)}
+        absent = {*space.names} - dict(legend_of(space, *labels)).keys()
     if "wrong" in shown:
         legend += OUTCOME_LEGEND
     classes = f"classes of {space.name}   " if labels else ""

@@ -170,7 +170,6 @@ def _evaluation(
 ) -> Evaluation:
     """Count the scans and divide the counts."""
     space = comparison.space
-    guarantee = results.guarantee(space)
     separate = SeparateCounts(space, comparison.by_distance)
     outcome = run_over_scans(comparison.count, scans, options, on_result=separate.add)
     counts = separate.scored()
@@ -197,7 +196,7 @@ def _evaluation(
         folder=folder,
         by_sequence={name: scores(c, space) for name, c in sorted(counts.by_sequence.items())},
         accepted=accepted,
-        guarantee=RiskBoundCheck.of_scans(guarantee, counts.accepted) if guarantee else None,
+        guarantee=RiskBoundCheck.of_scans(results.guarantee(space), counts.accepted),
     )
 
 

@@ -169,22 +169,18 @@ class RunResults:
     def guarantee(self) -> RiskBoundCheck | None:
         """Guarantee of the accepted labels and their measured risk; None without either."""
         bound = Manifest(self.reader.out).guarantee(self.reader.space)
-        if self.counts is None or bound is None:
-            return None
-        return RiskBoundCheck.of_scans(bound, self.counts.accepted)
+        return RiskBoundCheck.of_scans(bound, self.counts.accepted if self.counts else {})
 
-    def warnings(self) -> list[str]:
-        """Return a line for every reason to doubt the results."""
-        files = [row.file for row in self.rows]
-        wanted = {name for file in files for name in (file.name, file.sequence)}
-        lines = warnings_of_run(self.reader.out, wanted)
-        if self.counts:
-            lines = [*self.counts.label_warnings(self.reader.space), *lines]
+    def warnings(self) -> Iterator[str]:
+        """Yield a line for every reason to doubt the results."""
         if self.guarantee and self.guarantee.warning:
-            lines = [self.guarantee.warning, *lines]
+            yield self.guarantee.warning
+        if self.counts:
+            yield from self.counts.label_warnings(self.reader.space)
+        wanted = {name for row in self.rows for name in (row.file.name, row.file.sequence)}
+        yield from warnings_of_run(self.reader.out, wanted)
         if self.missing.scans:
-            lines.append(f"{counted(len(self.missing.scans), 'scan')} without results skipped")
-        return lines
+            yield f"{counted(len(self.missing.scans), 'scan')} without results skipped"
 
     @property
     def leading_kind(self) -> str | None:
