@@ -16,7 +16,7 @@ from salsanext_cli.records import Float
 from salsanext_cli.report.colours import FIXED_SCALES, value_range
 from salsanext_cli.report.page.run_results import ShownScan
 from salsanext_cli.report.scan_pictures import UNITS
-from salsanext_cli.results.result_folder import scalar_columns
+from salsanext_cli.results.result_folder import ScanResults
 from salsanext_cli.sensors.sensor import Sensor
 
 MAX_POINTS = 200_000  # Most points of a scan in a page; larger scans are thinned evenly
@@ -63,16 +63,10 @@ def encode_cloud(
     width = np.min_scalar_type(of_pixel.max(initial=0)).itemsize
     index = taken[order]
     position, low, step_m = _positions(points[index])
-    columns = scalar_columns(shown.results, space)
-    values = {
-        name: space.to_train(columns[name][index], strict=False)
-        for name in ("label", "truth")
-        if name in columns
+    values = _classes(shown.results, space, index) | {
+        name: _bytes_on_scale(of_points[index], scales[name])
+        for name, of_points in shown.values().items()
     }
-    if "wrong" in columns:  # 0 not judged, 1 right, 2 wrong
-        values["wrong"] = np.nan_to_num(columns["wrong"][index] + 1).astype(np.uint8)
-    for name, of_points in shown.values().items():
-        values[name] = _bytes_on_scale(of_points[index], scales[name])
     return {
         "name": shown.name,
         "reason": shown.reason,
@@ -111,3 +105,17 @@ def _bytes_on_scale(values: npt.NDArray[Any], scale: Scale) -> npt.NDArray[np.ui
     share = np.interp(values, marks, np.linspace(0, 1, len(marks)))
     steps = np.rint(np.nan_to_num(share) * (NO_VALUE - 1))
     return np.where(np.isnan(values), NO_VALUE, steps).astype(np.uint8)
+
+
+def _classes(
+    results: ScanResults, space: LabelSpace, index: npt.NDArray[np.intp]
+) -> dict[str, npt.NDArray[np.uint8]]:
+    """Return train ids of label and truth, and the outcome: 0 not judged, 1 right, 2 wrong."""
+    classes: dict[str, npt.NDArray[np.uint8]] = {}
+    if results.label is not None:
+        classes["label"] = space.to_train(results.label[index], strict=False)
+    if results.truth is not None:
+        classes["truth"] = space.to_train(results.truth[index], strict=False)
+        if results.label is not None:
+            classes["wrong"] = np.nan_to_num(results.wrong(space)[index] + 1).astype(np.uint8)
+    return classes
