@@ -49,29 +49,10 @@ def write_pcd(path: Path, points: Array, scalars: Scalars, *, form: str = "binar
     return path
 
 
-def write_las(path: Path, points: Array, scalars: Scalars) -> Path:
-    """Write points (M, 3), in whole millimetres, and scalars (M,) as extra dimensions."""
-    import laspy
-
-    header = laspy.LasHeader(version="1.4", point_format=6)
-    header.scales = [0.001] * 3
-    extra = {name: values for name, values in scalars.items() if name != "classification"}
-    header.add_extra_dims([laspy.ExtraBytesParams(n, v.dtype) for n, v in extra.items()])
-    cloud = laspy.LasData(header)
-    cloud.x, cloud.y, cloud.z = np.asarray(points, np.float64).T
-    for name, values in scalars.items():
-        cloud[name] = values
-    path.parent.mkdir(parents=True, exist_ok=True)
-    cloud.write(path)
-    return path
-
-
 WRITERS: dict[str, Callable[[Path, Array, Scalars], Path]] = {
     "s.ply": write_ply,
     "S.PLY": partial(write_ply, text=True, kind="f8"),
     "s.pcd": write_pcd,
     "t.pcd": partial(write_pcd, form="ascii"),
-    "s.las": write_las,
-    "s.laz": write_las,
 }
 """Writers by the names of files."""

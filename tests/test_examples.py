@@ -299,7 +299,7 @@ def test_drive_map(drive, tmp_path, capsys):
     for change in (
         {"size": 0.0},
         {"target": tmp_path / "map.ply"},
-        {"target": tmp_path / "map.las"},
+        {"target": tmp_path / "map.pcd"},
         {"fused": tmp_path},
         {"scans": tmp_path / "fused"},
     ):

@@ -40,7 +40,7 @@ BOXES = {
     "labels": Box(0, 0, FILES, "labels"),
     "train": Box(1, 0, COMMAND, "train"),
     "weights": Box(2, 0, FILES, "weights"),
-    "scans": Box(0, 1, FILES, "scans", ".bin .pcd .ply .las …"),
+    "scans": Box(0, 1, FILES, "scans", ".bin .pcd .ply .npy …"),
     "project": Box(1, 1, COMMAND, "project"),
     "images": Box(2, 1, FILES, "range images"),
     "predict": Box(3, 1, COMMAND, "predict"),

@@ -144,8 +144,7 @@ def pick(
 
 def import_labels(
     edited: Path = argument(
-        "Labelled point cloud (.ply, .pcd, .las, .laz), .label or .npy file, or a "
-        "folder of such files.",
+        "Labelled point cloud (.ply, .pcd), .label or .npy file, or a folder of such files.",
         default=...,
         metavar="EDITED",
     ),

@@ -67,31 +67,28 @@ def _read_columns(function: str, path: Path, names: Names, intensity_scale: floa
 
 
 def _built_in(
-    suffixes: str, reader: str, *magic: bytes, labels: str = "", subset: str = "", **flags: bool
+    suffixes: str, reader: str, *magic: bytes, labels: bool = False, subset: str = "", **flags: bool
 ) -> Format:
     """Return a format by the names of functions: the reader returns a scan or its columns."""
     return Format(
         suffixes=tuple(suffixes.split()),
         read=partial(_call if ":read_" in reader else _read_columns, reader),
         magic=magic,
-        subset=partial(_call, f"subsets:{subset}") if subset else None,
-        label_columns=partial(_call, labels) if labels else None,
+        subset=partial(_call, f"subsets:{subset}_subset") if subset else None,
+        label_columns=partial(_call, reader) if labels else None,
         **flags,
     )
 
 
-BIN, PCD, PLY, LAS = "kitti:read_bin", "pcd:pcd_columns", "ply:ply_columns", "las:las_columns"
-NPY, NPZ, TEXT = "npy:npy_columns", "npy:npz_columns", "text:text_columns"
 FORMATS: Mapping[str, Format] = {
-    "bin": _built_in(".pcd.bin .bin", BIN, subset="bin_subset"),
-    "pcd": _built_in(".pcd", PCD, b"# .PCD", b"VERSION ", labels=PCD, subset="pcd_subset"),
-    "ply": _built_in(".ply", PLY, b"ply", labels=PLY, subset="ply_subset"),
-    "las": _built_in(".las .laz", "las:read_las", b"LASF", labels=LAS),
-    "xyz": _built_in(".xyz", TEXT, subset="text_subset"),
-    "npy": _built_in(".npy", NPY, b"\x93NUMPY", subset="npy_subset", is_table=True),
-    "npz": _built_in(".npz", NPZ, b"PK\x03\x04", subset="npz_subset", is_table=True),
+    "bin": _built_in(".pcd.bin .bin", "kitti:read_bin", subset="bin"),
+    "pcd": _built_in(".pcd", "pcd:pcd_columns", b"# .PCD", b"VERSION ", labels=True, subset="pcd"),
+    "ply": _built_in(".ply", "ply:ply_columns", b"ply", labels=True, subset="ply"),
+    "xyz": _built_in(".xyz", "text:text_columns", subset="text"),
+    "npy": _built_in(".npy", "npy:npy_columns", b"\x93NUMPY", subset="npy", is_table=True),
+    "npz": _built_in(".npz", "npy:npz_columns", b"PK\x03\x04", subset="npz", is_table=True),
     "feather": _built_in(".feather", "feather:feather_columns", b"ARROW1", b"FEA1", is_table=True),
-    "text": _built_in(".csv .txt .asc .pts", TEXT, subset="text_subset", is_table=True),
+    "text": _built_in(".csv .txt .asc .pts", "text:text_columns", subset="text", is_table=True),
 }
 """Built-in formats by name, in the order of precedence in a folder; plug-ins come last."""
 SCAN_SUFFIXES = tuple(suffix for form in FORMATS.values() for suffix in form.suffixes)
@@ -187,9 +184,8 @@ def read_scan(path: Path | str, sensor: Sensor | None = None) -> Scan:
     path : Path or str
         A file with the suffix of a format, or a scan of a recording as `find_scans` names it.
     sensor : Sensor, optional
-        Its `intensity_scale` divides the intensity, except where the type of the values
-        determines their range: bytes are divided by 255, those of LAS by 65535. Its `columns`
-        name the columns of files without names.
+        Its `intensity_scale` divides the intensity, except bytes, which are divided by 255. Its
+        `columns` name the columns of files without names.
 
     Returns
     -------

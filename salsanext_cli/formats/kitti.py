@@ -167,6 +167,7 @@ MAGIC = {
     b"#ROSBAG": ".bag",
     b"\x89MCAP0": ".mcap",
     b"ASTM-E57": "an E57 file",
+    b"LASF": "a LAS file",
     b"\x00\x01\x00\x00": "a message of ROS 2",  # in CDR, little endian
 }
 """Suffixes or names of other formats by their first bytes."""

@@ -25,7 +25,7 @@ LABEL_NAMES = (
     *("semantic", "semantics", "semantic_label", "sem_class", "sem_label", "segmentation"),
 )
 """Names of label scalars, in lower case, without the prefix."""
-OF_ASPRS = "classification"  # Scalar with classes of the ASPRS in LAS files
+OF_ASPRS = "classification"  # Scalar of LAS, with classes of the ASPRS
 ASPRS_CLASSES = range(2, 23)  # Classes that the ASPRS defines; 0 and 1 are unassigned
 PREFIX = "scalar_"  # Start of the names of scalars in files of CloudCompare
 NO_VALUE = np.iinfo(np.int64).min  # Id of a point without a value, which programs write as NaN
@@ -74,7 +74,7 @@ def _label_column(columns: Columns, scalar: str | None, path: Path) -> str:
             raise FormatError(path, f"{problem}: {listed(columns)}", f"one named {scalar}")
         return fitting[0]
     fitting = [name for name in columns if _plain(name) in LABEL_NAMES]
-    # Every LAS file has a classification, all 0 if nobody labelled it.
+    # Clouds converted from LAS have a classification, all 0 if nobody labelled them.
     used = [name for name in fitting if columns[name].any()] or fitting[:1]
     if not used:
         problem = f"has no label among the scalars {listed(columns)}"

@@ -110,7 +110,7 @@ def find_scans(
         if is_file and not recording_of(_absolute(source)) and not scan_suffix(source.name):
             suffix = source.suffix
             problem = f"{suffix} files are not supported" if suffix else "has no suffix"
-            hint = "convert it to .ply or .las, for example with CloudCompare or PDAL"
+            hint = "convert it to .ply with CloudCompare or PDAL: `pdal translate in.las out.ply`"
             if suffix == ".gz":
                 hint = "decompress it with gunzip"
             raise NoInputError(source, problem, f"one of {suffixes_in_words()}", hint)

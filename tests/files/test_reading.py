@@ -77,6 +77,14 @@ def test_errors_of_the_system_are_not_damage(tmp_path):
             raise error
 
 
+def test_a_panic_of_a_library_in_rust_is_damage(tmp_path):
+    panic = type("PanicException", (BaseException,), {})  # As PyO3 defines it
+    with pytest.raises(FormatError, match="no item"), refusing_damage(tmp_path, "a file"):
+        raise panic("no item")
+    with pytest.raises(KeyboardInterrupt), refusing_damage(tmp_path, "a file"):
+        raise KeyboardInterrupt
+
+
 @pytest.mark.parametrize(("name", "read"), [("a.bin", read_bin), ("a.label", read_labels)])
 def test_shorter_while_it_is_read(tmp_path, monkeypatch, name, read):
     """A program that rewrites the file truncates it for a moment."""

@@ -183,7 +183,6 @@ def test_real_scans_have_no_finding_without_reason(real_data):
     folders = ("semantickitti", "pandaset", "sensors")
     names = [p for f in folders for p in sorted((real_data / "data" / f).rglob("*.*"))]
     scans = [p for p in names if p.name.endswith(SCAN_SUFFIXES) and "five_columns_h" not in p.name]
-    scans = [path for path in scans if path.suffix != ".las"]
     trained = replace(sensor("hdl64-512"), intensity_quantiles=QUANTILES)
     found = {}
     for path in scans:

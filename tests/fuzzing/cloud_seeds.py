@@ -5,21 +5,11 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Mapping
-from pathlib import Path
 
 import numpy as np
 import pytest
-from edited_clouds import write_las
 
 Table = Mapping[str, np.ndarray]
-
-
-def las(folder: Path, table: Table) -> list[bytes]:
-    """Return a cloud of laspy, compressed and not."""
-    pytest.importorskip("laspy")
-    points = np.column_stack([table[axis] for axis in "xyz"])
-    paths = (folder / name for name in ("s.las", "s.laz"))
-    return [write_las(path, points, {"ring": table["ring"]}).read_bytes() for path in paths]
 
 
 def feather(table: Table) -> list[bytes]:

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import torch
 import yaml
-from cloud_seeds import feather, las, lines, npz, structured
+from cloud_seeds import feather, lines, npz, structured
 from edited_clouds import write_pcd
 from ouster_recordings import write_recording
 from scans import SMALL, make_scan
@@ -170,7 +170,6 @@ READERS: dict[str, Callable[[Path], Reader]] = {
         f"pcd {form}": lambda folder, form=form: Reader("s.pcd", _pcd(folder, form), _scan)
         for form in ("ascii", "binary", "binary_compressed")
     },
-    "las": lambda folder: Reader("a.las", las(folder, _table()), _scan),
     "npy of points": lambda _: Reader("s.npy", structured(_table()), _scan),
     "npz": lambda _: Reader("s.npz", npz(_table()), _scan),
     "feather": lambda _: Reader("s.feather", feather(_table()), _scan),

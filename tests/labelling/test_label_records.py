@@ -161,7 +161,7 @@ def test_names_and_folders_determine_the_scan(edited):
     for name, expected in (
         ("000011 - Cloud.ply", "08/000011"),
         ("000011_edited.PLY", "08/000011"),
-        ("my-000100.segmented.las", "00/000100"),
+        ("my-000100.segmented.pcd", "00/000100"),
         ("00/000010.label", "00/000010"),
         ("08/000010.label", "08/000010"),
         ("a/sequences/08/b/c/000010.label", "08/000010"),
@@ -200,10 +200,10 @@ def test_the_named_folder_may_be_a_sequence_and_one_file_of_one_scan_needs_no_na
 
 
 def test_files_with_labels_are_found_in_order(tmp_path, monkeypatch):
-    for name in ("b/2.ply", "b/1.LAZ", "a.npy", ".hidden.ply", ".x/1.ply", "1.bin", "c.label"):
+    for name in ("b/2.ply", "b/1.PCD", "a.npy", ".hidden.ply", ".x/1.ply", "1.bin", "c.label"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).touch()
-    expected = [tmp_path / name for name in ("a.npy", "b/1.LAZ", "b/2.ply", "c.label")]
+    expected = [tmp_path / name for name in ("a.npy", "b/1.PCD", "b/2.ply", "c.label")]
     assert find_edited(tmp_path) == expected
     monkeypatch.chdir(tmp_path)
     assert find_edited(Path()) == expected

@@ -12,6 +12,7 @@ from scans import refused, write_sequence
 
 from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.errors import NOTICE, NoInputError, OutputError, UsageError
+from salsanext_cli.labelling.edited_files import find_edited
 from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.results.paths import find_outputs, find_scans, output_path
 from salsanext_cli.results.selection import (
@@ -124,10 +125,19 @@ def test_sources_without_scans_are_refused(tmp_path: Path, source: str) -> None:
     refused(NoInputError, tmp_path / source, find_scans, tmp_path / source)
 
 
+@pytest.mark.parametrize("name", ["s.las", "S.LAZ"])
+def test_files_of_las_are_unsupported_and_to_be_converted(tmp_path: Path, name) -> None:
+    make(tmp_path, name)
+    error = refused(NoInputError, tmp_path / name, find_scans, tmp_path / name)
+    assert "pdal translate" in error.value.hint
+    refused(NoInputError, tmp_path, find_scans, tmp_path)
+    refused(NoInputError, tmp_path / name, find_edited, tmp_path / name)
+
+
 @pytest.mark.parametrize(
     ("names", "scans"),
     [
-        (["a.bin", "b.las", "c.npy", "d.csv", "notes.txt"], ["a", "b"]),
+        (["a.bin", "b.ply", "c.npy", "d.csv", "notes.txt"], ["a", "b"]),
         (["c.npy", "d.csv", "notes.txt"], ["c"]),
         (["d.npz", "d.csv", "notes.txt"], ["d"]),
         (["d.csv", "notes.txt"], ["d"]),
