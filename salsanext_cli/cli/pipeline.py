@@ -219,7 +219,6 @@ def _refuse_options_of_points(extras: Extras, knn: KnnParameters, batch: int | N
 def knn_refine(
     out: Path = arguments.RESULTS,
     *,
-    labels: Path | None = option("Refine the .label files of this folder instead, of any program."),
     dataset: Path | None = arguments.DATASET_OF_RESULTS,
     selection: ScanSelection,
     label_space: str | None = arguments.LABEL_SPACE,
@@ -234,7 +233,7 @@ def knn_refine(
     strict: bool = arguments.STRICT,
     output: console.Output,
 ) -> None:
-    """Assign labels of pixels to points, or correct labels of points, by nearest neighbours.
+    """Assign labels of pixels to points by a vote of the nearest neighbours.
 
     Example: salsanext knn-refine out/
     """
@@ -247,7 +246,6 @@ def knn_refine(
     with over_scans("knn-refine", running, output.quiet) as run:
         outcome = knn_refine_scans(
             out,
-            labels=labels,
             dataset=dataset,
             sensor=named,
             space=named_label_space(label_space),

@@ -66,7 +66,6 @@ class PointChoice:
         metavar="CLASSES",
     )
     max_error: float | None = option("Drop points whose probability of error is above this.")
-    indices: bool = option("Write masks of the accepted points (.npy) instead.", default=False)
 
 
 def filter_command(

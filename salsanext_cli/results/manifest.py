@@ -123,7 +123,6 @@ class StageSettings:
     samples: int | None = None
     seed: int | None = None
     noise: tuple[float, float] | None = None
-    labels: str | None = None  # Folder of the pixel labels of `knn-refine`, absolute
     reach: FusionReach | None = None
     fused_of: str | None = None  # Folder of the labels of single scans, relative to fused labels
     colours: tuple[str, ...] | None = None  # Values in pictures, and ends of their scales
@@ -300,7 +299,8 @@ class Manifest:
     def _network_of(self, folder: str) -> StageSettings | None:
         """Return the settings of the stage that ran the network for a folder of results."""
         settings = self.settings_of(folder)
-        if settings and self.owner(folder) == "knn-refine" and settings.labels is None:
+        # Without origins, an earlier version refined labels of another program.
+        if settings and settings.origins is not None and self.owner(folder) == "knn-refine":
             return self._network_of("pixel_labels")
         return settings
 

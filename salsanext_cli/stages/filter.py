@@ -27,7 +27,6 @@ from salsanext_cli.results.manifest import (
     require_same_settings,
     settings_json,
 )
-from salsanext_cli.results.output_run import encode_array
 from salsanext_cli.results.owned_folder import OwnedFolder, foreign_file
 from salsanext_cli.results.paths import (
     ERROR,
@@ -41,8 +40,6 @@ from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import ChosenResults, ResultFolder, read_kind
 from salsanext_cli.sensors.sensor import Sensor
 
-MASKS = "masks"  # Folder of a sequence with masks of the points of its scans
-CONVERT = "run `salsanext convert {} DATA`, then predict and filter DATA; or use --indices"
 Count = tuple[str, int, int]  # Name of a scan, number of its points, and of the remaining ones
 
 log = logging.getLogger(__name__)
@@ -54,7 +51,6 @@ class FilterSettings(StageSettings):
 
     results: str  # Absolute path of the folder of the labels
     classes: tuple[str, ...]  # Classes whose points remain
-    indices: bool
     # Whether only measurements of the scene remain, as without `MOVING` classes
     measured_only: bool | None = None
 
@@ -72,10 +68,8 @@ class PointFilter:
     foreign: frozenset[Path] = frozenset()  # Files that are not as salsanext wrote them
 
     def path(self, file: ScanFile) -> Path:
-        """Return the path of the remaining points of a scan, or of their mask."""
-        is_mask = self.settings.indices
-        folder, name = (MASKS, f"{file.stem}.npy") if is_mask else (SCAN_FOLDER, file.path.name)
-        return self.owned.root / "sequences" / file.sequence / folder / name
+        """Return the path of the remaining points of a scan."""
+        return self.owned.root / "sequences" / file.sequence / SCAN_FOLDER / file.path.name
 
     def mask(self, file: ScanFile) -> Mask:
         """Return the mask (N,) of the remaining points of a scan."""
@@ -83,13 +77,11 @@ class PointFilter:
         if not present(path):
             raise self.results.missing_column("label", file)
         settings = self.settings
-        # If the scan is not written, nothing else compares the number of its points.
-        is_read = settings.indices or settings.measured_only
-        scan = read_scan(file.path, self.sensor) if is_read else None
+        scan = read_scan(file.path, self.sensor) if settings.measured_only else None
         labels = read_labels(path, None if scan is None else len(scan))
         train = self.space.to_train(labels, source=path)
         remains = self.selected[train]
-        if scan is not None and settings.measured_only:
+        if scan is not None:
             remains &= measured_ranges(without_ego(scan, sensor_of(scan, self.sensor)).points)[1]
         if settings.max_error is not None:
             errors = output_path(self.results.root, file.sequence, ERROR, file.stem)
@@ -106,10 +98,8 @@ class PointFilter:
     def write(self, file: ScanFile) -> Count:
         """Write the points; return the name of the scan and its points before and after."""
         mask, path = self.mask(file), self.path(file)
-        is_mask = self.settings.indices
-        encode = encode_array if is_mask else subsets_of(file.path, self.sensor.columns)
-        content = encode(mask)
-        if is_mask or mask.any():
+        content = subsets_of(file.path, self.sensor.columns)(mask)
+        if mask.any():
             if path in self.foreign:
                 raise foreign_file(path)
             self.owned.write(path, content)
@@ -125,7 +115,6 @@ def filter_scans(
     drop: Collection[str] = (),
     keep: Collection[str] = (),
     max_error: float | None = None,
-    indices: bool = False,
     query: ResultQuery = ResultQuery(),
     options: RunOptions = RunOptions(),
 ) -> Outcome:
@@ -141,8 +130,6 @@ def filter_scans(
         Classes as of `named_classes` that are removed, or that alone remain.
     max_error : float, optional
         Largest probability of error of the remaining points.
-    indices : bool
-        Whether to write masks (N,) bool instead of scans.
     query : ResultQuery
         Data set, label space and selection of scans.
     options : RunOptions
@@ -153,7 +140,7 @@ def filter_scans(
     Outcome
         Numbers of the run.
     """
-    task, chosen = _point_filter(out, folder, drop, keep, max_error, indices=indices, query=query)
+    task, chosen = _point_filter(out, folder, drop, keep, max_error, query)
     counts = list[Count]()
     with ExitStack() as stack:
         with task.owned.locked_records():
@@ -176,8 +163,6 @@ def _point_filter(
     drop: Collection[str],
     keep: Collection[str],
     max_error: float | None,
-    *,
-    indices: bool,
     query: ResultQuery,
 ) -> tuple[PointFilter, ChosenResults]:
     """Return the filter of the options of `filter_scans`, and the chosen scans; refuse others."""
@@ -191,13 +176,13 @@ def _point_filter(
     selected = named_classes(keep or space.names, space) & ~named_classes(drop, space)
     if max_error is not None and not with_outputs(scans, out, ERROR):
         raise results.missing_column("error", scans[0])
-    if recording := None if indices else recording_of(scans[0].path):
-        problem, hint = "is a recording, which `filter` cannot write", CONVERT.format(recording)
+    if recording := recording_of(scans[0].path):
+        hint = f"run `salsanext convert {recording} DATA`, then predict and filter DATA"
+        problem = "is a recording, which `filter` cannot write"
         raise UsageError(recording, problem, "files of scans", hint)
     settings = FilterSettings(
         results=str(out.absolute()),
         classes=tuple(np.array(space.names)[selected].tolist()),
-        indices=indices,
         measured_only=MOVING in drop or None,
         max_error=max_error,
         label_space=space,

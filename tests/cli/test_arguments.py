@@ -98,6 +98,8 @@ def test_a_named_sensor_sets_its_device_and_nothing_of_the_training(tmp_path):
         "tune error data tuned.safetensors --limit 5",
         "eval --split valid --out out",
         "filter out --split --to split",
+        "filter out --indices --to masks",
+        "knn-refine out --labels theirs",
         "export-rrd out/",
     ],
 )

@@ -93,7 +93,7 @@ def test_columns_are_those_of_the_scans_in_every_stage(run, data, weights, tmp_p
         ("project", data, steps, *named),
         ("predict", steps, steps, *network, "--sensor", sensor),
         ("knn-refine", steps),
-        ("knn-refine", tmp_path / "again", "--labels", out, "--dataset", data, *named),
+        ("knn-refine", steps, "--overwrite", "--dataset", data, *named),
     ):
         run(*arguments, status=0)
     for refined in (out, steps):

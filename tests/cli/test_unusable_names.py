@@ -16,7 +16,6 @@ COMMANDS = [
     (("train", LONG, "{out}"), 1),
     (("train", "{data}", "{out}", "--recipe", LONG), 2),
     (("knn-refine", LONG), 1),
-    (("knn-refine", "{out}", "--labels", LONG, "--dataset", "{data}"), 1),
     (("eval", LONG), 1),
     (("eval", "{out}", "--label-space", LONG), 2),
     (("export-ply", LONG), 1),

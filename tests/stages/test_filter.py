@@ -106,11 +106,16 @@ def test_points_above_an_error_go(apply, world, tmp_path):
     assert [failure.scan.stem for failure in outcome.failures] == ["000001"]
 
 
-def test_masks_in_the_place_of_scans(apply, tmp_path):
-    apply(indices=True, keep=["car"])
-    masks = [np.load(tmp_path / f"to/sequences/08/masks/00000{i}.npy") for i in (0, 1)]
-    assert [mask.tolist() for mask in masks] == [[True] + 6 * [False], 4 * [False]]
-    assert masks[0].dtype == bool
+def test_masks_of_an_earlier_version_are_replaced_only_if_wanted(apply, tmp_path):
+    mask = tmp_path / "to/sequences/08/masks/000000.npy"
+    settings = {"results": "out", "classes": ["car"], "indices": True}
+    Manifest(tmp_path / "to").write(StageRecord("filter", settings))
+    OwnedFolder(tmp_path / "to", "filter").write(mask, b"mask")
+    with pytest.raises(OutputError, match="indices was true and is not set"):
+        apply(keep=["car"])
+    assert mask.exists()
+    assert apply(keep=["car"], options=RunOptions(overwrite=True)).done == 2
+    assert (remaining(tmp_path), mask.exists()) == ([0], False)
 
 
 def test_a_scan_without_remaining_points_is_a_warning(apply, tmp_path, caplog):
@@ -191,7 +196,7 @@ def test_scans_that_changed_or_lack_labels_fail_alone(apply, world, tmp_path):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_bag_is_refused_but_for_masks(tmp_path, kind):
+def test_a_bag_is_refused(tmp_path, kind):
     """Three clouds, of which the last two have one time."""
     points = structured(6)
     times = [START, START + STEP, START + STEP]
@@ -206,9 +211,6 @@ def test_a_bag_is_refused_but_for_masks(tmp_path, kind):
     assert (caught.value.subject, caught.value.code) == (str(source.parent), "usage")
     assert f"`salsanext convert {source.parent} DATA`" in str(caught.value.hint)
     assert not (tmp_path / "to").exists()
-    assert call(query=ResultQuery(source), indices=True).accepted_points == (18, 12)
-    mask = np.load(tmp_path / f"to/sequences/drive/masks/{START}.npy")
-    assert mask.tolist() == [False, True, False, True, True, True]
 
 
 def test_classes_are_those_of_the_label_space():
