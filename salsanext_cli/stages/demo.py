@@ -62,7 +62,6 @@ def demo(
     Returns
     -------
     Demonstration
-        Scores and paths.
     """
     data, out = folder / "data", folder / "out"
     method, valid = UncertaintyMethod(samples=samples), ScanSelection(split="valid")

@@ -135,7 +135,6 @@ def evaluate(
     Returns
     -------
     Evaluation
-        Scores, and skipped scans.
     """
     folder = out / "eval" / part if part else out
     paths = [folder / name for name in FILES]
@@ -149,10 +148,9 @@ def evaluate(
     comparison = ScanComparison.of_results(results, space, labels, by_distance=by_distance)
     evaluation = _evaluation(results, comparison, scans, options, as_json(settings), folder)
     counts, guarantee = evaluation.counts, evaluation.guarantee
-    for text in counts.label_warnings(space):
+    exceeded = guarantee.warning if guarantee else ""
+    for text in filter(None, [*counts.label_warnings(space), exceeded]):
         log.warning("%s", text)
-    if guarantee and guarantee.warning:
-        log.warning("%s", guarantee.warning)
     compared = counts.scans + len(evaluation.failures) + len(counts.missing)
     evaluation.missing.log_error(compared, "predictions")
     files = {folder / name: content for name, content in evaluation.files().items()}

@@ -74,7 +74,6 @@ def export_ply(
     Returns
     -------
     Outcome
-        Numbers of written and skipped scans, and the failures.
     """
     require_colouring([colour], scale)
     results = ResultFolder(out, query.dataset)

@@ -130,15 +130,12 @@ def filter_scans(
         Classes as of `named_classes` that are removed, or that alone remain.
     max_error : float, optional
         Largest probability of error of the remaining points.
-    query : ResultQuery
-        Data set, label space and selection of scans.
-    options : RunOptions
-        Workers, and what to do with existing results and errors.
+    query, options
+        Choice of scans, data set and classes; workers, and what to do with existing results.
 
     Returns
     -------
     Outcome
-        Numbers of the run.
     """
     task, chosen = _point_filter(out, folder, drop, keep, max_error, query)
     counts = list[Count]()

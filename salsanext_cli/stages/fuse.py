@@ -203,15 +203,12 @@ def fuse_results(
         Poses of the one sequence; by default those in its folder, else they are computed.
     reach : FusionReach
         Scans that vote.
-    query : ResultQuery
-        Data set and selection of scans.
-    options : RunOptions
-        Workers, and what to do with existing results and errors.
+    query, options
+        Choice of scans and data set; workers, and what to do with existing results.
 
     Returns
     -------
     Outcome
-        Numbers of the run.
     """
     if (target := target or out / FUSED).resolve() == out.resolve():
         raise UsageError("TARGET", f"{target} has the labels of single scans", "another folder")

@@ -85,10 +85,8 @@ def inspect(
         Sensor of the range images.
     space : LabelSpace, optional
         Label space of the labels; by default that of the data set.
-    selection : ScanSelection
-        Scans to survey.
-    options : RunOptions
-        Workers, and what to do with errors.
+    selection, options
+        Choice of scans; workers, and what to do with errors.
     fit : bool
         Whether to fit the sensor to the scans, as `predict` does.
     images : bool
@@ -98,7 +96,6 @@ def inspect(
     Returns
     -------
     Inspection
-        Surveys, sensor and warnings.
 
     Raises
     ------

@@ -87,15 +87,12 @@ def knn_refine_scans(
         Sensor of the range images and label space; by default as recorded in `out`.
     knn : KnnParameters
         Neighbourhood.
-    selection : ScanSelection
-        Scans to refine.
-    options : RunOptions
-        Workers, and what to do with existing results and errors.
+    selection, options
+        Choice of scans; workers, and what to do with existing results.
 
     Returns
     -------
     Outcome
-        Numbers of the run.
     """
     results = ResultFolder(out)
     if results.rejection("pixel_labels"):

@@ -74,7 +74,6 @@ def picture(
     Returns
     -------
     Outcome
-        Numbers of drawn and skipped scans, and the failures.
     """
     require_colouring(colours, scale)
     if scale and (len(colours) != 1 or {*colours} & {*CLASS_COLOURS}):

@@ -63,15 +63,12 @@ def project_scans(
         Sensor of the range images.
     fit : bool
         Whether to fit the field of view and the mounting to the scans.
-    selection : ScanSelection
-        Scans to project.
-    options : RunOptions
-        Workers, and what to do with existing results and errors.
+    selection, options
+        Choice of scans; workers, and what to do with existing results.
 
     Returns
     -------
     Outcome
-        Numbers of the run.
     """
     listed = scans_of(source)
     scans = choose(listed, selection, space_of(listed), source)

@@ -80,7 +80,6 @@ def report(
     Returns
     -------
     Report
-        The page and its numbers.
     """
     page = out / PAGE
     OwnedFolder(out).refuse_foreign([page])

@@ -91,7 +91,6 @@ def submit(
     Returns
     -------
     Submission
-        Numbers of the written file.
     """
     require_target(target, overwrite, ".zip")
     files = find_outputs(out, "predictions")
