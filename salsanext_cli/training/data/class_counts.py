@@ -160,9 +160,7 @@ def _cached(
         return None
 
 
-def data_digest(
-    sources: Sequence[Source], validated: Sequence[ScanFile] = (), also: float = 0.0
-) -> str:
+def data_digest(sources: Sequence[Source], validated: Sequence[ScanFile], also: float) -> str:
     """Return a digest of all that class counts depend on, such as sizes and times of files."""
     settings: list[Any] = [also]
     for source in sources:

@@ -6,7 +6,8 @@ Recipe and position in the training seed the generator of each sample.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
+from functools import lru_cache
+from itertools import count, islice
 from typing import Any
 
 import numba
@@ -73,16 +74,14 @@ class SamplingPlan:
         for _ in range(first_step, self.steps):
             yield list(islice(keys, self.recipe.batch))[group.rank :: group.size]
 
-    def _keys(self, position: int) -> Iterator[SampleKey]:
+    def _keys(self, start: int) -> Iterator[SampleKey]:
         """Yield keys endlessly from a position of the whole training."""
-        orders: dict[int, tuple[int, list[int]]] = {}
-        while True:
+        # Each data set is in one round at a time.
+        order = lru_cache(len(self.scan_counts))(self._order)
+        for position in count(start):
             source, draw = self._draw(position)
             number, index = divmod(draw, self.scan_counts[source])
-            if orders.get(source, (-1, []))[0] != number:
-                orders[source] = number, self._order(source, number)
-            yield position, orders[source][1][index]
-            position += 1
+            yield position, order(source, number)[index]
 
     def _draw(self, position: int) -> tuple[int, int]:
         """Return the data set of a position, and the number of draws from it before."""

@@ -94,8 +94,6 @@ def training_sources(sources: Sequence[Source], *, fit: bool, jobs: int = 1) -> 
 
 def fitted_source(source: Source, jobs: int = 1) -> Source:
     """Return a source with the sensor of each sequence fitted to its scans, as `predict` does."""
-    if not source.files:
-        return source
     sequences = {name: list(files) for name, files in groupby(source.files, lambda f: f.sequence)}
 
     def fit(files: Sequence[ScanFile]) -> Sensor:

@@ -53,7 +53,7 @@ def fit_dropout(scans: TuningScans, samples: int = SAMPLES) -> Tuned:
     network = scans.network
     candidates = [with_dropout(network, rate) for rate in rates]
 
-    def objectives_of(scan: LabelledImage) -> list[float]:
+    def objectives_of(scan: LabelledImage) -> tuple[list[float], int]:
         noise = scan.of_points(aleatoric(scan.network, scan.image))
         masks, values = scan_seed(0, scan.file.sequence, scan.file.stem), list[float]()
         for candidate in candidates:
@@ -63,13 +63,9 @@ def fit_dropout(scans: TuningScans, samples: int = SAMPLES) -> Tuned:
             probabilities = scan.of_points(sampled.probabilities)
             values.append(objective(probabilities, variance, scan.truth))
         log.info("%s: %d points", scan.file.name, len(scan.truth))
-        return values
+        return values, len(scan.truth)
 
-    job = Steps(
-        scans.read,
-        lambda images: [*map(objectives_of, images)],
-        lambda image, values: (values, len(image.truth)),
-    )
+    job = Steps(scans.read, lambda images: [*map(objectives_of, images)], lambda _, result: result)
     sums, counts = map(np.array, zip(*scans.run(job).values(), strict=True))
     points = int(counts.sum())
     scans.require_points(points)
@@ -80,10 +76,8 @@ def fit_dropout(scans: TuningScans, samples: int = SAMPLES) -> Tuned:
     best = int(np.argmin(objectives))
     changed = not before or _gains(scans.files, sums, rates.index(before))
     if changed and rates[best] in (RATES[0], RATES[-1]):
-        log.warning(
-            "the best rate, %g, is at an end of the range: a better one may lie beyond it",
-            rates[best],
-        )
+        text = "the best rate, %g, is at an end of the range: a better one may lie beyond it"
+        log.warning(text, rates[best])
     report = {
         "before": before,
         "best": rates[best] if changed else before,
