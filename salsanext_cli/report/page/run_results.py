@@ -278,7 +278,7 @@ def _weights(records: Manifest) -> str:
     with suppress(SalsanextError):
         if fingerprint(path) == sha256:
             card = read_card(path)
-            text = re.sub(r"See docs/\S+ (.)", lambda rest: rest[1].upper(), card.description)
+            text = re.sub(r"See \S+\.md; (.)", lambda rest: rest[1].upper(), card.description)
             name = card.named(path) if card.version else f"default weights, {name}"
             return f"{name}. {text.replace('`', '')}"
     return f"{name}, not the default weights; salsanext models FILE describes them"
