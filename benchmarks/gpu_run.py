@@ -8,7 +8,7 @@ the others. OUT gets at most eight files: ``run.log`` with all that was printed,
 with all figures, and those of the training (`gpu_train.py`). `pack.py` packs real scans.
 
 Run: python benchmarks/gpu_run.py OUT [--minutes 9] [--parts tests,speed,training,train]
-     [--device cuda] [--weights FILE] [--pack pack.npz] [--set batch=32] [--small]
+     [--device cuda] [--weights FILE] [--pack pack.npz] [--seed 0] [--set batch=32] [--small]
 """
 
 import argparse
@@ -130,7 +130,7 @@ def work(given: argparse.Namespace) -> int:
             import gpu_train
 
             how = {"pack": given.pack, "changes": given.set, "small": given.small}
-            gpu_train.train(figures, given.out, scratch, weights, **how)
+            gpu_train.train(figures, given.out, scratch, weights, seed=given.seed, **how)
     except Exception:  # noqa: BLE001 - whatever it is, the log has it
         traceback.print_exc()
         return 1
@@ -171,6 +171,7 @@ def main(*words: str) -> int:
     parser.add_argument("--device", default="cuda")
     parser.add_argument("--weights", type=Path, help="begin with these; default: the package's")
     parser.add_argument("--pack", type=Path, help="real scans to train on, of pack.py")
+    parser.add_argument("--seed", type=int, default=0, help="of the scenes, with the next two")
     parser.add_argument("--set", action="append", default=[], help="key=value of the recipe")
     parser.add_argument("--small", action="store_true", help="tiny images, to check the script")
     # Of the process of one part

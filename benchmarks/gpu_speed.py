@@ -29,9 +29,9 @@ SAMPLES = 30  # Monte-Carlo passes of a scan
 FEWEST = 2  # Passes in a small run
 WIDTHS = (512, 2048)
 BATCHES = (1, 4, 16)
-RUNS = ((1, 1), (4, 1), (16, 1), (None, 1), (None, 2), (None, 4))
+RUNS = ((1, 1), (4, 1), (16, 1), (None, 1), (None, 8))
 """Batch, None for the default, and workers of each run over a folder."""
-SCANS_OF_RUN = 256
+SCANS_OF_RUN = 256  # For each worker
 SECONDS_OF_RUN = 12.0  # Least time that is left for a run
 
 
@@ -101,15 +101,15 @@ def forward(module: torch.nn.Module, images: torch.Tensor) -> Callable[[], objec
 
 def measure_runs(figures: Figures, weights: Path, scans: list[Path], count: int) -> None:
     """Measure runs of `predict` over a folder, files to labels, in scans a second."""
-    folder = scans[0].parents[1] / "copies"
-    folder.mkdir()
-    for number in range(count):
-        os.link(scans[number % len(scans)], folder / f"{number:06}.bin")
     settings = NetworkSettings(weights, figures.device, precision="auto", engine="torch")
     for batch, jobs in RUNS:
         name = f"predict, --batch {batch or 'auto'} --jobs {jobs}"
         if not figures.has_time_for(name, SECONDS_OF_RUN):
             continue
+        folder = scans[0].parents[1] / f"copies-{batch}-{jobs}"
+        folder.mkdir()
+        for number in range(count * jobs):
+            os.link(scans[number % len(scans)], folder / f"{number:06}.bin")
         marks: list[float] = []
         options = RunOptions(jobs=jobs, progress=lambda *_, m=marks: m.append(time.monotonic()))
         with tempfile.TemporaryDirectory() as out, utilisation(figures.device) as used:
@@ -121,8 +121,7 @@ def measure_runs(figures: Figures, weights: Path, scans: list[Path], count: int)
         if result.failures:
             raise RuntimeError(f"{name}: {result.failures[0].reason}")
         share = f", GPU {statistics.fmean(used):.0f} %" if used else ""
-        figures.add(f"{name}, with its start", count / elapsed, f"scans/s{share}")
-        if jobs == 1:  # Several workers report many scans at once
-            warm = count // 4  # Whole batches, which pay for loading the network
-            rate = (count - warm) / max(marks[-1] - marks[warm - 1], 1e-9)
-            figures.add(f"{name}, the later scans", rate, "scans/s")
+        figures.add(f"{name}, with its start", len(marks) / elapsed, f"scans/s{share}")
+        warm = len(marks) // 4  # Whole batches, which pay for loading the network
+        rate = (len(marks) - warm) / max(marks[-1] - marks[warm - 1], 1e-9)
+        figures.add(f"{name}, the later scans", rate, "scans/s")

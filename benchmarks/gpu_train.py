@@ -142,6 +142,7 @@ def train(
     scratch: Path,
     weights: Path,
     *,
+    seed: int = 0,
     pack: Path | None = None,
     changes: Sequence[str] = (),
     small: bool = False,
@@ -154,7 +155,7 @@ def train(
     sensor = read_card(weights).sensor
     module, card = initial_network(weights, label_space(), recipe, sensor)
     numbers = {"scans": 2, "validation": 1} if small else {}
-    pool = ScenePool(scratch / "scenes", sensor, **numbers)
+    pool = ScenePool(scratch / "scenes", sensor, seed, **numbers)
     # Processes that start from here on have one thread each.
     os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"))
     loaders = 0 if small else max(1, cores // 2)

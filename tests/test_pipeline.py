@@ -123,11 +123,20 @@ def test_the_default_weights_label_unseen_scenes(tmp_path, scenes):
 
 
 @pytest.mark.real
-def test_noise_is_a_warning(real_data, tmp_path):
+@pytest.mark.parametrize(("classes", "code"), [(None, "one-class"), ("coarse", "low-confidence")])
+def test_noise_is_a_warning(real_data, tmp_path, classes, code):
     scan = read_scan(real_data / "data/semantickitti/sequences/00/velodyne/000000.bin")
     noise = np.random.default_rng(0).normal(0, 1, scan.points.shape).astype(np.float32)
     write_bin(tmp_path / "scans/street.bin", scan)
     write_bin(tmp_path / "scans/noisy.bin", replace(scan, points=scan.points + noise))
-    outcome = predict_scans(tmp_path / "scans", tmp_path / "out")
+    settings = NetworkSettings(classes=label_space(classes) if classes else None)
+    outcome = predict_scans(tmp_path / "scans", tmp_path / "out", settings=settings)
     doubted = {warning.code: warning.scans for warning in outcome.summary.warnings()}
-    assert doubted == {"one-class": ["scans/noisy"]}
+    assert doubted == {code: ["scans/noisy"]}
+
+
+@pytest.mark.real
+def test_a_hall_has_labels_of_low_confidence(real_data, tmp_path):
+    (scan,) = (real_data / "data/reported/indoor/pandar64_hall").iterdir()
+    outcome = predict_scans(scan, tmp_path / "out")
+    assert "low-confidence" in {warning.code for warning in outcome.summary.warnings()}

@@ -18,7 +18,7 @@ from salsanext_cli.errors import UsageError, first_few
 
 MIN_MERGED_CLASSES = 2
 """Least number of classes after merging, ignored ones aside."""
-MOVING = "moving"  # Name of all movable classes
+MOVABLE = "moving"  # Name of all movable classes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,10 +108,10 @@ def contradiction(space: LabelSpace, merged: LabelSpace) -> str:
 
 
 def named_classes(names: Collection[str], space: LabelSpace) -> npt.NDArray[np.bool_]:
-    """Return the mask (C,) of the train ids of classes, coarse classes or `MOVING`, by name."""
-    known: dict[str, npt.NDArray[np.bool_]] = {MOVING: space.movable}
-    if MOVING in names:
-        space.require_movable(f"class {MOVING}")
+    """Return the mask (C,) of the train ids of classes, coarse classes or `MOVABLE`, by name."""
+    known: dict[str, npt.NDArray[np.bool_]] = {MOVABLE: space.movable}
+    if MOVABLE in names:
+        space.require_movable(f"class {MOVABLE}")
     coarse = label_space("coarse")
     if not contradiction(space, coarse):
         groups = zip(coarse.names, ClassMerging.between(space, coarse).groups, strict=True)

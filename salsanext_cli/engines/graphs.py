@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Parts of a network as OpenVINO graphs: traced once, compiled for this CPU, stored in the cache.
+"""Parts of a network as OpenVINO graphs: traced once, perhaps in int8, compiled and stored.
 
 OpenVINO's front end converts the torch module in this process, without the command-line converter,
 which reports its use. A graph in the cache is loaded without torch.

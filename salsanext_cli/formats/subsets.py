@@ -32,7 +32,7 @@ def subsets_of(path: Path, names: tuple[str, ...] = ()) -> Subset:
     """
     form = format_of(path.name)
     if form is None or form.subset is None:
-        expected, hint = "another format, such as .ply", "convert the scans first"
+        expected, hint = "another format, such as .ply", "write the scans as .bin or .npy first"
         raise FormatError(path, "is of a format that cannot be written", expected, hint)
     with errors_of_plug_ins(path):
         subset = form.subset(path, names)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -19,11 +20,12 @@ from salsanext_cli.formats.npy import read_integers
 from salsanext_cli.geometry.label_transfer import TOLERANCE_M, LabelTransfer, transfer_labels
 from salsanext_cli.labelling.label_records import ImportedScan
 from salsanext_cli.records import Float
-from salsanext_cli.results.paths import ScanFile, counted_by_suffix
+from salsanext_cli.results.paths import HINTS, OF_LAS, ScanFile, counted_by_suffix
 
 LABEL_SUFFIXES = (".label", ".npy")  # Files with one label per point and no coordinates
 MAX_UNMATCHED = 0.01  # Largest share of the points of a cloud that are not in the scan
 ROUNDED_M = 0.05  # Below it, coordinates were probably rounded; other scans are farther away
+log = logging.getLogger(__name__)
 
 
 def find_edited(source: Path) -> list[Path]:
@@ -43,6 +45,8 @@ def find_edited(source: Path) -> list[Path]:
     if not edited:
         others = f", but {counted_by_suffix(files)}" if files else ""
         raise NoInputError(source, f"contains no labels{others}", expected)
+    if ignored := [path for path in files if HINTS.get(path.suffix.lower()) == OF_LAS]:
+        log.warning("%s: skipped %s; %s", source, counted_by_suffix(ignored), OF_LAS)
     return edited
 
 

@@ -33,8 +33,9 @@ FEW_CLASSES, MAX_SHARE_OF_FEW = 10, 0.85
 """The same for at most so many classes, as in `coarse`; right settings gave at most 0.67."""
 MIN_CLASSES = 5
 """One of fewer classes may cover a whole scan. Both numbers include the class "unlabelled"."""
-MIN_CONFIDENCE = 0.575  # Least usual mean of a scan; weights version 4 had 0.58 or more in cities
-USUAL = "check the sensor and its settings; the default weights have 0.62 or more in cities"
+MIN_CONFIDENCE, MIN_OF_FEW = 0.575, 0.74
+"""Least usual mean of a scan; cities had 0.62 or more, and 0.79 or more in `coarse`."""
+USUAL = "check the sensor and its settings"
 APART = "put the scans of each sensor into a separate folder"
 LOOK = "look at the labels: `salsanext export-ply OUT`"
 log = logging.getLogger(__name__)
@@ -85,7 +86,7 @@ def _label_findings(points: Counts, confidence: float, space: LabelSpace) -> Ite
         if total >= MIN_TRAIT_POINTS and points[largest] > most * total:
             share = f"{points[largest] / total:.0%} of the points are {space.names[largest]}"
             yield Finding("one-class", share, LOOK)
-    if not few and confidence < MIN_CONFIDENCE:
+    if confidence < (MIN_OF_FEW if few else MIN_CONFIDENCE):
         mean = f"the labels have a mean probability of {confidence:.2f}"
         yield Finding("low-confidence", mean, f"{USUAL}; {LOOK}")
 

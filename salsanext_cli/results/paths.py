@@ -41,6 +41,8 @@ SUFFIX_OF_FOLDER = {
     **{f"ply/{name}": ".ply" for name in COLOURINGS},
 }
 """Folders of a sequence in an output folder, and the suffix of the files in each."""
+OF_LAS = "convert it to .ply: `pdal translate in.las out.ply`"
+HINTS = {".gz": "decompress it with gunzip", ".las": OF_LAS, ".laz": OF_LAS}  # On other suffixes
 SCAN_FOLDER = "velodyne"
 
 
@@ -110,9 +112,7 @@ def find_scans(
         if is_file and not recording_of(_absolute(source)) and not scan_suffix(source.name):
             suffix = source.suffix
             problem = f"{suffix} files are not supported" if suffix else "has no suffix"
-            hint = "convert it to .ply with CloudCompare or PDAL: `pdal translate in.las out.ply`"
-            if suffix == ".gz":
-                hint = "decompress it with gunzip"
+            hint = HINTS.get(suffix.lower(), "convert it to .ply, for example with CloudCompare")
             raise NoInputError(source, problem, f"one of {suffixes_in_words()}", hint)
         scans = sorted(_scans_of(_absolute(source)))
         others = names_in(source) if not scans and source.is_dir() else []

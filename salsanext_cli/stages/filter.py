@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.classes.merging import MOVING, named_classes
+from salsanext_cli.classes.merging import MOVABLE, named_classes
 from salsanext_cli.errors import UsageError, counted, first_few
 from salsanext_cli.files.reading import filled, present
 from salsanext_cli.formats import read_scan
@@ -51,7 +51,7 @@ class FilterSettings(StageSettings):
 
     results: str  # Absolute path of the folder of the labels
     classes: tuple[str, ...]  # Classes whose points remain
-    # Whether only measurements of the scene remain, as without `MOVING` classes
+    # Whether your own vehicle and points without a measurement go too
     measured_only: bool | None = None
 
 
@@ -180,7 +180,7 @@ def _point_filter(
     settings = FilterSettings(
         results=str(out.absolute()),
         classes=tuple(np.array(space.names)[selected].tolist()),
-        measured_only=MOVING in drop or None,
+        measured_only=MOVABLE in drop or None,
         max_error=max_error,
         label_space=space,
         origins=results.origins(PREDICTION_STAGES),

@@ -264,12 +264,8 @@ def require_fusable(source: Path | Sequence[Path], out: Path, options: RunOption
 
     Parameters
     ----------
-    source : Path or sequence of Path
-        Scans to predict.
-    out : Path
-        Output folder, for the hint.
-    options : RunOptions
-        Options of the run.
+    source, out, options
+        Scans to predict, output folder for the hint, and options of the run.
 
     Raises
     ------

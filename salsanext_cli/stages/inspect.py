@@ -184,10 +184,8 @@ def write_sensor(
         File to write.
     sensor : Sensor
         Sensor to write.
-    images : bool
-        Whether to write the size and normalisation of the images too.
-    overwrite : bool
-        Whether to replace an existing file.
+    images, overwrite : bool
+        Whether to write the size and normalisation of the images too; to replace an existing file.
     """
     require_absent(path, overwrite)
     write_bytes(path, sensor.to_toml(images=images).encode())

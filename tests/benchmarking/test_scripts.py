@@ -16,7 +16,8 @@ import speed
 import speed_product as product
 from command_line import called
 from corruption_models import LEVELS
-from scans import IN_BYTES, SMALL, make_scan, write_bin, write_sequence
+from scans import IN_BYTES, SMALL, make_scan, salsanext_of, write_bin, write_sequence
+from shallow import SHALLOW
 from tiny_network import TinyNetwork
 
 from salsanext_cli import (
@@ -31,6 +32,7 @@ from salsanext_cli import (
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.network.card import AccuracyLine, WeightsCard, read_card
 from salsanext_cli.network.error_model import ErrorModel
+from salsanext_cli.network.registry import build
 from salsanext_cli.network.weights import save_weights
 from salsanext_cli.results.selection import data_set_label_space
 from salsanext_cli.stages.predict import predict_scans
@@ -237,14 +239,11 @@ def test_default_weights_have_a_version_and_inherit_nothing(tmp_path, tiny_train
 
 
 @pytest.mark.slow
-def test_default_weights_get_an_error_model_of_all_sequences_and_int8_ranges(
-    tmp_path, tiny_training, monkeypatch
-):
+def test_default_weights_get_an_error_model_of_all_sequences_and_int8_ranges(tmp_path, monkeypatch):
     script = runpy.run_path(str(BENCHMARKS / "default_weights.py"))
     monkeypatch.setitem(script["add_error"].__globals__, "CORRUPTIONS", 1)
     weights, datasets = tmp_path / "w.safetensors", [tmp_path / "a", tmp_path / "b"]
     card = WeightsCard({"name": "salsanext", "class_count": 20}, label_space(), SMALL)
-    save_weights(weights, TinyNetwork(), card)
     space = label_space().to_dict() | {"split": {"train": ["00"], "valid": ["08", "09"]}}
     for dataset in datasets:
         for number in ("00", "08", "09"):
@@ -252,8 +251,10 @@ def test_default_weights_get_an_error_model_of_all_sequences_and_int8_ranges(
         (dataset / "labels.yaml").write_text(json.dumps(space))
     monkeypatch.setattr("salsanext_cli.training.tuning.error.MIN_STEPS", 10)
     monkeypatch.setattr("salsanext_cli.training.tuning.error.EPOCHS", 1)
-    script["add_error"](weights, datasets)
-    script["add_int8"](weights, datasets)
+    with salsanext_of(**SHALLOW):
+        save_weights(weights, build(card.architecture), card)
+        script["add_error"](weights, datasets)
+        script["add_int8"](weights, datasets)
     card = read_card(weights)
     assert card.error.scores["sequences"] == ["a/08", "a/09", "b/08", "b/09"]
     assert card.error.scores["points"] > 4 * 1000

@@ -48,6 +48,9 @@ def test_labels_of_low_probability_are_doubted():
     labels = np.arange(1000, dtype=np.uint8) % 20
     assert codes_of(labels, confidence=0.5) == ["low-confidence"]
     assert codes_of(labels, confidence=0.6) == []
+    few = small_space(*map(str, range(8)))
+    assert codes_of(labels % 8, few, confidence=0.72) == ["low-confidence"]
+    assert codes_of(labels % 8, few, confidence=0.76) == []
 
 
 @pytest.mark.parametrize(

@@ -82,7 +82,8 @@ def test_most_formats_can_be_written():
     others = {suffix for suffix in SCAN_SUFFIXES if not format_of(suffix).subset}
     assert others == {".feather"}
     assert {scan_suffix(name) for name in MADE} | others == {*SCAN_SUFFIXES}
-    refused(FormatError, "s.feather", subsets_of, Path("s.feather"))
+    error = refused(FormatError, "s.feather", subsets_of, Path("s.feather"))
+    assert "write the scans as" in error.value.hint
 
 
 def test_other_elements_and_missing_points_are_refused(tmp_path):
