@@ -14,8 +14,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from labelled_drives import (
+    FIVE_CLASSES,
+    FIVE_CLASSES_OF_NUSCENES,
+    judged_drives,
+    linked_semantickitti,
+)
+
 NUSCENES = "0001", "0004"
-BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
+RARE_CLASSES = ("person", "bicyclist", "truck")
+"""Classes whose IoU the pages show beside the mean."""
 
 
 def salsanext(*words: object) -> dict[str, Any]:
@@ -42,8 +50,14 @@ def quality(scans: Path, *selection: str) -> dict[str, str]:
     scores, kinds = result["scores"], result["uncertainty"]
     confidence, error = kinds["least_confidence"], kinds["error"]
     lowest = sum(threshold <= 0.1 for threshold in error["thresholds"])
+    drives = result["by_sequence"]
+    worst = min(drives, key=lambda name: drives[name]["accuracy"])
     return {
         "scans": str(result["scans"]),
+        "drives": str(len(drives)),
+        "worst_drive": worst,
+        "worst_accuracy": percent(drives[worst]["accuracy"]),
+        "worst_miou": percent(drives[worst]["iou_mean_present"]),
         "accuracy": percent(scores["accuracy"]),
         "miou": percent(scores["iou_mean_present"]),
         "wrong": percent(1 - scores["accuracy"]),
@@ -60,12 +74,55 @@ def quality(scans: Path, *selection: str) -> dict[str, str]:
         "trusted_error": percent(error["risk_coverage"][79]),
         "below_tenth": str(lowest),
         "below_tenth_wrong": percent(error["risk_coverage"][lowest - 1]),
+        **rare_classes(scores),
+    }
+
+
+def rare_classes(scores: dict[str, Any]) -> dict[str, str]:
+    """Return the IoU of the rare classes that the labels contain."""
+    return {
+        f"iou_{row['name']}": percent(row["iou"])
+        for row in scores["classes"]
+        if row["name"] in RARE_CLASSES and row["points"]
     }
 
 
 def semantickitti(data: Path) -> dict[str, str]:
-    """Return the quality on the twelve labelled scans of SemanticKITTI."""
-    return quality(data / "semantickitti")
+    """Return the quality on 27 labelled scans of ten drives of SemanticKITTI."""
+    drives = linked_semantickitti(data, Path("semantickitti"))
+    values = quality(Path("semantickitti"))
+    by_drive = json.loads(Path("out-semantickitti/eval.json").read_text("utf-8"))["by_sequence"]
+    for name in drives:
+        values[f"accuracy_{name.replace('-', '_')}"] = percent(by_drive[name]["accuracy"])
+    return values
+
+
+def estimates(data: Path) -> dict[str, str]:
+    """Return how often the interval of the estimated accuracy holds, each drive predicted alone."""
+    inside = 0
+    withheld = 0
+    outside = []
+    drives = judged_drives(data, Path("drives"))
+    for number, drive in enumerate(drives):
+        out = f"out-{number}"
+        selection = ("--sequences", drive.sequence)
+        run = salsanext("predict", drive.dataset, out, *selection, *drive.classes)
+        accuracy = salsanext("eval", out, *drive.labels)["scores"]["accuracy"]
+        expected = run["expected_accuracy"]
+        interval = expected["interval"]
+        print(drive.name, expected, f"measured {accuracy:.3f}", flush=True)
+        if interval is None:
+            withheld += 1
+        elif interval[0] <= accuracy <= interval[1]:
+            inside += 1
+        else:
+            outside.append(drive.name)
+    return {
+        "drives": str(len(drives)),
+        "inside": str(inside),
+        "withheld": str(withheld),
+        "outside": ", ".join(outside),
+    }
 
 
 def pandaset(data: Path) -> dict[str, str]:
@@ -91,10 +148,9 @@ def nuscenes(data: Path) -> dict[str, str]:
     """Return the scores of two drives of nuScenes, in five classes."""
     values = {}
     for drive in NUSCENES:
-        classes = ("--classes", BENCHMARKS / "five.yaml", "--sequences", drive)
-        salsanext("predict", data / "drives", f"nuscenes-{drive}", *classes)
-        labels = ("--label-space", BENCHMARKS / "nuscenes-five.yaml")
-        scores = salsanext("eval", f"nuscenes-{drive}", *labels)["scores"]
+        out = f"nuscenes-{drive}"
+        salsanext("predict", data / "drives", out, "--sequences", drive, *FIVE_CLASSES)
+        scores = salsanext("eval", out, *FIVE_CLASSES_OF_NUSCENES)["scores"]
         values[f"accuracy_{drive}"] = percent(scores["accuracy"])
         values[f"miou_{drive}"] = percent(scores["iou_mean_present"])
     return values
@@ -102,14 +158,20 @@ def nuscenes(data: Path) -> dict[str, str]:
 
 def guarantee(data: Path) -> dict[str, str]:
     """Choose a threshold on SemanticKITTI; return what it accepts there and on PandaSet."""
+    kitti = Path("semantickitti")
+    drives = linked_semantickitti(data, kitti)
+    selection = ("--sequences", ",".join(drives))
     chosen = salsanext(
-        "tune", "risk", data / "semantickitti", "safe.safetensors", "--at-most", "10%",
-        "--sequences", "00,08,x1,x2", "--overwrite",
-    )  # fmt: skip
+        "tune", "risk", kitti, "safe.safetensors", "--at-most", "10%", *selection, "--overwrite"
+    )
     values = {"threshold": f"{chosen['threshold']:.2f}"}
-    for name, words in {"semantickitti": (), "pandaset": ("--sequences", "002")}.items():
+    data_sets = {
+        "semantickitti": (kitti, *selection),
+        "pandaset": (data / "pandaset", "--sequences", "002"),
+    }
+    for name, (scans, *words) in data_sets.items():
         weights = ("--weights", "safe.safetensors", "--reject", "risk")
-        salsanext("predict", data / name, f"safe-{name}", *weights, *words)
+        salsanext("predict", scans, f"safe-{name}", *weights, *words)
         rejection = salsanext("eval", f"safe-{name}")["rejection"]
         accepted, wrong = rejection["accepted"], rejection["wrong"]
         values[f"accepted_{name}"] = percent(accepted / rejection["points"])
@@ -121,6 +183,6 @@ def guarantee(data: Path) -> dict[str, str]:
 MEASURES: dict[str, Callable[[Path], dict[str, str]]] = {
     measure.__name__: measure
     for measure in (
-        semantickitti, pandaset, simulated, simulated_sensors, nuscenes, guarantee
+        semantickitti, pandaset, simulated, simulated_sensors, nuscenes, guarantee, estimates
     )
 }  # fmt: skip

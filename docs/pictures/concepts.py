@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
+from labelled_drives import linked_semantickitti
 from measurements import percent, salsanext
 from prepared import predicted_drive
 
@@ -233,7 +234,8 @@ def uncertainties(data: Path, picture: Path) -> None:
 def guarantee(data: Path, picture: Path) -> None:
     """Draw the share of accepted wrong points of each scan over the threshold, and the limit."""
     with tempfile.TemporaryDirectory() as temporary:
-        folder, root = Path(temporary), data / "semantickitti"
+        folder, root = Path(temporary), Path(temporary, "semantickitti")
+        linked_semantickitti(data, root)
         salsanext("predict", root, folder / "out", "--error")
         space, losses = sn.label_space(), []
         thresholds = np.linspace(0, 1, 101)
@@ -264,5 +266,5 @@ def guarantee(data: Path, picture: Path) -> None:
     axis.set_yticks(range(0, 31, 5))
     axis.set_xlabel("threshold of the error", color=INK, fontsize=8)
     axis.set_ylabel("accepted and wrong, % of all points", color=INK, fontsize=8)
-    axis.set_title("twelve scans of SemanticKITTI and their mean", fontsize=9)
+    axis.set_title("27 scans of SemanticKITTI and their mean", fontsize=9)
     save(figure, picture)
