@@ -160,13 +160,21 @@ def npz_arrays(path: Path) -> tuple[Arrays, bool]:
     """Return the arrays of a `.npz` file by name, and whether they are compressed."""
     arrays = {}
     with reading(path) as file, refusing_damage(path, EXPECTED), zipfile.ZipFile(file) as archive:
-        if sum(member.file_size for member in archive.infolist()) > MAX_RATIO * size_of(file):
-            raise ValueError("its header states more data than it can contain")
+        _require_possible_sizes(archive, size_of(file))
         for name in archive.namelist():
             content = archive.read(name)
             array = load_array(io.BytesIO(content), len(content), path, EXPECTED)
             arrays[name.removesuffix(".npy")] = array
         return arrays, any(member.compress_type for member in archive.infolist())
+
+
+def _require_possible_sizes(archive: zipfile.ZipFile, size: int) -> None:
+    """Refuse an archive of `size` bytes that states more data, before `zipfile` allocates them."""
+    members = archive.infolist()
+    content = sum(member.file_size for member in members)
+    packed = sum(member.compress_size for member in members)
+    if content > MAX_RATIO * size or packed > size:
+        raise ValueError("its header states more data than it can contain")
 
 
 def is_transposed(table: npt.NDArray[Any], columns: int = 0) -> bool:

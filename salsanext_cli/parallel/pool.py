@@ -34,6 +34,7 @@ MAX_CHUNK_SCANS = 16
 """Bound of the work that is lost with a worker, and of the scans between signs of progress."""
 MIN_CHUNKS_PER_WORKER = 4  # Lower bound, so that the last chunks end at about the same time
 
+WARNING_FILTERS = "PYTHONWARNINGS"  # Variable that a new interpreter reads
 POLL_INTERVAL_S = 1.0  # Of a worker, whether its parent lives
 
 Chunk = tuple[ScanFile, ...]  # Scans that a worker is sent together
@@ -128,13 +129,29 @@ def signals_blocked(*signals: signal.Signals) -> Generator[None, None, None]:
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    from joblib.externals.loky.backend import resource_tracker as tracker_of_loky
-
     # Started before, because starting these unblocks the signals.
-    tracker_of_loky.ensure_running()
-    resource_tracker.ensure_running()
+    start_silent_trackers()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def start_silent_trackers() -> None:
+    """Start the processes that remove semaphores and folders of this process after its end.
+
+    A signal may end this process at once. The trackers then remove what it leaves, and print
+    nothing: the warnings would follow the last line of the command.
+    """
+    from joblib.externals.loky.backend import resource_tracker as tracker_of_loky
+
+    before = os.environ.get(WARNING_FILTERS)
+    os.environ[WARNING_FILTERS] = "ignore"
+    try:
+        tracker_of_loky.ensure_running()
+        resource_tracker.ensure_running()
+    finally:
+        del os.environ[WARNING_FILTERS]
+        if before is not None:
+            os.environ[WARNING_FILTERS] = before

@@ -41,6 +41,8 @@ COMMANDS = {
     "tune": (f"tune temperature DATA {OUT}/tuned.safetensors {NETWORK} --overwrite",),
 }
 """Commands that are disturbed, after the commands that write their inputs."""
+SHARED_MEMORY = Path("/dev/shm")
+"""Folder in which joblib reserves the names of its own folders, by process."""
 END_TIMEOUT_S = 10.0
 """Time in which all processes of a run end."""
 STEPS_SEEN = [0]
@@ -177,6 +179,19 @@ def test_two_runs_at_once(tmp_path: Path, long: Trial) -> None:
         assert process.returncode == 0, output
     require_alike(long.expected, folder / OUT)
     require_tidy(folder / OUT)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_after_the_last_result_of_workers(tmp_path, trials, number):
+    """The end of the process is cut short: its semaphores and folders are removed silently."""
+    trial = trials("predict")
+    process = trial.start_process(tmp_path, "--jobs 2", SIGNAL_AT_END=f"{number:d}")
+    process.wait(timeout=120)
+    assert process.returncode == 128 + number
+    require_ended(process, number)
+    require_alike(trial.expected, tmp_path / OUT)
+    assert not list(SHARED_MEMORY.glob(f"*_{process.pid}_*"))
 
 
 def when_working(folder: Path) -> None:

@@ -151,8 +151,9 @@ def test_the_command_line_under_torchrun(tmp_path: Path) -> None:
     ended = torchrun("-m", "salsanext_cli", *given, *(f"--set={change}" for change in short))
     assert ended.returncode == 0, ended.stderr
     assert json.loads(ended.stdout)["best"] == str(run / "best.safetensors")
-    assert ended.stderr.count("on CPUs batch norm has the statistics of each worker's share") == 1
-    assert ended.stderr.count("train: best validation mIoU") == 1
+    lines = ended.stderr.splitlines()
+    assert sum("batch norm" in line for line in lines) == 1
+    assert sum(line.startswith("train: best") for line in lines) == 1
     assert len((run / "log.csv").read_text("utf-8").splitlines()) == 3
 
 

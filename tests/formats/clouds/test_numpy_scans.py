@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT
 import io
+import tracemalloc
 import zipfile
 from dataclasses import replace
 
@@ -121,3 +122,24 @@ def test_archives_that_are_cut_or_state_too_much(tmp_path):
     (tmp_path / "s.npy").write_bytes((tmp_path / "s.npy").read_bytes()[:-1])
     with pytest.raises(FormatError, match=r"31 bytes of data \(expected 32"):
         read_scan(tmp_path / "s.npy")
+
+
+@pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
+@pytest.mark.parametrize("offset", [20, 24], ids=["packed", "unpacked"])
+def test_an_archive_that_states_gigabytes_is_refused_before_they_are_allocated(
+    tmp_path, save, offset
+):
+    """The directory at the end of an archive states both sizes of each array."""
+    path = tmp_path / "s.npz"
+    save(path, points=TABLE)
+    content = bytearray(path.read_bytes())
+    place = content.index(b"PK\x01\x02") + offset
+    content[place : place + 4] = (2**31 - 1).to_bytes(4, "little")
+    path.write_bytes(content)
+    tracemalloc.start(1)
+    try:
+        with pytest.raises(FormatError, match="damaged or cut off"):
+            read_scan(path)
+        assert tracemalloc.get_traced_memory()[1] < 1 << 20
+    finally:
+        tracemalloc.stop()
