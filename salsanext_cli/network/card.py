@@ -125,6 +125,7 @@ class WeightsCard:
     int8: Mapping[str, Int8Input] = field(default_factory=dict)
     trained_on: frozenset[str] = frozenset()  # Digests of scans, as far as known
     version: int | None = None  # Version of the default weights; None for other weights
+    tensors_sha256: str = ""  # As `tensor_digest` returns it; empty in files of early versions
 
     def named(self, path: Path) -> str:
         """Return the version of these weights or the name of their file, and its SHA-256."""
@@ -161,7 +162,11 @@ class WeightsCard:
             "scores": dict(self.scores),
         }
         known = {name: plain(part) for name in FITTED if (part := getattr(self, name))}
-        known |= {"trained_on": "".join(sorted(self.trained_on)), "weights_version": self.version}
+        known |= {
+            "trained_on": "".join(sorted(self.trained_on)),
+            "weights_version": self.version,
+            "tensors_sha256": self.tensors_sha256,
+        }
         return {KEY: json.dumps(values | {name: part for name, part in known.items() if part})}
 
     @classmethod
@@ -200,11 +205,19 @@ class WeightsCard:
                 **{name: decoded(FITTED[name], values[name]) for name in fitted},
                 trained_on=frozenset(parted(values.get("trained_on", ""))),
                 version=values.get("weights_version"),
+                tensors_sha256=_sha256(values.get("tensors_sha256", "")),
             )
         except UsageError as error:
             raise WeightsError(source, f"has damaged metadata: {error.problem}") from error
         except (KeyError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
             raise WeightsError(source, f"has damaged metadata: {error_text(error)}") from error
+
+
+def _sha256(text: object) -> str:
+    """Return a digest of tensors, or no text; anything else raises `ValueError`."""
+    if not isinstance(text, str) or not re.fullmatch("([0-9a-f]{64})?", text):
+        raise ValueError(f"tensors_sha256 is {shortened(text)}")
+    return text
 
 
 def _renamed(risk: Json, source: object) -> Json:
@@ -235,6 +248,7 @@ class DescribedWeights:
             **({"version": card.version} if card.version else {}),
             "sha256": self.sha256,
             "bytes": self.size,
+            "tensors_sha256": card.tensors_sha256 or None,
             **{name: plain(getattr(card, name)) for name in (*names, "accuracy", "sensor")},
             "label_space": card.space.name,
             "classes": list(card.space.names),

@@ -2,6 +2,7 @@
 """Weights files: tensors of a network, and the card that describes them."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import safetensors
@@ -14,6 +15,7 @@ from salsanext_cli.files.atomic import write_bytes, writing
 from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.registry import build
 from salsanext_cli.network.segmentation import SegmentationNetwork
+from salsanext_cli.network.tensor_digest import require_intact, tensor_digest
 
 NORM_SUFFIXES = (".running_mean", ".running_var")
 
@@ -26,16 +28,23 @@ def save_weights(path: Path, module: nn.Module, card: WeightsCard, *, half: bool
 def encode_weights(module: nn.Module, card: WeightsCard, *, half: bool = False) -> bytes:
     """Return the content of a weights file."""
     tensors = {name: _stored(name, tensor, half) for name, tensor in module.state_dict().items()}
-    return safetensors.torch.save(tensors, card.to_metadata())
+    return _encoded(tensors, card)
+
+
+def _encoded(tensors: dict[str, Tensor], card: WeightsCard) -> bytes:
+    """Return the content of a weights file, with the digest of its tensors in the card."""
+    digest = tensor_digest(safetensors.torch.save(tensors))
+    return safetensors.torch.save(tensors, replace(card, tensors_sha256=digest).to_metadata())
 
 
 def save_with_card(
     source: Path, target: Path, card: WeightsCard, *, overwrite: bool = True
 ) -> None:
-    """Write a weights file with another card; the tensors stay bit for bit."""
+    """Write a weights file with another card; the tensors, which are checked, stay bit for bit."""
     tensors = safetensors.torch.load_file(source)
+    require_intact(source, read_card(source).tensors_sha256)
     with writing(target, durable=True, overwrite=overwrite) as file:
-        file.write(safetensors.torch.save(tensors, card.to_metadata()))
+        file.write(_encoded(tensors, card))
 
 
 def _stored(name: str, tensor: Tensor, half: bool) -> Tensor:
@@ -65,6 +74,7 @@ def read_weights(path: Path) -> tuple[SegmentationNetwork, WeightsCard]:
     except (OSError, KeyError, ValueError, safetensors.SafetensorError) as error:
         raise WeightsError(path, f"cannot be read: {error_text(error)}") from error
     load_tensors(module, tensors, path)
+    require_intact(path, card.tensors_sha256)
     return module.eval(), card
 
 

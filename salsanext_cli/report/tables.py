@@ -182,6 +182,7 @@ def card_table(file: DescribedWeights) -> Table:
         "training scans": card.trained_on and f"{len(card.trained_on):,}",
         "size": f"{file.size / 1e6:.1f} MB",
         "SHA-256": file.sha256,
+        "SHA-256 of the tensors": card.tensors_sha256 and f"{card.tensors_sha256}, intact",
     }
     known = [(name, str(text)) for name, text in rows.items() if text]
     table = table_of(("", "value"), known, texts=["value"], title=str(file.path))

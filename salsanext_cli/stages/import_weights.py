@@ -7,7 +7,7 @@ from pathlib import Path
 from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.errors import UsageError, WeightsError
 from salsanext_cli.files.atomic import WEIGHTS_SUFFIX, require_target
-from salsanext_cli.network.card import WeightsCard
+from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.published import read_published
 from salsanext_cli.network.registry import build
 from salsanext_cli.network.weights import load_tensors, read_weights, save_weights
@@ -70,4 +70,4 @@ def import_weights(
         described = description or f"Imported from the published checkpoint {source.name}."
         card = WeightsCard(architecture, space, view or sensor("hdl64"), description=described)
     save_weights(target, module, card, half=half)
-    return card
+    return read_card(target)

@@ -8,6 +8,7 @@ from salsanext_cli.files.reading import fingerprint
 from salsanext_cli.formats import plugged_formats
 from salsanext_cli.network.card import DescribedWeights, read_card
 from salsanext_cli.network.registry import plugged_networks
+from salsanext_cli.network.tensor_digest import require_intact
 
 
 def plug_ins() -> list[dict[str, str]]:
@@ -31,7 +32,7 @@ def plug_ins() -> list[dict[str, str]]:
 
 
 def describe_weights(path: Path) -> DescribedWeights:
-    """Read the metadata of a weights file.
+    """Read the metadata of a weights file, and check its tensors.
 
     Parameters
     ----------
@@ -42,6 +43,12 @@ def describe_weights(path: Path) -> DescribedWeights:
     -------
     DescribedWeights
         Metadata, size and SHA-256.
+
+    Raises
+    ------
+    WeightsError
+        If the file cannot be read, or its tensors have changed.
     """
     card = read_card(path)
+    require_intact(path, card.tensors_sha256)
     return DescribedWeights(path, fingerprint(path), path.stat().st_size, card)

@@ -4,6 +4,7 @@
 
 import json
 import math
+import os
 from dataclasses import replace
 from itertools import pairwise
 
@@ -19,11 +20,13 @@ from salsanext_cli import __version__, label_space, sensor
 from salsanext_cli.classes.label_space import label_space
 from salsanext_cli.errors import WeightsError
 from salsanext_cli.files.json_files import plain
+from salsanext_cli.network import tensor_digest
 from salsanext_cli.network.card import KEY, WeightsCard, read_card
 from salsanext_cli.network.error_model import ErrorModel, last_values
 from salsanext_cli.network.registry import build
 from salsanext_cli.network.weights import read_weights, save_weights, save_with_card
 from salsanext_cli.sensors.sensor import FittedView
+from salsanext_cli.stages.models import describe_weights
 
 SPACE = label_space()
 CARD = WeightsCard(
@@ -44,9 +47,10 @@ def module(shallow):
 
 
 def rewritten(source, target, change):
-    """Copy a weights file with changed metadata and tensors."""
+    """Copy a weights file with changed metadata and tensors, which have no digest."""
     with safetensors.safe_open(source, framework="pt") as file:
         metadata = json.loads(file.metadata()[KEY])
+    del metadata["tensors_sha256"]
     tensors = safetensors.torch.load_file(source)
     change(metadata, tensors)
     target.write_bytes(safetensors.torch.save(tensors, {KEY: json.dumps(metadata)}))
@@ -79,7 +83,7 @@ def test_equal_weights_give_equal_files(tmp_path):
         save_weights(tmp_path / f"{number}.safetensors", torch.nn.BatchNorm1d(1), CARD)
     assert len({path.read_bytes() for path in tmp_path.iterdir()}) == 1
     again = read_card(tmp_path / "0.safetensors")
-    assert again.to_metadata() == CARD.to_metadata()
+    assert replace(again, tensors_sha256="").to_metadata() == CARD.to_metadata()
     assert json.loads(again.to_metadata()[KEY])["version"] == __version__
 
 
@@ -144,6 +148,7 @@ DAMAGED = {
     "recipe": ("[]",),
     "scores": ("3",),
     "weights_version": ("null", "0", "-1", "true", "1.5", '"5"', "[]"),
+    "tensors_sha256": ("null", "1", '"x"', "[]", f'"{63 * "a"}"', f'"{64 * "A"}"'),
 }
 """Keys of the card with values, as JSON, that it cannot have; None: it lacks the key."""
 
@@ -177,6 +182,64 @@ def test_tensors_that_do_not_fit_are_named(weights, tmp_path):
         path = rewritten(weights, tmp_path / "w.safetensors", change)
         caught = refused(WeightsError, path, read_weights, path)
         assert name in caught.value.problem
+
+
+def test_a_changed_byte_of_a_tensor_is_noticed(weights, tmp_path):
+    """The lowest byte of a number changes it by less than any check of values could see."""
+    content, path = weights.read_bytes(), tmp_path / "w.safetensors"
+    start = 8 + int.from_bytes(content[:8], "little")
+    draw = np.random.default_rng(1)
+    for place in (start, len(content) - 1, *draw.integers(start, len(content), 6).tolist()):
+        damaged = bytearray(content)
+        damaged[place] ^= 1
+        path.write_bytes(damaged)
+        for read in (read_weights, describe_weights, lambda path: copied(path, tmp_path / "c")):
+            refused(WeightsError, path, read, path)
+    path.write_bytes(content)
+    read_weights(path)
+    copied(path, tmp_path / "c.safetensors")
+
+
+def copied(source, target):
+    """Write the tensors of a weights file with the same card."""
+    save_with_card(source, target, read_card(source))
+
+
+def test_the_digest_is_of_the_tensors_only(weights, tmp_path):
+    """Names count: two tensors of one shape that change places are other tensors."""
+    stored = read_card(weights).tensors_sha256
+    assert describe_weights(weights).to_dict()["tensors_sha256"] == stored
+    tuned, path = tmp_path / "tuned.safetensors", tmp_path / "w.safetensors"
+    save_with_card(weights, tuned, replace(read_card(weights), temperature=1.5))
+    assert read_card(tuned).tensors_sha256 == stored
+    assert tuned.read_bytes() != weights.read_bytes()
+
+    def swap(metadata, tensors):
+        metadata["tensors_sha256"] = stored
+        tensors.update({a: tensors[b], b: tensors[a]})
+
+    a, b = (f"block1.stack.fuse.2.{name}" for name in ("weight", "bias"))
+    caught = refused(WeightsError, path, read_weights, rewritten(weights, path, swap))
+    assert "SHA-256" in caught.value.problem
+
+
+def test_a_file_is_hashed_once_as_long_as_it_stays(weights, tmp_path, monkeypatch):
+    path, digests = tmp_path / "w.safetensors", []
+    path.write_bytes(weights.read_bytes())
+    compute = tensor_digest._digest
+    monkeypatch.setattr(tensor_digest, "_digest", lambda f: digests.append(1) or compute(f))
+    for _ in range(3):
+        read_weights(path)
+    assert len(digests) == 1
+    os.utime(path, ns=(0, 0))
+    read_weights(path)
+    assert len(digests) == 2
+
+
+def test_files_without_a_digest_are_read(weights, tmp_path):
+    path = rewritten(weights, tmp_path / "w.safetensors", lambda *_: None)
+    assert describe_weights(path).to_dict()["tensors_sha256"] is None
+    read_weights(path)
 
 
 @pytest.mark.parametrize(
