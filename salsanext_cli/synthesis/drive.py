@@ -10,15 +10,17 @@ from salsanext_cli.classes.label_space import RawIds
 from salsanext_cli.records import Scan
 from salsanext_cli.synthesis.lidar import Rig, RigMaker, Scene, hdl64_rig, measure
 from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, merge, rotation
-from salsanext_cli.synthesis.presets import BRIGHTNESS, MOVING, STYLES, Material, Numbers
-from salsanext_cli.synthesis.street import lots, roadside
-from salsanext_cli.synthesis.street.builder import Builder, ground, varied, with_brightness
-from salsanext_cli.synthesis.street.plan import MULTILANE_HALF_WIDTH_M, RUN_OUT_M, Plan, draw_plan
+from salsanext_cli.synthesis.presets import MOVING, STYLES, Numbers
+from salsanext_cli.synthesis.street import edges, lots, medians, roadside
+from salsanext_cli.synthesis.street.brightness import draw_brightness
+from salsanext_cli.synthesis.street.builder import Builder, varied, with_brightness
+from salsanext_cli.synthesis.street.ground import ground
+from salsanext_cli.synthesis.street.layout import draw_plan
+from salsanext_cli.synthesis.street.plan import MULTILANE_HALF_WIDTH_M, RUN_OUT_M, Plan
 from salsanext_cli.synthesis.things import people
 from salsanext_cli.synthesis.things.vehicles import vehicle
 
 SPEED_M_PER_S = (4.0, 12.0)  # Slowest and fastest drive
-GROUND = [Material.ASPHALT, Material.PAVING, Material.GRASS]
 VIEW_M = 90.0  # Largest distance of recorded moving objects
 
 
@@ -43,7 +45,7 @@ class Mover:
 def _vehicles(builder: Builder, speed: float, duration: float) -> Iterator[Mover]:
     """Yield vehicles in all lanes; the recording vehicle uses the outer lane."""
     plan = builder.plan
-    *others, outer = lanes(plan.half)
+    *others, outer = lanes(plan.half - plan.shoulder, plan.median.half)
     ahead, behind = builder.between(9, 40), builder.between(9, 50)
     drive = speed * duration
     for start, end in ((ahead, plan.length + drive), (-behind, -drive)):
@@ -59,10 +61,11 @@ def _vehicles(builder: Builder, speed: float, duration: float) -> Iterator[Mover
             yield Mover(_vehicle(builder), s, t, -pace)
 
 
-def lanes(half: float) -> list[float]:
-    """Return the middles of the lanes of half a carriageway, metres from the centre line."""
-    count = 1 if half < MULTILANE_HALF_WIDTH_M else int(half / MULTILANE_HALF_WIDTH_M) + 1
-    return [(index + 0.5) / count * half for index in range(count)]
+def lanes(edge: float, start: float = 0.0) -> list[float]:
+    """Return the middles of the lanes from a median to the edge, metres from the centre line."""
+    width = edge - start
+    count = 1 if width < MULTILANE_HALF_WIDTH_M else int(width / MULTILANE_HALF_WIDTH_M) + 1
+    return [start + (index + 0.5) / count * width for index in range(count)]
 
 
 def _in_a_row(builder: Builder, start: float, end: float, room: float) -> Iterator[float]:
@@ -117,28 +120,17 @@ def build_street(
     builder.parts.append(ground(rng, plan))
     for side in plan.sides:
         roadside.furnish(builder, side)
+        edges.furnish(builder, side)
         for lot in side.lots:
             lots.furnish(builder, side, lot)
-    if style.barrier:
-        roadside.separate_directions(builder)
+    medians.furnish(builder)
     duration = distance / ego_speed
     movers = [*_vehicles(builder, ego_speed, duration), *_walkers(builder, duration)]
     movers += _riders(builder, ego_speed, duration)
-    brightness = _draw_brightness(rng)
+    brightness = draw_brightness(rng)
     standing = with_brightness(merge(builder.parts), brightness)
     shown = (replace(m, mesh=with_brightness(m.mesh, brightness)) for m in movers)
     return plan, standing, tuple(shown)
-
-
-def _draw_brightness(rng: Rng) -> Array:
-    """Draw the relative brightness of every material in a street, (materials,)."""
-    brightness = np.exp(rng.normal(0, BRIGHTNESS.street, len(Material)))
-    if rng.random() < BRIGHTNESS.ground_alike:
-        brightness[GROUND] = brightness[GROUND[0]] * np.exp(rng.normal(0, 0.08, len(GROUND)))
-    dark = rng.random(len(Material)) < BRIGHTNESS.dark
-    low, high = BRIGHTNESS.dark_brightness
-    brightness[dark] = rng.uniform(low, high, int(dark.sum()))
-    return np.clip(brightness, BRIGHTNESS.least, BRIGHTNESS.most)
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,7 +190,7 @@ class _Track:
     def __init__(self, rng: Rng, plan: Plan, speed: float, rig: Rig) -> None:
         self._speed = speed
         self._plan = plan
-        self._lane = min(0.0, 2.4 - plan.half) + rng.normal(0, 0.1)
+        self._lane = min(0.0, 2.4 + plan.shoulder - plan.half) + rng.normal(0, 0.1)
         self._sway = rng.normal(0, 0.12)
         self._waves = rng.uniform(0.3, 1, (3, 2)) * [2 * np.pi / 25, 2 * np.pi]
         self._tilt, self._mount = rig.tilt, rig.mount

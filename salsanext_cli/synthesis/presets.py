@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Parameters of simulated streets: raw ids, materials and their optics, presets/streets.toml.
+"""Parameters of simulated streets: raw ids, materials and their optics, and two files of tables.
 
-The optics of a 905 nm laser pulse reproduce the spread of the intensity of every class in scans of
-an HDL-64E.
+The tables are `presets/streets.toml` and `presets/surfaces.toml`. The optics of a 905 nm laser
+pulse reproduce the spread of the intensity of every class in scans of an HDL-64E.
 """
 
 import tomllib
@@ -10,12 +10,19 @@ from collections.abc import Mapping
 from enum import IntEnum
 from importlib import resources
 from types import SimpleNamespace
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
-_FILE = resources.files("salsanext_cli").joinpath("presets/streets.toml")
-_TABLES = tomllib.loads(_FILE.read_text("utf-8"))
+
+def _tables(name: str) -> dict[str, Any]:
+    """Return the tables of a file of the presets."""
+    file = resources.files("salsanext_cli").joinpath(f"presets/{name}.toml")
+    return tomllib.loads(file.read_text("utf-8"))
+
+
+_TABLES = _tables("streets")
+_SURFACES = _tables("surfaces")
 
 Numbers = SimpleNamespace  # One table as attributes; the file documents them
 
@@ -50,7 +57,7 @@ class Material(IntEnum):
 
     ASPHALT = 0.39, 0.14, 1.2, 0.0, 0.004
     PAVING = 0.43, 0.12, 0.8, 0.0, 0.004
-    GRASS = 0.43, 0.16, 0.4, 0.0, 0.012
+    GRASS = 0.43, 0.16, 0.4, 0.0, 0.016
     MARKING = 0.5, 0.15, 0.7, 0.0, 0.004
     PLASTER = 0.47, 0.16, 0.3, 0.0, 0.0
     BRICK = 0.43, 0.14, 0.3, 0.0, 0.004
@@ -66,6 +73,9 @@ class Material(IntEnum):
     SKIN = 0.5, 0.12, 0.3, 0.0, 0.005
     RETRO = 0.95, 0.1, 0.2, 0.0, 0.0
     LAMP = 0.6, 0.5, 0.3, 0.2, 0.0
+    SOIL = 0.38, 0.14, 0.6, 0.0, 0.012
+    GRAVEL = 0.41, 0.18, 0.5, 0.0, 0.012
+    HIGH_GRASS = 0.43, 0.2, 0.3, 0.0, 0.04
 
 
 OPTICS = np.array([material.optics for material in Material])
@@ -84,7 +94,14 @@ def _body(name: str) -> Numbers:
     return Numbers(**table | {"profile": np.array(table["profile"])})
 
 
-STYLES = tuple(Numbers(**_TABLES["style"][name]) for name in _TABLES["styles"])
+def _style(name: str) -> Numbers:
+    """Return a style: its table of the streets, its table of the surfaces, and both's lots."""
+    street = _TABLES["style"][name]
+    surfaces = _SURFACES["style"][name]
+    return Numbers(**street | surfaces | {"lots": street["lots"] | surfaces["lots"]})
+
+
+STYLES = tuple(map(_style, _TABLES["styles"]))
 """Styles in the order of the sequences that use them."""
 CARS = tuple(map(_body, _TABLES["cars"]))
 BUS_BODY, CARAVAN_BODY = map(_body, ("bus", "caravan"))
@@ -94,7 +111,7 @@ TRUCKS = {
 }
 TRAFFIC: dict[str, float] = _TABLES["traffic"]
 """Relative frequencies of kinds of vehicles, parked or driving."""
-BRIGHTNESS = Numbers(**_TABLES["brightness"])
+BRIGHTNESS = Numbers(**_TABLES["brightness"] | _SURFACES["brightness"])
 HDL64 = Numbers(**_TABLES["hdl64"])
 RANDOM_SENSOR = Numbers(**_TABLES["random_sensor"])
 VEHICLE_OUTLINES_DEG = tuple(np.array(outline) for outline in _TABLES["outlines"])

@@ -11,8 +11,10 @@ from salsanext_cli.synthesis import presets
 from salsanext_cli.synthesis.drive import Mover, lanes
 from salsanext_cli.synthesis.presets import STYLES, Numbers
 from salsanext_cli.synthesis.street import lots, roadside
-from salsanext_cli.synthesis.street.builder import Builder, ground
-from salsanext_cli.synthesis.street.plan import LEFT, REACH_M, Crossing, Lot, draw_plan
+from salsanext_cli.synthesis.street.builder import Builder
+from salsanext_cli.synthesis.street.ground import ground
+from salsanext_cli.synthesis.street.layout import draw_plan
+from salsanext_cli.synthesis.street.plan import LEFT, REACH_M, Crossing, Lot
 from salsanext_cli.synthesis.things import furniture
 
 PLANS = [draw_plan(np.random.default_rng(seed), STYLES[seed], 160.0) for seed in range(len(STYLES))]
@@ -25,7 +27,8 @@ def plan(request):
 
 def away_from_crossings(plan, side, margin=6.0):
     s = np.arange(10.0, plan.length - 10, 0.5)
-    return s[side.from_side_street(s) > margin]
+    ends = [margin, *(c.lawn_gap + c.lawn for c in side.crossings)]
+    return s[side.from_side_street(s) > max(ends)]
 
 
 def test_strips_lie_in_order_from_the_kerb_outwards(plan):
@@ -89,7 +92,7 @@ def test_the_ground_has_no_holes_and_the_plans_labels():
     assert twice.sum() / 2 == pytest.approx(2 * REACH_M * plan.length, rel=0.01)
     assert set(np.unique(mesh.labels)) <= {
         presets.ROAD, presets.MARKING, presets.PARKING, presets.SIDEWALK, presets.TERRAIN,
-        presets.OTHER_GROUND,
+        presets.OTHER_GROUND, presets.VEGETATION,
     }  # fmt: skip
 
 
@@ -98,7 +101,13 @@ def test_an_embankment_is_steep_and_green():
     for seed in range(5):
         plan = draw_plan(np.random.default_rng(seed), style, 160.0)
         for side in plan.sides:
-            assert {lot.kind for lot in side.lots} <= {"thicket", "scrub", "field", "green"}
+            assert {lot.kind for lot in side.lots} <= {
+                "thicket",
+                "scrub",
+                "field",
+                "green",
+                "meadow",
+            }
             assert 0.35 <= abs(side.bank.slope) <= 0.9
             s = away_from_crossings(plan, side)
             foot = side.depth + side.bank.start

@@ -9,7 +9,8 @@ from salsanext_cli.synthesis.mesh import Skin, box, merge, tube
 from salsanext_cli.synthesis.presets import CAR, POLE, STYLES, Material
 from salsanext_cli.synthesis.street import lots
 from salsanext_cli.synthesis.street.builder import Builder
-from salsanext_cli.synthesis.street.plan import Lot, draw_plan
+from salsanext_cli.synthesis.street.layout import draw_plan
+from salsanext_cli.synthesis.street.plan import Lot
 from salsanext_cli.synthesis.things import furniture, people, vegetation, vehicles
 
 STEEL = Skin(POLE, Material.METAL, 0.5)

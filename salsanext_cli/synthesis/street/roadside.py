@@ -1,13 +1,11 @@
 # SPDX-License-Identifier: MIT
 """Objects between the kerb and the lots, in the side streets and between the carriageways."""
 
-from functools import partial
-
 import numpy as np
 
 from salsanext_cli.synthesis.street.builder import Builder
 from salsanext_cli.synthesis.street.plan import ACROSS_M, Crossing, Side
-from salsanext_cli.synthesis.things import buildings, furniture, people, vegetation
+from salsanext_cli.synthesis.things import fences, furniture, people, vegetation
 from salsanext_cli.synthesis.things.vehicles import car, length_of, vehicle
 
 TOWARDS_TRAFFIC_RAD = np.pi / 2
@@ -25,13 +23,6 @@ def furnish(builder: Builder, side: Side) -> None:
         _side_street(builder, side, crossing)
 
 
-def separate_directions(builder: Builder) -> None:
-    """Separate the directions of traffic by a crash barrier."""
-    plan, shade = builder.plan, builder.between(0.6, 1.3)
-    piece = partial(buildings.fence, builder.rng, kind="barrier", height=0.8, shade=shade)
-    builder.put_line(piece, plan.sides[0], 0.0, plan.length, -plan.half)
-
-
 def _road_works(builder: Builder, side: Side) -> None:
     """Close off a stretch of the edge of the carriageway with a row of blocks."""
     if not builder.chance(builder.plan.style.works):
@@ -40,7 +31,7 @@ def _road_works(builder: Builder, side: Side) -> None:
     end = min(start + builder.between(8, 50), builder.plan.length - 1)
     height, shade = builder.between(0.75, 1.1), builder.between(0.5, 1.5)
     length, gap = builder.between(1, 4), builder.between(0, 0.4)
-    piece = buildings.fence(builder.rng, length - gap, "block", height, shade)
+    piece = fences.fence(builder.rng, length - gap, "block", height, shade)
     out = builder.between(-0.7, 0.5)
     for s in np.arange(start, end, length):
         builder.put_if_free(piece, side, float(s), out + builder.rng.normal(0, 0.04), 0.45 * length)

@@ -1,31 +1,16 @@
 # SPDX-License-Identifier: MIT
-"""Houses: facades with recessed windows and doors, steps, balconies, roofs; fences and walls."""
+"""Houses: facades with recessed windows and doors, steps, balconies, roofs."""
 
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, Skin, box, extrusion, faces, merge
-from salsanext_cli.synthesis.presets import BUILDING, FENCE, Material
+from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, Skin, box, faces, merge
+from salsanext_cli.synthesis.presets import BUILDING, Material
 
 FOOT_M = -1.5  # Height of the foot of a wall: below the uneven ground
-FENCE_FOOT_M = -0.4  # The same of a fence
 BLANK_SHARE = 0.2  # Largest share of openings in the ground floor of a blank front
-FENCES = (*["pickets"] * 3, *["railing"] * 5, *["mesh"] * 4, "boards", "wall")
-PALE_SPREAD_M = 0.025  # Standard deviation of the upright pieces across a fence
-PALES = {
-    "pickets": (Material.WOOD, 0.2, 0.09),
-    "boards": (Material.WOOD, 0.21, 0.2),
-    "railing": (Material.METAL, 0.13, 0.035),
-    "mesh": (Material.METAL, 0.1, 0.018),
-}
-"""Material, distance and width of the upright pieces, metres."""
-BLOCK_OUTLINE = np.array(
-    [[-0.3, 0], [-0.3, 0.08], [-0.15, 0.35], [-0.09, 1], [0.09, 1], [0.15, 0.35], [0.3, 0.08]]
-    + [[0.3, 0]]
-)
-"""Cross-section of a block of road works, in metres and in shares of its height."""
 Corners = list[list[float]]  # Four points of a quadrangle
 Opening = tuple[float, float, float, float]  # Left, right, bottom and top
 
@@ -201,41 +186,3 @@ def arch(rng: Rng, width: float, height: float) -> Mesh:
     wall = Skin.random(rng, BUILDING, Material.PLASTER, 0.6, 1.3)
     low = float(rng.uniform(2.4, 3.4))
     return box((-width / 2, 0, low), (width / 2, 8, max(height, low + 1)), wall)
-
-
-def fence(rng: Rng, length: float, kind: str, height: float, shade: float) -> Mesh:
-    """Return a fence, one of `FENCES`, a crash ``"barrier"`` or a ``"block"`` of road works."""
-    if kind == "block":
-        skin = Skin(FENCE, Material.PAVING, shade)
-        sections = np.stack(2 * [BLOCK_OUTLINE * [1, height]])
-        return extrusion(np.array([0.0, length]), sections, skin)
-    if kind == "wall":
-        skin = Skin(FENCE, Material.BRICK, shade)
-        body = box((0, -0.12, FENCE_FOOT_M), (length, 0.12, height), skin)
-        return merge([body, box((0, -0.17, height), (length, 0.17, height + 0.07), skin)])
-    if kind == "barrier":
-        skin = Skin(FENCE, Material.METAL, shade)
-        at = np.arange(0, length, 2.0)
-        posts = [box((x, 0.02, FENCE_FOOT_M), (x + 0.1, 0.14, 0.72), skin) for x in at]
-        beams = [box((0, -0.05, z), (length, 0.02, z + 0.12), skin) for z in (0.45, 0.63)]
-        return merge([*posts, *beams, box((0, -0.01, 0.5), (length, 0.0, 0.7), skin)])
-    material, pitch, width = PALES[kind]
-    skin = Skin(FENCE, material, shade)
-    x = np.arange(0, length, pitch)
-    top, y = height + rng.normal(0, 0.015, len(x)), rng.normal(0, PALE_SPREAD_M, len(x))
-    parts = [_strips(x, x + width, 0.03, top, y, skin=skin)]
-    for post in np.arange(0, length, 2.2):
-        parts.append(box((post, -0.05, FENCE_FOOT_M), (post + 0.08, 0.05, height + 0.05), skin))
-    for z in (0.2, height - 0.15):
-        parts.append(box((0, 0.01, z - 0.04), (length, 0.05, z + 0.04), skin))
-    if kind == "mesh":
-        rows = np.arange(0.1, height, 0.12)
-        parts.append(_strips(0.0, length, rows, rows + 0.018, 0.0, skin=skin))
-    return merge(parts)
-
-
-def _strips(*edges: Array | float, skin: Skin) -> Mesh:
-    """Return upright rectangles in planes y: left, right, lower and upper edges and y."""
-    x0, x1, z0, z1, y = np.broadcast_arrays(*edges)
-    corners = [np.stack(c, -1) for c in ((x0, y, z0), (x1, y, z0), (x1, y, z1), (x0, y, z1))]
-    return faces(np.stack(corners, 1), skin)
