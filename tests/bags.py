@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from salsanext_cli.formats.bags import POINT_CLOUD2, TYPES
+from salsanext_cli.formats.cloud_messages import POINT_CLOUD2, TYPES
 
 START = 1_600_000_000_123_456_789
 """Time of the first message in nanoseconds."""
@@ -17,6 +17,13 @@ STEP = 100_000_000
 TOPIC = "/velodyne_points"
 CODES = {np.dtype(kind): code for code, kind in TYPES.items()}
 KINDS = (".bag", ".db3", ".mcap")
+LIVOX = {
+    "CustomPoint": "uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\n"
+    "uint8 reflectivity\nuint8 tag\nuint8 line\n",
+    "CustomMsg": "std_msgs/Header header\nuint64 timebase\nuint32 point_num\nuint8 lidar_id\n"
+    "uint8[3] rsvd\nCustomPoint[] points\n",
+}
+"""Definitions of the messages of Livox drivers, by name."""
 Message = tuple[str, int, Any]
 """Topic, time, and function from the types of a version of ROS to the message."""
 
@@ -38,12 +45,8 @@ def cloud(points: np.ndarray, *, height: int = 1, row_padding: int = 0, **change
             for name, (kind, offset, *_) in layout.items()
         ]
         big = any(kind.byteorder == ">" for kind, *_ in layout.values())
-        header = types["std_msgs/msg/Header"]
-        of_header = {"seq": 0, "stamp": types["builtin_interfaces/msg/Time"](1, 2)}
-        names = header.__dataclass_fields__
-        known = {name: value for name, value in of_header.items() if name in names}
         values = {
-            "header": header(**known, frame_id="lidar"),
+            "header": header(types),
             "height": height,
             "width": width,
             "fields": fields,
@@ -54,6 +57,39 @@ def cloud(points: np.ndarray, *, height: int = 1, row_padding: int = 0, **change
             "is_dense": False,
         }
         return types[POINT_CLOUD2](**{**values, **changed})
+
+    return make
+
+
+def header(types: Any) -> Any:
+    """Return a header of messages."""
+    kind = types["std_msgs/msg/Header"]
+    values = {"seq": 0, "stamp": types["builtin_interfaces/msg/Time"](1, 2), "frame_id": "lidar"}
+    return kind(**{name: values[name] for name in kind.__dataclass_fields__ if name in values})
+
+
+def livox(points: np.ndarray, package: str = "livox_ros_driver2") -> Any:
+    """Return a function that makes a CustomMsg of a driver of Livox."""
+
+    def make(types: Any) -> Any:
+        point = types[f"{package}/msg/CustomPoint"]
+        rows = points[["x", "y", "z", "intensity"]].tolist()
+        of_message = [point(7, x, y, z, int(value), tag=0, line=1) for x, y, z, value in rows]
+        kind = types[f"{package}/msg/CustomMsg"]
+        return kind(header(types), 0, len(points), 0, np.zeros(3, np.uint8), of_message)
+
+    return make
+
+
+def channels(points: np.ndarray, *, missing: int = 0) -> Any:
+    """Return a function that makes a PointCloud with a channel, of which values may be missing."""
+
+    def make(types: Any) -> Any:
+        coordinates = types["geometry_msgs/msg/Point32"]
+        of_message = [coordinates(*row) for row in points[["x", "y", "z"]].tolist()]
+        values = points["intensity"][missing:].copy()
+        channel = types["sensor_msgs/msg/ChannelFloat32"]("intensity", values)
+        return types["sensor_msgs/msg/PointCloud"](header(types), of_message, [channel])
 
     return make
 
@@ -76,10 +112,13 @@ def write_bag(
     Returns the file, which for ROS 2 lies in a folder `drive`.
     """
     from rosbags import rosbag1, rosbag2
-    from rosbags.typesys import Stores, get_typestore
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     is_ros1 = kind == ".bag"
     store = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_JAZZY)
+    for package in ("livox_ros_driver", "livox_ros_driver2"):
+        for name, definition in LIVOX.items():
+            store.register(get_types_from_msg(definition, f"{package}/msg/{name}"))
     writer: Any
     if is_ros1:
         folder.mkdir(parents=True, exist_ok=True)

@@ -9,13 +9,13 @@ from typing import NamedTuple
 from salsanext_cli.classes.label_space import TrainIds
 from salsanext_cli.engines.backend import PixelPrediction
 from salsanext_cli.engines.network import Network
-from salsanext_cli.errors import UsageError
+from salsanext_cli.errors import FormatError, UsageError
 from salsanext_cli.fitting.scan_checks import ScanCheck, check_scan
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.npy import read_array
 from salsanext_cli.geometry.knn import knn_refine
-from salsanext_cli.geometry.projection import project
-from salsanext_cli.geometry.scan_traits import sensor_of
+from salsanext_cli.geometry.projection import measured_ranges, project
+from salsanext_cli.geometry.scan_traits import MIN_TRAIT_POINTS, sensor_of
 from salsanext_cli.option_fields import KnnParameters
 from salsanext_cli.records import CHANNELS, Float, RangeImage, Scan
 from salsanext_cli.results.manifest import Manifest, differences
@@ -61,10 +61,20 @@ def project_scan(
     file: ScanFile, sensor: Sensor, trained: Sensor | None = None, scan: Scan | None = None
 ) -> ProjectedScan:
     """Read, unless it is given, check and project a scan; `trained`: sensor of the weights."""
-    scan = read_scan(file.path, sensor) if scan is None else scan
+    if scan is None:
+        scan = read_scan(file.path, sensor)
+        _require_measurements(file.path, scan)
     sensor = sensor_of(scan, sensor)
     check = check_scan(file.path, scan, sensor, trained)
     return ProjectedScan(file, scan, project(scan, sensor), check, sensor)
+
+
+def _require_measurements(path: Path, scan: Scan) -> None:
+    """Refuse a scan of a few points of which none can be labelled; `check_scan` refuses others."""
+    if len(scan) < MIN_TRAIT_POINTS and not measured_ranges(scan.points)[1].any():
+        count = len(scan)
+        problem = f"none of its {count} points is a measurement" if count else "has no points"
+        raise FormatError(path, problem, "finite coordinates around the sensor")
 
 
 def labelled(scan: PreparedScan, pixels: PixelPrediction, knn: KnnParameters) -> LabelledScan:

@@ -4,54 +4,24 @@
 import struct
 import weakref
 from collections.abc import Iterator
+from contextlib import suppress
 from itertools import chain, islice
 from operator import attrgetter
 from pathlib import Path
 from threading import Lock
 from typing import Any
 
-import numpy as np
-
 from salsanext_cli.errors import FormatError
 from salsanext_cli.files.optional_packages import require_rosbags
 from salsanext_cli.files.reading import filled, reading, refusing_damage
+from salsanext_cli.formats.cloud_messages import CLOUD_MESSAGES, point_count, register_livox
 from salsanext_cli.formats.columns import Columns
+from salsanext_cli.formats.mcap import require_ros2
 
-POINT_CLOUD2 = "sensor_msgs/msg/PointCloud2"
-TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
-"""NumPy's names of the types of a field."""
 INDEX_ENTRY = struct.Struct("<QQ")  # Time and offset of a message, in the index of an MCAP chunk
+MCAP = ".mcap"
 EXPECTED = "a ROS bag"
 HINT = "repair it with `rosbag reindex`, `ros2 bag reindex` or `mcap recover`"
-
-
-def columns_of(message: Any, path: Path) -> Columns:
-    """Return the values (N,) of each field of one value per point, as views into the message."""
-    # The first of two fields of one name counts. Rows and points may be padded.
-    height, width, step = message.height, message.width, message.point_step
-    row_step = message.row_step if height > 1 else width * step
-    order = ">" if message.is_bigendian else "<"
-    with refusing_damage(path, EXPECTED, HINT):
-        if row_step < width * step:
-            raise ValueError(f"rows of {row_step} bytes for {width} points of {step}")
-        size = (height - 1) * row_step + width * step if height and width else 0
-        if len(message.data) < size:
-            raise ValueError(f"{len(message.data)} bytes of data, not {size}")
-        fields: dict[str, tuple[str, int]] = {}
-        for field in message.fields:
-            if field.count <= 1:  # Old drivers write 0.
-                fields.setdefault(field.name, (order + TYPES[field.datatype], field.offset))
-        point = np.dtype(
-            {
-                "names": [*fields],
-                "formats": [kind for kind, _ in fields.values()],
-                "offsets": [offset for _, offset in fields.values()],
-                "itemsize": step,
-            }
-        )
-        data = np.asarray(message.data, np.uint8)
-        points = np.ndarray((height, width), point, data, 0, (row_step, step))
-    return {name: points[name].ravel() for name in fields}
 
 
 class Bag:
@@ -70,9 +40,13 @@ class Bag:
             if filled(log):
                 problem, hint = "is not yet in the database", f"open {file.name} with sqlite3 once"
                 raise FormatError(log, problem, "a closed bag", hint)
+            if file.suffix.lower() == MCAP:
+                require_ros2(file)
         with refusing_damage(path, EXPECTED, HINT):
             # Databases from before 2023 lack definitions; clouds have the same one in all releases.
-            self.reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY))
+            typestore = get_typestore(Stores.ROS2_JAZZY)
+            register_livox(typestore)
+            self.reader = AnyReader([path], default_typestore=typestore)
             self.reader.open()
             # The garbage collector would close it with a warning.
             weakref.finalize(self, self.reader.close)
@@ -94,22 +68,42 @@ class Bag:
         with self._lock, refusing_damage(self.path, EXPECTED, HINT):
             return sorted(_indexed_times(self._storage(), topic))
 
+    def point_count(self, topic: str) -> int:
+        """Return the largest number of points in the first, middle and last cloud of a topic."""
+        times = self.times(topic)
+        if not times:
+            return 0
+        sample = sorted({times[0], times[len(times) // 2], times[-1]})
+        counts = [0]
+        for time in sample:
+            # A damaged cloud is reported when it is labelled.
+            with suppress(FormatError):
+                message, _ = self._message(topic, time, 0, self.path)
+                counts.append(point_count(message))
+        return max(counts)
+
     def columns(self, topic: str, time: int, number: int, path: Path) -> Columns:
         """Read the cloud of a topic and a time; `number` counts clouds of the same time from 0."""
+        message, kind = self._message(topic, time, number, path)
+        return CLOUD_MESSAGES[kind](message, path)
+
+    def _message(self, topic: str, time: int, number: int, path: Path) -> tuple[Any, str]:
+        """Return the message of a topic and a time, and its type; `path` is for errors."""
         clouds = _connections_of(self.reader, topic)
         with refusing_damage(path, EXPECTED, HINT):
             with self._lock:
                 messages = self.reader.messages(clouds, time, time + 1)
-                message = next(islice(messages, number, None), None)
-            if message is None:
+                found = next(islice(messages, number, None), None)
+            if found is None:
                 raise FormatError(path, "no such cloud", "a cloud that the bag lists")
-            connection, _, raw = message
-            return columns_of(self.reader.deserialize(raw, connection.msgtype), path)
+            connection, _, raw = found
+            return self.reader.deserialize(raw, connection.msgtype), connection.msgtype
 
 
 def _connections_of(reader: Any, topic: str) -> list[Any]:
     """Return the connections of a reader with clouds of a topic."""
-    return [c for c in reader.connections if (c.topic, c.msgtype) == (topic, POINT_CLOUD2)]
+    of_topic = [connection for connection in reader.connections if connection.topic == topic]
+    return [connection for connection in of_topic if connection.msgtype in CLOUD_MESSAGES]
 
 
 def _indexed_times(storage: Any, topic: str) -> Iterator[int]:

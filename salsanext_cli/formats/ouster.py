@@ -65,6 +65,11 @@ class OusterRecording:
         """Return the times of the frames of a sensor in nanoseconds, sorted."""
         return sorted(self._times[topic])
 
+    def point_count(self, topic: str) -> int:
+        """Return the number of rays in a frame of a sensor."""
+        form = self._source.sensor_info[[*self._times].index(topic)].format
+        return int(form.pixels_per_column * form.columns_per_frame)
+
     def columns(self, topic: str, time: int, number: int, path: Path) -> Columns:
         """Read the first returns of a frame, as `Bag.columns`; rays without one are at 0."""
         from ouster.sdk.core import XYZLut

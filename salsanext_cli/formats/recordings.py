@@ -11,17 +11,20 @@ from functools import lru_cache
 from itertools import groupby
 from pathlib import Path
 
-from salsanext_cli.errors import FormatError, NoInputError, UsageError, shortened
+from salsanext_cli.errors import FormatError, NoInputError, UsageError, counted, shortened
 from salsanext_cli.files.reading import identity, is_folder, present
 from salsanext_cli.formats import BAG_SUFFIXES, RECORDING_SUFFIXES
-from salsanext_cli.formats.bags import POINT_CLOUD2, Bag
+from salsanext_cli.formats.bags import Bag
+from salsanext_cli.formats.cloud_messages import CLOUD_MESSAGES
 from salsanext_cli.formats.columns import Columns
 from salsanext_cli.formats.ouster import FRAMES, OusterRecording
 
 METADATA = "metadata.yaml"  # In the folder of a ROS 2 bag, beside `.db3` or `.mcap` files
 NAME = re.compile(r"(-?\d{1,20})(?:_(\d{1,9}))?", re.ASCII)
-CLOUD_KINDS = (POINT_CLOUD2, FRAMES)  # Types of topics with point clouds
+CLOUD_KINDS = (*CLOUD_MESSAGES, FRAMES)  # Types of topics with point clouds
 MAX_SHOWN = 500  # Characters of a list of topics in an error
+PACKETS = re.compile("packet|(velodyne|rslidar|pandar)scan", re.IGNORECASE)  # Types of messages
+OF_PACKETS = "play the bag with the driver of the sensor, and record the clouds that it publishes"
 
 
 def is_recording(path: Path) -> bool:
@@ -75,15 +78,23 @@ def _only_topic(folder: Path, recording: Recording, clouds: dict[str, str]) -> s
     if len(clouds) == 1:
         return next(iter(clouds))
     if clouds:
-        topics = [*clouds.values()]
-        listed = shortened(", ".join(topics), MAX_SHOWN)
-        problem, hint = f"has {len(topics)} topics of point clouds: {listed}", "choose one with"
-        raise UsageError(folder, problem, "one of them", f"{hint} --topic {topics[0]}")
+        raise _several_topics(folder, recording, [*clouds.values()])
     if isinstance(recording, OusterRecording):
         raise NoInputError(folder, "has no LiDAR packets", "packets with distances")
-    others = ", ".join(f"{topic} ({kind})" for topic, kind in recording.topics().items())
+    kinds = recording.topics()
+    others = ", ".join(f"{topic} ({kind})" for topic, kind in kinds.items())
     problem = f"no point clouds, but {shortened(others, MAX_SHOWN)}" if others else "no messages"
-    raise NoInputError(folder, f"has {problem}", "clouds, such as sensor_msgs/PointCloud2")
+    hint = OF_PACKETS if any(map(PACKETS.search, kinds.values())) else ""
+    raise NoInputError(folder, f"has {problem}", "clouds, such as sensor_msgs/PointCloud2", hint)
+
+
+def _several_topics(folder: Path, recording: Recording, topics: list[str]) -> UsageError:
+    """Return the error of a recording with several topics, those with most points first."""
+    points = {topic: recording.point_count(topic) for topic in topics}
+    ordered = sorted(topics, key=lambda topic: (-points[topic], topic))
+    texts = [f"{topic} ({counted(points[topic], 'point')})" for topic in ordered]
+    problem = f"has {len(topics)} topics of point clouds: {shortened(', '.join(texts), MAX_SHOWN)}"
+    return UsageError(folder, problem, "one of them", f"choose one with --topic {ordered[0]}")
 
 
 def _names(times: list[int]) -> list[str]:

@@ -10,6 +10,7 @@ from bags import START, STEP, messages, structured, write_bag
 from scans import files_below, labels_below, refused
 
 from salsanext_cli import read_scan
+from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NoInputError, OutputError, UsageError
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.paths import find_scans
@@ -44,6 +45,19 @@ def test_a_recording_becomes_a_sequence_of_the_same_scans(bag, tmp_path):
         expected, found = read_scan(inside.path), read_scan(outside.path)
         np.testing.assert_array_equal(found.points, expected.points)
         np.testing.assert_array_equal(found.intensity, expected.intensity)
+
+
+def test_clouds_without_points_or_measurements_fail_and_the_others_are_labelled(tmp_path, weights):
+    unmeasured = structured(50)
+    for axis in "xyz":
+        unmeasured[axis] = np.nan
+    written = [structured(0), unmeasured, POINTS[2]]
+    bag = write_bag(tmp_path, ".bag", messages(written))
+    network = NetworkSettings(weights, "cpu", engine="torch")
+    outcome = predict_scans(bag, tmp_path / "out", settings=network)
+    assert [failure.scan.stem for failure in outcome.failures] == TIMES[:2]
+    assert {failure.code for failure in outcome.failures} == {"format"}
+    assert outcome.done == 1
 
 
 def test_some_of_the_scans_and_later_the_rest(bag, tmp_path):

@@ -12,11 +12,23 @@ from scans import refused
 
 pytest.importorskip("rosbags")
 
-from bags import KINDS, START, STEP, TOPIC, cloud, messages, structured, text, write_bag
+from bags import (
+    KINDS,
+    START,
+    STEP,
+    TOPIC,
+    channels,
+    cloud,
+    livox,
+    messages,
+    structured,
+    text,
+    write_bag,
+)
 
 from salsanext_cli import read_scan
 from salsanext_cli.errors import FormatError, MissingDependency, NoInputError, UsageError
-from salsanext_cli.formats.bags import columns_of
+from salsanext_cli.formats.cloud_messages import columns_of_fields
 from salsanext_cli.results.paths import find_scans
 
 POINTS = [structured(seed=seed) for seed in range(5)]
@@ -66,15 +78,24 @@ def test_a_bag_that_is_replaced_is_opened_again(tmp_path):
     require_equal(read_scan(scan.path), POINTS[3])
 
 
-def test_one_of_several_topics_is_named(tmp_path):
-    written = [*messages(POINTS[:2], "/front"), *messages(POINTS[2:], "/rear/points")]
+def test_one_of_several_topics_is_named_the_one_with_most_points_first(tmp_path):
+    few = [structured(20, seed) for seed in range(3)]
+    none = [structured(0)] * 3
+    starting = [structured(0), *POINTS[:2]]  # A driver may begin with an empty cloud.
+    written = [
+        *messages(none, "/empty"),
+        *messages(few, "/clusters"),
+        *messages(starting, "/rear/points"),
+    ]
     path = write_bag(tmp_path, ".mcap", written)
-    with pytest.raises(UsageError, match=r"2 topics .*: /front, /rear/points"):
+    listed = r"3 topics .*: /rear/points \(200 points\), /clusters \(20 points\), /empty \(0 points\)"
+    with pytest.raises(UsageError, match=listed) as caught:
         find_scans(path)
+    assert caught.value.hint == "choose one with --topic /rear/points"
     scans = find_scans(path / "rear/points")
     assert [scan.stem for scan in scans] == TIMES[:3]
-    require_equal(read_scan(scans[0].path), POINTS[2])
-    for wrong in ("rear", "rear/point", "front/1"):
+    require_equal(read_scan(scans[1].path), POINTS[0])
+    for wrong in ("rear", "rear/point", "clusters/1"):
         with pytest.raises(NoInputError, match=r"drive\.mcap"):
             find_scans(path / wrong)
 
@@ -128,11 +149,121 @@ def test_damaged_metadata_are_refused_and_the_storage_itself_is_read(tmp_path):
 def test_a_database_without_definitions_is_read(tmp_path):
     """As ROS 2 wrote them until 2023."""
     path = write_bag(tmp_path, ".db3", messages(POINTS))
+    without_definitions(path)
+    require_equal(read_scan(find_scans(path)[1].path), POINTS[1])
+
+
+def without_definitions(path):
+    """Make a database as ROS 2 wrote it until 2023."""
     with sqlite3.connect(path) as connection:
         connection.execute("DROP TABLE schema")
         connection.execute("DROP TABLE message_definitions")
     connection.close()
-    require_equal(read_scan(find_scans(path)[1].path), POINTS[1])
+
+
+def whole_intensities(seed=0):
+    points = structured(seed=seed)
+    points["intensity"] = np.arange(len(points)) % 256
+    return points
+
+
+@pytest.mark.parametrize("kind", [*KINDS, "without definitions"])
+@pytest.mark.parametrize("package", ["livox_ros_driver", "livox_ros_driver2"])
+def test_clouds_of_livox_drivers_are_read(tmp_path, kind, package):
+    written = [whole_intensities(seed) for seed in range(3)]
+    clouds = [("/livox/lidar", START + n, livox(each, package)) for n, each in enumerate(written)]
+    path = write_bag(tmp_path, ".db3" if kind not in KINDS else kind, clouds)
+    if kind not in KINDS:
+        without_definitions(path)
+    scans = find_scans(path)
+    assert len(scans) == 3
+    for file, points in zip(scans, written, strict=True):
+        scan = read_scan(file.path)
+        for axis, name in enumerate("xyz"):
+            np.testing.assert_array_equal(scan.points[:, axis], points[name])
+        np.testing.assert_allclose(scan.intensity, points["intensity"] / 255, rtol=1e-6)
+
+
+def test_clouds_of_channels_are_read_and_refused_with_missing_values(tmp_path):
+    path = write_bag(tmp_path, ".bag", [("/cloud", START, channels(POINTS[0]))])
+    require_equal(read_scan(find_scans(path)[0].path), POINTS[0])
+    path = write_bag(tmp_path / "b", ".bag", [("/cloud", START, channels(POINTS[0], missing=1))])
+    with pytest.raises(FormatError, match="channel intensity has 199 values"):
+        read_scan(find_scans(path)[0].path)
+
+
+def record(kind, content):
+    return struct.pack("<BQ", kind, len(content)) + content
+
+
+def string(text):
+    return struct.pack("<I", len(text)) + text.encode()
+
+
+def other_mcap(profile, schemas):
+    """Return an MCAP file without messages: header, summary of schemas, footer."""
+    magic = b"\x89MCAP0\r\n"
+    start = magic + record(0x01, string(profile) + string("test")) + record(0x0F, bytes(4))
+    summary = b"".join(
+        record(0x03, struct.pack("<H", number) + string(name) + string("protobuf") + string("x"))
+        for number, name in enumerate(schemas, start=1)
+    )
+    return start + summary + record(0x02, struct.pack("<QQI", len(start), 0, 0)) + magic
+
+
+@pytest.mark.parametrize(
+    ("profile", "schemas", "problem"),
+    [
+        ("", ["foxglove.PointCloud"], r"is no recording of ROS 2: contains foxglove\.PointCloud"),
+        ("other", [], "is no recording of ROS 2: has the profile 'other'"),
+        ("ros1", ["sensor_msgs/PointCloud2"], "is a recording of ROS 1"),
+    ],
+)
+def test_recordings_of_other_systems_are_named_and_not_called_damaged(
+    tmp_path, profile, schemas, problem
+):
+    path = tmp_path / "drive.mcap"
+    path.write_bytes(other_mcap(profile, schemas))
+    with pytest.raises(FormatError, match=problem) as caught:
+        find_scans(path)
+    assert caught.value.hint
+    path.write_bytes(other_mcap("ros2", []))
+    with pytest.raises(NoInputError, match="no messages"):
+        find_scans(path)
+
+
+def test_packets_are_answered_with_a_hint(tmp_path, monkeypatch):
+    path = write_bag(tmp_path, ".bag", [("/chatter", START, text)])
+    with pytest.raises(NoInputError) as caught:
+        find_scans(path)
+    assert not caught.value.hint
+    kinds = {"/velodyne_packets": "velodyne_msgs/msg/VelodyneScan"}
+    monkeypatch.setattr("salsanext_cli.formats.bags.Bag.topics", lambda bag: kinds)
+    with pytest.raises(NoInputError, match="VelodyneScan") as caught:
+        find_scans(path)
+    assert "driver" in caught.value.hint
+
+
+@pytest.mark.real
+@pytest.mark.parametrize(
+    ("name", "problem"),
+    [
+        ("several_topics.bag", r"/cluster_markers \(0 points\) \(expected one of them\)"),
+        ("foxglove_point_cloud.mcap", r"contains foxglove\.PointCloud"),
+    ],
+)
+def test_reported_bags_are_refused_by_what_they_are(real_data, name, problem):
+    with pytest.raises((UsageError, FormatError), match=problem):
+        find_scans(real_data / "data/reported/round5/bags" / name)
+
+
+@pytest.mark.real
+@pytest.mark.parametrize("name", ["row_step_of_the_whole_cloud.bag", "livox_custom_msg.bag"])
+def test_reported_bags_are_read(real_data, name):
+    (file,) = find_scans(real_data / "data/reported/round5/bags" / name)
+    scan = read_scan(file.path)
+    assert len(scan) > 1000
+    assert scan.intensity.max() > 0.1
 
 
 def test_the_package_that_is_missing_or_too_old_is_named(tmp_path, monkeypatch):
@@ -170,7 +301,7 @@ def test_fields_of_every_type_in_padded_points_and_rows(order, height, width, pa
     rows = [
         b"".join(point.pack(*values) for values in row) + bytes(padding) for row in values.tolist()
     ]
-    columns = columns_of(
+    columns = columns_of_fields(
         message(
             fields=fields[::-1],
             height=height,
@@ -200,14 +331,25 @@ def test_fields_of_several_values_and_repeated_names_are_skipped():
     several = SimpleNamespace(name="normal", offset=0, datatype=7, count=3)
     old = SimpleNamespace(name="i", offset=0, datatype=2, count=0)
     second = SimpleNamespace(name="i", offset=4, datatype=7, count=1)
-    columns = columns_of(message(row_step=0, fields=[several, old, second]), PATH)
+    columns = columns_of_fields(message(row_step=0, fields=[several, old, second]), PATH)
     assert {name: values.dtype for name, values in columns.items()} == {"i": np.uint8}
+
+
+@pytest.mark.parametrize("row_step", [0, 12, 3 * 2 * 12])
+def test_clouds_without_padding_are_read_whatever_the_row_step(row_step):
+    """As drivers of ZED cameras write it: the size of the whole cloud."""
+    values = np.arange(18, dtype="<f4").reshape(3, 2, 3)
+    data = np.frombuffer(values.tobytes(), np.uint8)
+    columns = columns_of_fields(message(height=3, row_step=row_step, data=data), PATH)
+    for n, name in enumerate("xyz"):
+        np.testing.assert_array_equal(columns[name], values[..., n].ravel())
 
 
 def test_sizes_that_contradict_each_other_are_refused():
     for changed in (
         {"width": 10**12},
         {"height": 10**6, "width": 10**6, "row_step": 12 * 10**6},
+        {"height": 2, "row_step": 48},
         {"height": 2},
         {"height": 2, "row_step": 3},
         {"point_step": 10**12},
@@ -218,4 +360,4 @@ def test_sizes_that_contradict_each_other_are_refused():
         {"fields": [SimpleNamespace(name="x", offset=0, datatype=9, count=1)]},
     ):
         with pytest.raises(FormatError, match="damaged"):
-            columns_of(message(**changed), PATH)
+            columns_of_fields(message(**changed), PATH)
