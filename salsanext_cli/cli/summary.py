@@ -90,6 +90,7 @@ def _as_data(outcome: Outcome) -> dict[str, Any]:
         from salsanext_cli.files.json_files import plain
         from salsanext_cli.sensors.sensor import NOISE
 
+        data["folders"] = {scan.sequence: str(scan.path.parent) for scan in summary.scans}
         data["sensor"] = summary.sensor.to_dict(NOISE)
         data["unlabelled_share"] = round(summary.unlabelled_share, 4)
         data["largest_classes"] = summary.largest_classes()

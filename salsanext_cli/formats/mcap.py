@@ -22,7 +22,9 @@ ROS1 = "ros1"
 ROS2 = "ros2"
 EXPECTED = "a recording of ROS 2"
 ROS1_HINT = "give the .bag file that it was converted from"
-OTHER_HINT = "write each cloud to .npy, with columns x, y, z, intensity: the package `mcap` reads it"
+OTHER_HINT = (
+    "write each cloud to .npy, with columns x, y, z, intensity: the package `mcap` reads it"
+)
 
 
 def require_ros2(path: Path) -> None:

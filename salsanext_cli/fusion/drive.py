@@ -17,7 +17,8 @@ from salsanext_cli.formats import read_scan
 from salsanext_cli.fusion.pose_checks import Parts, best_reading, require_fitting
 from salsanext_cli.fusion.poses import POSES, Poses, encode_poses, pose_readings, read_fused_poses
 from salsanext_cli.records import Float
-from salsanext_cli.results.paths import SCAN_FOLDER, ScanFile, drive_order, find_scans
+from salsanext_cli.results.layouts import SCAN_FOLDER
+from salsanext_cli.results.paths import ScanFile, drive_order, find_scans
 from salsanext_cli.sensors.sensor import Sensor
 
 DRIVE = "drive.json"

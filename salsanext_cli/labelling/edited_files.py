@@ -17,10 +17,11 @@ from salsanext_cli.formats import format_of, suffixes_in_words
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.label_scalars import LABEL_READER, LabelIds, LabelledCloud, whole_numbers
 from salsanext_cli.formats.npy import read_integers
+from salsanext_cli.formats.unread import LAS_SUFFIXES, OF_LAS
 from salsanext_cli.geometry.label_transfer import TOLERANCE_M, LabelTransfer, transfer_labels
 from salsanext_cli.labelling.label_records import ImportedScan
 from salsanext_cli.records import Float
-from salsanext_cli.results.paths import HINTS, OF_LAS, ScanFile, counted_by_suffix
+from salsanext_cli.results.paths import ScanFile, counted_by_suffix
 
 LABEL_SUFFIXES = (".label", ".npy")  # Files with one label per point and no coordinates
 MAX_UNMATCHED = 0.01  # Largest share of the points of a cloud that are not in the scan
@@ -45,7 +46,7 @@ def find_edited(source: Path) -> list[Path]:
     if not edited:
         others = f", but {counted_by_suffix(files)}" if files else ""
         raise NoInputError(source, f"contains no labels{others}", expected)
-    if ignored := [path for path in files if HINTS.get(path.suffix.lower()) == OF_LAS]:
+    if ignored := [path for path in files if path.suffix.lower() in LAS_SUFFIXES]:
         log.warning("%s: skipped %s; %s", source, counted_by_suffix(ignored), OF_LAS)
     return edited
 

@@ -25,8 +25,9 @@ from salsanext_cli.files.json_files import MALFORMED, decoded, plain, read_json
 from salsanext_cli.files.reading import fingerprint, present, reading
 from salsanext_cli.measures.scan_summary import largest_classes
 from salsanext_cli.measures.scores import Counts
+from salsanext_cli.results.layouts import SCAN_FOLDER
 from salsanext_cli.results.owned_folder import OwnedFolder, States
-from salsanext_cli.results.paths import SCAN_FOLDER, ScanFile
+from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.results.selection import data_set_of
 from salsanext_cli.version import __version__
 

@@ -26,8 +26,8 @@ from salsanext_cli.files.json_files import read_record, write_json
 from salsanext_cli.files.locks import locked
 from salsanext_cli.files.reading import filled, present, reading
 from salsanext_cli.results.manifest import Manifest
+from salsanext_cli.results.scan_folders import FILE_LISTS
 
-FILE_LISTS = ".salsanext.files"
 PLACES = (*("sequences/*/", "sequences/*/*/", "sequences/*/*/*/"), *("folds/*/", "eval/*/"))
 """Subfolders that stages write into."""
 RECORDS_LOCK_TIMEOUT_S = 1800.0

@@ -10,14 +10,31 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from salsanext_cli.errors import NoInputError, OutputError, first_few
-from salsanext_cli.files.reading import is_folder, present, reason
-from salsanext_cli.formats import SCAN_SUFFIXES, is_table, scan_suffix, suffixes_in_words
+from salsanext_cli.errors import NoInputError, OutputError, first_few, notice_once
+from salsanext_cli.files.reading import present, reason
+from salsanext_cli.formats import is_table, scan_suffix, suffixes_in_words
 from salsanext_cli.formats.recordings import is_recording, recorded_paths, recording_of, sequence_of
+from salsanext_cli.formats.unread import UNFINISHED, conversion_hint, folder_hint, unread_kind
+from salsanext_cli.results.layouts import (
+    LABEL_FOLDER,
+    SCAN_FOLDER,
+    layout_of,
+    sequence_name,
+    sequence_names,
+)
+from salsanext_cli.results.scan_folders import (
+    MAX_ENTRIES_BESIDE_TABLES,
+    ScanFolder,
+    ambiguous_folders,
+    folders_in,
+    names_in,
+    scan_folders_below,
+    scan_names,
+    usable,
+    words_of_choice,
+)
 from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 
-OWN_TABLES = ("scores.txt", "log.csv", "picked.csv")
-"""Tables of `eval`, `train` and `pick`, which are scans only if they are named."""
 SINGLE_SCAN_STAGES = ("predict", "knn-refine", "uncertainty")
 PREDICTION_STAGES = (*SINGLE_SCAN_STAGES, "fuse")  # Stages whose results later stages read
 ERROR = "uncertainty/error"
@@ -41,16 +58,6 @@ SUFFIX_OF_FOLDER = {
     **{f"ply/{name}": ".ply" for name in COLOURINGS},
 }
 """Folders of a sequence in an output folder, and the suffix of the files in each."""
-OF_LAS = "convert it to .ply: `pdal translate in.las out.ply`"
-HINTS = {".gz": "decompress it with gunzip", ".las": OF_LAS, ".laz": OF_LAS}  # On other suffixes
-SCAN_FOLDER = "velodyne"
-
-
-def names_in(folder: Path) -> list[str]:
-    """Return the names of the files in a folder that are not hidden."""
-    # Not is_file(): a link to a missing scan must fail when it is read.
-    with os.scandir(folder) as entries:
-        return [e.name for e in entries if not e.name.startswith(".") and not is_folder(e)]
 
 
 def counted_by_suffix(paths: Iterable[Path]) -> str:
@@ -59,15 +66,24 @@ def counted_by_suffix(paths: Iterable[Path]) -> str:
     return ", ".join(f"{count} {suffix or 'without a suffix'}" for suffix, count in counts)
 
 
-def _no_scans_error(source: Path, others: list[Path]) -> NoInputError:
-    """Return the error of a source without scans, with the other files in it."""
+def _unread_file_error(path: Path) -> NoInputError:
+    """Return the error of a file that is neither a scan nor a recording."""
+    problem = f"{path.suffix} files are not supported" if path.suffix else "has no suffix"
+    if unread_kind(path.name) == UNFINISHED:
+        problem = "is a bag that was never closed"
+    return NoInputError(path, problem, f"one of {suffixes_in_words()}", conversion_hint(path))
+
+
+def _no_scans_error(source: Path, others: list[str]) -> NoInputError:
+    """Return the error of a source without scans, with the names of the files in it."""
     expected = f"{suffixes_in_words()} files, or sequences/*/velodyne"
     inside = sorted(filter(is_recording, source.iterdir())) if source.is_dir() else []
     if inside:
         problem = f"contains no scans, but recordings: {first_few([r.name for r in inside])}"
         return NoInputError(source, problem, expected, f"give one recording, such as {inside[0]}")
-    problem = f"contains no scans{f', but {counted_by_suffix(others)}' if others else ''}"
-    return NoInputError(source, problem, f"{expected}, or a recording")
+    paths = [source / name for name in others]
+    problem = f"contains no scans{f', but {counted_by_suffix(paths)}' if paths else ''}"
+    return NoInputError(source, problem, f"{expected}, or a recording", folder_hint(source, others))
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -89,9 +105,14 @@ class ScanFile:
         name = f"{self.stem}.label"
         folder = self.path.parent
         if folder.name == SCAN_FOLDER:
-            return folder.parent / "labels" / name
-        nested = folder / "labels" / name
-        return nested if present(nested) else folder / name
+            return folder.parent / LABEL_FOLDER / name
+        nested = folder / LABEL_FOLDER / name
+        beside = folder / name
+        layout = layout_of(folder)
+        apart = layout.label_path(folder, self.stem) if layout else None
+        if apart and (present(apart) or not (present(nested) or present(beside))):
+            return apart
+        return nested if present(nested) else beside
 
 
 def drive_order(file: ScanFile) -> tuple[Any, ...]:
@@ -108,18 +129,18 @@ def find_scans(
     `unique`: whether to refuse several files of one name.
     """
     try:
+        place = _absolute(source)
         is_file = present(source) and not source.is_dir()
-        if is_file and not recording_of(_absolute(source)) and not scan_suffix(source.name):
-            suffix = source.suffix
-            problem = f"{suffix} files are not supported" if suffix else "has no suffix"
-            hint = HINTS.get(suffix.lower(), "convert it to .ply, for example with CloudCompare")
-            raise NoInputError(source, problem, f"one of {suffixes_in_words()}", hint)
-        scans = sorted(_scans_of(_absolute(source)))
+        if is_file and not recording_of(place) and not scan_suffix(source.name):
+            raise _unread_file_error(source)
+        scans = sorted(_scans_of(place))
+        if source.is_dir() and all(is_table(scan.path.name) for scan in scans[:1]):
+            scans = _scans_below(source, place, scans)
         others = names_in(source) if not scans and source.is_dir() else []
     except OSError as error:
         raise NoInputError(source, reason(error), "a scan or a folder of scans") from error
     if not scans:
-        raise _no_scans_error(source, [source / name for name in others])
+        raise _no_scans_error(source, others)
     if sequences is not None:
         scans = of_sequences(scans, sequences, source)
     if unique:
@@ -140,7 +161,7 @@ def _scans_of(path: Path) -> Iterator[ScanFile]:
     elif not path.is_dir():
         path.stat()
         if suffix := scan_suffix(path.name):
-            yield ScanFile(_sequence_of(path.parent), path.name[: -len(suffix)], path)
+            yield ScanFile(sequence_name(path.parent), path.name[: -len(suffix)], path)
     else:
         # A `sequences` folder without scans may contain results.
         of_data_set = [*_scans_of_sequences(path / "sequences")]
@@ -169,28 +190,45 @@ def _scans_at(path: Path) -> list[ScanFile]:
 def _scans_of_sequences(folder: Path) -> Iterator[ScanFile]:
     if not folder.is_dir():
         return
-    with os.scandir(folder) as entries:
-        names = [e.name for e in entries if not e.name.startswith(".") and is_folder(e)]
-    for name in names:
+    for name in folders_in(folder):
         yield from _scans_in(folder / name / SCAN_FOLDER)
 
 
 def _scans_in(folder: Path) -> Iterator[ScanFile]:
-    names = names_in(folder) if folder.is_dir() else []
-    suffix_of = {name: scan_suffix(name) for name in names if name not in OWN_TABLES}
-    known, sequence = {*suffix_of.values()} - {""}, _sequence_of(folder)
-    # Tables are often no scans: they count only without clouds, and only of one suffix.
-    tables = [*(s for s in SCAN_SUFFIXES if s in known), *sorted(known)][:1]
-    suffixes = [suffix for suffix in known if not is_table(suffix)] or tables
-    for name, suffix in suffix_of.items():
-        if suffix in suffixes:
-            yield ScanFile(sequence, name[: -len(suffix)], folder / name)
+    suffixes = scan_names(names_in(folder)) if folder.is_dir() else {}
+    yield from _scan_files(ScanFolder(folder, suffixes), sequence_name(folder))
 
 
-def _sequence_of(folder: Path) -> str:
-    """Return the name of the sequence of a folder of scans; the root of a disk has no name."""
-    named = folder.parent.name if folder.name == SCAN_FOLDER else ""
-    return named or folder.name or "scans"
+def _scan_files(folder: ScanFolder, sequence: str) -> Iterator[ScanFile]:
+    for name, suffix in folder.suffixes.items():
+        yield ScanFile(sequence, name[: -len(suffix)], folder.path / name)
+
+
+def _scans_below(source: Path, place: Path, tables: list[ScanFile]) -> list[ScanFile]:
+    """Return the scans of a folder that contains none, or only tables, from the folders below it.
+
+    Tables are the scans unless there is a known layout below.
+    """
+    if recording_of(place) or (tables and layout_of(place)):
+        return tables
+    folders = _layouts_beside_tables(place) if tables else scan_folders_below(place)
+    chosen = usable(folders)
+    if not chosen:
+        if tables or not folders:
+            return tables
+        raise ambiguous_folders(source, place, folders)
+    notice_once(words_of_choice(source, place, chosen, folders))
+    names = sequence_names((folder.path for folder in chosen), place)
+    return sorted(scan for folder in chosen for scan in _scan_files(folder, names[folder.path]))
+
+
+def _layouts_beside_tables(place: Path) -> list[ScanFolder]:
+    """Return the folders of known layouts below a folder of tables; none if there are too many."""
+    try:
+        folders = scan_folders_below(place, MAX_ENTRIES_BESIDE_TABLES)
+    except NoInputError:
+        return []
+    return [folder for folder in folders if folder.layout]
 
 
 def of_sequences(

@@ -24,15 +24,16 @@ from salsanext_cli.geometry.projection import in_sensor_frame, measured_ranges
 from salsanext_cli.geometry.scan_traits import sensor_of
 from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.records import Float, Scan
+from salsanext_cli.results.layouts import SCAN_FOLDER
 from salsanext_cli.results.manifest import Manifest, ScanSource
 from salsanext_cli.results.paths import (
     PREDICTION_STAGES,
-    SCAN_FOLDER,
     SINGLE_SCAN_STAGES,
     SUFFIX_OF_FOLDER,
     ScanFile,
     find_outputs,
     find_scans,
+    of_sequences,
     output_path,
     require_unique_stems,
     with_outputs,
@@ -129,9 +130,7 @@ class ResultFolder(Manifest):
             expected = "the output folder of an earlier stage"
             raise NoInputError(self.root, problem, expected, PREDICT.format(out=self.root))
         if self.dataset and len(sequences) == 1 and _is_sequence(self.dataset):
-            # The folder of scans or the recording may have been renamed.
-            here = find_scans(self.dataset, unique=False)
-            scans = [replace(scan, sequence=sequences[0]) for scan in here]
+            scans = _scans_of_renamed(self.dataset, sequences[0])
         else:
             of_sequences = (self._of_sequence(name, known.get(name)) for name in sequences)
             scans = [scan for of_sequence in of_sequences for scan in of_sequence]
@@ -160,20 +159,27 @@ class ResultFolder(Manifest):
     def _of_sequence(self, sequence: str, source: ScanSource | None) -> list[ScanFile]:
         folder = Path(source.folder) if source else None
         if source and folder and not self.dataset and (is_folder(folder) or recording_of(folder)):
-            scans = find_scans(folder, unique=False)
+            # Older versions named the sequences of some layouts otherwise.
+            scans = [
+                replace(scan, sequence=sequence)
+                for scan in find_scans(folder, unique=False)
+                if scan.path.parent == folder
+            ]
             listed = {scan.path.name for scan in scans}
             # Tables beside clouds are scans only if they were named.
             files = {stem: stem + suffix for stem, suffix in source.suffixes.items() if suffix}
-            return scans + [
+            scans += [
                 ScanFile(sequence, stem, folder / name)
                 for stem, name in files.items()
                 if name not in listed and present(folder / name)
             ]
+            if scans:
+                return scans
         root = self.dataset or Path(os.environ.get(DATASET_VARIABLE, ""))
-        if (root / "sequences").is_dir():
-            scan_folder = root / "sequences" / sequence / SCAN_FOLDER
-            if is_folder(scan_folder):
-                return find_scans(scan_folder, unique=False)
+        scan_folder = root / "sequences" / sequence / SCAN_FOLDER
+        if is_folder(scan_folder):
+            return find_scans(scan_folder, unique=False)
+        if self.dataset or (root / "sequences").is_dir():
             return find_scans(root, [sequence], unique=False)
         problem = f"no scans of it in {self.dataset or folder or root.absolute()}"
         hint = "give with --dataset the folder that contains sequences/"
@@ -328,6 +334,14 @@ def scalar_columns(cloud: ScanResults, space: LabelSpace) -> dict[str, npt.NDArr
         if cloud.label is not None:
             columns["wrong"] = cloud.wrong(space)
     return columns | cloud.uncertainty
+
+
+def _scans_of_renamed(dataset: Path, sequence: str) -> list[ScanFile]:
+    """Return the scans of a sequence whose folder or recording may have been renamed."""
+    scans = find_scans(dataset, unique=False)
+    if len({scan.path.parent for scan in scans}) > 1:
+        return of_sequences(scans, [sequence], dataset)
+    return [replace(scan, sequence=sequence) for scan in scans]
 
 
 def _is_sequence(dataset: Path) -> bool:

@@ -24,8 +24,8 @@ from salsanext_cli.errors import (
 from salsanext_cli.files.reading import is_folder, present
 from salsanext_cli.formats.recordings import recording_of
 from salsanext_cli.option_fields import ScanSelection
+from salsanext_cli.results.layouts import SCAN_FOLDER, layout_of
 from salsanext_cli.results.paths import (
-    SCAN_FOLDER,
     ScanFile,
     counted_by_suffix,
     find_scans,
@@ -143,8 +143,10 @@ def log_unused(
 def data_set_of(scan: ScanFile) -> Path | None:
     """Return the root of the data set of a scan, None for a scan in a plain folder."""
     folder = scan.path.parent
-    inside = folder.name == SCAN_FOLDER and folder.parent.parent.name == "sequences"
-    return folder.parents[2] if inside else None
+    if folder.name == SCAN_FOLDER and folder.parent.parent.name == "sequences":
+        return folder.parents[2]
+    layout = layout_of(folder)
+    return layout.root(folder) if layout and layout.has_labels else None
 
 
 def data_set_label_space(root: Path) -> LabelSpace | None:

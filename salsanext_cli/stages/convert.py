@@ -12,9 +12,10 @@ from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import encode_bin
 from salsanext_cli.formats.recordings import recording_of
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
+from salsanext_cli.results.layouts import SCAN_FOLDER
 from salsanext_cli.results.manifest import StageRecord
 from salsanext_cli.results.owned_folder import OwnedFolder
-from salsanext_cli.results.paths import SCAN_FOLDER, ScanFile, find_scans, require_none_hidden
+from salsanext_cli.results.paths import ScanFile, find_scans, require_none_hidden
 
 TIMES = "times.txt"
 

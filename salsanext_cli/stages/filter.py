@@ -21,6 +21,7 @@ from salsanext_cli.geometry.projection import measured_ranges, without_ego
 from salsanext_cli.geometry.scan_traits import sensor_of
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.records import Mask
+from salsanext_cli.results.layouts import SCAN_FOLDER
 from salsanext_cli.results.manifest import (
     StageRecord,
     StageSettings,
@@ -31,7 +32,6 @@ from salsanext_cli.results.owned_folder import OwnedFolder, foreign_file
 from salsanext_cli.results.paths import (
     ERROR,
     PREDICTION_STAGES,
-    SCAN_FOLDER,
     ScanFile,
     output_path,
     with_outputs,

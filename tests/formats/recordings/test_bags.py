@@ -88,7 +88,9 @@ def test_one_of_several_topics_is_named_the_one_with_most_points_first(tmp_path)
         *messages(starting, "/rear/points"),
     ]
     path = write_bag(tmp_path, ".mcap", written)
-    listed = r"3 topics .*: /rear/points \(200 points\), /clusters \(20 points\), /empty \(0 points\)"
+    listed = (
+        r"3 topics .*: /rear/points \(200 points\), /clusters \(20 points\), /empty \(0 points\)"
+    )
     with pytest.raises(UsageError, match=listed) as caught:
         find_scans(path)
     assert caught.value.hint == "choose one with --topic /rear/points"

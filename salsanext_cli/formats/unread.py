@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: MIT
+"""Files that contain points and are not read, and how to convert each kind."""
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+OF_LAS = "convert it to .ply: `pdal translate in.las out.ply`"
+OTHERWISE = "convert it to .ply, for example with CloudCompare"
+LAS_SUFFIXES = (".las", ".laz")
+UNFINISHED = ".bag.active"
+PICKLES = (".pkl.gz", ".pkl", ".pickle")
+GZIP = ".gz"
+KINDS = (*LAS_SUFFIXES, UNFINISHED, *PICKLES, GZIP)
+"""Suffixes of files with a hint of their own, longer ones first."""
+
+
+def unread_kind(name: str) -> str:
+    """Return which of the `KINDS` a file name has, in upper or lower case; empty for none."""
+    return next((kind for kind in KINDS if name.lower().endswith(kind)), "")
+
+
+def conversion_hint(path: Path) -> str:
+    """Return how to convert a file that is not read to one that is."""
+    kind = unread_kind(path.name)
+    if kind in LAS_SUFFIXES:
+        return OF_LAS
+    if kind == UNFINISHED:
+        finished = path.name[: -len(".active")]
+        return f"run `rosbag reindex {path.name}`, then rename it to {finished}"
+    if kind in PICKLES:
+        return _pickle_hint(path, kind)
+    return "decompress it with gunzip" if kind == GZIP else OTHERWISE
+
+
+def folder_hint(folder: Path, names: Sequence[str]) -> str:
+    """Return the hint for the most frequent kind of unread files in a folder; empty for none."""
+    counts = Counter(kind for kind in map(unread_kind, names) if kind)
+    if not counts:
+        return ""
+    most = max(sorted(counts), key=counts.__getitem__)
+    first = min(name for name in names if unread_kind(name) == most)
+    return f"{first}: {conversion_hint(folder / first)}"
+
+
+def _pickle_hint(path: Path, kind: str) -> str:
+    """Return the command that converts all pickled tables of a folder."""
+    files = f"pathlib.Path({str(path.parent)!r}).glob('*{kind}')"
+    target = f"str(p).removesuffix('{kind}') + '.csv'"
+    code = f"[pandas.read_pickle(p).to_csv({target}, index=False) for p in {files}]"
+    return f'a pickle may run code; if you trust it: python -c "import pandas, pathlib; {code}"'

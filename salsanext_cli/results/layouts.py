@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: MIT
+"""Layouts of public data sets: names of the sequences and places of the labels."""
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+SCAN_FOLDER = "velodyne"
+LABEL_FOLDER = "labels"
+SEQUENCE = "{sequence}"
+ANY = "*"
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Layout of the folders of scans of a data set.
+
+    Attributes
+    ----------
+    name : str
+        Name of the data set.
+    parts : tuple of str
+        Last parts of the path of a folder of scans: names, `ANY`, and `SEQUENCE` for the folder
+        that names the sequence. Without it, the folder of scans names it.
+    has_labels : bool
+        Whether labels lie in the same folders below ``labels`` instead of the first part.
+    scan_ending, label_ending : str
+        Ends of the stems of a scan and of its labels.
+    """
+
+    name: str
+    parts: tuple[str, ...]
+    has_labels: bool = False
+    scan_ending: str = ""
+    label_ending: str = ""
+
+    def fits(self, folder: Path) -> bool:
+        """Return whether a folder of scans is one of this layout."""
+        parts = folder.parts[-len(self.parts) :]
+        return len(folder.parts) > len(self.parts) and all(
+            pattern in (ANY, SEQUENCE, part)
+            for pattern, part in zip(self.parts, parts, strict=True)
+        )
+
+    def sequence(self, folder: Path) -> str:
+        """Return the name of the sequence of a folder of scans."""
+        parts = folder.parts[-len(self.parts) :]
+        return dict(zip(self.parts, parts, strict=True)).get(SEQUENCE, folder.name)
+
+    def root(self, folder: Path) -> Path:
+        """Return the root of the data set with a folder of scans."""
+        return folder.parents[len(self.parts) - 1]
+
+    def label_path(self, folder: Path, stem: str) -> Path | None:
+        """Return the path of the labels of a scan, which may not exist; None without labels."""
+        if not self.has_labels:
+            return None
+        inside = Path(LABEL_FOLDER, *folder.parts[1 - len(self.parts) :])
+        if self.scan_ending and stem.endswith(self.scan_ending):
+            stem = stem.removesuffix(self.scan_ending) + self.label_ending
+        return self.root(folder) / inside / f"{stem}.label"
+
+
+LAYOUTS = (
+    Layout("SemanticKITTI", (SEQUENCE, SCAN_FOLDER)),
+    Layout("SemanticKITTI", (SCAN_FOLDER, SEQUENCE), has_labels=True),
+    Layout("KITTI raw data", (SEQUENCE, "velodyne_points", "data")),
+    Layout("nuScenes", ("samples", "LIDAR_TOP")),
+    Layout("Argoverse 2", (SEQUENCE, "sensors", "lidar")),
+    Layout("GOOSE", ("lidar", ANY, SEQUENCE), True, "_vls128", "_goose"),
+    Layout("PandaSet", (SEQUENCE, "lidar")),
+)
+"""Known layouts; the first one that fits a folder counts."""
+
+
+def layout_of(folder: Path) -> Layout | None:
+    """Return the layout of a folder of scans; None for any other folder."""
+    return next((layout for layout in LAYOUTS if layout.fits(folder)), None)
+
+
+def sequence_name(folder: Path) -> str:
+    """Return the name of the sequence of a folder of scans; the root of a disk has no name."""
+    layout = layout_of(folder)
+    name = layout.sequence(folder) if layout else folder.name
+    return name or folder.name or "scans"
+
+
+def sequence_names(folders: Iterable[Path], root: Path) -> dict[Path, str]:
+    """Return the sequence of each folder of scans below a root, another one for each folder.
+
+    Folders that would share a name get the names of all folders from the root.
+    """
+    names = {folder: sequence_name(folder) for folder in folders}
+    counts = Counter(names.values())
+    return {
+        folder: "_".join(folder.relative_to(root).parts) if counts[name] > 1 else name
+        for folder, name in names.items()
+    }

@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: MIT
+"""Folders that contain scans: the files in one that are scans, and folders below another one."""
+
+import os
+import shlex
+from collections import Counter, deque
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from salsanext_cli.errors import MAX_NAMES_SHOWN, NoInputError, first_few
+from salsanext_cli.files.reading import is_folder
+from salsanext_cli.formats import SCAN_SUFFIXES, is_table, scan_suffix
+from salsanext_cli.formats.recordings import is_recording
+from salsanext_cli.results.layouts import LABEL_FOLDER, SCAN_FOLDER, Layout, layout_of
+
+OWN_TABLES = ("scores.txt", "log.csv", "picked.csv")
+"""Tables of `eval`, `train` and `pick`, which are scans only if they are named."""
+FILE_LISTS = ".salsanext.files"
+"""Folder with the lists of written files, in the root of folders that stages fill."""
+TEXT_SUFFIXES = (".txt", ".csv", ".asc", ".pts")
+"""Suffixes of tables that are usually no scans."""
+MAX_DEPTH = 6
+MAX_ENTRIES = 1_000_000
+"""Files and folders that a search looks at, some seconds of work."""
+MAX_ENTRIES_BESIDE_TABLES = 20_000
+"""The same below a folder of tables, which are probably the scans."""
+
+
+def names_in(folder: Path) -> list[str]:
+    """Return the names of the files in a folder that are not hidden."""
+    # Not is_file(): a link to a missing scan must fail when it is read.
+    with os.scandir(folder) as entries:
+        return [e.name for e in entries if not e.name.startswith(".") and not is_folder(e)]
+
+
+def folders_in(folder: Path) -> list[str]:
+    """Return the sorted names of the folders in a folder that are not hidden."""
+    with os.scandir(folder) as entries:
+        return sorted(e.name for e in entries if not e.name.startswith(".") and is_folder(e))
+
+
+def scan_names(names: Iterable[str]) -> dict[str, str]:
+    """Return the suffixes of the files in a folder that are scans, by name.
+
+    Tables are often no scans: they count only without clouds, and only of one suffix.
+    """
+    suffixes = {name: scan_suffix(name) for name in names if name not in OWN_TABLES}
+    known = {*suffixes.values()} - {""}
+    tables = [*(suffix for suffix in SCAN_SUFFIXES if suffix in known), *sorted(known)][:1]
+    chosen = [suffix for suffix in known if not is_table(suffix)] or tables
+    return {name: suffix for name, suffix in suffixes.items() if suffix in chosen}
+
+
+@dataclass(frozen=True)
+class ScanFolder:
+    """Folder that contains scans."""
+
+    path: Path
+    suffixes: Mapping[str, str]  # Suffix of each scan, by the name of its file
+
+    @cached_property
+    def layout(self) -> Layout | None:
+        """The layout of a data set that the folder fits."""
+        return layout_of(self.path)
+
+    @property
+    def rank(self) -> int:
+        """How certain it is that the files are scans: 2 for clouds, 0 for texts."""
+        suffixes = {*self.suffixes.values()}
+        if self.layout or not all(map(is_table, suffixes)):
+            return 2
+        return 0 if suffixes <= {*TEXT_SUFFIXES} else 1
+
+
+def scan_folders_below(root: Path, most: int = MAX_ENTRIES) -> list[ScanFolder]:
+    """Search the folders below a root, not itself, that contain scans.
+
+    Hidden folders, folders of labels, recordings, results of stages and folders below scans are
+    not searched, and no folder twice, whatever links lead to it.
+
+    Parameters
+    ----------
+    root : Path
+        Folder, searched to a depth of `MAX_DEPTH`.
+    most : int
+        Number of files and folders that the search looks at.
+
+    Returns
+    -------
+    list of ScanFolder
+        Sorted by path.
+
+    Raises
+    ------
+    NoInputError
+        If there are more than `most` files and folders.
+    """
+    found: list[ScanFolder] = []
+    waiting = deque((path, 1) for path in _subfolders(root))
+    visited = {_inode(root)}
+    entries = 0
+    while waiting:
+        folder, depth = waiting.popleft()
+        try:
+            inode = _inode(folder)
+            if inode in visited or is_recording(folder):
+                continue
+            visited.add(inode)
+            names = names_in(folder)
+            subfolders = _subfolders(folder)
+        except OSError:
+            continue  # A folder that may not be read
+        entries += len(names) + len(subfolders)
+        if entries > most:
+            problem = f"contains no scans itself, and over {most:,} files below it"
+            raise NoInputError(root, problem, "a folder of scans", "give the folder of the scans")
+        if suffixes := scan_names(names):
+            found.append(ScanFolder(folder, suffixes))
+        if depth < MAX_DEPTH and not (found and found[-1].path == folder and found[-1].rank == 2):
+            waiting.extend((path, depth + 1) for path in subfolders)
+    return sorted(found, key=lambda each: each.path)
+
+
+def _inode(folder: Path) -> tuple[int, int]:
+    """Return what identifies a folder, whatever path leads to it."""
+    status = folder.stat()
+    return status.st_dev, status.st_ino
+
+
+def _subfolders(folder: Path) -> list[Path]:
+    """Return the folders in a folder that may contain scans."""
+    if not is_folder(folder / FILE_LISTS):
+        return [folder / name for name in folders_in(folder) if name != LABEL_FOLDER]
+    # Results of stages are no scans, but `convert`, `filter` and `synth` write data sets.
+    sequences = folder / "sequences"
+    names = folders_in(sequences) if is_folder(sequences) else []
+    places = [sequences / name / SCAN_FOLDER for name in names]
+    return [place for place in places if is_folder(place)]
+
+
+def usable(folders: Collection[ScanFolder]) -> list[ScanFolder]:
+    """Return the folders that are certainly those of the scans; none if it is ambiguous.
+
+    These are all folders of the only known layout, else the only folder of scans.
+    """
+    of_layout = [folder for folder in folders if folder.layout]
+    if of_layout:
+        is_one = len({folder.layout.name for folder in of_layout if folder.layout}) == 1
+        return of_layout if is_one else []
+    ranked = [folder for folder in folders if folder.rank > 0]
+    best = max((folder.rank for folder in ranked), default=0)
+    chosen = [folder for folder in ranked if folder.rank == best]
+    return chosen if len(chosen) == 1 else []
+
+
+def words_of_choice(
+    source: Path, place: Path, chosen: Collection[ScanFolder], folders: Collection[ScanFolder]
+) -> str:
+    """Return the line about the folders that are used, and those that are not.
+
+    `source` is the folder as the user gave it, `place` its absolute path.
+    """
+    layout = next(iter(chosen)).layout
+    used = first_few([_counted(folder, place) for folder in chosen])
+    kind = f" in the layout of {layout.name}" if layout else ""
+    others = [folder for folder in folders if folder not in chosen and folder.rank > 0]
+    unused = first_few([_counted(folder, place) for folder in others])
+    text = f"{source}: contains no scans itself; using {used}{kind}"
+    return f"{text}; not used: {unused}" if unused else text
+
+
+def ambiguous_folders(source: Path, place: Path, folders: Collection[ScanFolder]) -> NoInputError:
+    """Return the error of a folder below which several may contain the scans.
+
+    `source` is the folder as the user gave it, `place` its absolute path.
+    """
+    best = max(folder.rank for folder in folders)
+    likely = [folder for folder in folders if folder.rank == best]
+    listed = first_few([_counted(folder, place) for folder in likely])
+    problem = f"contains no scans itself, but there are some below it: {listed}"
+    words = [str(source / folder.path.relative_to(place)) for folder in likely]
+    commands = [f"salsanext predict {shlex.quote(word)} OUT" for word in words]
+    hint = f"give one as SCANS: {'; or '.join(commands[:MAX_NAMES_SHOWN])}"
+    return NoInputError(source, problem, "one folder of scans", hint)
+
+
+def _counted(folder: ScanFolder, root: Path) -> str:
+    """Return a folder, relative to a root, and the number of its scans by suffix."""
+    counts = sorted(Counter(folder.suffixes.values()).items())
+    text = ", ".join(f"{count} {suffix}" for suffix, count in counts)
+    return f"{folder.path.relative_to(root)} ({text})"

@@ -1,0 +1,244 @@
+# SPDX-License-Identifier: MIT
+"""Scans deeper in the tree: layouts of data sets, single folders, and ambiguous ones."""
+
+import os
+from pathlib import Path
+
+import pytest
+from scans import refused, write_sequence
+
+from salsanext_cli.engines.settings import NetworkSettings
+from salsanext_cli.errors import NOTICE, NoInputError, OutputError
+from salsanext_cli.results import scan_folders
+from salsanext_cli.results.paths import find_scans, require_unique_stems
+from salsanext_cli.results.result_folder import ResultFolder
+from salsanext_cli.results.selection import data_set_of
+from salsanext_cli.stages.predict import predict_scans
+
+
+def make(root: Path, *names: str) -> None:
+    for name in names:
+        path = root / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(b"")
+
+
+def found(source: Path) -> list[str]:
+    return [scan.name for scan in find_scans(source)]
+
+
+KITTI = [
+    f"2011_09_26/2011_09_26_drive_000{drive}_sync/{file}"
+    for drive in (1, 2)
+    for file in (
+        "velodyne_points/data/0000000000.bin",
+        "velodyne_points/data/0000000001.bin",
+        "velodyne_points/timestamps.txt",
+        "oxts/data/0000000000.txt",
+        "image_02/data/0000000000.png",
+    )
+]
+ARGOVERSE = [
+    f"sensor/train/{log}/{file}"
+    for log in ("0a-1", "0b-2")
+    for file in (
+        "sensors/lidar/315966070.feather",
+        "annotations.feather",
+        "city_SE3_egovehicle.feather",
+        "calibration/intrinsics.feather",
+    )
+]
+NUSCENES = [
+    "samples/LIDAR_TOP/n008__LIDAR_TOP__15.pcd.bin",
+    "samples/RADAR_FRONT/n008__RADAR_FRONT__15.pcd",
+    "sweeps/LIDAR_TOP/n008__LIDAR_TOP__16.pcd.bin",
+    "sweeps/RADAR_FRONT/n008__RADAR_FRONT__16.pcd",
+    "lidarseg/v1.0-mini/0ab9_lidarseg.bin",
+]
+PANDASET = ["001/lidar/00.npy", "001/meta/gps.json", "002/lidar/00.npy", "002/camera/front/00.jpg"]
+UNPACKED = ["velodyne/00/000000.bin", "velodyne/01/000000.bin", "labels/00/000000.label"]
+GOOSE = ["lidar/train/2022_x/2022_x__7_vls128.bin", "lidar/val/2022_y/2022_y__7_vls128.bin"]
+
+
+@pytest.mark.parametrize(
+    ("files", "expected", "places"),
+    [
+        (
+            KITTI,
+            [f"2011_09_26_drive_000{d}_sync/000000000{n}" for d in (1, 2) for n in (0, 1)],
+            [".", "2011_09_26"],
+        ),
+        (ARGOVERSE, ["0a-1/315966070", "0b-2/315966070"], [".", "sensor", "sensor/train"]),
+        (NUSCENES, ["LIDAR_TOP/n008__LIDAR_TOP__15"], [".", "samples", "samples/LIDAR_TOP"]),
+        (PANDASET, ["001/00", "002/00"], ["."]),
+        (UNPACKED, ["00/000000", "01/000000"], [".", "velodyne"]),
+        (GOOSE, ["2022_x/2022_x__7_vls128", "2022_y/2022_y__7_vls128"], [".", "lidar"]),
+    ],
+)
+def test_drives_of_known_layouts_are_sequences(tmp_path, files, expected, places):
+    root = tmp_path / "data set"
+    make(root, *files)
+    for place in places:
+        assert found(root / place) == expected, place
+
+
+@pytest.mark.parametrize(
+    ("files", "place", "sequence"),
+    [
+        (KITTI, "2011_09_26/2011_09_26_drive_0002_sync", "2011_09_26_drive_0002_sync"),
+        (ARGOVERSE, "sensor/train/0b-2", "0b-2"),
+        (PANDASET, "002", "002"),
+        (UNPACKED, "velodyne/01", "01"),
+    ],
+)
+def test_a_drive_has_one_name_however_it_is_given(tmp_path, files, place, sequence):
+    make(tmp_path, *files)
+    scans = find_scans(tmp_path / place)
+    assert {scan.sequence for scan in scans} == {sequence}
+    assert find_scans(scans[0].path.parent) == scans
+    assert find_scans(scans[0].path) == scans[:1]
+    assert [scan for scan in find_scans(tmp_path) if scan.sequence == sequence] == scans
+
+
+@pytest.mark.parametrize(
+    "folder", ["clouds", "pointclouds/front", "sensors/lidar", "lidar", "a/b/c/velodyne_points"]
+)
+def test_the_only_folder_with_scans_is_used_and_named(tmp_path, folder, caplog):
+    make(tmp_path, f"{folder}/1.pcd", "gps/track.csv", "README.md")
+    with caplog.at_level(NOTICE):
+        assert [scan.path for scan in find_scans(tmp_path)] == [tmp_path / folder / "1.pcd"]
+    (record,) = caplog.records
+    assert record.levelno == NOTICE
+    assert f"{folder} (1 .pcd)" in record.getMessage()
+
+
+def test_folders_that_are_not_used_are_named(tmp_path, caplog):
+    make(tmp_path, *NUSCENES)
+    with caplog.at_level(NOTICE):
+        find_scans(tmp_path)
+    (message,) = caplog.messages
+    assert "using samples/LIDAR_TOP (1 .pcd.bin) in the layout of nuScenes" in message
+    assert "sweeps/LIDAR_TOP (1 .pcd.bin)" in message.partition("not used")[2]
+
+
+def test_several_folders_are_listed_with_their_counts_and_commands(tmp_path):
+    make(tmp_path, "front/1.pcd", "front/2.pcd", "rear scans/1.pcd", "notes/a.txt")
+    error = refused(NoInputError, tmp_path, find_scans, tmp_path).value
+    assert "front (2 .pcd), rear scans (1 .pcd)" in error.problem
+    assert "notes" not in error.problem
+    for place in (f"{tmp_path}/front", f"'{tmp_path}/rear scans'"):
+        assert f"salsanext predict {place} OUT" in error.hint
+
+
+def test_two_layouts_are_ambiguous_and_texts_are_listed_but_never_used(tmp_path):
+    make(tmp_path / "both", *KITTI, *PANDASET)
+    refused(NoInputError, tmp_path / "both", find_scans, tmp_path / "both")
+    make(tmp_path / "texts", "clouds/1.csv")
+    error = refused(NoInputError, tmp_path / "texts", find_scans, tmp_path / "texts").value
+    assert "clouds (1 .csv)" in error.problem
+
+
+def test_tables_in_the_folder_are_the_scans_unless_a_known_layout_is_below(tmp_path):
+    make(tmp_path, "a.npy", "other/1.pcd")
+    assert found(tmp_path) == [f"{tmp_path.name}/a"]
+    make(tmp_path, "drive/lidar/00.pcd")
+    assert found(tmp_path) == ["drive/00"]
+    make(tmp_path, "b.bin")
+    assert found(tmp_path) == [f"{tmp_path.name}/b"]
+
+
+def test_equal_names_of_drives_stay_apart(tmp_path):
+    make(tmp_path, "day/run1/lidar/0.bin", "night/run1/lidar/0.bin", "night/run2/lidar/0.bin")
+    scans = find_scans(tmp_path)
+    require_unique_stems(scans)
+    names = ["day_run1_lidar/0", "night_run1_lidar/0", "run2/0"]
+    assert [scan.name for scan in scans] == names
+
+
+def test_hidden_folders_results_and_loops_of_links_are_not_searched(tmp_path):
+    make(tmp_path, "run/clouds/1.pcd", ".cache/clouds/1.pcd", "run/.tmp/1.pcd", "labels/1.ply")
+    make(tmp_path, "out/sequences/run/ply/1.ply", "out/.salsanext.files/host.tsv")
+    (tmp_path / "run" / "up").symlink_to(tmp_path)
+    (tmp_path / "again").symlink_to(tmp_path / "run")
+    (tmp_path / "self").symlink_to(tmp_path / "self")
+    assert len(found(tmp_path)) == 1
+
+
+def test_data_sets_that_stages_wrote_are_found(tmp_path):
+    make(tmp_path, "data/sequences/08/velodyne/0.bin", "data/sequences/08/ply/0.ply")
+    make(tmp_path, "data/.salsanext.files/host.tsv")
+    assert found(tmp_path) == ["08/0"]
+
+
+def test_the_search_is_bounded(tmp_path, monkeypatch):
+    deep = "/".join(f"{n}" for n in range(scan_folders.MAX_DEPTH))
+    make(tmp_path, f"{deep}/1.pcd")
+    assert len(found(tmp_path)) == 1
+    make(tmp_path / "deeper", f"{deep}/one more/1.pcd")
+    refused(NoInputError, tmp_path / "deeper", find_scans, tmp_path / "deeper")
+    make(tmp_path / "many", *(f"photos/{n}.jpg" for n in range(20)), "zz/1.pcd")
+    monkeypatch.setattr(scan_folders.scan_folders_below, "__defaults__", (20,))
+    error = refused(NoInputError, tmp_path / "many", find_scans, tmp_path / "many").value
+    assert "over 20 files" in error.problem
+
+
+@pytest.mark.skipif(os.name == "nt" or not os.getuid(), reason="root may read everything")
+def test_folders_that_may_not_be_read_are_skipped(tmp_path):
+    make(tmp_path, "clouds/1.pcd", "private/1.pcd")
+    (tmp_path / "private").chmod(0)
+    try:
+        assert found(tmp_path) == ["clouds/1"]
+    finally:
+        (tmp_path / "private").chmod(0o700)
+
+
+def test_labels_of_the_layouts_are_found(tmp_path):
+    make(tmp_path / "sk", *UNPACKED)
+    make(tmp_path / "goose", *GOOSE)
+    first, _ = find_scans(tmp_path / "sk")
+    assert first.label_path == tmp_path / "sk/labels/00/000000.label"
+    assert data_set_of(first) == tmp_path / "sk"
+    first, _ = find_scans(tmp_path / "goose")
+    assert first.label_path == tmp_path / "goose/labels/train/2022_x/2022_x__7_goose.label"
+    assert data_set_of(first) == tmp_path / "goose"
+
+
+def test_labels_beside_the_scans_precede_those_that_a_layout_lacks(tmp_path):
+    make(tmp_path, "velodyne/00/a.bin", "velodyne/00/labels/a.label")
+    (scan,) = find_scans(tmp_path)
+    assert scan.label_path == tmp_path / "velodyne/00/labels/a.label"
+    make(tmp_path, "labels/00/a.label")
+    assert scan.label_path == tmp_path / "labels/00/a.label"
+
+
+@pytest.fixture
+def kitti(tmp_path):
+    root = tmp_path / "kitti"
+    for drive in ("drive_1_sync", "drive_2_sync"):
+        folder = root / "date" / drive / "velodyne_points" / "data"
+        write_sequence(folder.parent, ["0", "1"], seed=len(drive))
+        (folder.parent / "velodyne").rename(folder)
+    return root
+
+
+def test_later_stages_find_the_scans_and_never_those_of_another_drive(kitti, weights, tmp_path):
+    network = NetworkSettings(weights, "cpu", engine="torch")
+    out = tmp_path / "out"
+    assert predict_scans(kitti, out, settings=network).done == 4
+    expected = find_scans(kitti)
+    assert ResultFolder(out).scans() == expected
+    moved = kitti.rename(tmp_path / "moved")
+    elsewhere = ResultFolder(out, moved).scans()
+    assert [scan.name for scan in elsewhere] == [scan.name for scan in expected]
+    single = tmp_path / "single"
+    predict_scans(moved / "date/drive_2_sync", single, settings=network)
+    kitti = moved.rename(kitti)
+    assert {scan.path for scan in ResultFolder(single, kitti).scans()} == {
+        scan.path for scan in expected if scan.sequence == "drive_2_sync"
+    }
+    with pytest.raises(OutputError):
+        other = tmp_path / "other/drive_2_sync"
+        (kitti / "date/drive_1_sync").rename(other.parent.parent / "x")
+        other.parent.mkdir()
+        (tmp_path / "x").rename(other)
+        predict_scans(other, single, settings=network)
