@@ -2,18 +2,17 @@
 """Recordings of Ouster sensors: `.pcap` with its metadata `.json` beside it, and `.osf`."""
 
 import logging
-import struct
 import subprocess
 import sys
 import weakref
-from io import BufferedReader
 from pathlib import Path
 from threading import Lock
 
 from salsanext_cli.errors import FormatError
 from salsanext_cli.files.optional_packages import import_extra
-from salsanext_cli.files.reading import reading, refusing_damage, size_of
+from salsanext_cli.files.reading import reading, refusing_damage
 from salsanext_cli.formats.columns import Columns
+from salsanext_cli.formats.packets import is_cut
 
 FRAMES = "Ouster"  # Type of the topics
 EXPECTED = "a recording of Ouster sensors"
@@ -21,7 +20,6 @@ HINT = "put the metadata of the sensor beside a .pcap, as a .json of the same na
 REWRITE = "rewrite it with a newer ouster-sdk, or convert it"
 PROBE_TIMEOUT_S = 600
 PROBE = "import sys; from ouster.sdk import open_source; open_source(sys.argv[1], collate=False)"
-LITTLE_ENDIAN_PCAP = (b"\xd4\xc3\xb2\xa1", b"\x4d\x3c\xb2\xa1")
 NS_PER_PCAP_TIME = 1000
 
 log = logging.getLogger(__name__)
@@ -37,7 +35,7 @@ class OusterRecording:
         self.path, self._lock = path, Lock()
         is_pcap = path.suffix.lower() == ".pcap"
         with reading(path) as file:
-            if is_pcap and _is_cut(file):
+            if is_pcap and is_cut(file):
                 log.warning("%s: cut off within a packet: its last scan is incomplete", path)
         if not is_pcap:
             _probe(path)
@@ -91,18 +89,6 @@ class OusterRecording:
             points = XYZLut(frame.sensor_info)(distances) * (distances > 0)[..., None]
             columns = {axis: points[..., n].ravel() for n, axis in enumerate("xyz")}
             return columns | {"reflectivity": reflectivity.ravel()}
-
-
-def _is_cut(file: BufferedReader) -> bool:
-    """Return whether a file of packets ends within one."""
-    size, start = size_of(file), file.read(4)
-    offset = file.seek(24)
-    while start in LITTLE_ENDIAN_PCAP and offset < size:
-        head = file.read(16)
-        if len(head) < 16:
-            return True
-        offset = file.seek(offset + 16 + struct.unpack("<8xI4x", head)[0])
-    return start in LITTLE_ENDIAN_PCAP and offset > size
 
 
 def _probe(path: Path) -> None:

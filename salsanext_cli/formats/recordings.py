@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Recordings of many scans, read scan by scan: ROS bags and the packets of Ouster sensors.
+"""Recordings of many scans, read scan by scan: ROS bags, and packets of Ouster and Velodyne.
 
 The path of a scan treats recording and topic as folders:
 ``drive.bag/velodyne_points/1612345678000000000``.
@@ -15,13 +15,15 @@ from salsanext_cli.errors import FormatError, NoInputError, UsageError, counted,
 from salsanext_cli.files.reading import identity, is_folder, present
 from salsanext_cli.formats import BAG_SUFFIXES, RECORDING_SUFFIXES
 from salsanext_cli.formats.bags import Bag
+from salsanext_cli.formats.captures import VELODYNE, maker_of, require_readable
 from salsanext_cli.formats.cloud_messages import CLOUD_MESSAGES
 from salsanext_cli.formats.columns import Columns
 from salsanext_cli.formats.ouster import FRAMES, OusterRecording
+from salsanext_cli.formats.velodyne import VelodyneCapture
 
 METADATA = "metadata.yaml"  # In the folder of a ROS 2 bag, beside `.db3` or `.mcap` files
 NAME = re.compile(r"(-?\d{1,20})(?:_(\d{1,9}))?", re.ASCII)
-CLOUD_KINDS = (*CLOUD_MESSAGES, FRAMES)  # Types of topics with point clouds
+CLOUD_KINDS = (*CLOUD_MESSAGES, FRAMES, VELODYNE)  # Types of topics with point clouds
 MAX_SHOWN = 500  # Characters of a list of topics in an error
 PACKETS = re.compile("packet|(velodyne|rslidar|pandar)scan", re.IGNORECASE)  # Types of messages
 OF_PACKETS = "play the bag with the driver of the sensor, and record the clouds that it publishes"
@@ -56,7 +58,7 @@ def sequence_of(recording: Path) -> str:
     return recording.name if is_folder(recording) else recording.stem
 
 
-Recording = Bag | OusterRecording
+Recording = Bag | OusterRecording | VelodyneCapture
 
 
 def recorded_paths(path: Path) -> list[Path]:
@@ -79,7 +81,7 @@ def _only_topic(folder: Path, recording: Recording, clouds: dict[str, str]) -> s
         return next(iter(clouds))
     if clouds:
         raise _several_topics(folder, recording, [*clouds.values()])
-    if isinstance(recording, OusterRecording):
+    if not isinstance(recording, Bag):
         raise NoInputError(folder, "has no LiDAR packets", "packets with distances")
     kinds = recording.topics()
     others = ", ".join(f"{topic} ({kind})" for topic, kind in kinds.items())
@@ -129,5 +131,11 @@ def _opened(path: Path) -> tuple[Path, Recording, dict[str, str]]:
 
 @lru_cache(maxsize=1)
 def _recording(path: Path, version: tuple[object, ...]) -> Recording:
-    is_bag = is_folder(path) or path.suffix.lower() in BAG_SUFFIXES
-    return Bag(path, files_of(path)) if is_bag else OusterRecording(path)
+    if is_folder(path) or path.suffix.lower() in BAG_SUFFIXES:
+        return Bag(path, files_of(path))
+    if path.suffix.lower() == ".pcap":
+        maker = maker_of(path)
+        require_readable(path, maker)
+        if maker == VELODYNE:
+            return VelodyneCapture(path)
+    return OusterRecording(path)

@@ -179,7 +179,7 @@ class ResultFolder(Manifest):
         scan_folder = root / "sequences" / sequence / SCAN_FOLDER
         if is_folder(scan_folder):
             return find_scans(scan_folder, unique=False)
-        if self.dataset or (root / "sequences").is_dir():
+        if is_folder(root if self.dataset else root / "sequences"):
             return find_scans(root, [sequence], unique=False)
         problem = f"no scans of it in {self.dataset or folder or root.absolute()}"
         hint = "give with --dataset the folder that contains sequences/"

@@ -236,9 +236,8 @@ def test_later_stages_find_the_scans_and_never_those_of_another_drive(kitti, wei
     assert {scan.path for scan in ResultFolder(single, kitti).scans()} == {
         scan.path for scan in expected if scan.sequence == "drive_2_sync"
     }
+    other = tmp_path / "other/drive_2_sync"
+    other.parent.mkdir()
+    (kitti / "date/drive_1_sync").rename(other)
     with pytest.raises(OutputError):
-        other = tmp_path / "other/drive_2_sync"
-        (kitti / "date/drive_1_sync").rename(other.parent.parent / "x")
-        other.parent.mkdir()
-        (tmp_path / "x").rename(other)
         predict_scans(other, single, settings=network)

@@ -1,0 +1,232 @@
+# SPDX-License-Identifier: MIT
+"""Captures of packets: the maker of the sensor, and the clouds of Velodyne's."""
+
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from captures import START_NS, STEP_NS, Sent, vlp16, vlp16_points, write_capture
+
+from salsanext_cli import read_scan
+from salsanext_cli.errors import FormatError, MissingDependency, UsageError
+from salsanext_cli.formats.captures import HESAI, LIVOX, OUSTER, ROBOSENSE, VELODYNE, maker_of
+from salsanext_cli.formats.packets import is_cut, udp_packets
+from salsanext_cli.results.paths import find_scans
+
+PACKET_DEG = 12 * 0.4
+
+
+def livox_packet(points: int = 96) -> bytes:
+    size = 36 + 14 * points
+    return b"\x00" + size.to_bytes(2, "little") + bytes(size - 3)
+
+
+MAKERS = {
+    VELODYNE: [Sent(b"\xff\xee" + bytes(1204)), Sent(bytes(554), 8308)],
+    "Velodyne HDL-64": [Sent(b"\xff\xee" + bytes(1204)), Sent(b"\xff\xdd" + bytes(1204))],
+    HESAI: [Sent(b"\xee\xff\x01\x04" + bytes(1078)), Sent(b"\xcd\xdc" + bytes(510), 10110)],
+    "Hesai Pandar40": [Sent(b"\xff\xee" + bytes(1260))],
+    ROBOSENSE: [Sent(bytes.fromhex("55aa050a5aa550a0") + bytes(1240), 6699)],
+    "RoboSense M1": [Sent(bytes.fromhex("55aa5aa5") + bytes(1206), 6699)],
+    LIVOX: [Sent(livox_packet(), 56301, source_port=56300)],
+    "Livox Mid-40": [Sent(b"\x05" + bytes(1361), 60001, source_port=65000)],
+    OUSTER: [Sent(bytes(6464), 7502), Sent(bytes(48), 7503)],
+}
+
+
+@pytest.mark.parametrize("name", MAKERS)
+def test_the_maker_is_known_by_the_packets(tmp_path, name):
+    path = write_capture(tmp_path / "drive.pcap", MAKERS[name] * 3)
+    assert maker_of(path) == name.split()[0]
+    # Metadata beside it may be of another program.
+    (tmp_path / "drive.json").write_text("{}")
+    assert maker_of(path) == name.split()[0]
+
+
+@pytest.mark.parametrize("maker", [HESAI, ROBOSENSE, LIVOX])
+def test_captures_of_other_makers_are_named_with_a_program_that_converts_them(tmp_path, maker):
+    path = write_capture(tmp_path / "drive.pcap", MAKERS[maker])
+    with pytest.raises(FormatError, match=f"capture of a {maker} sensor") as caught:
+        find_scans(path)
+    assert "LidarView" in caught.value.hint
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [
+        (b"", "is empty"),
+        (b"x" * 500, "no capture of packets"),
+        (b"\x0a\x0d\x0d\x0a" + bytes(500), "format pcapng"),
+        ([], "no UDP packets"),
+        ([Sent(bytes(700), 5000)], "most packets are of 700 bytes, to port 5000"),
+    ],
+)
+def test_captures_without_a_known_sensor_are_refused_unless_metadata_say_ouster(
+    tmp_path, content, problem
+):
+    path = tmp_path / "drive.pcap"
+    if isinstance(content, bytes):
+        path.write_bytes(content)
+    else:
+        write_capture(path, content)
+    with pytest.raises(FormatError, match=problem) as caught:
+        find_scans(path)
+    assert "damaged" not in caught.value.problem
+    (tmp_path / "drive_0.json").write_text("{}")
+    assert maker_of(path) == OUSTER
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"order": ">"},
+        {"nanoseconds": True},
+        {"order": ">", "nanoseconds": True},
+        {"vlan": True},
+        {"link": 0},
+        {"link": 101},
+        {"link": 113},
+    ],
+)
+def test_packets_of_every_kind_of_capture(tmp_path, options):
+    sent = [Sent(bytes([n]) * (10 + n), 100 + n, bytes((10, 0, 0, n)), 200 + n) for n in range(3)]
+    path = write_capture(tmp_path / "a.pcap", sent, **options)
+    content = path.read_bytes()
+    with path.open("rb") as file:
+        packets = [*udp_packets(file)]
+        assert not is_cut(file)
+    for number, (packet, each) in enumerate(zip(packets, sent, strict=True)):
+        assert packet.time_ns == START_NS + number * STEP_NS
+        assert (packet.source, packet.source_port) == (each.source, each.source_port)
+        assert (packet.port, packet.size, packet.payload) == (each.port, 10 + number, each.payload)
+        assert content[packet.offset : packet.offset + packet.size] == each.payload
+    overhead = len(content) - 24 - sum(len(each.payload) for each in sent)
+    lengths = [overhead // 3 + len(each.payload) for each in sent]
+    ends = [24, 24 + lengths[0], 24 + sum(lengths[:2]), len(content)]
+    for length in range(24, len(content) + 1):
+        path.write_bytes(content[:length])
+        with path.open("rb") as file:
+            assert len([*udp_packets(file)]) == sum(length >= end for end in ends[1:])
+            assert is_cut(file) == (length not in ends)
+
+
+def test_packets_that_are_no_udp_of_ip_are_skipped(tmp_path):
+    path = write_capture(tmp_path / "a.pcap", [Sent(b"abc")], link=127)
+    with path.open("rb") as file:
+        assert not [*udp_packets(file)]
+    for place, value in ((14 + 9, 6), (14, 0x60), (14 + 7, 1)):  # TCP, IPv6, a later fragment
+        write_capture(path, [Sent(b"abc"), Sent(b"defg")])
+        content = bytearray(path.read_bytes())
+        content[24 + 16 + place] = value
+        path.write_bytes(content)
+        with path.open("rb") as file:
+            assert [packet.payload for packet in udp_packets(file)] == [b"defg"]
+
+
+def drive(revolutions: float, seed: int = 0):
+    """Return packets of a VLP-16 over some revolutions, and the points of each packet."""
+    random = np.random.default_rng(seed)
+    packets = []
+    points = []
+    for number in range(round(revolutions * 75)):
+        distances = random.uniform(2, 80, (12, 32)) * (random.random((12, 32)) < 0.9)
+        intensities = random.integers(0, 256, (12, 32))
+        azimuth = (number * PACKET_DEG) % 360
+        packets.append(vlp16(azimuth, distances, intensities, number * STEP_NS // 1000))
+        points.append(vlp16_points(azimuth, distances, intensities))
+    return packets, points
+
+
+def require_points(scan, expected):
+    """Compare points with the closed form, up to what the decoder rounds and the form leaves out.
+
+    Azimuths are rounded to 0.01°, 7 mm at 80 m, and the offsets of the lasers are up to 11.2 mm.
+    """
+    order = np.lexsort(np.round(expected[:, :2], 2).T)
+    found = np.column_stack([scan.points, scan.intensity * 255])
+    assert len(found) == len(expected)
+    # In both orders the lasers of a firing differ, so the nearest points are compared.
+    distances = np.linalg.norm(found[:, None, :2] - expected[None, order, :2], axis=2)
+    nearest = order[distances.argmin(axis=1)]
+    assert len({*nearest.tolist()}) == len(found)
+    np.testing.assert_allclose(found[:, :2], expected[nearest, :2], atol=0.007)
+    np.testing.assert_allclose(found[:, 2], expected[nearest, 2], atol=0.0113)
+    np.testing.assert_allclose(found[:, 3], expected[nearest, 3], atol=0.01)
+
+
+def test_the_scans_of_a_velodyne_are_its_revolutions(tmp_path):
+    pytest.importorskip("velodyne_decoder")
+    packets, points = drive(2.2)
+    path = write_capture(tmp_path / "drive.pcap", map(Sent, packets))
+    scans = find_scans(path)
+    starts = [START_NS + number * STEP_NS for number in (0, 75, 150)]
+    assert [scan.stem for scan in scans] == [f"{start}" for start in starts]
+    assert {scan.sequence for scan in scans} == {"drive"}
+    require_points(read_scan(scans[2].path), np.concatenate(points[150:]))
+    first = read_scan(scans[0].path)
+    assert len(first) == sum(map(len, points[:75]))
+
+
+def test_two_velodynes_in_one_capture_are_two_topics(tmp_path):
+    pytest.importorskip("velodyne_decoder")
+    front, of_front = drive(0.1)
+    rear, of_rear = drive(0.2, seed=1)
+    packets = [Sent(each, 2368) for each in front] + [Sent(each, 2369) for each in rear]
+    path = write_capture(tmp_path / "drive.pcap", packets)
+    with pytest.raises(UsageError, match="2 topics") as caught:
+        find_scans(path)
+    assert caught.value.hint.endswith("--topic sensor1")
+    for topic, expected in (("sensor0", of_front), ("sensor1", of_rear)):
+        (scan,) = find_scans(path / topic)
+        require_points(read_scan(scan.path), np.concatenate(expected))
+
+
+def test_damaged_packets_are_an_error_of_the_scan(tmp_path):
+    pytest.importorskip("velodyne_decoder")
+    packets, _ = drive(0.2)
+    packets[7] = packets[7][:-1] + b"\x99"  # The model of the sensor
+    path = write_capture(tmp_path / "drive.pcap", map(Sent, packets))
+    with pytest.raises(FormatError, match=r"drive\.pcap"):
+        [read_scan(scan.path) for scan in find_scans(path)]
+
+
+def test_a_capture_that_was_cut_is_a_warning(tmp_path, caplog):
+    pytest.importorskip("velodyne_decoder")
+    packets, points = drive(0.2)
+    path = write_capture(tmp_path / "drive.pcap", map(Sent, packets))
+    path.write_bytes(path.read_bytes()[:-700])
+    (scan,) = find_scans(path)
+    assert "cut off within a packet" in caplog.text
+    assert len(read_scan(scan.path)) == sum(map(len, points[:-1]))
+
+
+def test_the_package_that_is_missing_is_named(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "velodyne_decoder", None)
+    path = write_capture(tmp_path / "drive.pcap", MAKERS[VELODYNE])
+    with pytest.raises(MissingDependency, match="velodyne_decoder"):
+        find_scans(path)
+
+
+def test_an_hdl64_without_its_calibration_is_named(tmp_path, monkeypatch):
+    def refuse(path):
+        raise ValueError("not enough packets")
+
+    decoder = SimpleNamespace(hdl64e=SimpleNamespace(detect_hdl64e=refuse))
+    monkeypatch.setitem(sys.modules, "velodyne_decoder", decoder)
+    path = write_capture(tmp_path / "drive.pcap", MAKERS["Velodyne HDL-64"])
+    with pytest.raises(FormatError, match="calibration"):
+        find_scans(path)
+
+
+@pytest.mark.real
+def test_the_reported_capture_is_read(real_data):
+    path = real_data / "data/reported/round5/words/velodyne_vlp16.pcap"
+    assert maker_of(path) == VELODYNE
+    pytest.importorskip("velodyne_decoder")
+    (file,) = find_scans(path)
+    scan = read_scan(file.path)
+    elevations = np.degrees(np.arcsin(scan.points[:, 2] / np.linalg.norm(scan.points, axis=1)))
+    assert len(scan) > 10_000
+    assert np.abs(elevations).max() < 17
