@@ -1,14 +1,21 @@
 # SPDX-License-Identifier: MIT
 """Import of packages when they are first used, with a hint if that fails."""
 
+import json
 import re
+import shlex
 import sys
+from contextlib import suppress
 from importlib import import_module
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, distribution, version
+from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
+from urllib.request import url2pathname
 
 from salsanext_cli.errors import MissingDependency, error_text
 
+NAME = "salsanext"
 MIN_ROSBAGS_VERSION = (0, 11, 7)
 CONVERTER = "openvino.tools.ovc"
 """Part of OpenVINO that `import openvino` imports and that reports to a server of Google."""
@@ -29,17 +36,29 @@ def import_open3d() -> Any:
 
 def import_extra(name: str, extra: str) -> Any:
     """Import a package of an extra of this one."""
-    return import_package(name, f"'salsanext[{extra}]'")
+    return import_package(name, extra_command(extra))
 
 
-def import_package(name: str, installed_with: str = "") -> Any:
+def extra_command(extra: str) -> str:
+    """Return the command that installs an extra, into an installation from a clone too."""
+    with suppress(PackageNotFoundError, TypeError, ValueError, KeyError):
+        # Installers record a folder that they installed from (PEP 610).
+        source = json.loads(distribution(NAME).read_text("direct_url.json") or "{}")
+        clone = Path(url2pathname(urlsplit(source["url"]).path))
+        if "dir_info" in source and (clone / "pyproject.toml").is_file():
+            editable = "-e " if source["dir_info"].get("editable") else ""
+            return f"pip install {editable}{shlex.quote(f'{clone}[{extra}]')}"
+    return f"pip install '{NAME}[{extra}]', or in a clone: pip install '.[{extra}]'"
+
+
+def import_package(name: str, command: str = "") -> Any:
     """Import a package, or raise `MissingDependency` with the command that installs it."""
     try:
         return import_module(name)
     except (ImportError, OSError) as error:
         missing = getattr(error, "name", "") in (name, name.partition(".")[0])
         problem = "is not installed" if missing else f"cannot be imported: {error}"
-        hint = f"pip install {installed_with or name}"
+        hint = command or f"pip install {name}"
         raise MissingDependency(name, problem, hint=hint) from error
 
 
@@ -49,7 +68,7 @@ def require_rosbags() -> None:
     installed = version("rosbags")
     if tuple(map(int, re.findall(r"\d+", installed)[:3])) < MIN_ROSBAGS_VERSION:
         expected = f"{'.'.join(map(str, MIN_ROSBAGS_VERSION))} or newer"
-        hint = "pip install 'salsanext[ros]' in another environment than ouster-sdk"
+        hint = f"in another environment than ouster-sdk: {extra_command('ros')}"
         raise MissingDependency("rosbags", f"has version {installed}", expected, hint)
 
 

@@ -28,6 +28,7 @@ from bags import (
 
 from salsanext_cli import read_scan
 from salsanext_cli.errors import FormatError, MissingDependency, NoInputError, UsageError
+from salsanext_cli.files.optional_packages import extra_command
 from salsanext_cli.formats.cloud_messages import columns_of_fields
 from salsanext_cli.results.paths import find_scans
 
@@ -280,7 +281,7 @@ def test_the_package_that_is_missing_or_too_old_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr("salsanext_cli.files.optional_packages.import_module", missing)
     with pytest.raises(MissingDependency, match="rosbags") as caught:
         find_scans(path)
-    assert caught.value.hint == "pip install 'salsanext[ros]'"
+    assert caught.value.hint == extra_command("ros")
 
 
 PATH = Path("drive.bag/points/1")
