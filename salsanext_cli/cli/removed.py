@@ -7,11 +7,22 @@ from itertools import pairwise
 from salsanext_cli.cli.console import guarded
 from salsanext_cli.errors import UsageError
 
+OF_DEMO = "run `predict` with it on your own scans, or on those that `synth` writes"
+OF_DROPOUT = "omit it: `tune dropout` tries ten rates from 0.02 to 0.5"
+OF_INT8 = "omit it: `tune int8` fits the ranges in float32 on the CPU"
 REMOVED = {
     ("", "--backend"): "use `--jobs`",
     ("", "--out"): "give the folder as the argument OUT",
     ("", "--scheduler"): "use `--shard I/N` on each machine",
     ("compare", ""): "use `eval` on both folders, then examples/compare_runs.py",
+    ("demo", "--engine"): OF_DEMO,
+    ("demo", "--intensity"): OF_DEMO,
+    ("demo", "--precision"): OF_DEMO,
+    ("demo", "--weights"): OF_DEMO,
+    ("dropout", "--highest"): OF_DROPOUT,
+    ("dropout", "--lowest"): OF_DROPOUT,
+    ("dropout", "--seed"): OF_DROPOUT,
+    ("dropout", "--steps"): OF_DROPOUT,
     ("export-onnx", "--int8"): "quantise the exported model with other software",
     ("export-ply", "--format"): "omit it: clouds are PLY, which PDAL converts to LAS or LAZ",
     ("export-ply", "--map"): "use examples/drive_map.py",
@@ -22,8 +33,12 @@ REMOVED = {
     ("filter", "--indices"): "select points by their labels and errors with numpy",
     ("filter", "--split"): "use `--keep` once for each class, or --sequences to select scans",
     ("fuse", "--strict"): "use the key `warnings` of `--json`",
+    ("int8", "--device"): OF_INT8,
+    ("int8", "--engine"): OF_INT8,
+    ("int8", "--precision"): OF_INT8,
     ("knn-refine", "--labels"): "write the labels as `pixel_labels` of the output of `project`",
     ("pick", "--limit"): "use `--subset`",
+    ("pick", "--strategy"): "omit it: `pick` chooses by the measured best strategy",
     ("picture", "--gif"): "use ffmpeg on the pictures",
     ("report", "--by-distance"): "use `eval --by-distance`",
     ("risk", "--per-class"): "use one threshold for all classes; a lower --at-most rejects more",

@@ -33,6 +33,12 @@ OF_ERROR = re.compile(r"The error is fitted to ([^.]*)\. ?")
 """Sentence on the error model in the description of older files, such as the default weights."""
 INHERITED = "inherited_from"  # Key of an error model: names the weights that it was fitted to
 ONNX_SUFFIX = ".onnx"
+PAPER_NETWORKS = ("rangenet53", "salsanet", "salsanext-v1")
+"""First letters of the networks in `examples/paper_networks`, which earlier versions had."""
+PAPER_NETWORKS_HINT = (
+    "run `pip install examples/paper_networks` in a clone, and train its networks: "
+    "`salsanext train DATASET RUN --set architecture=NAME`"
+)
 DIGITS = 24  # Of a digest: two of 20 000 scans agree by chance once in 10¹¹ cases
 
 
@@ -273,7 +279,8 @@ def read_card(path: Path) -> WeightsCard:
     except FormatError as error:
         problem, hint = error.problem, "copy it again"
         if not present(path):
-            problem, hint = "no such file", "check the name"
+            is_network = str(path).startswith(PAPER_NETWORKS)
+            problem, hint = "no such file", PAPER_NETWORKS_HINT if is_network else "check the name"
         elif is_folder(path):
             problem, hint = "is a folder", "name the file in it"
         elif path.suffix != WEIGHTS_SUFFIX:

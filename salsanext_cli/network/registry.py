@@ -7,13 +7,12 @@ from typing import Any
 
 from salsanext_cli.errors import UsageError, error_text, shortened
 from salsanext_cli.files.plug_ins import DISTRIBUTION, PlugIn, load_plug_ins
+from salsanext_cli.network.card import PAPER_NETWORKS, PAPER_NETWORKS_HINT
 from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.segmentation import SegmentationNetwork
 
 NUMBERS = frozenset({"class_count", "dropout"})  # Of a network, in a weights file
 ARCHITECTURES: dict[str, Callable[..., SegmentationNetwork]] = {"salsanext": SalsaNext}
-PAPER_NETWORKS = ("rangenet53", "salsanet", "salsanext-v1")
-"""First letters of the networks in `examples/paper_networks`, which earlier versions had."""
 
 
 @cache
@@ -50,7 +49,7 @@ def build(architecture: Mapping[str, Any], source: object = "architecture") -> S
             problem += f" of the plug-in {shortened(distribution)}"
             hint = f"install {shortened(distribution)} in this environment"
         elif name.startswith(PAPER_NETWORKS):
-            hint = "install the plug-in in examples/paper_networks of the repository"
+            hint = PAPER_NETWORKS_HINT
         known = (*ARCHITECTURES, *map(str, plugged_networks().values()))
         raise UsageError(source, problem, " or ".join(known), hint)
     try:

@@ -11,11 +11,28 @@ from pathlib import Path
 from typing import Annotated, Any, Self
 
 from salsanext_cli.errors import UsageError, shortened
+from salsanext_cli.files.reading import present
 from salsanext_cli.files.yaml_toml import read_toml, refuse_unknown
 
 BUILT_IN = resources.files("salsanext_cli").joinpath("presets/recipes")
 MAX_INTEGER = 2**53  # Beyond it, floats are not exact
 KINDS = {int: "a whole number", float: "a number", str: "a word"}  # Names of the types of keys
+
+OMIT = "omit it"
+REMOVED_KEYS = {
+    "disagreement": OMIT,
+    "heteroscedastic": "omit it, and use `uncertainty` on the trained weights",
+    "label_smoothing": OMIT,
+    "whole_epochs": "omit it, or set crop_width = 0 for whole images in all epochs",
+}
+"""Hint by key of recipes of earlier versions."""
+REMOVED_RECIPES = {
+    "paper-v1": "use examples/paper_networks/paper-v1.toml, after "
+    "`pip install examples/paper_networks` in a clone",
+    "rangenet53": "run `pip install examples/paper_networks` in a clone, then use "
+    "--recipe paper --set architecture=rangenet53",
+}
+"""Hint by name of recipes and networks of earlier versions."""
 
 Positive = Annotated[int, ("at least 1", lambda value: value >= 1)]
 Count = Annotated[int, ("at least 0", lambda value: value >= 0)]
@@ -113,8 +130,16 @@ class Recipe:
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], source: object = "recipe") -> Self:
         """Build a recipe from plain data; absent keys have the paper's value."""
+        _refuse_removed_keys(data, source)
         refuse_unknown(data, cls, source)
         return cls(**data)
+
+
+def _refuse_removed_keys(keys: Iterable[str], source: object) -> None:
+    """Refuse keys of earlier versions with what replaces the first of them."""
+    if removed := sorted({*keys} & REMOVED_KEYS.keys()):
+        key = removed[0]
+        raise UsageError(source, f"the recipe key {key} was removed", hint=REMOVED_KEYS[key])
 
 
 def presets() -> tuple[str, ...]:
@@ -129,6 +154,8 @@ def recipe(name_or_file: str | Path) -> Recipe:
         text = BUILT_IN.joinpath(f"{name}.toml").read_text("utf-8")
         return Recipe.from_dict(tomllib.loads(text), name)
     path = Path(name_or_file)
+    if name in REMOVED_RECIPES and not present(path):
+        raise UsageError(f"recipe {name}", "was removed", hint=REMOVED_RECIPES[name])
     return Recipe.from_dict(read_toml(path, "recipe", presets()), path)
 
 
@@ -139,6 +166,7 @@ def read_overrides(texts: Iterable[str]) -> dict[str, object]:
         key, equals, value = (part.strip() for part in text.partition("="))
         if not (key and equals and value):
             raise UsageError(f"--set {text}", "not key=value", "key=value, such as batch=4")
+        _refuse_removed_keys([key], f"--set {text}")
         refuse_unknown({key: value}, Recipe, f"--set {text}")
         kind = type(getattr(Recipe(), key))
         try:

@@ -101,6 +101,13 @@ def test_a_named_sensor_sets_its_device_and_nothing_of_the_training(tmp_path):
         "filter out --indices --to masks",
         "knn-refine out --labels theirs",
         "export-rrd out/",
+        "tune int8 data tuned.safetensors --device cpu",
+        "tune int8 data tuned.safetensors --precision=float32",
+        "tune dropout data tuned.safetensors --lowest 0.1",
+        "tune dropout data tuned.safetensors --steps=5",
+        "pick data/ picked/ --strategy random",
+        "demo --weights mine.safetensors",
+        "demo --engine torch",
     ],
 )
 def test_a_removed_option_is_an_error_that_names_what_to_use(run, line):

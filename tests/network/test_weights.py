@@ -7,6 +7,7 @@ import math
 import os
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import numba
 import numpy as np
@@ -376,3 +377,9 @@ def test_thresholds_with_the_keys_of_early_versions() -> None:
     for other in ("x", 5, [RISK]):
         with pytest.raises(WeightsError):
             WeightsCard.from_metadata({KEY: json.dumps(values | {"risk": other})}, "w")
+
+
+@pytest.mark.parametrize("name", ["rangenet53", "salsanet-dilated"])
+def test_the_name_of_a_network_of_the_papers_is_no_weights_file(name):
+    error = refused(WeightsError, name, read_card, Path(name)).value
+    assert "examples/paper_networks" in error.hint

@@ -51,6 +51,29 @@ def test_an_unknown_key_or_recipe_and_an_impossible_value_are_refused(tmp_path):
             Recipe().with_changes(**{key: value})
 
 
+@pytest.mark.parametrize("name", ["paper-v1", "rangenet53"])
+def test_removed_recipes_name_what_to_use_unless_a_file_has_the_name(name, tmp_path, monkeypatch):
+    assert (
+        "examples/paper_networks" in refused(UsageError, f"recipe {name}", recipe, name).value.hint
+    )
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / name).write_text("epochs = 7", "utf-8")
+    assert recipe(name).epochs == 7
+
+
+@pytest.mark.parametrize("key", ["label_smoothing", "whole_epochs", "heteroscedastic"])
+def test_removed_keys_are_answered_by_a_hint(key, tmp_path):
+    path = tmp_path / "old.toml"
+    path.write_text(f"epochs = 7\n{key} = 1\n", "utf-8")
+    for subject, read in (
+        (path, lambda: recipe(path)),
+        (f"--set {key}=1", lambda: read_overrides([f"{key}=1"])),
+    ):
+        error = refused(UsageError, subject, read).value
+        assert key in error.problem
+        assert error.hint
+
+
 # Overrides
 
 
