@@ -93,10 +93,10 @@ class Bag:
         with refusing_damage(path, EXPECTED, HINT):
             with self._lock:
                 messages = self.reader.messages(clouds, time, time + 1)
-                found = next(islice(messages, number, None), None)
-            if found is None:
+                recorded = next(islice(messages, number, None), None)
+            if recorded is None:
                 raise FormatError(path, "no such cloud", "a cloud that the bag lists")
-            connection, _, raw = found
+            connection, _, raw = recorded
             return self.reader.deserialize(raw, connection.msgtype), connection.msgtype
 
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Files that contain points and are not read, and how to convert each kind."""
 
+import json
+import shlex
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -27,7 +29,8 @@ def conversion_hint(path: Path) -> str:
         return OF_LAS
     if kind == UNFINISHED:
         finished = path.name[: -len(".active")]
-        return f"run `rosbag reindex {path.name}`, then rename it to {finished}"
+        file = shlex.quote(str(path))
+        return f"run `rosbag reindex {file}`, then rename it to {finished}"
     if kind in PICKLES:
         return _pickle_hint(path, kind)
     return "decompress it with gunzip" if kind == GZIP else OTHERWISE
@@ -45,7 +48,8 @@ def folder_hint(folder: Path, names: Sequence[str]) -> str:
 
 def _pickle_hint(path: Path, kind: str) -> str:
     """Return the command that converts all pickled tables of a folder."""
-    files = f"pathlib.Path({str(path.parent)!r}).glob('*{kind}')"
-    target = f"str(p).removesuffix('{kind}') + '.csv'"
+    files = f'pathlib.Path({json.dumps(str(path.parent))}).glob("*{kind}")'
+    target = f'str(p).removesuffix("{kind}") + ".csv"'
     code = f"[pandas.read_pickle(p).to_csv({target}, index=False) for p in {files}]"
-    return f'a pickle may run code; if you trust it: python -c "import pandas, pathlib; {code}"'
+    command = f"python -c {shlex.quote(f'import pandas, pathlib; {code}')}"
+    return f"a pickle may run code; if you trust it: {command}"

@@ -64,7 +64,8 @@ class VelodyneCapture:
 
     def columns(self, topic: str, time: int, number: int, path: Path) -> Columns:
         """Read the points of a revolution, as `Bag.columns`; both returns, if there are two."""
-        at_time = [each for each in self._revolutions[topic] if each.time_ns == time]
+        revolutions = self._revolutions[topic]
+        at_time = [revolution for revolution in revolutions if revolution.time_ns == time]
         if number >= len(at_time):
             raise FormatError(path, "no such scan", "a scan that the recording lists")
         with refusing_damage(path, EXPECTED), self._lock:

@@ -24,12 +24,14 @@ from salsanext_cli.results.layouts import (
 )
 from salsanext_cli.results.scan_folders import (
     MAX_ENTRIES_BESIDE_TABLES,
+    FolderSearch,
     ScanFolder,
     ambiguous_folders,
     folders_in,
     names_in,
-    scan_folders_below,
+    other_files_below,
     scan_names,
+    search_below,
     usable,
     words_of_choice,
 )
@@ -211,24 +213,27 @@ def _scans_below(source: Path, place: Path, tables: list[ScanFile]) -> list[Scan
     """
     if recording_of(place) or (tables and layout_of(place)):
         return tables
-    folders = _layouts_beside_tables(place) if tables else scan_folders_below(place)
-    chosen = usable(folders)
+    search = _layouts_beside_tables(place) if tables else search_below(place)
+    chosen = usable(search.folders)
+    if not chosen and not tables and search.folders:
+        raise ambiguous_folders(source, place, search.folders)
     if not chosen:
-        if tables or not folders:
-            return tables
-        raise ambiguous_folders(source, place, folders)
-    notice_once(words_of_choice(source, place, chosen, folders))
+        error = None if tables or names_in(place) else other_files_below(source, search)
+        if error is not None:
+            raise error
+        return tables
+    notice_once(words_of_choice(source, place, chosen, search.folders))
     names = sequence_names((folder.path for folder in chosen), place)
     return sorted(scan for folder in chosen for scan in _scan_files(folder, names[folder.path]))
 
 
-def _layouts_beside_tables(place: Path) -> list[ScanFolder]:
-    """Return the folders of known layouts below a folder of tables; none if there are too many."""
+def _layouts_beside_tables(place: Path) -> FolderSearch:
+    """Search for known layouts below a folder of tables, unless there are too many files."""
     try:
-        folders = scan_folders_below(place, MAX_ENTRIES_BESIDE_TABLES)
+        search = search_below(place, MAX_ENTRIES_BESIDE_TABLES)
     except NoInputError:
-        return []
-    return [folder for folder in folders if folder.layout]
+        return FolderSearch()
+    return FolderSearch([folder for folder in search.folders if folder.layout])
 
 
 def of_sequences(

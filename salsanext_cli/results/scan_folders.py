@@ -5,14 +5,16 @@ import os
 import shlex
 from collections import Counter, deque
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+from operator import attrgetter
 from pathlib import Path
 
-from salsanext_cli.errors import MAX_NAMES_SHOWN, NoInputError, first_few
+from salsanext_cli.errors import MAX_NAMES_SHOWN, FormatError, NoInputError, first_few
 from salsanext_cli.files.reading import is_folder
 from salsanext_cli.formats import SCAN_SUFFIXES, is_table, scan_suffix
 from salsanext_cli.formats.recordings import is_recording
+from salsanext_cli.formats.unread import folder_hint, unread_kind
 from salsanext_cli.results.layouts import LABEL_FOLDER, SCAN_FOLDER, Layout, layout_of
 
 OWN_TABLES = ("scores.txt", "log.csv", "picked.csv")
@@ -21,6 +23,8 @@ FILE_LISTS = ".salsanext.files"
 """Folder with the lists of written files, in the root of folders that stages fill."""
 TEXT_SUFFIXES = (".txt", ".csv", ".asc", ".pts")
 """Suffixes of tables that are usually no scans."""
+CERTAIN, LIKELY, UNLIKELY = 2, 1, 0
+"""Ranks of clouds and of files in a known layout, of arrays, and of texts."""
 MAX_DEPTH = 6
 MAX_ENTRIES = 1_000_000
 """Files and folders that a search looks at, some seconds of work."""
@@ -67,15 +71,25 @@ class ScanFolder:
 
     @property
     def rank(self) -> int:
-        """How certain it is that the files are scans: 2 for clouds, 0 for texts."""
+        """How certain it is that the files are scans."""
         suffixes = {*self.suffixes.values()}
         if self.layout or not all(map(is_table, suffixes)):
-            return 2
-        return 0 if suffixes <= {*TEXT_SUFFIXES} else 1
+            return CERTAIN
+        return UNLIKELY if suffixes <= {*TEXT_SUFFIXES} else LIKELY
 
 
-def scan_folders_below(root: Path, most: int = MAX_ENTRIES) -> list[ScanFolder]:
-    """Search the folders below a root, not itself, that contain scans.
+@dataclass(frozen=True, slots=True)
+class FolderSearch:
+    """Result of a search below a folder."""
+
+    folders: list[ScanFolder] = field(default_factory=list)  # Sorted by path
+    recordings: list[Path] = field(default_factory=list)
+    # Names of files with points that are not read, by folder
+    unread: dict[Path, list[str]] = field(default_factory=dict)
+
+
+def search_below(root: Path, most: int = MAX_ENTRIES) -> FolderSearch:
+    """Search the folders below a root, not itself, for scans.
 
     Hidden folders, folders of labels, recordings, results of stages and folders below scans are
     not searched, and no folder twice, whatever links lead to it.
@@ -89,38 +103,46 @@ def scan_folders_below(root: Path, most: int = MAX_ENTRIES) -> list[ScanFolder]:
 
     Returns
     -------
-    list of ScanFolder
-        Sorted by path.
+    FolderSearch
 
     Raises
     ------
     NoInputError
         If there are more than `most` files and folders.
     """
-    found: list[ScanFolder] = []
+    search = FolderSearch()
     waiting = deque((path, 1) for path in _subfolders(root))
     visited = {_inode(root)}
     entries = 0
     while waiting:
-        folder, depth = waiting.popleft()
+        path, depth = waiting.popleft()
         try:
-            inode = _inode(folder)
-            if inode in visited or is_recording(folder):
+            inode = _inode(path)
+            if inode in visited:
                 continue
             visited.add(inode)
-            names = names_in(folder)
-            subfolders = _subfolders(folder)
-        except OSError:
+            if is_recording(path):
+                search.recordings.append(path)
+                continue
+            names = names_in(path)
+            subfolders = _subfolders(path)
+        except (OSError, FormatError):
             continue  # A folder that may not be read
         entries += len(names) + len(subfolders)
         if entries > most:
             problem = f"contains no scans itself, and over {most:,} files below it"
             raise NoInputError(root, problem, "a folder of scans", "give the folder of the scans")
-        if suffixes := scan_names(names):
-            found.append(ScanFolder(folder, suffixes))
-        if depth < MAX_DEPTH and not (found and found[-1].path == folder and found[-1].rank == 2):
-            waiting.extend((path, depth + 1) for path in subfolders)
-    return sorted(found, key=lambda each: each.path)
+        folder = ScanFolder(path, scan_names(names))
+        if folder.suffixes:
+            search.folders.append(folder)
+        search.recordings.extend(path / name for name in names if is_recording(path / name))
+        if unread := sorted(filter(unread_kind, names)):
+            search.unread[path] = unread
+        if depth < MAX_DEPTH and not (folder.suffixes and folder.rank == CERTAIN):
+            waiting.extend((subfolder, depth + 1) for subfolder in subfolders)
+    search.folders.sort(key=attrgetter("path"))
+    search.recordings.sort()
+    return search
 
 
 def _inode(folder: Path) -> tuple[int, int]:
@@ -149,8 +171,8 @@ def usable(folders: Collection[ScanFolder]) -> list[ScanFolder]:
     if of_layout:
         is_one = len({folder.layout.name for folder in of_layout if folder.layout}) == 1
         return of_layout if is_one else []
-    ranked = [folder for folder in folders if folder.rank > 0]
-    best = max((folder.rank for folder in ranked), default=0)
+    ranked = [folder for folder in folders if folder.rank > UNLIKELY]
+    best = max((folder.rank for folder in ranked), default=UNLIKELY)
     chosen = [folder for folder in ranked if folder.rank == best]
     return chosen if len(chosen) == 1 else []
 
@@ -165,7 +187,7 @@ def words_of_choice(
     layout = next(iter(chosen)).layout
     used = first_few([_counted(folder, place) for folder in chosen])
     kind = f" in the layout of {layout.name}" if layout else ""
-    others = [folder for folder in folders if folder not in chosen and folder.rank > 0]
+    others = [folder for folder in folders if folder not in chosen and folder.rank > UNLIKELY]
     unused = first_few([_counted(folder, place) for folder in others])
     text = f"{source}: contains no scans itself; using {used}{kind}"
     return f"{text}; not used: {unused}" if unused else text
@@ -184,6 +206,21 @@ def ambiguous_folders(source: Path, place: Path, folders: Collection[ScanFolder]
     commands = [f"salsanext predict {shlex.quote(word)} OUT" for word in words]
     hint = f"give one as SCANS: {'; or '.join(commands[:MAX_NAMES_SHOWN])}"
     return NoInputError(source, problem, "one folder of scans", hint)
+
+
+def other_files_below(source: Path, search: FolderSearch) -> NoInputError | None:
+    """Return the error of a folder with recordings or unread files below it; None without any."""
+    if search.recordings:
+        problem = f"contains no scans, but recordings below it: {first_few(search.recordings)}"
+        hint = f"give one recording, such as {search.recordings[0]}"
+        return NoInputError(source, problem, "scans", hint)
+    if search.unread:
+        folder = min(search.unread)
+        names = search.unread[folder]
+        kind = unread_kind(names[0])
+        problem = f"contains no scans, but {kind} files below it, in {folder}"
+        return NoInputError(source, problem, "scans", folder_hint(folder, names))
+    return None
 
 
 def _counted(folder: ScanFolder, root: Path) -> str:

@@ -2,11 +2,14 @@
 """Scans deeper in the tree: layouts of data sets, single folders, and ambiguous ones."""
 
 import os
+import shlex
+import subprocess
 from pathlib import Path
 
 import pytest
 from scans import refused, write_sequence
 
+from salsanext_cli import read_scan
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE, NoInputError, OutputError
 from salsanext_cli.results import scan_folders
@@ -177,7 +180,7 @@ def test_the_search_is_bounded(tmp_path, monkeypatch):
     make(tmp_path / "deeper", f"{deep}/one more/1.pcd")
     refused(NoInputError, tmp_path / "deeper", find_scans, tmp_path / "deeper")
     make(tmp_path / "many", *(f"photos/{n}.jpg" for n in range(20)), "zz/1.pcd")
-    monkeypatch.setattr(scan_folders.scan_folders_below, "__defaults__", (20,))
+    monkeypatch.setattr(scan_folders.search_below, "__defaults__", (20,))
     error = refused(NoInputError, tmp_path / "many", find_scans, tmp_path / "many").value
     assert "over 20 files" in error.problem
 
@@ -190,6 +193,46 @@ def test_folders_that_may_not_be_read_are_skipped(tmp_path):
         assert found(tmp_path) == ["clouds/1"]
     finally:
         (tmp_path / "private").chmod(0o700)
+
+
+@pytest.mark.parametrize(
+    ("files", "hint"),
+    [
+        (["000/000.las", "000/001.las"], "pdal translate"),
+        (["lidar/00.pkl.gz", "meta/poses.json"], "pandas.read_pickle"),
+        (["clouds/000000.bin.gz"], "gunzip"),
+        (["day/drive.bag.active"], "rosbag reindex"),
+        (["day/drive.bag", "day/other.bag"], "day/drive.bag"),
+        (["day/drive/metadata.yaml", "day/drive/drive_0.mcap"], "day/drive"),
+    ],
+)
+def test_other_files_below_and_in_a_folder_get_the_hint_of_a_single_one(tmp_path, files, hint):
+    make(tmp_path, *files)
+    place = (tmp_path / files[0]).parent
+    for source in [tmp_path, *([place] if "mcap" not in files[-1] else [])]:
+        assert hint in refused(NoInputError, source, find_scans, source).value.hint
+
+
+def test_an_unfinished_bag_is_named(tmp_path):
+    make(tmp_path, "drive.bag.active")
+    source = tmp_path / "drive.bag.active"
+    error = refused(NoInputError, source, find_scans, source).value
+    assert "never closed" in error.problem
+    assert "rosbag reindex" in error.hint
+
+
+def test_the_command_for_pickles_converts_all_of_a_folder(tmp_path):
+    pandas = pytest.importorskip("pandas")
+    folder = tmp_path / "it's lidar"
+    folder.mkdir()
+    for number in range(2):
+        table = pandas.DataFrame({"x": [1.5], "y": [2.0], "z": [float(number)], "i": [7]})
+        table.to_pickle(folder / f"0{number}.pkl.gz")
+    error = refused(NoInputError, folder, find_scans, folder).value
+    _, _, command = error.hint.partition("trust it: ")
+    subprocess.run(shlex.split(command), check=True)
+    scans = find_scans(folder)
+    assert [read_scan(scan.path).points[0].tolist() for scan in scans] == [[1.5, 2, 0], [1.5, 2, 1]]
 
 
 def test_labels_of_the_layouts_are_found(tmp_path):
