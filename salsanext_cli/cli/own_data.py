@@ -68,7 +68,7 @@ def inspect(
 
 def convert(
     recording: Path = argument(
-        "ROS bag (.bag, .mcap, .db3, a folder) or Ouster recording (.pcap, .osf).",
+        "ROS bag (.bag, .mcap, .db3, a folder), or recording of Ouster or Velodyne (.pcap, .osf).",
         default=...,
         metavar="RECORDING",
     ),

@@ -117,7 +117,7 @@ def _no_capture_error(path: Path, start: bytes) -> FormatError:
     if start == PCAPNG:
         hint = f"convert it: `editcap -F pcap {path.name} {path.stem}-converted.pcap`"
         return FormatError(path, "is a capture in the format pcapng", "the format pcap", hint)
-    problem = "is no capture of packets" if start else "is empty"
+    problem = "is not a capture of packets" if start else "is empty"
     return FormatError(path, problem, EXPECTED)
 
 

@@ -40,7 +40,7 @@ def require_ros2(path: Path) -> None:
     if profile == ROS1:
         raise FormatError(path, "is a recording of ROS 1 in an MCAP file", EXPECTED, ROS1_HINT)
     content = f"contains {first_few(schemas)}" if schemas else f"has the profile {profile!r}"
-    raise FormatError(path, f"is no recording of ROS 2: {content}", EXPECTED, OTHER_HINT)
+    raise FormatError(path, f"is not a recording of ROS 2: {content}", EXPECTED, OTHER_HINT)
 
 
 def _profile(file: BufferedReader) -> str | None:

@@ -37,7 +37,7 @@ def convert(
     Parameters
     ----------
     recording, folder : Path
-        ROS bag, Ouster recording or topic of one, and folder of the data set.
+        ROS bag, recording of Ouster or Velodyne, or topic of one, and folder of the data set.
     every, limit : int
         Step between converted scans, and their largest number, by default all.
     options : RunOptions
@@ -52,7 +52,7 @@ def convert(
             raise UsageError(name, f"is {value}", "at least 1")
     if recording_of(recording.absolute()) is None:
         problem = "is not a recording" if recording.exists() else "no such recording"
-        raise UsageError(recording, problem, "a ROS bag or an Ouster recording")
+        raise UsageError(recording, problem, "a ROS bag, or a recording of Ouster or Velodyne")
     listed = find_scans(recording)
     chosen = listed[::every][:limit]
     sequence = Path("sequences", listed[0].sequence)

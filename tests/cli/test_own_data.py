@@ -22,7 +22,7 @@ def test_a_topic_of_a_recording_is_named(run, tmp_path):
     path = write_bag(tmp_path, ".mcap", [*messages(points[:1], "/a"), *messages(points[1:3], "/b")])
     refused = run("convert", path, tmp_path / "data")
     assert refused.exit_code == 2
-    assert "/a, /b" in refused.stderr
+    assert "/a (200 points), /b (200 points)" in refused.stderr
     done = run("convert", path, tmp_path / "data", "--topic", "/b", "--json")
     printed = only_json(done)
     assert (printed["done"], printed["next"]) == (2, f"salsanext predict {tmp_path / 'data'}")

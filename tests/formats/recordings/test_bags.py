@@ -217,8 +217,12 @@ def other_mcap(profile, schemas):
 @pytest.mark.parametrize(
     ("profile", "schemas", "problem"),
     [
-        ("", ["foxglove.PointCloud"], r"is no recording of ROS 2: contains foxglove\.PointCloud"),
-        ("other", [], "is no recording of ROS 2: has the profile 'other'"),
+        (
+            "",
+            ["foxglove.PointCloud"],
+            r"is not a recording of ROS 2: contains foxglove\.PointCloud",
+        ),
+        ("other", [], "is not a recording of ROS 2: has the profile 'other'"),
         ("ros1", ["sensor_msgs/PointCloud2"], "is a recording of ROS 1"),
     ],
 )

@@ -56,7 +56,7 @@ def test_captures_of_other_makers_are_named_with_a_program_that_converts_them(tm
     ("content", "problem"),
     [
         (b"", "is empty"),
-        (b"x" * 500, "no capture of packets"),
+        (b"x" * 500, "not a capture of packets"),
         (b"\x0a\x0d\x0d\x0a" + bytes(500), "format pcapng"),
         ([], "no UDP packets"),
         ([Sent(bytes(700), 5000)], "most packets are of 700 bytes, to port 5000"),
