@@ -50,7 +50,8 @@ from salsanext_cli.training.data.class_counts import class_shares
 from salsanext_cli.training.data.sources import labelled_split
 from salsanext_cli.training.tuning.error import FOLDS, JudgedPoints, cross_validated, judge_job
 from salsanext_cli.training.tuning.int8 import int8_inputs
-from salsanext_cli.training.tuning.scans import labelled_scans, read_labelled_image
+from salsanext_cli.training.tuning.scan_choice import labelled_scans
+from salsanext_cli.training.tuning.scans import read_labelled_image
 
 DRIVES = ("001", "002")
 HELD_OUT = 10

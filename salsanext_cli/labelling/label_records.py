@@ -10,7 +10,7 @@ imported, also in copies of a data set.
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -183,6 +183,15 @@ def require_truth(scans: Iterable[ScanFile]) -> None:
         problem = f"contains unchanged pre-labels{more}"
         hint = "label the scan, then run `salsanext import-labels`"
         raise LabelError(unlabelled[0].label_path, problem, "labels by a person", hint)
+
+
+def require_labels(scans: Sequence[ScanFile]) -> None:
+    """Raise `LabelError` for the first scan without a label file, or with a pre-label."""
+    missing = [scan for scan in scans if not scan.label_path.is_file()]
+    if missing:
+        problem = f"the label files of {counted(len(missing), 'scan')} are missing"
+        raise LabelError(missing[0].label_path, problem, "one for every scan of the split")
+    require_truth(scans)
 
 
 def _table(path: Path, key: str) -> Mapping[str, object]:

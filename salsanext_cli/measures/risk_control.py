@@ -88,13 +88,43 @@ def needed_scans(at_most: float, confidence: float | None) -> int:
     return math.ceil(round(math.log(1 - confidence) / math.log(confidence), 9))
 
 
+def share_left(scans: int, at_most: float) -> float:
+    """Return the largest mean of the losses of n scans that holds a level: ((n + 1) a − 1) / n.
+
+    The rest of the level is set aside for the new scan. Below 0, no threshold holds it.
+    """
+    return ((scans + 1) * at_most - 1) / scans
+
+
+def useful_scans(at_most: float, confidence: float | None) -> int:
+    """Return the least number of scans that leaves room for wrong labels.
+
+    On average it is half of the level; with a confidence, one scan may exceed it.
+    """
+    needed = needed_scans(at_most, confidence)
+    if confidence is None:
+        return 2 * needed
+    while allowed_scans(needed, confidence) < 1:
+        needed += 1
+    return needed
+
+
+def likely_thresholds(losses: Ratios, at_most: float, confidence: float | None, scans: int) -> int:
+    """Return the number of thresholds that so many scans would hold if their losses were these."""
+    if confidence is None:
+        return held_thresholds(losses, at_most, scans=scans)
+    above = (losses > at_most).mean(axis=0)
+    return int((above <= allowed_scans(scans, confidence) / scans).sum())
+
+
 def enough_drives(drives: int, at_most: float, confidence: float | None) -> bool:
     """Return whether the drive, and not the scan, is the unit of a guarantee.
 
     On average, twice the least number is needed: with fewer drives, more than half of the level is
     set aside for the new drive, and few points are accepted.
     """
-    return drives >= needed_scans(at_most, confidence) * (2 if confidence is None else 1)
+    least = useful_scans if confidence is None else needed_scans
+    return drives >= least(at_most, confidence)
 
 
 @dataclass(frozen=True, slots=True)

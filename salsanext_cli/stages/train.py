@@ -16,6 +16,7 @@ from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.engines.loading import network_of_module
 from salsanext_cli.errors import NOTICE, UsageError, counted
 from salsanext_cli.fitting.label_scan import prepared_for
+from salsanext_cli.labelling.label_records import require_labels
 from salsanext_cli.measures.scan_summary import ScanWarning
 from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.network.weights import encode_weights, read_weights
@@ -27,7 +28,7 @@ from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.stages.synth import SynthSettings, synthesise
 from salsanext_cli.synthesis.lidar import RIGS
 from salsanext_cli.training.cross_validation import Expectation
-from salsanext_cli.training.data.class_counts import ClassCounts, class_counts, require_labels
+from salsanext_cli.training.data.class_counts import ClassCounts, class_counts
 from salsanext_cli.training.data.sources import (
     Source,
     further_source,

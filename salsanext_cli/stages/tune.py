@@ -10,29 +10,17 @@ from typing import Any
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE, WeightsError
 from salsanext_cli.files.atomic import require_target
-from salsanext_cli.fitting.label_scan import prepared_for
-from salsanext_cli.network.weights import save_with_card
+from salsanext_cli.network.card import read_card
 from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.run import Progress
 from salsanext_cli.results.selection import select_scans
-from salsanext_cli.training.tuning.dropout_rate import fit_dropout
-from salsanext_cli.training.tuning.error import fit_error_model
-from salsanext_cli.training.tuning.int8 import int8_inputs
-from salsanext_cli.training.tuning.risk import fit_risk
-from salsanext_cli.training.tuning.scans import Tuned, TuningScans, labelled_scans, unseen
-from salsanext_cli.training.tuning.temperature import fit_temperature
+from salsanext_cli.training.tuning.risk_level import RiskLevel, require_scans
+from salsanext_cli.training.tuning.scan_choice import labelled_scans, unseen
+from salsanext_cli.training.tuning.scans import Tuned, TuningScans
 
 NAMES = {"error": "error model", "dropout": "dropout rate"}  # Names of parts in messages
 
 log = logging.getLogger(__name__)
-
-FITS: dict[str, Callable[..., Tuned]] = {
-    "temperature": fit_temperature,
-    "error": fit_error_model,
-    "dropout": fit_dropout,
-    "risk": fit_risk,
-}
-"""Functions that fit a part of the weights to `TuningScans`."""
 
 
 def tune(
@@ -70,20 +58,43 @@ def tune(
     dict
         Plain data for JSON.
     """
-    network = settings.load()
     require_target(target, overwrite)
-    every, space = labelled_scans(source, selection, network.card)
-    files = unseen(every, network, source)
-    scans = TuningScans(source, files, space, settings, network, progress)
-    card, results = FITS[part](scans, **numbers)
-    report = {"stage": f"tune {part}", **results, "skipped": len(every) - len(files)}
+    candidates, space = labelled_scans(source, selection, read_card(settings.path))
+    if part == "risk":
+        count = min(len(candidates), selection.limit or len(candidates))
+        require_scans(source, count, RiskLevel(**numbers))
+    # From here on it takes seconds: torch is imported, and the network is loaded.
+    fit = _fit_of(part)
+    network = settings.load()
+    chosen = unseen(candidates, network, source, selection.limit)
+    scans = TuningScans(source, chosen.files, space, settings, network, progress)
+    card, results = fit(scans, **numbers)
+    report = {"stage": f"tune {part}", **results, "skipped": chosen.skipped}
     if not report.get("changed", True):
         reason = "the new fit is not better on held-out scans"
-        if len(files) == 1:
+        if len(chosen.files) == 1:
             reason = "a single scan cannot show that a new fit is better"
         log.log(NOTICE, "the %s is unchanged: %s", NAMES.get(part, part), reason)
+    from salsanext_cli.network.weights import save_with_card
+
     save_with_card(settings.path, target, replace(card, version=None), overwrite=overwrite)
     return report
+
+
+def _fit_of(part: str) -> Callable[..., Tuned]:
+    """Return the function that fits a part to `TuningScans`; importing torch takes a second."""
+    from salsanext_cli.training.tuning.dropout_rate import fit_dropout
+    from salsanext_cli.training.tuning.error import fit_error_model
+    from salsanext_cli.training.tuning.risk import fit_risk
+    from salsanext_cli.training.tuning.temperature import fit_temperature
+
+    fits: dict[str, Callable[..., Tuned]] = {
+        "temperature": fit_temperature,
+        "error": fit_error_model,
+        "dropout": fit_dropout,
+        "risk": fit_risk,
+    }
+    return fits[part]
 
 
 def tune_int8(
@@ -110,9 +121,15 @@ def tune_int8(
     dict
         Plain data for JSON: numbers of scans and of quantised layers.
     """
-    network = replace(settings, device="cpu", precision="float32").load()
     require_target(target, overwrite)
-    files = select_scans(source, selection, network.space, evenly=True)
+    space = read_card(settings.path).space
+    files = select_scans(source, selection, space, evenly=True)
+
+    from salsanext_cli.fitting.label_scan import prepared_for
+    from salsanext_cli.network.weights import save_with_card
+    from salsanext_cli.training.tuning.int8 import int8_inputs
+
+    network = replace(settings, device="cpu", precision="float32").load()
     inputs = [prepared_for(network, file).input for file in files]
     if not (int8 := int8_inputs(network.module, inputs)):
         raise WeightsError(settings.path, "has no hidden layer that int8 can compute")

@@ -22,7 +22,8 @@ from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.models import describe_weights
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.report import read_run, report
-from salsanext_cli.training.tuning.risk import RiskLevel, _held_out
+from salsanext_cli.training.tuning.risk import _held_out
+from salsanext_cli.training.tuning.risk_level import FewUnits, RiskLevel
 
 ALL = ScanSelection()
 VOID = "the guarantee does not cover"
@@ -210,3 +211,55 @@ def test_a_run_estimates_its_accuracy(world: World, tmp_path) -> None:
     assert plain.expected_accuracy() is None
     # A key that older folders lack would refuse them.
     assert Manifest(tmp_path / "plain").settings("predict").accuracy is None
+
+
+def test_few_scans_say_what_the_bound_leaves_and_what_more_would_accept(
+    unsure_is_wrong: World, target, caplog
+) -> None:
+    """Three scans at 30 %: (3 L + 1) / 4 ≤ 0.3 leaves L ≤ 1/15; six leave 11/60."""
+    world = unsure_is_wrong
+    seen = []
+    tuned = world.tune(
+        "risk", target, at_most=0.3, progress=lambda *_: seen.append(len(caplog.messages))
+    )
+    before, after = (text for text in caplog.messages if text.startswith("3 scans: "))
+    assert before in caplog.messages[: seen[0]]
+    assert "6.7 % of the points" in before
+    assert "6 scans 18.3 %" in before
+    few = tuned["few"]
+    assert few["left"] == pytest.approx(1 / 15)
+    assert few["useful"] == 6
+    accepted = tuned["accepted"]["accepted"] / tuned["accepted"]["points"]
+    assert accepted < few["accepted_by_useful"]
+    assert f"{accepted:.1%}" in after
+    assert f"{few['accepted_by_useful']:.0%}" in after
+    # With a level that leaves the same room, the same threshold is chosen.
+    level = (3 * 11 / 60 + 1) / 4
+    shares = world.tune("risk", target, at_most=level, overwrite=True)["accepted"]
+    assert few["accepted_by_useful"] == pytest.approx(shares["accepted"] / shares["points"])
+
+
+def test_enough_scans_do_not_warn(unsure_is_wrong: World, target, caplog) -> None:
+    assert unsure_is_wrong.tune("risk", target, at_most=0.5)["few"] is None
+    assert not [text for text in caplog.messages if text.startswith("3 scans: ")]
+
+
+@pytest.mark.parametrize(
+    ("count", "level", "numbers"),
+    [
+        (9, RiskLevel(0.1), (0, 18)),
+        (12, RiskLevel(0.1), (0.3 / 12, 18)),
+        (19, RiskLevel(0.05), (0, 38)),
+        (22, RiskLevel(0.1, 0.9), (0, 38)),
+        (18, RiskLevel(0.1), None),
+        (38, RiskLevel(0.05, 0.9), None),
+    ],
+)
+def test_what_few_scans_leave_by_hand(count, level, numbers, caplog) -> None:
+    few = FewUnits.among(count, "scan", level)
+    assert (few is None) == (numbers is None)
+    if few:
+        assert (few.left, few.useful) == (pytest.approx(numbers[0], abs=1e-9), numbers[1])
+        few.warn_before()
+        assert f"{numbers[1]} scans" in caplog.messages[0]
+        assert str(numbers[1] - count) in caplog.messages[0].partition("hint: ")[2]

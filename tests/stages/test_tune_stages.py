@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from command_line import python
 from safetensors.torch import load_file
 from scans import SMALL, refused, write_sequence, write_weights
 
@@ -22,7 +23,14 @@ from salsanext_cli import (
     write_labels,
 )
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import LabelError, NoInputError, OutputError, TrainingError, WeightsError
+from salsanext_cli.errors import (
+    LabelError,
+    NoInputError,
+    OutputError,
+    TrainingError,
+    UsageError,
+    WeightsError,
+)
 from salsanext_cli.network.card import read_card, scan_digest
 from salsanext_cli.network.dropout import dropouts
 from salsanext_cli.network.weights import read_weights, save_weights, save_with_card
@@ -36,6 +44,7 @@ from salsanext_cli.uncertainty.monte_carlo import scan_seed
 SPACE = label_space()
 LABELS = "sequences/08/labels"
 FEW = {"samples": 3}
+VALID = ScanSelection("valid")
 
 
 @pytest.fixture(autouse=True)
@@ -99,6 +108,54 @@ def test_scans_of_training_and_copies_are_skipped(drawn, target, tmp_path, caplo
     save_with_card(drawn.network.weights, known, replace(card, trained_on=frozenset(digests)))
     with pytest.raises(TrainingError):
         go(drawn, target, part, settings=network, selection=every, overwrite=True, **numbers)
+
+
+def test_a_limit_counts_the_scans_that_are_not_skipped(world, target, tmp_path, caplog):
+    """The first and the last of five scans, which a limit of two takes, are of the training."""
+    write_sequence(world.data / "sequences/08", [f"{i:06d}" for i in range(2, 5)], seed=2)
+    digests = {scan_digest(read_scan(world.scan("08", f"00000{i}"))) for i in (0, 4)}
+    known = tmp_path / "known.safetensors"
+    card = replace(read_card(world.network.weights), trained_on=frozenset(digests))
+    save_with_card(world.network.weights, known, card)
+    options = {"settings": replace(world.network, weights=known)}
+    tuned = go(world, target, selection=ScanSelection("valid", limit=2), **options)
+    assert (tuned["scans"], tuned["skipped"]) == (2, 2)
+    more = ScanSelection("valid", limit=4)
+    tuned = go(world, target, selection=more, overwrite=True, **options)
+    assert (tuned["scans"], tuned["skipped"]) == (3, 2)
+
+
+def test_what_can_be_seen_at_once_is_refused_before_the_network_is_loaded(
+    world, target, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(NetworkSettings, "load", lambda _: pytest.fail("loaded"))
+    existing = tmp_path / "existing.safetensors"
+    existing.write_bytes(b"precious")
+    for part in ("temperature", "error", "dropout", "risk"):
+        numbers = {"at_most": 0.05} if part == "risk" else {}
+        refused(OutputError, existing, go, world, existing, part, **numbers)
+        with pytest.raises(NoInputError):
+            tune(part, tmp_path / "nowhere", target, settings=world.network, **numbers)
+    refused(TrainingError, world.data, go, world, target, "risk", at_most=0.05)
+    refused(UsageError, "--at-most", go, world, target, "risk", at_most=5)
+    shutil.rmtree(world.data / LABELS)
+    refused(LabelError, world.data / LABELS / "000000.label", go, world, target, selection=VALID)
+
+
+def test_refusing_needs_no_torch(tmp_path):
+    """Importing it takes longer than all other packages together."""
+    command = ["tune", "error", str(tmp_path / "nowhere"), str(tmp_path / "w.safetensors")]
+    ended = python(
+        f"""
+import sys
+from salsanext_cli.cli.app import app
+try:
+    app({command!r})
+except SystemExit as end:
+    print(end.code, "torch" in sys.modules, "openvino" in sys.modules)
+"""
+    )
+    assert ended.stdout == "1 False False\n", ended.stderr
 
 
 def test_sequences_of_no_split_are_used_and_those_of_training_named(world, target, caplog):

@@ -15,11 +15,10 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from salsanext_cli.errors import LabelError, TrainingError, counted
+from salsanext_cli.errors import TrainingError, counted
 from salsanext_cli.files.json_files import MALFORMED, decoded, encode_json, read_json
 from salsanext_cli.files.reading import identity
 from salsanext_cli.fitting.scan_checks import check_scan
-from salsanext_cli.labelling.label_records import require_truth
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary, ScanWarning, log_recorded
 from salsanext_cli.network.card import parted, scan_digest
 from salsanext_cli.records import Double, Mask
@@ -38,15 +37,6 @@ class ClassCounts:
     points: Counts  # (C,): training points of each class
     warnings: list[ScanWarning]  # About scans of either split
     digests: dict[ScanFile, str]  # Of the training scans
-
-
-def require_labels(files: Sequence[ScanFile]) -> None:
-    """Raise `LabelError` for the first scan without a label file, or with a pre-label."""
-    missing = [file for file in files if not file.label_path.is_file()]
-    if missing:
-        problem = f"the label files of {counted(len(missing), 'scan')} are missing"
-        raise LabelError(missing[0].label_path, problem, "one for every scan of the split")
-    require_truth(files)
 
 
 def count_classes(source: Source, jobs: int = 1) -> tuple[Counts, list[ScanSummary], list[str]]:

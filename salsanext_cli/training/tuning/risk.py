@@ -2,25 +2,17 @@
 """Threshold above which labels are rejected, chosen so that a new scan has few wrong labels."""
 
 import logging
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.engines.backend import PixelPrediction
-from salsanext_cli.errors import (
-    LabelError,
-    TrainingError,
-    UsageError,
-    counted,
-    first_few,
-    with_hint,
-)
+from salsanext_cli.errors import LabelError, TrainingError, first_few, with_hint
 from salsanext_cli.files.json_files import plain
 from salsanext_cli.fitting.label_scan import PreparedScan, labelled, prepared_for
 from salsanext_cli.fitting.sensor_fit import labels_depend_on
@@ -32,8 +24,8 @@ from salsanext_cli.measures.risk_control import (
     enough_drives,
     guarantee,
     held_thresholds,
+    likely_thresholds,
     means_of_units,
-    needed_scans,
 )
 from salsanext_cli.measures.scores import Counts, Ratios
 from salsanext_cli.network.card import RiskThreshold, scan_digest
@@ -41,6 +33,7 @@ from salsanext_cli.option_fields import KnnParameters
 from salsanext_cli.parallel.job import Steps
 from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.sensors.sensor import FittedView
+from salsanext_cli.training.tuning.risk_level import FewUnits, RiskLevel, require_scans
 from salsanext_cli.training.tuning.scans import NOT_SCORED, Tuned, TuningScans
 from salsanext_cli.uncertainty.error_features import error_probability, knows_error
 
@@ -59,13 +52,6 @@ class JudgedScan:
     points: int
     # Accepted points, and accepted wrong ones, up to each bin, (2, B)
     below: npt.NDArray[np.int32]
-
-
-class RiskLevel(NamedTuple):
-    """Limit of the share of accepted and wrong points."""
-
-    at_most: float  # Largest share of the points, 0…1
-    confidence: float | None  # Share of scans or drives within the limit; None: it is for the mean
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +108,10 @@ def fit_risk(scans: TuningScans, at_most: float, confidence: float | None = None
     labels, and each sequence at the threshold of the others.
     """
     level = RiskLevel(at_most, confidence)
-    _require_scans(scans, level)
+    require_scans(scans.source, len(scans.files), level)
+    drives = len({file.sequence for file in scans.files})
+    unit = "drive" if enough_drives(drives, at_most, confidence) else "scan"
+    few = _few_units(scans.files, unit, level)
     network, space = scans.network, scans.space
     kind = _kind_of_threshold(scans)
     counts = np.zeros((space.class_count, space.class_count, UNCERTAINTY_BINS + 1), np.int64)
@@ -134,13 +123,12 @@ def fit_risk(scans: TuningScans, at_most: float, confidence: float | None = None
     judged = [*scans.run(Steps(partial(prepared_for, network), predict, judge)).values()]
     shares = np.array([scan.below / scan.points for scan in judged])
     sequences = np.array([scan.file.sequence for scan in judged])
-    unit, units = "scan", np.arange(len(judged))
-    if enough_drives(len(np.unique(sequences)), at_most, confidence):
-        unit, units = "drive", sequences
-    bins = held_thresholds(means_of_units(shares[:, 1], units), at_most, confidence)
+    units = sequences if unit == "drive" else np.arange(len(judged))
+    losses = means_of_units(shares[:, 1], units)
+    bins = held_thresholds(losses, *level)
     if not bins or not shares[:, 0, bins - 1].any():
         problem = f"no threshold of {kind} accepts points with at most {at_most:.3g} of them wrong"
-        hint = "use a higher --at-most, or better weights"
+        hint = few.hint if few else "use a higher --at-most, or better weights"
         raise TrainingError(scans.source, problem, hint=hint)
     risk = RiskThreshold(
         kind=kind,
@@ -166,18 +154,39 @@ def fit_risk(scans: TuningScans, at_most: float, confidence: float | None = None
         "held_out": plain(others),
         "of_scans": [[accepted / n, wrong / n] for n, accepted, wrong in of_scans.values()],
         "sentences": [*labels.sentences, *_sentences(others)],
+        "few": None,
     }
-    _warn(labels, others, level, unit)
+    if few:
+        report["few"] = _report_of_few(few, judged, losses, labels)
+    elif labels.coverage < LEAST_COVERAGE:
+        text = f"the threshold accepts only {labels.coverage:.1%} of the points"
+        log.warning("%s", with_hint(text, "use a higher --at-most, or scans of more drives"))
+    _warn_of_held_out(others, level, unit)
     return replace(network.card, risk=risk), report
 
 
-def _warn(
-    labels: AcceptedLabels, others: Sequence[HeldOutSequence], level: RiskLevel, unit: str
-) -> None:
-    """Warn of a threshold of little use, or with which held-out sequences exceed the level."""
-    if labels.coverage < LEAST_COVERAGE:
-        text = f"the threshold accepts only {labels.coverage:.1%} of the points"
-        log.warning("%s", with_hint(text, "use a higher --at-most, or scans of more drives"))
+def _few_units(files: Sequence[ScanFile], unit: str, level: RiskLevel) -> FewUnits | None:
+    """Return the scans or drives if they are few for a level, and warn of it."""
+    units = {file.sequence for file in files} if unit == "drive" else {*files}
+    few = FewUnits.among(len(units), unit, level)
+    if few:
+        few.warn_before()
+    return few
+
+
+def _report_of_few(
+    few: FewUnits, judged: Sequence[JudgedScan], losses: Ratios, labels: AcceptedLabels
+) -> dict[str, float]:
+    """Estimate what more scans with equal losses would accept; warn, and return plain data."""
+    bins = likely_thresholds(losses, *few.level, few.useful)
+    accepted = sum(int(scan.below[0, bins - 1]) for scan in judged) if bins else 0
+    by_useful = accepted / sum(scan.points for scan in judged)
+    few.warn_after(labels.coverage, by_useful)
+    return {"left": few.left, "useful": few.useful, "accepted_by_useful": by_useful}
+
+
+def _warn_of_held_out(others: Sequence[HeldOutSequence], level: RiskLevel, unit: str) -> None:
+    """Warn of held-out sequences that exceed the level, or that there are none."""
     if (above := [part.sequence for part in others if part.exceeds(level)]) and unit == "scan":
         log.warning("%s: above the level with the threshold of the others", first_few(above))
     elif not others:
@@ -206,31 +215,6 @@ def _sentences(others: Sequence[HeldOutSequence]) -> Iterator[str]:
     if more := len(others) - len(worst):
         noun = "sequence" if more == 1 else "sequences"
         yield f"{more} more {noun} with a smaller share of wrong points"
-
-
-def _require_scans(scans: TuningScans, level: RiskLevel) -> None:
-    """Refuse a level that the scans are too few for; name the best one for their number."""
-    at_most, confidence = level
-    if not 0 < at_most < 1:
-        raise UsageError("--at-most", f"is {at_most:.4g}", "above 0 and below 100%, such as 5%")
-    if confidence is not None and not 0.5 <= confidence < 1:
-        raise UsageError("--confidence", f"is {confidence:.4g}", "from 50% to below 100%")
-    count = len(scans.files)
-    missing = needed_scans(at_most, confidence) - count
-    if missing <= 0:
-        return
-    if confidence is None:
-        lowest = math.ceil(1000 / (count + 1)) / 10
-        useful = min(2 * lowest, 95.0)  # The lowest one leaves no room for wrong points
-        best = f"{lowest:g} %"
-        option = f"--at-most {useful:g}%, which leaves half of it for wrong points"
-    else:
-        exceed = 1 - (1 - confidence) ** (1 / max(count, 1))  # Clopper and Pearson's bound
-        best = f"{exceed:.0%} of scans above the level, with {100 * confidence:.4g} % confidence"
-        option = "a lower --confidence"
-    problem = f"{counted(count, 'scan')} can guarantee no less than {best}"
-    hint = f"add scans of other drives, or use {option}"
-    raise TrainingError(scans.source, problem, f"{missing} more scans", hint)
 
 
 def _held_out(

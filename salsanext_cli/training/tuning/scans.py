@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Scans that one part of the weights is fitted to, and their labels point by point."""
 
-import logging
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
@@ -13,28 +12,15 @@ import numpy as np
 from salsanext_cli.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import LabelError, NoInputError, TrainingError, counted, first_few
-from salsanext_cli.files.reading import present
+from salsanext_cli.errors import LabelError
 from salsanext_cli.fitting.sensor_fit import ScanSample, fit_scans
-from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.geometry.scan_traits import sensor_of
-from salsanext_cli.network.card import WeightsCard, scan_digest
-from salsanext_cli.option_fields import ScanSelection
+from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.parallel.job import Computed, Prepared, ScanJob
 from salsanext_cli.parallel.network_task import network_pipeline
 from salsanext_cli.records import Float, Indices, RangeImage
 from salsanext_cli.results.paths import ScanFile, find_scans
-from salsanext_cli.results.selection import (
-    choose,
-    data_set_of,
-    evenly_spaced,
-    log_unused,
-    scans_of,
-    space_of,
-    with_splits,
-)
-from salsanext_cli.training.data.class_counts import require_labels
 from salsanext_cli.training.data.sources import read_labelled
 from salsanext_cli.training.data.targets import class_sets
 
@@ -42,8 +28,6 @@ Tuned = tuple[WeightsCard, dict[str, Any]]  # Card of the new weights, and a rep
 NOT_SCORED = "no point is of a scored class"
 
 Result = TypeVar("Result")
-
-log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,51 +89,6 @@ class LabelledImage:
         """Return the pixel values (C, H, W) of the points, (M, C)."""
         pixels = self.image.pixel_of_point[self.points]
         return of_pixels.reshape(len(of_pixels), -1)[:, pixels].T
-
-
-def labelled_scans(
-    dataset: Path, selection: ScanSelection, card: WeightsCard
-) -> tuple[list[ScanFile], LabelSpace]:
-    """Find labelled scans in the classes of a network, evenly spaced if limited.
-
-    By default they are the scans of the split ``valid`` and of no split.
-    """
-    files = scans_of(dataset)
-    space = space_of(files, card.space)
-    if not space.fits(card.space):
-        problem = f"has labels of {space.name} ({first_few(space.differences(card.space))})"
-        expected = f"labels of {card.space.name}, as the weights"
-        raise LabelError(dataset, problem, expected, "use weights for these classes")
-    scans = choose(files, replace(selection, limit=None), space, dataset)
-    if not (selection.split or selection.sequences):
-        splits = with_splits(space, data_set_of(scans[0]))
-        of_split = {scan: splits.split_of(scan.sequence) for scan in scans}
-        unsplit = [scan for scan in scans if not of_split[scan] and present(scan.label_path)]
-        scans = sorted([scan for scan in scans if of_split[scan] == "valid"] + unsplit)
-        hint = "choose scans with --sequences"
-        if not scans:
-            expected = "labelled scans of split valid, or of no split"
-            raise NoInputError(dataset, "has no scans to tune on", expected, hint)
-        log_unused(files, scans, splits, hint)
-    scans = evenly_spaced(scans, selection.limit or 0)
-    require_labels(scans)
-    return scans, space
-
-
-def unseen(scans: Sequence[ScanFile], network: Network, source: Path) -> list[ScanFile]:
-    """Return the scans that the weights were not trained on, without copies; log the others."""
-    known, others = set(network.card.trained_on), list[ScanFile]()
-    for scan in scans:
-        if (digest := scan_digest(read_scan(scan.path, network.sensor))) not in known:
-            known.add(digest)
-            others.append(scan)
-    reason = "the weights were trained on them, or they are copies"
-    if not others:
-        hint = "label other scans, or choose others with --sequences"
-        raise TrainingError(source, f"every labelled scan is skipped: {reason}", hint=hint)
-    if skipped := len(scans) - len(others):
-        log.warning("%s skipped: %s", counted(skipped, "scan"), reason)
-    return others
 
 
 def read_labelled_image(file: ScanFile, network: Network, space: LabelSpace) -> LabelledImage:

@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: MIT
+"""Level of `tune risk`, and whether the scans are enough for it; nothing here reads a scan."""
+
+import logging
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+from salsanext_cli.errors import TrainingError, UsageError, counted, with_hint
+from salsanext_cli.measures.risk_control import (
+    allowed_scans,
+    needed_scans,
+    share_left,
+    useful_scans,
+)
+
+log = logging.getLogger(__name__)
+
+
+class RiskLevel(NamedTuple):
+    """Limit of the share of accepted and wrong points."""
+
+    at_most: float  # Largest share of the points, 0…1
+    # Share of scans or drives within the limit; None: it is for the mean
+    confidence: float | None = None
+
+    def require_possible(self) -> None:
+        """Refuse shares outside their ranges."""
+        if not 0 < self.at_most < 1:
+            problem = f"is {self.at_most:.4g}"
+            raise UsageError("--at-most", problem, "above 0 and below 100%, such as 5%")
+        if self.confidence is not None and not 0.5 <= self.confidence < 1:
+            problem = f"is {self.confidence:.4g}"
+            raise UsageError("--confidence", problem, "from 50% to below 100%")
+
+
+def require_scans(source: Path, count: int, level: RiskLevel) -> None:
+    """Refuse a level that so many scans are too few for; name the best one for their number."""
+    at_most, confidence = level
+    level.require_possible()
+    missing = needed_scans(at_most, confidence) - count
+    if missing <= 0:
+        return
+    if confidence is None:
+        lowest = math.ceil(1000 / (count + 1)) / 10
+        useful = min(2 * lowest, 95.0)  # The lowest one leaves no room for wrong points
+        best = f"{lowest:g} %"
+        option = f"--at-most {useful:g}%, which leaves half of it for wrong points"
+    else:
+        exceed = 1 - (1 - confidence) ** (1 / max(count, 1))  # Clopper and Pearson's bound
+        best = f"{exceed:.0%} of scans above the level, with {100 * confidence:.4g} % confidence"
+        option = "a lower --confidence"
+    problem = f"{counted(count, 'scan')} can guarantee no less than {best}"
+    hint = f"add scans of other drives, or use {option}"
+    raise TrainingError(source, problem, f"{missing} more scans", hint)
+
+
+@dataclass(frozen=True, slots=True)
+class FewUnits:
+    """Scans or drives that leave a threshold little or no room for wrong labels."""
+
+    unit: str  # "scan" or "drive"
+    count: int
+    level: RiskLevel
+    useful: int  # Number of them that leaves room, as `useful_scans` returns it
+
+    @classmethod
+    def among(cls, count: int, unit: str, level: RiskLevel) -> "FewUnits | None":
+        """Return so many scans or drives if they are few for a level, else None."""
+        useful = useful_scans(*level)
+        return cls(unit, count, level, useful) if count < useful else None
+
+    @property
+    def left(self) -> float:
+        """Share of the points, or of the scans above the level, that the level leaves, 0…1."""
+        return _left(self.count, self.level)
+
+    def warn_before(self) -> None:
+        """Warn of the room that the bound leaves, before a scan is read."""
+        units = counted(self.count, self.unit)
+        more = counted(self.useful, self.unit)
+        useful = 100 * _left(self.useful, self.level)
+        limit = f"{100 * self.level.at_most:.3g} %"
+        if self.level.confidence is not None:
+            text = f"{units}: none of them may exceed {limit}; with {more} one may"
+        elif self.left < 0.0005:
+            text = (
+                f"{units}: the threshold accepts only labels below the first wrong one; with "
+                f"{more} {useful:.3g} % of the points may be accepted and wrong"
+            )
+        else:
+            text = (
+                f"{units}: {100 * self.left:.2g} % of the points may be accepted and wrong, not "
+                f"{limit}; with {more} {useful:.3g} %"
+            )
+        log.warning("%s", with_hint(text, self.hint))
+
+    def warn_after(self, accepted: float, accepted_by_useful: float) -> None:
+        """Warn of the share of accepted points, and of that by more scans with equal losses."""
+        units = counted(self.count, self.unit)
+        more = counted(self.useful, self.unit)
+        text = (
+            f"{units}: the threshold accepts {accepted:.1%} of the points; {more} like these would "
+            f"accept about {accepted_by_useful:.0%}"
+        )
+        log.warning("%s", with_hint(text, self.hint))
+
+    @property
+    def hint(self) -> str:
+        """What helps."""
+        return f"label {counted(self.useful - self.count, f'more {self.unit}')}, or raise --at-most"
+
+
+def _left(count: int, level: RiskLevel) -> float:
+    if level.confidence is None:
+        return max(0.0, share_left(count, level.at_most))
+    return max(0, allowed_scans(count, level.confidence)) / count

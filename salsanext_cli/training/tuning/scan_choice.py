@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: MIT
+"""Choice of the labelled scans that one part of the weights is fitted to."""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.engines.network import Network
+from salsanext_cli.errors import LabelError, NoInputError, TrainingError, counted, first_few
+from salsanext_cli.files.reading import present
+from salsanext_cli.formats import read_scan
+from salsanext_cli.labelling.label_records import require_labels
+from salsanext_cli.network.card import WeightsCard, scan_digest
+from salsanext_cli.option_fields import ScanSelection
+from salsanext_cli.results.paths import ScanFile
+from salsanext_cli.results.selection import (
+    choose,
+    data_set_of,
+    evenly_spaced,
+    log_unused,
+    scans_of,
+    space_of,
+    with_splits,
+)
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class UnseenScans:
+    """Scans that the weights were not trained on, in order, and the number of skipped ones."""
+
+    files: list[ScanFile]
+    skipped: int
+
+
+def labelled_scans(
+    dataset: Path, selection: ScanSelection, card: WeightsCard
+) -> tuple[list[ScanFile], LabelSpace]:
+    """Find labelled scans in the classes of a network, without regard to the limit.
+
+    By default they are the scans of the split ``valid`` and of no split. As many as the limit
+    allows must have labels.
+    """
+    files = scans_of(dataset)
+    space = space_of(files, card.space)
+    if not space.fits(card.space):
+        problem = f"has labels of {space.name} ({first_few(space.differences(card.space))})"
+        expected = f"labels of {card.space.name}, as the weights"
+        raise LabelError(dataset, problem, expected, "use weights for these classes")
+    scans = choose(files, replace(selection, limit=None), space, dataset)
+    if not (selection.split or selection.sequences):
+        splits = with_splits(space, data_set_of(scans[0]))
+        of_split = {scan: splits.split_of(scan.sequence) for scan in scans}
+        unsplit = [scan for scan in scans if not of_split[scan] and present(scan.label_path)]
+        scans = sorted([scan for scan in scans if of_split[scan] == "valid"] + unsplit)
+        hint = "choose scans with --sequences"
+        if not scans:
+            expected = "labelled scans of split valid, or of no split"
+            raise NoInputError(dataset, "has no scans to tune on", expected, hint)
+        log_unused(files, scans, splits, hint)
+    require_labels(evenly_spaced(scans, selection.limit or 0))
+    return scans, space
+
+
+def unseen(
+    scans: Sequence[ScanFile], network: Network, source: Path, limit: int | None = None
+) -> UnseenScans:
+    """Choose scans that the weights were not trained on, without copies; log the others.
+
+    With a limit the scans are evenly spaced, and further ones replace those that are skipped.
+    """
+    known = set(network.card.trained_on)
+    remaining = list(scans)
+    accepted = set[ScanFile]()
+    skipped = 0
+    while remaining and (missing := (limit or len(scans)) - len(accepted)):
+        read = evenly_spaced(remaining, missing)
+        remaining = sorted({*remaining} - {*read})
+        require_labels(read)
+        for scan in read:
+            if (digest := scan_digest(read_scan(scan.path, network.sensor))) in known:
+                skipped += 1
+            else:
+                known.add(digest)
+                accepted.add(scan)
+    reason = "the weights were trained on them, or they are copies"
+    if not accepted:
+        hint = "label other scans, or choose others with --sequences"
+        raise TrainingError(source, f"every labelled scan is skipped: {reason}", hint=hint)
+    if skipped:
+        log.warning("%s skipped: %s", counted(skipped, "scan"), reason)
+    return UnseenScans([scan for scan in scans if scan in accepted], skipped)
