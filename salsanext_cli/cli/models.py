@@ -26,7 +26,8 @@ def models(
     from rich.text import Text
 
     from salsanext_cli.network.registry import ARCHITECTURES, plugged_networks
-    from salsanext_cli.report.tables import card_table, table_of
+    from salsanext_cli.report.card_table import card_table
+    from salsanext_cli.report.tables import table_of
     from salsanext_cli.stages.models import describe_weights, plug_ins
 
     names, plugged = [*ARCHITECTURES, *plugged_networks()], plug_ins()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Tables for a terminal: scores, tuning, networks and weights, sets of scans, imported labels."""
+"""Tables for a terminal: scores, tuning, sets of scans, imported labels."""
 
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -14,11 +14,9 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import counted, first_few, printable
 from salsanext_cli.labelling.label_records import ImportedScan, LabelImport
 from salsanext_cli.measures.calibration import CalibrationScores
-from salsanext_cli.measures.risk_control import guarantee
 from salsanext_cli.measures.scores import FREQUENT_POINTS, Scores, band_rows
 from salsanext_cli.measures.survey import Survey
 from salsanext_cli.measures.uncertainty_evaluation import RankingScores, UncertaintyEvaluation
-from salsanext_cli.network.card import DescribedWeights
 from salsanext_cli.records import CHANNELS
 from salsanext_cli.sensors.sensor import Sensor
 
@@ -163,45 +161,6 @@ def rate_table(rates: Sequence[float], objectives: Sequence[float], best: float)
         for rate, objective in zip(rates, objectives, strict=True)
     )
     return table_of(("rate", "objective per point", ""), rows, title="Dropout rate")
-
-
-def card_table(file: DescribedWeights) -> Table:
-    """Return a table of the card of a weights file."""
-    card, sensor, error = file.card, file.card.sensor, file.card.error
-    view = f"{sensor.fov_up:+g}° to {sensor.fov_down:+g}°"
-    rows = {
-        "weights": f"default weights version {card.version}" if card.version else "",
-        "description": card.description or ABSENT,
-        "architecture": ", ".join(f"{k} {v}" for k, v in card.architecture.items()),
-        "temperature": f"{card.temperature:.4g}",
-        "label space": f"{card.space.name}, {card.space.class_count} classes",
-        "sensor": f"{sensor.name}, {sensor.height}×{sensor.width}, {view}",
-        "scores on the scans that chose the weights": _scores(card.scores) or ABSENT,
-        "error model, on held-out scans": error and (_scores(error.scores) or ABSENT),
-        "risk threshold": card.risk and guarantee(card.risk),
-        "training scans": card.trained_on and f"{len(card.trained_on):,}",
-        "size": f"{file.size / 1e6:.1f} MB",
-        "SHA-256": file.sha256,
-        "SHA-256 of the tensors": card.tensors_sha256 and f"{card.tensors_sha256}, intact",
-    }
-    known = [(name, str(text)) for name, text in rows.items() if text]
-    table = table_of(("", "value"), known, texts=["value"], title=str(file.path))
-    table.show_header = False
-    return table
-
-
-def _scores(scores: Mapping[str, Any]) -> str:
-    """Return names and rounded scores: further digits depend on a few scans."""
-    return ", ".join(f"{name} {_rounded(value)}" for name, value in scores.items())
-
-
-def _rounded(value: Any) -> str:
-    """Return a score, or several with or without names, as text."""
-    if isinstance(value, Mapping):
-        return f"({_scores(value)})"
-    if isinstance(value, list):
-        return " ".join(map(str, value))
-    return f"{value:.3f}" if isinstance(value, float) else str(value)
 
 
 def survey_tables(

@@ -29,6 +29,7 @@ from salsanext_cli.files.reading import identity
 from salsanext_cli.formats import scan_suffix
 from salsanext_cli.network.card import AccuracyLine, RiskThreshold, parted
 from salsanext_cli.option_fields import FusionReach, KnnParameters
+from salsanext_cli.results.digest_files import with_digests, with_files
 from salsanext_cli.results.paths import COLOURINGS, ERROR, SUFFIX_OF_FOLDER, ScanFile
 from salsanext_cli.results.selection import space_of
 from salsanext_cli.sensors.sensor import Sensor, sensor
@@ -159,7 +160,8 @@ def _read(path: Path, stage: str, _: tuple[object, ...]) -> StageRecord | None:
         raise OutputError(path, f"is not a record of `{stage}`", hint=hint)
     content = {RENAMED.get(key, key): value for key, value in content.items()}
     if isinstance(settings := content.get("settings"), dict):
-        content["settings"] = {RENAMED.get(key, key): v for key, v in settings.items()}
+        renamed = {RENAMED.get(key, key): value for key, value in settings.items()}
+        content["settings"] = with_digests(renamed, path)
     return record_of(StageRecord, content, path)
 
 
@@ -199,7 +201,8 @@ class Manifest:
     def write(self, record: StageRecord) -> None:
         """Write the record of a stage durably if it has changed."""
         if self.record(record.stage) != record:
-            write_json(self.path(record.stage), record)
+            apart = replace(record, settings=with_files(record.settings, self.root))
+            write_json(self.path(record.stage), apart)
 
     def sources(self) -> dict[str, ScanSource]:
         """Return the sources of the scans of all stages, by sequence."""

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Scores on scans that the weights were trained on: left out, or marked."""
 
+import hashlib
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -107,3 +109,50 @@ def test_a_record_that_was_changed_is_refused(trained, change):
     record["settings"] |= change
     (trained.out / "predict.json").write_text(json.dumps(record))
     refused(OutputError, trained.out / "predict.json", judged, trained)
+
+
+def digest_file(world: World) -> Path:
+    """Return the only file of digests in an output folder."""
+    (path,) = world.out.glob("digests-*.txt")
+    return path
+
+
+def test_the_digests_are_in_a_file_that_the_record_names(trained):
+    """The name contains their SHA-256, so a run with the same weights finds the same name."""
+    predict(trained)
+    path = digest_file(trained)
+    known = read_card(trained.network.path).trained_on
+    assert path.read_text("ascii").splitlines() == sorted(known)
+    expected = hashlib.sha256("".join(sorted(known)).encode()).hexdigest()[:16]
+    assert path.stem == f"digests-{expected}"
+    record = json.loads((trained.out / "predict.json").read_text())
+    assert record["settings"]["trained_on"] == path.name
+    before = (trained.out / "predict.json").read_bytes()
+    predict(trained)
+    assert (trained.out / "predict.json").read_bytes() == before
+    assert digest_file(trained) == path
+    assert judged(trained).counts.skipped == 1
+
+
+def test_a_record_of_an_early_version_holds_them_itself(trained):
+    predict(trained)
+    path = trained.out / "predict.json"
+    record = json.loads(path.read_text())
+    record["settings"]["trained_on"] = digest_file(trained).read_text("ascii").replace("\n", "")
+    digest_file(trained).unlink()
+    path.write_text(json.dumps(record))
+    assert judged(trained).counts.skipped == 1
+    predict(trained)  # With the same settings
+    assert json.loads(path.read_text()) == record
+
+
+@pytest.mark.parametrize("content", [None, b"", b"0" * 24, b"\xff"])
+def test_a_missing_or_changed_file_of_digests_is_refused(trained, content):
+    """Scans of the training would count otherwise; a process reads an unchanged record once."""
+    predict(trained)
+    os.utime(trained.out / "predict.json", ns=(0, 0))
+    path = digest_file(trained)
+    path.unlink()
+    if content is not None:
+        path.write_bytes(content)
+    refused(OutputError, path, judged, trained)

@@ -14,8 +14,8 @@ from salsanext_cli.errors import NOTICE
 from salsanext_cli.files.reading import fingerprint
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.weights import save_with_card
+from salsanext_cli.report.card_table import card_table
 from salsanext_cli.report.page import run_results
-from salsanext_cli.report.tables import card_table
 from salsanext_cli.stages.import_weights import import_weights
 from salsanext_cli.stages.models import describe_weights
 from salsanext_cli.stages.predict import predict_scans

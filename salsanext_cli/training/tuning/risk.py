@@ -5,6 +5,7 @@ import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -127,9 +128,7 @@ def fit_risk(scans: TuningScans, at_most: float, confidence: float | None = None
     losses = means_of_units(shares[:, 1], units)
     bins = held_thresholds(losses, *level)
     if not bins or not shares[:, 0, bins - 1].any():
-        problem = f"no threshold of {kind} accepts points with at most {at_most:.3g} of them wrong"
-        hint = few.hint if few else "use a higher --at-most, or better weights"
-        raise TrainingError(scans.source, problem, hint=hint)
+        raise _no_threshold(scans.source, kind, few, level)
     risk = RiskThreshold(
         kind=kind,
         threshold=min(float(highest_of_bins()[bins - 1]), 1.0),
@@ -163,6 +162,15 @@ def fit_risk(scans: TuningScans, at_most: float, confidence: float | None = None
         log.warning("%s", with_hint(text, "use a higher --at-most, or scans of more drives"))
     _warn_of_held_out(others, level, unit)
     return replace(network.card, risk=risk), report
+
+
+def _no_threshold(source: Path, kind: str, few: FewUnits | None, level: RiskLevel) -> TrainingError:
+    """Return the error about a level that every threshold exceeds."""
+    problem = (
+        f"no threshold of {kind} accepts points with at most {level.at_most:.3g} of them wrong"
+    )
+    hint = few.hint if few else "use a higher --at-most, or better weights"
+    return TrainingError(source, problem, hint=hint)
 
 
 def _few_units(files: Sequence[ScanFile], unit: str, level: RiskLevel) -> FewUnits | None:
