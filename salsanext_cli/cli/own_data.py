@@ -27,7 +27,9 @@ def inspect(
     selection: ScanSelection,
     topic: str | None = arguments.TOPIC,
     label_space: str | None = arguments.LABEL_SPACE,
-    sensor: str | None = arguments.SENSOR,
+    sensor: str | None = arguments.sensor_option(
+        show_default="fitted to the scans, as `predict` does; of --fit, hdl64"
+    ),
     columns: str | None = arguments.COLUMNS,
     running: arguments.Unsharded,
     strict: bool = arguments.STRICT,
@@ -38,12 +40,15 @@ def inspect(
     Example: salsanext inspect my/scans
     """
     from salsanext_cli.fitting.field_of_view import view_text
+    from salsanext_cli.network.card import default_weights, read_card
     from salsanext_cli.report.tables import survey_tables
     from salsanext_cli.sensors.sensor import sensor as find_sensor
     from salsanext_cli.stages.inspect import inspect as stage
     from salsanext_cli.stages.inspect import write_sensor
 
-    named = with_columns(find_sensor(sensor or "hdl64"), columns).resized(height, width)
+    as_predict = sensor is None and fit is None
+    usual = read_card(default_weights()).sensor if as_predict else find_sensor(sensor or "hdl64")
+    named = with_columns(usual, columns).resized(height, width)
     # The size and the normalisation are for weights that are still to be trained.
     images = height is not None or width is not None
     with over_scans("inspect", running, output.quiet) as run:
@@ -55,6 +60,7 @@ def inspect(
             options=run,
             fit=fit is not None,
             images=images,
+            as_predict=as_predict,
         )
     if fit is not None:
         fitted = survey.fitted_sensor(fit.stem, images=images)

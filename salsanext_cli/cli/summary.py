@@ -49,7 +49,8 @@ def finish(
     took += f", {duration_text(outcome.seconds / outcome.done)} per scan" if outcome.done else ""
     scans = f"{counted(outcome.done, 'scan')}{already}{failed}{took}"
     output.print(f"{stage}: {scans}{skipped_text(outcome.missing)} → {out}")
-    for line in (*_rejection_lines(outcome, limit), advice, *_lines(outcome.summary, following)):
+    lines = _lines(outcome.summary, following) if outcome.done + outcome.skipped else ()
+    for line in (*_rejection_lines(outcome, limit), advice, *lines):
         if line:
             output.print(line)
     is_doubtful = strict and outcome.summary is not None and bool(outcome.summary.findings)
@@ -91,7 +92,8 @@ def _as_data(outcome: Outcome) -> dict[str, Any]:
         from salsanext_cli.sensors.sensor import NOISE
 
         data["folders"] = {scan.sequence: str(scan.path.parent) for scan in summary.scans}
-        data["sensor"] = summary.sensor.to_dict(NOISE)
+        is_used = outcome.done + outcome.skipped > 0
+        data["sensor"] = summary.sensor.to_dict(NOISE) if is_used else None
         data["unlabelled_share"] = round(summary.unlabelled_share, 4)
         data["largest_classes"] = summary.largest_classes()
         data["ego_share"] = round(summary.ego_share, 4)

@@ -152,9 +152,13 @@ class NetworkSettings:
             hint = ": run `salsanext tune error`" if inherited.startswith("error") else ""
             log.log(NOTICE, "%s; not fitted to these weights%s", inherited, hint)
 
-    def resolved(self, network: "Network") -> "NetworkSettings":
-        """Announce the network, and return settings with which each worker loads the same one."""
-        self.announce(network)
+    def resolved(self, network: "Network", *, silent: bool = False) -> "NetworkSettings":
+        """Return settings with which each worker loads the same network, and announce it.
+
+        `silent`: whether nothing will be computed, so that nothing is announced.
+        """
+        if not silent:
+            self.announce(network)
         return replace(
             self,
             device="cpu" if network.device == "cpu" else self.device,

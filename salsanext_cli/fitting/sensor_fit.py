@@ -129,6 +129,11 @@ def _usable(function: Callable[[Any], Result], items: Iterable[Any]) -> list[Res
     return results
 
 
+def is_unreadable(scans: Sequence[ScanFile], sensor: Sensor) -> bool:
+    """Return whether a single scan cannot be read, so that a run of it computes nothing."""
+    return len(scans) == 1 and not ScanSample(scans, sensor).read
+
+
 def fit_scans(
     settings: NetworkSettings, network: Network, sample: ScanSample, earlier: Sensor | None = None
 ) -> Network:

@@ -15,8 +15,8 @@ from salsanext_cli.fitting.sensor_fit import ScanSample, fitted_view
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.network_input import NO_INTENSITY
-from salsanext_cli.geometry.projection import project, without_ego
-from salsanext_cli.geometry.scan_traits import kinds_of
+from salsanext_cli.geometry.projection import measured_ranges, project, without_ego
+from salsanext_cli.geometry.scan_traits import kinds_of, sensor_of
 from salsanext_cli.measures.scan_summary import APART, RunSummary, ScanSummary, ScanWarning
 from salsanext_cli.measures.survey import Survey, survey
 from salsanext_cli.network.card import default_weights, read_card
@@ -74,6 +74,7 @@ def inspect(
     options: RunOptions = RunOptions(),
     fit: bool = False,
     images: bool = True,
+    as_predict: bool = False,
 ) -> Inspection:
     """Survey and check scans, and fit a sensor to them.
 
@@ -92,6 +93,8 @@ def inspect(
     images : bool
         Whether the fit is for new weights: the field of view holds all points, and the images are
         normalised by the scans.
+    as_predict : bool
+        Whether to judge scans by the sensor that `predict` fits to them, or by several.
 
     Returns
     -------
@@ -114,6 +117,9 @@ def inspect(
         # This pass fits the field of view that scans are checked against.
         if images and (first := _inspect(scans, sensor, space, options)).total.pixels:
             sensor = _with_field_of_view(sensor, first.total)
+    elif as_predict:
+        sensor = fitted_view(files, sensor)
+        hint = ALONE
     elif len(kinds_of(ScanSample(files, sensor).scans)[1]) > 1:
         hint = APART
     return _inspect(scans, sensor, space, options, hint)
@@ -148,11 +154,15 @@ def _inspect(
 def _inspect_scan(file: ScanFile, sensor: Sensor, hint: str) -> tuple[Survey, ScanSummary]:
     """Read, check, project and survey a scan."""
     scan = read_scan(file.path, sensor)
+    sensor = sensor_of(scan, sensor)
     # The scale of the intensity does not matter, since `predict` matches it.
     matched = replace(sensor, intensity_quantiles=NO_INTENSITY)
     check = check_scan(file.path, scan, matched, matched, hint)
     raw = read_labels(file.label_path, len(scan)) if present(file.label_path) else None
     counts = survey(without_ego(scan, sensor), project(scan, sensor), raw)
+    _, measured = measured_ranges(scan.points)
+    # Points on the vehicle have a measurement, although the survey does not use it.
+    counts.invalid = int(len(scan) - measured.sum())
     return counts, ScanSummary(file, check)
 
 

@@ -37,6 +37,26 @@ def test_the_next_commands_lead_from_scans_to_scores(run, data, weights, tmp_pat
     assert commands == ["predict", "knn-refine", "eval"]
 
 
+@pytest.mark.parametrize("command", ["predict", "uncertainty"])
+def test_a_single_scan_that_fails_prints_nothing_about_weights_and_sensor(
+    run, weights, tmp_path, command
+):
+    broken = tmp_path / "broken.bin"
+    broken.write_bytes(bytes(17))
+    words = (command, broken, tmp_path / "out", "--weights", weights)
+    result = run(*words, status=1)
+    starts = [line.partition(":")[0] for line in result.stderr.splitlines()]
+    assert starts == ["error", "hint", command]
+    printed = only_json(run(*words, "--json", status=1))
+    assert printed["failed"] == 1
+    assert printed["sensor"] is None
+    write_bin(broken, make_scan())
+    result = run(*words, status=0)
+    starts = [line.partition(":")[0] for line in result.stderr.splitlines()]
+    assert starts[0].startswith(str(weights))
+    assert "sensor" in starts
+
+
 def test_rejected_points_are_counted():
     summary = RunSummary(SMALL, label_space(), class_points=np.array([1500, 500] + [0] * 18))
     outcome = Outcome(2, (), 1, summary=summary, rejected_points=1500)

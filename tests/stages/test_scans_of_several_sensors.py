@@ -177,6 +177,33 @@ def test_inspect_writes_the_sensor_that_predict_fits(mixed, tmp_path, narrow_def
     assert one == other
 
 
+def test_inspect_judges_scans_by_the_sensor_that_predict_fits(mixed, tmp_path, narrow_default):
+    """Without --sensor; a sensor that is named is taken as it is."""
+    out = tmp_path / "out"
+    predicted = only_json(called("predict", mixed, out, "--engine", "torch", "--json"))
+    inspected = only_json(called("inspect", mixed, "--json"))
+    recorded = Manifest(out).known_sensor()
+    assert len(recorded.members) == 2
+    for key in ("fov_up", "fov_down", "height", "width", "up"):
+        assert inspected["sensor"].get(key) == predicted["sensor"].get(key)
+    # Of labels, and of weights that do not state the intensity of their training
+    others = {"one-class", "low-confidence", "intensity-scale"}
+    codes = {warning["code"] for warning in predicted["warnings"]} - others
+    assert {warning["code"] for warning in inspected["warnings"]} == codes
+    named = only_json(called("inspect", mixed, "--sensor", "hdl64", "--json"))
+    assert (named["sensor"]["name"], named["sensor"]["width"]) == ("hdl64", 2048)
+    assert "tilted" in {warning["code"] for warning in named["warnings"]}
+
+
+def test_points_on_the_vehicle_are_not_invalid(tmp_path, narrow_default):
+    scan = make_scan(4000)
+    scan.points[:300] *= 0.5 / np.linalg.norm(scan.points[:300], axis=1, keepdims=True)
+    scan.points[-7:] = 0
+    write_bin(tmp_path / "scans/0.bin", scan)
+    total = only_json(called("inspect", tmp_path / "scans", "--json"))["total"]
+    assert total["invalid_points"] == 7
+
+
 def test_images_unlike_training_are_named(tmp_path, narrow_default):
     """As of a file that `inspect --fit --height 8` wrote for weights to be trained."""
     write_bin(tmp_path / "one/0.bin", level(0))
