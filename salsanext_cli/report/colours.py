@@ -49,10 +49,13 @@ GOLDEN_RATIO = 0.618034  # Steps of this share of the circle of hues never meet
 RIGHT = (92, 100, 112)
 WRONG = (255, 72, 48)
 """Colours of points with a right and with a wrong label."""
+NOT_JUDGED = (62, 76, 150)
+"""Colour of points without a true label, or whose label was rejected, on a dark background."""
 SCALE_PERCENTILES = (1.0, 99.0)  # Ends of a colour scale, which exclude outliers
 SCANS_FOR_SCALE = 20
-OUTCOME_LEGEND = (("right", RIGHT), ("wrong", WRONG))
+OUTCOME_LEGEND = (("right", RIGHT), ("wrong", WRONG), ("not judged (no label)", NOT_JUDGED))
 OUTCOMES = np.array((EMPTY, RIGHT, WRONG), np.uint8)  # Not judged, right and wrong
+OUTCOMES_ON_DARK = np.array((NOT_JUDGED, RIGHT, WRONG), np.uint8)
 CLASS_COLOURS = ("label", "truth", "wrong")
 
 
@@ -185,6 +188,7 @@ class PointColours:
             colour_map = None if self.dark else map_colours(COLOUR_MAP)
             return value_colours(columns[self.colour], *self.scale, colour_map=colour_map)
         if self.colour == "wrong":
-            return OUTCOMES[np.nan_to_num(columns["wrong"] + 1).astype(np.intp)]
+            outcomes = OUTCOMES_ON_DARK if self.dark else OUTCOMES
+            return outcomes[np.nan_to_num(columns["wrong"] + 1).astype(np.intp)]
         class_colours = screen_colours(self.space) if self.dark else self.space.colours
         return class_colours[self.space.to_train(columns[self.colour], strict=False)]

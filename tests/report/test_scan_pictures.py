@@ -2,6 +2,7 @@
 """Pictures of scans."""
 
 import io
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from scans import SMALL, make_scan
 from salsanext_cli import Scan, label_space
 from salsanext_cli.report import scan_pictures
 from salsanext_cli.report.canvas import MARGIN_PX
-from salsanext_cli.report.colours import EMPTY, WRONG, screen_colours
+from salsanext_cli.report.colours import EMPTY, NOT_JUDGED, WRONG, screen_colours
 from salsanext_cli.results.result_folder import ScanResults
 
 RED, GREEN = (255, 0, 0), (0, 255, 0)
@@ -79,6 +80,19 @@ def test_pictures_show_the_classes_of_the_scan(results):
     wrong = pixels(draw(results, "wrong"))
     assert count(wrong, WRONG) > 2000
     assert not count(wrong, of_class["car"])
+
+
+def test_points_that_are_not_judged_are_seen_and_named(results):
+    """A third of the points have no true label; other pictures do not have their colour."""
+    unlabelled = np.arange(len(results.scan)) % 3 == 0
+    some = replace(results, truth=np.where(unlabelled, 0, results.truth).astype(np.uint32))
+    drawn, every = pixels(draw(some, "wrong")), pixels(draw(results, "wrong"))
+    assert count(drawn, NOT_JUDGED) > 2000
+    assert 0 < count(every, NOT_JUDGED) < 1000  # Of the legend
+    assert count(drawn, WRONG) < count(every, WRONG)
+    assert not count(pixels(draw(some, "truth")), NOT_JUDGED)
+    # Pixels without a point stay empty.
+    assert count(drawn, EMPTY) > 2000
 
 
 def test_strips_of_values_have_their_scale(results):

@@ -17,7 +17,14 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import counted, escaped, printable
 from salsanext_cli.measures.scan_counts import ScanCounts
 from salsanext_cli.measures.scores import Counts, largest_confusions, scored_rows
-from salsanext_cli.report.colours import COLOUR_MAP, WRONG, Colours, map_colours, screen_colours
+from salsanext_cli.report.colours import (
+    COLOUR_MAP,
+    NOT_JUDGED,
+    WRONG,
+    Colours,
+    map_colours,
+    screen_colours,
+)
 from salsanext_cli.report.page.clouds import NO_VALUE, Scale, base64_of, encode_cloud
 from salsanext_cli.report.page.run_results import UNCERTAIN, Comparison, RunResults, ShownScan
 from salsanext_cli.report.plots import PICTURES, uncertainty_pictures
@@ -38,7 +45,7 @@ LIVE_WORDS = {
     "connect": "connect-src 'self'",
 }
 """Texts of a page that contains its scans, and of a page that asks a server for them."""
-OUTCOME_COLOURS = {"not judged": (62, 76, 150), "right": (125, 133, 145), "wrong": WRONG}
+OUTCOME_COLOURS = {"not judged": NOT_JUDGED, "right": (125, 133, 145), "wrong": WRONG}
 """Colours of points by outcome, which differ more than those of pictures."""
 DARKEST_STEP = 48  # First step, of 255, of the colour map: lower ones are hard to see
 MAX_CONFUSIONS = 10
