@@ -129,9 +129,15 @@ def _usable(function: Callable[[Any], Result], items: Iterable[Any]) -> list[Res
     return results
 
 
-def is_unreadable(scans: Sequence[ScanFile], sensor: Sensor) -> bool:
-    """Return whether a single scan cannot be read, so that a run of it computes nothing."""
-    return len(scans) == 1 and not ScanSample(scans, sensor).read
+def resolved_for(
+    settings: NetworkSettings, network: Network, scans: Sequence[ScanFile]
+) -> NetworkSettings:
+    """Return settings with which each worker loads the network; announce it if it computes.
+
+    It computes nothing if the only scan cannot be read.
+    """
+    fails = len(scans) == 1 and not ScanSample(scans, network.sensor).read
+    return settings.resolved(network, silent=fails)
 
 
 def fit_scans(

@@ -7,12 +7,12 @@ versions hold the joined digests themselves.
 
 import hashlib
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 from salsanext_cli.errors import OutputError
 from salsanext_cli.files.atomic import write_bytes
-from salsanext_cli.files.json_files import Json
 from salsanext_cli.files.reading import present, reading
 from salsanext_cli.network.card import parted
 
@@ -20,7 +20,7 @@ NAME = re.compile(r"digests-([0-9a-f]{16})\.txt")
 Change = Callable[[str], str]
 
 
-def with_files(settings: Json, folder: Path) -> dict[str, object]:
+def with_files(settings: Mapping[Any, object], folder: Path) -> dict[str, object]:
     """Return settings with the names of files in place of digests; write the files durably."""
 
     def write(digests: str) -> str:
@@ -32,7 +32,7 @@ def with_files(settings: Json, folder: Path) -> dict[str, object]:
     return _changed(settings, write)
 
 
-def with_digests(settings: Json, record: Path) -> dict[str, object]:
+def with_digests(settings: Mapping[Any, object], record: Path) -> dict[str, object]:
     """Return settings with digests in place of the names of files.
 
     Parameters
@@ -58,7 +58,7 @@ def with_digests(settings: Json, record: Path) -> dict[str, object]:
     return _changed(settings, read)
 
 
-def _changed(settings: Json, change: Change) -> dict[str, object]:
+def _changed(settings: Mapping[Any, object], change: Change) -> dict[str, object]:
     """Return settings with changed digests of training scans and of scans of the guarantee."""
     changed = dict(settings)
     if isinstance(digests := changed.get("trained_on"), str) and digests:

@@ -30,9 +30,9 @@ from salsanext_cli.fitting.scan_checks import ScanCheck, check_image
 from salsanext_cli.fitting.sensor_fit import (
     fitted_view,
     is_other_view,
-    is_unreadable,
     labels_depend_on,
     network_of_run,
+    resolved_for,
     settings_of_network,
 )
 from salsanext_cli.formats import read_scan
@@ -201,8 +201,7 @@ def predict_scans(
     run = output_run(out, "predict", recorded, folders, scans, overwrite=options.overwrite)
     with run as output, summary.recorded_in(output, scans):
         job = partial(PredictJob, knn=knn, output=output, reject=rejection)
-        resolved = settings.resolved(network, silent=is_unreadable(scans, network.sensor))
-        task = NetworkTask(job, resolved, network, batch)
+        task = NetworkTask(job, resolved_for(settings, network, scans), network, batch)
         outcome = run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)
     return replace(outcome, rejected_points=summary.rejected_points if rejection else None)
 

@@ -14,7 +14,7 @@ from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE, OutputError
 from salsanext_cli.fitting.label_scan import PreparedScan, ProjectedScan, labelled, prepared_for
-from salsanext_cli.fitting.sensor_fit import is_unreadable, network_of_run, settings_of_network
+from salsanext_cli.fitting.sensor_fit import network_of_run, resolved_for, settings_of_network
 from salsanext_cli.geometry.network_input import noise_of
 from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
@@ -135,8 +135,7 @@ def uncertainty(
     run = output_run(out, "uncertainty", recorded, folders, scans, overwrite=options.overwrite)
     with run as output, summary.recorded_in(output, scans):
         job = partial(UncertaintyJob, knn=knn, method=method, output=output)
-        resolved = settings.resolved(network, silent=is_unreadable(scans, network.sensor))
-        task = NetworkTask(job, resolved, network, batch=1)
+        task = NetworkTask(job, resolved_for(settings, network, scans), network, batch=1)
         return run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)
 
 
