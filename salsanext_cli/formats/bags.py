@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """ROS bags, read without ROS: ROS 1 `.bag`, ROS 2 `.mcap`, `.db3` and folders of them."""
 
+import re
 import struct
 import weakref
 from collections.abc import Iterator
@@ -11,7 +12,7 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
-from salsanext_cli.errors import FormatError
+from salsanext_cli.errors import FormatError, NoInputError, shortened
 from salsanext_cli.files.optional_packages import require_rosbags
 from salsanext_cli.files.reading import filled, reading, refusing_damage
 from salsanext_cli.formats.cloud_messages import CLOUD_MESSAGES, point_count, register_livox
@@ -20,6 +21,9 @@ from salsanext_cli.formats.mcap import require_ros2
 
 INDEX_ENTRY = struct.Struct("<QQ")  # Time and offset of a message, in the index of an MCAP chunk
 MCAP = ".mcap"
+MAX_SHOWN = 500  # Characters of a list of topics in an error
+PACKETS = re.compile("packet|(velodyne|rslidar|pandar)scan", re.IGNORECASE)  # Types of messages
+OF_PACKETS = "play the bag with the driver of the sensor, and record the clouds that it publishes"
 EXPECTED = "a ROS bag"
 HINT = "repair it with `rosbag reindex`, `ros2 bag reindex` or `mcap recover`"
 
@@ -62,6 +66,19 @@ class Bag:
         """Return the message type of every topic with messages, sorted."""
         connections = sorted(self.reader.connections, key=attrgetter("topic"))
         return {c.topic: c.msgtype for c in connections if c.msgcount}
+
+    def cloud_topics(self) -> list[str]:
+        """Return the topics with point clouds, sorted."""
+        return [topic for topic, kind in self.topics().items() if kind in CLOUD_MESSAGES]
+
+    def without_clouds(self) -> NoInputError:
+        """Return the error of a bag without point clouds, with its topics."""
+        kinds = self.topics()
+        topics = ", ".join(f"{topic} ({kind})" for topic, kind in kinds.items())
+        problem = f"has no point clouds, but {shortened(topics, MAX_SHOWN)}"
+        hint = OF_PACKETS if any(map(PACKETS.search, kinds.values())) else ""
+        expected = "clouds, such as sensor_msgs/PointCloud2"
+        return NoInputError(self.path, problem if topics else "has no messages", expected, hint)
 
     def times(self, topic: str) -> list[int]:
         """Return the recording times of the clouds of a topic in nanoseconds, sorted."""

@@ -66,11 +66,13 @@ def maker_of(path: Path) -> str:
     raise _unknown_maker_error(path, packets)
 
 
-def require_readable(path: Path, maker: str) -> None:
-    """Refuse a capture of a maker whose packets are not read."""
+def readable_maker(path: Path) -> str:
+    """Return the maker of a capture; refuse a maker whose packets are not read."""
+    maker = maker_of(path)
     if maker not in READABLE:
         problem = f"is a capture of a {maker} sensor, whose packets are not read"
         raise FormatError(path, problem, EXPECTED, TOOLS[maker])
+    return maker
 
 
 def _is_velodyne(packet: UdpPacket) -> bool:

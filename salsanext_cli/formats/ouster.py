@@ -8,13 +8,12 @@ import weakref
 from pathlib import Path
 from threading import Lock
 
-from salsanext_cli.errors import FormatError
+from salsanext_cli.errors import FormatError, NoInputError
 from salsanext_cli.files.optional_packages import import_extra
 from salsanext_cli.files.reading import reading, refusing_damage
 from salsanext_cli.formats.columns import Columns
 from salsanext_cli.formats.packets import is_cut
 
-FRAMES = "Ouster"  # Type of the topics
 EXPECTED = "a recording of Ouster sensors"
 HINT = "put the metadata of the sensor beside a .pcap, as a .json of the same name"
 REWRITE = "rewrite it with a newer ouster-sdk, or convert it"
@@ -55,9 +54,13 @@ class OusterRecording:
             }
         weakref.finalize(self, self._source.close)
 
-    def topics(self) -> dict[str, str]:
-        """Return the sensors with frames, as topics with their type."""
-        return {name: FRAMES for name, times in self._times.items() if times}
+    def cloud_topics(self) -> list[str]:
+        """Return the sensors with frames, sorted."""
+        return sorted(name for name, times in self._times.items() if times)
+
+    def without_clouds(self) -> NoInputError:
+        """Return the error of a recording without packets of points."""
+        return NoInputError(self.path, "has no LiDAR packets", "packets with distances")
 
     def times(self, topic: str) -> list[int]:
         """Return the times of the frames of a sensor in nanoseconds, sorted."""

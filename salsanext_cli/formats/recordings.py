@@ -10,23 +10,16 @@ import re
 from functools import lru_cache
 from itertools import groupby
 from pathlib import Path
+from typing import Protocol
 
 from salsanext_cli.errors import FormatError, NoInputError, UsageError, counted, shortened
 from salsanext_cli.files.reading import identity, is_folder, present
 from salsanext_cli.formats import BAG_SUFFIXES, RECORDING_SUFFIXES
-from salsanext_cli.formats.bags import Bag
-from salsanext_cli.formats.captures import VELODYNE, maker_of, require_readable
-from salsanext_cli.formats.cloud_messages import CLOUD_MESSAGES
 from salsanext_cli.formats.columns import Columns
-from salsanext_cli.formats.ouster import FRAMES, OusterRecording
-from salsanext_cli.formats.velodyne import VelodyneCapture
 
 METADATA = "metadata.yaml"  # In the folder of a ROS 2 bag, beside `.db3` or `.mcap` files
 NAME = re.compile(r"(-?\d{1,20})(?:_(\d{1,9}))?", re.ASCII)
-CLOUD_KINDS = (*CLOUD_MESSAGES, FRAMES, VELODYNE)  # Types of topics with point clouds
 MAX_SHOWN = 500  # Characters of a list of topics in an error
-PACKETS = re.compile("packet|(velodyne|rslidar|pandar)scan", re.IGNORECASE)  # Types of messages
-OF_PACKETS = "play the bag with the driver of the sensor, and record the clouds that it publishes"
 
 
 def is_recording(path: Path) -> bool:
@@ -58,7 +51,26 @@ def sequence_of(recording: Path) -> str:
     return recording.name if is_folder(recording) else recording.stem
 
 
-Recording = Bag | OusterRecording | VelodyneCapture
+class Recording(Protocol):
+    """Recording that is open, with the clouds of some topics."""
+
+    def cloud_topics(self) -> list[str]:
+        """Return the topics with point clouds, sorted."""
+
+    def without_clouds(self) -> NoInputError:
+        """Return the error of a recording without topics of point clouds."""
+
+    def times(self, topic: str) -> list[int]:
+        """Return the times of the clouds of a topic in nanoseconds, sorted."""
+
+    def point_count(self, topic: str) -> int:
+        """Return the usual number of points of a cloud of a topic."""
+
+    def columns(self, topic: str, time: int, number: int, path: Path) -> Columns:
+        """Read the cloud of a topic and a time; `number` counts clouds of the same time from 0.
+
+        `path` is the path of the scan, for errors.
+        """
 
 
 def recorded_paths(path: Path) -> list[Path]:
@@ -81,13 +93,7 @@ def _only_topic(folder: Path, recording: Recording, clouds: dict[str, str]) -> s
         return next(iter(clouds))
     if clouds:
         raise _several_topics(folder, recording, [*clouds.values()])
-    if not isinstance(recording, Bag):
-        raise NoInputError(folder, "has no LiDAR packets", "packets with distances")
-    kinds = recording.topics()
-    others = ", ".join(f"{topic} ({kind})" for topic, kind in kinds.items())
-    problem = f"no point clouds, but {shortened(others, MAX_SHOWN)}" if others else "no messages"
-    hint = OF_PACKETS if any(map(PACKETS.search, kinds.values())) else ""
-    raise NoInputError(folder, f"has {problem}", "clouds, such as sensor_msgs/PointCloud2", hint)
+    raise recording.without_clouds()
 
 
 def _several_topics(folder: Path, recording: Recording, topics: list[str]) -> UsageError:
@@ -125,17 +131,23 @@ def _opened(path: Path) -> tuple[Path, Recording, dict[str, str]]:
         raise FormatError(path, "no such recording", "a recording or a scan in one")
     # An open file of a forked process has one position in both.
     recording = _recording(folder, (os.getpid(), *map(identity, files_of(folder))))
-    clouds = [topic for topic, kind in recording.topics().items() if kind in CLOUD_KINDS]
-    return folder, recording, {topic.strip("/"): topic for topic in clouds}
+    return folder, recording, {topic.strip("/"): topic for topic in recording.cloud_topics()}
 
 
 @lru_cache(maxsize=1)
 def _recording(path: Path, version: tuple[object, ...]) -> Recording:
+    # Few runs need any of these modules.
     if is_folder(path) or path.suffix.lower() in BAG_SUFFIXES:
+        from salsanext_cli.formats.bags import Bag
+
         return Bag(path, files_of(path))
     if path.suffix.lower() == ".pcap":
-        maker = maker_of(path)
-        require_readable(path, maker)
-        if maker == VELODYNE:
+        from salsanext_cli.formats.captures import VELODYNE, readable_maker
+
+        if readable_maker(path) == VELODYNE:
+            from salsanext_cli.formats.velodyne import VelodyneCapture
+
             return VelodyneCapture(path)
+    from salsanext_cli.formats.ouster import OusterRecording
+
     return OusterRecording(path)

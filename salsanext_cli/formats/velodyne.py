@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from salsanext_cli.errors import FormatError
+from salsanext_cli.errors import FormatError, NoInputError
 from salsanext_cli.files.optional_packages import import_extra
 from salsanext_cli.files.reading import reading, refusing_damage
-from salsanext_cli.formats.captures import VELODYNE, VELODYNE_BYTES
+from salsanext_cli.formats.captures import VELODYNE_BYTES
 from salsanext_cli.formats.columns import Columns
 from salsanext_cli.formats.packets import is_cut, udp_packets
 
@@ -49,9 +49,13 @@ class VelodyneCapture:
         self._file = path.open("rb")
         weakref.finalize(self, self._file.close)
 
-    def topics(self) -> dict[str, str]:
-        """Return the sensors, as topics with their type."""
-        return dict.fromkeys(self._revolutions, VELODYNE)
+    def cloud_topics(self) -> list[str]:
+        """Return the sensors with packets, sorted."""
+        return sorted(self._revolutions)
+
+    def without_clouds(self) -> NoInputError:
+        """Return the error of a recording without packets of points."""
+        return NoInputError(self.path, "has no LiDAR packets", "packets with distances")
 
     def times(self, topic: str) -> list[int]:
         """Return the times of the revolutions of a sensor in nanoseconds, sorted."""

@@ -103,7 +103,16 @@ NAN, INF = float("nan"), float("inf")
 ODD_POINTS = [(0, 0, 0), (NAN, 1, 1), (1, INF, 1), (-INF, 0, 0), (NAN, NAN, NAN)]
 
 
-@pytest.mark.parametrize("points", [[], [(0, 0, 0)], [*ODD_POINTS, (5, 0, 0)]])
+@pytest.mark.parametrize("points", [[], [(0, 0, 0)], ODD_POINTS])
+def test_scans_without_a_measurement_fail(world, points):
+    scan = replace_points(world.scan(), points)
+    outcome = run(world, scan)
+    assert outcome.done == 0
+    assert [failure.code for failure in outcome.failures] == ["format"]
+    assert not world.result("predictions").exists()
+
+
+@pytest.mark.parametrize("points", [[(1, 0, 0)], [*ODD_POINTS, (5, 0, 0)]])
 def test_odd_scans(world, points):
     scan = replace_points(world.scan(), points)
     outcome = run(world, scan, extras=("probabilities",))
@@ -254,11 +263,11 @@ def bytes_below(folder):
 
 @pytest.fixture
 def nine(on_openvino):
-    """Return a world with a sequence of nine scans, of no points, of one and of many."""
+    """Return a world with a sequence of nine scans, of two points, of one and of many."""
     world = on_openvino
     folder = world.data / "sequences" / "05"
     write_sequence(folder, [f"{n:06d}" for n in range(8)], labels=False)
-    replace_points(folder / "velodyne" / "000007.bin", [])
+    replace_points(folder / "velodyne" / "000007.bin", [(NAN, 1, 1), (6, 2, 0)])
     write_bin(folder / "velodyne" / "000008.bin", Scan(np.float32([[5, 1, 0]]), np.float32([0.5])))
     return world
 
