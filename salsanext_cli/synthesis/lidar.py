@@ -12,7 +12,7 @@ from salsanext_cli.classes.label_space import RawIds
 from salsanext_cli.files.optional_packages import import_open3d
 from salsanext_cli.records import Mask
 from salsanext_cli.synthesis.mesh import Array, Mesh, Rng
-from salsanext_cli.synthesis.presets import HDL64, OPTICS, VEHICLE_OUTLINES_DEG, Numbers
+from salsanext_cli.synthesis.presets import HDL64, OPTICS, TUFTED, VEHICLE_OUTLINES_DEG, Numbers
 from salsanext_cli.synthesis.presets import RANDOM_SENSOR as BOUNDS
 
 ENCODER_STEP_DEG = 0.09  # Resolution of the azimuth
@@ -38,6 +38,8 @@ STRAIGHT_ON_SHARE, STRAIGHT_ON_EXPONENT = 0.6, 16
 POWER_EXPONENT = 3  # Exponent with which strong lasers lose fewer pulses on glossy surfaces
 INTENSITY_NOISE = 0.02  # Standard deviation of the reported brightness, and its negative bias
 MAX_INTENSITY = 0.99
+ONE_TUFT_M = 8.0  # Distance up to which neighbouring pulses hit one tuft of grass
+MOST_GROWTH = 4.0  # Largest factor of the roughness of tufts
 LOGISTIC_SLOPE = 1.702
 """Slope at which the logistic function stands in for the normal distribution's integral."""
 DISTANCES_M = (0.0, 4.0, 8.0, 13.0, 20.0, 28.0, 40.0, 80.0)
@@ -259,6 +261,7 @@ def measure(
     returned = rng.random(count) < detected * (1 - response.lost_pulses)
     returned &= _patchy(rng, count) >= _lost_to_gloss(reflected, cosine, gloss, lasers.power)
     blended, lost_at_edge = _edges(rng, reach)
+    roughness = roughness * np.where(TUFTED[materials], _growth(reach), 1.0)
     measured = blended + noise[1] * np.hypot(response.noise, roughness)
     returned &= (reach < response.farthest) & (measured > response.nearest) & ~lost_at_edge
     grazing = np.clip(cosine / GRAZING_COSINE, 0.01, 1) ** falloff
@@ -267,6 +270,12 @@ def measure(
     reported = amplified - lasers.offset + INTENSITY_NOISE * noise[2] - INTENSITY_NOISE
     intensity = np.round(np.clip(reported, 0, MAX_INTENSITY) * response.steps) / response.steps
     return np.where(returned, measured, np.nan), intensity, labels
+
+
+def _growth(reach: Array) -> Array:
+    """Return the factor of the roughness of tufts at distances (R,) in metres."""
+    # Near pulses of one row hit the same tuft; farther ones hit tops and gaps of different tufts.
+    return np.clip(reach / ONE_TUFT_M, 1.0, MOST_GROWTH)
 
 
 def _edges(rng: Rng, reach: Array) -> tuple[Array, Mask]:

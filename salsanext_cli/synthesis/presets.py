@@ -56,7 +56,7 @@ class Material(IntEnum):
         return member
 
     ASPHALT = 0.39, 0.14, 1.2, 0.0, 0.004
-    PAVING = 0.43, 0.12, 0.8, 0.0, 0.004
+    PAVING = 0.43, 0.09, 0.8, 0.0, 0.004
     GRASS = 0.43, 0.16, 0.4, 0.0, 0.016
     MARKING = 0.5, 0.15, 0.7, 0.0, 0.004
     PLASTER = 0.47, 0.16, 0.3, 0.0, 0.0
@@ -80,6 +80,8 @@ class Material(IntEnum):
 
 OPTICS = np.array([material.optics for material in Material])
 """Optics of all materials, (materials, 5)."""
+TUFTED = np.isin(np.arange(len(Material)), (Material.GRASS, Material.HIGH_GRASS))
+"""Whether a material has tufts, which make it the rougher the farther apart pulses hit it."""
 
 
 def weighted_choice(rng: np.random.Generator, weights: Mapping[str, float]) -> str:

@@ -100,6 +100,25 @@ def test_lots_have_the_ground_of_their_kind(kind):
     assert (fronts, backs) == LOT_GROUND[kind]
 
 
+def test_paths_cross_lawns_flush():
+    style = Numbers(**vars(STYLES[0]) | {"lots": {"lawn": 1.0}, "embankment": 0.0, "bank": 0.0})
+    paths = 0
+    for seed in range(6):
+        plan = draw_plan(np.random.default_rng(seed), style, 120.0)
+        for side in plan.sides:
+            for lot in side.lots:
+                low, high = lot.drive
+                s = np.array([low - 0.1, low + 0.1])
+                clear = side.from_side_street(low) > 16
+                if high > low and clear and low - lot.start > 0.2:
+                    t = np.full(2, side.sign * (plan.half + side.depth + 2.0))
+                    assert plan.label(s, t).tolist() == [presets.TERRAIN, presets.SIDEWALK]
+                    before, after = plan.relief(s, t)
+                    assert before == pytest.approx(after, abs=0.03)
+                    paths += 1
+    assert paths > 3
+
+
 @pytest.mark.parametrize(
     ("kind", "heights"), [("noise_barrier", (2.0, 4.7)), ("high_wall", (1.2, 2.4))]
 )

@@ -50,6 +50,19 @@ def test_a_wall_has_the_right_distance():
     assert intensity[returned].mean() == pytest.approx(usual, abs=0.05)
 
 
+@pytest.mark.parametrize(
+    ("material", "factors"), [(Material.GRASS, (1, 2.5, 4)), (Material.BARK, (1, 1, 1))]
+)
+def test_grass_is_the_rougher_the_farther_away_it_is(material, factors):
+    for reach, factor in zip((6.0, 20.0, 40.0), factors, strict=True):
+        rays, azimuth = fan(spread=0.05)
+        distance, *_ = look([wall(reach, material)], rays)
+        returned = np.isfinite(distance)
+        error = distance[returned] - reach / np.cos(azimuth[returned])
+        expected = np.hypot(HDL64.noise, factor * material.optics[4])
+        assert error.std() == pytest.approx(expected, rel=0.05)
+
+
 def test_roads_seen_at_a_grazing_angle_fade_out():
     scene = floor(Material.ASPHALT)
 

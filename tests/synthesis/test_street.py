@@ -136,7 +136,7 @@ def in_the_way(builder):
     return sum((footprint.find_simplex(path) >= 0).any() for footprint in footprints)
 
 
-@pytest.mark.parametrize("seed", [0, 2, 5])
+@pytest.mark.parametrize("seed", [0, 2, 4])
 def test_no_car_parks_on_islands_between_parking_spaces(seed):
     busy = {"parking": 1.0, "parked": 1.0, "crossing_gap": (300, 900), "works": 0.0}
     rng = np.random.default_rng(seed)

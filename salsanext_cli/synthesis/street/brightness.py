@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Brightness of the materials of a street, which differs from street to street."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from salsanext_cli.synthesis.mesh import Array, Rng
@@ -12,7 +14,7 @@ SIMILAR = 0.1  # Spread of materials that are nearly as bright as another
 
 def draw_brightness(rng: Rng) -> Array:
     """Draw the relative brightness of every material in a street, (materials,)."""
-    brightness = np.exp(rng.normal(0, BRIGHTNESS.street, len(Material)))
+    brightness = np.exp(rng.normal(0, SPREAD))
     if rng.random() < BRIGHTNESS.ground_alike:
         brightness[GROUND] = brightness[GROUND[0]] * np.exp(rng.normal(0, 0.08, len(GROUND)))
     else:
@@ -25,14 +27,23 @@ def draw_brightness(rng: Rng) -> Array:
     return np.clip(brightness, BRIGHTNESS.least, BRIGHTNESS.most)
 
 
+def by_material(numbers: Mapping[str, float], usual: float) -> Array:
+    """Return a number per material, (materials,), `usual` for those that are not named."""
+    values = np.full(len(Material), usual)
+    for name, value in numbers.items():
+        values[Material[name]] = value
+    return values
+
+
 def contrast(strength: float) -> Array:
     """Return the relative brightness of every material, (materials,), at a strength of 0 to 1.
 
     At 0 the materials are as bright as their optics say; at 1 asphalt, paving, plants and walls
     differ as their reflectances at 905 nm do.
     """
-    exponents = np.zeros(len(Material))
-    for name, exponent in BRIGHTNESS.contrast.items():
-        exponents[Material[name]] = exponent
-    relative: Array = np.exp(strength * exponents)
+    relative: Array = np.exp(strength * by_material(BRIGHTNESS.contrast, 0.0))
     return relative
+
+
+SPREAD = by_material(BRIGHTNESS.street_of, BRIGHTNESS.street)
+"""Standard deviation of the logarithm of the brightness of a material over streets."""

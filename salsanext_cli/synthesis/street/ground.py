@@ -23,7 +23,7 @@ SAME_SURFACE = (
 """Ground that may have the surface of another, so that only its location differs."""
 UNEVEN_M = (0.008, 0.02, 0.03, 0.05)
 """Standard deviations of the height of grass, each as likely: from a mown lawn to a pasture."""
-PAVED_UNEVEN_M = 0.006
+PAVED_UNEVEN_M = 0.004
 HIGH_GRASS_M = 0.3  # Height from which grass is vegetation and not terrain
 LUMPY = 0.25  # Standard deviation of the height of high grass, relative to its mean
 GRASS_HEIGHTS_M = (0.1, 0.9)

@@ -77,11 +77,11 @@ def _median(
 ) -> Median:
     """Draw a strip between the directions of traffic, traffic islands, or neither."""
     kind = rng.random()
-    grass = rng.random() < 0.55
+    wide = rng.random() < 0.25
+    grass = wide or rng.random() < 0.45
     ground = presets.TERRAIN if grass else presets.OTHER_GROUND
     height = 0.0 if rng.random() < 0.3 else rng.uniform(0.04, 0.16)
     if kind < style.median:
-        wide = rng.random() < 0.25
         half_width = rng.uniform(3.0, 8.0) if wide else rng.uniform(0.4, 3.0)
         spans = tuple(_between_crossings(rng, crossings, length))
         return Median(half_width, spans, ground, height)
@@ -285,4 +285,7 @@ def _lot(rng: Rng, kind: str, start: float, end: float, setback: float) -> Lot:
         setback = rng.uniform(6, 20)
     elif kind == "lawn":
         setback = rng.uniform(5, 22)
+        if rng.random() < 0.4:  # A path across it
+            path = rng.uniform(start, max(start, end - 3))
+            drive = (path, path + rng.uniform(1.2, 3))
     return Lot(kind, start, end, setback, front, back, drive)
