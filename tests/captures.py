@@ -52,6 +52,7 @@ def write_capture(
         part = time % 1_000_000_000 // (1 if nanoseconds else 1000)
         content += struct.pack(order + "IIII", time // 1_000_000_000, part, len(data), len(data))
         content += data
+    path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(content)
     return path
 

@@ -77,12 +77,13 @@ def udp_packets(file: BufferedReader) -> Iterator[UdpPacket]:
     (link,) = struct.unpack_from(order + "I", start, 20)
     record = struct.Struct(order + "IIII")
     place = FILE_HEADER
+    size = size_of(file)
     while len(head := file.read(RECORD_HEADER)) == RECORD_HEADER:
         seconds, parts, stored, _ = record.unpack(head)
         place += RECORD_HEADER
-        data = file.read(stored)
-        if len(data) < stored:
+        if place + stored > size:
             return
+        data = file.read(stored)
         packet = _udp_of(data, place, link & 0xFFFF, seconds * 1_000_000_000 + parts * unit_ns)
         if packet:
             yield packet

@@ -2,25 +2,29 @@
 """Captures of the packets of Velodyne sensors, decoded by `velodyne-decoder`."""
 
 import logging
+import warnings
 import weakref
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from threading import Lock
 from typing import Any
 
 import numpy as np
+import yaml
 
-from salsanext_cli.errors import FormatError, NoInputError
+from salsanext_cli.errors import FormatError, NoInputError, error_text
 from salsanext_cli.files.optional_packages import import_extra
 from salsanext_cli.files.reading import reading, refusing_damage
 from salsanext_cli.formats.captures import VELODYNE_BYTES
 from salsanext_cli.formats.columns import Columns
-from salsanext_cli.formats.packets import is_cut, udp_packets
+from salsanext_cli.formats.packets import UdpPacket, is_cut, udp_packets
 
 EXPECTED = "a capture of Velodyne sensors"
 REVOLUTION_ENDS_DEG = 20.0  # A new revolution begins where the azimuth falls by more
 AZIMUTHS_PER_DEG = 100
+PROBED_PACKETS = 5  # Of a sensor, whose last bytes show whether it is an HDL-64E
 
 log = logging.getLogger(__name__)
 
@@ -44,8 +48,12 @@ class VelodyneCapture:
         with reading(path) as file:
             if is_cut(file):
                 log.warning("%s: cut off within a packet: its last scan is incomplete", path)
-        self._revolutions = _revolutions(path)
-        self._config = _configuration(decoder, path)
+        by_sensor = _revolutions(path)
+        topics = {f"sensor{number}": sensor for number, sensor in enumerate(sorted(by_sensor))}
+        self._revolutions = {topic: by_sensor[sensor] for topic, sensor in topics.items()}
+        self._configs = {
+            topic: _configuration(decoder, path, sensor) for topic, sensor in topics.items()
+        }
         self._file = path.open("rb")
         weakref.finalize(self, self._file.close)
 
@@ -73,50 +81,79 @@ class VelodyneCapture:
         if number >= len(at_time):
             raise FormatError(path, "no such scan", "a scan that the recording lists")
         with refusing_damage(path, EXPECTED), self._lock:
-            points = self._decoded(at_time[number])
+            points = self._decoded(topic, at_time[number], path)
         columns = {name: points[name] for name in "xyz"}
         return columns | {"intensity": np.rint(points["intensity"]).astype(np.uint8)}
 
-    def _decoded(self, revolution: Revolution) -> Any:
-        """Return the points of a revolution, a structured array (N,)."""
+    def _decoded(self, topic: str, revolution: Revolution, path: Path) -> Any:
+        """Return the points of a revolution, a structured array (N,); `path` is for errors."""
         decoder = import_extra("velodyne_decoder", "velodyne")
         packets = decoder.PacketVector()
         for time, offset in zip(revolution.times_s, revolution.offsets, strict=True):
             self._file.seek(offset)
             packets.append(decoder.VelodynePacket(time, self._file.read(VELODYNE_BYTES)))
-        _, points = decoder.ScanDecoder(self._config).decode(packets, as_pcl_structs=True)
+        try:
+            _, points = decoder.ScanDecoder(self._configs[topic]).decode(packets, True)
+        except RuntimeError as error:
+            raise FormatError(path, f"cannot be decoded: {error_text(error)}", EXPECTED) from error
         return points
 
 
-def _configuration(decoder: Any, path: Path) -> Any:
-    """Return the settings to decode a capture with."""
-    with refusing_damage(path, EXPECTED):
-        try:
-            # The lasers of an HDL-64E are calibrated one by one; its packets contain the values.
-            model, calibration = decoder.hdl64e.detect_hdl64e(str(path))
-        except ValueError as error:
-            problem = "is of an HDL-64E, and contains only a part of its calibration"
-            hint = "record at least two seconds"
-            raise FormatError(path, problem, EXPECTED, hint) from error
-        return decoder.Config(model=model, calibration=calibration)
-
-
-def _revolutions(path: Path) -> dict[str, list[Revolution]]:
-    """Return the revolutions of each sensor, by its topic."""
-    by_sensor: dict[tuple[bytes, int], list[Revolution]] = {}
-    azimuths: dict[tuple[bytes, int], int] = {}
+def _packets_of_points(path: Path) -> Iterator[UdpPacket]:
+    """Yield the whole packets with points of all sensors of a capture."""
     with reading(path) as file:
         for packet in udp_packets(file):
-            if packet.size != VELODYNE_BYTES or len(packet.payload) != VELODYNE_BYTES:
-                continue
-            sensor = (packet.source, packet.port)
-            azimuth = int.from_bytes(packet.payload[2:4], "little")
-            fall = azimuths.get(sensor, azimuth) - azimuth
-            azimuths[sensor] = azimuth
-            revolutions = by_sensor.setdefault(sensor, [])
-            if not revolutions or fall > REVOLUTION_ENDS_DEG * AZIMUTHS_PER_DEG:
-                revolutions.append(Revolution(packet.time_ns))
-            revolutions[-1].times_s.append(packet.time_ns / 1e9)
-            revolutions[-1].offsets.append(packet.offset)
-    ordered: Sequence[tuple[bytes, int]] = sorted(by_sensor)
-    return {f"sensor{number}": by_sensor[sensor] for number, sensor in enumerate(ordered)}
+            if packet.size == len(packet.payload) == VELODYNE_BYTES:
+                yield packet
+
+
+def _sensor_of(packet: UdpPacket) -> tuple[bytes, int]:
+    """Return what distinguishes the sensors of a capture: address and port."""
+    return packet.source, packet.port
+
+
+def _revolutions(path: Path) -> dict[tuple[bytes, int], list[Revolution]]:
+    """Return the revolutions of each sensor of a capture."""
+    by_sensor: dict[tuple[bytes, int], list[Revolution]] = {}
+    azimuths: dict[tuple[bytes, int], int] = {}
+    for packet in _packets_of_points(path):
+        sensor = _sensor_of(packet)
+        azimuth = int.from_bytes(packet.payload[2:4], "little")
+        fall = azimuths.get(sensor, azimuth) - azimuth
+        azimuths[sensor] = azimuth
+        revolutions = by_sensor.setdefault(sensor, [])
+        if not revolutions or fall > REVOLUTION_ENDS_DEG * AZIMUTHS_PER_DEG:
+            revolutions.append(Revolution(packet.time_ns))
+        revolutions[-1].times_s.append(packet.time_ns / 1e9)
+        revolutions[-1].offsets.append(packet.offset)
+    return by_sensor
+
+
+def _configuration(decoder: Any, path: Path, sensor: tuple[bytes, int]) -> Any:
+    """Return the settings to decode the packets of a sensor with.
+
+    The lasers of an HDL-64E are calibrated one by one. Its packets contain the values, a byte in
+    each, and therefore differ in the bytes that state the model of other sensors.
+    """
+
+    def payloads() -> Iterator[bytes]:
+        packets = _packets_of_points(path)
+        return (packet.payload for packet in packets if _sensor_of(packet) == sensor)
+
+    models = [payload[-2:] for payload in islice(payloads(), PROBED_PACKETS)]
+    if len(models) < PROBED_PACKETS or len({*models}) == 1:
+        return decoder.Config()
+    problem = "is of an HDL-64E, and contains only a part of its calibration"
+    hint = "record at least two seconds"
+    with refusing_damage(path, EXPECTED), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # The decoder warns of parts that it skips.
+        try:
+            status = decoder.hdl64e.read_status_info(payloads())
+        except ValueError as error:
+            raise FormatError(path, problem, EXPECTED, hint) from error
+        if status["Calibration Time"] is None:
+            raise FormatError(path, "is of an HDL-64E without its calibration", EXPECTED)
+        is_s2 = status["Model"] == "S2"
+        model = decoder.Model.HDL64E_S2 if is_s2 else decoder.Model.HDL64E_S3
+        text = yaml.safe_dump(decoder.hdl64e.status_info_to_calib_dict(status))
+        return decoder.Config(model=model, calibration=decoder.Calibration.from_string(text))

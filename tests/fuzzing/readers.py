@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import bags
+import captures
 import numpy as np
 import pytest
 import torch
@@ -23,6 +24,7 @@ from tiny_network import TinyNetwork
 from salsanext_cli import LabelSpace, label_space, project, read_labels, read_scan, sensor
 from salsanext_cli.fitting.scan_checks import check_scan
 from salsanext_cli.formats import recordings
+from salsanext_cli.formats.captures import maker_of
 from salsanext_cli.formats.npy import read_array
 from salsanext_cli.formats.ply import write_ply
 from salsanext_cli.network.card import WeightsCard
@@ -141,6 +143,22 @@ def _pcap(folder: Path) -> Reader:
     return Reader(str(path), [path.read_bytes()], _recorded)
 
 
+def _capture(folder: Path) -> bytes:
+    """Return packets of a VLP-16."""
+    random = np.random.default_rng(0)
+    packets = []
+    for number in range(6):
+        distances = random.uniform(1, 90, (12, 32))
+        intensities = random.integers(0, 256, (12, 32))
+        packets.append(captures.Sent(captures.vlp16(80.0 * number, distances, intensities)))
+    return captures.write_capture(folder / "v.pcap", packets).read_bytes()
+
+
+def _velodyne(folder: Path) -> Reader:
+    pytest.importorskip("velodyne_decoder")
+    return Reader("v.pcap", [_capture(folder)], _recorded)
+
+
 def _recorded(path: Path) -> None:
     """Read every scan of a recording, or fail at the first."""
     recordings._recording.cache_clear()
@@ -177,6 +195,8 @@ READERS: dict[str, Callable[[Path], Reader]] = {
     "xyz": lambda _: Reader("s.xyz", lines(_table(), " "), _scan),
     "db3": _bag,
     "pcap": _pcap,
+    "maker of a pcap": lambda folder: Reader("m.pcap", [_capture(folder)], maker_of),
+    "pcap of Velodyne": _velodyne,
     "yaml": lambda _: Reader("labels.yaml", [SPACE, SPACE[: len(SPACE) // 2]], label_space),
     "toml of a sensor": lambda _: Reader("s.toml", [_sensor()], sensor),
     "toml of a recipe": lambda _: Reader(

@@ -404,5 +404,5 @@ def test_python_labels_a_drive_as_the_command_line_does(world, caplog, monkeypat
         np.testing.assert_array_equal(each.disagreement, against)
     (folder / "poses.txt").unlink()
     monkeypatch.setitem(sys.modules, "small_gicp", None)
-    with pytest.raises(SalsanextError, match=r"salsanext\[fuse\]"):
+    with pytest.raises(SalsanextError, match=r"\[fuse\]"):
         next(label_drive(folder, weights))

@@ -2,7 +2,6 @@
 """Captures of packets: the maker of the sensor, and the clouds of Velodyne's."""
 
 import sys
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -105,7 +104,7 @@ def test_packets_of_every_kind_of_capture(tmp_path, options):
     overhead = len(content) - 24 - sum(len(each.payload) for each in sent)
     lengths = [overhead // 3 + len(each.payload) for each in sent]
     ends = [24, 24 + lengths[0], 24 + sum(lengths[:2]), len(content)]
-    for length in range(24, len(content) + 1):
+    for length in sorted({*ends, *range(24, len(content), 7)}):
         path.write_bytes(content[:length])
         with path.open("rb") as file:
             assert len([*udp_packets(file)]) == sum(length >= end for end in ends[1:])
@@ -125,18 +124,26 @@ def test_packets_that_are_no_udp_of_ip_are_skipped(tmp_path):
             assert [packet.payload for packet in udp_packets(file)] == [b"defg"]
 
 
-def drive(revolutions: float, seed: int = 0):
-    """Return packets of a VLP-16 over some revolutions, and the points of each packet."""
+def drive(packets: int, seed: int = 0) -> list[tuple]:
+    """Return the arguments of `vlp16` for some packets; 75 are a revolution."""
     random = np.random.default_rng(seed)
-    packets = []
-    points = []
-    for number in range(round(revolutions * 75)):
-        distances = random.uniform(2, 80, (12, 32)) * (random.random((12, 32)) < 0.9)
-        intensities = random.integers(0, 256, (12, 32))
-        azimuth = (number * PACKET_DEG) % 360
-        packets.append(vlp16(azimuth, distances, intensities, number * STEP_NS // 1000))
-        points.append(vlp16_points(azimuth, distances, intensities))
-    return packets, points
+    return [
+        (
+            (number * PACKET_DEG) % 360,
+            random.uniform(2, 80, (12, 32)) * (random.random((12, 32)) < 0.9),
+            random.integers(0, 256, (12, 32)),
+            number * STEP_NS // 1000,
+        )
+        for number in range(packets)
+    ]
+
+
+def payloads(measured: list[tuple]) -> list[bytes]:
+    return [vlp16(*each) for each in measured]
+
+
+def points_of(measured: list[tuple]) -> np.ndarray:
+    return np.concatenate([vlp16_points(*each[:3]) for each in measured])
 
 
 def require_points(scan, expected):
@@ -158,48 +165,53 @@ def require_points(scan, expected):
 
 def test_the_scans_of_a_velodyne_are_its_revolutions(tmp_path):
     pytest.importorskip("velodyne_decoder")
-    packets, points = drive(2.2)
-    path = write_capture(tmp_path / "drive.pcap", map(Sent, packets))
+    measured = drive(155)
+    path = write_capture(tmp_path / "drive.pcap", map(Sent, payloads(measured)))
     scans = find_scans(path)
     starts = [START_NS + number * STEP_NS for number in (0, 75, 150)]
     assert [scan.stem for scan in scans] == [f"{start}" for start in starts]
     assert {scan.sequence for scan in scans} == {"drive"}
-    require_points(read_scan(scans[2].path), np.concatenate(points[150:]))
-    first = read_scan(scans[0].path)
-    assert len(first) == sum(map(len, points[:75]))
+    require_points(read_scan(scans[2].path), points_of(measured[150:]))
+    counts = [np.count_nonzero(distances) for _, distances, _, _ in measured]
+    assert [len(read_scan(scan.path)) for scan in scans[:2]] == [
+        sum(counts[:75]),
+        sum(counts[75:150]),
+    ]
 
 
 def test_two_velodynes_in_one_capture_are_two_topics(tmp_path):
     pytest.importorskip("velodyne_decoder")
-    front, of_front = drive(0.1)
-    rear, of_rear = drive(0.2, seed=1)
-    packets = [Sent(each, 2368) for each in front] + [Sent(each, 2369) for each in rear]
+    front = drive(2)
+    rear = drive(4, seed=1)
+    packets = [Sent(payload, 2368) for payload in payloads(front)]
+    packets += [Sent(payload, 2369) for payload in payloads(rear)]
     path = write_capture(tmp_path / "drive.pcap", packets)
     with pytest.raises(UsageError, match="2 topics") as caught:
         find_scans(path)
     assert caught.value.hint.endswith("--topic sensor1")
-    for topic, expected in (("sensor0", of_front), ("sensor1", of_rear)):
+    for topic, measured in (("sensor0", front), ("sensor1", rear)):
         (scan,) = find_scans(path / topic)
-        require_points(read_scan(scan.path), np.concatenate(expected))
+        require_points(read_scan(scan.path), points_of(measured))
 
 
 def test_damaged_packets_are_an_error_of_the_scan(tmp_path):
     pytest.importorskip("velodyne_decoder")
-    packets, _ = drive(0.2)
+    packets = payloads(drive(15))
     packets[7] = packets[7][:-1] + b"\x99"  # The model of the sensor
     path = write_capture(tmp_path / "drive.pcap", map(Sent, packets))
-    with pytest.raises(FormatError, match=r"drive\.pcap"):
+    with pytest.raises(FormatError, match=r"drive\.pcap/sensor0.*cannot be decoded"):
         [read_scan(scan.path) for scan in find_scans(path)]
 
 
 def test_a_capture_that_was_cut_is_a_warning(tmp_path, caplog):
     pytest.importorskip("velodyne_decoder")
-    packets, points = drive(0.2)
-    path = write_capture(tmp_path / "drive.pcap", map(Sent, packets))
+    measured = drive(15)
+    path = write_capture(tmp_path / "drive.pcap", map(Sent, payloads(measured)))
     path.write_bytes(path.read_bytes()[:-700])
     (scan,) = find_scans(path)
     assert "cut off within a packet" in caplog.text
-    assert len(read_scan(scan.path)) == sum(map(len, points[:-1]))
+    counts = [np.count_nonzero(distances) for _, distances, _, _ in measured]
+    assert len(read_scan(scan.path)) == sum(counts[:-1])
 
 
 def test_the_package_that_is_missing_is_named(tmp_path, monkeypatch):
@@ -209,15 +221,20 @@ def test_the_package_that_is_missing_is_named(tmp_path, monkeypatch):
         find_scans(path)
 
 
-def test_an_hdl64_without_its_calibration_is_named(tmp_path, monkeypatch):
-    def refuse(path):
-        raise ValueError("not enough packets")
+def hdl64(count):
+    """Return packets of which the last bytes are those of a status, not of a model."""
+    return [
+        Sent(b"\xff\xee" + bytes(1202) + bytes([ord("HMSDNYGTV"[number % 9]), number % 200]), 2368)
+        for number in range(count)
+    ]
 
-    decoder = SimpleNamespace(hdl64e=SimpleNamespace(detect_hdl64e=refuse))
-    monkeypatch.setitem(sys.modules, "velodyne_decoder", decoder)
-    path = write_capture(tmp_path / "drive.pcap", MAKERS["Velodyne HDL-64"])
-    with pytest.raises(FormatError, match="calibration"):
+
+def test_an_hdl64_with_a_part_of_its_calibration_is_named(tmp_path):
+    pytest.importorskip("velodyne_decoder")
+    path = write_capture(tmp_path / "drive.pcap", hdl64(20))
+    with pytest.raises(FormatError, match="part of its calibration") as caught:
         find_scans(path)
+    assert "two seconds" in caught.value.hint
 
 
 @pytest.mark.real
