@@ -79,14 +79,19 @@ def tune_risk(
     target: Path = arguments.WEIGHTS_OUT,
     *,
     at_most: str = option(
-        "Largest share of accepted, wrong points in a scan, such as 5%.",
+        "Limit on the expected share of points that are accepted and wrong, such as 5%.",
         default=...,
         metavar="SHARE",
     ),
     confidence: str | None = option(
-        "Guarantee the limit for this share of scans, with this confidence, instead of on "
-        "average, such as 90%.",
+        "Instead of an average: with this confidence, at least this share of scans (or drives) "
+        "stays within the limit, such as 90%.",
         metavar="SHARE",
+    ),
+    record: Path | None = option(
+        "Also write a dated record to archive: threshold, scans with digests, weights, settings "
+        "and check, as JSON.",
+        metavar="FILE",
     ),
     fit: FitOptions,
     output: console.Output,
@@ -98,15 +103,23 @@ def tune_risk(
     from rich.console import Group
     from rich.text import Text
 
-    from salsanext_cli.report.tables import accepted_table
+    from salsanext_cli.files.atomic import require_target
+    from salsanext_cli.report.tables import accepted_table, needed_scans_table
+    from salsanext_cli.training.tuning.risk_record import write_risk_record
 
+    if record:
+        require_target(record, fit.overwrite, ".json")
     numbers = {
         "at_most": arguments.share("--at-most", at_most),
         "confidence": arguments.share("--confidence", confidence),
     }
     tuned = _tuned("risk", dataset, target, fit, output, **numbers)
+    if record:
+        paths = {"source": dataset, "weights": fit.settings.path, "target": target}
+        write_risk_record(record, tuned, **paths)
     sentences = (Text(sentence) for sentence in tuned["sentences"])
-    output.result(tuned, Group(accepted_table(tuned["accepted"]["classes"]), *sentences))
+    tables = accepted_table(tuned["accepted"]["classes"]), needed_scans_table(tuned["at_most"])
+    output.result(tuned, Group(*tables, *sentences))
     _end(output, f"tune risk: {tuned['guarantee']} → {target}", target, "--reject risk ")
 
 

@@ -200,10 +200,16 @@ class RiskBoundCheck:
     above: int
     mean: float  # Mean and largest loss
     worst: float
+    scope: str = ""  # Scans that the guarantee covers, in words
+    is_covered: bool = True  # Whether the scans may be such; False if they evidently are not
 
     @classmethod
     def of_scans(
-        cls, guaranteed: RiskThreshold | None, scans: Mapping[str, tuple[int, int, int]]
+        cls,
+        guaranteed: RiskThreshold | None,
+        scans: Mapping[str, tuple[int, int, int]],
+        *,
+        is_covered: bool = True,
     ) -> Self | None:
         """Compare with scored, accepted and wrong points of scans by name; None without either."""
         judged = {name: wrong / points for name, (points, _, wrong) in scans.items() if points}
@@ -213,9 +219,17 @@ class RiskBoundCheck:
         if unit == "drive":
             drives = np.array([name.rpartition("/")[0] for name in judged])
             losses = means_of_units(losses, drives)
-        above = int((losses > guaranteed.at_most).sum())
-        measured = len(losses), above, float(losses.mean()), float(losses.max())
-        return cls(guaranteed.at_most, guaranteed.confidence, unit, *measured)
+        return cls(
+            at_most=guaranteed.at_most,
+            confidence=guaranteed.confidence,
+            unit=unit,
+            units=len(losses),
+            above=int((losses > guaranteed.at_most).sum()),
+            mean=float(losses.mean()),
+            worst=float(losses.max()),
+            scope=_scope(guaranteed),
+            is_covered=is_covered,
+        )
 
     @property
     def warning(self) -> str:
@@ -232,19 +246,28 @@ class RiskBoundCheck:
         if self.confidence is None:
             measured = f"{100 * self.mean:.1f} % on average over {counted(self.units, self.unit)}"
         bound = _bound(self.at_most, self.confidence, self.unit)
-        if self.unit == "scan":
-            bound += ", only for the drives that the threshold was chosen on"
-        return f"guaranteed: {bound}; measured: {measured}, {100 * self.worst:.1f} % in the worst"
+        guaranteed = f"guaranteed for {self.scope}: {bound}"
+        if not self.is_covered:
+            guaranteed = (
+                "not guaranteed, because the scans are unlike those that the threshold was chosen "
+                f"on: {bound}"
+            )
+        worst = f"{100 * self.worst:.1f} % in the worst {self.unit}"
+        return f"{guaranteed}; measured: {measured}, {worst}"
 
 
 def guarantee(risk: RiskThreshold) -> str:
     """Return the guarantee of the threshold of weights in words."""
-    chosen = f"was chosen on ({counted(risk.scans, 'scan')} of {first_few(risk.sequences)})"
-    scope = f"scans of the drives that the threshold {chosen}, not of other drives"
-    if risk.unit == "drive":
-        scope = f"drives like those that the threshold {chosen}"
     bound = _bound(risk.at_most, risk.confidence, risk.unit)
-    return f"{risk.kind} up to {risk.threshold:.4g} accepted: {bound}, for {scope}"
+    return f"{risk.kind} up to {risk.threshold:.4g} accepted: {bound}, for {_scope(risk)}"
+
+
+def _scope(risk: RiskThreshold) -> str:
+    """Return the scans that a guarantee covers in words."""
+    chosen = f"was chosen on ({counted(risk.scans, 'scan')} of {first_few(risk.sequences)})"
+    if risk.unit == "drive":
+        return f"drives like those that the threshold {chosen}"
+    return f"further scans of the drives that the threshold {chosen}, not of other drives"
 
 
 def _bound(at_most: float, confidence: float | None, unit: str) -> str:

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from operator import itemgetter
+from pathlib import Path
 
 import numpy as np
 
@@ -18,12 +19,17 @@ from salsanext_cli.errors import counted, first_few, with_hint
 from salsanext_cli.files.reading import present
 from salsanext_cli.fitting.label_scan import LabelledScan
 from salsanext_cli.fitting.scan_checks import UNCHECKED, Finding, ScanCheck
+from salsanext_cli.fitting.sensor_fit import is_other_view
 from salsanext_cli.geometry.scan_traits import MIN_TRAIT_POINTS, ScanTraits, groups_of
 from salsanext_cli.measures.expected_accuracy import ExpectedAccuracy, expected_accuracy
+from salsanext_cli.measures.population import label_traits, of_units, population_difference
+from salsanext_cli.measures.risk_control import RiskBoundCheck
 from salsanext_cli.measures.scores import Counts
-from salsanext_cli.network.card import AccuracyLine
+from salsanext_cli.network.card import AccuracyLine, LabelTraits, RiskThreshold
+from salsanext_cli.records import Float, Mask
+from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.results.output_run import OutputRun
-from salsanext_cli.results.owned_folder import Texts
+from salsanext_cli.results.owned_folder import OwnedFolder, Texts
 from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.sensors.sensor import Sensor
 
@@ -38,6 +44,12 @@ MIN_CONFIDENCE, MIN_OF_FEW = 0.575, 0.74
 USUAL = "check the sensor and its settings"
 APART = "put the scans of each sensor into a separate folder"
 LOOK = "look at the labels: `salsanext export-ply OUT`"
+MAX_COMPARED = 5000  # Most scans that are compared with those of a threshold
+OTHER_SCANS = "other-scans"
+"""Code of the warning that the guarantee of a threshold does not cover the scans of a run."""
+UNLIKE = "the scans differ from those that the threshold was chosen on"
+OTHER_VIEW = f"{UNLIKE}: another field of view"
+TUNE_AGAIN = "choose the threshold with `salsanext tune risk` on labelled scans like these"
 log = logging.getLogger(__name__)
 
 
@@ -50,6 +62,7 @@ class ScanSummary:
     class_points: Counts | None = None  # (C,): number of points by predicted train id
     rejected_points: int = 0  # Number of points rejected by their error
     confidence: float = math.nan  # Mean of the largest probabilities of the points
+    traits: LabelTraits | None = None  # Of the labels before any was rejected
 
     @classmethod
     def of_labels(
@@ -58,23 +71,43 @@ class ScanSummary:
         labels: TrainIds,
         space: LabelSpace,
         check: ScanCheck = UNCHECKED,
-        rejected_points: int = 0,
         confidence: float = 1.0,
     ) -> ScanSummary:
         """Count the predicted train ids (N,) of a scan; check them and their mean probability."""
         points = np.bincount(labels, minlength=space.class_count)
         findings = (*check.findings, *_label_findings(points, confidence, space))
-        check = replace(check, findings=findings)
-        return cls(file, check, points, rejected_points)
+        return cls(file, replace(check, findings=findings), points)
 
     @classmethod
-    def of_scan(
-        cls, scan: LabelledScan, space: LabelSpace, rejected_points: int = 0
-    ) -> ScanSummary:
+    def of_scan(cls, scan: LabelledScan, space: LabelSpace) -> ScanSummary:
         """Summarise a labelled scan, with a warning if the probabilities are low."""
         confidence = scan.pixels.confidence[scan.image.channels[0] > 0]
         mean = float(confidence.mean()) if len(confidence) else 1.0
-        return cls.of_labels(scan.file, scan.labels, space, scan.check, rejected_points, mean)
+        return cls.of_labels(scan.file, scan.labels, space, scan.check, mean)
+
+    def without_rejected(self, rejected: Mask, labels: TrainIds, uncertainty: Float) -> ScanSummary:
+        """Count rejected points as unlabelled; the checks stay those of all labels.
+
+        Parameters
+        ----------
+        rejected : ndarray of bool (N,)
+            Whether the label of each point is rejected.
+        labels : ndarray of uint8 (N,)
+            Train ids before that.
+        uncertainty : ndarray of float32 (N,)
+            Uncertainty that decided, 0…1, NaN for points without a pixel.
+
+        Returns
+        -------
+        ScanSummary
+        """
+        count = int(rejected.sum())
+        if self.class_points is None:
+            return replace(self, rejected_points=count)
+        points = self.class_points - np.bincount(labels[rejected], minlength=len(self.class_points))
+        points[0] += count
+        traits = label_traits(self.file.name, self.class_points, uncertainty)
+        return replace(self, class_points=points, rejected_points=count, traits=traits)
 
 
 def _label_findings(points: Counts, confidence: float, space: LabelSpace) -> Iterator[Finding]:
@@ -110,6 +143,7 @@ class RunSummary:
     # Scans of the run; the data set of the first may describe others
     scans: Sequence[ScanFile] = ()
     accuracy: AccuracyLine | None = None  # As in `WeightsCard`
+    threshold: RiskThreshold | None = None  # Threshold of the run, whose scans these should be like
     class_points: Counts | None = None  # (C,): number of points by predicted train id
     # Names and findings of scans and sequences by code
     findings: dict[str, list[tuple[str, Finding]]] = field(default_factory=dict)
@@ -120,6 +154,8 @@ class RunSummary:
     ego_shares: list[tuple[float, int]] = field(default_factory=list)
     # Mean of the largest probabilities of the points, 0…1, by name of the scan
     confidences: dict[str, float] = field(default_factory=dict)
+    # Traits of the labels by name of the scan, of at most `MAX_COMPARED` scans
+    label_traits: dict[str, LabelTraits] = field(default_factory=dict)
 
     @property
     def labelled(self) -> bool:
@@ -136,6 +172,8 @@ class RunSummary:
             self.confidences[scan.file.name] = scan.confidence
         for finding in scan.check.findings:
             self.add_finding(scan.file.name, finding)
+        if scan.traits is not None and len(self.label_traits) < MAX_COMPARED:
+            self.label_traits[scan.file.name] = scan.traits
         if scan.check.traits is not None:
             self.traits[scan.file] = scan.check.traits
         if scan.class_points is not None:
@@ -160,6 +198,31 @@ class RunSummary:
         for file, finding in mixed_sensors(self.traits).items():
             self.add_finding(file.name, finding)
         self.traits.clear()
+        self._compare_with_threshold()
+
+    def _compare_with_threshold(self) -> None:
+        """Warn if the scans are evidently not like those that the threshold was chosen on."""
+        risk, traits = self.threshold, self.label_traits
+        if risk is None or self.space is None or not self.names or OTHER_SCANS in self.findings:
+            return
+        sensors = self.sensor.members
+        other_view = any(
+            all(is_other_view(view, sensor) for view in risk.views) for sensor in sensors
+        )
+        problem = OTHER_VIEW if risk.views and other_view else ""
+        if not problem and traits:
+            now = tuple(traits.values())
+            if risk.unit == "drive":
+                now = of_units(now, [name.rpartition("/")[0] for name in traits])
+            names = self.space.names[1:]
+            difference = population_difference(risk.population, now, names)
+            problem = f"{UNLIKE}: {difference}" if difference else ""
+        if problem:
+            finding = Finding(OTHER_SCANS, problem, TUNE_AGAIN)
+            first, *others = sorted(self.names)
+            self.add_finding(first, finding)
+            self.findings[OTHER_SCANS] += [(name, finding) for name in others]
+        self.label_traits.clear()
 
     def finished(self) -> RunSummary:
         """Compare the scans, log the number of further warnings, and return the summary."""
@@ -217,6 +280,30 @@ class RunSummary:
         if self.space is None or self.class_points is None:
             return {}
         return largest_classes(self.space, self.class_points)
+
+
+def guarantee_of_run(
+    out: Path, space: LabelSpace, losses: Mapping[str, tuple[int, int, int]]
+) -> RiskBoundCheck | None:
+    """Compare the guarantee of a run with labels; None if the run has none.
+
+    Parameters
+    ----------
+    out : Path
+        Output folder of `predict --reject risk`.
+    space : LabelSpace
+        Classes of the labels.
+    losses : mapping of str to tuple of int
+        Scored, accepted and wrong points of each scan by name.
+
+    Returns
+    -------
+    RiskBoundCheck or None
+    """
+    findings = OwnedFolder(out, "predict").findings()
+    codes = {code for name in losses for code, *_ in findings.get(name, ())}
+    threshold = Manifest(out).guarantee(space)
+    return RiskBoundCheck.of_scans(threshold, losses, is_covered=OTHER_SCANS not in codes)
 
 
 def log_finding(name: str, finding: Finding) -> None:

@@ -61,6 +61,16 @@ def parted(text: object) -> list[str]:
     return [text[i : i + DIGITS] for i in range(0, len(text), DIGITS)]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LabelTraits:
+    """Traits of the predicted labels of a scan or drive, which need no truth."""
+
+    unit: str  # Name of the scan or drive
+    uncertainty: float  # Mean of the uncertainty that the threshold limits, 0…1
+    # Share of the labelled points by predicted class, from train id 1 on, 0…1
+    class_shares: tuple[float, ...]
+
+
 @dataclass(frozen=True, slots=True)
 class RiskThreshold:
     """Threshold above which `predict --reject risk` rejects a label, and its guarantee.
@@ -79,6 +89,7 @@ class RiskThreshold:
     digests: str = ""  # Joined digests of the scans
     settings: Json = field(default_factory=dict)  # As `labels_depend_on` returns them
     views: tuple[FittedView, ...] = ()  # Fields of view of the sensors
+    population: tuple[LabelTraits, ...] = ()  # Of each unit; empty in files of early versions
 
     def __post_init__(self) -> None:
         if not all(map(math.isfinite, (self.threshold, self.at_most))):

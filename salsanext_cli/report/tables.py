@@ -14,6 +14,7 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import counted, first_few, printable
 from salsanext_cli.labelling.label_records import ImportedScan, LabelImport
 from salsanext_cli.measures.calibration import CalibrationScores
+from salsanext_cli.measures.risk_control import needed_scans, useful_scans
 from salsanext_cli.measures.scores import FREQUENT_POINTS, Scores, band_rows
 from salsanext_cli.measures.survey import Survey
 from salsanext_cli.measures.uncertainty_evaluation import RankingScores, UncertaintyEvaluation
@@ -21,6 +22,8 @@ from salsanext_cli.records import CHANNELS
 from salsanext_cli.sensors.sensor import Sensor
 
 ABSENT = "–"
+USUAL_LIMITS = (0.05, 0.1, 0.2)
+USUAL_CONFIDENCES = (0.8, 0.9, 0.95)
 IMPORTED = ("points", "labelled", "unlabelled", "ambiguous", "missing")
 """Fields of `ImportedScan` that are numbers of points."""
 
@@ -152,6 +155,20 @@ def accepted_table(classes: Mapping[str, tuple[int, int]]) -> Table:
         for name, (accepted, wrong) in classes.items()
     ]
     return table_of(("labelled as", "accepted points", "wrong %"), rows, title="Accepted labels")
+
+
+def needed_scans_table(at_most: float) -> Table:
+    """Return a table of the least numbers of scans and drives for a limit, and for usual ones."""
+    rows = []
+    for limit in sorted({at_most, *USUAL_LIMITS}, reverse=True):
+        scans = needed_scans(limit, None)
+        drives = useful_scans(limit, None)
+        rows.append((f"{100 * limit:.3g} % on average", str(scans), str(drives)))
+    for confidence in USUAL_CONFIDENCES:
+        units = str(needed_scans(at_most, confidence))
+        rows.append((f"any limit, --confidence {100 * confidence:g}%", units, units))
+    columns = ("limit", "scans, for the same drives", "drives, for other drives")
+    return table_of(columns, rows, title="Least numbers")
 
 
 def rate_table(rates: Sequence[float], objectives: Sequence[float], best: float) -> Table:

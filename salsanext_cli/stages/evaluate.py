@@ -4,7 +4,7 @@
 import hashlib
 import logging
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
@@ -21,6 +21,7 @@ from salsanext_cli.measures.scan_counts import (
     ScanCounts,
     SeparateCounts,
 )
+from salsanext_cli.measures.scan_summary import OTHER_SCANS, TUNE_AGAIN, guarantee_of_run
 from salsanext_cli.measures.scores import Scores, band_rows, scores
 from salsanext_cli.measures.uncertainty_evaluation import UncertaintyEvaluation
 from salsanext_cli.option_fields import ScanSelection
@@ -35,6 +36,10 @@ from salsanext_cli.version import __version__
 FILES = ("scores.txt", *PICTURES, "eval_iou.png", "eval.json")
 """Possible files of an evaluation, also of version 0.9.0, which are replaced or removed."""
 MAX_PART_BYTES = 100  # Longest name of a folder that lists sequences
+NOT_COVERED = (
+    "the guarantee does not cover these scans: `predict` found that they differ from those that "
+    f"the threshold was chosen on ({OTHER_SCANS})\nhint: {TUNE_AGAIN}"
+)
 ON_TRAINING_SCANS = "scores on scans that the weights were trained on"
 
 log = logging.getLogger(__name__)
@@ -66,6 +71,14 @@ class Evaluation:
             **uncertainty_pictures(self.uncertainty),
             "eval.json": encode_json(escaped(self.to_dict())),
         }
+
+    def warnings(self) -> Iterator[str]:
+        """Yield reasons to doubt the scores or the guarantee, in words."""
+        yield from self.counts.label_warnings(self.space)
+        if self.guarantee and self.guarantee.warning:
+            yield self.guarantee.warning
+        elif self.guarantee and not self.guarantee.is_covered:
+            yield NOT_COVERED
 
     def to_dict(self) -> dict[str, object]:
         """Return plain data for JSON; null stands for NaN."""
@@ -147,10 +160,9 @@ def evaluate(
     results = ResultFolder(out)
     comparison = ScanComparison.of_results(results, space, labels, by_distance=by_distance)
     evaluation = _evaluation(results, comparison, scans, options, as_json(settings), folder)
-    counts, guarantee = evaluation.counts, evaluation.guarantee
-    exceeded = guarantee.warning if guarantee else ""
-    for text in filter(None, [*counts.label_warnings(space), exceeded]):
+    for text in evaluation.warnings():
         log.warning("%s", text)
+    counts = evaluation.counts
     compared = counts.scans + len(evaluation.failures) + len(counts.missing)
     evaluation.missing.log_error(compared, "predictions")
     files = {folder / name: content for name, content in evaluation.files().items()}
@@ -194,7 +206,7 @@ def _evaluation(
         folder=folder,
         by_sequence={name: scores(c, space) for name, c in sorted(counts.by_sequence.items())},
         accepted=accepted,
-        guarantee=RiskBoundCheck.of_scans(results.guarantee(space), counts.accepted),
+        guarantee=guarantee_of_run(results.root, space, counts.accepted),
     )
 
 

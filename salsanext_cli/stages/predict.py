@@ -29,7 +29,6 @@ from salsanext_cli.fitting.label_scan import (
 from salsanext_cli.fitting.scan_checks import ScanCheck, check_image
 from salsanext_cli.fitting.sensor_fit import (
     fitted_view,
-    is_other_view,
     labels_depend_on,
     network_of_run,
     resolved_for,
@@ -52,10 +51,6 @@ from salsanext_cli.results.selection import choose, scans_of, space_of
 from salsanext_cli.uncertainty.error_features import error_model, error_probability
 
 OF_SOFTMAX = {"probabilities", "votes", ERROR}  # Results that need the whole softmax
-OTHER_VIEW = (
-    "the field of view of these scans differs from that of the scans of `tune risk`; the guarantee "
-    "does not cover another sensor or mounting; run `tune risk` on scans of this sensor"
-)
 
 log = logging.getLogger(__name__)
 
@@ -115,20 +110,21 @@ class PredictJob:
         if ERROR in output.folders and pixels.softmax is not None:
             values["error"] = error_probability(network, image, pixels.softmax, scan.labels)
             output.write_array(file, ERROR, values["error"])
+        summary = ScanSummary.of_scan(scan, space)
+        known = least_confidence[~np.isnan(least_confidence)]
+        confidence = 1 - float(known.mean()) if known.size else np.nan
+        summary = replace(summary, confidence=confidence)
         if self.reject:
             rejected = values[self.reject.kind] > np.float32(self.reject.threshold)
+            summary = summary.without_rejected(rejected, scan.labels, values[self.reject.kind])
             scan = replace(scan, labels=np.where(rejected, np.uint8(0), scan.labels))
-        else:
-            rejected = np.zeros(len(scan.labels), bool)
         raw = space.to_raw(scan.labels)
         if "objects" in output.folders:
             objects = find_objects(image, scan.labels, space.movable)
             output.write(output.path(file, "objects"), _object_table(scan, objects, space))
             raw |= objects.astype(np.uint32) << 16
         output.write_labels(file, raw)
-        summary = ScanSummary.of_scan(scan, space, int(rejected.sum()))
-        known = least_confidence[~np.isnan(least_confidence)]
-        return replace(summary, confidence=1 - float(known.mean()) if known.size else np.nan)
+        return summary
 
 
 def _object_table(scan: LabelledScan, objects: Objects, space: LabelSpace) -> bytes:
@@ -186,7 +182,6 @@ def predict_scans(
     if "objects" in extras:
         network.space.require_movable("--objects")
     network = network_of_run(settings, network, listed, out, overwrite=options.overwrite)
-    _warn_of_other_view(rejection, network)
     accuracy = None if rejection else network.card.accuracy
     recorded = replace(
         settings_of_network(network),
@@ -196,7 +191,8 @@ def predict_scans(
         objects="objects" in extras or None,
         **(rejection.recorded if rejection else {}),
     )
-    summary = RunSummary(network.sensor, network.space, scans, accuracy)
+    threshold = rejection.risk if rejection else None
+    summary = RunSummary(network.sensor, network.space, scans, accuracy, threshold)
     folders = (*extras, LEAST_CONFIDENCE, "predictions")
     run = output_run(out, "predict", recorded, folders, scans, overwrite=options.overwrite)
     with run as output, summary.recorded_in(output, scans):
@@ -235,14 +231,6 @@ def _chosen_threshold(
         raise UsageError(changed[0], problem, "the settings of `tune risk`")
     log.log(NOTICE, "--reject risk: %s", guarantee(risk))
     return risk
-
-
-def _warn_of_other_view(rejection: LabelRejection | None, network: Network) -> None:
-    """Warn if a field of view differs from all fields of view of `tune risk`."""
-    views = rejection.risk.views if rejection and rejection.risk else ()
-    sensors = network.sensor.members
-    if views and any(all(is_other_view(view, sensor) for view in views) for sensor in sensors):
-        log.warning("--reject risk: %s", OTHER_VIEW)
 
 
 class PreparedImage(NamedTuple):

@@ -178,8 +178,8 @@ def test_no_points_are_no_check_of_a_guarantee():
 def test_a_guarantee_states_its_scope():
     assert guarantee(RISK) == (
         "error up to 0.25 accepted: on average at most 5 % of the points of known classes are "
-        "accepted and wrong, for scans of the drives that the threshold was chosen on (20 scans of "
-        "00, 08), not of other drives"
+        "accepted and wrong, for further scans of the drives that the threshold was chosen on (20 "
+        "scans of 00, 08), not of other drives"
     )
     assert "with 90 % confidence, at most 10 % of scans" in guarantee(replace(RISK, confidence=0.9))
     of_drives = guarantee(replace(RISK, unit="drive"))

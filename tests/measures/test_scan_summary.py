@@ -53,6 +53,23 @@ def test_labels_of_low_probability_are_doubted():
     assert codes_of(labels % 8, few, confidence=0.76) == []
 
 
+def test_rejected_labels_do_not_make_one_class_large():
+    # Two classes have equal numbers of points; the labels of one of them are rejected.
+    labels = np.repeat(np.array([1, 9], np.uint8), 1000)
+    summary = ScanSummary.of_labels(FILE, labels, SPACE)
+    rejected = labels == 9
+    uncertainty = rejected.astype(np.float32)
+    rest = summary.without_rejected(rejected, labels, uncertainty)
+    assert rest.traits.uncertainty == 0.5
+    assert sorted(rest.traits.class_shares)[-2:] == [0.5, 0.5]
+    assert rest.check.findings == ()
+    assert (rest.class_points[0], rest.class_points[1], rest.class_points[9]) == (1000, 1000, 0)
+    assert rest.rejected_points == 1000
+    assert summary.class_points[9] == 1000, "the summary of all labels stays as it was"
+    only_cars = ScanSummary.of_labels(FILE, labels[:1000], SPACE)
+    assert [finding.code for finding in only_cars.check.findings] == ["one-class"]
+
+
 @pytest.mark.parametrize(
     ("count", "share", "codes"),
     [

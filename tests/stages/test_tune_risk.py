@@ -12,7 +12,8 @@ from salsanext_cli import label_space, read_labels, write_labels
 from salsanext_cli.errors import TrainingError, UsageError, WeightsError
 from salsanext_cli.files.json_files import plain
 from salsanext_cli.measures.risk_control import RISK_BOUND_EXCEEDED
-from salsanext_cli.network.card import AccuracyLine, read_card
+from salsanext_cli.measures.scan_summary import OTHER_SCANS
+from salsanext_cli.network.card import AccuracyLine, LabelTraits, read_card
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.option_fields import KnnParameters, ScanSelection
 from salsanext_cli.results.manifest import Manifest
@@ -26,7 +27,6 @@ from salsanext_cli.training.tuning.risk import _held_out
 from salsanext_cli.training.tuning.risk_level import FewUnits, RiskLevel
 
 ALL = ScanSelection()
-VOID = "the guarantee does not cover"
 
 
 @pytest.fixture
@@ -73,12 +73,15 @@ def test_the_threshold_holds_the_guarantee(unsure_is_wrong: World, target, caplo
     judged = evaluate(find_scans(world.data), world.out, space)
     numbers = {"units": 3, "above": sum(loss > 0.3 for loss in losses), "at_most": 0.3}
     numbers |= {"mean": pytest.approx(np.mean(losses)), "worst": pytest.approx(max(losses))}
-    numbers |= {"confidence": None, "unit": "scan"}
+    numbers |= {"confidence": None, "unit": "scan", "is_covered": True}
+    numbers["scope"] = tuned["guarantee"].partition(", for ")[2]
     assert judged.to_dict()["rejection"]["guarantee"] == numbers
     page = report(world.out).page.read_text("utf-8")
     assert f"<dd>{tuned['guarantee']}</dd>" in page
     sentences = (judged.guarantee.sentence, *judged.accepted.sentences)
     assert all(sentence[1:] in page for sentence in sentences)
+    # The scans are those that the threshold was chosen on, so they are like them.
+    assert OTHER_SCANS not in caplog.text
     labels = judged.accepted
     assert plain(labels) == tuned["accepted"]
     # (3 R + 1) / 4 ≤ 0.3, with no finer step than a bin
@@ -102,7 +105,7 @@ def test_a_guarantee_that_does_not_hold_warns(unsure_is_wrong: World, target, ca
     losses = np.array(tuned["of_scans"])[:, 1]
     assert (losses[0] + losses[1:].mean() + 1) / 3 <= 0.6
     predict_scans(world.data, world.out, settings=network, reject="risk")
-    assert VOID not in caplog.text
+    assert OTHER_SCANS not in caplog.text
     check = evaluate(find_scans(world.data), world.out, label_space()).guarantee
     assert (check.unit, check.units) == ("drive", 2)
     assert RISK_BOUND_EXCEEDED not in caplog.messages
@@ -117,13 +120,16 @@ def test_a_guarantee_that_does_not_hold_warns(unsure_is_wrong: World, target, ca
     other = replace(view, fov_up=view.fov_up + 8)
     save_with_card(target, target, replace(card, risk=replace(card.risk, views=(other,))))
     predict_scans(world.data, world.out.with_name("o"), settings=network, reject="risk")
-    assert VOID in caplog.text
+    assert OTHER_SCANS in caplog.text
+    check = evaluate(find_scans(world.data), world.out.with_name("o"), label_space()).guarantee
+    assert not check.is_covered
+    assert "not guaranteed" in check.sentence
     # One of several sensors that the threshold was chosen on
     caplog.clear()
     several = replace(card.risk, views=(other, view))
     save_with_card(target, target, replace(card, risk=several))
     predict_scans(world.data, world.out.with_name("s"), settings=network, reject="risk")
-    assert VOID not in caplog.text
+    assert OTHER_SCANS not in caplog.text
 
 
 @pytest.mark.parametrize(
@@ -263,3 +269,27 @@ def test_what_few_scans_leave_by_hand(count, level, numbers, caplog) -> None:
         few.warn_before()
         assert f"{numbers[1]} scans" in caplog.messages[0]
         assert str(numbers[1] - count) in caplog.messages[0].partition("hint: ")[2]
+
+
+def test_scans_with_other_classes_are_not_covered(unsure_is_wrong: World, target, caplog) -> None:
+    world = unsure_is_wrong
+    world.tune("risk", target, at_most=0.3)
+    card = read_card(target)
+    # The population of another place: one class covers most of it, as in no scan of the world.
+    shares = (0.0,) * 18 + (1.0,)
+    elsewhere = tuple(
+        LabelTraits(unit=str(number), uncertainty=0.001, class_shares=shares)
+        for number in range(400)
+    )
+    save_with_card(target, target, replace(card, risk=replace(card.risk, population=elsewhere)))
+    network = replace(world.network, weights=target)
+    predict_scans(world.data, world.out, settings=network, reject="risk")
+    assert OTHER_SCANS in caplog.text
+    check = evaluate(find_scans(world.data), world.out, label_space()).guarantee
+    assert not check.is_covered
+    assert "the guarantee does not cover these scans" in caplog.text
+    # Weights of early versions have no population.
+    caplog.clear()
+    save_with_card(target, target, replace(card, risk=replace(card.risk, population=())))
+    predict_scans(world.data, world.out.with_name("early"), settings=network, reject="risk")
+    assert OTHER_SCANS not in caplog.text

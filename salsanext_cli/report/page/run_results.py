@@ -27,6 +27,7 @@ from salsanext_cli.measures.expected_accuracy import ExpectedAccuracy, expected_
 from salsanext_cli.measures.histograms import lack_of_confidence
 from salsanext_cli.measures.risk_control import AcceptedLabels, RiskBoundCheck, guarantee
 from salsanext_cli.measures.scan_counts import SOFTMAX, ScanComparison, ScanCounts, read_softmax
+from salsanext_cli.measures.scan_summary import guarantee_of_run
 from salsanext_cli.measures.scores import Counts, Scores, accepted, scored_rows, scores
 from salsanext_cli.measures.uncertainty_evaluation import UncertaintyEvaluation
 from salsanext_cli.network.card import default_weights, read_card
@@ -168,8 +169,8 @@ class RunResults:
     @property
     def guarantee(self) -> RiskBoundCheck | None:
         """Guarantee of the accepted labels and their measured risk; None without either."""
-        bound = Manifest(self.reader.out).guarantee(self.reader.space)
-        return RiskBoundCheck.of_scans(bound, self.counts.accepted if self.counts else {})
+        losses = self.counts.accepted if self.counts else {}
+        return guarantee_of_run(self.reader.out, self.reader.space, losses)
 
     def warnings(self) -> Iterator[str]:
         """Yield a line for every reason to doubt the results."""

@@ -20,6 +20,7 @@ from salsanext_cli.fitting.sensor_fit import labels_depend_on
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.measures.histograms import UNCERTAINTY_BINS, bin_of, highest_of_bins
+from salsanext_cli.measures.population import label_traits, of_units
 from salsanext_cli.measures.risk_control import (
     AcceptedLabels,
     enough_drives,
@@ -29,7 +30,7 @@ from salsanext_cli.measures.risk_control import (
     means_of_units,
 )
 from salsanext_cli.measures.scores import Counts, Ratios
-from salsanext_cli.network.card import RiskThreshold, scan_digest
+from salsanext_cli.network.card import LabelTraits, RiskThreshold, scan_digest
 from salsanext_cli.option_fields import KnnParameters
 from salsanext_cli.parallel.job import Steps
 from salsanext_cli.results.paths import ScanFile
@@ -53,6 +54,7 @@ class JudgedScan:
     points: int
     # Accepted points, and accepted wrong ones, up to each bin, (2, B)
     below: npt.NDArray[np.int32]
+    traits: LabelTraits  # Of all labels, also where the truth is not scored
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,13 +95,15 @@ def judged_scan(
     values = points_from_pixels(1 - pixels.confidence, image.pixel_of_point, np.nan)
     if pixels.softmax is not None:
         values = error_probability(network, image, pixels.softmax, labels)
+    points = np.bincount(labels, minlength=space.class_count)
+    traits = label_traits(file.name, points, values)
     bins = np.where(np.isnan(values) | (labels == 0), UNCERTAINTY_BINS, bin_of(values))
     truth, labels, bins = truth[scored], labels[scored], bins[scored]
     np.add.at(counts, (truth, labels, bins), 1)
     both = bins, bins[labels != truth]
     of_bins = np.array([np.bincount(part, minlength=UNCERTAINTY_BINS + 1) for part in both])
     below = of_bins[:, :-1].cumsum(axis=1, dtype=np.int32)
-    return JudgedScan(file, scan_digest(scan.projected.scan), len(truth), below)
+    return JudgedScan(file, scan_digest(scan.projected.scan), len(truth), below, traits)
 
 
 def fit_risk(scans: TuningScans, at_most: float, confidence: float | None = None) -> Tuned:
@@ -116,12 +120,7 @@ def fit_risk(scans: TuningScans, at_most: float, confidence: float | None = None
     network, space = scans.network, scans.space
     kind = _kind_of_threshold(scans)
     counts = np.zeros((space.class_count, space.class_count, UNCERTAINTY_BINS + 1), np.int64)
-    judge = partial(judged_scan, space=space, counts=counts)
-
-    def predict(some: Sequence[PreparedScan]) -> list[PixelPrediction]:
-        return network.predict([scan.input for scan in some], softmax=kind == "error")
-
-    judged = [*scans.run(Steps(partial(prepared_for, network), predict, judge)).values()]
+    judged = _judged_scans(scans, kind, counts)
     shares = np.array([scan.below / scan.points for scan in judged])
     sequences = np.array([scan.file.sequence for scan in judged])
     units = sequences if unit == "drive" else np.arange(len(judged))
@@ -140,10 +139,10 @@ def fit_risk(scans: TuningScans, at_most: float, confidence: float | None = None
         digests="".join(scan.digest for scan in judged),
         settings=labels_depend_on(scans.settings, scans.loaded),
         views=tuple(map(FittedView.of, network.sensor.members)),
+        population=_population(judged, unit),
     )
     others = _held_out(shares, sequences, units, level)
-    confusion = counts[..., :bins].sum(axis=2)
-    confusion[:, 0] += counts[..., bins:].sum(axis=(1, 2))
+    confusion = _confusion_of_accepted(counts, bins)
     of_scans = {s.file.name: (s.points, *s.below[:, bins - 1].tolist()) for s in judged}
     labels = AcceptedLabels.of_confusion(confusion, space, of_scans)
     report = {
@@ -151,6 +150,7 @@ def fit_risk(scans: TuningScans, at_most: float, confidence: float | None = None
         **plain(risk),
         "accepted": plain(labels),
         "held_out": plain(others),
+        "names": [*of_scans],
         "of_scans": [[accepted / n, wrong / n] for n, accepted, wrong in of_scans.values()],
         "sentences": [*labels.sentences, *_sentences(others)],
         "few": None,
@@ -162,6 +162,33 @@ def fit_risk(scans: TuningScans, at_most: float, confidence: float | None = None
         log.warning("%s", with_hint(text, "use a higher --at-most, or scans of more drives"))
     _warn_of_held_out(others, level, unit)
     return replace(network.card, risk=risk), report
+
+
+def _judged_scans(scans: TuningScans, kind: str, counts: Counts) -> list[JudgedScan]:
+    """Label and judge all scans by a kind of uncertainty; `counts` as of `judged_scan`."""
+    network = scans.network
+
+    def predict(some: Sequence[PreparedScan]) -> list[PixelPrediction]:
+        return network.predict([scan.input for scan in some], softmax=kind == "error")
+
+    judge = partial(judged_scan, space=scans.space, counts=counts)
+    steps = Steps(partial(prepared_for, network), predict, judge)
+    return [*scans.run(steps).values()]
+
+
+def _confusion_of_accepted(counts: Counts, bins: int) -> Counts:
+    """Return the confusion matrix (C, C) of `counts` (C, C, B + 1), with rejected points as 0."""
+    confusion: Counts = counts[..., :bins].sum(axis=2)
+    confusion[:, 0] += counts[..., bins:].sum(axis=(1, 2))
+    return confusion
+
+
+def _population(judged: Sequence[JudgedScan], unit: str) -> tuple[LabelTraits, ...]:
+    """Return the traits of the labels of each scan or drive."""
+    traits = [scan.traits for scan in judged]
+    if unit == "scan":
+        return tuple(traits)
+    return of_units(traits, [scan.file.sequence for scan in judged])
 
 
 def _no_threshold(source: Path, kind: str, few: FewUnits | None, level: RiskLevel) -> TrainingError:

@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: MIT
+"""Record of a threshold of `tune risk`, and the least numbers of scans that it prints."""
+
+import hashlib
+import json
+import re
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+from command_line import called, subject
+
+from salsanext_cli.formats import read_scan
+from salsanext_cli.measures.risk_control import needed_scans, useful_scans
+from salsanext_cli.network.card import read_card, scan_digest
+from salsanext_cli.report.tables import needed_scans_table
+
+PAGE = Path(__file__).parents[2] / "docs/concepts/guarantee.md"
+
+
+def test_the_record_states_what_the_threshold_is_based_on(world, tmp_path):
+    target = tmp_path / "safe.safetensors"
+    record = tmp_path / "record.json"
+    words = ("--at-most", "90%", "--sequences", "00,08", "--engine", "torch", "--device", "cpu")
+    weights = ("--weights", world.network.weights)
+    called("tune", "risk", world.data, target, *words, *weights, "--record", record)
+    content = json.loads(record.read_text())
+    risk = read_card(target).risk
+    assert content["threshold"] == risk.threshold
+    assert content["settings"] == risk.settings
+    for key, path in {"weights": world.network.weights, "weights_with_threshold": target}.items():
+        assert content[key]["sha256"] == hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    age = datetime.now(UTC) - datetime.fromisoformat(content["date"])
+    assert timedelta(0) <= age < timedelta(minutes=10)
+    digests = {scan["scan"]: scan["digest"] for scan in content["scans"]}
+    assert digests.keys() == {"00/000000", "08/000000", "08/000001"}
+    assert digests["08/000001"] == scan_digest(read_scan(world.scan("08", "000001")))
+    assert {part["sequence"] for part in content["check"]["held_out_sequences"]} == {"00", "08"}
+    # An archived record is not replaced, and the refusal comes before the work.
+    other = tmp_path / "other.safetensors"
+    refused = called(
+        "tune", "risk", world.data, other, *words, *weights, "--record", record, status=1
+    )
+    assert subject(refused) == str(record)
+    assert not other.exists()
+    assert json.loads(record.read_text()) == content
+
+
+def test_the_least_numbers_of_the_page_are_those_of_the_bounds():
+    rows = re.findall(
+        r"^\| (.*(?:--at-most|--confidence).*) \| (\d+) \| (\d+) \|$", PAGE.read_text(), re.M
+    )
+    assert len(rows) == 7
+    for name, scans, drives in rows:
+        share = float(re.search(r"(\d+)%", name)[1]) / 100
+        if "--confidence" in name:
+            assert int(scans) == int(drives) == needed_scans(0.1, share)
+        else:
+            assert (int(scans), int(drives)) == (
+                needed_scans(share, None),
+                useful_scans(share, None),
+            )
+
+
+@pytest.mark.parametrize(("at_most", "count"), [(0.1, 6), (0.07, 7)])
+def test_the_printed_table_has_the_limit_that_was_asked_for(at_most, count):
+    table = needed_scans_table(at_most)
+    cells = [cell.plain for cell in table.columns[0].cells]
+    assert len(cells) == count
+    assert f"{100 * at_most:.3g} % on average" in cells
