@@ -24,6 +24,14 @@ MAX_RANGE_M = MAX_INTENSITY = np.float32(1e6)
 
 
 @dataclass(frozen=True, slots=True)
+class FileNotes:
+    """What the file of a scan states beside its points."""
+
+    fields: tuple[str, ...] = ()  # Names of the fields with numbers, without the coordinates
+    missing_points: int = 0  # Points that its header states, but that it lacks
+
+
+@dataclass(frozen=True, slots=True)
 class Scan:
     """One revolution of a LiDAR.
 
@@ -34,10 +42,13 @@ class Scan:
         measurements, belong to no pixel and get label 0.
     intensity : (N,) float32
         Returned intensity (remission), nominally 0…1.
+    notes : FileNotes, optional
+        What its file states beside the points.
     """
 
     points: Float
     intensity: Float
+    notes: FileNotes = FileNotes()
 
     def __post_init__(self) -> None:
         if self.points.ndim != 2 or self.points.shape[1] != 3 or self.points.dtype != np.float32:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Small scans, data sets and networks that many tests need."""
 
+import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -14,7 +15,7 @@ import pytest
 import torch
 from torch import nn
 
-from salsanext_cli import LabelSpace, Scan, Sensor, label_space, write_labels
+from salsanext_cli import LabelSpace, Scan, Sensor, label_space, read_scan, write_labels
 from salsanext_cli.errors import SalsanextError
 from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.formats.kitti import encode_bin
@@ -57,6 +58,14 @@ def refused(kind: type[SalsanextError], subject: object, *call: Any, **options: 
     with refusing() as caught:
         function(*arguments, **options)
     return caught
+
+
+def named_by_hint(path: Path) -> tuple[str, ...]:
+    """Return the names of columns in the hint of the error with which a scan is refused."""
+    with pytest.raises(SalsanextError) as caught:
+        read_scan(path)
+    (names,) = re.findall(r"--columns ([\w,]+)", caught.value.hint)
+    return tuple(names.split(","))
 
 
 def make_scan(count: int = 1500, seed: int = 0) -> Scan:
@@ -173,3 +182,14 @@ def share_alike(folder: Path, expected: Path) -> float:
     assert labels.keys() == others.keys()
     pairs = [(np.frombuffer(labels[n], "<u4"), np.frombuffer(others[n], "<u4")) for n in labels]
     return sum(int((a == b).sum()) for a, b in pairs) / sum(len(a) for a, _ in pairs)
+
+
+def real_scans(real_data: Path) -> list[Path]:
+    """Return the real `.bin` files in rows of float32, without those that are no scans."""
+    found = sorted((real_data / "data").rglob("*.bin"))
+    return [path for path in found if not {"not_scans", "planar"} & {*path.parts}]
+
+
+def real_columns(path: Path) -> int:
+    """Return the number of columns of a real `.bin` file."""
+    return 5 if "five" in path.name or path.name.endswith(".pcd.bin") else 4

@@ -274,7 +274,7 @@ def test_every_name_in_the_tables_exists(page):
 
 
 HELPERS = {
-    *("formats/columns.py", "fitting/mounting_fit.py"),
+    *("formats/column_evidence.py", "formats/columns.py", "fitting/mounting_fit.py"),
     *(f"engines/{name}.py" for name in ("backend", "batches", "device", "graphs")),
 }
 """Files of these parts that the steps of a scan call."""

@@ -71,6 +71,7 @@ sensor_option = partial(network_option, "Sensor of the scans.", metavar="NAME|FI
 SENSOR = sensor_option(show_default="hdl64")
 columns_option = partial(_shared, "columns", NetworkSettings)
 COLUMNS = columns_option()
+INTENSITY_FIELD = _shared("intensity_field", NetworkSettings)
 jobs_option = partial(_shared, "jobs", RunOptions)
 JOBS = jobs_option()
 OVERWRITE = _shared("overwrite", RunOptions)

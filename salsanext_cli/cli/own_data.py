@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from salsanext_cli.cli import arguments, console, summary
 from salsanext_cli.cli.console import over_scans, print_line, progress
 from salsanext_cli.cli.expansion import Shown
-from salsanext_cli.engines.settings import with_columns
+from salsanext_cli.engines.settings import with_names
 from salsanext_cli.errors import counted, printable, with_hint
 from salsanext_cli.option_fields import ScanSelection, argument, option, option_group
 from salsanext_cli.results.query import named_label_space
@@ -31,6 +31,7 @@ def inspect(
         show_default="fitted to the scans, as `predict` does; of --fit, hdl64"
     ),
     columns: str | None = arguments.COLUMNS,
+    intensity_field: str | None = arguments.INTENSITY_FIELD,
     running: arguments.Unsharded,
     strict: bool = arguments.STRICT,
     output: console.Output,
@@ -48,7 +49,7 @@ def inspect(
 
     as_predict = sensor is None and fit is None
     usual = read_card(default_weights()).sensor if as_predict else find_sensor(sensor or "hdl64")
-    named = with_columns(usual, columns).resized(height, width)
+    named = with_names(usual, columns, intensity_field).resized(height, width)
     # The size and the normalisation are for weights that are still to be trained.
     images = height is not None or width is not None
     with over_scans("inspect", running, output.quiet) as run:
@@ -183,7 +184,7 @@ def import_labels(
             scalar=scalar,
             ids=ids,
             space=named_label_space(label_space),
-            sensor=with_columns(sensor("hdl64"), columns),
+            sensor=with_names(sensor("hdl64"), columns),
             overwrite=overwrite,
             progress=bar,
         )

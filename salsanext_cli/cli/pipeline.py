@@ -11,7 +11,7 @@ import typer
 from salsanext_cli.cli import arguments, console, summary
 from salsanext_cli.cli.console import over_scans
 from salsanext_cli.cli.expansion import Without
-from salsanext_cli.engines.settings import AUTO, NetworkSettings, with_columns
+from salsanext_cli.engines.settings import AUTO, NetworkSettings, with_names
 from salsanext_cli.errors import UsageError, counted
 from salsanext_cli.option_fields import KnnParameters, ScanSelection, option, option_group
 from salsanext_cli.parallel.run_options import RunOptions, running_option
@@ -242,7 +242,7 @@ def knn_refine(
 
     named = arguments.sensor(sensor)
     if columns is not None:
-        named = with_columns(named or Manifest(out).sensor(), columns)
+        named = with_names(named or Manifest(out).sensor(), columns)
     with over_scans("knn-refine", running, output.quiet) as run:
         outcome = knn_refine_scans(
             out,

@@ -7,7 +7,7 @@ from dataclasses import KW_ONLY, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from salsanext_cli.errors import NOTICE, UsageError
+from salsanext_cli.errors import NOTICE, UsageError, quoted
 from salsanext_cli.option_fields import network_option, option_group
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ class NetworkSettings:
         envvar="SALSANEXT_ENGINE",
         typed=Literal["auto", "openvino", "torch"],
     )
-    # A `Sensor` is used unchanged, whatever `columns`, `min_range` and `ego` are
+    # A `Sensor` is used unchanged, whatever names, `min_range` and `ego` are
     sensor: "Sensor | str | None" = network_option(
         "Sensor of the scans; auto estimates field of view and mounting. A named sensor sets only "
         "intensity scale and noise.",
@@ -57,6 +57,11 @@ class NetworkSettings:
         "Columns of files without a header, such as x,y,z,intensity,_; _ skips a column.",
         metavar="NAMES",
         show_default="columns of the sensor",
+    )
+    intensity_field: str | None = network_option(
+        "Field with the intensity, in files that name their fields.",
+        metavar="NAME",
+        show_default="the usual names",
     )
     min_range: float | None = network_option(
         "Leave points nearer than this unlabelled, in metres.",
@@ -104,14 +109,15 @@ class NetworkSettings:
         named = self.sensor or AUTO
         if not isinstance(named, str):
             return named
-        if (named, self.columns, self.min_range, self.ego) == (AUTO, None, None, AUTO):
+        changes = (self.columns, self.intensity_field, self.min_range)
+        if (named, self.ego) == (AUTO, AUTO) and changes == (None, None, None):
             return None
         chosen = trained = self.trained_sensor()
         if named != AUTO:
             chosen = sensor(named, trained)
         if named in presets():
             chosen = replace(trained, **{key: getattr(chosen, key) for key in OF_DEVICE})
-        chosen = with_columns(chosen, self.columns)
+        chosen = with_names(chosen, self.columns, self.intensity_field)
         if self.min_range is not None:
             chosen = replace(chosen, min_range=self.min_range)
         if self.ego != AUTO:
@@ -176,12 +182,18 @@ def weights_file(path: Path | None) -> Path:
     return default_weights() if path in (None, DEFAULT_WEIGHTS) else path
 
 
-def with_columns(sensor: "Sensor", columns: str | None) -> "Sensor":
-    """Return a sensor with other columns of its files, if they are named."""
+def with_names(
+    sensor: "Sensor", columns: str | None, intensity_field: str | None = None
+) -> "Sensor":
+    """Return a sensor with other columns of its files, or another intensity, if they are named."""
+    from salsanext_cli.sensors.sensor import COLUMNS_EXPECTED, FIELD_EXPECTED, are_columns, is_field
+
+    if intensity_field is not None:
+        if not intensity_field or not is_field(intensity_field):
+            raise UsageError("--intensity-field", quoted(intensity_field), FIELD_EXPECTED)
+        sensor = replace(sensor, intensity_field=intensity_field)
     if columns is None:
         return sensor
-    from salsanext_cli.sensors.sensor import COLUMNS_EXPECTED, are_columns
-
     names = tuple(name.strip().lower() for name in columns.split(","))
     if not are_columns(names):
         raise UsageError("--columns", columns, COLUMNS_EXPECTED)

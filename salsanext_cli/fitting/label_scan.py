@@ -101,7 +101,10 @@ def sensor_of_images(folder: Path, projected: Sensor | None, wanted: Sensor) -> 
     """Return the sensor of a network for projected scans; refuse another geometry than theirs."""
     if projected is None:
         raise UsageError(folder, "has no range images", "the output folder of `project`")
-    fits = [replace(member, columns=projected.columns) for member in wanted.members]
+    fits = [
+        replace(member, columns=projected.columns, intensity_field=projected.intensity_field)
+        for member in wanted.members
+    ]
     images = [replace(other, means=wanted.means, stds=wanted.stds) for other in projected.members]
     pairs = ((a.view(), b.view()) for a, b in zip(images, fits, strict=False))
     counts = ({"sensors": len(images)}, {"sensors": len(fits)})

@@ -10,12 +10,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import quote
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.errors import FormatError, counted
+from salsanext_cli.errors import FormatError, counted, first_few
 from salsanext_cli.fitting.mounting_fit import MAX_TILT_DEG, TOLERANCE_M, UPSIDE_DOWN_DEG, ground_of
 from salsanext_cli.geometry.network_input import BRIGHT, INTENSITY_FACTOR, NO_INTENSITY
 from salsanext_cli.geometry.projection import (
@@ -25,7 +26,7 @@ from salsanext_cli.geometry.projection import (
     measured_ranges,
 )
 from salsanext_cli.geometry.scan_traits import MIN_TRAIT_POINTS, ScanTraits, intensity_of, sines_of
-from salsanext_cli.records import Double, Float, Scan
+from salsanext_cli.records import Double, FileNotes, Float, Scan
 from salsanext_cli.sensors.sensor import FITTED_NAME, OF_IMAGES, Sensor, presets
 
 
@@ -65,8 +66,8 @@ FEW_SECTORS = 0.1  # The same for a narrow field of view; solid-state sensors ha
 APART = "label it alone, into another folder"
 SET_SCALE = "set intensity_scale in a file for --sensor"
 NAME_COLUMN = (
-    "if the files have one, rename its field to intensity, or name the columns of files without "
-    "names: --columns x,y,z,_,intensity for example"
+    "if the files have one, name the columns of files without names: --columns x,y,z,_,intensity "
+    "for example"
 )
 FIT = "`salsanext inspect SCANS --fit sensor.toml`, then --sensor sensor.toml"
 AUTO = "--sensor auto"
@@ -77,11 +78,12 @@ ORIGIN = "expect worse labels, or write the position of the sensor as `origin` i
 
 
 def training_findings(
-    bright: float, reason: str, sensor: Sensor, trained: Sensor
+    bright: float, reason: str, sensor: Sensor, trained: Sensor, fields: tuple[str, ...] = ()
 ) -> Iterator[Finding]:
     """Compare images and their upper intensity `bright` with training.
 
-    `reason` states why the values are not intensities, if they are not.
+    `reason` states why the values are not intensities, if they are not. `fields` are the names of
+    the fields of the file.
     """
     if any(getattr(sensor, key) != getattr(trained, key) for key in OF_IMAGES):
         problem = "the sensor file changes the size or normalisation of the images"
@@ -91,7 +93,8 @@ def training_findings(
     can_match = trained.intensity_quantiles and not matched
     if reason:
         problem = reason if matched else f"{reason}; the network takes it as it is"
-        yield Finding("no-intensity", problem, "--intensity none" if can_match else NAME_COLUMN)
+        hint = _name_of_intensity(fields) or NAME_COLUMN
+        yield Finding("no-intensity", problem, "--intensity none" if can_match else hint)
         return
     if matched == NO_INTENSITY:
         return
@@ -107,6 +110,14 @@ def training_findings(
         problem = f"{BRIGHT:.0%} of the intensities are below {bright:.3g}, {expected}"
         scale = "--intensity auto, or " * bool(can_match) + SET_SCALE
         yield Finding("intensity-scale", problem, APART if matched else scale)
+
+
+def _name_of_intensity(fields: tuple[str, ...]) -> str:
+    """Return the hint that lists the fields of a file with names; empty without any."""
+    if not fields:
+        return ""
+    which = f"one of {first_few(fields)}" if len(fields) > 1 else fields[0]
+    return f"if {which} is the intensity, --intensity-field {quote(fields[0])} for example"
 
 
 def check_image(channels: Float, sensor: Sensor, trained: Sensor) -> ScanCheck:
@@ -155,15 +166,22 @@ def check_scan(
     if sensor.name not in (FITTED_NAME, *presets(), trained and trained.name):
         fit = AUTO
     findings = [
+        *_file_findings(scan.notes),
         *_unit_findings(ranges, share),
         *_view_findings(some, sines, sensor, fit),
         *_ground_findings(some, fit),
     ]
     if trained is not None:
-        findings += training_findings(bright, reason, sensor, trained)
+        findings += training_findings(bright, reason, sensor, trained, scan.notes.fields)
     per_point = len(scan) * (1 - ego_share) * share / count
     traits = ScanTraits.of(sines, bright, per_point, sensor)
     return ScanCheck(tuple(findings), traits, ego_share)
+
+
+def _file_findings(notes: FileNotes) -> Iterator[Finding]:
+    if notes.missing_points:
+        problem = f"lacks {counted(notes.missing_points, 'point')} of those in its header"
+        yield Finding("missing-points", problem, "the file may be cut off: copy it again")
 
 
 def _require_metres(path: Path, count: int, ranges: Double) -> None:

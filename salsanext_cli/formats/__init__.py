@@ -62,33 +62,44 @@ def _call(function: str, *arguments: Any) -> Any:
     return getattr(import_module(f"{__name__}.{module}"), name)(*arguments)
 
 
-def _read_columns(function: str, path: Path, names: Names, intensity_scale: float) -> Scan:
-    return _call("columns:scan_of", _call(function, path, names), path, intensity_scale)
+def _read_columns(
+    function: str, path: Path, names: Names, intensity_scale: float, intensity_field: str = ""
+) -> Scan:
+    columns = _call(function, path, names)
+    return _call("columns:scan_of", columns, path, intensity_scale, intensity_field)
 
 
 def _built_in(
-    suffixes: str, reader: str, *magic: bytes, labels: bool = False, subset: str = "", **flags: bool
+    suffixes: str, reader: str, *magic: bytes, labels: str = "", subset: str = "", **flags: bool
 ) -> Format:
-    """Return a format by the names of functions: the reader returns a scan or its columns."""
+    """Return a format by the names of functions: the reader returns a scan or its columns.
+
+    It also takes a fourth argument, the name of the intensity (`Sensor.intensity_field`).
+    """
     return Format(
         suffixes=tuple(suffixes.split()),
         read=partial(_call if ":read_" in reader else _read_columns, reader),
         magic=magic,
         subset=partial(_call, f"subsets:{subset}_subset") if subset else None,
-        label_columns=partial(_call, reader) if labels else None,
+        label_columns=partial(_call, labels) if labels else None,
         **flags,
     )
 
 
 FORMATS: Mapping[str, Format] = {
     "bin": _built_in(".pcd.bin .bin", "kitti:read_bin", subset="bin"),
-    "pcd": _built_in(".pcd", "pcd:pcd_columns", b"# .PCD", b"VERSION ", labels=True, subset="pcd"),
-    "ply": _built_in(".ply", "ply:ply_columns", b"ply", labels=True, subset="ply"),
-    "xyz": _built_in(".xyz", "text:text_columns", subset="text"),
+    "pcd": _built_in(
+        *(".pcd", "pcd:read_pcd", b"# .PCD", b"VERSION "), labels="pcd:pcd_columns", subset="pcd"
+    ),
+    "ply": _built_in(".ply", "ply:ply_columns", b"ply", labels="ply:ply_columns", subset="ply"),
+    "xyz": _built_in(".xyz", "tables.text:read_text", subset="text"),
     "npy": _built_in(".npy", "npy:npy_columns", b"\x93NUMPY", subset="npy", is_table=True),
     "npz": _built_in(".npz", "npy:npz_columns", b"PK\x03\x04", subset="npz", is_table=True),
-    "feather": _built_in(".feather", "feather:feather_columns", b"ARROW1", b"FEA1", is_table=True),
-    "text": _built_in(".csv .txt .asc .pts", "text:text_columns", subset="text", is_table=True),
+    "feather": _built_in(
+        ".feather", "tables.arrow:feather_columns", b"ARROW1", b"FEA1", is_table=True
+    ),
+    "parquet": _built_in(".parquet", "tables.arrow:parquet_columns", b"PAR1", is_table=True),
+    "text": _built_in(".csv .txt .asc .pts", "tables.text:read_text", subset="text", is_table=True),
 }
 """Built-in formats by name, in the order of precedence in a folder; plug-ins come last."""
 SCAN_SUFFIXES = tuple(suffix for form in FORMATS.values() for suffix in form.suffixes)
@@ -176,6 +187,17 @@ def _plugged_kind(path: Path) -> PlugIn | None:
     return next((p for p in plug_ins if start.startswith(p.target.magic)), None)
 
 
+def _read(form: Format, path: Path, settings: tuple[Names, float], field: str) -> Scan:
+    """Read a scan; only built-in formats take the name of the intensity."""
+    if not field:
+        return form.read(path, *settings)
+    if form not in FORMATS.values():
+        hint = "omit --intensity-field"
+        raise FormatError(path, "is of a plug-in, which chooses the intensity by itself", hint=hint)
+    reader: Callable[..., Scan] = form.read
+    return reader(path, *settings, field)
+
+
 def read_scan(path: Path | str, sensor: Sensor | None = None) -> Scan:
     """Read a scan in the format that its suffix names, upper or lower case.
 
@@ -185,7 +207,8 @@ def read_scan(path: Path | str, sensor: Sensor | None = None) -> Scan:
         A file with the suffix of a format, or a scan of a recording as `find_scans` names it.
     sensor : Sensor, optional
         Its `intensity_scale` divides the intensity, except bytes, which are divided by 255. Its
-        `columns` name the columns of files without names.
+        `columns` name the columns of files without names, and its `intensity_field` the column
+        with the intensity.
 
     Returns
     -------
@@ -202,14 +225,15 @@ def read_scan(path: Path | str, sensor: Sensor | None = None) -> Scan:
     path = Path(path)
     scale = 1.0 if sensor is None else sensor.intensity_scale
     names = () if sensor is None else sensor.columns
+    field = "" if sensor is None else sensor.intensity_field
     form = format_of(path.name)
     if form is None:
         if _call("recordings:recording_of", path) in (None, path):
             raise FormatError(path, "unknown scan format", f"a {suffixes_in_words()} file")
-        return _read_columns("recordings:recorded_columns", path, names, scale)
+        return _read_columns("recordings:recorded_columns", path, names, scale, field)
     try:
         with errors_of_plug_ins(path):
-            scan = form.read(path, names, scale)
+            scan = _read(form, path, (names, scale), field)
             if not isinstance(scan, import_module("salsanext_cli.records").Scan):
                 raise TypeError(f"its reader returned a {type(scan).__name__}, not a Scan")
             return scan

@@ -1,56 +1,78 @@
 # SPDX-License-Identifier: MIT
 """Scans from named columns, with the names and types of several programs."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.errors import FormatError, counted, shortened
-from salsanext_cli.records import Float, Scan, normalised_intensity
-from salsanext_cli.sensors.sensor import UNUSED_COLUMN
+from salsanext_cli.errors import FormatError, counted
+from salsanext_cli.formats.field_names import AxisFields, fields_beside, intensity_among
+from salsanext_cli.records import FileNotes, Float, Scan, normalised_intensity
+from salsanext_cli.sensors.sensor import MAX_COLUMNS, UNUSED_COLUMN
 
 Columns = Mapping[str, npt.NDArray[Any]]  # Values by name, each (N,)
 
-INTENSITY_NAMES = ("intensity", "scalar_intensity", "reflectivity", "reflectance", "remission", "i")
-"""Names of the intensity, in lower case, in order of precedence."""
-USED_NAMES = {"x", "y", "z", *INTENSITY_NAMES}  # Names of the columns of a scan
-MAX_SHOWN_CHARACTERS = 300
 USUAL_COLUMNS = ("x", "y", "z", "intensity")
 MAX_UNNAMED_COLUMNS = 5  # Six may end in colours
 MAX_DISTANCE_M = 10_000.0  # No LiDAR measures farther; up to it float32 holds millimetres
 
 
-def scan_of(columns: Columns, path: Path, intensity_scale: float) -> Scan:
-    """Return the scan of the columns x, y, z and intensity, which is 0 without a column."""
+def scan_of(
+    columns: Columns,
+    path: Path,
+    intensity_scale: float,
+    intensity_field: str = "",
+    *,
+    unread: Iterable[str] = (),
+    missing_points: int = 0,
+) -> Scan:
+    """Return the scan of named columns.
+
+    Parameters
+    ----------
+    columns : mapping of str to (N,) array
+        Values by the names of the file, in metres unless a name states another unit.
+    path : Path
+        The file, for errors.
+    intensity_scale : float
+        Divisor of the intensity, except bytes.
+    intensity_field : str, optional
+        Name of the column with the intensity; by default a usual one, and 0 without any.
+    unread : iterable of str, optional
+        Names of further fields of the file.
+    missing_points : int, optional
+        Number of points that the header of the file states, but that it lacks.
+    """
     points = coordinates(columns, path)
     _require_near_origin(points, path)
     require_no_matrix(points, path)
-    known = _numbers(columns)
-    named = [known[name] for name in INTENSITY_NAMES if name in known]
-    intensity = named[0] if named else np.zeros(len(points), np.float32)
-    return Scan(points, normalised_intensity(intensity, intensity_scale))
+    numbers = _numbers(columns)
+    name = intensity_among([*numbers], intensity_field, path)
+    intensity = np.zeros(len(points), np.float32) if name is None else numbers[name]
+    fields = tuple(field for field in fields_beside([*numbers, *unread]) if field != name)
+    scaled = normalised_intensity(intensity, intensity_scale)
+    return Scan(points, scaled, FileNotes(fields, missing_points))
 
 
 def coordinates(columns: Columns, path: Path) -> Float:
     """Return the columns x, y, z, in upper or lower case, as points (N, 3) float32 in metres."""
-    by_axis = _numbers(columns)
-    if missing := [axis for axis in "xyz" if axis not in by_axis]:
-        raise FormatError(path, f"has columns {listed(columns)}", f"also {', '.join(missing)}")
+    numbers = _numbers(columns)
+    axes = AxisFields.among([*numbers] or [*columns], path)
     # Values beyond float32 become infinity, and signalling NaNs are valid: no measurements.
     with np.errstate(over="ignore", invalid="ignore"):
-        return np.column_stack([by_axis[axis].astype(np.float32) for axis in "xyz"])
+        pairs = zip(axes.names, axes.metres, strict=True)
+        return np.column_stack([_in_metres(numbers[name], metres) for name, metres in pairs])
+
+
+def _in_metres(values: npt.NDArray[Any], metres: float) -> Float:
+    return (values if metres == 1 else values * np.float64(metres)).astype(np.float32)
 
 
 def _numbers(columns: Columns) -> Columns:
-    return {name.lower(): values for name, values in columns.items() if values.dtype.kind in "iuf"}
-
-
-def listed(columns: Columns) -> str:
-    """Return the names of columns for an error."""
-    return shortened(", ".join(columns) or "nothing", MAX_SHOWN_CHARACTERS)
+    return {name: values for name, values in columns.items() if values.dtype.kind in "iuf"}
 
 
 def unnamed_columns(table: npt.NDArray[Any], names: tuple[str, ...], path: Path) -> Columns:
@@ -64,7 +86,8 @@ def columns_of_width(count: int, names: tuple[str, ...], path: Path) -> tuple[st
     problem = f"has {counted(count, 'column')}"
     if names and count != len(names):
         expected = f"{len(names)}: {', '.join(names)}"
-        raise FormatError(path, problem, expected, "name all columns with --columns")
+        hint = f"name all columns, for example with --columns {names_to_try(count)}"
+        raise FormatError(path, problem, expected, hint if count >= 3 else "omit --columns")
     if names:
         return names
     if count < 3:
@@ -72,9 +95,16 @@ def columns_of_width(count: int, names: tuple[str, ...], path: Path) -> tuple[st
         raise FormatError(path, problem, "at least x, y, z", hint)
     if count > MAX_UNNAMED_COLUMNS:
         expected = f"3 to {MAX_UNNAMED_COLUMNS}: x, y, z, intensity and another one"
-        hint = "name them, for example with --columns x,y,z,intensity,_,ring"
+        hint = f"name them, for example with --columns {names_to_try(count)}"
+        if count > MAX_COLUMNS:
+            hint = f"save at most {MAX_COLUMNS} columns, one row per point"
         raise FormatError(path, f"{problem} without names", expected, hint)
     return (*USUAL_COLUMNS, UNUSED_COLUMN)[:count]
+
+
+def names_to_try(count: int) -> str:
+    """Return as many names as a file has columns, for --columns."""
+    return ",".join((*USUAL_COLUMNS, *count * [UNUSED_COLUMN])[:count])
 
 
 def require_no_matrix(points: Float, path: Path) -> None:

@@ -1,53 +1,107 @@
 # SPDX-License-Identifier: MIT
 """Headerless little-endian files of KITTI and nuScenes: scans, `.bin`, and labels, `.label`.
 
-Files of anything but float32 points are refused. The right number of columns is evident from the
-values: a column contains one kind of value, so the share of the variance that lies between columns
-is largest for the right number and its multiples.
+Files of anything but points are refused.
 """
 
 import re
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import RawIds
-from salsanext_cli.errors import FormatError, LabelError, counted
+from salsanext_cli.errors import FormatError, LabelError, counted, notice_once
 from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.files.reading import read_values, reading, size_of
 from salsanext_cli.formats import FORMATS
-from salsanext_cli.formats.columns import USUAL_COLUMNS, require_no_matrix, scan_of, unnamed_columns
-from salsanext_cli.records import Double, Float, Mask, Scan, normalised_intensity
-from salsanext_cli.sensors.sensor import UNUSED_COLUMN
+from salsanext_cli.formats.column_evidence import (
+    are_coordinates,
+    are_float16,
+    are_float64,
+    empty_places,
+    evident_count,
+    planar_count,
+)
+from salsanext_cli.formats.columns import names_to_try, require_no_matrix, scan_of, unnamed_columns
+from salsanext_cli.records import Scan, normalised_intensity
 
 COLUMNS = 4  # x, y, z in metres, remission
 COLUMNS_WITH_RING = 5  # x, y, z, intensity, ring: the `.pcd.bin` files of nuScenes
 REWRITE = "rewrite it as float32 x, y, z, intensity"
+REWRITE_FLOAT16 = "np.fromfile(FILE, np.float16).astype(np.float32).tofile(NEW) converts it"
+REWRITE_ROWS = "np.fromfile(FILE, np.float32).reshape(COLUMNS, -1).T.tofile(NEW) converts it"
 MAX_CLASS = 0xFFFF  # Largest label of four bytes without an instance
 
 
-def read_bin(path: Path, columns: tuple[str, ...] = (), intensity_scale: float = 1.0) -> Scan:
-    """Read a scan of float32 x, y, z, intensity and, in `.pcd.bin` files, ring, or of `columns`."""
-    width = len(columns) or usual_width(path)
-    values, size = _read_floats(path, width)
-    count = evident_count(values, width)
-    if count and are_coordinates(values[:, None]):
-        raise _other_count(path, count, width)
-    if size % (4 * width):
-        hint = "copy it again, or convert it if it has other columns"
-        raise FormatError(path, f"has {size} bytes", _multiple_of(width), hint)
-    table = values.reshape(-1, width)
+@dataclass(frozen=True, slots=True)
+class BinTable:
+    """Points of a `.bin` file, and how they are stored."""
+
+    values: npt.NDArray[np.floating[Any]]  # (N, C) float32 or float64
+    is_planar: bool  # Whether all values of a column follow each other
+
+    def encode(self, rows: npt.NDArray[np.floating[Any]]) -> bytes:
+        """Return the content of a file of the same layout with other rows (K, C)."""
+        return (rows.T if self.is_planar else rows).tobytes()
+
+
+def read_bin(
+    path: Path,
+    columns: tuple[str, ...] = (),
+    intensity_scale: float = 1.0,
+    intensity_field: str = "",
+) -> Scan:
+    """Read a scan of x, y, z, intensity and, in `.pcd.bin` files, ring, or of `columns`."""
+    if intensity_field and not columns:
+        hint = "name the columns: --columns x,y,z,intensity for example"
+        raise FormatError(path, "has no names, so no --intensity-field", "names of columns", hint)
+    table = read_table(path, columns)
     if columns:
-        scan = scan_of(unnamed_columns(table, columns, path), path, intensity_scale)
+        named = unnamed_columns(table.values, columns, path)
+        scan = scan_of(named, path, intensity_scale, intensity_field)
     else:
-        points = np.ascontiguousarray(table[:, :3], np.float32)
-        scan = Scan(points, normalised_intensity(table[:, 3], intensity_scale))
+        with np.errstate(over="ignore", invalid="ignore"):
+            points = np.ascontiguousarray(table.values[:, :3], np.float32)
+        scan = Scan(points, normalised_intensity(table.values[:, 3], intensity_scale))
         require_no_matrix(points, path)
-    if count or not are_coordinates(scan.points):
-        problem = "contains numbers that are not float32, or not coordinates in metres"
-        raise FormatError(path, problem, f"{width} float32 per point", REWRITE)
+    if not are_coordinates(scan.points):
+        raise _no_coordinates(path, table.values.shape[1])
     return scan
+
+
+def read_table(path: Path, columns: tuple[str, ...] = ()) -> BinTable:
+    """Read the values of a `.bin` file in rows of the named or the usual columns."""
+    width = len(columns) or usual_width(path)
+    values, size = _read_values(path, width)
+    with np.errstate(over="ignore", invalid="ignore"):
+        rounded = values.astype(np.float32, copy=False)
+    if fitting := planar_count(rounded, width):
+        if fitting != width:
+            expected = f"rows of {width} float32 per point"
+            raise FormatError(path, "is stored column by column", expected, REWRITE_ROWS)
+        notice_once(f".bin files that store {width} columns one after the other are read as rows")
+        return BinTable(np.ascontiguousarray(values.reshape(width, -1).T), is_planar=True)
+    if count := evident_count(rounded, width):
+        if are_coordinates(rounded[:, None]):
+            raise _other_count(path, count, width)
+        raise _no_coordinates(path, width)
+    if size % (values.itemsize * width):
+        hint = "copy it again, or convert it if it has other columns"
+        raise FormatError(path, f"has {size} bytes", _multiple_of(width, values.itemsize), hint)
+    table = values.reshape(-1, width)
+    places = empty_places(rounded, width)
+    if places is not None and not columns:
+        names = names_to_try(len(places) * width)
+        empty = (
+            f"{int(places.sum())} of {len(places)} rows are empty, as returns without a measurement"
+        )
+        notice_once(
+            f"in .bin files, {empty}; if these are further columns, name them: --columns {names}"
+        )
+    return BinTable(table, is_planar=False)
 
 
 def usual_width(path: Path) -> int:
@@ -55,8 +109,8 @@ def usual_width(path: Path) -> int:
     return COLUMNS_WITH_RING if path.name.lower().endswith(".pcd.bin") else COLUMNS
 
 
-def _read_floats(path: Path, width: int) -> tuple[Float, int]:
-    """Return the float32 values of a file of rows of `width`, and its size in bytes."""
+def _read_values(path: Path, width: int) -> tuple[npt.NDArray[np.floating[Any]], int]:
+    """Return the float32 or float64 values (M,) of a file, and its size in bytes."""
     with reading(path) as file:
         if (size := size_of(file)) == 0:
             raise FormatError(path, "is empty", _multiple_of(width), "copy it again, or remove it")
@@ -67,23 +121,31 @@ def _read_floats(path: Path, width: int) -> tuple[Float, int]:
         file.seek(0)
         values = read_values(file, path, "<f4", size // 4)
     if are_float64(values):
-        raise FormatError(path, "contains float64", f"{width} float32 per point", REWRITE)
+        notice_once(".bin files of float64 are read, and rounded to float32")
+        return values.view("<f8"), size
+    if are_float16(values, width):
+        raise FormatError(path, "looks like float16", f"{width} float32 per point", REWRITE_FLOAT16)
     return values, size
 
 
-def _multiple_of(width: int) -> str:
-    return f"a multiple of {4 * width}: {width} float32 per point"
+def _multiple_of(width: int, itemsize: int = 4) -> str:
+    kind = f"float{8 * itemsize}"
+    return f"a multiple of {itemsize * width}: {width} {kind} per point"
+
+
+def _no_coordinates(path: Path, width: int) -> FormatError:
+    problem = "contains numbers that are not float32, or not coordinates in metres"
+    return FormatError(path, problem, f"{width} float32 per point", REWRITE)
 
 
 def _other_count(path: Path, count: int, expected: int) -> FormatError:
     """Return the error of a file with another number of columns, with names to try."""
-    names = ",".join((*USUAL_COLUMNS, *count * [UNUSED_COLUMN])[:count])
-    hint = f"name its columns, for example with --columns {names}"
+    hint = f"name its columns, for example with --columns {names_to_try(count)}"
     if count == usual_width(path):
         hint = "omit --columns"
     elif suffix := {COLUMNS: ".bin", COLUMNS_WITH_RING: ".pcd.bin"}.get(count):
         hint = f"rename it to {suffix}, or {hint}"
-    return FormatError(path, f"has {count} columns", f"{expected} float32 per point", hint)
+    return FormatError(path, f"has {count} columns", f"{expected} per point", hint)
 
 
 def count_points(path: Path) -> int:
@@ -177,13 +239,6 @@ TEXT_BYTES = 4096  # Size of the start of a file that shows whether it is text
 MIN_TEXT_BYTES = 256  # Size from which float32 values contain bytes that do not occur in text
 MIN_ASCII_BYTES = 16  # The same for ASCII, which is hardly ever coordinates in metres
 CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1a\x1c-\x1f\x7f]")  # Bytes that do not occur in text
-LEAST, MOST = 1e-12, 1e7
-"""Possible magnitudes of values other than 0, in metres and in any unit of intensity and time."""
-MIN_POSSIBLE_SHARE = 0.5  # Share of coordinates possible in any scan; random bytes have a quarter
-MIN_POSSIBLE_SHARE_OF_LOW = 0.42
-"""The same of every second float32; half of those of a planar scanner, z, are 0."""
-MIN_POSSIBLE_SHARE_OF_FLOAT64 = 0.9
-SAMPLE = 4096  # Rows that are examined, evenly spaced
 
 
 def other_kind(start: bytes) -> str | None:
@@ -193,144 +248,3 @@ def other_kind(start: bytes) -> str | None:
     is_text = len(start) >= least and not CONTROL.search(start)
     other = TEXT_SUFFIX if is_text else "a TerraScan file" if start[8:16] == TERRASCAN else None
     return next(of_magic, other)
-
-
-def are_float64(values: Float) -> bool:
-    """Return whether float32 values (M,) of a file are the halves of float64 ones."""
-    # Then most are possible as float64, and most low halves are impossible as float32: random bits
-    # for rounded decimals; for former float32 one of eight values, six of which are impossible.
-    if len(values) % 2:
-        return False
-    halves = np.ascontiguousarray(_sample(values.reshape(-1, 2)))
-    halves = halves[halves.view("<u4").any(axis=1)]
-    if not len(halves):
-        return False
-    possible = are_possible(halves.view("<f8")).mean() > MIN_POSSIBLE_SHARE_OF_FLOAT64
-    return bool(possible and are_possible(halves[:, 0]).mean() < MIN_POSSIBLE_SHARE_OF_LOW)
-
-
-def are_coordinates(values: Float) -> bool:
-    """Return whether coordinates (N, 3) float32 can be metres, points at 0, NaN, inf aside."""
-    rows = _sample(values)
-    measured = rows[np.isfinite(rows) & (rows != 0)]
-    return int(are_possible(measured).sum()) >= MIN_POSSIBLE_SHARE * len(measured)
-
-
-def _sample(rows: Float) -> Float:
-    return rows[:: len(rows) // SAMPLE | 1]  # An odd step meets all columns.
-
-
-def are_possible(values: npt.NDArray[np.floating]) -> Mask:
-    """Mark the magnitudes of measurements; 0 and NaN are none."""
-    with np.errstate(invalid="ignore"):  # of a signalling NaN
-        magnitudes = np.abs(values)
-        return (magnitudes > LEAST) & (magnitudes < MOST)
-
-
-COUNTS = range(3, 17)  # Numbers of columns that are distinguished
-BLOCKS = 32  # Parts of a file that are examined, evenly spaced
-ROWS, VALUES = 64, 128  # Rows of each for their order, and approximate values for their kinds
-STEP_DEG = 5.0  # Largest difference in azimuth between consecutive measurements of a scanner
-IN_TURN = 0.6
-"""Least share of such points; real scans have 0.8 or more, wrong widths 0.34 or less."""
-SHARE_OF_LARGEST = 0.6
-"""Least share of the largest variance; the right number of columns has 0.97 or more."""
-MIN_EXPLAINED, MIN_EXPLAINED_BY_CHANCE = 0.05, 40
-"""Least explained variance for a decision; the second is divided by the number of values."""
-MIN_VARIANCE = 0.005  # Least variance of a property that is examined
-UNIT_TOLERANCE = 0.01  # Error in length of a normal
-SAME_BEAM_RAD = 5e-4  # Angle between returns of one beam; adjacent beams are 1.5 mrad apart or more
-MOVED_TOLERANCE_M = 0.005  # Error of a copy in another frame
-MOST_ROWS = 0.9  # Share of rows that determines the columns of all
-RANGE_LOG10 = 3.0  # Magnitudes count up to a factor of a thousand
-
-
-def evident_count(values: Float, expected: int) -> int | None:
-    """Return a number of columns that values (M,) evidently have instead of `expected`, or None."""
-    if len(values) < 2 * max(expected, *COUNTS):
-        return None
-    count = expected
-    if not _are_in_turn(values, expected):
-        explained = {n: _explained(values, n) for n in {*COUNTS, expected}}
-        most = max(explained.values())
-        if most < MIN_EXPLAINED + MIN_EXPLAINED_BY_CHANCE / min(len(values), SAMPLE):
-            return None
-        if explained[expected] < SHARE_OF_LARGEST * most:
-            # For beams in turn, explained variance grows with the number of rows taken as one.
-            in_turn = (n for n in COUNTS if _are_in_turn(values, n))
-            least = min(n for n in COUNTS if explained[n] >= SHARE_OF_LARGEST * most)
-            count = next(in_turn, least)
-    count = _padded_count(values, count) or _least_count(values, count)
-    return None if count == expected else count
-
-
-def _rows(values: Float, columns: int, length: int = ROWS) -> Double:
-    """Return evenly spaced blocks of rows, (BLOCKS, length, columns), or all rows in one block."""
-    rows = values[: len(values) // columns * columns].reshape(-1, columns)[None]
-    if rows.shape[1] > BLOCKS * length:
-        starts = np.linspace(0, rows.shape[1] - length, BLOCKS).astype(np.intp)
-        rows = rows[0, starts[:, None] + np.arange(length)]
-    with np.errstate(invalid="ignore"):  # of a signalling NaN
-        return rows.astype(np.float64)
-
-
-def _are_in_turn(values: Float, columns: int) -> bool:
-    """Return whether rows of `columns` values are points in the order of a scanner's turn."""
-    x, y = np.moveaxis(_rows(values, columns), -1, 0)[:2]
-    azimuth = np.degrees(np.arctan2(y, x))
-    measured = np.isfinite(azimuth) & ((x != 0) | (y != 0))
-    # The few steps from one block to the next do not matter.
-    steps = np.abs((np.diff(azimuth[measured]) + 180) % 360 - 180)
-    return int((steps < STEP_DEG).sum()) > IN_TURN * max(1, int(steps.size))
-
-
-def _least_count(values: Float, count: int) -> int:
-    """Return the number of columns of one point, if `count` is a multiple of it."""
-    for least in (n for n in COUNTS if n < count and count % n == 0):
-        points = _rows(values, count).reshape(-1, count // least, least)
-        measured = points[..., :2].any(axis=2).mean(axis=0)
-        in_turn = measured.min() > measured.max() / 2 and _are_in_turn(values, least)
-        alike = in_turn or _explained(values, least) > SHARE_OF_LARGEST * _explained(values, count)
-        if alike and _are_of_two_points(*points[:, :2, :3].swapaxes(0, 1)):
-            return least
-    return count
-
-
-def _are_of_two_points(first: Double, second: Double) -> bool:
-    """Return whether values (N, 3) and the next ones of their rows are two points of a scan.
-
-    They are not if the second ones are normals, returns of the same beams, or moved copies.
-    """
-    both = np.stack([first, second])
-    both = both[:, (np.isfinite(both).all(axis=2) & both.any(axis=2)).all(axis=0)]
-    first, second = both
-    size = np.linalg.norm(second, axis=1)
-    across = np.linalg.norm(np.cross(first, second), axis=1)
-    is_normal = np.abs(size - 1) < UNIT_TOLERANCE
-    is_same_beam = across <= SAME_BEAM_RAD * size * np.linalg.norm(first, axis=1)
-    known = np.column_stack([first, np.ones(len(first))])
-    moved = known @ np.linalg.lstsq(known, second, rcond=None)[0]
-    is_moved = (np.abs(second - moved) < MOVED_TOLERANCE_M).all(axis=1)
-    most = MOST_ROWS * len(second)
-    return all(mask.sum() < most for mask in (is_normal, is_same_beam, is_moved))
-
-
-def _padded_count(values: Float, columns: int) -> int | None:
-    """Return the number of columns of a table with only zeros after the expected ones, or None."""
-    for count in reversed(range(2 * columns, COUNTS.stop, columns)):
-        sample = _rows(values, count)
-        if not sample[..., columns:].any() and sample.any():
-            return count
-    return None
-
-
-def _explained(values: Float, columns: int) -> float:
-    """Return the share of the variance of sign, wholeness and magnitude between the columns."""
-    sample = _rows(values, columns, VALUES // columns).reshape(-1, columns)
-    size = np.where(np.isfinite(sample), np.abs(sample), 1.0)
-    is_whole = (size > 0) & (sample == np.rint(sample))
-    magnitude = np.log10(np.maximum(size, 10**-RANGE_LOG10)) / RANGE_LOG10
-    properties = np.stack([sample < 0, is_whole, np.minimum(magnitude, 1)])
-    within, total = properties.var(axis=1, ddof=1).mean(axis=1), properties.var(axis=(1, 2))
-    vary = total > MIN_VARIANCE
-    return float(np.mean(1 - within[vary] / total[vary])) if vary.any() else 0.0

@@ -16,7 +16,8 @@ from salsanext_cli.classes.label_space import LabelSpace, RawIds
 from salsanext_cli.errors import FormatError, LabelError, UsageError, quoted, shortened
 from salsanext_cli.files.yaml_toml import read_yaml
 from salsanext_cli.formats import errors_of_plug_ins, format_of, suffixes_in_words
-from salsanext_cli.formats.columns import Columns, coordinates, listed
+from salsanext_cli.formats.columns import Columns, coordinates
+from salsanext_cli.formats.field_names import PREFIX, listed
 from salsanext_cli.records import Float
 
 LABEL_READER = attrgetter("label_columns")  # Of a format; None without one
@@ -27,7 +28,6 @@ LABEL_NAMES = (
 """Names of label scalars, in lower case, without the prefix."""
 OF_ASPRS = "classification"  # Scalar of LAS, with classes of the ASPRS
 ASPRS_CLASSES = range(2, 23)  # Classes that the ASPRS defines; 0 and 1 are unassigned
-PREFIX = "scalar_"  # Start of the names of scalars in files of CloudCompare
 NO_VALUE = np.iinfo(np.int64).min  # Id of a point without a value, which programs write as NaN
 MAX_ID = 0xFFFFFFFF  # Largest id of a label file, with the instance in its upper 16 bits
 Ids = npt.NDArray[np.int64]

@@ -16,13 +16,14 @@ from numpy.lib import format as npy
 
 from salsanext_cli.errors import FormatError, first_few, notice_once, shortened
 from salsanext_cli.files.reading import read_values, reading, refusing_damage, size_of
-from salsanext_cli.formats.columns import USED_NAMES, Columns, columns_of_width, unnamed_columns
+from salsanext_cli.formats.columns import Columns, columns_of_width, unnamed_columns
+from salsanext_cli.formats.field_names import INTENSITY_NAMES, FieldName, fields_beside, has_axes
 from salsanext_cli.records import Float, Mask
 
 MAX_HEADER_BYTES = 1024  # Largest header; that of an array with a few dimensions has 128
 ROUNDING = 0.01  # Largest deviation of a sum over the classes from 1; float16 has a tenth of it
 EXPECTED = "a table (N, columns), or columns x, y, z, of numbers"
-TABLE_NAMES = ("points", "xyz")  # Names of the table in an archive of several
+TABLE_NAMES = ("points", "xyz", "pcloud_points")  # Names of the table in an archive of several
 USUAL_WIDTHS = range(3, 17)  # Lengths of the last axis of an array of points
 UNNAMED = re.compile(r"arr_\d+")  # Name that numpy gives to an unnamed array
 MAX_RATIO = 100  # Largest size of an archive's content, as a multiple of its own
@@ -130,12 +131,13 @@ def npz_columns(path: Path, names: tuple[str, ...]) -> Columns:
             del single["intensity"]
             notice_once("integers in arr_3 are ignored; name them with --columns if they are used")
         notice_once(f"arrays without names are read as {', '.join(single)}")
-    elif not {"x", "y", "z"} <= {name.lower() for name in single}:
+    elif not has_axes([*single]):
         table = _columns(_table(arrays, path), names, path)
         if not names and [*table] == ["x", "y", "z"]:
             single = _beside_points(single, len(table["x"]))
         single |= table
-    counts = sorted({len(values) for name, values in single.items() if name.lower() in USED_NAMES})
+    used = {*single} - {*fields_beside(single)} | {*_intensities(single)}
+    counts = sorted({len(values) for name, values in single.items() if name in used})
     if len(counts) > 1:
         problem = f"has columns of {counts[0]} and of {counts[-1]} points"
         raise FormatError(path, problem, "one length")
@@ -143,6 +145,11 @@ def npz_columns(path: Path, names: tuple[str, ...]) -> Columns:
     if others:
         notice_once(f"arrays of another length than the points are skipped: {first_few(others)}")
     return {name: values for name, values in single.items() if name not in others}
+
+
+def _intensities(columns: Arrays) -> list[str]:
+    """Return the names of the columns that are known as intensities."""
+    return [name for name in columns if FieldName.parsed(name).plain in INTENSITY_NAMES]
 
 
 def _beside_points(single: Arrays, count: int) -> Arrays:
@@ -206,6 +213,7 @@ def _table(arrays: Arrays, path: Path) -> npt.NDArray[Any]:
 
 def _columns(table: npt.NDArray[Any], names: tuple[str, ...], path: Path) -> Columns:
     """Return the columns of a table by name."""
+    table = rows_of(table)
     if table.dtype.names and table.ndim == 1:
         return {name: table[name] for name in table.dtype.names if table[name].ndim == 1}
     is_plain = table.dtype.kind in "iuf"
@@ -214,10 +222,22 @@ def _columns(table: npt.NDArray[Any], names: tuple[str, ...], path: Path) -> Col
         table = table.T
     if is_plain and table.ndim == 2:
         return unnamed_columns(table, names, path)
-    hint = ""
-    if table.dtype.names:
-        hint = "save array.ravel()"
-    elif is_plain and table.ndim > 2 and table.shape[-1] in USUAL_WIDTHS:
-        hint = f"save array.reshape(-1, {table.shape[-1]})"
     kind = shortened(f"{table.dtype} {table.shape}")
-    raise FormatError(path, f"contains {kind}", EXPECTED, hint)
+    raise FormatError(path, f"contains {kind}", EXPECTED)
+
+
+def rows_of(table: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return a table (N, C), or records (N,), of an organised cloud (rows, columns, C), row by row.
+
+    Other arrays stay as they are.
+    """
+    is_organised = table.ndim > 2 and table.shape[-1] in USUAL_WIDTHS
+    rows: npt.NDArray[Any]
+    if table.dtype.names and table.ndim > 1:
+        rows = table.ravel()
+    elif table.dtype.kind in "iuf" and is_organised:
+        rows = table.reshape(-1, table.shape[-1])
+    else:
+        return table
+    notice_once("arrays of more than one row of points are read row by row")
+    return rows

@@ -15,12 +15,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from salsanext_cli.errors import notice_once, shortened, warn_once
+from salsanext_cli.errors import FormatError, error_text, notice_once, shortened, warn_once
 from salsanext_cli.files.optional_packages import import_open3d
 from salsanext_cli.files.reading import read_values, reading, refusing_damage, size_of
-from salsanext_cli.formats.columns import Columns
-from salsanext_cli.formats.text import is_number, require_decimal_points
-from salsanext_cli.records import Double
+from salsanext_cli.formats.columns import Columns, scan_of
+from salsanext_cli.formats.tables.text import require_decimal_points
+from salsanext_cli.formats.tables.text_layout import is_number
+from salsanext_cli.records import Double, Scan
 
 log = logging.getLogger(__name__)
 
@@ -59,18 +60,37 @@ class Header(NamedTuple):
         ).encode()
 
 
-def pcd_columns(path: Path, _: tuple[str, ...] = ()) -> Columns:
+def read_pcd(
+    path: Path, _: tuple[str, ...], intensity_scale: float, intensity_field: str = ""
+) -> Scan:
+    """Read the scan of a PCD file, row by row if it is organised."""
+    columns, missing = _read(path)
+    return scan_of(columns, path, intensity_scale, intensity_field, missing_points=missing)
+
+
+def pcd_columns(path: Path) -> Columns:
     """Read the fields of a PCD file with one value per point, row by row if it is organised."""
+    columns, missing = _read(path)
+    if missing:
+        warn_once(log, f"{path}: lacks {missing:,} of the points that its header states")
+    return columns
+
+
+def _read(path: Path) -> tuple[Columns, int]:
+    """Return the fields of a PCD file, and the number of points that it lacks."""
     with reading(path) as file, refusing_damage(path, "a complete .pcd file"):
-        header = read_header(file)
+        header = read_header(file, path)
         match header.kind:
             case "ascii":
-                return _read_ascii(file, path, header)
+                columns = _read_ascii(file, path, header)
+                count = len(next(iter(columns.values()), ()))
+                return columns, max(header.point_count - count, 0)
             case "binary":
-                return _read_binary(file, path, header)
+                return _read_binary(file, path, header), 0
             case "binary_compressed":
-                return read_compressed(file, header)
-        raise ValueError(f"DATA {header.kind}, not ascii or binary")
+                return read_compressed(file, header), 0
+        expected = "ascii, binary or binary_compressed"
+        raise FormatError(path, f"has DATA {shortened(header.kind)}", expected)
 
 
 def _read_ascii(file: BufferedReader, path: Path, header: Header) -> Columns:
@@ -100,9 +120,8 @@ def _numbers(text: bytes, width: int, count: int, path: Path, first: int) -> Dou
             values = _irregular(text, width, count, path, first)
     if len(values) < count and not (len(values) and text.endswith(b"\n")):
         raise ValueError(f"{len(values)} of {count} points")
-    if len(values) != count:
-        missing = "; the file may be cut off" if len(values) < count else ""
-        problem = f"has {len(values)} lines of points, but its header states {count}{missing}"
+    if len(values) > count:
+        problem = f"has {len(values)} lines of points, but its header states {count}"
         warn_once(log, f"{path}: {problem}")
     if plain != text:
         notice_once(COMMAS)
@@ -167,20 +186,28 @@ def read_compressed(file: BufferedIOBase, header: Header) -> Columns:
     return columns | dict(zip("xyz", cloud.point.positions.numpy().T, strict=True))
 
 
-def read_header(file: BufferedIOBase) -> Header:
-    """Read up to the line DATA; an unusable header raises `ValueError`."""
-    entries = _entries(file)
-    if "D" in entries.get("TYPE", ()):
+def read_header(file: BufferedIOBase, path: Path) -> Header:
+    """Read up to the line DATA; refuse an unusable header."""
+    entries = _entries(file, path)
+    kinds = [kind.upper() for kind in entries.get("TYPE", ())]
+    if "D" in kinds:
         notice_once("TYPE D in .pcd files is read as F")
+    if lacking := [key for key in ("FIELDS", "SIZE", "TYPE", "DATA") if not entries.get(key)]:
+        raise _unusable(path, f"no line {', '.join(lacking)}")
+    names, sizes = entries["FIELDS"], entries["SIZE"]
+    counts = entries.get("COUNT", ["1"] * len(names))
+    if not len(names) == len(kinds) == len(sizes) == len(counts):
+        numbers = f"{len(names)} FIELDS, {len(sizes)} SIZE, {len(kinds)} TYPE, {len(counts)} COUNT"
+        raise _unusable(path, numbers)
+    fields = list(zip(names, kinds, sizes, counts, strict=True))
+    if unknown := [f"{kind} {size}" for _, kind, size, _ in fields if kind + size not in TYPES]:
+        raise _unusable(path, f"TYPE and SIZE {shortened(unknown[0])}")
     try:
-        names = entries["FIELDS"]
-        counts = [*map(int, entries.get("COUNT", ["1"] * len(names)))]
-        fields = zip(names, entries["TYPE"], entries["SIZE"], counts, strict=True)
         point = np.dtype(
             [
                 (name, TYPES[kind + size])
-                if count == 1 and name != "_"  # padding
-                else (f"{name} {place}", TYPES[kind + size], (count,))
+                if int(count) == 1 and name != "_"  # padding
+                else (f"{name} {place}", TYPES[kind + size], (int(count),))
                 for place, (name, kind, size, count) in enumerate(fields)
             ]
         )
@@ -188,19 +215,23 @@ def read_header(file: BufferedIOBase) -> Header:
         height = int(entries.get("HEIGHT", ["1"])[0])
         return Header(point, math.prod(map(int, points)), entries["DATA"][0].lower(), height)
     except (LookupError, ValueError) as error:
-        raise ValueError(f"an unusable PCD header: {error}") from error
+        raise _unusable(path, error_text(error)) from error
 
 
-def _entries(file: BufferedIOBase) -> dict[str, list[str]]:
+def _unusable(path: Path, problem: str) -> FormatError:
+    return FormatError(path, f"has an unusable header: {problem}", "the header of a PCD file")
+
+
+def _entries(file: BufferedIOBase, path: Path) -> dict[str, list[str]]:
     """Return the words after each keyword."""
     entries: dict[str, list[str]] = {}
     while "DATA" not in entries:
         line = file.readline(MAX_HEADER_BYTES)
         if not line or file.tell() > MAX_HEADER_BYTES:
-            raise ValueError("no PCD header")
+            raise FormatError(path, "has no PCD header", "a line DATA after the fields")
         words = line.decode("ascii", "replace").replace(",", " ").split()
         if words and not words[0].startswith("#"):
             if b"," in line:
                 notice_once(COMMAS)
-            entries[words[0]] = words[1:]
+            entries[words[0].upper()] = words[1:]
     return entries

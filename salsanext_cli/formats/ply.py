@@ -21,6 +21,9 @@ MAX_HEADER_BYTES = 1 << 20
 COUNT = re.compile(rb"(?:^|[\r\n])\s*element\s+(\S+)\s+(\S+)")
 """Name and number of the elements of a kind."""
 BLANKS = re.compile(rb"[ \t]+(?=[\r\n])")  # Blanks at the end of a line, which plyfile refuses
+ASCII = re.compile(rb"[\r\n]\s*format\s+ascii\s")
+BLANK_LINES = re.compile(rb"(?<=\n)[ \t\r]*\n|(?<=\r)[ \t]*\r(?!\n)")
+"""Lines without values among those of an ascii file, which plyfile refuses."""
 
 
 def ply_columns(path: Path, _: tuple[str, ...] = ()) -> Columns:
@@ -46,7 +49,10 @@ def read_ply(path: Path, content: bytes) -> Any:
             raise ValueError("its header states more than it contains")
         if not any(name == b"vertex" for name, _ in elements):
             raise FormatError(path, "has no vertices", "a PLY file with an element vertex")
-        return plyfile.PlyData.read(io.BytesIO(BLANKS.sub(b"", content[:end]) + content[end:]))
+        head, body = BLANKS.sub(b"", content[:end]), content[end:]
+        if ASCII.search(head):
+            body = BLANK_LINES.sub(b"", body)
+        return plyfile.PlyData.read(io.BytesIO(head + body))
 
 
 def encode_ply(columns: Mapping[str, npt.NDArray[Any]], comments: Iterable[str] = ()) -> bytes:

@@ -12,7 +12,9 @@ import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError, LabelError, counted
 from salsanext_cli.files.reading import reading, refusing_damage
-from salsanext_cli.formats import errors_of_plug_ins, format_of, kitti, npy, pcd, ply, text
+from salsanext_cli.formats import errors_of_plug_ins, format_of, kitti, npy, pcd, ply
+from salsanext_cli.formats.tables.text import BYTE_ORDER_MARK
+from salsanext_cli.formats.tables.text_layout import layout_of
 from salsanext_cli.records import Mask
 
 NUMBERS = re.compile(rb"(?m)^(\s*(?:WIDTH|POINTS|element\s+vertex)\s+)\d+")
@@ -40,8 +42,8 @@ def subsets_of(path: Path, names: tuple[str, ...] = ()) -> Subset:
 
 
 def npy_subset(path: Path, names: tuple[str, ...]) -> Subset:
-    """Read a `.npy` table."""
-    table = npy.load_npy(path, npy.EXPECTED)
+    """Read a `.npy` table; an organised cloud becomes one row."""
+    table = npy.rows_of(npy.load_npy(path, npy.EXPECTED))
     if npy.is_transposed(table, len(names)):
         return lambda mask: _written(np.save, _masked(table.T, mask, path).T)
     return lambda mask: _written(np.save, _masked(table, mask, path))
@@ -72,8 +74,9 @@ def _written(write: Callable[..., object], *arguments: Any, **options: Any) -> b
 
 
 def bin_subset(path: Path, names: tuple[str, ...]) -> Subset:
-    """Read a file of float32 values."""
-    return _rows_subset(path, b"", _content(path), 4 * (len(names) or kitti.usual_width(path)))
+    """Read a file of values without a header."""
+    table = kitti.read_table(path, names)
+    return lambda mask: table.encode(_masked(table.values, mask, path))
 
 
 def pcd_subset(path: Path, _: tuple[str, ...]) -> Subset:
@@ -88,12 +91,12 @@ def ply_subset(path: Path, _: tuple[str, ...]) -> Subset:
         return _rows_subset(path, *_ply_parts(_content(path), path))
 
 
-def text_subset(path: Path, names: tuple[str, ...]) -> Subset:
+def text_subset(path: Path, _: tuple[str, ...]) -> Subset:
     """Read a text file of one point per line."""
     content = _content(path)
-    mark = len(content) - len(content.removeprefix(text.BYTE_ORDER_MARK))
+    mark = len(content) - len(content.removeprefix(BYTE_ORDER_MARK))
     with refusing_damage(path, "a complete text file"):
-        layout = text.layout_of(content[mark:], has_names=bool(names))
+        layout = layout_of(content[mark:])
     start = mark + layout.start
     number = NUMBERS if layout.count is None else NUMBER_ALONE
     return _rows_subset(path, content[:start], content[start:], 0, number)
@@ -134,7 +137,7 @@ def _masked(rows: npt.NDArray[Any], mask: Mask, path: Path) -> npt.NDArray[Any]:
 def _pcd_parts(content: bytes, path: Path) -> tuple[bytes, bytes, int]:
     """Return header, points, and bytes per point; 0 for lines."""
     file = io.BytesIO(content)
-    header = pcd.read_header(file)
+    header = pcd.read_header(file, path)
     start, width = file.tell(), header.point.itemsize
     head = ROWS_OF_PCD.sub(rb"\g<1>1", content[:start])
     if header.kind == "ascii":

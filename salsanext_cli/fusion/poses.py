@@ -14,6 +14,11 @@ Points = Double | Float  # (N, 3), metres
 Poses = Double
 """(N, 4, 4), or (4, 4) for one scan: from the frame of the scan to that of the drive, metres."""
 POSES, CALIBRATION = "poses.txt", "calib.txt"
+NO_TR = (
+    f"copy the {CALIBRATION} that has Tr, of KITTI's calibration files or of SemanticKITTI; or "
+    f"give poses of the LiDAR, in a folder without {CALIBRATION}: --poses FILE; or rename {POSES}, "
+    "and the poses are computed from the scans"
+)
 KITTI_NUMBERS, TUM_NUMBERS = 12, 8
 MAX_SHEAR = 1e-2  # Largest difference from 1 of a rotation times its transpose
 MAX_COORDINATE_M = 1e12  # Bound up to which float64 resolves millimetres
@@ -126,7 +131,7 @@ def _calibration(path: Path) -> Poses:
             row = _numbers(path, 0, values)
             if len(row) == KITTI_NUMBERS:
                 return np.vstack([_rigid(path, name, row), [0, 0, 0, 1]])
-    raise FormatError(path, "has no line Tr with 12 numbers, from scan to camera")
+    raise FormatError(path, "has no line Tr with 12 numbers", "Tr, from scan to camera", NO_TR)
 
 
 def encode_poses(poses: Poses) -> bytes:

@@ -17,8 +17,8 @@ OF_RUN = ("mixed-sensors",)
 """Warnings that concern every scan of a run: the fit to its scans suits none of the sensors."""
 WITHHELD_FOR = (
     *(*OF_RUN, "few-directions", "few-points", "height", "indoor", "low-confidence"),
-    *("not-measured", "one-class", "other-images", "out-of-view", "sparse", "tilted", "units"),
-    "upside-down",
+    *("missing-points", "not-measured", "one-class", "other-images", "out-of-view", "sparse"),
+    *("tilted", "units", "upside-down"),
 )
 """Warnings that a scan is unlike the judged drives. Solid-state sensors, which only get
 `part-of-circle`, had the estimated accuracy within 3 points."""

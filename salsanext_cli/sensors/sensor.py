@@ -26,6 +26,7 @@ INTENSITY_LEVELS = 65  # Quantiles of intensity, evenly spaced
 BOX_EXPECTED = "six numbers in metres, least x, y, z and then largest, or none"
 MAX_COLUMNS = 64
 COLUMNS_EXPECTED = f"up to {MAX_COLUMNS} different names in lower case, such as x,y,z,ring"
+FIELD_EXPECTED = "the name of a field other than x, y, z, such as scalar_Amplitude"
 UNUSED_COLUMN = "_"  # Name of unused columns, the only one that may occur twice
 
 SEMANTIC_KITTI_MEANS = (12.12, 10.88, 0.23, -1.04, 0.21)
@@ -39,7 +40,7 @@ ORIGIN = (0.0, 0.0, 0.0)
 FITTED_NAME = "fitted"  # Name of a sensor whose field of view or mounting was fitted to scans
 OPTIONAL = (
     *(*NOISE, "columns", "up", "origin", "intensity_quantiles", "row_gaps", "min_range", "ego_box"),
-    *("traits", "others"),
+    *("traits", "others", "intensity_field"),
 )
 """Fields that are only written if their value is not the default."""
 
@@ -69,6 +70,9 @@ class Sensor:
     columns : tuple of str
         Names, in lower case, of the columns of files without names, such as x, y, z, intensity,
         ring; empty for the usual ones of each format.
+    intensity_field : str
+        Name of the column with the intensity in files with names, or of `columns`; empty for the
+        usual ones.
     up : 3 floats
         Direction away from the ground in the frame of the files; the projection turns it to z.
     origin : 3 floats
@@ -104,6 +108,7 @@ class Sensor:
     range_noise: float | None = None
     intensity_noise: float | None = None
     columns: tuple[str, ...] = ()
+    intensity_field: str = ""
     up: tuple[float, ...] = UP
     origin: tuple[float, ...] = ORIGIN
     intensity_quantiles: tuple[float, ...] = ()
@@ -202,6 +207,11 @@ def are_columns(names: tuple[str, ...]) -> bool:
     return complete and plain and len(set(used)) == len(used) and len(names) <= MAX_COLUMNS
 
 
+def is_field(name: object) -> bool:
+    """Return whether a value can be the name of a column with the intensity."""
+    return isinstance(name, str) and name == name.strip() and name not in (*"xyz", UNUSED_COLUMN)
+
+
 def is_box(values: Any) -> bool:
     """Return whether values are the least and largest coordinates of a box, or none."""
     return values == () or (_are_within(values, count=6) and all(map(lt, values[:3], values[3:])))
@@ -235,6 +245,7 @@ POSSIBLE: dict[str, tuple[Callable[[Any], bool], str]] = {
     "range_noise": (partial(_is_within, least=0), "a deviation in metres"),
     "intensity_noise": (partial(_is_within, least=0), "a deviation"),
     "columns": (are_columns, COLUMNS_EXPECTED),
+    "intensity_field": (is_field, FIELD_EXPECTED),
     "up": (
         lambda values: _are_within(values, count=3) and math.hypot(*values) > MIN_LENGTH,
         "a direction, three numbers",

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import NOTICE
-from salsanext_cli.formats.label_scalars import PREFIX
+from salsanext_cli.formats.field_names import PREFIX
 from salsanext_cli.formats.ply import encode_ply
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.report.colours import PointColours, common_scales, require_colouring

@@ -79,6 +79,20 @@ def test_poses_of_the_camera_become_poses_of_the_scans(tmp_path):
         refused(FormatError, tmp_path / "calib.txt", read_poses, path, STEMS, STEMS)
 
 
+def test_the_hint_of_a_calibration_without_tr_works(tmp_path):
+    """KITTI's archives of images have a calibration without the position of the scanner."""
+    poses = along(0, 1, 2)
+    path = written(tmp_path, encode_poses(poses))
+    (tmp_path / "calib.txt").write_text("P0: 1 0 0 0 0 1 0 0 0 0 1 0\n")
+    caught = refused(FormatError, tmp_path / "calib.txt", read_poses, path, STEMS, STEMS)
+    for remedy in ("calib.txt that has Tr", "--poses FILE", "rename poses.txt"):
+        assert remedy in caught.value.hint
+    elsewhere = tmp_path / "poses"
+    elsewhere.mkdir()
+    path = written(elsewhere, encode_poses(poses))
+    np.testing.assert_allclose(read_poses(path, STEMS, STEMS), poses, atol=1e-12)
+
+
 def test_rounded_rotations_become_rigid(tmp_path):
     poses = along(0, 1, 2)
     path = written(tmp_path, encode_poses(poses * [[1.004], [1.004], [1.004], [1]]))

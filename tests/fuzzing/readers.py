@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import torch
 import yaml
-from cloud_seeds import feather, lines, npz, structured
+from cloud_seeds import feather, leica, lines, named_lines, npz, organised, parquet, structured
 from edited_clouds import write_pcd
 from ouster_recordings import write_recording
 from scans import SMALL, make_scan
@@ -72,7 +72,8 @@ def _table() -> dict[str, np.ndarray]:
 
 def _bin(columns: int) -> list[bytes]:
     table = np.column_stack([*_table().values()])[:, :columns].astype("<f4")
-    return [table.tobytes(), table[:3].tobytes()]
+    others = (table.astype("<f8").round(3), table.T, table.astype("<f2"))
+    return [table.tobytes(), table[:3].tobytes(), *(other.tobytes() for other in others)]
 
 
 def _ply(folder: Path) -> list[bytes]:
@@ -190,7 +191,11 @@ READERS: dict[str, Callable[[Path], Reader]] = {
     },
     "npy of points": lambda _: Reader("s.npy", structured(_table()), _scan),
     "npz": lambda _: Reader("s.npz", npz(_table()), _scan),
+    "npy of rows": lambda _: Reader("s.npy", organised(_table()), _scan),
     "feather": lambda _: Reader("s.feather", feather(_table()), _scan),
+    "parquet": lambda _: Reader("s.parquet", parquet(_table()), _scan),
+    "csv with names": lambda _: Reader("s.csv", named_lines(_table()), _scan),
+    "pts": lambda _: Reader("s.pts", leica(_table()), _scan),
     "csv": lambda _: Reader("s.csv", lines(_table(), ","), _scan),
     "xyz": lambda _: Reader("s.xyz", lines(_table(), " "), _scan),
     "db3": _bag,

@@ -47,6 +47,9 @@ def test_impossible_sensors_and_excessive_sizes_are_refused():
         {"columns": ["x", "y", "z", ""]},
         {"columns": ["x", "y", "z", 3]},
         {"columns": ["x", "y", "z", *"_" * 62]},
+        {"intensity_field": 3},
+        {"intensity_field": "x"},
+        {"intensity_field": " i"},
         {"row_gaps": 1.5},
         {"origin": (0, 1e9, 0)},
         {"intensity_quantiles": (0.0, 1.0)},
@@ -79,6 +82,7 @@ def test_file_and_its_unknown_and_missing_keys(tmp_path):
 def test_columns_and_origin_are_written_if_stated(tmp_path: Path) -> None:
     for key, value in (
         ("columns", ("x", "y", "z", "_", "ring", "_")),
+        ("intensity_field", "scalar_Amplitude"),
         ("origin", (0.9, 0.0, 1.75)),
     ):
         stated = replace(VALID, **{key: value})

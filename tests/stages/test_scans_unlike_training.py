@@ -49,9 +49,11 @@ def scaled(world, folder, scale):
     return changed(world, folder, ["00", "08"], lit(lambda scan: scale * scan.intensity))
 
 
-def test_labels_do_not_depend_on_the_scale_of_the_files(knowing, tmp_path):
+@pytest.mark.parametrize("scale", [100, 255, 65535])
+def test_labels_do_not_depend_on_the_scale_of_the_files(knowing, tmp_path, scale):
+    """Percent, bytes as View of Delft writes them, and 16 bits."""
     run(knowing)
-    large = scaled(knowing, tmp_path / "large", 65535)
+    large = scaled(knowing, tmp_path / "large", scale)
     run(knowing, tmp_path / "matched", large)
     raw = replace(knowing, network=replace(knowing.network, intensity="raw"))
     run(raw, tmp_path / "raw", large)
@@ -137,10 +139,18 @@ def test_odd_scans_leave_the_others_as_they_are(knowing, tmp_path, odd, is_label
     assert (len(expected), len(found)) == (4, 4 + is_labelled)
 
 
-def test_values_that_are_not_intensities_count_as_none(knowing, tmp_path):
-    def none(scan):
-        return np.round(40 * scan.points[:, 2] / np.linalg.norm(scan.points, axis=1))
+def ring(scan):
+    """Return the number of the beam."""
+    return np.round(40 * scan.points[:, 2] / np.linalg.norm(scan.points, axis=1))
 
+
+def simulated(scan):
+    """Return the intensity of CARLA, which falls with the range whatever the surface is."""
+    return np.exp(-0.004 * np.linalg.norm(scan.points, axis=1))
+
+
+@pytest.mark.parametrize("none", [ring, simulated])
+def test_values_that_are_not_intensities_count_as_none(knowing, tmp_path, none):
     blind = replace(knowing, network=replace(knowing.network, intensity="none"))
     run(blind)
     expected = labels_below(knowing.out)

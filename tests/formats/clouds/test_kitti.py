@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from scans import make_scan
+from scans import make_scan, real_columns, real_scans
 
-from salsanext_cli.errors import FormatError, LabelError
+from salsanext_cli.errors import NOTICE, FormatError, LabelError, notice_once
 from salsanext_cli.formats import kitti
 
 
@@ -37,16 +37,10 @@ def test_negative_intensities_and_signalling_nans_are_read(tmp_path):
     assert np.flatnonzero(np.isnan(scan.intensity)).tolist() == [59]
 
 
-def real_scans(real_data):
-    """Return the `.bin` files, without those that are no scans."""
-    found = sorted((real_data / "data").rglob("*.bin"))
-    return [path for path in found if "not_scans" not in path.parts]
-
-
 @pytest.mark.real
 def test_no_real_scan_is_refused(real_data, tmp_path):
     for path in real_scans(real_data):
-        columns = 5 if "five" in path.name else 4
+        columns = real_columns(path)
         link = tmp_path / f"{len(list(tmp_path.iterdir()))}{'.pcd' * (columns == 5)}.bin"
         link.symlink_to(path)
         scan = kitti.read_bin(link)
@@ -79,18 +73,6 @@ def test_a_real_scan_with_other_columns_is_refused_with_names_to_try(real_data, 
         (names,) = re.findall(r"--columns (\S+)", caught.value.hint)
         scan = kitti.read_bin(path, columns=tuple(names.split(",")))
         np.testing.assert_array_equal(scan.points, table[:, :3])
-
-
-@pytest.mark.real
-def test_no_real_scan_in_another_order_is_refused(real_data):
-    for path in real_scans(real_data)[::4]:
-        count = 5 if "five" in path.name else 4
-        table = np.fromfile(path, "<f4").reshape(-1, count)
-        shuffled = np.random.default_rng(0).permutation(table)
-        for rows in (table, shuffled, table[: len(table) // 2], shuffled[:100]):
-            assert kitti.evident_count(rows.ravel(), count) is None, path
-            assert kitti.evident_count(rows.ravel(), 9 - count) in {count, None}, path
-        assert kitti.evident_count(shuffled.ravel(), 9 - count) == count, path
 
 
 @given(hnp.arrays(np.uint32, st.integers(0, 50)))
@@ -146,10 +128,10 @@ OTHERS = {
     "ply": (b"ply\nformat binary_little_endian 1.0\n" + bytes(16 * 99), "is a .ply file"),
     "npy": (npy(TABLE), "is a .npy file"),
     "gzip": (gzip.compress(kitti.encode_bin(SCAN)), "is a gzip file"),
-    "float64": (TABLE.astype("<f8").tobytes(), "float64"),
-    "float64, decimals": (TABLE.astype("<f8").round(3).tobytes(), "float64"),
-    "float64, dyadic": (np.rint(TABLE.astype("<f8") * 128) / 128, "float64"),
-    "float64, five columns": (np.hstack([TABLE, RING]).astype("<f8").tobytes(), "float64"),
+    "float64, five columns": (np.hstack([TABLE, RING]).astype("<f8").tobytes(), "5 columns"),
+    "float64, cut off": (TABLE.astype("<f8").tobytes()[:-8], "95992 bytes"),
+    "float16": (TABLE.astype("<f2").tobytes(), "looks like float16"),
+    "five planes": (np.hstack([TABLE, RING]).T.astype("<f4").tobytes(), "column by column"),
     "millimetres as int32": ((TABLE * 1000).astype("<i4").tobytes(), "not coordinates"),
     "big endian": (TABLE.astype(">f4").tobytes(), "not coordinates"),
     "random": (np.random.default_rng(0).bytes(48_000), "not coordinates"),
@@ -202,175 +184,58 @@ def test_any_columns(tmp_path):
     assert not kitti.read_bin(path, columns=("x", "y", "z")).intensity.any()
 
 
-VLP16_DEG = [-15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15]
-"""Elevations in the order of firing: every other beam looks up."""
-BEAMS = 16
+@pytest.mark.parametrize("columns", [(), ("x", "y", "z", "intensity")])
+@pytest.mark.parametrize("layout", ["decimals", "dyadic", "planar", "planar float64"])
+def test_float64_and_planar_files_are_read_with_a_notice(tmp_path, caplog, columns, layout):
+    notice_once.cache_clear()
+    caplog.set_level(NOTICE, "salsanext_cli")
+    table = np.column_stack([SCAN.points, SCAN.intensity]).astype("<f8")
+    table = np.rint(table * 128) / 128 if layout == "dyadic" else table.round(3)
+    stored = table.T if "planar" in layout else table
+    kind = "<f4" if layout == "planar" else "<f8"
+    (tmp_path / "s.bin").write_bytes(stored.astype(kind).tobytes())
+    scan = kitti.read_bin(tmp_path / "s.bin", columns)
+    np.testing.assert_array_equal(scan.points, table[:, :3].astype("f4"))
+    np.testing.assert_array_equal(scan.intensity, table[:, 3].astype("f4"))
+    assert ("float64" in caplog.text) == (kind == "<f8")
+    assert ("one after the other" in caplog.text) == ("planar" in layout)
 
 
-def scan(turns=1800, beams=VLP16_DEG, seed=0):
-    """Simulate x, y, z of a scanner above flat ground, firing all beams at an azimuth."""
-    random = np.random.default_rng(seed)
-    azimuth, elevation = np.repeat(np.linspace(-np.pi, np.pi, turns), len(beams)), np.radians(beams)
-    elevation = np.tile(elevation, turns)
-    walls = random.uniform(5, 60, len(azimuth))
-    down = np.minimum(1.8 / np.maximum(np.sin(-elevation), 1e-3), 40)
-    ranges = np.where(elevation < 0, down, walls) * random.normal(1, 0.02, len(azimuth))
-    flat = ranges * np.cos(elevation)
-    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), ranges * np.sin(elevation)], 1)
+def test_the_hints_of_other_types_and_orders_work(tmp_path):
+    for name, table in {
+        "float16": TABLE.astype("<f2"),
+        "planes": np.hstack([TABLE, RING]).T.astype("<f4"),
+    }.items():
+        old, new = tmp_path / f"{name}.bin", tmp_path / f"{name}_new.bin"
+        old.write_bytes(table.tobytes())
+        with pytest.raises(FormatError) as caught:
+            kitti.read_bin(old)
+        code = caught.value.hint.removesuffix(" converts it")
+        eval(code, {"np": np, "FILE": old, "NEW": new, "COLUMNS": 5})
+        names = ("x", "y", "z", "intensity", "ring")[: 4 if name == "float16" else 5]
+        points = table.reshape(5, -1).T[:, :3] if name == "planes" else table[:, :3]
+        np.testing.assert_array_equal(kitti.read_bin(new, names).points, points.astype("f4"))
+    with pytest.raises(FormatError, match="no names") as caught:
+        kitti.read_bin(new, intensity_field="ring")
+    assert "--columns" in caught.value.hint
+    scan = kitti.read_bin(new, names, 63.0, "ring")
+    np.testing.assert_array_equal(scan.intensity, np.float32(RING[:, 0]) / np.float32(63))
 
 
-def others(points, seed=1):
-    """Return columns that programs write beside the coordinates, by name."""
-    random, count = np.random.default_rng(seed), len(points)
-    normals = random.normal(size=(count, 3))
-    normals /= np.linalg.norm(normals, axis=1)[:, None]
-    return {
-        "fraction": random.random(count) ** 2,
-        "byte": random.integers(0, 256, count),
-        "decibel": -30 * random.random(count),
-        "ring": np.arange(count) % BEAMS,
-        "time": np.arange(count) * 1e-6,
-        "one": np.ones(count),
-        "zero": np.zeros(count),
-        **{f"normal{i}": normals[:, i] for i in range(3)},
-        **{f"colour{i}": random.integers(0, 256, count) for i in range(3)},
-    }
-
-
-def table(names, points):
-    found = others(points)
-    return np.column_stack([points, *(found[name] for name in names)]).astype(np.float32)
-
-
-NORMALS, COLOURS = ("normal0", "normal1", "normal2"), ("colour0", "colour1", "colour2")
-RECORDS = (
-    (),
-    ("fraction",),
-    ("decibel",),
-    ("ring", "fraction"),
-    ("fraction", "time"),
-    ("byte", "time", "ring", "zero", "zero"),
-    ("fraction", *COLOURS, "time"),
-    ("one", *NORMALS, "zero", "fraction", *["zero"] * 3),
-    ("fraction", *["zero"] * 12),
-)
-
-
-def in_both_orders(rows):
-    """Return the values of rows in their order, and shuffled."""
-    return rows.ravel(), np.random.default_rng(2).permutation(rows).ravel()
-
-
-@pytest.mark.parametrize("names", RECORDS, ids="-".join)
-def test_a_wrong_number_of_columns_is_noticed_and_the_right_one_never(names):
-    rows = table(names, scan())
-    count = rows.shape[1]
-    # Zeros are points without a return where the coordinates lie in the right columns.
-    padded = names[1:2] == ("zero",)
-    for values in in_both_orders(rows):
-        assert kitti.evident_count(values, count) is None
-        for expected in {4, 5} if padded else {*range(3, 8), 16}:
-            if expected != count:
-                assert kitti.evident_count(values, expected) == count, expected
-
-
-@pytest.mark.parametrize("names", RECORDS, ids="-".join)
-def test_a_multiple_of_the_columns_which_halves_the_points_is_noticed(names):
-    """The simulated beams that look up and down in turn are of two kinds, so a ring follows."""
-    rows = table(names, scan(beams=[*range(-25, 7)]))
-    count = rows.shape[1]
-    for values in in_both_orders(rows):
-        for expected in range(2 * count, kitti.COUNTS.stop, count):
-            assert kitti.evident_count(values, expected) == count, expected
-
-
-@pytest.mark.real
-def test_a_multiple_of_the_columns_of_a_real_scan_is_noticed(real_data):
-    for path in real_scans(real_data)[::4]:
-        count = 5 if "five" in path.name else 4
-        rows = np.fromfile(path, "<f4").reshape(-1, count)
-        normals = np.random.default_rng(1).normal(size=(len(rows), 3))
-        shuffled = np.random.default_rng(0).permutation(rows)
-        for points in (rows, shuffled):
-            for times in range(2, 16 // count + 1):
-                assert kitti.evident_count(points.ravel(), times * count) == count, path
-            # Normals, zeros and colours beside the coordinates are no further points.
-            for others in (normals, 0 * normals, np.abs(normals) * 99 // 1):
-                wide = np.hstack([points[:, :3], others]).astype("<f4")
-                assert kitti.evident_count(wide.ravel(), 6) is None, path
-
-
-@pytest.mark.parametrize("lost", [0.0, np.nan])
-def test_points_without_a_return_change_nothing(lost):
-    rows = table(("byte",), scan())
-    rows[np.random.default_rng(3).random(len(rows)) < 0.7] = lost
-    for values in in_both_orders(rows):
-        assert kitti.evident_count(values, 4) is None
-        assert kitti.evident_count(values, 5) == 4
-
-
-def test_few_points_are_enough_or_undecided():
-    points = np.random.default_rng(4).permutation(scan())
-    for names in RECORDS:
-        for count in (25, 50, 200):
-            values = table(names, points[:count]).ravel()
-            assert kitti.evident_count(values, 3 + len(names)) is None, names
-            assert kitti.evident_count(values, 4) in {None, 3 + len(names)}, names
-
-
-@given(hnp.arrays("<u4", st.integers(0, 300)), st.sampled_from([*kitti.COUNTS, 40]))
-def test_any_bytes_have_some_number_of_columns_or_none(content, expected):
-    found = kitti.evident_count(content.view("<f4"), expected)
-    assert found is None or (found in kitti.COUNTS and found != expected)
-
-
-def wide_records(points, random):
-    """Return records of eight columns that hold one point each, by what lies beside it."""
-    size = np.linalg.norm(points, axis=1, keepdims=True)
-    intensity = random.random((len(points), 1)) ** 2
-    normals = random.normal(-points / size, 0.2)
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    farther = points * random.choice([1, 1, 1.1, 1.5], (len(points), 1))
-    nearer = points * (random.random((len(points), 1)) < 0.3)
-    turned = points @ rotation_about_z(0.02) + (0.9, -0.1, 0.02)
-    beside = {
-        "normals": [normals, np.abs(random.normal(0, 0.01, intensity.shape))],
-        "dual returns": [farther, intensity / 2],
-        "dual returns or zeros": [nearer, intensity / 2],
-        "moved": [points + (1.5, 0.2, 1.7), intensity],
-        "turned": [turned, intensity],
-    }
-    return {name: np.hstack([points, intensity, *each]) for name, each in beside.items()}
-
-
-def rotation_about_z(angle):
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
-
-
-def require_wide_records_are_read(path, points):
-    columns = ("x", "y", "z", "intensity", *"____")
-    for name, rows in wide_records(points, np.random.default_rng(0)).items():
-        for values in in_both_orders(rows.astype("<f4")):
-            path.write_bytes(values.tobytes())
-            found = kitti.read_bin(path, columns=columns)
-            np.testing.assert_array_equal(found.points, values.reshape(-1, 8)[:, :3], name)
-    # Rows of two points each, the second of which the columns would skip.
-    pairs = table(("fraction",), points[: len(points) // 2 * 2])
-    for values in in_both_orders(pairs):
-        path.write_bytes(values.tobytes())
-        with pytest.raises(FormatError, match="has 4 columns") as caught:
-            kitti.read_bin(path, columns=columns)
-        assert caught.value.hint == "omit --columns"
-
-
-def test_columns_beside_one_point_are_no_second_point(tmp_path):
-    require_wide_records_are_read(tmp_path / "s.bin", scan(beams=[*range(-25, 7)]))
-
-
-@pytest.mark.real
-def test_columns_beside_a_real_point_are_no_second_point(real_data, tmp_path):
-    for path in real_scans(real_data)[::8]:
-        points = np.fromfile(path, "<f4").reshape(-1, 5 if "five" in path.name else 4)[:, :3]
-        measured = points[points.any(axis=1)].astype(float)
-        require_wide_records_are_read(tmp_path / "s.bin", measured)
+def test_unmeasured_returns_that_recur_are_no_further_columns(tmp_path, caplog):
+    notice_once.cache_clear()
+    caplog.set_level(NOTICE, "salsanext_cli")
+    path, rows = tmp_path / "s.bin", TABLE.astype("<f4")
+    for order in (rows, np.random.default_rng(0).permutation(rows)):
+        dual = np.zeros((len(order), 2, 4), np.float32)
+        dual[:, 0] = order
+        path.write_bytes(dual.tobytes())
+        np.testing.assert_array_equal(kitti.read_bin(path).points[::2], order[:, :3])
+        names = re.search(r"--columns (\S+)", caplog.text)[1]
+        scan = kitti.read_bin(path, tuple(names.split(",")))
+        np.testing.assert_array_equal(scan.points, order[:, :3])
+        for lost in (np.inf, -np.inf, np.nan):
+            third = order.copy()
+            third[::3, :3] = lost
+            path.write_bytes(third.tobytes())
+            np.testing.assert_array_equal(kitti.read_bin(path).points, third[:, :3])

@@ -9,10 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from scans import SMALL
+from scans import SMALL, named_by_hint
 
 from salsanext_cli import read_scan
 from salsanext_cli.errors import FormatError
+from salsanext_cli.formats.subsets import subsets_of
 
 TABLE = np.array([[1, -2, 3, 51], [4, 5, -6, 255]], np.float32)
 
@@ -74,9 +75,10 @@ def test_archives(tmp_path, name, save):
 def test_other_arrays_are_refused(tmp_path):
     for array, problem, hint in (
         (np.zeros(9), "float64 (9,)", ""),
-        (np.zeros((6, 5, 4), "<f4"), "float32 (6, 5, 4)", "save array.reshape(-1, 4)"),
-        (np.zeros((2, 3), [("x", "f4"), ("y", "f4")]), "(2, 3)", "save array.ravel()"),
-        (np.zeros((5, 100)), "100 columns", "--columns"),
+        (np.zeros((4, 5, 64), "<f4"), "float32 (4, 5, 64)", ""),
+        (np.zeros((2, 3), [("x", "f4"), ("y", "f4")]), "columns x, y", ""),
+        (np.zeros((5, 7)), "7 columns", "--columns x,y,z,intensity,_,_,_"),
+        (np.zeros((5, 100)), "100 columns", "at most 64"),
         (np.zeros((9, 4), np.complex64), "complex64", ""),
         (np.array([[{}, 1, 2]], object), "object", ""),
         (np.zeros(3, [("a", "f4"), ("y", "f4")]), "columns a, y", ""),
@@ -88,6 +90,51 @@ def test_other_arrays_are_refused(tmp_path):
             read_scan(tmp_path / "s.npy")
         assert problem in caught.value.problem
         assert hint in caught.value.hint
+
+
+ORGANISED = np.arange(4 * 5 * 6, dtype="<f4").reshape(4, 5, 6)
+"""Rows, columns and six values of each pixel."""
+
+
+def test_organised_clouds_are_read_row_by_row(tmp_path):
+    path = tmp_path / "s.npy"
+    np.save(path, ORGANISED[..., :4])
+    rows = np.array([pixel[:4] for row in ORGANISED for pixel in row])
+    np.testing.assert_array_equal(read_scan(path).points, rows[:, :3])
+    np.testing.assert_array_equal(read_scan(path).intensity, rows[:, 3])
+    kept = np.arange(20) % 3 == 0
+    path.write_bytes(subsets_of(path)(kept))
+    np.testing.assert_array_equal(read_scan(path).points, rows[kept, :3])
+    records = np.zeros((4, 5), [("y", "f4"), ("x", "f4"), ("z", "f4")])
+    for name, values in zip("xyz", np.moveaxis(ORGANISED, -1, 0), strict=False):
+        records[name] = values
+    np.save(path, records)
+    np.testing.assert_array_equal(read_scan(path).points, rows[:, :3])
+
+
+def test_one_hint_names_the_columns_of_an_organised_cloud(tmp_path):
+    path = tmp_path / "s.npy"
+    np.save(path, ORGANISED)
+    names = named_by_hint(path)
+    assert len(names) == 6
+    scan = read_scan(path, replace(SMALL, columns=names))
+    np.testing.assert_array_equal(scan.points, ORGANISED.reshape(-1, 6)[:, :3])
+
+
+A2D2 = {
+    "pcloud_points": TABLE[:, :3].astype("f8"),
+    "pcloud_attr.reflectance": np.array([9, 200]),
+    "pcloud_attr.row": np.ones(2),
+    "pcloud_attr.valid": np.ones(2, bool),
+}
+
+
+def test_fields_behind_a_prefix_are_known(tmp_path):
+    np.savez(tmp_path / "s.npz", **A2D2)
+    scan = read_scan(tmp_path / "s.npz")
+    np.testing.assert_array_equal(scan.points, TABLE[:, :3])
+    np.testing.assert_array_equal(scan.intensity, [9, 200])
+    assert scan.notes.fields == ("pcloud_attr.row",)
 
 
 def test_archives_without_one_scan(tmp_path):

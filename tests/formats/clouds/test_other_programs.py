@@ -12,8 +12,10 @@ from scans import SMALL, make_scan
 
 from salsanext_cli import read_scan
 from salsanext_cli.errors import NOTICE, FormatError, notice_once
+from salsanext_cli.fitting.scan_checks import check_scan
 from salsanext_cli.formats.kitti import read_bin
 from salsanext_cli.formats.npy import read_integers
+from salsanext_cli.formats.pcd import pcd_columns
 from salsanext_cli.formats.subsets import subsets_of
 
 SCAN = make_scan(300)
@@ -40,7 +42,7 @@ def pcd(old="", new="", lines=LINES):
 
 
 LAYOUTS = {
-    "velo.csv": (VELOVIEW.encode(), "Points:0"),
+    "velo.csv": (VELOVIEW.encode(), "Points_m_XYZ:0"),
     "view.csv": (VELOVIEW.replace("_m_XYZ", "").encode(), "Points:0"),
     "rows.npy": (saved(np.save, TABLE.T), "transposed"),
     "rows_f8.npy": (saved(np.save, TABLE.T.astype("<f8", "C")), "transposed"),
@@ -52,7 +54,6 @@ LAYOUTS = {
     "kind_d.pcd": (pcd("F F F F F", "F F F F D"), "TYPE D"),
     "sizes.pcd": (pcd("4 4 4 4 8", "4, 4, 4, 4, 8"), "commas"),
     "values.pcd": (pcd(lines=[line.replace(" ", ",") for line in LINES]), "commas"),
-    "fewer.pcd": (pcd("300", "12466"), "300 lines of points, but its header states 12466; "),
     "less.pcd": (pcd("300", "12"), "300 lines of points, but its header states 12"),
 }
 
@@ -127,6 +128,25 @@ def test_a_short_line_lacks_only_its_last_values(tmp_path, said):
     assert f"{path}: line 211 has 2 of 5 values" in said.text
 
 
+def test_a_scan_knows_the_points_that_its_file_lacks(tmp_path, said):
+    path = tmp_path / "s.pcd"
+    path.write_bytes(pcd("300", "12466"))
+    scan = read_scan(path)
+    np.testing.assert_array_equal(scan.points, SCAN.points)
+    assert scan.notes.missing_points == 12166
+    findings = check_scan(path, scan, SMALL).findings
+    assert findings[0].code == "missing-points"
+    assert "12,166" in findings[0].problem
+    assert not said.messages
+    # Clouds with labels are not checked.
+    pcd_columns(path)
+    assert str(path) in said.text
+    path.write_bytes(pcd())
+    assert "missing-points" not in [
+        f.code for f in check_scan(path, read_scan(path), SMALL).findings
+    ]
+
+
 @pytest.mark.parametrize(
     ("lines", "problem"),
     [
@@ -160,6 +180,27 @@ def feather(table, **more):
     arrow = pytest.importorskip("pyarrow")
     write = pytest.importorskip("pyarrow.feather").write_feather
     return saved(lambda file, of: write(of, file), arrow.table({**table, **more}))
+
+
+@pytest.mark.parametrize("compression", ["none", "snappy", "zstd"])
+def test_parquet_is_read_as_feather(tmp_path, compression):
+    arrow = pytest.importorskip("pyarrow")
+    write = pytest.importorskip("pyarrow.parquet").write_table
+    path, notes = tmp_path / "s.parquet", ["ground"] * 300
+    columns = dict(zip(("x", "y", "z", "intensity"), TABLE.T, strict=True))
+    z = arrow.array(Z, mask=np.arange(300) == 7)
+    write(arrow.table({**columns, "z": z, "notes": notes}), path, compression=compression)
+    scan, expected = read_scan(path), SCAN.points.copy()
+    # An empty cell is a point without a measurement.
+    expected[7, 2] = np.nan
+    np.testing.assert_array_equal(scan.points, expected)
+    np.testing.assert_array_equal(scan.intensity, SCAN.intensity)
+    write(arrow.table({"x": X, "y": Y}), path)
+    with pytest.raises(FormatError, match="also z"):
+        read_scan(path)
+    path.write_bytes(path.read_bytes()[:-9])
+    with pytest.raises(FormatError, match="damaged or cut off"):
+        read_scan(path)
 
 
 def test_scans_of_argoverse(tmp_path, said):
@@ -213,6 +254,7 @@ KINDS = {
     "a message of ROS 2": b"\0\1\0\0" + struct.pack("<II", 9, 77) + b"\x0b\0\0\0lidar_link\0",
     "a TerraScan file": struct.pack("<II8sI", 56, 20020715, b"\xa1\xce\x0e\0CXYZ", 1000),
     "a .feather file": b"ARROW1\0\0",
+    "a .parquet file": b"PAR1\x15\0",
     "an E57 file": b"ASTM-E57\1\0\0\0",
     "a LAS file": b"LASF\0\0\1\0",
     "a .mcap file": b"\x89MCAP0\r\n",

@@ -9,6 +9,7 @@ from scans import IN_BYTES, refused
 
 from salsanext_cli.errors import FormatError, MissingDependency
 from salsanext_cli.formats import read_scan
+from salsanext_cli.formats.subsets import subsets_of
 
 
 def header(fields="x:F4 y:F4 z:F4 intensity:F4", points=2, data="binary"):
@@ -59,6 +60,17 @@ def test_ascii_and_an_old_header_without_count_and_points(tmp_path):
     assert read_scan(path).intensity.tolist() == [4, 8]
 
 
+def test_keywords_and_types_in_lower_case(tmp_path):
+    path = tmp_path / "s.pcd"
+    head = header("x:f4 y:f4 z:f4 intensity:u1").replace(b"FIELDS", b"fields")
+    path.write_bytes(head + struct.pack("<3fB", 1, 2, 3, 51) * 2)
+    np.testing.assert_array_equal(read_scan(path).points, [[1, 2, 3]] * 2)
+    np.testing.assert_array_equal(read_scan(path).intensity, np.float32([0.2] * 2))
+    kept = subsets_of(path)(np.array([True, False]))
+    assert kept.endswith(struct.pack("<3fB", 1, 2, 3, 51))
+    assert b"POINTS 1\n" in kept
+
+
 @pytest.mark.parametrize("data", ["ascii", "binary", "binary_compressed"])
 def test_clouds_without_points_or_intensity_and_of_large_float64(tmp_path, data):
     path = tmp_path / "s.pcd"
@@ -89,10 +101,12 @@ def test_bad_files(tmp_path, capfd):
     for content, found in (
         (b"", "no PCD header"),
         (b"bytes\x00\xff" * 20000, "no PCD header"),
-        (b"# .PCD v0.7\nDATA binary\n", "'FIELDS'"),
+        (b"# .PCD v0.7\nDATA binary\n", "no line FIELDS, SIZE, TYPE"),
         (header("a:F4 b:F4 z:F4") + bytes(24), "columns a, b, z"),
         (header("x:F4 x:F4 y:F4 z:F4") + bytes(32), "more than once"),
-        (header("x:F3 y:F4 z:F4") + bytes(22), "'F3'"),
+        (header("x:F3 y:F4 z:F4") + bytes(22), "header: TYPE and SIZE F 3"),
+        (header().replace(b"SIZE 4 4 4 4", b"SIZE 4 4 4") + bytes(32), "4 FIELDS, 3 SIZE"),
+        (header().replace(b"POINTS 2", b"POINTS two") + bytes(32), "unusable header"),
         (header(data="zipped") + bytes(32), "DATA zipped"),
         (header() + bytes(31), "31 bytes of data, not 32"),
         (header(data="ascii") + b"1 2 3 4", "cut off: 1 of 2 points"),
@@ -114,6 +128,9 @@ def test_bad_files(tmp_path, capfd):
         path.write_bytes(content)
         caught = refused(FormatError, path, read_scan, path)
         assert found in caught.value.problem
+        # The points of such a file may be complete.
+        is_unusable = "header" in caught.value.problem or "DATA" in caught.value.problem
+        assert not (is_unusable and "damaged" in caught.value.problem)
         assert capfd.readouterr() == ("", ""), "open3d prints by itself"
 
 

@@ -96,6 +96,19 @@ def test_no_vertices_are_named_and_blanks_at_the_ends_of_lines_are_no_damage(tmp
     assert read_scan(path).points.tolist() == [[0, 1, 2], [4, 5, 6]]
 
 
+def test_blank_lines_among_ascii_points_are_no_damage(tmp_path):
+    path = tmp_path / "s.ply"
+    for body in (b"\n1 2 3 4\n5 6 7 8\n", b"1 2 3 4\n \t\n\n5 6 7 8\n\n"):
+        for end in (b"\n", b"\r\n", b"\r"):
+            content = (header(data="ascii") + body).replace(b"\n", end)
+            path.write_bytes(content)
+            assert read_scan(path).points.tolist() == [[1, 2, 3], [5, 6, 7]]
+    # In binary points the same bytes are values.
+    values = struct.pack("<8f", *range(8))
+    path.write_bytes(header() + b"\n\n\n\n" + values[4:])
+    assert read_scan(path).points[0].tolist() == [*struct.unpack("<f", b"\n\n\n\n"), 1, 2]
+
+
 def test_missing_plyfile_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "plyfile", None)
     with pytest.raises(MissingDependency, match="pip install plyfile"):

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scans import SMALL, refused
+from scans import SMALL, named_by_hint, refused
 
 from salsanext_cli import read_scan
-from salsanext_cli.errors import FormatError
+from salsanext_cli.errors import NOTICE, FormatError, notice_once
 
 ROWS = [[1.5, -2.0, 3e-3, 0.25], [4.0, 5.0, -6.0, 1.0]]
 TABLES = {
@@ -37,6 +37,96 @@ def test_tables_of_several_programs(tmp_path, name):
         scan = read_scan(path)
         np.testing.assert_array_equal(scan.points, np.float32(ROWS)[:, :3])
         np.testing.assert_array_equal(scan.intensity, np.float32(ROWS)[:, 3])
+
+
+HEADERS = {
+    "Ouster": (
+        "# TIMESTAMP (ns), ROW, RANGE (mm), REFLECTIVITY (%), X1 (mm), Y1 (mm), Z1 (mm)\n"
+        "17, 0, 2500, 0.25, 1500, -2000, 3\n18, 1, 8775, 1, 4000, 5000, -6000\n"
+    ),
+    "units": "X [m],Y [m],Z [m],Intensity [-]\n1.5,-2,3e-3,.25\n4,5,-6,1\n",
+    "units and blanks": "# x (cm) y (cm) z (cm) remission\n150 -200 .3 .25\n400 500 -600 1\n",
+    "units behind an underscore": "x_mm;y_mm;z_mm;i\n1500;-2000;3;.25\n4000;5000;-6000;1\n",
+    "another prefix": "pos_x,pos_y,pos_z,laser.Reflectivity\n1.5,-2,3e-3,.25\n4,5,-6,1\n",
+    "scalars": "//X Y Z Scalar_Reflectance\n1.5 -2 3e-3 .25\n4 5 -6 1\n",
+    "both axes": "x1,y1,z1,x,y,z,i\n0,0,0,1.5,-2,3e-3,.25\n0,0,0,4,5,-6,1\n",
+}
+
+
+@pytest.mark.parametrize("name", HEADERS)
+def test_names_with_units_prefixes_and_synonyms(tmp_path, name):
+    for suffix in (".csv", ".xyz"):
+        path = tmp_path / f"s{suffix}"
+        path.write_text(HEADERS[name], "utf-8")
+        scan = read_scan(path)
+        np.testing.assert_allclose(scan.points, np.float32(ROWS)[:, :3], rtol=1e-6)
+        np.testing.assert_array_equal(scan.intensity, np.float32(ROWS)[:, 3])
+
+
+def test_other_units_than_metres_are_noticed(tmp_path, caplog):
+    notice_once.cache_clear()
+    caplog.set_level(NOTICE, "salsanext_cli")
+    (tmp_path / "s.csv").write_text(HEADERS["Ouster"])
+    read_scan(tmp_path / "s.csv")
+    assert "X1 (mm), Y1 (mm), Z1 (mm)" in caplog.text
+    assert "in mm are converted to metres" in caplog.text
+
+
+CELLS = {
+    "pandas": ",x,y,z,intensity\n0,1.5,-2,3e-3,.25\n1,,,,\n2,4,5,-6,1\n",
+    "semicolons": "1.5;-2;3e-3;.25\n ; ; ;\n4;5;-6;1\n",
+    "words": "x,y,z,i\r\n1.5,-2,3e-3,.25\r\nNA,null,None,N/A\r\n4,5,-6,1\r\n",
+    "blanks": "x y z i\n1.5 -2 3e-3 .25\nNA NaN null NA\n4 5 -6 1\n",
+    "quotes": '"x","y","z","i"\n"1.5","-2","3e-3",".25"\n"","","",""\n4,5,-6,1\n\n',
+}
+
+
+@pytest.mark.parametrize("name", CELLS)
+def test_an_empty_cell_is_a_point_without_a_measurement(tmp_path, name):
+    path = tmp_path / "s.csv"
+    path.write_text(CELLS[name], newline="")
+    scan = read_scan(path)
+    np.testing.assert_array_equal(scan.points[::2], np.float32(ROWS)[:, :3])
+    np.testing.assert_array_equal(scan.intensity[::2], np.float32(ROWS)[:, 3])
+    assert len(scan) == 3
+    assert np.isnan([*scan.points[1], scan.intensity[1]]).all()
+
+
+def test_a_first_row_without_a_measurement_is_no_header(tmp_path):
+    path = tmp_path / "s.csv"
+    path.write_text(",,,\n1,2,3,4\n")
+    for sensor in (SMALL, replace(SMALL, columns=("x", "y", "z", "intensity"))):
+        assert len(read_scan(path, sensor)) == 2
+
+
+LEICA = np.array([[1, -2, 3, -119, 10, 20, 30], [4, 5, -6, 96, 0, 255, 128]])
+
+
+@pytest.mark.parametrize(("least", "offset"), [(-119, 128), (-2048, 2048), (0, 0)])
+def test_points_of_leica(tmp_path, least, offset):
+    """The seven columns are fixed, and the intensity is counted from a negative number."""
+    path, rows = tmp_path / "s.pts", LEICA.copy()
+    rows[0, 3] = least
+    text = "2\n" + "".join(" ".join(map(str, row)) + "\n" for row in rows.tolist())
+    path.write_text(text)
+    scan = read_scan(path)
+    np.testing.assert_array_equal(scan.points, rows[:, :3])
+    np.testing.assert_array_equal(scan.intensity, rows[:, 3] + offset)
+    path.write_text("2\n" + "".join(f"{x} {y} {z} 9 8 7\n" for x, y, z, *_ in rows.tolist()))
+    np.testing.assert_array_equal(read_scan(path).points, rows[:, :3])
+    assert not read_scan(path).intensity.any()
+    # In other files the columns vary.
+    (tmp_path / "s.txt").write_text(text)
+    assert len(named_by_hint(tmp_path / "s.txt")) == 7
+
+
+@pytest.mark.parametrize("head", ["", "lon,lat,alt,i,a,b\n", "# six columns\n"])
+def test_the_hint_has_as_many_names_as_columns(tmp_path, head):
+    path = tmp_path / "s.csv"
+    path.write_text(f"{head}1,2,3,4,5,6\n7,8,9,10,11,12\n")
+    scan = read_scan(path, replace(SMALL, columns=named_by_hint(path)))
+    assert scan.points.tolist() == [[1, 2, 3], [7, 8, 9]]
+    assert scan.intensity.tolist() == [4, 10]
 
 
 NUMBERS = st.floats(-500, 500, width=32) | st.sampled_from([0.0, -0.0, float("nan"), 1e-30])
@@ -79,7 +169,9 @@ def test_other_text_is_refused(tmp_path):
         ("1 2 3 255 0 0\n", "6 columns without names"),
         ("1 2 3 4\n5 6 7\n", "line 2 has 3 columns, not 4"),
         ("x,y,z,i\n1,2,3,4\n5,6,7,8,9\n", "more or fewer than 4 columns"),
-        ("1;2;3;4\n5;6;;8\n", "line 2 has ''"),
+        ("1;2;3;4\n5;6;-;8\n", "line 2 has '-'"),
+        ("1 2 3 4\n5 6 no 8\n", "line 2 has 'no'"),
+        ("x (deg),y (deg),z\n1,2,3\n", "x (deg), of an unknown unit"),
         ("1,5;2,5;3,5\n", "decimal commas: 1,5"),
         ("x,y,z,x\n1,2,3,4\n", "repeats a column"),
         ("Dear Sir or Madam,\nplease find enclosed\n", "Dear Sir"),

@@ -1,0 +1,244 @@
+# SPDX-License-Identifier: MIT
+"""Evidence of the layout of values without a header: type, number of columns, order.
+
+The right number of columns is evident from the values: a column contains one kind of value, so the
+share of the variance that lies between columns is largest for the right number and its multiples.
+"""
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.records import Double, Float, Mask
+
+LEAST, MOST = 1e-12, 1e7
+"""Possible magnitudes of values other than 0, in metres and in any unit of intensity and time."""
+MIN_POSSIBLE_SHARE = 0.5  # Share of coordinates possible in any scan; random bytes have a quarter
+MIN_POSSIBLE_SHARE_OF_LOW = 0.42
+"""The same of every second float32; half of those of a planar scanner, z, are 0."""
+MIN_POSSIBLE_SHARE_OF_FLOAT64 = 0.9
+SCAN_RANGES_M = (0.3, 250.0)  # Possible median ranges of a scan
+SAMPLE = 4096  # Rows that are examined, evenly spaced
+
+
+def are_float64(values: Float) -> bool:
+    """Return whether float32 values (M,) of a file are the halves of float64 ones."""
+    # Then most are possible as float64, and most low halves are impossible as float32: random bits
+    # for rounded decimals; for former float32 one of eight values, six of which are impossible.
+    if len(values) % 2:
+        return False
+    halves = np.ascontiguousarray(_sample(values.reshape(-1, 2)))
+    halves = halves[halves.view("<u4").any(axis=1)]
+    if not len(halves):
+        return False
+    possible = are_possible(halves.view("<f8")).mean() > MIN_POSSIBLE_SHARE_OF_FLOAT64
+    return bool(possible and are_possible(halves[:, 0]).mean() < MIN_POSSIBLE_SHARE_OF_LOW)
+
+
+def are_float16(values: Float, columns: int) -> bool:
+    """Return whether float32 values (M,) of a file are pairs of float16 in rows of `columns`."""
+    halves = np.ascontiguousarray(values).view("<f2")
+    if len(halves) % columns or len(halves) < 2 * max(columns, *COUNTS):
+        return False
+    rows = _sample(halves.reshape(-1, columns)).astype(np.float32)
+    finite = bool(np.isfinite(rows).all())
+    varied = bool((rows[:, :3] != 0).mean(axis=0).min() > MIN_POSSIBLE_SHARE)
+    as_float32 = _median_range(
+        _sample(values[: len(values) // columns * columns].reshape(-1, columns))
+    )
+    least, most = SCAN_RANGES_M
+    if not (finite and varied and least < _median_range(rows) < most) or least < as_float32 < most:
+        return False
+    return _explained(halves, columns) > MIN_EXPLAINED + MIN_EXPLAINED_BY_CHANCE / SAMPLE
+
+
+def _median_range(rows: Float) -> float:
+    """Return the median distance of points (N, 3 or more) from the origin; NaN counts as far."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        ranges = np.linalg.norm(rows[:, :3].astype(np.float64), axis=1)
+    return float(np.median(np.nan_to_num(ranges, nan=np.inf)))
+
+
+def are_coordinates(values: Float) -> bool:
+    """Return whether coordinates (N, 3) float32 can be metres, points at 0, NaN, inf aside."""
+    rows = _sample(values)
+    measured = rows[np.isfinite(rows) & (rows != 0)]
+    return int(are_possible(measured).sum()) >= MIN_POSSIBLE_SHARE * len(measured)
+
+
+def _sample(rows: Float) -> Float:
+    return rows[:: len(rows) // SAMPLE | 1]  # An odd step meets all columns.
+
+
+def are_possible(values: npt.NDArray[np.floating]) -> Mask:
+    """Mark the magnitudes of measurements; 0 and NaN are none."""
+    with np.errstate(invalid="ignore"):  # of a signalling NaN
+        magnitudes = np.abs(values)
+        return (magnitudes > LEAST) & (magnitudes < MOST)
+
+
+COUNTS = range(3, 17)  # Numbers of columns that are distinguished
+PLANAR_COUNTS = range(3, 9)  # The same of files that are stored column by column
+EMPTY_PERIODS = range(2, 5)  # Numbers of rows after which empty ones may recur
+MIN_ROWS = 24  # Least number of rows that shows a recurrence
+BLOCKS = 32  # Parts of a file that are examined, evenly spaced
+ROWS, VALUES = 64, 128  # Rows of each for their order, and approximate values for their kinds
+STEP_DEG = 5.0  # Largest difference in azimuth between consecutive measurements of a scanner
+IN_TURN = 0.6
+"""Least share of such points; real scans have 0.8 or more, wrong widths 0.34 or less."""
+SHARE_OF_LARGEST = 0.6
+"""Least share of the largest variance; the right number of columns has 0.97 or more."""
+MIN_EXPLAINED, MIN_EXPLAINED_BY_CHANCE = 0.05, 40
+"""Least explained variance for a decision; the second is divided by the number of values."""
+MIN_VARIANCE = 0.005  # Least variance of a property that is examined
+UNIT_TOLERANCE = 0.01  # Error in length of a normal
+SAME_BEAM_RAD = 5e-4  # Angle between returns of one beam; adjacent beams are 1.5 mrad apart or more
+MOVED_TOLERANCE_M = 0.005  # Error of a copy in another frame
+MOST_ROWS = 0.9  # Share of rows that determines the columns of all
+RANGE_LOG10 = 3.0  # Magnitudes count up to a factor of a thousand
+
+
+def evident_count(values: Float, expected: int) -> int | None:
+    """Return a number of columns that values (M,) evidently have instead of `expected`, or None."""
+    measured = _without_empty_rows(values, expected)
+    if measured is not None and _evident_count(measured, expected) is None:
+        return None
+    return _evident_count(values, expected)
+
+
+def _evident_count(values: Float, expected: int) -> int | None:
+    if len(values) < 2 * max(expected, *COUNTS):
+        return None
+    count = expected
+    if not _are_in_turn(values, expected):
+        explained = {n: _explained(values, n) for n in {*COUNTS, expected}}
+        most = max(explained.values())
+        if most < MIN_EXPLAINED + MIN_EXPLAINED_BY_CHANCE / min(len(values), SAMPLE):
+            return None
+        if explained[expected] < SHARE_OF_LARGEST * most:
+            # For beams in turn, explained variance grows with the number of rows taken as one.
+            in_turn = (n for n in COUNTS if _are_in_turn(values, n))
+            least = min(n for n in COUNTS if explained[n] >= SHARE_OF_LARGEST * most)
+            count = next(in_turn, least)
+    count = _padded_count(values, count) or _least_count(values, count)
+    return None if count == expected else count
+
+
+def empty_places(values: Float, columns: int) -> Mask | None:
+    """Return which of consecutive rows, (period,) bool, are always empty; None if none are.
+
+    Rows of `columns` values are empty if all are 0, or if the first three are not finite, such as
+    second returns that were not measured.
+    """
+    rows = values[: len(values) // columns * columns].reshape(-1, columns)
+    with np.errstate(invalid="ignore"):  # of a signalling NaN
+        empty = ~(rows != 0).any(axis=1) | ~np.isfinite(rows[:, :3]).any(axis=1)
+    for period in EMPTY_PERIODS:
+        if len(rows) >= MIN_ROWS:
+            places: Mask = empty[: len(rows) // period * period].reshape(-1, period).all(axis=0)
+            if places.any() and not places.all():
+                return places
+    return None
+
+
+def _without_empty_rows(values: Float, columns: int) -> Float | None:
+    """Return values without the rows at the places that are always empty; None without such."""
+    places = empty_places(values, columns)
+    if places is None:
+        return None
+    size = len(places) * columns
+    records = values[: len(values) // size * size].reshape(-1, len(places), columns)
+    return records[:, ~places].ravel()
+
+
+def planar_count(values: Float, expected: int) -> int | None:
+    """Return the number of columns of values (M,) that are stored column by column, or None."""
+    if len(values) < 2 * max(expected, *COUNTS):
+        return None
+    by_rows = max(_explained(values, count) for count in {*COUNTS, expected})
+    by_columns = {
+        count: _explained(values.reshape(count, -1).T.ravel(), count)
+        for count in {expected, *PLANAR_COUNTS}
+        if len(values) % count == 0
+    }
+    most = max(by_columns.values(), default=0.0)
+    chance = MIN_EXPLAINED + MIN_EXPLAINED_BY_CHANCE / min(len(values), SAMPLE)
+    if most < chance or by_rows >= SHARE_OF_LARGEST * most:
+        return None
+    # A multiple of the number divides each column into parts, which explain a little more.
+    others = [share for count, share in by_columns.items() if count % expected]
+    share = by_columns.get(expected, 0.0)
+    if share >= SHARE_OF_LARGEST * most and share >= max(others, default=0.0):
+        return expected
+    return max(by_columns, key=by_columns.__getitem__)
+
+
+def _rows(values: Float, columns: int, length: int = ROWS) -> Double:
+    """Return evenly spaced blocks of rows, (BLOCKS, length, columns), or all rows in one block."""
+    rows = values[: len(values) // columns * columns].reshape(-1, columns)[None]
+    if rows.shape[1] > BLOCKS * length:
+        starts = np.linspace(0, rows.shape[1] - length, BLOCKS).astype(np.intp)
+        rows = rows[0, starts[:, None] + np.arange(length)]
+    with np.errstate(invalid="ignore"):  # of a signalling NaN
+        return rows.astype(np.float64)
+
+
+def _are_in_turn(values: Float, columns: int) -> bool:
+    """Return whether rows of `columns` values are points in the order of a scanner's turn."""
+    x, y = np.moveaxis(_rows(values, columns), -1, 0)[:2]
+    azimuth = np.degrees(np.arctan2(y, x))
+    measured = np.isfinite(x) & np.isfinite(y) & ((x != 0) | (y != 0))
+    # The few steps from one block to the next do not matter.
+    steps = np.abs((np.diff(azimuth[measured]) + 180) % 360 - 180)
+    return int((steps < STEP_DEG).sum()) > IN_TURN * max(1, int(steps.size))
+
+
+def _least_count(values: Float, count: int) -> int:
+    """Return the number of columns of one point, if `count` is a multiple of it."""
+    for least in (n for n in COUNTS if n < count and count % n == 0):
+        points = _rows(values, count).reshape(-1, count // least, least)
+        measured = points[..., :2].any(axis=2).mean(axis=0)
+        in_turn = measured.min() > measured.max() / 2 and _are_in_turn(values, least)
+        alike = in_turn or _explained(values, least) > SHARE_OF_LARGEST * _explained(values, count)
+        if alike and _are_of_two_points(*points[:, :2, :3].swapaxes(0, 1)):
+            return least
+    return count
+
+
+def _are_of_two_points(first: Double, second: Double) -> bool:
+    """Return whether values (N, 3) and the next ones of their rows are two points of a scan.
+
+    They are not if the second ones are normals, returns of the same beams, or moved copies.
+    """
+    both = np.stack([first, second])
+    both = both[:, (np.isfinite(both).all(axis=2) & both.any(axis=2)).all(axis=0)]
+    first, second = both
+    size = np.linalg.norm(second, axis=1)
+    across = np.linalg.norm(np.cross(first, second), axis=1)
+    is_normal = np.abs(size - 1) < UNIT_TOLERANCE
+    is_same_beam = across <= SAME_BEAM_RAD * size * np.linalg.norm(first, axis=1)
+    known = np.column_stack([first, np.ones(len(first))])
+    moved = known @ np.linalg.lstsq(known, second, rcond=None)[0]
+    is_moved = (np.abs(second - moved) < MOVED_TOLERANCE_M).all(axis=1)
+    most = MOST_ROWS * len(second)
+    return all(mask.sum() < most for mask in (is_normal, is_same_beam, is_moved))
+
+
+def _padded_count(values: Float, columns: int) -> int | None:
+    """Return the number of columns of a table with only zeros after the expected ones, or None."""
+    for count in reversed(range(2 * columns, COUNTS.stop, columns)):
+        sample = _rows(values, count)
+        if not sample[..., columns:].any() and sample.any():
+            return count
+    return None
+
+
+def _explained(values: Float, columns: int) -> float:
+    """Return the share of the variance of sign, wholeness and magnitude between the columns."""
+    sample = _rows(values, columns, VALUES // columns).reshape(-1, columns)
+    size = np.where(np.isfinite(sample), np.abs(sample), 1.0)
+    is_whole = (size > 0) & (sample == np.rint(sample))
+    magnitude = np.log10(np.maximum(size, 10**-RANGE_LOG10)) / RANGE_LOG10
+    properties = np.stack([sample < 0, is_whole, np.minimum(magnitude, 1)])
+    within, total = properties.var(axis=1, ddof=1).mean(axis=1), properties.var(axis=(1, 2))
+    vary = total > MIN_VARIANCE
+    return float(np.mean(1 - within[vary] / total[vary])) if vary.any() else 0.0

@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: MIT
+"""Names of the fields of scans as programs write them: prefixes, units, synonyms."""
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Self
+
+from salsanext_cli.errors import FormatError, notice_once, shortened
+
+AXES = ("x", "y", "z")
+AXIS_STYLES = (
+    *("{axis}", "{axis}1", "pos_{axis}", "position_{axis}", "point_{axis}", "{axis}_coordinate"),
+    *("points:{place}", "points_m_xyz:{place}"),
+)
+"""Plain names of the three axes, in order of precedence; the last two are of VeloView, ParaView."""
+INTENSITY_NAMES = ("intensity", "reflectivity", "reflectance", "remission", "intensities", "i")
+"""Plain names of the intensity, in order of precedence."""
+METRES = {
+    **dict.fromkeys(("", "-", "m", "metre", "metres", "meter", "meters"), 1.0),
+    **dict.fromkeys(("mm", "millimetre", "millimetres", "millimeter", "millimeters"), 1e-3),
+    **dict.fromkeys(("cm", "centimetre", "centimetres", "centimeter", "centimeters"), 1e-2),
+    **dict.fromkeys(("ft", "feet", "foot"), 0.3048),
+    "dm": 0.1,
+    "km": 1e3,
+}
+"""Metres per unit of length, as it is written behind the name of an axis."""
+UNIT = re.compile(r"(.*?)\s*[(\[]([^)\]]*)[)\]]")
+UNIT_OF_AXIS = re.compile(r"([xyz]1?)_(m|mm|cm|dm|km|ft)")
+PREFIX = "scalar_"  # Start of the names of scalars in files of CloudCompare
+MAX_SHOWN_CHARACTERS = 300
+MAX_NAME_CHARACTERS = 200  # Longest name that is taken apart
+
+
+@dataclass(frozen=True, slots=True)
+class FieldName:
+    """Name of a field, taken apart."""
+
+    plain: str  # In lower case, without prefix and unit
+    unit: str  # In lower case; empty without one
+
+    @classmethod
+    def parsed(cls, name: str) -> Self:
+        """Take a name apart, such as ``X1 (mm)``, ``scalar_Intensity`` or ``attr.reflectance``."""
+        plain, unit = name.strip(" \t\"'").lower(), ""
+        if len(plain) > MAX_NAME_CHARACTERS:
+            return cls(plain, unit)
+        if match := UNIT.fullmatch(plain) or UNIT_OF_AXIS.fullmatch(plain):
+            plain, unit = match[1], match[2].strip()
+        plain = plain.rpartition(".")[2] or plain
+        return cls("_".join(plain.removeprefix(PREFIX).split()), unit)
+
+
+@dataclass(frozen=True, slots=True)
+class AxisFields:
+    """Names of the fields with the coordinates."""
+
+    names: tuple[str, ...]  # Of x, y, z
+    metres: tuple[float, ...]  # Metres per unit of each
+
+    @classmethod
+    def among(cls, names: Sequence[str], path: object) -> Self:
+        """Find the coordinates among the names of a file."""
+        plain = _by_plain_name(names)
+        for style in AXIS_STYLES:
+            wanted = [style.format(axis=axis, place=i) for i, axis in enumerate(AXES)]
+            if all(name in plain for name in wanted):
+                axes = tuple(plain[name] for name in wanted)
+                if style != AXIS_STYLES[0]:
+                    notice_once(f"columns {', '.join(axes)} are read as x, y, z")
+                return cls(axes, tuple(_metres(name, path) for name in axes))
+        missing = [axis for axis in AXES if axis not in plain]
+        raise FormatError(path, f"has columns {listed(names)}", f"also {', '.join(missing)}")
+
+
+def _metres(name: str, path: object) -> float:
+    unit = FieldName.parsed(name).unit
+    if unit not in METRES:
+        problem = f"has {shortened(name)}, of an unknown unit"
+        raise FormatError(path, problem, "coordinates in m, cm, mm or ft", "convert them to metres")
+    if METRES[unit] != 1:
+        notice_once(f"coordinates in {unit} are converted to metres")
+    return METRES[unit]
+
+
+def has_axes(names: Sequence[str]) -> bool:
+    """Return whether names contain those of x, y and z."""
+    plain = _by_plain_name(names)
+    styles = ([style.format(axis=a, place=i) for i, a in enumerate(AXES)] for style in AXIS_STYLES)
+    return any(all(name in plain for name in style) for style in styles)
+
+
+def intensity_among(names: Sequence[str], requested: str, path: object) -> str | None:
+    """Return the name of the intensity: the requested one, else a usual one; None without any."""
+    if not requested:
+        plain = _by_plain_name(names)
+        return next((plain[name] for name in INTENSITY_NAMES if name in plain), None)
+    # The exact name takes precedence over one that differs in case, prefix or unit.
+    for same in (str, str.lower, lambda name: FieldName.parsed(name).plain):
+        fitting = [name for name in names if same(name) == same(requested)]
+        if len(fitting) == 1:
+            return fitting[0]
+    problem = f"has no single field {shortened(requested)}"
+    others = fields_beside(names)
+    hint = f"for example --intensity-field {others[0]}" if others else "omit --intensity-field"
+    raise FormatError(path, problem, f"one of {listed(others)}", hint)
+
+
+def fields_beside(names: Iterable[str]) -> tuple[str, ...]:
+    """Return the names of the fields that are no coordinates."""
+    axes = {style.format(axis=a, place=i) for style in AXIS_STYLES for i, a in enumerate(AXES)}
+    return tuple(name for name in names if name and FieldName.parsed(name).plain not in axes)
+
+
+def listed(names: Iterable[str]) -> str:
+    """Return the names of fields for an error."""
+    return shortened(", ".join(names) or "nothing", MAX_SHOWN_CHARACTERS)
+
+
+def _by_plain_name(names: Iterable[str]) -> dict[str, str]:
+    """Return names by their plain ones; the first of several takes precedence."""
+    plain: dict[str, str] = {}
+    for name in names:
+        plain.setdefault(FieldName.parsed(name).plain, name)
+    return plain

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Tables of points as other programs write them: text, Feather and Parquet."""

@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: MIT
+"""The layout of values without a header, by the values."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from scans import real_columns, real_scans
+
+from salsanext_cli.errors import FormatError
+from salsanext_cli.formats import column_evidence as evidence
+from salsanext_cli.formats import kitti
+
+
+@pytest.mark.real
+def test_no_real_scan_in_another_order_is_refused(real_data):
+    for path in real_scans(real_data)[::4]:
+        count = real_columns(path)
+        table = np.fromfile(path, "<f4").reshape(-1, count)
+        shuffled = np.random.default_rng(0).permutation(table)
+        for rows in (table, shuffled, table[: len(table) // 2], shuffled[:100]):
+            assert evidence.evident_count(rows.ravel(), count) is None, path
+            assert evidence.evident_count(rows.ravel(), 9 - count) in {count, None}, path
+        assert evidence.evident_count(shuffled.ravel(), 9 - count) == count, path
+
+
+VLP16_DEG = [-15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15]
+"""Elevations in the order of firing: every other beam looks up."""
+BEAMS = 16
+
+
+def scan(turns=1800, beams=VLP16_DEG, seed=0):
+    """Simulate x, y, z of a scanner above flat ground, firing all beams at an azimuth."""
+    random = np.random.default_rng(seed)
+    azimuth, elevation = np.repeat(np.linspace(-np.pi, np.pi, turns), len(beams)), np.radians(beams)
+    elevation = np.tile(elevation, turns)
+    walls = random.uniform(5, 60, len(azimuth))
+    down = np.minimum(1.8 / np.maximum(np.sin(-elevation), 1e-3), 40)
+    ranges = np.where(elevation < 0, down, walls) * random.normal(1, 0.02, len(azimuth))
+    flat = ranges * np.cos(elevation)
+    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), ranges * np.sin(elevation)], 1)
+
+
+def others(points, seed=1):
+    """Return columns that programs write beside the coordinates, by name."""
+    random, count = np.random.default_rng(seed), len(points)
+    normals = random.normal(size=(count, 3))
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    return {
+        "fraction": random.random(count) ** 2,
+        "byte": random.integers(0, 256, count),
+        "decibel": -30 * random.random(count),
+        "ring": np.arange(count) % BEAMS,
+        "time": np.arange(count) * 1e-6,
+        "one": np.ones(count),
+        "zero": np.zeros(count),
+        **{f"normal{i}": normals[:, i] for i in range(3)},
+        **{f"colour{i}": random.integers(0, 256, count) for i in range(3)},
+    }
+
+
+def table(names, points):
+    found = others(points)
+    return np.column_stack([points, *(found[name] for name in names)]).astype(np.float32)
+
+
+NORMALS, COLOURS = ("normal0", "normal1", "normal2"), ("colour0", "colour1", "colour2")
+RECORDS = (
+    (),
+    ("fraction",),
+    ("decibel",),
+    ("ring", "fraction"),
+    ("fraction", "time"),
+    ("byte", "time", "ring", "zero", "zero"),
+    ("fraction", *COLOURS, "time"),
+    ("one", *NORMALS, "zero", "fraction", *["zero"] * 3),
+    ("fraction", *["zero"] * 12),
+)
+
+
+def in_both_orders(rows):
+    """Return the values of rows in their order, and shuffled."""
+    return rows.ravel(), np.random.default_rng(2).permutation(rows).ravel()
+
+
+@pytest.mark.parametrize("names", RECORDS, ids="-".join)
+def test_a_wrong_number_of_columns_is_noticed_and_the_right_one_never(names):
+    rows = table(names, scan())
+    count = rows.shape[1]
+    # Zeros are points without a return where the coordinates lie in the right columns.
+    padded = names[1:2] == ("zero",)
+    for values in in_both_orders(rows):
+        assert evidence.evident_count(values, count) is None
+        for expected in {4, 5} if padded else {*range(3, 8), 16}:
+            if expected != count:
+                assert evidence.evident_count(values, expected) == count, expected
+
+
+@pytest.mark.parametrize("names", RECORDS, ids="-".join)
+def test_a_multiple_of_the_columns_which_halves_the_points_is_noticed(names):
+    """The simulated beams that look up and down in turn are of two kinds, so a ring follows."""
+    rows = table(names, scan(beams=[*range(-25, 7)]))
+    count = rows.shape[1]
+    for values in in_both_orders(rows):
+        for expected in range(2 * count, evidence.COUNTS.stop, count):
+            assert evidence.evident_count(values, expected) == count, expected
+
+
+@pytest.mark.real
+def test_a_multiple_of_the_columns_of_a_real_scan_is_noticed(real_data):
+    for path in real_scans(real_data)[::4]:
+        count = real_columns(path)
+        rows = np.fromfile(path, "<f4").reshape(-1, count)
+        normals = np.random.default_rng(1).normal(size=(len(rows), 3))
+        shuffled = np.random.default_rng(0).permutation(rows)
+        for points in (rows, shuffled):
+            for times in range(2, 16 // count + 1):
+                assert evidence.evident_count(points.ravel(), times * count) == count, path
+            # Normals, zeros and colours beside the coordinates are no further points.
+            for others in (normals, 0 * normals, np.abs(normals) * 99 // 1):
+                wide = np.hstack([points[:, :3], others]).astype("<f4")
+                assert evidence.evident_count(wide.ravel(), 6) is None, path
+
+
+@pytest.mark.parametrize("lost", [0.0, np.nan])
+def test_points_without_a_return_change_nothing(lost):
+    rows = table(("byte",), scan())
+    rows[np.random.default_rng(3).random(len(rows)) < 0.7] = lost
+    for values in in_both_orders(rows):
+        assert evidence.evident_count(values, 4) is None
+        assert evidence.evident_count(values, 5) == 4
+
+
+def test_few_points_are_enough_or_undecided():
+    points = np.random.default_rng(4).permutation(scan())
+    for names in RECORDS:
+        for count in (25, 50, 200):
+            values = table(names, points[:count]).ravel()
+            assert evidence.evident_count(values, 3 + len(names)) is None, names
+            assert evidence.evident_count(values, 4) in {None, 3 + len(names)}, names
+
+
+@given(hnp.arrays("<u4", st.integers(0, 300)), st.sampled_from([*evidence.COUNTS, 40]))
+def test_any_bytes_have_some_number_of_columns_or_none(content, expected):
+    found = evidence.evident_count(content.view("<f4"), expected)
+    assert found is None or (found in evidence.COUNTS and found != expected)
+
+
+def wide_records(points, random):
+    """Return records of eight columns that hold one point each, by what lies beside it."""
+    size = np.linalg.norm(points, axis=1, keepdims=True)
+    intensity = random.random((len(points), 1)) ** 2
+    normals = random.normal(-points / size, 0.2)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    farther = points * random.choice([1, 1, 1.1, 1.5], (len(points), 1))
+    nearer = points * (random.random((len(points), 1)) < 0.3)
+    turned = points @ rotation_about_z(0.02) + (0.9, -0.1, 0.02)
+    beside = {
+        "normals": [normals, np.abs(random.normal(0, 0.01, intensity.shape))],
+        "dual returns": [farther, intensity / 2],
+        "dual returns or zeros": [nearer, intensity / 2],
+        "moved": [points + (1.5, 0.2, 1.7), intensity],
+        "turned": [turned, intensity],
+    }
+    return {name: np.hstack([points, intensity, *each]) for name, each in beside.items()}
+
+
+def rotation_about_z(angle):
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+
+
+def require_wide_records_are_read(path, points):
+    columns = ("x", "y", "z", "intensity", *"____")
+    for name, rows in wide_records(points, np.random.default_rng(0)).items():
+        for values in in_both_orders(rows.astype("<f4")):
+            path.write_bytes(values.tobytes())
+            found = kitti.read_bin(path, columns=columns)
+            np.testing.assert_array_equal(found.points, values.reshape(-1, 8)[:, :3], name)
+    # Rows of two points each, the second of which the columns would skip.
+    pairs = table(("fraction",), points[: len(points) // 2 * 2])
+    for values in in_both_orders(pairs):
+        path.write_bytes(values.tobytes())
+        with pytest.raises(FormatError, match="has 4 columns") as caught:
+            kitti.read_bin(path, columns=columns)
+        assert caught.value.hint == "omit --columns"
+
+
+def test_columns_beside_one_point_are_no_second_point(tmp_path):
+    require_wide_records_are_read(tmp_path / "s.bin", scan(beams=[*range(-25, 7)]))
+
+
+@pytest.mark.real
+def test_columns_beside_a_real_point_are_no_second_point(real_data, tmp_path):
+    for path in real_scans(real_data)[::8]:
+        points = np.fromfile(path, "<f4").reshape(-1, real_columns(path))[:, :3]
+        measured = points[points.any(axis=1)].astype(float)
+        require_wide_records_are_read(tmp_path / "s.bin", measured)
