@@ -8,6 +8,7 @@ import time
 import warnings
 from collections.abc import Generator, Sequence
 from contextlib import closing, contextmanager
+from dataclasses import dataclass
 from functools import partial
 from itertools import groupby, pairwise
 from multiprocessing import resource_tracker
@@ -17,6 +18,11 @@ from uuid import uuid4
 
 from salsanext_cli.errors import WorkersLost
 from salsanext_cli.files.atomic import MARK
+from salsanext_cli.parallel.finished_attempts import (
+    FinishedAttempts,
+    append_attempt,
+    finished_attempts,
+)
 from salsanext_cli.parallel.job import Attempt, OpenableTask, Task
 from salsanext_cli.parallel.pipeline import AttemptFunction, opened
 from salsanext_cli.parallel.run_options import RunOptions, cores
@@ -41,10 +47,34 @@ Chunk = tuple[ScanFile, ...]  # Scans that a worker is sent together
 _OPENED: dict[str, AttemptFunction] = {}  # Task of this process, by the run that it serves
 
 
+@dataclass(frozen=True, slots=True)
+class AttemptedChunk:
+    """Attempts of a chunk, and its number."""
+
+    number: int
+    attempts: list[Attempt[Any]]
+
+
 def attempts_of_workers(
     task: Task, scans: Sequence[ScanFile], options: RunOptions
 ) -> Generator[Attempt[Any], None, None]:
-    """Yield the attempts of workers, which are killed when this is closed, in any order."""
+    """Yield the attempts of workers, which are killed when this is closed, in any order.
+
+    If a worker dies, the attempts that it and the others have finished come before the error.
+    """
+    start_silent_trackers()
+    with finished_attempts() as finished:
+        try:
+            yield from _attempts(task, scans, options, finished)
+        except WorkersLost:
+            yield from finished
+            raise
+
+
+def _attempts(
+    task: Task, scans: Sequence[ScanFile], options: RunOptions, finished: FinishedAttempts
+) -> Generator[Attempt[Any], None, None]:
+    """Yield the attempts of workers, chunk by chunk."""
     import joblib
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
@@ -69,11 +99,16 @@ def attempts_of_workers(
                 pre_dispatch=CHUNKS_IN_FLIGHT * workers,
             )
         with signals_blocked(signal.SIGINT, signal.SIGTERM):
-            results = parallel(map(joblib.delayed(function), chunks(scans, workers, most)))
+            calls = (
+                joblib.delayed(function)(chunk, number, finished.file(number))
+                for number, chunk in enumerate(chunks(scans, workers, most))
+            )
+            results = parallel(calls)
         try:
             with closing(results):
                 for of_chunk in results:
-                    yield from of_chunk
+                    finished.forget(of_chunk.number)
+                    yield from of_chunk.attempts
         except TerminatedWorkerError as error:
             problem, hint = "the system ended a worker", "use fewer jobs, which need less memory"
             raise WorkersLost(f"--jobs {workers}", problem, hint=hint) from error
@@ -103,12 +138,21 @@ def end_with_parent(parent: int) -> None:
 
 
 def attempt_chunk(
-    task: Task, run: str, mark: str, folder: Path, scans: Chunk, *, stop: bool
-) -> list[Attempt[Any]]:
+    task: Task,
+    run: str,
+    mark: str,
+    folder: Path,
+    scans: Chunk,
+    number: int,
+    finished: Path,
+    *,
+    stop: bool,
+) -> AttemptedChunk:
     """Attempt the scans of a chunk, in a worker process; `stop`: until one fails.
 
     `run` identifies the run, because a process serves several; `mark` begins the names of temporary
-    files; names of files are relative to `folder`.
+    files; names of files are relative to `folder`; `finished`: file to which each attempt is
+    appended.
     """
     MARK.set(mark)
     if run not in _OPENED:
@@ -117,20 +161,22 @@ def attempt_chunk(
         _OPENED[run] = opened(task)
     done: list[Attempt[Any]] = []
     for attempt in _OPENED[run](scans, lambda _: None):
+        append_attempt(finished, attempt)
         done.append(attempt)
         if stop and attempt.error:
             break
-    return done
+    return AttemptedChunk(number, done)
 
 
 @contextmanager
 def signals_blocked(*signals: signal.Signals) -> Generator[None, None, None]:
-    """Start threads and processes that signals do not reach, because this thread ends them."""
+    """Start threads and processes that signals do not reach, because this thread ends them.
+
+    The trackers of resources must run before, because starting these unblocks the signals.
+    """
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    # Started before, because starting these unblocks the signals.
-    start_silent_trackers()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
     try:
         yield
@@ -150,7 +196,8 @@ def start_silent_trackers() -> None:
     os.environ[WARNING_FILTERS] = "ignore"
     try:
         tracker_of_loky.ensure_running()
-        resource_tracker.ensure_running()
+        if os.name == "posix":
+            resource_tracker.ensure_running()
     finally:
         del os.environ[WARNING_FILTERS]
         if before is not None:

@@ -208,9 +208,11 @@ def when_working(folder: Path) -> None:
 def test_signals_at_random_moments(tmp_path, long, number, whom):
     """As Docker sends them, to the first process, or as systemd and Ctrl-C do, to all."""
     draw = random.Random(f"{number} {whom}")
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
     for turn in range(3):
         folder = tmp_path / f"{turn}"
-        process = long.start_process(folder, "--jobs 2")
+        process = long.start_process(folder, "--jobs 2", TMPDIR=str(temporary))
         if turn % 2:
             when_working(folder)
         time.sleep(draw.uniform(0, 3))
@@ -219,4 +221,6 @@ def test_signals_at_random_moments(tmp_path, long, number, whom):
         else:
             os.killpg(process.pid, number)
         require_ended(process, number)
+        if number != signal.SIGKILL or whom == "parent":  # The process that tidies up is left.
+            assert not list(temporary.glob("salsanext-*"))
         long.require_completed(folder, number)

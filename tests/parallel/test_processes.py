@@ -11,6 +11,8 @@ from works import Write, run, scans_of, threads_of_process
 
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import WorkersLost
+from salsanext_cli.parallel.finished_attempts import FinishedAttempts, append_attempt
+from salsanext_cli.parallel.job import Attempt
 from salsanext_cli.parallel.run import RunOptions, run_over_scans
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.uncertainty import uncertainty
@@ -81,3 +83,46 @@ def test_a_scan_that_kills_its_workers_is_one_error_and_the_next_run_goes_on(tmp
     again = run(Write(tmp_path, peaceful=True), scans, jobs=2)
     assert (again.done, again.skipped) == (len(missing), 16 - len(missing))
     assert {path.name for path in (tmp_path / "s").iterdir()} == {scan.stem for scan in scans}
+
+
+def test_finished_scans_of_a_killed_chunk_are_reported(tmp_path):
+    """The fourth scan of the first chunk of four kills its worker."""
+    scans = scans_of("00", "01", "bad", "killed", *(f"{n:02d}" for n in range(4, 32)))
+    results, done = [], []
+    options = RunOptions(jobs=2, progress=lambda count, _: done.append(count))
+    with pytest.raises(WorkersLost) as caught:
+        run_over_scans(Write(tmp_path), scans, options, on_result=results.append)
+    assert {"00", "01"} <= {*results}
+    assert len({*results}) == len(results)
+    assert done == [*range(1, len(done) + 1)]
+    # The failure is one of the reported scans.
+    assert len(done) == len(results) + 1
+    assert f" {32 - len(done)} of 32 scans are missing" in caught.value.problem
+
+
+def test_no_folder_is_left_of_finished_scans(tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    seen = []
+
+    def look(_: str) -> None:
+        seen.append([*tmp_path.glob("salsanext-*")])
+
+    options = RunOptions(jobs=2)
+    run_over_scans(Write(tmp_path / "out"), scans_of("a", "b", "c"), options, on_result=look)
+    assert all(len(folders) == 1 for folders in seen)
+    assert not [*tmp_path.glob("salsanext-*")]
+
+
+@pytest.mark.parametrize("cut", range(40))
+def test_an_attempt_that_is_cut_off_is_not_read(tmp_path, cut):
+    """Of two attempts of one chunk, the second is not complete, or both are."""
+    finished, scans = FinishedAttempts(tmp_path), scans_of("a", "b")
+    for scan in scans:
+        append_attempt(finished.file(3), Attempt(scan, scan.stem))
+    path = finished.file(3)
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) - cut])
+    expected = ["a"] if cut else ["a", "b"]
+    assert [attempt.get() for attempt in finished] == expected
+    finished.forget(3)
+    assert not [*finished]

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: MIT
+"""Attempts of chunks that a worker did not live to return, kept in a private folder.
+
+A worker appends each attempt to the file of its chunk, as it would send it to the main process. The
+main process removes the file when it has the chunk, and reads what is left if a worker died.
+"""
+
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing.reduction import ForkingPickler
+from pathlib import Path
+from typing import Any
+
+from salsanext_cli.parallel.job import Attempt
+
+LENGTH_BYTES = 8  # Size of the number before each attempt, that of its bytes
+
+
+@dataclass(frozen=True, slots=True)
+class FinishedAttempts:
+    """Files of the chunks that workers have begun and not returned."""
+
+    folder: Path
+
+    def file(self, chunk: int) -> Path:
+        """Return the file of the chunk with a number."""
+        return self.folder / str(chunk)
+
+    def forget(self, chunk: int) -> None:
+        """Remove the file of a chunk that was returned."""
+        self.file(chunk).unlink(missing_ok=True)
+
+    def __iter__(self) -> Iterator[Attempt[Any]]:
+        """Yield the attempts that are left, without one that is cut off."""
+        for path in sorted(self.folder.iterdir()):
+            content = path.read_bytes()
+            start = 0
+            while start + LENGTH_BYTES <= len(content):
+                begin = start + LENGTH_BYTES
+                end = begin + int.from_bytes(content[start:begin], "little")
+                if end > len(content):
+                    break
+                yield ForkingPickler.loads(content[begin:end])
+                start = end
+
+
+def append_attempt(path: Path, attempt: Attempt[Any]) -> None:
+    """Append an attempt to the file of its chunk."""
+    content = bytes(ForkingPickler.dumps(attempt))
+    with path.open("ab") as file:
+        file.write(len(content).to_bytes(LENGTH_BYTES, "little") + content)
+
+
+@contextmanager
+def finished_attempts() -> Iterator[FinishedAttempts]:
+    """Make a private folder of attempts, which is removed even if this process is killed."""
+    from joblib.externals.loky.backend import resource_tracker
+
+    with tempfile.TemporaryDirectory(prefix="salsanext-") as folder:
+        resource_tracker.register(folder, "folder")
+        try:
+            yield FinishedAttempts(Path(folder))
+        finally:
+            resource_tracker.unregister(folder, "folder")
