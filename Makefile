@@ -40,7 +40,8 @@ test: $(INSTALLED)
 	PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses $(WORKERS) --dist worksteal
 
 test-slow: $(INSTALLED)
-	$(BIN)/python -m pytest -m 'slow or hypothesis' --hypothesis-profile=many
+	PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses $(WORKERS) --dist worksteal \
+		-m 'slow or hypothesis' --hypothesis-profile=many
 
 lint: $(INSTALLED)
 	$(BIN)/ruff format --check .

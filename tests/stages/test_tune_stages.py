@@ -142,9 +142,11 @@ def test_what_can_be_seen_at_once_is_refused_before_the_network_is_loaded(
     refused(LabelError, world.data / LABELS / "000000.label", go, world, target, selection=VALID)
 
 
-def test_refusing_needs_no_torch(tmp_path):
+@pytest.mark.parametrize("words", [("tune", "error", "IN", "OUT"), ("eval", "IN")])
+def test_refusing_needs_no_torch(tmp_path, words):
     """Importing it takes longer than all other packages together."""
-    command = ["tune", "error", str(tmp_path / "nowhere"), str(tmp_path / "w.safetensors")]
+    names = {"IN": str(tmp_path / "nowhere"), "OUT": str(tmp_path / "w.safetensors")}
+    command = [names.get(word, word) for word in words]
     ended = python(
         f"""
 import sys
