@@ -26,9 +26,16 @@ SAME_M = np.float32(1.0)  # Largest difference in range to the pixel whose objec
 MIN_OBJECT_POINTS = 10
 ANGLES_RAD = np.radians(np.arange(0.0, 90.0, 1.5))  # Directions of the sides of a box to try
 BOX = ("x", "y", "z", "length", "width", "height", "yaw")
-"""Numbers of a box: centre and sizes in metres; the angle of its longer side from x in radians."""
+"""Numbers of a box: centre and sizes in metres; the angle of its length from x in radians.
+
+The length is the longer side, except of a car whose front or rear alone was seen.
+"""
+LENGTH, WIDTH, YAW = map(BOX.index, ("length", "width", "yaw"))
 NEAREST_M = np.float32(0.05)  # Distance below which points are equally close to a side
 MAX_FITTED = 128  # Points of an object that a box is fitted to
+CAR_WIDTH_M = (1.2, 2.1)
+"""Least and largest width of the end of a car, between the quantiles `MOST_POINTS`."""
+MOST_POINTS = (0.05, 0.95)  # Labels bleed to a few points beside a car
 
 
 def find_objects(image: RangeImage, labels: TrainIds, things: Mask) -> Objects:
@@ -113,12 +120,39 @@ def nearest_pixels(
     return nearest
 
 
-def fit_boxes(points: Float, objects: Objects) -> list[list[float]]:
-    """Return the `BOX` of each object of points (N, 3), numbered by `objects` (N,)."""
+def fit_boxes(
+    points: Float, objects: Objects, is_car: Mask, position: npt.ArrayLike = (0.0, 0.0)
+) -> list[list[float]]:
+    """Fit a box to each object of a scan.
+
+    Parameters
+    ----------
+    points : ndarray (N, 3) float32
+        Points in metres, z up.
+    objects : ndarray (N,) uint16
+        Number of the object of each point, from 1; 0 for none.
+    is_car : ndarray (O,) bool
+        Whether each of the O objects is a car.
+    position : 2 floats
+        x and y of the sensor in the frame of the points, metres.
+
+    Returns
+    -------
+    list of lists of floats
+        `BOX` of each object.
+    """
     inside = np.flatnonzero(objects)
     inside = inside[np.argsort(objects[inside], kind="stable")]
     ends = np.cumsum(np.bincount(objects)[1:])
-    return [fit_box(part) for part in np.split(points[inside], ends[:-1]) if len(part)]
+    boxes: list[list[float]] = []
+    if not len(ends):
+        return boxes
+    for part, of_car in zip(np.split(points[inside], ends[:-1]), is_car, strict=True):
+        box = fit_box(part)
+        if of_car and is_end_of_car(part[:, :2] - np.asarray(position, np.float32), box[YAW]):
+            box = turned_box(box)
+        boxes.append(box)
+    return boxes
 
 
 def fit_box(points: Float) -> list[float]:
@@ -138,3 +172,28 @@ def fit_box(points: Float) -> list[float]:
     if width > length:
         length, width, yaw = width, length, yaw - np.pi / 2
     return [*((low + high) / 2 @ turn).tolist(), float(length), float(width), float(height), yaw]
+
+
+def is_end_of_car(flat: Float, yaw: float) -> bool:
+    """Return whether the longer side of the points of a car is its front or rear.
+
+    This side is across the line of sight and as wide as a car. `flat` (N, 2): points in metres from
+    the sensor; `yaw`: angle of the longer side.
+    """
+    along = np.array([np.cos(yaw), np.sin(yaw)])
+    across = np.array([-along[1], along[0]])
+    sight = flat.mean(axis=0)
+    if abs(sight @ along) > abs(sight @ across):
+        return False
+    start, end = np.quantile(flat @ np.stack([along, across], axis=1), MOST_POINTS, axis=0)
+    length, width = end - start
+    least, largest = CAR_WIDTH_M
+    return bool(least <= length <= largest and width <= largest)
+
+
+def turned_box(box: list[float]) -> list[float]:
+    """Return a `BOX` whose length is its other side, with a yaw of -90° to 90°."""
+    turned = list(box)
+    turned[LENGTH], turned[WIDTH] = box[WIDTH], box[LENGTH]
+    turned[YAW] = box[YAW] + np.pi / 2 if box[YAW] <= 0 else box[YAW] - np.pi / 2
+    return turned

@@ -134,7 +134,9 @@ def _object_table(scan: LabelledScan, objects: Objects, space: LabelSpace) -> by
     of_object[objects] = scan.labels
     table = csv.writer(file, lineterminator="\n")
     table.writerow(("object", "class", "points", *BOX))
-    for number, box in enumerate(fit_boxes(scan.scan.points, objects), 1):
+    is_car = np.isin(of_object[1:], [i for i, name in enumerate(space.names) if name == "car"])
+    boxes = fit_boxes(scan.scan.points, objects, is_car, scan.sensor.origin[:2])
+    for number, box in enumerate(boxes, 1):
         name, numbers = space.names[of_object[number]], [f"{value:.3f}" for value in box]
         table.writerow((number, name, sizes[number], *numbers))
     return file.getvalue().encode()

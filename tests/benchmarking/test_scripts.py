@@ -77,6 +77,7 @@ SLOW_RUNS = {
         *("loss of the same batch", "data", "book-keeping", "step", "ours is "),
     ),
     "other_sensors.py --sensors vlp16 --weights w.safetensors": ("vlp16",),
+    "box_yaw.py --sequences 1 --weights w.safetensors": ("predicted labels", "true labels"),
     "fusion.py out data/sequences/08 --predict --weights w.safetensors": ("08  single",),
 }
 

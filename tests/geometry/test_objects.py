@@ -94,7 +94,7 @@ def test_few_and_unmeasured_points_are_no_object_and_objects_beyond_16_bits_unnu
     assert not np.concatenate(objects_of([few, none], [CAR, CAR])).any()
     empty = project(Scan(np.zeros((0, 3), np.float32), np.zeros(0, np.float32)), sensor("hdl64"))
     assert len(find_objects(empty, np.zeros(0, np.uint8), THINGS)) == 0
-    assert fit_boxes(np.zeros((4, 3), np.float32), np.zeros(4, np.uint16)) == []
+    assert fit_boxes(np.zeros((4, 3), np.float32), np.zeros(4, np.uint16), np.zeros(0, bool)) == []
     monkeypatch.setattr(objects, "MAX_OBJECTS", 2)
     found = objects_of([thing(angle, 8) for angle in (0, 30, 60)], [CAR] * 3)
     assert sorted({number for each in found for number in each[each > 0].tolist()}) == [1, 2]
@@ -115,6 +115,55 @@ def test_a_box_is_that_of_an_l_shape(yaw, distance, azimuth):
     assert abs(np.sin(found - yaw)) < np.radians(2)
     assert (length, width, height) == pytest.approx((4.2, 1.8, 1.5), abs=0.2)
     assert (x, y, z) == pytest.approx((*place[:, 0], -0.95), abs=0.1)
+
+
+def face_of(width, depth, distance, azimuth, yaw):
+    """Return points of a sheet and of the side behind its end, yaw from the line of sight."""
+    random = np.random.default_rng(3)
+    front = np.stack([np.zeros(300), random.uniform(-width / 2, width / 2, 300)])
+    side = np.stack([random.uniform(0, depth, 60), np.full(60, width / 2)])
+    own = np.concatenate([front, side], axis=1) + random.normal(0, 0.01, (2, 360))
+    c, s = np.cos(azimuth + yaw), np.sin(azimuth + yaw)
+    place = distance * np.array([[np.cos(azimuth)], [np.sin(azimuth)]])
+    flat = np.array([[c, -s], [s, c]]) @ own + place
+    return np.concatenate([flat, random.uniform(-1.7, -0.2, (1, 360))]).T.astype(np.float32)
+
+
+ONE = np.ones(360, np.uint16)
+
+
+@given(st.floats(-3.1, 3.1), st.floats(-0.6, 0.6), st.floats(6, 40), st.floats(0.1, 1.2))
+def test_a_car_whose_end_alone_is_seen_is_not_turned(azimuth, yaw, distance, depth):
+    """Its end is 1.8 m wide; the part of its side that is seen is shorter."""
+    points = face_of(1.8, depth, distance, azimuth, yaw)
+    (box,) = fit_boxes(points, ONE, np.array([True]))
+    assert abs(np.sin(box[6] - azimuth - yaw)) < np.sin(np.radians(4))
+    assert abs(box[6]) <= np.pi / 2
+    assert box[3] == pytest.approx(depth, abs=0.2)
+    assert box[4] == pytest.approx(1.8, abs=0.2)
+    # Nothing else differs from the box of another object.
+    (other,) = fit_boxes(points, ONE, np.array([False]))
+    assert other[:3] == box[:3]
+    assert (other[3], other[4], other[5]) == (box[4], box[3], box[5])
+
+
+@pytest.mark.parametrize(
+    ("width", "depth", "yaw"), [(4.2, 1.7, 0.3), (2.6, 0.3, 0.0), (0.9, 0.2, 0.0), (1.8, 0.9, 1.57)]
+)
+def test_sides_pieces_and_ends_along_the_line_of_sight_stay(width, depth, yaw):
+    """Nor is a side that is seen from its end an end."""
+    points = face_of(width, depth, 12.0, 0.4, yaw)
+    car, other = (fit_boxes(points, ONE, np.array([is_car])) for is_car in (True, False))
+    assert car == other
+
+
+def test_the_line_of_sight_is_that_of_the_sensor():
+    """Seen from 20 m to the side, the same points show an end along the line of sight."""
+    points = face_of(1.8, 0.5, 12.0, 0.0, 0.0)
+    seen, aside = (
+        fit_boxes(points, ONE, np.array([True]), position)[0] for position in ((0, 0), (12, 20))
+    )
+    assert (seen[3], seen[4]) == (aside[4], aside[3])
 
 
 @pytest.mark.real
