@@ -26,7 +26,7 @@ _SURFACES = _tables("surfaces")
 
 Numbers = SimpleNamespace  # One table as attributes; the file documents them
 
-CAR, BICYCLE, BUS, MOTORCYCLE, TRUCK, OTHER_VEHICLE = 10, 11, 13, 15, 18, 20
+CAR, BICYCLE, BUS, MOTORCYCLE, ON_RAILS, TRUCK, OTHER_VEHICLE = 10, 11, 13, 15, 16, 18, 20
 PERSON, BICYCLIST, MOTORCYCLIST = 30, 31, 32
 ROAD, PARKING, SIDEWALK, OTHER_GROUND, MARKING, TERRAIN = 40, 44, 48, 49, 60, 72
 BUILDING, FENCE, STRUCTURE = 50, 51, 52
@@ -34,8 +34,8 @@ VEGETATION, TRUNK = 70, 71
 POLE, SIGN, CLUTTER = 80, 81, 99
 
 MOVING = {
-    CAR: 252, BICYCLIST: 253, PERSON: 254, MOTORCYCLIST: 255, BUS: 257, TRUCK: 258,
-    OTHER_VEHICLE: 259,
+    CAR: 252, BICYCLIST: 253, PERSON: 254, MOTORCYCLIST: 255, ON_RAILS: 256, BUS: 257,
+    TRUCK: 258, OTHER_VEHICLE: 259,
 }  # fmt: skip
 """Raw ids of classes in motion."""
 
@@ -96,23 +96,40 @@ def _body(name: str) -> Numbers:
     return Numbers(**table | {"profile": np.array(table["profile"])})
 
 
-def _style(name: str) -> Numbers:
-    """Return a style: its table of the streets, its table of the surfaces, and both's lots."""
+def _style(name: str, mix: str) -> Numbers:
+    """Return a style: its table of the streets and of the surfaces, lots of both, and a mix."""
     street = _TABLES["style"][name]
     surfaces = _SURFACES["style"][name]
-    return Numbers(**street | surfaces | {"lots": street["lots"] | surfaces["lots"]})
+    more = {"lots": street["lots"] | surfaces["lots"], "mix": Numbers(**_TABLES["mix"][mix])}
+    return Numbers(**street | surfaces | more)
 
 
-STYLES = tuple(map(_style, _TABLES["styles"]))
-"""Styles in the order of the sequences that use them."""
+STYLES, BALANCED_STYLES = (
+    tuple(_style(name, mix) for name in _TABLES["styles"]) for mix in ("ordinary", "balanced")
+)
+
+
+"""Styles of ordinary streets, and of streets where objects of rare classes are frequent."""
+
+
+def is_balanced(sequence: int) -> bool:
+    """Return whether objects of rare classes are frequent in a sequence: in every other one."""
+    round_number, place = divmod(sequence, len(STYLES))
+    return (round_number + place) % 2 == 1
+
+
+def style_of(sequence: int) -> Numbers:
+    """Return the style of a sequence; 20 sequences have each style with either mix of objects."""
+    styles = BALANCED_STYLES if is_balanced(sequence) else STYLES
+    return styles[sequence % len(styles)]
+
+
 CARS = tuple(map(_body, _TABLES["cars"]))
-BUS_BODY, CARAVAN_BODY = map(_body, ("bus", "caravan"))
+BUS_BODY, MINIBUS_BODY, CARAVAN_BODY = map(_body, ("bus", "minibus", "caravan"))
 TRUCKS = {
     name: Numbers(**table | {"cab": _body(table["cab"])})
     for name, table in _TABLES["truck"].items()
 }
-TRAFFIC: dict[str, float] = _TABLES["traffic"]
-"""Relative frequencies of kinds of vehicles, parked or driving."""
 BRIGHTNESS = Numbers(**_TABLES["brightness"] | _SURFACES["brightness"])
 HDL64 = Numbers(**_TABLES["hdl64"])
 RANDOM_SENSOR = Numbers(**_TABLES["random_sensor"])

@@ -5,87 +5,22 @@ import numpy as np
 
 from salsanext_cli.synthesis import presets
 from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, Skin, box, disc, ellipsoid, merge, tube
-from salsanext_cli.synthesis.presets import PERSON, Material
-from salsanext_cli.synthesis.things.vehicles import dark_paint
+from salsanext_cli.synthesis.presets import Material
+from salsanext_cli.synthesis.things import figures
+from salsanext_cli.synthesis.things.bodywork import dark_paint
 
-HIP, SHOULDER, SEAT = 0.52, 0.82, 0.28
-"""Heights of standing hips and shoulders and of a seat, as shares of the person's height."""
 TYRE_SHADE = 3.0  # Brighter than car tyres; streets clip shades at 2.2
 WHEEL_M = 0.34  # Radius of a bicycle's wheel
 COVERED_SHARE = 0.2  # Of the parked motorcycles
 AXLE_M = 0.52  # Half the distance between the axles of a bicycle
 
 
-def _limb(start: Array, joint: Array, end: Array, radii: tuple[float, float], skin: Skin) -> Mesh:
-    """Return an arm or a leg with a joint."""
-    first, last = radii
-    return tube([start, joint, end], [first, (first + last) / 2, last], skin)
-
-
 def person(rng: Rng, *, sitting: bool = False) -> Mesh:
-    """Return a person 1.1 to 1.95 m tall, perhaps with a bag, a coat or a box; seated at 0.5 m."""
-    height = float(rng.uniform(1.1, 1.5) if rng.random() < 0.12 else rng.uniform(1.55, 1.95))
-    top = Skin.random(rng, PERSON, Material.CLOTH, 0.3, 1.4)
-    bottom = Skin.random(rng, PERSON, Material.CLOTH, 0.3, 1.35)
-    stride = rng.uniform(0.03, 0.2) * (1 if rng.random() < 0.75 else 0.1)
-    girth = rng.uniform(0.85, 1.3)
-    upper = merge([*_torso(rng, stride, girth, top), *_luggage(rng)])
-    parts = [upper.moved((0, 0, (SEAT - HIP) * sitting))]
-    parts += _sitting_legs(bottom) if sitting else _legs(stride, bottom)
-    if not sitting and rng.random() < 0.3:
-        coat = [[0, 0, 0.3], [0, 0, HIP + 0.04]]
-        parts.append(tube(coat, [0.13 * girth, 0.09 * girth], bottom, 9))
-    return merge(parts).scaled(height)
-
-
-def _torso(rng: Rng, stride: float, girth: float, cloth: Skin) -> list[Mesh]:
-    """Return head, trunk and arms of a person 1 m tall."""
-    bare = Skin(PERSON, Material.SKIN)
-    spine = [[0, 0, HIP - 0.03], [0.005, 0, 0.62], [0, 0, 0.76], [0, 0, SHOULDER + 0.02]]
-    trunk = tube(spine, np.array([0.085, 0.08, 0.098, 0.06]) * girth, cloth, 9)
-    parts = [
-        ellipsoid((0.01, 0, 0.935), (0.062, 0.05, 0.075), bare),
-        tube([[0, 0, 0.84], [0, 0, 0.9]], 0.033, bare, 6),
-        trunk.scaled((0.8, 1.2, 1)),
-    ]
-    lifted = rng.uniform(0, 0.3) * (rng.random() < 0.3)
-    for side, swing in ((1, stride), (-1, -stride)):
-        raised = rng.uniform(0.0, 0.12) + lifted
-        elbow = np.array([-swing * 0.35 + lifted / 3, side * 0.14 * girth, 0.64])
-        hand = np.array([-swing * 0.8 + raised, side * 0.145 * girth, 0.5 + raised])
-        arm = np.array([0, side * 0.11 * girth, SHOULDER - 0.01])
-        parts.append(_limb(arm, elbow, hand, (0.034, 0.022), cloth))
-    return parts
-
-
-def _legs(stride: float, cloth: Skin) -> list[Mesh]:
-    parts = []
-    for side, swing in ((1, stride), (-1, -stride)):
-        foot = np.array([swing, side * 0.05, 0.03])
-        knee = np.array([swing * 0.5 + 0.03, side * 0.052, 0.28])
-        parts.append(_limb(np.array([0, side * 0.05, HIP]), knee, foot, (0.055, 0.032), cloth))
-        sole = foot + np.array([0.035, 0, -0.008])
-        parts.append(ellipsoid(sole, (0.08, 0.03, 0.025), Skin(PERSON, Material.RUBBER)))
-    return parts
-
-
-def _sitting_legs(cloth: Skin) -> list[Mesh]:
-    hip, knee, foot = np.array([[0, 0, SEAT], [0.26, 0, SEAT], [0.28, 0, 0.02]])
-    asides = (np.array([0, y, 0]) for y in (-0.06, 0.06))
-    return [_limb(hip + a, knee + a, foot + a, (0.055, 0.035), cloth) for a in asides]
-
-
-def _luggage(rng: Rng) -> list[Mesh]:
-    """Return up to two of a rucksack, a bag on either side and a box in the arms."""
-    bag = Skin.random(rng, PERSON, Material.CLOTH, 0.3, 1.2)
-    corners = (
-        ((-0.17, -0.09, 0.58), (-0.07, 0.09, 0.8)),
-        ((-0.1, 0.13, 0.3), (0.1, 0.19, 0.48)),
-        ((0.08, -0.13, 0.55), (0.24, 0.13, 0.7)),
-        ((-0.08, -0.19, 0.32), (0.08, -0.13, 0.5)),
-    )
-    kinds = set(rng.choice(5, 2, p=(0.15, 0.1, 0.05, 0.1, 0.6)).tolist()) - {len(corners)}
-    return [box(*corners[kind], bag) for kind in kinds]
+    """Return a person who stands, walks or sits on a seat, the arms mostly at the sides."""
+    moving = "walking" if rng.random() < 0.75 else "standing"
+    stance = figures.draw_stance(rng, "sitting" if sitting else moving)
+    gesture = "carrying" if rng.random() < 0.3 else "hanging"
+    return figures.figure(rng, stance, (gesture, "hanging"))
 
 
 def _ring(centre: Array, radius: float, thickness: float, skin: Skin) -> Mesh:
@@ -176,7 +111,7 @@ def _scooter(paint: Skin, iron: Skin, seat: Skin) -> list[Mesh]:
     ]
 
 
-def _seated(rng: Rng, label: int, hip: Array, lean: float, feet: Array, grip: Array) -> list[Mesh]:
+def seated(rng: Rng, label: int, hip: Array, lean: float, feet: Array, grip: Array) -> list[Mesh]:
     """Return a person on a saddle; `feet` (2, 3) right and left, `grip` the left hand."""
     cloth = Skin.random(rng, label, Material.CLOTH, 0.4, 1.3)
     trousers = Skin.random(rng, label, Material.CLOTH, 0.3, 1.2)
@@ -191,18 +126,19 @@ def _seated(rng: Rng, label: int, hip: Array, lean: float, feet: Array, grip: Ar
     for side, foot in zip((-1, 1), feet, strict=True):
         knee = (hip + foot) / 2 + [0.2, side * 0.02, 0.08]
         thigh = hip + np.array([0, side * 0.09, 0])
-        parts.append(_limb(thigh, knee, foot, (0.09, 0.055), trousers))
+        parts.append(figures.limb(thigh, knee, foot, (0.09, 0.055), trousers))
         hand = grip * [1, side, 1]
         elbow = (shoulder + hand) / 2 + [-0.03, side * 0.08, -0.08]
         arm = shoulder + np.array([0, side * 0.17, -0.02])
-        parts.append(_limb(arm, elbow, hand, (0.055, 0.04), cloth))
+        parts.append(figures.limb(arm, elbow, hand, (0.055, 0.04), cloth))
     if rng.random() < 0.3:
         x, z = hip[0], hip[2]
         parts.append(box((x - 0.18, -0.16, z + 0.12), (x + 0.04, 0.16, z + 0.52), cloth))
     return parts
 
 
-def _head(hip: Array, lean: float, size: float, skin: Skin) -> Mesh:
+def head(hip: Array, lean: float, size: float, skin: Skin) -> Mesh:
+    """Return the head of a person on a saddle, or a helmet."""
     centre = hip + np.array([lean + 0.08, 0, 0.74 - 0.3 * lean])
     return ellipsoid(centre, np.array([0.11, 0.09, 0.14]) * size, skin)
 
@@ -214,9 +150,9 @@ def bicyclist(rng: Rng) -> Mesh:
     feet = np.stack(
         [-0.05 + 0.16 * np.cos(angle), np.array([-0.13, 0.13]), 0.3 + 0.16 * np.sin(angle)], -1
     )
-    body = _seated(rng, presets.BICYCLIST, hip, lean, feet, np.array([0.3, 0.25, 1.02]))
-    head = _head(hip, lean, 1.0, Skin(presets.BICYCLIST, Material.SKIN))
-    return merge([bicycle(rng, presets.BICYCLIST), *body, head])
+    body = seated(rng, presets.BICYCLIST, hip, lean, feet, np.array([0.3, 0.25, 1.02]))
+    skin = Skin(presets.BICYCLIST, Material.SKIN)
+    return merge([bicycle(rng, presets.BICYCLIST), *body, head(hip, lean, 1.0, skin)])
 
 
 def motorcyclist(rng: Rng) -> Mesh:
@@ -227,6 +163,6 @@ def motorcyclist(rng: Rng) -> Mesh:
         hip, lean = np.array([-0.25 - 0.35 * n, 0, 0.87 + 0.06 * n]), rng.uniform(0.05, 0.35)
         feet = np.array([[0.0, -0.2, 0.36], [0.0, 0.2, 0.36]]) - [0.3 * n, 0, 0]
         grip = np.array([0.3 - 0.5 * n, 0.3, 1.02])
-        parts += _seated(rng, presets.MOTORCYCLIST, hip, lean, feet, grip)
-        parts.append(_head(hip, lean, 1.35, helmet))
+        parts += seated(rng, presets.MOTORCYCLIST, hip, lean, feet, grip)
+        parts.append(head(hip, lean, 1.35, helmet))
     return merge(parts)
