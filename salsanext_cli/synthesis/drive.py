@@ -10,105 +10,17 @@ from salsanext_cli.classes.label_space import RawIds
 from salsanext_cli.records import Scan
 from salsanext_cli.synthesis.lidar import Rig, RigMaker, Scene, hdl64_rig, measure
 from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, merge, rotation
-from salsanext_cli.synthesis.presets import MOVING, STYLES, Numbers
-from salsanext_cli.synthesis.street import edges, lots, medians, roadside
+from salsanext_cli.synthesis.presets import Numbers, style_of
+from salsanext_cli.synthesis.street import crowd, edges, lots, medians, roadside, yards
 from salsanext_cli.synthesis.street.brightness import draw_brightness
-from salsanext_cli.synthesis.street.builder import Builder, varied, with_brightness
+from salsanext_cli.synthesis.street.builder import Builder, with_brightness
 from salsanext_cli.synthesis.street.ground import ground
 from salsanext_cli.synthesis.street.layout import draw_plan
-from salsanext_cli.synthesis.street.plan import MULTILANE_HALF_WIDTH_M, RUN_OUT_M, Plan
-from salsanext_cli.synthesis.things import people
-from salsanext_cli.synthesis.things.vehicles import vehicle
+from salsanext_cli.synthesis.street.plan import RUN_OUT_M, Plan
+from salsanext_cli.synthesis.street.traffic import Mover, draw_movers
 
 SPEED_M_PER_S = (4.0, 12.0)  # Slowest and fastest drive
 VIEW_M = 90.0  # Largest distance of recorded moving objects
-
-
-@dataclass(frozen=True, slots=True)
-class Mover:
-    """Object with a constant speed and distance from the centre line."""
-
-    mesh: Mesh  # In the frame of the object, x forward
-    start: float  # Along the street at time 0, metres
-    t: float  # To the left of the centre line, metres
-    speed: float  # Metres per second; negative towards the start of the street
-
-    def at(self, plan: Plan, time: float) -> Mesh | None:
-        """Return the mesh in world coordinates at a time, None while it is off the street."""
-        s = self.start + self.speed * time
-        if not 3 < s < plan.length - 3:
-            return None
-        yaw = float(plan.yaw(s)) + (np.pi if self.speed < 0 else 0.0)
-        return self.mesh.moved(plan.world(s, self.t), yaw)
-
-
-def _vehicles(builder: Builder, speed: float, duration: float) -> Iterator[Mover]:
-    """Yield vehicles in all lanes; the recording vehicle uses the outer lane."""
-    plan = builder.plan
-    *others, outer = lanes(plan.half - plan.shoulder, plan.median.half)
-    ahead, behind = builder.between(9, 40), builder.between(9, 50)
-    drive = speed * duration
-    for start, end in ((ahead, plan.length + drive), (-behind, -drive)):
-        for s in _in_a_row(builder, RUN_OUT_M + start, end, 10):
-            yield Mover(_vehicle(builder), s, -outer, speed)
-    for t in others:
-        pace = speed * builder.between(0.9, 1.3)
-        for s in _in_a_row(builder, -pace * duration, plan.length, 10):
-            yield Mover(_vehicle(builder), s, -t, pace)
-    for t in (*others, outer):
-        pace = speed * builder.between(0.5, 1.2)
-        for s in _in_a_row(builder, builder.between(0, 40), plan.length + pace * duration, 11):
-            yield Mover(_vehicle(builder), s, t, -pace)
-
-
-def lanes(edge: float, start: float = 0.0) -> list[float]:
-    """Return the middles of the lanes from a median to the edge, metres from the centre line."""
-    width = edge - start
-    count = 1 if width < MULTILANE_HALF_WIDTH_M else int(width / MULTILANE_HALF_WIDTH_M) + 1
-    return [start + (index + 0.5) / count * width for index in range(count)]
-
-
-def _in_a_row(builder: Builder, start: float, end: float, room: float) -> Iterator[float]:
-    """Yield positions of vehicles from start to end, with gaps and room for every vehicle."""
-    sign, gap = 1 if end > start else -1, 100 / builder.plan.style.traffic
-    while (end - start) * sign > 0:
-        yield start
-        start += sign * (builder.between(0.3, 1.7) * gap + room)
-
-
-def _vehicle(builder: Builder) -> Mesh:
-    return _in_motion(varied(vehicle(builder.rng), builder.rng))
-
-
-def _in_motion(mesh: Mesh) -> Mesh:
-    """Return an object with the raw id of its class in motion."""
-    return replace(mesh, labels=np.full_like(mesh.labels, MOVING[int(mesh.labels[0])]))
-
-
-def _walkers(builder: Builder, duration: float) -> Iterator[Mover]:
-    plan = builder.plan
-    for side in plan.sides:
-        for _ in builder.count(0.16 * plan.style.crowd * plan.length / 100):
-            pace = builder.between(0.7, 1.6) * builder.rng.choice([-1, 1])
-            s = builder.along() - pace * duration / 2
-            out = side.parking + builder.between(0.3, max(0.6, side.verge + side.sidewalk - 0.3))
-            for _ in range(int(builder.rng.choice([1, 1, 2, 2, 3, 4]))):
-                t = side.sign * (plan.half + out + builder.rng.normal(0, 0.35))
-                place = s + builder.rng.normal(0, 0.6)
-                yield Mover(_in_motion(people.person(builder.rng)), place, t, pace)
-
-
-def _riders(builder: Builder, speed: float, duration: float) -> Iterator[Mover]:
-    """Yield riders that meet the recording vehicle during the drive."""
-    plan = builder.plan
-    for _ in builder.count(0.5 + 0.06 * plan.style.crowd * plan.length / 100):
-        sign = builder.rng.choice([-1, 1])
-        pace = -sign * builder.between(0.5, 1.05) * speed
-        meeting = builder.between(0, duration)
-        s = RUN_OUT_M + speed * meeting - pace * meeting + builder.rng.normal(0, 22)
-        t = sign * max(2.3, plan.half + builder.between(-0.9, 0.9))
-        make = people.bicyclist if builder.chance(0.5) else people.motorcyclist
-        yield Mover(_in_motion(make(builder.rng)), float(s), t, pace)
 
 
 def build_street(
@@ -120,13 +32,13 @@ def build_street(
     builder.parts.append(ground(rng, plan))
     for side in plan.sides:
         roadside.furnish(builder, side)
+        crowd.furnish(builder, side)
+        yards.furnish(builder, side)
         edges.furnish(builder, side)
         for lot in side.lots:
             lots.furnish(builder, side, lot)
     medians.furnish(builder)
-    duration = distance / ego_speed
-    movers = [*_vehicles(builder, ego_speed, duration), *_walkers(builder, duration)]
-    movers += _riders(builder, ego_speed, duration)
+    movers = draw_movers(builder, ego_speed, distance / ego_speed)
     brightness = draw_brightness(rng)
     standing = with_brightness(merge(builder.parts), brightness)
     shown = (replace(m, mesh=with_brightness(m.mesh, brightness)) for m in movers)
@@ -153,10 +65,10 @@ def record(
 ) -> Iterator[Frame]:
     """Yield the frames of one sequence, `spacing` metres apart."""
     # Seed, sequence and length of the drive determine the street, whatever the sensor; the sequence
-    # chooses its style. Seed, sequence and frame determine the noise.
+    # chooses its style and its mix of objects. Seed, sequence and frame determine the noise.
     rng = np.random.default_rng([seed, sequence])
     speed = float(rng.uniform(*SPEED_M_PER_S))
-    style = STYLES[sequence % len(STYLES)]
+    style = style_of(sequence)
     plan, standing, movers = build_street(rng, style, spacing * (scans - 1), speed)
     rig = make_rig(rng)
     track = _Track(rng, plan, speed, rig)

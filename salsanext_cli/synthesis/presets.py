@@ -98,18 +98,21 @@ def _body(name: str) -> Numbers:
 
 def _style(name: str, mix: str) -> Numbers:
     """Return a style: its table of the streets and of the surfaces, lots of both, and a mix."""
-    street = _TABLES["style"][name]
-    surfaces = _SURFACES["style"][name]
-    more = {"lots": street["lots"] | surfaces["lots"], "mix": Numbers(**_TABLES["mix"][mix])}
-    return Numbers(**street | surfaces | more)
+    street, surfaces = _TABLES["style"][name], _SURFACES["style"][name]
+    objects = _TABLES["mix"][mix]
+    both = {
+        "lots": street["lots"] | surfaces["lots"],
+        "crowd": street["crowd"] * objects["crowd"],
+        "traffic": street["traffic"] * objects["traffic"],
+        "parked": max(street["parked"], objects["parked"]),
+    }
+    return Numbers(**street | surfaces | objects | both)
 
 
-STYLES, BALANCED_STYLES = (
-    tuple(_style(name, mix) for name in _TABLES["styles"]) for mix in ("ordinary", "balanced")
-)
-
-
-"""Styles of ordinary streets, and of streets where objects of rare classes are frequent."""
+STYLES = tuple(_style(name, "ordinary") for name in _TABLES["styles"])
+"""Styles of ordinary streets."""
+BALANCED_STYLES = tuple(_style(name, "balanced") for name in _TABLES["styles"])
+"""Styles of streets where objects of rare classes are frequent."""
 
 
 def is_balanced(sequence: int) -> bool:

@@ -8,13 +8,13 @@ import pytest
 from scipy.spatial import Delaunay
 
 from salsanext_cli.synthesis import presets
-from salsanext_cli.synthesis.drive import Mover, lanes
 from salsanext_cli.synthesis.presets import STYLES, Numbers
 from salsanext_cli.synthesis.street import lots, roadside
 from salsanext_cli.synthesis.street.builder import Builder
 from salsanext_cli.synthesis.street.ground import ground
 from salsanext_cli.synthesis.street.layout import draw_plan
 from salsanext_cli.synthesis.street.plan import LEFT, REACH_M, Crossing, Lot
+from salsanext_cli.synthesis.street.traffic import Mover, lanes
 from salsanext_cli.synthesis.things import furniture
 
 PLANS = [draw_plan(np.random.default_rng(seed), STYLES[seed], 160.0) for seed in range(len(STYLES))]

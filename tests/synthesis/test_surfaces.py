@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from salsanext_cli.synthesis import presets
-from salsanext_cli.synthesis.drive import _Track, build_street, lanes
+from salsanext_cli.synthesis.drive import _Track, build_street
 from salsanext_cli.synthesis.lidar import hdl64_rig
 from salsanext_cli.synthesis.presets import BRIGHTNESS, STYLES, Material, Numbers
 from salsanext_cli.synthesis.street import edges, medians
@@ -16,6 +16,7 @@ from salsanext_cli.synthesis.street.builder import Builder
 from salsanext_cli.synthesis.street.ground import HIGH_GRASS_M, Cells, ground, high_grass
 from salsanext_cli.synthesis.street.layout import LANE_AND_A_HALF_M, draw_plan
 from salsanext_cli.synthesis.street.plan import LEFT, RIGHT, Crossing, Ditch, Median
+from salsanext_cli.synthesis.street.traffic import lanes
 
 STEP_M = 0.01  # Distance of two points on either side of an edge
 FLAT = {"bank": 0.0, "embankment": 0.0, "ditch": 0.0, "median": 0.0, "traffic_islands": 0.0}

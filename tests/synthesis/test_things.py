@@ -50,7 +50,7 @@ THINGS = {
         lambda rng: people.person(rng, sitting=True), {presets.PERSON},
         (0.4, 0.2, 0.7), (1.2, 1.1, 1.6),
     ),
-    "bus": (vehicles.bus, {presets.BUS}, (6.0, 2.1, 2.4), (13.0, 3.1, 3.7)),
+    "bus": (vehicles.bus, {presets.BUS}, (5.0, 2.1, 2.2), (18.5, 3.1, 3.7)),
     "other": (vehicles.other_vehicle, {presets.OTHER_VEHICLE}, (2.0, 1.1, 0.5), (8.5, 3.4, 5.0)),
     "lamp": (furniture.lamp, {presets.POLE}, (0.1, 0.1, 3.5), (0.6, 3.5, 9.8)),
     "post": (furniture.post, {presets.POLE}, (0.07, 0.07, 0.9), (0.25, 0.25, 8.5)),

@@ -11,8 +11,16 @@ from salsanext_cli.synthesis.street.boundaries import boundary, close, hedge, un
 from salsanext_cli.synthesis.street.builder import Builder
 from salsanext_cli.synthesis.street.filling import house_behind, park, plant, scatter, sizeless
 from salsanext_cli.synthesis.street.plan import REACH_M, Lot, Side
-from salsanext_cli.synthesis.things import buildings, fences, furniture, people, vegetation
-from salsanext_cli.synthesis.things.vehicles import length_of, truck, vehicle
+from salsanext_cli.synthesis.things import (
+    buildings,
+    fences,
+    furniture,
+    pedestrians,
+    people,
+    vegetation,
+)
+from salsanext_cli.synthesis.things.trucks import truck
+from salsanext_cli.synthesis.things.vehicles import length_of, vehicle
 
 CAR_ROOM_M = 5.2  # Distance from the kerb to the house that a car in the driveway needs
 
@@ -108,7 +116,7 @@ def _green(builder: Builder, side: Side, lot: Lot) -> None:
     scatter(builder, side, lot, vegetation.conifer, (3.0, 9.0), 0.5 * area, reach=25)
     plant(builder, side, lot, 3.0 * area, reach=20)
     scatter(builder, side, lot, vegetation.weeds, (0.5, 1.6), 2.0 * area, reach=15)
-    scatter(builder, side, lot, sizeless(people.person), (0, 1), 0.5 * area, reach=12)
+    scatter(builder, side, lot, sizeless(pedestrians.bystander), (0, 1), 0.5 * area, reach=12)
     scatter(builder, side, lot, sizeless(furniture.clutter), (0, 1), 0.5 * area, reach=6)
 
 
@@ -171,13 +179,17 @@ def _solid(builder: Builder, side: Side, lot: Lot, kind: str, height: float) -> 
 def _forecourt(builder: Builder, side: Side, lot: Lot) -> None:
     """Build a low house behind open ground with vehicles."""
     for s in np.arange(lot.start + 3, lot.end - 3, builder.between(4, 9)):
-        mesh = truck(builder.rng) if builder.chance(0.4) else vehicle(builder.rng)
+        mesh = (
+            truck(builder.rng)
+            if builder.chance(0.4)
+            else vehicle(builder.rng, builder.plan.style.vehicles)
+        )
         yaw = builder.between(0, 6.28)
         half = max(2.4, length_of(mesh) / 2)
         out = side.depth + builder.between(half, max(half + 0.1, lot.setback - half))
         builder.put_if_free(mesh, side, float(s), out, half, yaw)
     house_behind(builder, side, lot, side.depth + lot.setback)
-    scatter(builder, side, lot, sizeless(people.person), (0, 1), 0.7)
+    scatter(builder, side, lot, sizeless(pedestrians.bystander), (0, 1), 0.7)
     scatter(builder, side, lot, sizeless(furniture.clutter), (0, 1), 1.0)
 
 

@@ -48,7 +48,7 @@ def court(builder: Builder, side: Side, lot: Lot) -> None:
         builder.put_line(boundary(builder), side, lot.start, lot.end, side.depth + 0.2)
     for s in np.arange(lot.start + 3, lot.end - 3, builder.between(4, 9)):
         if builder.chance(0.5):
-            mesh = vehicle(builder.rng)
+            mesh = vehicle(builder.rng, builder.plan.style.vehicles)
             half = max(2.4, length_of(mesh) / 2)
             out = side.depth + builder.between(half + 1, max(half + 1.1, lot.setback - half))
             builder.put_if_free(mesh, side, float(s), out, half, builder.between(0, 6.28))

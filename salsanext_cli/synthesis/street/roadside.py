@@ -6,18 +6,18 @@ import numpy as np
 from salsanext_cli.synthesis.street.builder import Builder
 from salsanext_cli.synthesis.street.plan import ACROSS_M, Crossing, Side
 from salsanext_cli.synthesis.things import fences, furniture, people, vegetation
+from salsanext_cli.synthesis.things.pedestrians import bystander
 from salsanext_cli.synthesis.things.vehicles import car, length_of, vehicle
 
 TOWARDS_TRAFFIC_RAD = np.pi / 2
 """Yaw of a sign, which faces its local -y, towards the traffic on its side of the street."""
 SIDE_STREET_END_M = 50.0  # Distance beyond the kerb at which trees close a side street
 TOWARDS_ROAD_RAD = -np.pi / 2  # Yaw of objects that face the road
-IN_A_ROW_M = 1.95  # Distance between bicycles in a row
 
 
 def furnish(builder: Builder, side: Side) -> None:
     """Fill the strips of one side: parked cars, trees, lamps, signs, people, clutter."""
-    for fill in (_road_works, _islands, _parked, _trees, _lamps, _signs, _crowd, _clutter):
+    for fill in (_road_works, _islands, _parked, _trees, _lamps, _signs, _clutter):
         fill(builder, side)
     for crossing in side.crossings:
         _side_street(builder, side, crossing)
@@ -63,7 +63,7 @@ def _parked(builder: Builder, side: Side) -> None:
             beyond = out + builder.rng.normal(0, 0.15)
             builder.put_if_free(car(builder.rng), side, s + length / 2, beyond, 1.1, yaw)
         elif occupied:
-            mesh = vehicle(builder.rng)
+            mesh = vehicle(builder.rng, builder.plan.style.vehicles)
             length = length_of(mesh) + builder.between(0.6, 1.6)
             yaw = np.pi * (builder.chance(0.15) ^ (side.sign > 0)) + builder.rng.normal(0, 0.02)
             beyond = out + (0.2 if length > 7 else 0.0) + builder.rng.normal(0, 0.08)
@@ -85,8 +85,6 @@ def _trees(builder: Builder, side: Side) -> None:
             make = vegetation.weeds if builder.chance(0.4) else vegetation.ground_cover
             plants = make(builder.rng, builder.between(0.3, 0.8))
             builder.put(plants, side, s + builder.between(1, 4), out)
-        if builder.chance(0.015 * builder.plan.style.crowd):
-            _group(builder, side, s, out)
         s += builder.between(*builder.plan.style.tree_gap)
     if side.verge and builder.chance(0.3):
         for s in np.arange(3, builder.plan.length, builder.between(2, 8)):
@@ -134,68 +132,6 @@ def _clutter(builder: Builder, side: Side) -> None:
         builder.put_if_free(furniture.shelter(builder.rng), side, s, side.depth - 1.6, 2.0)
 
 
-def _crowd(builder: Builder, side: Side) -> None:
-    crowd = builder.plan.style.crowd * builder.plan.length / 100
-    for _ in builder.count(0.13 * crowd):
-        _group(builder, side, builder.along(), _distance_from_kerb(builder, side))
-    for _ in builder.count(0.02 * crowd):
-        _bench(builder, side, builder.along(), _distance_from_kerb(builder, side))
-    for _ in builder.count(0.17 * crowd):
-        _bicycles(builder, side, builder.along())
-    for _ in builder.count(0.13 * crowd):
-        _motorcycles(builder, side, builder.along())
-
-
-def _distance_from_kerb(builder: Builder, side: Side) -> float:
-    """Return a distance from the kerb, on the pavement: at the kerb, at the houses or between."""
-    low, high = side.parking + 0.3, max(side.parking + 0.6, side.depth - 0.3)
-    return (low, high, builder.between(low, high))[builder.rng.integers(3)]
-
-
-def _group(builder: Builder, side: Side, s: float, out: float) -> None:
-    count = int(builder.rng.choice([1, 1, 2, 2, 3, 4, 6, 8]))
-    for _ in range(count):
-        place = s + builder.rng.normal(0, 0.35 * count**0.5), out + builder.rng.normal(0, 0.35)
-        yaw = builder.between(0, 6.28)
-        builder.put_if_free(people.person(builder.rng), side, *place, 0.19, yaw)
-        if builder.chance(0.12):
-            bicycle = people.bicycle(builder.rng)
-            builder.put_if_free(bicycle, side, place[0], place[1] + 0.5, 0.15, yaw * 0.05)
-
-
-def _bench(builder: Builder, side: Side, s: float, out: float) -> None:
-    if not builder.put_if_free(furniture.bench(builder.rng), side, s, out, 0.3):
-        return
-    for x in np.arange(-0.6, 0.9, builder.between(0.5, 0.8)):
-        person = people.person(builder.rng, sitting=True)
-        builder.put(person, side, s + float(x), out, TOWARDS_ROAD_RAD)
-
-
-def _bicycles(builder: Builder, side: Side, s: float) -> None:
-    """Lean bicycles off the road, one behind the other, or stand them side by side in a rack."""
-    rack = builder.chance(0.4)
-    out = max(0.5, side.depth - 0.3) if builder.chance(0.5) else _distance_from_kerb(builder, side)
-    yaw = builder.between(-0.2, 0.2) + (np.pi / 2) * rack
-    for step in range(int(builder.rng.choice([1, 1, 2, 5]))):
-        backwards = builder.chance(0.4)
-        turned = yaw + builder.rng.normal(0, 0.08) + np.pi * backwards
-        lean = builder.rng.normal(0, 0.1) if rack else abs(builder.rng.normal(0.1, 0.1))
-        mesh = people.bicycle(builder.rng).leaned(lean if backwards else -lean)
-        place = s + step * (builder.between(0.45, 0.7) if rack else IN_A_ROW_M)
-        builder.put_if_free(mesh, side, place, out, 0.22, turned)
-
-
-def _motorcycles(builder: Builder, side: Side, s: float) -> None:
-    at_kerb = builder.chance(0.4)
-    out = builder.between(-0.7, -0.4) if at_kerb else _distance_from_kerb(builder, side)
-    yaw = builder.rng.choice([0.0, np.pi / 2, 1.0]) + np.pi * builder.chance(0.5)
-    out += 0.9 * abs(np.sin(yaw)) * at_kerb
-    for step in range(int(builder.rng.choice([1, 1, 1, 2, 4]))):
-        mesh = people.motorcycle(builder.rng).leaned(builder.rng.normal(0, 0.1))
-        turned = yaw + builder.rng.normal(0, 0.1)
-        builder.put_if_free(mesh, side, s + (0.9 + abs(np.cos(yaw))) * step, out, 0.35, turned)
-
-
 def _park_along(builder: Builder, side: Side, crossing: Crossing) -> None:
     """Park vehicles one behind the other at either edge of a side street."""
     edge, out = crossing.half - 0.9, builder.between(8, 14)
@@ -203,7 +139,7 @@ def _park_along(builder: Builder, side: Side, crossing: Crossing) -> None:
         if builder.chance(0.6):
             out += builder.between(5.5, 9)
             continue
-        mesh = vehicle(builder.rng)
+        mesh = vehicle(builder.rng, builder.plan.style.vehicles)
         end = out + length_of(mesh)
         if end < SIDE_STREET_END_M:
             s = crossing.s + edge * builder.rng.choice([-1, 1])
@@ -219,7 +155,7 @@ def _side_street(builder: Builder, side: Side, crossing: Crossing) -> None:
         builder.put(car(builder.rng), side, s, builder.between(2.6, 5), TOWARDS_ROAD_RAD)
     for _ in builder.count(2 if crossing.pavement else 0.5):
         away = (crossing.half + builder.between(0.4, 1.4)) * builder.rng.choice([-1, 1])
-        makers = (people.person, people.person, furniture.post, people.bicycle, furniture.sign)
+        makers = (bystander, bystander, furniture.post, people.bicycle, furniture.sign)
         mesh = makers[builder.rng.integers(5)](builder.rng)
         out = side.depth + builder.between(0, 25)
         builder.put(mesh, side, crossing.s + away, out, builder.between(0, 6.28))

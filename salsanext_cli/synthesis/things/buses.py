@@ -15,13 +15,17 @@ def bus(rng: Rng) -> Mesh:
     return makers[rng.integers(len(makers))](rng)
 
 
+def _paint(rng: Rng) -> Skin:
+    dark = rng.random() < 0.4
+    return dark_paint(rng, BUS) if dark else Skin.random(rng, BUS, Material.PAINT, 0.3, 1.6)
+
+
 def _coach(rng: Rng) -> Mesh:
     """Return a bus, from a minibus to one of 12 m and more."""
     shape = presets.BUS_BODY
     stretch = rng.uniform([0.55, 0.88, 0.85], [1.1, 1.02, 1.08])
     length, width = shape.length * stretch[0], shape.width * stretch[1]
-    dark = rng.random() < 0.5
-    paint = dark_paint(rng, BUS) if dark else Skin.random(rng, BUS, Material.PAINT, 0.3, 1.6)
+    paint = _paint(rng)
     parts = [shell(shape, paint, stretch), *fittings(shape, BUS, stretch)]
     parts += wheels(BUS, [0.28 * length, -0.26 * length], width / 2, shape.wheel, 0.3)
     top = shape.profile[:, 2].max() * stretch[2]
@@ -38,7 +42,7 @@ def _minibus(rng: Rng) -> Mesh:
     shape = presets.MINIBUS_BODY
     stretch = rng.uniform([0.85, 0.92, 0.92], [1.2, 1.08, 1.08])
     half, length = shape.width / 2 * stretch[1], shape.length * stretch[0]
-    paint = dark_paint(rng, BUS)
+    paint = _paint(rng)
     parts = [shell(shape, paint, stretch), *fittings(shape, BUS, stretch)]
     parts += wheels(BUS, [0.33 * length, -0.27 * length], half, shape.wheel, 0.25)
     belt, roof = 1.35 * stretch[2], 2.35 * stretch[2]
@@ -50,7 +54,7 @@ def _minibus(rng: Rng) -> Mesh:
 def _articulated(rng: Rng) -> Mesh:
     """Return a bus of two sections with bellows between them."""
     shape = presets.BUS_BODY
-    paint = dark_paint(rng, BUS)
+    paint = _paint(rng)
     height, turn = rng.uniform(0.92, 1.05), rng.uniform(-0.08, 0.08)
     parts = []
     for centre, share in ((4.6, 0.72), (-5.4, 0.6)):

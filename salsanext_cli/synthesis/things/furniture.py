@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Objects at the roadside: poles, lamps, signs, bins, benches, cabinets, shelters."""
 
+from itertools import pairwise
+
 import numpy as np
 
 from salsanext_cli.synthesis.mesh import Mesh, Rng, Skin, box, disc, ellipsoid, faces, merge, tube
@@ -73,6 +75,14 @@ def board(rng: Rng) -> Mesh:
     parts.append(faces(plate - [0, 0.08, 0], bright))
     parts.append(faces(plate - [0, 0.06, 0], Skin(SIGN, Material.METAL, 0.9)))
     return merge(parts)
+
+
+def hoop(rng: Rng) -> Mesh:
+    """Return a hoop along x to which bicycles are locked."""
+    steel = Skin.random(rng, CLUTTER, Material.METAL, 0.5, 1.3)
+    half, height = rng.uniform([0.3, 0.7], [0.45, 0.9])
+    corners = [[-half, 0, FOOT_M], [-half, 0, height], [half, 0, height], [half, 0, FOOT_M]]
+    return merge([tube([a, b], 0.025, steel, 5) for a, b in pairwise(corners)])
 
 
 def traffic_light(rng: Rng) -> Mesh:
