@@ -122,7 +122,7 @@ def is_balanced(sequence: int) -> bool:
 
 
 def style_of(sequence: int) -> Numbers:
-    """Return the style of a sequence; 20 sequences have each style with either mix of objects."""
+    """Return the style of a sequence; two rounds have each style with either mix."""
     styles = BALANCED_STYLES if is_balanced(sequence) else STYLES
     return styles[sequence % len(styles)]
 

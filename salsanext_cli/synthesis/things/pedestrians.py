@@ -123,7 +123,8 @@ def with_dog(rng: Rng) -> Mesh:
     place = np.array([rng.uniform(-0.3, 0.9), rng.choice([-1, 1]) * rng.uniform(0.45, 0.8), 0])
     dog = merge(parts).moved(place, rng.uniform(-0.6, 0.6))
     collar = place + [long * 0.9, 0, back]
-    leash = tube([[0.1, 0.2 * np.sign(place[1]), 0.85], collar], 0.01, fur, 4)
+    hand = np.array([0.1, 0.2 * np.sign(place[1]), 0.85])
+    leash = tube(np.stack([hand, collar]), 0.01, fur, 4)
     return merge([figures.walking(rng), dog, leash])
 
 

@@ -125,12 +125,12 @@ def _dumper(rng: Rng) -> Mesh:
 def _platform(rng: Rng) -> Mesh:
     """Return a lifting platform: a low base, a folded or raised boom and a basket."""
     paint, height = _paint(rng), rng.uniform(1.2, 4.0)
-    elbow = np.array([-1.2, 0, 0.9 + height / 2])
+    foot, elbow = np.array([0.3, 0, 0.9]), np.array([-1.2, 0, 0.9 + height / 2])
     tip = np.array([rng.uniform(1.0, 2.0), 0, height])
     parts = [
         box((-1.2, -0.7, 0.4), (1.2, 0.7, 0.9), paint),
         *wheels(OTHER_VEHICLE, [-0.9, 0.9], 0.85, 0.4, 0.25),
-        tube([[0.3, 0, 0.9], elbow], 0.14, paint),
+        tube(np.stack([foot, elbow]), 0.14, paint),
         tube([elbow, tip], 0.12, paint),
         box(tip + [0, -0.6, -0.3], tip + [0.8, 0.6, -0.25], STEEL),
     ]
