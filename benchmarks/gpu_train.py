@@ -12,7 +12,7 @@ import math
 import os
 import statistics
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from multiprocessing.process import BaseProcess
@@ -32,6 +32,7 @@ from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.files.json_files import write_json
 from salsanext_cli.files.reading import fingerprint
 from salsanext_cli.network.card import WeightsCard, read_card
+from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.network.weights import save_weights
 from salsanext_cli.results.paths import ScanFile, find_scans
 from salsanext_cli.sensors.sensor import Sensor
@@ -200,14 +201,22 @@ def train(
 def real_data(
     pack: Path | None, folder: Path, sensor: Sensor, jobs: int
 ) -> tuple[list[Source], dict[str, Source]]:
-    """Return packed real scans to train on, and those that are held out, by name.
+    """Return packed real scans to train on, and those that are held out, as `real_sources` does."""
+    roots = {root.name: root for root in unpack(pack, folder)} if pack else {}
+    return real_sources(roots, folder, sensor, jobs)
+
+
+def real_sources(
+    roots: Mapping[str, Path], folder: Path, sensor: Sensor, jobs: int
+) -> tuple[list[Source], dict[str, Source]]:
+    """Return real scans to train on, of data sets by name, and those that are held out, by name.
 
     The scans of PandaSet's two sensors are one source. The same scans are held out as for the
     default weights.
     """
-    roots = {root.name: root for root in unpack(pack, folder)} if pack else {}
     if unknown := sorted(roots.keys() - SPACES.keys()):
-        raise TrainingError(pack, f"holds {', '.join(unknown)}", f"some of {', '.join(SPACES)}")
+        found = f"are {', '.join(unknown)}"
+        raise TrainingError("real scans", found, f"some of {', '.join(SPACES)}")
     sources: list[Source] = []
     held_out: dict[str, Source] = {}
     if "pandaset" in roots:
@@ -218,7 +227,7 @@ def real_data(
         sources.append(replace(whole, files=training))
         held_out = {name: replace(whole, files=files) for name, files in late.items()}
     elif "pandargt" in roots:
-        raise TrainingError(pack, "holds pandargt without pandaset", "both")
+        raise TrainingError("real scans", "are pandargt without pandaset", "both")
     if "aachen" in roots:
         compose_circles(roots["aachen"], folder / "circles")
         circles = source_of(find_scans(folder / "circles"), "aachen", sensor)
@@ -248,22 +257,48 @@ def wait_for_scenes(
 
 def begin(
     run: Run,
-    module: torch.nn.Module,
+    module: SegmentationNetwork,
     recipe: Recipe,
     pool: ScenePool,
     real: list[Source],
     jobs: int,
 ) -> Samples:
-    """Count the points of each class; give the run its learner, and return its samples."""
-    counted = [pool.source(kind) for kind in KINDS]
-    counted = [replace(source, files=source.files[:COUNTED_SCANS]) for source in counted] + real
+    """Give the run its learner and a card that knows the scans, and return its samples."""
     validation, path = run.held_out[VALIDATION], run.folder / CLASS_COUNTS
+    data = training_data(path, pool, real, validation, recipe, run.card, jobs)
+    device = torch.device(run.figures.device)
+    run.learner = Learner(module, recipe, data.weights, device, sets=data.samples.sets)
+    run.card = replace(run.card, trained_on=run.card.trained_on | data.digests)
+    return data.samples
+
+
+@dataclass(frozen=True)
+class TrainingData:
+    """Samples of a training on scenes that are made meanwhile, and what its scans determine."""
+
+    samples: Samples
+    weights: torch.Tensor  # (C,) float32: of the classes in the loss
+    digests: frozenset[str]  # Of the real scans
+
+
+def training_data(
+    path: Path,
+    pool: ScenePool,
+    real: Sequence[Source],
+    validation: Source,
+    recipe: Recipe,
+    card: WeightsCard,
+    jobs: int,
+) -> TrainingData:
+    """Count the points of each class in the first scenes and all real scans, into a file."""
+    scenes = [pool.source(kind) for kind in KINDS]
+    first = [replace(source, files=source.files[:COUNTED_SCANS]) for source in scenes]
+    counted = [*first, *real]
     counts = class_counts(path, counted, validation, validation.files, jobs, recipe.also)
     sources = [*(pool.source(kind, PLANNED) for kind in KINDS), *real]
-    of_class, sets = (counts.points, run.card.space.scored), class_sets(s.space for s in sources)
-    weights = class_weights(*of_class, recipe.class_weight)
-    device = torch.device(run.figures.device)
-    run.learner = Learner(module, recipe, weights, device, sets=sets)  # type: ignore[arg-type]
-    digests = {counts.digests[file] for source in real for file in source.files}
-    run.card = replace(run.card, trained_on=run.card.trained_on | digests)
-    return Samples(sources, run.card.sensor, recipe, rare_classes(*of_class), sets)
+    of_class, sets = (counts.points, card.space.scored), class_sets(s.space for s in sources)
+    return TrainingData(
+        samples=Samples(sources, card.sensor, recipe, rare_classes(*of_class), sets),
+        weights=class_weights(*of_class, recipe.class_weight),
+        digests=frozenset(counts.digests[file] for source in real for file in source.files),
+    )

@@ -60,7 +60,7 @@ class ScenePool:
     def source(self, name: str, planned: int = 0) -> Source:
         """Return the scenes of a folder: those of now or, if some are planned, as they come."""
         folder = self.root / name / "sequences"
-        fitted: Mapping[str, Sensor] = FittedSensors(folder)
+        fitted: Mapping[str, Sensor] = FittedSensors(folder, self.sensor.width)
         if planned:
             return Source(Scenes(folder, planned), label_space(), self.sensor, fitted, True)
         files = find_scans(folder.parent)
@@ -140,16 +140,16 @@ class Scenes(Sequence[ScanFile]):
 
 
 class FittedSensors(Mapping[str, Sensor]):
-    """The sensor of each scene, read when it is first asked for."""
+    """The sensor of each scene for images of a width, read when it is first asked for."""
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    def __init__(self, folder: Path, width: int) -> None:
+        self.folder, self.width = folder, width
         self._known: dict[str, Sensor] = {}
 
     def __getitem__(self, scene: str) -> Sensor:
         if scene not in self._known:
             record = json.loads((self.folder / scene / SENSOR).read_text())
-            self._known[scene] = Sensor.from_dict(record)
+            self._known[scene] = Sensor.from_dict(record).resized(width=self.width)
         return self._known[scene]
 
     def __iter__(self) -> Iterator[str]:

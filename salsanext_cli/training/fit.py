@@ -23,7 +23,7 @@ from salsanext_cli.training.data.dataset import Batch, Samples, batches
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.learner import Learner, learning_rate
 from salsanext_cli.training.run_folder import BEST, CHECKPOINT, LAST, LOG, Row, write_log
-from salsanext_cli.training.validation import validate
+from salsanext_cli.training.validation import validate_widths
 
 SAVE_INTERVAL_S = 600.0  # Seconds between two checkpoints within an epoch
 CHECK_INTERVALS = {"cpu": 1, "cuda": 16}  # Steps between two reads of losses, which wait
@@ -116,7 +116,8 @@ class Training:
             group.broadcast(self.learner.average.buffers())
             module, device = self.learner.average.eval(), str(self.learner.device)
             network = network_of_module(module, self.card, device)
-            measured, card = validate(network, self.validation, group)
+            widths = recipe.image_widths
+            measured, card = validate_widths(network, self.validation, widths, group)
             row |= measured
         if group.is_main:
             self._write(state, row, card)

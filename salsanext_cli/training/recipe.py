@@ -45,6 +45,15 @@ ShareBelow1 = Annotated[float, ("from 0 to below 1", lambda value: 0 <= value < 
 """Types of keys with the condition on their values: its text, and a function that tests it."""
 
 
+def are_widths(text: str) -> bool:
+    """Return whether a text lists widths of images, or is empty."""
+    numbers = text.split(",") if text else []
+    return all(number.strip().isdecimal() and int(number) > 0 for number in numbers)
+
+
+Widths = Annotated[str, ("numbers of columns, such as 512,1024,2048", are_widths)]
+
+
 def one_of(*words: str) -> tuple[str, Callable[[str], bool]]:
     """Return the condition on a key that accepts some words."""
     return f"one of {', '.join(words)}", words.__contains__
@@ -61,6 +70,7 @@ class Recipe:
     batch: Positive = 24
     accumulate: Positive = 1
     samples_per_epoch: Count = 0
+    widths: Widths = ""
     crop_width: Count = 0
     crop_on_class: Share = 0.0
     optimiser: Annotated[str, one_of("sgd", "adamw")] = "sgd"
@@ -107,6 +117,9 @@ class Recipe:
                 self._require(key.name, math.isfinite(value), "finite")
             for expected, test in getattr(key.type, "__metadata__", ()):
                 self._require(key.name, test(value), expected)
+        narrowest = min(self.image_widths, default=0)
+        fits = len({*self.image_widths}) < 2 or 1 <= self.crop_width <= narrowest
+        self._require("crop_width", fits, f"from 1 to {narrowest}, which fits all widths")
         steady = self.folds == 0 or self.schedule == "decay"
         self._require("schedule", steady, "decay with folds, which choose the number of epochs")
 
@@ -114,6 +127,11 @@ class Recipe:
         if not is_right:
             value = shortened(repr(getattr(self, key)))
             raise UsageError(f"recipe key {key}", f"is {value}", expected)
+
+    @property
+    def image_widths(self) -> tuple[int, ...]:
+        """Widths of the images of samples in columns; none for that of the sensor."""
+        return tuple(int(number) for number in self.widths.split(",")) if self.widths else ()
 
     def with_changes(self, **changes: Any) -> Self:
         """Return the recipe with some keys changed; an unknown key raises `UsageError`."""

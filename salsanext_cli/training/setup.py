@@ -59,7 +59,7 @@ def initial_network(
     """Return the network before training and its card: architecture, classes, sensor, scans.
 
     It is random without weights; so are the outputs of classes that the weights do not have. The
-    sensor is `seen`, else the sensor of the weights, else the default.
+    sensor is `seen`, else the sensor of the weights, else the default; the recipe may set its width.
     """
     architecture = described(
         recipe.architecture, class_count=space.class_count, dropout=recipe.dropout
@@ -68,7 +68,8 @@ def initial_network(
         torch.manual_seed(recipe.seed)  # noqa: TID251
         module = build(architecture, "recipe key architecture")
     if weights is None:
-        return module, WeightsCard(architecture, space, _completed(seen, sensor(DEFAULT_SENSOR)))
+        chosen = _sensor_of_training(seen, sensor(DEFAULT_SENSOR), recipe)
+        return module, WeightsCard(architecture, space, chosen)
     trained, card = read_weights(weights)
     if _hidden_shapes(trained) != _hidden_shapes(module):
         name = card.architecture["name"]
@@ -78,7 +79,7 @@ def initial_network(
     if not card.space.fits(space):
         tensors |= _outputs(module, tensors, card.space, space)
     module.load_state_dict(tensors)
-    begun = WeightsCard(architecture, space, _completed(seen, card.sensor))
+    begun = WeightsCard(architecture, space, _sensor_of_training(seen, card.sensor, recipe))
     return module, replace(begun, trained_on=card.trained_on)
 
 
@@ -98,13 +99,16 @@ def inheriting(card: WeightsCard, weights: Path) -> WeightsCard:
     return heir if inherited and fits else card
 
 
-def _completed(seen: Sensor | None, trained: Sensor) -> Sensor:
-    """Return a sensor with the intensity and row gaps of a trained one, or the trained one."""
-    if seen is None:
-        return trained
-    quantiles = seen.intensity_quantiles or trained.intensity_quantiles
-    gaps = trained.row_gaps if seen.row_gaps is None else seen.row_gaps
-    return replace(seen, intensity_quantiles=quantiles, row_gaps=gaps)
+def _sensor_of_training(seen: Sensor | None, trained: Sensor, recipe: Recipe) -> Sensor:
+    """Return the sensor of a training: its intensity and row gaps are by default the trained ones.
+
+    The first width of the recipe, if it names any, is that of its images.
+    """
+    chosen = trained if seen is None else seen
+    quantiles = chosen.intensity_quantiles or trained.intensity_quantiles
+    gaps = trained.row_gaps if chosen.row_gaps is None else chosen.row_gaps
+    completed = replace(chosen, intensity_quantiles=quantiles, row_gaps=gaps)
+    return completed.resized(width=recipe.image_widths[0] if recipe.image_widths else None)
 
 
 def _outputs(

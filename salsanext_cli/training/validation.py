@@ -42,6 +42,22 @@ class ValidatedScan(NamedTuple):
     truth: torch.Tensor  # (M,) int64
 
 
+def validate_widths(
+    network: Network, source: Source, widths: Sequence[int], group: ProcessGroup = SINGLE_PROCESS
+) -> tuple[Row, WeightsCard]:
+    """Score images of each width as `validate` does; without widths, those of the sensor alone.
+
+    The card, and the keys of the row without a width, are of the first width. Accuracy and mean IoU
+    of the others have it in their keys, such as ``miou_1024``.
+    """
+    first, *others = dict.fromkeys(widths or [source.sensor.width])
+    row, card = validate(network, source.at_width(first), group)
+    for width in others:
+        measured, _ = validate(network, source.at_width(width), group)
+        row |= {f"{key}_{width}": measured[key] for key in ("accuracy", "miou")}
+    return row, card
+
+
 def validate(
     network: Network, source: Source, group: ProcessGroup = SINGLE_PROCESS
 ) -> tuple[Row, WeightsCard]:

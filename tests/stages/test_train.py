@@ -31,15 +31,18 @@ from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.weights import save_weights
 from salsanext_cli.results.owned_folder import OwnedFolder
+from salsanext_cli.results.paths import find_scans
 from salsanext_cli.stages.train import train
 from salsanext_cli.training import fit, learner
 from salsanext_cli.training.data.class_counts import class_weights
 from salsanext_cli.training.data.dataset import Samples
+from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.distributed import SINGLE_PROCESS
 from salsanext_cli.training.fit import Training
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.recipe import Recipe, recipe
 from salsanext_cli.training.setup import Setup
+from salsanext_cli.training.validation import validate
 
 TINY = Recipe(
     epochs=3,
@@ -109,6 +112,21 @@ def test_a_run_folder_holds_weights_log_and_recipe(dataset, tmp_path):
     assert card.scores["miou"] == result.best_miou
     # A finished training has nothing left to do.
     assert go(dataset, run, progress=no_step) == result
+
+
+def test_a_training_at_several_widths_scores_each_and_is_for_the_first(dataset, tmp_path):
+    mixed = TINY.with_changes(epochs=1, widths="64,128")
+    result = go(dataset, tmp_path / "run", recipe=mixed)
+    card = read_card(result.last)
+    assert card.sensor.resized(width=SMALL.width).view() == SMALL.view()
+    assert card.sensor.width == 64
+    (row,) = result.rows
+    again = load_network(result.last, "cpu", engine="torch")
+    scored = Source(find_scans(dataset / "sequences" / "08"), again.space, again.sensor)
+    for width, suffix in ((64, ""), (128, "_128")):
+        measured, _ = validate(again, scored.at_width(width))
+        for name in ("accuracy", "miou"):
+            assert row[name + suffix] == pytest.approx(measured[name], abs=1e-6)
 
 
 def test_finished_weights_have_the_ranges_of_int8(dataset, tmp_path, monkeypatch):

@@ -46,6 +46,7 @@ def test_an_unknown_key_or_recipe_and_an_impossible_value_are_refused(tmp_path):
         *(("learning_rate", 0.0), ("learning_rate", "fast"), ("learning_rate", float("nan"))),
         *(("warm_up", float("inf")), ("flip", -0.1), ("jitter", 1.5)),
         *(("folds", 1), ("seed", 2**63)),
+        *(("widths", "512,wide"), ("widths", "512,0"), ("widths", "1e3"), ("widths", ",")),
     ):
         with refused(UsageError, f"recipe key {key}"):
             Recipe().with_changes(**{key: value})
@@ -72,6 +73,16 @@ def test_removed_keys_are_answered_by_a_hint(key, tmp_path):
         error = refused(UsageError, subject, read).value
         assert key in error.problem
         assert error.hint
+
+
+def test_windows_fit_images_of_every_width() -> None:
+    assert Recipe().image_widths == ()
+    assert Recipe(widths="1024").image_widths == (1024,)
+    windows = Recipe(widths="1024, 512,1024", crop_width=512)
+    assert windows.image_widths == (1024, 512, 1024)
+    for crop_width in (0, 513):
+        with refused(UsageError, "recipe key crop_width"):
+            windows.with_changes(crop_width=crop_width)
 
 
 # Overrides

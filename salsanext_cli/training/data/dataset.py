@@ -141,6 +141,8 @@ class Samples(Dataset[Sample]):
         scan, labels = self._mixed(index, random)
         source, file = self.scan_at(index)
         view = replace(source.sensor_of(file), up=UP, origin=ORIGIN)
+        if recipe.image_widths:
+            view = view.resized(width=int(random.choice(recipe.image_widths)))
         if _drawn(recipe.view, random):
             view = other_sensors.other_view(view, random)
         image = project(scan, view)

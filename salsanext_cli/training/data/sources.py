@@ -60,6 +60,11 @@ class Source:
         """Return the sensor for the projection of a scan."""
         return self.fitted.get(file.sequence, self.sensor)
 
+    def at_width(self, width: int) -> "Source":
+        """Return the scans for images of another width, in columns."""
+        fitted = {name: sensor.resized(width=width) for name, sensor in self.fitted.items()}
+        return replace(self, sensor=self.sensor.resized(width=width), fitted=fitted)
+
     def read(self, file: ScanFile, sets: ClassSets) -> LabelledScan:
         """Read a scan without the vehicle's points, in the sensor frame, and its targets, (N,)."""
         sensor = self.sensor_of(file)

@@ -10,6 +10,7 @@ from torch.utils.data import get_worker_info
 from salsanext_cli import label_space, project
 from salsanext_cli.compiled import thread_count
 from salsanext_cli.formats.kitti import read_bin, read_labels
+from salsanext_cli.geometry.network_input import normalise
 from salsanext_cli.network.card import scan_digest
 from salsanext_cli.results.paths import ScanFile, find_scans
 from salsanext_cli.training.data.class_counts import class_shares, count_classes, rare_classes
@@ -45,6 +46,20 @@ def test_a_sample_is_the_normalised_scan_and_its_truth(files: list[ScanFile]) ->
     assert image[1, 3, 5] == pytest.approx(expected, rel=1e-5)
     assert truth.dtype == np.uint8
     assert truth[3, 5] == SPACE.learning_map[int(raw[nearest])]
+
+
+def test_samples_are_windows_of_images_of_the_drawn_widths(files: list[ScanFile]) -> None:
+    recipe = PLAIN.with_changes(widths="32,64,64", crop_width=32)
+    scan = read_bin(files[2].path)
+    images = {w: normalise(project(scan, SMALL.resized(width=w)).channels, SMALL) for w in (32, 64)}
+    drawn = Counter[int]()
+    for position in range(60):
+        window, truth = samples(files, recipe)[position, 2]
+        assert window.shape[1:] == truth.shape == (SMALL.height, 32)
+        turned = [(w, np.roll(images[w], -start, 2)) for w in images for start in range(w)]
+        drawn.update({w for w, image in turned if np.array_equal(image[:, :, :32], window)})
+    assert drawn.total() == 60
+    assert 10 <= drawn[32] <= 30
 
 
 def test_samples_differ_by_position_and_scan_and_repeat_by_both(files: list[ScanFile]) -> None:
