@@ -63,6 +63,7 @@ def load_network(
     card = read_card(file)
     merging = ClassMerging.needed(card.space, classes)
     sensor = sensor or card.sensor
+    card = card.at_width(sensor.width)
     sha256, chosen = fingerprint(file), choose_device(device)
     library = choose_engine(engine, chosen)
     is_built_in = card.architecture.get("name") == "salsanext"

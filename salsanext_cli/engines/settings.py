@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from salsanext_cli.sensors.sensor import Sensor
 
 AUTO = "auto"
+MIN_WIDTH = 16  # Columns; a fourth downsampling of the network leaves one
 DEFAULT_WEIGHTS = Path("default")  # Of the package; a file of that name needs an absolute path
 
 log = logging.getLogger(__name__)
@@ -45,7 +46,7 @@ class NetworkSettings:
         envvar="SALSANEXT_ENGINE",
         typed=Literal["auto", "openvino", "torch"],
     )
-    # A `Sensor` is used unchanged, whatever names, `min_range` and `ego` are
+    # A `Sensor` is used unchanged, whatever names, `width`, `min_range` and `ego` are
     sensor: "Sensor | str | None" = network_option(
         "Sensor of the scans; auto estimates field of view and mounting. A named sensor sets only "
         "intensity scale and noise.",
@@ -62,6 +63,12 @@ class NetworkSettings:
         "Field with the intensity, in files that name their fields.",
         metavar="NAME",
         show_default="the usual names",
+    )
+    width: int | None = network_option(
+        "Columns of the range image; more columns show more of far and small objects and take "
+        "more time. Weights warn of widths that they were not trained with.",
+        metavar="512|1024|2048",
+        show_default="the default of the weights",
     )
     min_range: float | None = network_option(
         "Leave points nearer than this unlabelled, in metres.",
@@ -109,8 +116,8 @@ class NetworkSettings:
         named = self.sensor or AUTO
         if not isinstance(named, str):
             return named
-        changes = (self.columns, self.intensity_field, self.min_range)
-        if (named, self.ego) == (AUTO, AUTO) and changes == (None, None, None):
+        changes = (self.columns, self.intensity_field, self.width, self.min_range)
+        if (named, self.ego) == (AUTO, AUTO) and changes == (None, None, None, None):
             return None
         chosen = trained = self.trained_sensor()
         if named != AUTO:
@@ -118,6 +125,8 @@ class NetworkSettings:
         if named in presets():
             chosen = replace(trained, **{key: getattr(chosen, key) for key in OF_DEVICE})
         chosen = with_names(chosen, self.columns, self.intensity_field)
+        if self.width is not None:
+            chosen = with_width(chosen, self.width)
         if self.min_range is not None:
             chosen = replace(chosen, min_range=self.min_range)
         if self.ego != AUTO:
@@ -157,6 +166,9 @@ class NetworkSettings:
         if inherited := network.card.inherited():
             hint = ": run `salsanext tune error`" if inherited.startswith("error") else ""
             log.log(NOTICE, "%s; not fitted to these weights%s", inherited, hint)
+        if others := network.card.of_other_width():
+            width = network.sensor.width
+            log.log(NOTICE, "%s; not fitted to images of %d columns", others, width)
 
     def resolved(self, network: "Network", *, silent: bool = False) -> "NetworkSettings":
         """Return settings with which each worker loads the same network, and announce it.
@@ -198,6 +210,16 @@ def with_names(
     if not are_columns(names):
         raise UsageError("--columns", columns, COLUMNS_EXPECTED)
     return replace(sensor, columns=names)
+
+
+def with_width(sensor: "Sensor", width: int) -> "Sensor":
+    """Return a sensor whose images have another number of columns."""
+    from salsanext_cli.sensors.sensor import MAX_PIXELS
+
+    most = MAX_PIXELS // sensor.height
+    if not MIN_WIDTH <= width <= most:
+        raise UsageError("--width", str(width), f"{MIN_WIDTH} to {most} columns")
+    return sensor.resized(width=width)
 
 
 def _ego_box(text: str) -> tuple[float, ...]:

@@ -111,6 +111,6 @@ def sensor_of_images(folder: Path, projected: Sensor | None, wanted: Sensor) -> 
     if changed := next(filter(None, starmap(differences, (counts, *pairs))), ""):
         size = f"{projected.height}×{projected.width}"
         problem = f"has range images of {projected.name}, {size}: {changed}"
-        hint = "project again, or pass the sensor of `project` with --sensor"
+        hint = "project again, or pass --sensor and --width of `project`"
         raise UsageError(folder, problem, "the sensor of the weights or of --sensor", hint)
     return replace(fits[0], others=tuple(fits[1:]))

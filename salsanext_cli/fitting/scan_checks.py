@@ -85,9 +85,14 @@ def training_findings(
     `reason` states why the values are not intensities, if they are not. `fields` are the names of
     the fields of the file.
     """
-    if any(getattr(sensor, key) != getattr(trained, key) for key in OF_IMAGES):
-        problem = "the sensor file changes the size or normalisation of the images"
-        hint = "accuracy drops: leave height, width, means and stds out of the file"
+    sizes = [f"{s.height}×{s.width}" for s in (sensor, trained)]
+    if sizes[0] != sizes[1]:
+        problem = f"the images have {sizes[0]} pixels, and {sizes[1]} in training"
+        hint = "accuracy drops: leave out --width, or height and width in the sensor file"
+        yield Finding("other-images", problem, hint)
+    elif any(getattr(sensor, key) != getattr(trained, key) for key in OF_IMAGES):
+        problem = "the sensor file changes the normalisation of the images"
+        hint = "accuracy drops: leave means and stds out of the file"
         yield Finding("other-images", problem, hint)
     matched = sensor.intensity_quantiles
     can_match = trained.intensity_quantiles and not matched

@@ -264,6 +264,7 @@ def labels_depend_on(settings: NetworkSettings, network: Network) -> dict[str, o
         "--ego": view.pop("ego_box", None),
         "--intensity": _method(settings, network),
         "--precision": network.backend.precision,
+        "--width": view.pop("width"),
         "--sensor": {key: value for key, value in view.items() if key != "columns"},
     }
     return dict(as_json(options))
@@ -300,7 +301,7 @@ def settings_of_network(network: Network) -> StageSettings:
     return StageSettings(
         weights=backend.sha256,
         weights_version=card.version,
-        inherited=card.inherited() or None,
+        inherited="; ".join(filter(None, (card.inherited(), card.of_other_width()))) or None,
         label_space=network.space,
         sensor=network.sensor.without_noise(),
         precision=backend.precision,

@@ -8,7 +8,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from importlib import resources
 from pathlib import Path
 
@@ -125,6 +125,33 @@ FITTED = {
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class FittedParts:
+    """Parts of a card that hold for images of one width."""
+
+    temperature: float = 1.0
+    error: ErrorModel | None = None
+    risk: RiskThreshold | None = None
+    accuracy: AccuracyLine | None = None
+
+    def to_dict(self) -> Json:
+        """Return plain data without absent parts."""
+        return {name: part for name in PARTS if (part := plain(getattr(self, name))) is not None}
+
+    @classmethod
+    def from_dict(cls, data: Json, source: object) -> FittedParts:
+        """Read the result of `to_dict`; invalid data raise a `ValueError` or the like."""
+        parts: Json = {name: data[name] for name in PARTS if name in data}
+        if "risk" in parts:
+            parts["risk"] = _renamed(parts["risk"], source)
+        temperature = valid_temperature(parts.pop("temperature"))
+        fitted = {name: decoded(FITTED[name], part) for name, part in parts.items()}
+        return cls(temperature, **fitted)
+
+
+PARTS = ("temperature", "error", "risk", "accuracy")  # Fields of `FittedParts`
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class WeightsCard:
     """Metadata of a weights file."""
 
@@ -143,6 +170,49 @@ class WeightsCard:
     trained_on: frozenset[str] = frozenset()  # Digests of scans, as far as known
     version: int | None = None  # Version of the default weights; None for other weights
     tensors_sha256: str = ""  # As `tensor_digest` returns it; empty in files of early versions
+    # Widths of the images of training, the default of the weights first; none for the sensor's
+    widths: tuple[int, ...] = ()
+    # Parts for images of other widths than the sensor's
+    of_widths: Mapping[int, FittedParts] = field(default_factory=dict)
+
+    @property
+    def trained_widths(self) -> tuple[int, ...]:
+        """Widths of images that the weights were trained with, the default first."""
+        return self.widths or (self.sensor.width,)
+
+    @property
+    def parts(self) -> FittedParts:
+        """The parts for images of the width of the sensor."""
+        return FittedParts(**{name: getattr(self, name) for name in PARTS})
+
+    @property
+    def substitutes(self) -> FittedParts:
+        """The parts for a width without own ones: those of the default width but the risk."""
+        default = self.trained_widths[0]
+        parts = self.parts if self.sensor.width == default else self.of_widths[default]
+        return replace(parts, risk=None)
+
+    def at_width(self, width: int) -> WeightsCard:
+        """Return the card for images of another width, if the weights were trained with it."""
+        if width == self.sensor.width or width not in self.trained_widths:
+            return self
+        others = dict(self.of_widths)
+        parts = others.pop(width, self.substitutes)
+        is_default = self.sensor.width == self.trained_widths[0]
+        if is_default or self.parts.to_dict() != self.substitutes.to_dict():
+            others[self.sensor.width] = self.parts
+        fitted = {name: getattr(parts, name) for name in PARTS}
+        return replace(self, sensor=self.sensor.resized(width=width), of_widths=others, **fitted)
+
+    def of_other_width(self) -> str:
+        """Name the parts that were fitted to images of the default width instead; "" for none."""
+        default, names = self.trained_widths[0], ("temperature", "error model", "expected accuracy")
+        if self.sensor.width == default:
+            return ""
+        own, others = self.parts.to_dict(), self.substitutes.to_dict()
+        pairs = zip(("temperature", "error", "accuracy"), names, strict=True)
+        same = [name for key, name in pairs if key in own and own[key] == others.get(key)]
+        return f"{', '.join(same)} of images of {default} columns" if same else ""
 
     def named(self, path: Path) -> str:
         """Return the version of these weights or the name of their file, and its SHA-256."""
@@ -166,7 +236,12 @@ class WeightsCard:
         return f"{' and '.join(origins)} of {names}" if origins else ""
 
     def to_metadata(self) -> dict[str, str]:
-        """Return the metadata of a safetensors file; equal cards give equal text."""
+        """Return the metadata of a safetensors file; equal cards give equal text.
+
+        Its main parts are those of the default width.
+        """
+        if self.sensor.width != self.trained_widths[0]:
+            return self.at_width(self.trained_widths[0]).to_metadata()
         values = {
             "format": FORMAT,
             "version": __version__,
@@ -183,6 +258,8 @@ class WeightsCard:
             "trained_on": "".join(sorted(self.trained_on)),
             "weights_version": self.version,
             "tensors_sha256": self.tensors_sha256,
+            "widths": list(self.widths),
+            "of_widths": plain(self.of_widths),
         }
         return {KEY: json.dumps(values | {name: part for name, part in known.items() if part})}
 
@@ -211,10 +288,11 @@ class WeightsCard:
                 # The sentence must go when the error model is replaced.
                 description = OF_ERROR.sub("", description)
                 error["scores"] = {"fitted_to": statement[1], **error["scores"]}
+            sensor = Sensor.from_dict(values["sensor"], source)
             return cls(
                 architecture=values["architecture"],
                 space=LabelSpace.from_dict(values["label_space"], source),
-                sensor=Sensor.from_dict(values["sensor"], source),
+                sensor=sensor,
                 recipe=values["recipe"],
                 scores=values["scores"],
                 description=description,
@@ -223,6 +301,11 @@ class WeightsCard:
                 trained_on=frozenset(parted(values.get("trained_on", ""))),
                 version=values.get("weights_version"),
                 tensors_sha256=_sha256(values.get("tensors_sha256", "")),
+                widths=_checked_widths(values.get("widths", []), sensor.width),
+                of_widths={
+                    int(width): FittedParts.from_dict(parts, source)
+                    for width, parts in values.get("of_widths", {}).items()
+                },
             )
         except UsageError as error:
             raise WeightsError(source, f"has damaged metadata: {error.problem}") from error
@@ -237,6 +320,15 @@ def _sha256(text: object) -> str:
     return text
 
 
+def _checked_widths(widths: object, default: int) -> tuple[int, ...]:
+    """Return the widths of a file, which begin with that of its sensor; none for old files."""
+    if not isinstance(widths, list) or not all(type(width) is int for width in widths):
+        raise TypeError("widths are not a list of numbers")
+    if widths and (widths[0] != default or len(set(widths)) < len(widths) or min(widths) < 1):
+        raise ValueError(f"widths are {shortened(widths)}, not {default} and others")
+    return tuple(widths)
+
+
 def _renamed(risk: Json, source: object) -> Json:
     """Return a threshold of an early version with the keys of this one."""
     if risk.pop("classes", None):
@@ -244,6 +336,9 @@ def _renamed(risk: Json, source: object) -> Json:
         raise WeightsError(source, "has thresholds of classes", "one for all classes", hint)
     if view := risk.pop("view", None):
         risk["views"] = [view, *risk.pop("other_views", ())]
+    settings = risk.get("settings", {})
+    if "width" in (sensor := settings.get("--sensor", {})):
+        settings["--width"] = sensor.pop("width")
     return risk
 
 
@@ -272,6 +367,7 @@ class DescribedWeights:
             "error": card.error and dict(card.error.scores),
             "int8": len(card.int8),
             "trained_on": len(card.trained_on),
+            "widths": list(card.trained_widths),
         }
 
 

@@ -39,6 +39,7 @@ def card_table(file: DescribedWeights) -> Table:
         "temperature": f"{card.temperature:.4g}",
         "label space": f"{card.space.name}, {card.space.class_count} classes",
         "sensor": f"{sensor.name}, {sensor.height}×{sensor.width}, {view}",
+        "widths": ", ".join(map(str, card.trained_widths)),
         "scores on the scans that chose the weights": _named(card.scores) or ABSENT,
         **(_error_rows(card.error.scores) if card.error else {}),
         "risk threshold": card.risk and guarantee(card.risk),

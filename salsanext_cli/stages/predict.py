@@ -223,8 +223,10 @@ def _chosen_threshold(
 
     risk = network.card.risk
     if risk is None:
-        hint = "choose one with `salsanext tune risk DATASET WEIGHTS_OUT --at-most 5%`"
-        raise WeightsError(network.backend.name, "has no threshold of risk", hint=hint)
+        width = f" --width {settings.width}" if settings.width else ""
+        hint = f"choose one with `salsanext tune risk DATASET WEIGHTS_OUT --at-most 5%{width}`"
+        problem = f"has no threshold of risk for images of {network.sensor.width} columns"
+        raise WeightsError(network.backend.name, problem, hint=hint)
     tuned, current = risk.settings, labels_depend_on(settings, network)
     others = {"--classes": network.merging, "--knn-…": knn != KnnParameters()}
     others |= {name: current[name] != tuned.get(name) for name in current}

@@ -59,17 +59,18 @@ def initial_network(
     """Return the network before training and its card: architecture, classes, sensor, scans.
 
     It is random without weights; so are the outputs of classes that the weights do not have. The
-    sensor is `seen`, else the sensor of the weights, else the default; the recipe may set its width.
+    sensor is `seen`, else that of the weights, else the default; the recipe may set its width.
     """
     architecture = described(
         recipe.architecture, class_count=space.class_count, dropout=recipe.dropout
     )
+    widths = tuple(dict.fromkeys(recipe.image_widths))
     with torch.random.fork_rng([]):
         torch.manual_seed(recipe.seed)  # noqa: TID251
         module = build(architecture, "recipe key architecture")
     if weights is None:
         chosen = _sensor_of_training(seen, sensor(DEFAULT_SENSOR), recipe)
-        return module, WeightsCard(architecture, space, chosen)
+        return module, WeightsCard(architecture, space, chosen, widths=widths)
     trained, card = read_weights(weights)
     if _hidden_shapes(trained) != _hidden_shapes(module):
         name = card.architecture["name"]
@@ -79,8 +80,9 @@ def initial_network(
     if not card.space.fits(space):
         tensors |= _outputs(module, tensors, card.space, space)
     module.load_state_dict(tensors)
-    begun = WeightsCard(architecture, space, _sensor_of_training(seen, card.sensor, recipe))
-    return module, replace(begun, trained_on=card.trained_on)
+    chosen = _sensor_of_training(seen, card.sensor, recipe)
+    begun = WeightsCard(architecture, space, chosen, trained_on=card.trained_on, widths=widths)
+    return module, begun
 
 
 def inheriting(card: WeightsCard, weights: Path) -> WeightsCard:

@@ -2,6 +2,7 @@
 """Validation of a network in training: scores on labelled scans, and the best temperature."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -47,15 +48,17 @@ def validate_widths(
 ) -> tuple[Row, WeightsCard]:
     """Score images of each width as `validate` does; without widths, those of the sensor alone.
 
-    The card, and the keys of the row without a width, are of the first width. Accuracy and mean IoU
-    of the others have it in their keys, such as ``miou_1024``.
+    The first width is that of the network. Accuracy and mean IoU of the others have it in their
+    keys, such as ``miou_1024``. The card has a temperature for each.
     """
     first, *others = dict.fromkeys(widths or [source.sensor.width])
     row, card = validate(network, source.at_width(first), group)
+    parts = dict(card.of_widths)
     for width in others:
-        measured, _ = validate(network, source.at_width(width), group)
+        measured, tempered = validate(network, source.at_width(width), group)
         row |= {f"{key}_{width}": measured[key] for key in ("accuracy", "miou")}
-    return row, card
+        parts[width] = tempered.parts
+    return row, replace(card, of_widths=parts)
 
 
 def validate(
