@@ -55,7 +55,9 @@ def import_weights(
                 raise UsageError(option, problem, "a published checkpoint", f"omit {option}")
         module, card = read_weights(source)
         described = description or card.description
-        card = replace(card, description=described, sensor=view or card.sensor, version=None)
+        if view:  # Nothing is known about other widths of its images.
+            card = replace(card, sensor=view, widths=(), of_widths={})
+        card = replace(card, description=described, version=None)
     else:
         space, tensors = space or label_space(), read_published(source)
         outputs = tensors["logits.bias"].numel() if "logits.bias" in tensors else 0
