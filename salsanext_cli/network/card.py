@@ -259,7 +259,7 @@ class WeightsCard:
             "weights_version": self.version,
             "tensors_sha256": self.tensors_sha256,
             "widths": list(self.widths),
-            "of_widths": plain(self.of_widths),
+            "of_widths": {width: plain(parts) for width, parts in sorted(self.of_widths.items())},
         }
         return {KEY: json.dumps(values | {name: part for name, part in known.items() if part})}
 

@@ -11,7 +11,7 @@ from scans import SMALL, refused
 from world import World
 
 from salsanext_cli import load_network, project, read_scan
-from salsanext_cli.errors import UsageError, WeightsError
+from salsanext_cli.errors import OutputError, UsageError, WeightsError
 from salsanext_cli.fitting.label_scan import projected_sensor
 from salsanext_cli.fitting.sensor_fit import fit_network
 from salsanext_cli.geometry.knn import knn_refine
@@ -65,8 +65,7 @@ def test_labels_are_those_of_images_of_the_width_which_the_record_states(mixed, 
     assert settings.temperature == {WIDE: 1.5, NARROW: 2.0, UNTRAINED: 1.5}[width]
     assert ("other-images" in caplog.text) == (width == UNTRAINED)
     # The results of another width are of other settings.
-    with pytest.raises(Exception, match="width"):
-        at(world, 32).predict()
+    refused(OutputError, world.out / "predict.json", at(world, 32).predict)
 
 
 def test_old_weights_know_the_width_of_their_sensor(world, caplog):
@@ -103,7 +102,7 @@ def test_parts_of_another_width_are_named(mixed, caplog):
 
 
 def test_a_threshold_holds_for_the_width_that_it_was_chosen_at(mixed, target):
-    at(mixed, NARROW).tune("risk", target, at_most=0.9, by="least_confidence")
+    at(mixed, NARROW).tune("risk", target, at_most=0.9)
     card = read_card(target)
     assert card.risk is None
     assert card.at_width(NARROW).risk is not None
