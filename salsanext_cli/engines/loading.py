@@ -63,13 +63,12 @@ def load_network(
     card = read_card(file)
     merging = ClassMerging.needed(card.space, classes)
     sensor = sensor or card.sensor
-    card = card.at_width(sensor.width)
     sha256, chosen = fingerprint(file), choose_device(device)
     library = choose_engine(engine, chosen)
     is_built_in = card.architecture.get("name") == "salsanext"
     backend = _backend_class(library)(
         lambda: _read_module(file, chosen, sha256),
-        card,
+        card.at_width(sensor.width),
         (sensor.height, sensor.width),
         chosen,
         _number_type(precision, chosen, library, file, card),

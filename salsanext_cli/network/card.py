@@ -209,9 +209,9 @@ class WeightsCard:
         default, names = self.trained_widths[0], ("temperature", "error model", "expected accuracy")
         if self.sensor.width == default:
             return ""
-        own, others = self.parts.to_dict(), self.substitutes.to_dict()
+        used, others = self.parts.to_dict(), self.substitutes.to_dict()
         pairs = zip(("temperature", "error", "accuracy"), names, strict=True)
-        same = [name for key, name in pairs if key in own and own[key] == others.get(key)]
+        same = [name for key, name in pairs if key in used and used[key] == others.get(key)]
         return f"{', '.join(same)} of images of {default} columns" if same else ""
 
     def named(self, path: Path) -> str:
