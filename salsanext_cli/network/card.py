@@ -236,10 +236,7 @@ class WeightsCard:
         return f"{' and '.join(origins)} of {names}" if origins else ""
 
     def to_metadata(self) -> dict[str, str]:
-        """Return the metadata of a safetensors file; equal cards give equal text.
-
-        Its main parts are those of the default width.
-        """
+        """Return the metadata of a safetensors file at the default width; equal cards are equal."""
         if self.sensor.width != self.trained_widths[0]:
             return self.at_width(self.trained_widths[0]).to_metadata()
         values = {
