@@ -12,8 +12,10 @@ OTHERWISE = "convert it to .ply, for example with CloudCompare"
 LAS_SUFFIXES = (".las", ".laz")
 UNFINISHED = ".bag.active"
 PICKLES = (".pkl.gz", ".pkl", ".pickle")
+ARCHIVES = (".tar.gz", ".tgz", ".tar", ".zip", ".7z")
+PCAPNG = ".pcapng"
 GZIP = ".gz"
-KINDS = (*LAS_SUFFIXES, UNFINISHED, *PICKLES, GZIP)
+KINDS = (*LAS_SUFFIXES, UNFINISHED, *PICKLES, *ARCHIVES, PCAPNG, GZIP)
 """Suffixes of files with a hint of their own, longer ones first."""
 
 
@@ -33,6 +35,12 @@ def conversion_hint(path: Path) -> str:
         return f"run `rosbag reindex {file}`, then rename it to {finished}"
     if kind in PICKLES:
         return _pickle_hint(path, kind)
+    if kind in ARCHIVES:
+        return "unpack it, and give the folder"
+    if kind == PCAPNG:
+        file = shlex.quote(str(path))
+        target = shlex.quote(str(path.with_suffix(".pcap")))
+        return f"convert it: `editcap -F pcap {file} {target}`"
     return "decompress it with gunzip" if kind == GZIP else OTHERWISE
 
 

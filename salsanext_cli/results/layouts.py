@@ -27,6 +27,8 @@ class Layout:
         Whether labels lie in the same folders below ``labels`` instead of the first part.
     scan_ending, label_ending : str
         Ends of the stems of a scan and of its labels.
+    after_drive : str
+        What follows the name of the drive in the stem of a scan, if a folder has several drives.
     """
 
     name: str
@@ -34,6 +36,7 @@ class Layout:
     has_labels: bool = False
     scan_ending: str = ""
     label_ending: str = ""
+    after_drive: str = ""
 
     def fits(self, folder: Path) -> bool:
         """Return whether a folder of scans is one of this layout."""
@@ -47,6 +50,11 @@ class Layout:
         """Return the name of the sequence of a folder of scans."""
         parts = folder.parts[-len(self.parts) :]
         return dict(zip(self.parts, parts, strict=True)).get(SEQUENCE, folder.name)
+
+    def drive(self, stem: str) -> str:
+        """Return the name of the drive in the stem of a scan; empty without one."""
+        is_named = self.after_drive and self.after_drive in stem
+        return stem.partition(self.after_drive)[0] if is_named else ""
 
     def root(self, folder: Path) -> Path:
         """Return the root of the data set with a folder of scans."""
@@ -66,7 +74,7 @@ LAYOUTS = (
     Layout("SemanticKITTI", (SEQUENCE, SCAN_FOLDER)),
     Layout("SemanticKITTI", (SCAN_FOLDER, SEQUENCE), has_labels=True),
     Layout("KITTI raw data", (SEQUENCE, "velodyne_points", "data")),
-    Layout("nuScenes", ("samples", "LIDAR_TOP")),
+    Layout("nuScenes", ("samples", "LIDAR_TOP"), after_drive="__LIDAR_TOP__"),
     Layout("Argoverse 2", (SEQUENCE, "sensors", "lidar")),
     Layout("GOOSE", ("lidar", ANY, SEQUENCE), True, "_vls128", "_goose"),
     Layout("PandaSet", (SEQUENCE, "lidar")),

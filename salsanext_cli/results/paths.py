@@ -163,7 +163,8 @@ def _scans_of(path: Path) -> Iterator[ScanFile]:
     elif not path.is_dir():
         path.stat()
         if suffix := scan_suffix(path.name):
-            yield ScanFile(sequence_name(path.parent), path.name[: -len(suffix)], path)
+            folder = ScanFolder(path.parent, {path.name: suffix})
+            yield from _scan_files(folder, sequence_name(path.parent))
     else:
         # A `sequences` folder without scans may contain results.
         of_data_set = [*_scans_of_sequences(path / "sequences")]
@@ -202,8 +203,11 @@ def _scans_in(folder: Path) -> Iterator[ScanFile]:
 
 
 def _scan_files(folder: ScanFolder, sequence: str) -> Iterator[ScanFile]:
+    layout = folder.layout
     for name, suffix in folder.suffixes.items():
-        yield ScanFile(sequence, name[: -len(suffix)], folder.path / name)
+        stem = name[: -len(suffix)]
+        drive = layout.drive(stem) if layout else ""
+        yield ScanFile(drive or sequence, stem, folder.path / name)
 
 
 def _scans_below(source: Path, place: Path, tables: list[ScanFile]) -> list[ScanFile]:

@@ -159,12 +159,7 @@ class ResultFolder(Manifest):
     def _of_sequence(self, sequence: str, source: ScanSource | None) -> list[ScanFile]:
         folder = Path(source.folder) if source else None
         if source and folder and not self.dataset and (is_folder(folder) or recording_of(folder)):
-            # Older versions named the sequences of some layouts otherwise.
-            scans = [
-                replace(scan, sequence=sequence)
-                for scan in find_scans(folder, unique=False)
-                if scan.path.parent == folder
-            ]
+            scans = _scans_in(folder, sequence)
             listed = {scan.path.name for scan in scans}
             # Tables beside clouds are scans only if they were named.
             files = {stem: stem + suffix for stem, suffix in source.suffixes.items() if suffix}
@@ -336,10 +331,18 @@ def scalar_columns(cloud: ScanResults, space: LabelSpace) -> dict[str, npt.NDArr
     return columns | cloud.uncertainty
 
 
+def _scans_in(folder: Path, sequence: str) -> list[ScanFile]:
+    """Return the scans in a folder of a sequence, which may have several in some layouts."""
+    scans = [scan for scan in find_scans(folder, unique=False) if scan.path.parent == folder]
+    of_sequence = [scan for scan in scans if scan.sequence == sequence]
+    # Older versions named the sequences of some layouts otherwise.
+    return of_sequence or [replace(scan, sequence=sequence) for scan in scans]
+
+
 def _scans_of_renamed(dataset: Path, sequence: str) -> list[ScanFile]:
     """Return the scans of a sequence whose folder or recording may have been renamed."""
     scans = find_scans(dataset, unique=False)
-    if len({scan.path.parent for scan in scans}) > 1:
+    if len({(scan.path.parent, scan.sequence) for scan in scans}) > 1:
         return of_sequences(scans, [sequence], dataset)
     return [replace(scan, sequence=sequence) for scan in scans]
 

@@ -52,7 +52,8 @@ ARGOVERSE = [
     )
 ]
 NUSCENES = [
-    "samples/LIDAR_TOP/n008__LIDAR_TOP__15.pcd.bin",
+    "samples/LIDAR_TOP/n008-a__LIDAR_TOP__15.pcd.bin",
+    "samples/LIDAR_TOP/n008-b__LIDAR_TOP__17.pcd.bin",
     "samples/RADAR_FRONT/n008__RADAR_FRONT__15.pcd",
     "sweeps/LIDAR_TOP/n008__LIDAR_TOP__16.pcd.bin",
     "sweeps/RADAR_FRONT/n008__RADAR_FRONT__16.pcd",
@@ -72,7 +73,11 @@ GOOSE = ["lidar/train/2022_x/2022_x__7_vls128.bin", "lidar/val/2022_y/2022_y__7_
             [".", "2011_09_26"],
         ),
         (ARGOVERSE, ["0a-1/315966070", "0b-2/315966070"], [".", "sensor", "sensor/train"]),
-        (NUSCENES, ["LIDAR_TOP/n008__LIDAR_TOP__15"], [".", "samples", "samples/LIDAR_TOP"]),
+        (
+            NUSCENES,
+            ["n008-a/n008-a__LIDAR_TOP__15", "n008-b/n008-b__LIDAR_TOP__17"],
+            [".", "samples", "samples/LIDAR_TOP"],
+        ),
         (PANDASET, ["001/00", "002/00"], ["."]),
         (UNPACKED, ["00/000000", "01/000000"], [".", "velodyne"]),
         (GOOSE, ["2022_x/2022_x__7_vls128", "2022_y/2022_y__7_vls128"], [".", "lidar"]),
@@ -120,7 +125,7 @@ def test_folders_that_are_not_used_are_named(tmp_path, caplog):
     with caplog.at_level(NOTICE):
         find_scans(tmp_path)
     (message,) = caplog.messages
-    assert "using samples/LIDAR_TOP (1 .pcd.bin) in the layout of nuScenes" in message
+    assert "using samples/LIDAR_TOP (2 .pcd.bin) in the layout of nuScenes" in message
     assert "sweeps/LIDAR_TOP (1 .pcd.bin)" in message.partition("not used")[2]
 
 
@@ -202,6 +207,8 @@ def test_folders_that_may_not_be_read_are_skipped(tmp_path):
         (["lidar/00.pkl.gz", "meta/poses.json"], "pandas.read_pickle"),
         (["clouds/000000.bin.gz"], "gunzip"),
         (["day/drive.bag.active"], "rosbag reindex"),
+        (["day/drive.pcapng"], "editcap -F pcap"),
+        (["day/scans.tar.gz", "day/more.tar.gz", "day/1.bin.gz"], "unpack it"),
         (["day/drive.bag", "day/other.bag"], "day/drive.bag"),
         (["day/drive/metadata.yaml", "day/drive/drive_0.mcap"], "day/drive"),
     ],
@@ -262,6 +269,41 @@ def kitti(tmp_path):
         write_sequence(folder.parent, ["0", "1"], seed=len(drive))
         (folder.parent / "velodyne").rename(folder)
     return root
+
+
+def test_drives_of_one_folder_are_found_by_later_stages(weights, tmp_path):
+    network = NetworkSettings(weights, "cpu", engine="torch")
+    folder = tmp_path / "samples/LIDAR_TOP"
+    names = ["a__LIDAR_TOP__1", "a__LIDAR_TOP__2", "b__LIDAR_TOP__3"]
+    write_sequence(tmp_path, names)
+    folder.parent.mkdir()
+    (tmp_path / "velodyne").rename(folder)
+    out = tmp_path / "out"
+    assert predict_scans(folder, out, settings=network).done == 3
+    expected = find_scans(folder)
+    assert [scan.name for scan in expected] == [f"{name[0]}/{name}" for name in names]
+    assert find_scans(folder / f"{names[2]}.bin") == expected[2:]
+    assert ResultFolder(out).scans() == expected
+    assert ResultFolder(out, folder).scans() == expected
+    single = tmp_path / "single"
+    predict_scans(folder / f"{names[2]}.bin", single, settings=network)
+    assert ResultFolder(single).scans() == expected[2:]
+    assert ResultFolder(single, folder).scans() == expected[2:]
+
+
+def test_sequences_of_older_versions_keep_their_names(weights, tmp_path, monkeypatch):
+    folder = tmp_path / "drive/lidar"
+    write_sequence(tmp_path, ["0"])
+    folder.parent.mkdir()
+    (tmp_path / "velodyne").rename(folder)
+    out = tmp_path / "out"
+    with monkeypatch.context() as patch:
+        patch.setattr("salsanext_cli.results.layouts.LAYOUTS", ())
+        network = NetworkSettings(weights, "cpu", engine="torch")
+        predict_scans(folder, out, settings=network)
+        assert (out / "sequences/lidar").is_dir()
+    assert [scan.name for scan in find_scans(folder)] == ["drive/0"]
+    assert [scan.name for scan in ResultFolder(out).scans()] == ["lidar/0"]
 
 
 def test_later_stages_find_the_scans_and_never_those_of_another_drive(kitti, weights, tmp_path):
