@@ -15,13 +15,13 @@ PICKLES = (".pkl.gz", ".pkl", ".pickle")
 ARCHIVES = (".tar.gz", ".tgz", ".tar", ".zip", ".7z")
 PCAPNG = ".pcapng"
 GZIP = ".gz"
-KINDS = (*LAS_SUFFIXES, UNFINISHED, *PICKLES, *ARCHIVES, PCAPNG, GZIP)
+UNREAD_SUFFIXES = (*LAS_SUFFIXES, UNFINISHED, *PICKLES, *ARCHIVES, PCAPNG, GZIP)
 """Suffixes of files with a hint of their own, longer ones first."""
 
 
 def unread_kind(name: str) -> str:
-    """Return which of the `KINDS` a file name has, in upper or lower case; empty for none."""
-    return next((kind for kind in KINDS if name.lower().endswith(kind)), "")
+    """Return the one of the `UNREAD_SUFFIXES` of a file name, in any case; empty for none."""
+    return next((kind for kind in UNREAD_SUFFIXES if name.lower().endswith(kind)), "")
 
 
 def conversion_hint(path: Path) -> str:

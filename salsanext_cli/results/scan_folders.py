@@ -6,15 +6,15 @@ import shlex
 from collections import Counter, deque
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from operator import attrgetter
 from pathlib import Path
 
 from salsanext_cli.errors import MAX_NAMES_SHOWN, FormatError, NoInputError, first_few
 from salsanext_cli.files.reading import is_folder
-from salsanext_cli.formats import SCAN_SUFFIXES, is_table, scan_suffix
+from salsanext_cli.formats import RECORDING_SUFFIXES, SCAN_SUFFIXES, is_table, scan_suffix
 from salsanext_cli.formats.recordings import is_recording
-from salsanext_cli.formats.unread import folder_hint, unread_kind
+from salsanext_cli.formats.unread import UNREAD_SUFFIXES, folder_hint, unread_kind
 from salsanext_cli.results.layouts import LABEL_FOLDER, SCAN_FOLDER, Layout, layout_of
 
 OWN_TABLES = ("scores.txt", "log.csv", "picked.csv")
@@ -27,7 +27,7 @@ CERTAIN, LIKELY, UNLIKELY = 2, 1, 0
 """Ranks of clouds and of files in a known layout, of arrays, and of texts."""
 MAX_DEPTH = 6
 MAX_ENTRIES = 1_000_000
-"""Files and folders that a search looks at, some seconds of work."""
+"""Files and folders that a search looks at, some ten seconds of work."""
 MAX_ENTRIES_BESIDE_TABLES = 20_000
 """The same below a folder of tables, which are probably the scans."""
 
@@ -50,7 +50,13 @@ def scan_names(names: Iterable[str]) -> dict[str, str]:
 
     Tables are often no scans: they count only without clouds, and only of one suffix.
     """
-    suffixes = {name: scan_suffix(name) for name in names if name not in OWN_TABLES}
+    # Most of a million names have one of a few endings.
+    suffix_of_ending = cache(scan_suffix)
+    suffixes = {
+        name: suffix_of_ending("".join(name.partition(".")[1:]))
+        for name in names
+        if name not in OWN_TABLES
+    }
     known = {*suffixes.values()} - {""}
     tables = [*(suffix for suffix in SCAN_SUFFIXES if suffix in known), *sorted(known)][:1]
     chosen = [suffix for suffix in known if not is_table(suffix)] or tables
@@ -135,8 +141,8 @@ def search_below(root: Path, most: int = MAX_ENTRIES) -> FolderSearch:
         folder = ScanFolder(path, scan_names(names))
         if folder.suffixes:
             search.folders.append(folder)
-        search.recordings.extend(path / name for name in names if is_recording(path / name))
-        if unread := sorted(filter(unread_kind, names)):
+        search.recordings.extend(path / n for n in names if n.lower().endswith(RECORDING_SUFFIXES))
+        if unread := sorted(name for name in names if name.lower().endswith(UNREAD_SUFFIXES)):
             search.unread[path] = unread
         if depth < MAX_DEPTH and not (folder.suffixes and folder.rank == CERTAIN):
             waiting.extend((subfolder, depth + 1) for subfolder in subfolders)
