@@ -11,13 +11,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError, counted, first_few
+from salsanext_cli.fitting.finding import Finding
 from salsanext_cli.fitting.mounting_fit import MAX_TILT_DEG, TOLERANCE_M, UPSIDE_DOWN_DEG, ground_of
+from salsanext_cli.fitting.structure_checks import depth_image_findings, structure_findings
 from salsanext_cli.geometry.network_input import BRIGHT, INTENSITY_FACTOR, NO_INTENSITY
 from salsanext_cli.geometry.projection import (
     ego_points,
@@ -28,14 +30,6 @@ from salsanext_cli.geometry.projection import (
 from salsanext_cli.geometry.scan_traits import MIN_TRAIT_POINTS, ScanTraits, intensity_of, sines_of
 from salsanext_cli.records import Double, FileNotes, Float, Scan
 from salsanext_cli.sensors.sensor import FITTED_NAME, OF_IMAGES, Sensor, presets
-
-
-class Finding(NamedTuple):
-    """Reason to doubt the labels of a scan."""
-
-    code: str  # Name of the check, as in docs/reference/warnings.md
-    problem: str
-    hint: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,6 +169,8 @@ def check_scan(
         *_unit_findings(ranges, share),
         *_view_findings(some, sines, sensor, fit),
         *_ground_findings(some, fit),
+        *structure_findings(scan, sensor),
+        *depth_image_findings(some.points, reason),
     ]
     if trained is not None:
         findings += training_findings(bright, reason, sensor, trained, scan.notes.fields)

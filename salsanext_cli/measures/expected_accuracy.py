@@ -16,9 +16,25 @@ Further drives differ more: with 2.0 the interval held on seven of eleven."""
 OF_RUN = ("mixed-sensors",)
 """Warnings that concern every scan of a run: the fit to its scans suits none of the sensors."""
 WITHHELD_FOR = (
-    *(*OF_RUN, "few-directions", "few-points", "height", "indoor", "low-confidence"),
-    *("missing-points", "not-measured", "one-class", "other-images", "out-of-view", "sparse"),
-    *("tilted", "units", "upside-down"),
+    *OF_RUN,
+    "accumulated",
+    "depth-image",
+    "few-directions",
+    "few-points",
+    "height",
+    "indoor",
+    "low-confidence",
+    "missing-points",
+    "near-returns",
+    "noisy",
+    "not-measured",
+    "one-class",
+    "other-images",
+    "out-of-view",
+    "sparse",
+    "tilted",
+    "units",
+    "upside-down",
 )
 """Warnings that a scan is unlike the judged drives. Solid-state sensors, which only get
 `part-of-circle`, had the estimated accuracy within 3 points."""

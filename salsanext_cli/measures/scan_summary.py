@@ -17,8 +17,9 @@ import numpy as np
 from salsanext_cli.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.errors import counted, first_few, with_hint
 from salsanext_cli.files.reading import present
+from salsanext_cli.fitting.finding import Finding
 from salsanext_cli.fitting.label_scan import LabelledScan
-from salsanext_cli.fitting.scan_checks import UNCHECKED, Finding, ScanCheck
+from salsanext_cli.fitting.scan_checks import UNCHECKED, ScanCheck
 from salsanext_cli.fitting.sensor_fit import is_other_view
 from salsanext_cli.geometry.scan_traits import MIN_TRAIT_POINTS, ScanTraits, groups_of
 from salsanext_cli.measures.expected_accuracy import ExpectedAccuracy, expected_accuracy

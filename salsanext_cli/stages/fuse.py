@@ -24,7 +24,7 @@ from salsanext_cli.errors import (
 )
 from salsanext_cli.files.json_files import encode_json, read_json
 from salsanext_cli.files.optional_packages import import_extra
-from salsanext_cli.fitting.scan_checks import Finding
+from salsanext_cli.fitting.finding import Finding
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.fusion.drive import DRIVE, Drive, measured_points, poses_beside, readings_of

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: MIT
+"""Checks of what no single LiDAR sees on a clear day, by the points alone.
+
+They do not depend on the confidence of weights, which can be high on a ruined scan.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from salsanext_cli.fitting.finding import Finding
+from salsanext_cli.fitting.mounting_fit import sharpness
+from salsanext_cli.fitting.scan_structure import structure_of
+from salsanext_cli.records import Float, Scan
+from salsanext_cli.sensors.sensor import Sensor
+
+MAX_HIDDEN = 0.045
+"""Largest share of hidden points; single scans had up to 0.037, ten scans in one 0.062 or more."""
+MAX_ROUGHNESS = 0.015
+"""Largest relative deviation of neighbouring ranges; scans had up to 0.008, with noise of 0.1 m
+0.023 or more."""
+MAX_IN_AIR = 0.007
+"""Largest share of points in the air; scans had up to 0.004, in light fog and snow 0.009."""
+MAX_SECTORS, SECTORS = 0.6, 64
+"""Largest share of the directions around in a depth image, of so many."""
+MIN_SHARPNESS = 2.0
+"""Least sharpness of the rows of a sensor with few directions; a depth image had up to 1.5."""
+SINGLE_SCANS = "label the single scans, then `salsanext fuse`; if it is one scan, set the `origin` of its sensor"
+CLEAN = "expect wrong labels: remove such points, or `salsanext train` weights on such scans"
+LIDAR = "expect wrong labels: the weights know scans of rotating sensors"
+
+
+def structure_findings(scan: Scan, sensor: Sensor) -> Iterator[Finding]:
+    """Yield signs of noise, of fog and snow, and of several scans in one."""
+    structure = structure_of(scan, sensor)
+    if structure is None:
+        return
+    # Noise also lets points float and hides others; fog hides points, too.
+    if structure.roughness > MAX_ROUGHNESS:
+        problem = f"neighbouring ranges differ by {structure.roughness:.1%}, as by noise"
+        yield Finding("noisy", f"{problem} or in dense fog", CLEAN)
+    elif structure.in_air > MAX_IN_AIR:
+        problem = f"{structure.in_air:.1%} of the points float near the sensor, as in fog or snow"
+        yield Finding("near-returns", problem, CLEAN)
+    elif structure.hidden > MAX_HIDDEN:
+        problem = f"{structure.hidden:.1%} of the points lie more than a metre behind others"
+        yield Finding("accumulated", f"{problem}, as in several scans at once", SINGLE_SCANS)
+
+
+def depth_image_findings(points: Float, no_intensity: str) -> Iterator[Finding]:
+    """Yield a sign that measured points (N, 3) are of a depth image.
+
+    `no_intensity` states why the values are not intensities; empty if they are.
+    """
+    if not no_intensity:
+        return
+    turns = np.arctan2(points[:, 1], points[:, 0]) / (2 * np.pi) + 0.5
+    sectors = np.unique((turns * SECTORS).astype(np.intp) % SECTORS)
+    share = len(sectors) / SECTORS
+    if share < MAX_SECTORS and sharpness(points.astype(np.float64), np.zeros(3)) < MIN_SHARPNESS:
+        problem = f"no intensities, no rows, and {share:.0%} of the directions around"
+        yield Finding("depth-image", f"has {problem}, as a depth image", LIDAR)

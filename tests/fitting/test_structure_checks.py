@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: MIT
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scans import SMALL, make_scan
+
+from salsanext_cli import Scan
+from salsanext_cli.fitting.scan_checks import check_scan
+from salsanext_cli.fitting.scan_structure import structure_of
+from salsanext_cli.geometry.directions import COLUMNS, NEAREST_M, NO_CELL, ROWS, direction_grid
+from salsanext_cli.geometry.network_input import NO_INTENSITY
+from salsanext_cli.measures.expected_accuracy import WITHHELD_FOR
+
+HEIGHT_M, FARTHEST_M = 1.7, 60.0
+PILLARS = np.random.default_rng(1).uniform((-30, -30, 1), (60, 30, 3), (60, 3))
+"""Position and radius of pillars, of which those around the way of the sensor are left out."""
+PILLARS = PILLARS[np.abs(PILLARS[:, 1]) > 6]
+BEAMS_DEG = np.linspace(3, -25, 64)
+CODES = {"accumulated", "noisy", "near-returns", "depth-image"}
+
+
+def seen_from(ahead, directions):
+    """Return the points, in the frame of a sensor that moved ahead, of rays in a scene."""
+    x, y, z = directions.T
+    flat = np.hypot(x, y)
+    ranges = np.full(len(x), FARTHEST_M)
+    below = z < -1e-3
+    ranges[below] = np.minimum(ranges[below], -HEIGHT_M / z[below])
+    for px, py, radius in PILLARS:
+        along = ((px - ahead) * x + py * y) / flat
+        across = ((px - ahead) ** 2 + py**2) - along**2
+        reach = (along - np.sqrt(np.maximum(radius**2 - across, 0))) / flat
+        hit = (across < radius**2) & (along > 0)
+        ranges = np.where(hit, np.minimum(ranges, reach), ranges)
+    return directions * ranges[:, None]
+
+
+def turned(beams_deg=BEAMS_DEG, columns=1024):
+    """Return the directions of a rotating sensor."""
+    elevation, azimuth = np.meshgrid(np.radians(beams_deg), np.linspace(-np.pi, np.pi, columns))
+    flat = np.cos(elevation)
+    rays = (flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation))
+    return np.stack(rays, axis=-1).reshape(-1, 3)
+
+
+def scan_of(points, *, intensity=True):
+    values = np.random.default_rng(0).random(len(points)) * intensity
+    return Scan(points.astype(np.float32), values.astype(np.float32))
+
+
+def sweeps(count, step=2.0):
+    """Return successive scans in the frame of the last one."""
+    rays = turned()
+    return scan_of(
+        np.concatenate([seen_from(-step * k, rays) - (step * k, 0, 0) for k in range(count)])
+    )
+
+
+def foggy(share):
+    points, rng = seen_from(0, turned()), np.random.default_rng(0)
+    echo = rng.random(len(points)) < share
+    ranges = np.linalg.norm(points, axis=1)
+    points[echo] *= (rng.uniform(2.5, 12, echo.sum()) / ranges[echo])[:, None].clip(max=1)
+    return scan_of(points)
+
+
+def shaken(deviation):
+    points = seen_from(0, turned())
+    return scan_of(points + np.random.default_rng(0).normal(0, deviation, points.shape))
+
+
+def depth_image(focal=300, tilt_deg=0.0, *, intensity=False):
+    """Return the points of a pinhole grid of 640 × 480 pixels in steps of two."""
+    v, u = np.mgrid[0:480:2, 0:640:2]
+    rays = np.stack([np.full(u.shape, focal), 320 - u, 240 - v], axis=-1).reshape(-1, 3)
+    rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    cosine, sine = math.cos(math.radians(tilt_deg)), math.sin(math.radians(tilt_deg))
+    rays = rays @ np.array([[cosine, 0, -sine], [0, 1, 0], [sine, 0, cosine]])
+    points = seen_from(0, rays)
+    return scan_of(points[np.linalg.norm(points, axis=1) < 40], intensity=intensity)
+
+
+def codes(scan, sensor=SMALL):
+    return {finding.code for finding in check_scan(Path("s.bin"), scan, sensor).findings} & CODES
+
+
+@pytest.mark.parametrize(
+    ("scan", "expected"),
+    [
+        (sweeps(1), set()),
+        (sweeps(10), {"accumulated"}),
+        (sweeps(5), {"accumulated"}),
+        (foggy(0.003), set()),
+        (foggy(0.03), {"near-returns"}),
+        (shaken(0.01), set()),
+        (shaken(0.2), {"noisy"}),
+        (depth_image(), {"depth-image"}),
+        (depth_image(tilt_deg=5), {"depth-image"}),
+        (depth_image(intensity=True), set()),
+        (scan_of(seen_from(0, turned()), intensity=False), set()),
+    ],
+)
+def test_structures_that_no_lidar_sees_are_findings(scan, expected):
+    assert codes(scan) == expected
+
+
+@pytest.mark.parametrize("beams", [16, 32, 128])
+def test_sensors_of_few_and_many_beams_have_no_finding(beams):
+    points = seen_from(0, turned(np.linspace(15, -25, beams), 900))
+    assert codes(scan_of(points)) == set()
+    narrow = np.abs(points[:, 1]) < 0.3 * points[:, 0]
+    assert codes(scan_of(points[narrow], intensity=False)) == set()
+
+
+def test_the_origin_and_direction_up_of_the_sensor_count():
+    ten = sweeps(10)
+    raised = Scan((ten.points + np.float32([3, 1, 2])) * np.float32([1, -1, -1]), ten.intensity)
+    mounted = replace(SMALL, origin=(3.0, -1.0, -2.0), up=(0.0, 0.0, -1.0))
+    expected, measured = structure_of(ten, SMALL), structure_of(raised, mounted)
+    assert measured.hidden == pytest.approx(expected.hidden, abs=0.003)
+    one = sweeps(1)
+    elsewhere = structure_of(Scan(one.points + np.float32([6, 6, 0]), one.intensity), SMALL)
+    assert elsewhere.hidden > structure_of(one, SMALL).hidden
+
+
+def test_a_few_points_have_no_structure():
+    assert structure_of(make_scan(60), SMALL) is None
+    assert (
+        structure_of(Scan(np.full((500, 3), np.nan, np.float32), np.zeros(500, "f4")), SMALL)
+        is None
+    )
+
+
+def test_no_estimate_for_these():
+    assert set(WITHHELD_FOR) >= CODES
+    without = replace(SMALL, intensity_quantiles=NO_INTENSITY)
+    assert codes(depth_image(), without) == {"depth-image"}
+
+
+def test_grid_and_structure_agree_with_a_slow_loop():
+    scan = sweeps(3)
+    sector = np.flatnonzero(
+        (scan.points[:, 0] > 0) & (np.abs(scan.points[:, 1]) > scan.points[:, 0])
+    )
+    scan = scan.take(np.random.default_rng(0).permutation(sector)[:8000])
+    scan.points[::500] = np.nan
+    scan.points[1::500] = 0
+    cells, nearest = {}, {}
+    for i, (x, y, z) in enumerate(scan.points.astype(float)):
+        distance = math.sqrt(x * x + y * y + z * z)
+        if not distance >= NEAREST_M:
+            continue
+        column = min(int((math.atan2(y, x) / math.pi + 1) / 2 * COLUMNS), COLUMNS - 1)
+        row = min(int((z / distance + 1) / 2 * ROWS), ROWS - 1)
+        cells[i] = row, column
+        nearest[row, column] = min(nearest.get((row, column), math.inf), np.float32(distance))
+    grid = direction_grid(scan, SMALL)
+    flat = np.array(
+        [cells[i][0] * COLUMNS + cells[i][1] if i in cells else NO_CELL for i in range(len(scan))]
+    )
+    assert (grid.cell_of_point == flat).mean() > 0.999
+    ranges = np.linalg.norm(scan.points, axis=1)
+    hidden = in_air = 0
+    deviations = []
+    for i, (row, column) in cells.items():
+        own = nearest[row, column]
+
+        def beside(down, right, row=row, column=column):
+            return nearest.get((row + down, (column + right) % COLUMNS))
+
+        square = [beside(v, u) for v in (-1, 0, 1) for u in (-1, 0, 1)]
+        surface = [r for r in square if r is not None]
+        gap = ranges[i] - max(surface)
+        hidden += len(surface) >= 5 and gap > max(1, 0.05 * max(surface))
+        others = [beside(v, u) for v in (-1, 0, 1) for u in (-2, -1, 0, 1, 2) if (v, u) != (0, 0)]
+        others = [r for r in others if r is not None]
+        in_front = len(others) >= 4 and min(others) - own > max(0.5, 0.05 * own)
+        in_air += in_front and own < 15
+        left, right = beside(0, -1), beside(0, 1)
+        if left is not None and right is not None:
+            deviations.append(abs(own - (left + right) / 2) / own)
+    structure = structure_of(scan, SMALL)
+    assert hidden > 20
+    assert structure.hidden == pytest.approx(hidden / len(cells), abs=1e-3)
+    assert structure.in_air == pytest.approx(in_air / len(cells), abs=1e-3)
+    assert structure.roughness == pytest.approx(np.median(deviations), rel=0.02)
