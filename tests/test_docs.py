@@ -275,6 +275,7 @@ def test_every_name_in_the_tables_exists(page):
 
 HELPERS = {
     *("formats/column_evidence.py", "formats/columns.py", "fitting/mounting_fit.py"),
+    *("fitting/scan_structure.py", "fitting/structure_checks.py", "geometry/directions.py"),
     *(f"engines/{name}.py" for name in ("backend", "batches", "device", "graphs")),
 }
 """Files of these parts that the steps of a scan call."""

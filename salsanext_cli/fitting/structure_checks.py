@@ -25,7 +25,8 @@ MAX_SECTORS, SECTORS = 0.6, 64
 """Largest share of the directions around in a depth image, of so many."""
 MIN_SHARPNESS = 2.0
 """Least sharpness of the rows of a sensor with few directions; a depth image had up to 1.5."""
-SINGLE_SCANS = "label the single scans, then `salsanext fuse`; if it is one scan, set the `origin` of its sensor"
+SINGLE_SCANS = "label the single scans, then `salsanext fuse`"
+SET_ORIGIN = "if it is a single scan, set the `origin` of its sensor"
 CLEAN = "expect wrong labels: remove such points, or `salsanext train` weights on such scans"
 LIDAR = "expect wrong labels: the weights know scans of rotating sensors"
 
@@ -44,7 +45,11 @@ def structure_findings(scan: Scan, sensor: Sensor) -> Iterator[Finding]:
         yield Finding("near-returns", problem, CLEAN)
     elif structure.hidden > MAX_HIDDEN:
         problem = f"{structure.hidden:.1%} of the points lie more than a metre behind others"
-        yield Finding("accumulated", f"{problem}, as in several scans at once", SINGLE_SCANS)
+        yield Finding(
+            "accumulated",
+            f"{problem}, as in several scans at once",
+            f"{SINGLE_SCANS}; {SET_ORIGIN}",
+        )
 
 
 def depth_image_findings(points: Float, no_intensity: str) -> Iterator[Finding]:
