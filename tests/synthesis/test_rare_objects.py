@@ -11,7 +11,7 @@ from salsanext_cli.synthesis.drive import build_street
 from salsanext_cli.synthesis.lidar import Lasers, Scene, measure
 from salsanext_cli.synthesis.presets import BALANCED_STYLES, HDL64, STYLES, style_of
 from salsanext_cli.synthesis.street import crowd, traffic, yards
-from salsanext_cli.synthesis.street.builder import Builder
+from salsanext_cli.synthesis.street.builder import MODELS, Builder
 from salsanext_cli.synthesis.street.layout import draw_plan
 from salsanext_cli.synthesis.things import (
     buses,
@@ -189,6 +189,15 @@ def test_a_walking_person_moves_and_the_dog_does_not_become_a_person():
     moving = traffic._in_motion(mesh)
     np.testing.assert_array_equal(moving.labels == 254, mesh.labels == 30)
     np.testing.assert_array_equal(moving.labels == 99, mesh.labels == 99)
+
+
+def test_a_street_reuses_its_models_after_some():
+    rng = np.random.default_rng(0)
+    builder = Builder(rng, draw_plan(rng, STYLES[0], 60.0))
+    drawn = [builder.model(furniture.hoop) for _ in range(400)]
+    assert len({id(mesh) for mesh in drawn[:MODELS]}) == MODELS
+    assert {id(mesh) for mesh in drawn[MODELS:]} == {id(mesh) for mesh in drawn[:MODELS]}
+    assert id(builder.model(furniture.bench)) not in {id(mesh) for mesh in drawn}
 
 
 def test_equal_seeds_build_equal_streets():

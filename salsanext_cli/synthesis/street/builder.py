@@ -11,6 +11,7 @@ from salsanext_cli.synthesis.mesh import Array, Mesh, Rng
 from salsanext_cli.synthesis.presets import BRIGHTNESS, Material
 from salsanext_cli.synthesis.street.plan import Plan, Side
 
+MODELS = 12  # Different objects of a maker in a street, besides their brightness
 PIECE_M = 5.0  # Longest straight piece of objects along a bend
 Maker = Callable[[float], Mesh]  # Returns a piece of a length in metres
 
@@ -32,6 +33,7 @@ class Builder:
     def __init__(self, rng: Rng, plan: Plan) -> None:
         self.rng, self.plan = rng, plan
         self.parts: list[Mesh] = []
+        self._models: dict[Callable[[Rng], Mesh], list[Mesh]] = {}
         self._taken: list[tuple[float, float, float]] = []
 
     def chance(self, probability: float) -> bool:
@@ -51,6 +53,14 @@ class Builder:
     def along(self) -> float:
         """Draw a position along the street."""
         return self.between(0, self.plan.length)
+
+    def model(self, make: Callable[[Rng], Mesh]) -> Mesh:
+        """Return an object of a maker; after `MODELS` of them, an earlier one is used again."""
+        models = self._models.setdefault(make, [])
+        if len(models) == MODELS:
+            return models[self.rng.integers(MODELS)]
+        models.append(make(self.rng))
+        return models[-1]
 
     def put(self, mesh: Mesh, side: Side, s: float, out: float, yaw: float = 0.0) -> None:
         """Place an object ``out`` metres beyond the kerb; its y points away from the road."""

@@ -49,7 +49,7 @@ def _group(builder: Builder, side: Side, s: float, out: float) -> None:
     for _ in range(count):
         place = s + builder.rng.normal(0, 0.35 * count**0.5), out + builder.rng.normal(0, 0.35)
         yaw = builder.between(0, 6.28)
-        builder.put_if_free(pedestrians.bystander(builder.rng), side, *place, 0.19, yaw)
+        builder.put_if_free(builder.model(pedestrians.bystander), side, *place, 0.19, yaw)
 
 
 def _bench(builder: Builder, side: Side, s: float, out: float) -> None:
@@ -69,7 +69,7 @@ def _bicycles(builder: Builder, side: Side, s: float) -> None:
         backwards = builder.chance(0.4)
         turned = yaw + builder.rng.normal(0, 0.08) + np.pi * backwards
         lean = builder.rng.normal(0, 0.1) if rack else abs(builder.rng.normal(0.1, 0.1))
-        mesh = people.bicycle(builder.rng).leaned(lean if backwards else -lean)
+        mesh = builder.model(people.bicycle).leaned(lean if backwards else -lean)
         place = s + step * (builder.between(0.45, 0.7) if rack else IN_A_ROW_M)
         builder.put_if_free(mesh, side, place, out, 0.22, turned)
 
@@ -80,7 +80,7 @@ def _motorcycles(builder: Builder, side: Side, s: float) -> None:
     yaw = builder.rng.choice([0.0, np.pi / 2, 1.0]) + np.pi * builder.chance(0.5)
     out += 0.9 * abs(np.sin(yaw)) * at_kerb
     for step in range(int(builder.rng.choice([1, 1, 1, 2, 4]))):
-        mesh = people.motorcycle(builder.rng).leaned(builder.rng.normal(0, 0.1))
+        mesh = builder.model(people.motorcycle).leaned(builder.rng.normal(0, 0.1))
         turned = yaw + builder.rng.normal(0, 0.1)
         builder.put_if_free(mesh, side, s + (0.9 + abs(np.cos(yaw))) * step, out, 0.35, turned)
 
@@ -98,7 +98,7 @@ def _people_at_a_pole(builder: Builder, side: Side, s: float) -> None:
     for _ in range(int(builder.rng.choice([1, 1, 1, 2, 3]))):
         angle, away = builder.between(0, 2 * np.pi), builder.between(0.35, 1.1)
         place = s + away * np.cos(angle), out + away * np.sin(angle)
-        person = pedestrians.bystander(builder.rng)
+        person = builder.model(pedestrians.bystander)
         builder.put_if_free(person, side, *place, 0.19, builder.between(0, 2 * np.pi))
 
 
@@ -106,7 +106,7 @@ def _between_cars(builder: Builder, side: Side, s: float) -> None:
     """Let somebody stand beside or between parked cars, if there is a gap."""
     beyond = builder.between(-0.6, max(1.5, side.parking))
     for step in np.arange(0, 4, 0.5):
-        person = pedestrians.bystander(builder.rng)
+        person = builder.model(pedestrians.bystander)
         if builder.put_if_free(person, side, s + float(step), beyond, 0.19, builder.between(0, 6)):
             return
 
@@ -115,7 +115,7 @@ def _halting_rider(builder: Builder, side: Side) -> None:
     """Let a rider wait at the kerb, on the pavement, or at a side street."""
     out = -builder.between(0.2, 0.7) if builder.chance(0.4) else _distance_from_kerb(builder, side)
     yaw = np.pi * builder.chance(0.5) + builder.rng.normal(0, 0.3)
-    builder.put_if_free(riders.halting_rider(builder.rng), side, builder.along(), out, 0.6, yaw)
+    builder.put_if_free(builder.model(riders.halting_rider), side, builder.along(), out, 0.6, yaw)
 
 
 def _rack(builder: Builder, side: Side, s: float) -> None:
@@ -127,6 +127,6 @@ def _rack(builder: Builder, side: Side, s: float) -> None:
         for away in (-0.2, 0.2):
             if builder.chance(0.6):
                 yaw = np.pi * (builder.chance(0.5) - 0.5) + builder.rng.normal(0, 0.05)
-                bicycle = people.bicycle(builder.rng).leaned(builder.rng.normal(0, 0.06))
+                bicycle = builder.model(people.bicycle).leaned(builder.rng.normal(0, 0.06))
                 aside = out + builder.rng.normal(0, 0.1)
                 builder.put_if_free(bicycle, side, place + away, aside, 0.12, yaw)

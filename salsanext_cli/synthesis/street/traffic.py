@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
 """Objects in motion: vehicles in their lanes, riders, people along and across the street."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from salsanext_cli.synthesis.mesh import Mesh
+from salsanext_cli.synthesis.mesh import Mesh, Rng
 from salsanext_cli.synthesis.presets import MOVING
 from salsanext_cli.synthesis.street.builder import Builder, varied
 from salsanext_cli.synthesis.street.plan import MULTILANE_HALF_WIDTH_M, RUN_OUT_M, Plan
@@ -90,6 +90,10 @@ def _vehicle(builder: Builder) -> Mesh:
     return _in_motion(varied(mesh, builder.rng))
 
 
+def _object(builder: Builder, make: Callable[[Rng], Mesh]) -> Mesh:
+    return _in_motion(varied(builder.model(make), builder.rng))
+
+
 def _in_motion(mesh: Mesh) -> Mesh:
     """Return an object with the raw ids of its classes in motion; others have none."""
     moving = np.arange(mesh.labels.max() + 1, dtype=np.uint32)
@@ -108,7 +112,7 @@ def _walkers(builder: Builder, duration: float) -> Iterator[Mover]:
             for _ in range(int(builder.rng.choice([1, 1, 2, 2, 3, 4]))):
                 t = side.sign * (plan.half + out + builder.rng.normal(0, 0.35))
                 place = s + builder.rng.normal(0, 0.6)
-                yield Mover(_in_motion(pedestrians.walker(builder.rng)), place, t, pace)
+                yield Mover(_object(builder, pedestrians.walker), place, t, pace)
 
 
 def _riders(builder: Builder, speed: float, duration: float) -> Iterator[Mover]:
@@ -122,7 +126,7 @@ def _riders(builder: Builder, speed: float, duration: float) -> Iterator[Mover]:
         t = sign * max(2.3, plan.half + builder.between(-0.9, 0.9))
         is_bicyclist = builder.chance(0.55)
         make = riders.riding_bicyclist if is_bicyclist else riders.riding_motorcyclist
-        yield Mover(_in_motion(make(builder.rng)), float(s), t, pace)
+        yield Mover(_object(builder, make), float(s), t, pace)
 
 
 def _crossers(builder: Builder, speed: float, duration: float) -> Iterator[Mover]:
@@ -141,7 +145,7 @@ def _crossers(builder: Builder, speed: float, duration: float) -> Iterator[Mover
             place = s + builder.rng.normal(0, 0.6)
             t = -across * middle + builder.rng.normal(0, 1.0)
             if _is_clear(plan, place, t, across, speed):
-                mesh = _in_motion(pedestrians.walker(builder.rng))
+                mesh = _object(builder, pedestrians.walker)
                 yield Mover(mesh, float(place), float(t), 0.0, float(across))
 
 
