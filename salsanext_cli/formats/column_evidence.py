@@ -5,6 +5,8 @@ The right number of columns is evident from the values: a column contains one ki
 share of the variance that lies between columns is largest for the right number and its multiples.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
@@ -78,10 +80,16 @@ def are_possible(values: npt.NDArray[np.floating]) -> Mask:
 
 COUNTS = range(3, 17)  # Numbers of columns that are distinguished
 PLANAR_COUNTS = range(3, 9)  # The same of files that are stored column by column
+WINDOW = 512  # Values on each side of a place where one column may end
+SHARE_OF_MULTIPLES, SHARE_OF_OTHERS, SHARE_OF_JUMPS = 0.53, 0.7, 0.6
+"""Least shares of the variance that multiples and other numbers of planes explain, and of the
+changes between planes; the right number had 0.61, 0.81 and 0.94, wrong ones less in one of them."""
 EMPTY_PERIODS = range(2, 5)  # Numbers of rows after which empty ones may recur
+PERIODS_TOGETHER = 12  # Rows after which all of them recur
 MIN_ROWS = 24  # Least number of rows that shows a recurrence
 BLOCKS = 32  # Parts of a file that are examined, evenly spaced
 ROWS, VALUES = 64, 128  # Rows of each for their order, and approximate values for their kinds
+FEW_ROWS = 4  # The same of long rows
 STEP_DEG = 5.0  # Largest difference in azimuth between consecutive measurements of a scanner
 IN_TURN = 0.6
 """Least share of such points; real scans have 0.8 or more, wrong widths 0.34 or less."""
@@ -129,14 +137,21 @@ def empty_places(values: Float, columns: int) -> Mask | None:
     Rows of `columns` values are empty if all are 0, or if the first three are not finite, such as
     second returns that were not measured.
     """
-    rows = values[: len(values) // columns * columns].reshape(-1, columns)
+    if len(values) < MIN_ROWS * columns:
+        return None
+    sample = _rows(values, PERIODS_TOGETHER * columns, FEW_ROWS)
+    if _empty_places_of(sample.reshape(-1, columns)) is None:
+        return None
+    return _empty_places_of(values[: len(values) // columns * columns].reshape(-1, columns))
+
+
+def _empty_places_of(rows: Float | Double) -> Mask | None:
     with np.errstate(invalid="ignore"):  # of a signalling NaN
         empty = ~(rows != 0).any(axis=1) | ~np.isfinite(rows[:, :3]).any(axis=1)
     for period in EMPTY_PERIODS:
-        if len(rows) >= MIN_ROWS:
-            places: Mask = empty[: len(rows) // period * period].reshape(-1, period).all(axis=0)
-            if places.any() and not places.all():
-                return places
+        places: Mask = empty[: len(rows) // period * period].reshape(-1, period).all(axis=0)
+        if places.any() and not places.all():
+            return places
     return None
 
 
@@ -150,26 +165,50 @@ def _without_empty_rows(values: Float, columns: int) -> Float | None:
     return records[:, ~places].ravel()
 
 
-def planar_count(values: Float, expected: int) -> int | None:
-    """Return the number of columns of values (M,) that are stored column by column, or None."""
+def are_planes(values: Float, expected: int) -> bool | None:
+    """Return whether values (M,), which are stored column by column, have `expected` columns.
+
+    None stands for values in rows.
+    """
     if len(values) < 2 * max(expected, *COUNTS):
         return None
-    by_rows = max(_explained(values, count) for count in {*COUNTS, expected})
-    by_columns = {
-        count: _explained(values.reshape(count, -1).T.ravel(), count)
-        for count in {expected, *PLANAR_COUNTS}
-        if len(values) % count == 0
-    }
-    most = max(by_columns.values(), default=0.0)
+    counts = [n for n in sorted({expected, *PLANAR_COUNTS}) if len(values) % n == 0]
+    explained = {n: _explained(_few_rows_of_planes(values, n), n) for n in counts}
+    most = max(explained.values(), default=0.0)
     chance = MIN_EXPLAINED + MIN_EXPLAINED_BY_CHANCE / min(len(values), SAMPLE)
-    if most < chance or by_rows >= SHARE_OF_LARGEST * most:
+    # The expected number of columns in rows explains most of the usual files.
+    by_rows = (_explained(values, count) for count in (expected, *COUNTS))
+    if most < chance or any(share >= SHARE_OF_LARGEST * most for share in by_rows):
         return None
+    jumps = _jumps_of_planes(values, counts)
     # A multiple of the number divides each column into parts, which explain a little more.
-    others = [share for count, share in by_columns.items() if count % expected]
-    share = by_columns.get(expected, 0.0)
-    if share >= SHARE_OF_LARGEST * most and share >= max(others, default=0.0):
-        return expected
-    return max(by_columns, key=by_columns.__getitem__)
+    others = [count for count in counts if count % expected]
+    return expected in counts and (
+        explained[expected] >= SHARE_OF_MULTIPLES * most
+        and explained[expected] >= SHARE_OF_OTHERS * max((explained[n] for n in others), default=0)
+        and jumps[expected] >= SHARE_OF_JUMPS * max((jumps[n] for n in others), default=0)
+    )
+
+
+def _jumps_of_planes(values: Float, counts: Sequence[int]) -> dict[int, float]:
+    """Return how much the kind of the values changes between planes, by the number of planes."""
+    places = {count: {len(values) * i // count for i in range(1, count)} for count in counts}
+    jumps = {place: _jump(values, place) for place in set().union(*places.values())}
+    return {count: sum(map(jumps.__getitem__, places[count])) for count in counts}
+
+
+def _jump(values: Float, place: int) -> float:
+    """Return how much the mean properties of the values change at a place."""
+    nearby = values[max(place - WINDOW, 0) : place], values[place : place + WINDOW]
+    before, after = (_properties(part[:, None]).mean(axis=(1, 2)) for part in nearby)
+    return float(np.square(after - before).sum())
+
+
+def _few_rows_of_planes(values: Float, count: int) -> Float:
+    """Return the values of evenly spaced rows of `count` planes, row by row."""
+    planes = values.reshape(count, -1)
+    chosen = np.linspace(0, planes.shape[1] - 1, min(SAMPLE, planes.shape[1])).astype(np.intp)
+    return planes[:, chosen].T.ravel()
 
 
 def _rows(values: Float, columns: int, length: int = ROWS) -> Double:
@@ -235,10 +274,16 @@ def _padded_count(values: Float, columns: int) -> int | None:
 def _explained(values: Float, columns: int) -> float:
     """Return the share of the variance of sign, wholeness and magnitude between the columns."""
     sample = _rows(values, columns, VALUES // columns).reshape(-1, columns)
-    size = np.where(np.isfinite(sample), np.abs(sample), 1.0)
-    is_whole = (size > 0) & (sample == np.rint(sample))
-    magnitude = np.log10(np.maximum(size, 10**-RANGE_LOG10)) / RANGE_LOG10
-    properties = np.stack([sample < 0, is_whole, np.minimum(magnitude, 1)])
+    properties = _properties(sample)
     within, total = properties.var(axis=1, ddof=1).mean(axis=1), properties.var(axis=(1, 2))
     vary = total > MIN_VARIANCE
     return float(np.mean(1 - within[vary] / total[vary])) if vary.any() else 0.0
+
+
+def _properties(sample: Double | Float) -> Double:
+    """Return sign, wholeness and magnitude of values (N, C), (3, N, C)."""
+    with np.errstate(invalid="ignore"):  # of a signalling NaN
+        size = np.where(np.isfinite(sample), np.abs(sample.astype(np.float64)), 1.0)
+        is_whole = (size > 0) & (sample == np.rint(sample))
+        magnitude = np.log10(np.maximum(size, 10**-RANGE_LOG10)) / RANGE_LOG10
+        return np.stack([sample < 0, is_whole, np.minimum(magnitude, 1)])

@@ -21,9 +21,9 @@ from salsanext_cli.formats.column_evidence import (
     are_coordinates,
     are_float16,
     are_float64,
+    are_planes,
     empty_places,
     evident_count,
-    planar_count,
 )
 from salsanext_cli.formats.columns import names_to_try, require_no_matrix, scan_of, unnamed_columns
 from salsanext_cli.records import Scan, normalised_intensity
@@ -78,8 +78,9 @@ def read_table(path: Path, columns: tuple[str, ...] = ()) -> BinTable:
     values, size = _read_values(path, width)
     with np.errstate(over="ignore", invalid="ignore"):
         rounded = values.astype(np.float32, copy=False)
-    if fitting := planar_count(rounded, width):
-        if fitting != width:
+    fits = are_planes(rounded, width)
+    if fits is not None:
+        if not fits:
             expected = f"rows of {width} float32 per point"
             raise FormatError(path, "is stored column by column", expected, REWRITE_ROWS)
         notice_once(f".bin files that store {width} columns one after the other are read as rows")
@@ -93,14 +94,10 @@ def read_table(path: Path, columns: tuple[str, ...] = ()) -> BinTable:
         raise FormatError(path, f"has {size} bytes", _multiple_of(width, values.itemsize), hint)
     table = values.reshape(-1, width)
     places = empty_places(rounded, width)
-    if places is not None and not columns:
+    if places is not None and not columns and np.isfinite(rounded).all():
+        empty = f"{int(places.sum())} of every {len(places)} rows of .bin files without values"
         names = names_to_try(len(places) * width)
-        empty = (
-            f"{int(places.sum())} of {len(places)} rows are empty, as returns without a measurement"
-        )
-        notice_once(
-            f"in .bin files, {empty}; if these are further columns, name them: --columns {names}"
-        )
+        notice_once(f"{empty}: unmeasured returns, or further columns: --columns {names}")
     return BinTable(table, is_planar=False)
 
 

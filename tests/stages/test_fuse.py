@@ -224,6 +224,16 @@ def test_a_sequence_with_bad_poses_fails_alone(world, caplog):
     assert fuse_results(world.out).done == 1
 
 
+def test_a_calibration_without_tr_has_a_hint_that_works(drive, tmp_path):
+    folder = drive.data / "sequences/08"
+    (folder / "calib.txt").write_text("P0: 1 0 0 0 0 1 0 0 0 0 1 0\n")
+    caught = refused(FormatError, folder / "calib.txt", fuse_results, drive.out)
+    assert "--poses FILE" in caught.value.hint
+    # The poses of the drive are those of the scanner.
+    path = shutil.move(folder / "poses.txt", tmp_path / "poses.txt")
+    assert fuse_results(drive.out, poses=path).done == 3
+
+
 def test_poses_may_be_named_for_one_sequence(world, tmp_path):
     (write_drive(world, 3) / "poses.txt").unlink()
     predict_scans(world.data, world.out, settings=world.network, extras=("votes",))

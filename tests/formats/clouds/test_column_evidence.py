@@ -197,3 +197,52 @@ def test_columns_beside_a_real_point_are_no_second_point(real_data, tmp_path):
         points = np.fromfile(path, "<f4").reshape(-1, real_columns(path))[:, :3]
         measured = points[points.any(axis=1)].astype(float)
         require_wide_records_are_read(tmp_path / "s.bin", measured)
+
+
+def stored_by_column(rows):
+    """Return the values of rows column after column, by a plain loop."""
+    return np.array([row[column] for column in range(rows.shape[1]) for row in rows], np.float32)
+
+
+@pytest.mark.parametrize("names", RECORDS[1:4], ids="-".join)
+@pytest.mark.parametrize("beams", [VLP16_DEG, [*range(-25, 7)]], ids=["alternating", "sorted"])
+def test_values_stored_column_by_column_are_recognised_and_rows_never(names, beams):
+    rows = table(names, scan(turns=360, beams=beams))
+    count = rows.shape[1]
+    for order in in_both_orders(rows):
+        values = order.reshape(-1, count)
+        for expected in (3, 4, 5):
+            fits = evidence.are_planes(stored_by_column(values), expected)
+            assert fits == (expected == count)
+            assert evidence.are_planes(order, expected) is None
+
+
+@pytest.mark.parametrize("period", [2, 3, 4])
+@pytest.mark.parametrize("lost", [0.0, np.nan, np.inf])
+def test_places_of_rows_that_are_always_empty(period, lost):
+    rows = table(("byte",), scan(turns=360))
+    places = np.arange(period) == period - 1
+    rows[period - 1 :: period] = lost
+    rows = rows[: len(rows) // period * period]
+    np.testing.assert_array_equal(evidence.empty_places(rows.ravel(), 4), places)
+    for values in (rows.ravel(), np.random.default_rng(0).permutation(rows).ravel()):
+        assert evidence.evident_count(values, 4) is None
+    # One measured point at each place is enough.
+    rows[-4:] = 1
+    assert evidence.empty_places(rows.ravel(), 4) is None
+
+
+@pytest.mark.real
+def test_no_real_scan_is_taken_for_planes_and_its_transpose_is(real_data):
+    right = []
+    for path in real_scans(real_data)[::4]:
+        count = real_columns(path)
+        rows = np.fromfile(path, "<f4").reshape(-1, count)
+        assert evidence.are_planes(rows.ravel(), count) is None, path
+        # A wrong number is refused with a hint; a right one may be refused too.
+        fits = evidence.are_planes(np.ascontiguousarray(rows.T).ravel(), count)
+        right.append(fits)
+        assert fits is not None, path
+        wrong = evidence.are_planes(np.ascontiguousarray(rows.T).ravel(), 9 - count)
+        assert not wrong, path
+    assert np.mean(right) > 0.9

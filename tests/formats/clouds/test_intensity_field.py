@@ -5,6 +5,7 @@ import io
 import shlex
 from dataclasses import replace
 
+import bags
 import numpy as np
 import pytest
 from scans import SMALL, make_scan
@@ -13,6 +14,7 @@ from salsanext_cli import read_scan, write_ply
 from salsanext_cli.errors import FormatError
 from salsanext_cli.fitting.scan_checks import check_scan
 from salsanext_cli.formats.field_names import INTENSITY_NAMES, intensity_among
+from salsanext_cli.results.paths import find_scans
 
 SCAN = make_scan(300)
 X, Y, Z = SCAN.points.T
@@ -93,6 +95,17 @@ def test_usual_names_need_no_option(name, spelling):
     written = spelling.format(name.title())
     assert intensity_among(["x", "ring", written], "", "s.csv") == written
     assert intensity_among(["x", "ring", f"{name}_filter"], "", "s.csv") is None
+
+
+def test_clouds_of_bags_have_names_too(tmp_path):
+    pytest.importorskip("rosbags")
+    points = bags.structured(200)
+    bag = bags.write_bag(tmp_path, ".bag", bags.messages([points]))
+    (file,) = find_scans(bag)
+    scan = read_scan(file.path, replace(SMALL, intensity_field="RING"))
+    np.testing.assert_array_equal(scan.intensity, points["ring"])
+    with pytest.raises(FormatError, match="ring"):
+        read_scan(file.path, replace(SMALL, intensity_field="echo"))
 
 
 def test_names_of_columns_can_be_chosen_too(tmp_path):
