@@ -2,12 +2,14 @@
 """Attempts of chunks that a worker did not live to return, kept in a private folder.
 
 A worker appends each attempt to the file of its chunk, as it would send it to the main process. The
-main process removes the file when it has the chunk, and reads what is left if a worker died.
+main process removes the file when it has the chunk, and reads what is left if a worker died. Where
+nothing can be written, nothing is kept: the next run finds the results of the scans.
 """
 
+import shutil
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
@@ -22,19 +24,20 @@ LENGTH_BYTES = 8  # Size of the number before each attempt, that of its bytes
 class FinishedAttempts:
     """Files of the chunks that workers have begun and not returned."""
 
-    folder: Path
+    folder: Path | None  # None where no folder could be made
 
-    def file(self, chunk: int) -> Path:
-        """Return the file of the chunk with a number."""
-        return self.folder / str(chunk)
+    def file(self, chunk: int) -> Path | None:
+        """Return the file of the chunk with a number, None without a folder."""
+        return None if self.folder is None else self.folder / str(chunk)
 
     def forget(self, chunk: int) -> None:
         """Remove the file of a chunk that was returned."""
-        self.file(chunk).unlink(missing_ok=True)
+        if path := self.file(chunk):
+            path.unlink(missing_ok=True)
 
     def __iter__(self) -> Iterator[Attempt[Any]]:
         """Yield the attempts that are left, without one that is cut off."""
-        for path in sorted(self.folder.iterdir()):
+        for path in sorted(self.folder.iterdir()) if self.folder else ():
             content = path.read_bytes()
             start = 0
             while start + LENGTH_BYTES <= len(content):
@@ -46,10 +49,12 @@ class FinishedAttempts:
                 start = end
 
 
-def append_attempt(path: Path, attempt: Attempt[Any]) -> None:
-    """Append an attempt to the file of its chunk."""
+def append_attempt(path: Path | None, attempt: Attempt[Any]) -> None:
+    """Append an attempt to the file of its chunk, if there is one and it can be written."""
+    if path is None:
+        return
     content = bytes(ForkingPickler.dumps(attempt))
-    with path.open("ab") as file:
+    with suppress(OSError), path.open("ab") as file:
         file.write(len(content).to_bytes(LENGTH_BYTES, "little") + content)
 
 
@@ -58,9 +63,12 @@ def finished_attempts() -> Iterator[FinishedAttempts]:
     """Make a private folder of attempts, which is removed even if this process is killed."""
     from joblib.externals.loky.backend import resource_tracker
 
-    with tempfile.TemporaryDirectory(prefix="salsanext-") as folder:
-        resource_tracker.register(folder, "folder")
-        try:
-            yield FinishedAttempts(Path(folder))
-        finally:
-            resource_tracker.unregister(folder, "folder")
+    with ExitStack() as stack:
+        folder = None
+        with suppress(OSError):
+            folder = tempfile.mkdtemp(prefix="salsanext-")
+        if folder is not None:
+            resource_tracker.register(folder, "folder")
+            stack.callback(resource_tracker.unregister, folder, "folder")
+            stack.callback(shutil.rmtree, folder, ignore_errors=True)
+        yield FinishedAttempts(None if folder is None else Path(folder))

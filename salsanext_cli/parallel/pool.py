@@ -144,7 +144,7 @@ def attempt_chunk(
     folder: Path,
     scans: Chunk,
     number: int,
-    finished: Path,
+    finished: Path | None,
     *,
     stop: bool,
 ) -> AttemptedChunk:

@@ -113,6 +113,18 @@ def test_no_folder_is_left_of_finished_scans(tmp_path, monkeypatch):
     assert not [*tmp_path.glob("salsanext-*")]
 
 
+def test_a_run_needs_no_temporary_folder(tmp_path, monkeypatch):
+    """As in a container whose only writable folder is that of the results."""
+
+    def refuse(**_):
+        raise FileNotFoundError("no usable temporary directory")
+
+    monkeypatch.setattr("tempfile.mkdtemp", refuse)
+    outcome = run(Write(tmp_path), scans_of("a", "b"), jobs=2)
+    assert outcome.done == 2
+    append_attempt(tmp_path / "nowhere" / "0", Attempt(scans_of("a")[0], "a"))
+
+
 @pytest.mark.parametrize("cut", range(40))
 def test_an_attempt_that_is_cut_off_is_not_read(tmp_path, cut):
     """Of two attempts of one chunk, the second is not complete, or both are."""
