@@ -24,11 +24,21 @@ MAX_RANGE_M = MAX_INTENSITY = np.float32(1e6)
 
 
 @dataclass(frozen=True, slots=True)
+class FieldSplit:
+    """Field of a file whose values divide its points into scans or sensors."""
+
+    field: str
+    kind: str  # "sensor" or "scan" if each has one value; "time" if the times of points vary
+    count: int  # Number of different values; of a sample
+
+
+@dataclass(frozen=True, slots=True)
 class FileNotes:
     """What the file of a scan states beside its points."""
 
     fields: tuple[str, ...] = ()  # Names of the fields with numbers, without the coordinates
     missing_points: int = 0  # Points that its header states, but that it lacks
+    split: FieldSplit | None = None  # Field that tells scans or sensors apart, if any
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ import numpy as np
 from salsanext_cli.fitting.finding import Finding
 from salsanext_cli.fitting.mounting_fit import sharpness
 from salsanext_cli.fitting.scan_structure import structure_of
-from salsanext_cli.records import Float, Scan
+from salsanext_cli.records import FieldSplit, Float, Scan
 from salsanext_cli.sensors.sensor import Sensor
 
 MAX_HIDDEN = 0.045
@@ -43,13 +43,30 @@ def structure_findings(scan: Scan, sensor: Sensor) -> Iterator[Finding]:
     elif structure.in_air > MAX_IN_AIR:
         problem = f"{structure.in_air:.1%} of the points float near the sensor, as in fog or snow"
         yield Finding("near-returns", problem, CLEAN)
-    elif structure.hidden > MAX_HIDDEN:
-        problem = f"{structure.hidden:.1%} of the points lie more than a metre behind others"
-        yield Finding(
-            "accumulated",
-            f"{problem}, as in several scans at once",
-            f"{SINGLE_SCANS}; {SET_ORIGIN}",
-        )
+    else:
+        yield from _accumulated_findings(structure.hidden, scan.notes.split)
+
+
+def _accumulated_findings(hidden: float, split: FieldSplit | None) -> Iterator[Finding]:
+    several_sensors = split is not None and split.kind == "sensor"
+    if hidden > MAX_HIDDEN:
+        problem = f"{hidden:.1%} of the points lie more than a metre behind others"
+        origin = "sensors" if several_sensors else "scans"
+        yield Finding("accumulated", f"{problem}, as in several {origin} at once", _remedy(split))
+    elif split is not None and several_sensors:
+        problem = f"has the points of {split.count} sensors, by its field {split.field}"
+        yield Finding("accumulated", problem, _remedy(split))
+
+
+def _remedy(split: FieldSplit | None) -> str:
+    if split is None:
+        return f"{SINGLE_SCANS}; {SET_ORIGIN}"
+    values = f"its field {split.field} has {split.count} values"
+    if split.kind == "sensor":
+        return f"{values}: split the file by it, and label each sensor in a folder of its own"
+    if split.kind == "scan":
+        return f"{values}: split the file by it, then {SINGLE_SCANS}"
+    return f"split the file by the times of its field {split.field}, then {SINGLE_SCANS}"
 
 
 def depth_image_findings(points: Float, no_intensity: str) -> Iterator[Finding]:

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError, counted
 from salsanext_cli.formats.field_names import AxisFields, fields_beside, intensity_among
+from salsanext_cli.formats.split_fields import split_field
 from salsanext_cli.records import FileNotes, Float, Scan, normalised_intensity
 from salsanext_cli.sensors.sensor import MAX_COLUMNS, UNUSED_COLUMN
 
@@ -54,7 +55,7 @@ def scan_of(
     intensity = np.zeros(len(points), np.float32) if name is None else numbers[name]
     fields = tuple(field for field in fields_beside([*numbers, *unread]) if field != name)
     scaled = normalised_intensity(intensity, intensity_scale)
-    return Scan(points, scaled, FileNotes(fields, missing_points))
+    return Scan(points, scaled, FileNotes(fields, missing_points, split_field(numbers)))
 
 
 def coordinates(columns: Columns, path: Path) -> Float:

@@ -13,6 +13,7 @@ from salsanext_cli.fitting.scan_structure import structure_of
 from salsanext_cli.geometry.directions import COLUMNS, NEAREST_M, NO_CELL, ROWS, direction_grid
 from salsanext_cli.geometry.network_input import NO_INTENSITY
 from salsanext_cli.measures.expected_accuracy import WITHHELD_FOR
+from salsanext_cli.records import FieldSplit, FileNotes
 
 HEIGHT_M, FARTHEST_M = 1.7, 60.0
 PILLARS = np.random.default_rng(1).uniform((-30, -30, 1), (60, 30, 3), (60, 3))
@@ -113,6 +114,25 @@ def test_sensors_of_few_and_many_beams_have_no_finding(beams):
     assert codes(scan_of(points)) == set()
     narrow = np.abs(points[:, 1]) < 0.3 * points[:, 0]
     assert codes(scan_of(points[narrow], intensity=False)) == set()
+
+
+@pytest.mark.parametrize(
+    ("split", "words"),
+    [
+        (None, ["fuse"]),
+        (FieldSplit("lidar_id", "sensor", 2), ["lidar_id", "2"]),
+        (FieldSplit("sweep", "scan", 10), ["sweep", "10", "fuse"]),
+        (FieldSplit("timestamp", "time", 4096), ["timestamp", "fuse"]),
+    ],
+)
+def test_the_hint_names_the_field_that_divides_a_cloud(split, words):
+    ten = replace(sweeps(10), notes=FileNotes(split=split))
+    (found,) = (f for f in check_scan(Path("s.bin"), ten, SMALL).findings if f.code in CODES)
+    assert found.code == "accumulated"
+    assert all(word in found.hint for word in words)
+    assert codes(replace(sweeps(1), notes=FileNotes(split=split))) == (
+        {"accumulated"} if split and split.kind == "sensor" else set()
+    )
 
 
 def test_the_origin_and_direction_up_of_the_sensor_count():
