@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 import math
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +11,12 @@ from scans import SMALL, make_scan
 from salsanext_cli import Scan
 from salsanext_cli.fitting.scan_checks import check_scan
 from salsanext_cli.fitting.scan_structure import structure_of
+from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.directions import COLUMNS, NEAREST_M, NO_CELL, ROWS, direction_grid
 from salsanext_cli.geometry.network_input import NO_INTENSITY
 from salsanext_cli.measures.expected_accuracy import WITHHELD_FOR
 from salsanext_cli.records import FieldSplit, FileNotes
+from salsanext_cli.sensors.sensor import sensor
 
 HEIGHT_M, FARTHEST_M = 1.7, 60.0
 PILLARS = np.random.default_rng(1).uniform((-30, -30, 1), (60, 30, 3), (60, 3))
@@ -52,6 +55,7 @@ def scan_of(points, *, intensity=True):
     return Scan(points.astype(np.float32), values.astype(np.float32))
 
 
+@cache
 def sweeps(count, step=2.0):
     """Return successive scans in the frame of the last one."""
     rays = turned()
@@ -84,8 +88,8 @@ def depth_image(focal=300, tilt_deg=0.0, *, intensity=False):
     return scan_of(points[np.linalg.norm(points, axis=1) < 40], intensity=intensity)
 
 
-def codes(scan, sensor=SMALL):
-    return {finding.code for finding in check_scan(Path("s.bin"), scan, sensor).findings} & CODES
+def codes(scan, mounted=SMALL):
+    return {finding.code for finding in check_scan(Path("s.bin"), scan, mounted).findings} & CODES
 
 
 @pytest.mark.parametrize(
@@ -207,3 +211,17 @@ def test_grid_and_structure_agree_with_a_slow_loop():
     assert structure.hidden == pytest.approx(hidden / len(cells), abs=1e-3)
     assert structure.in_air == pytest.approx(in_air / len(cells), abs=1e-3)
     assert structure.roughness == pytest.approx(np.median(deviations), rel=0.02)
+
+
+@pytest.mark.real
+def test_ten_real_scans_in_one_are_a_finding(real_data):
+    drive = real_data / "data/drives/sequences/0004"
+    poses = np.loadtxt(drive / "poses.txt").reshape(-1, 3, 4)[10:20]
+    scans = [read_scan(path) for path in sorted((drive / "velodyne").iterdir())[10:20]]
+    rotation, position = poses[-1, :, :3], poses[-1, :, 3]
+    clouds = []
+    for scan, pose in zip(scans, poses, strict=True):
+        assert codes(scan, sensor("hdl64-512")) == set()
+        points = scan.points[np.linalg.norm(scan.points, axis=1) > 1]
+        clouds.append((points @ pose[:, :3].T + pose[:, 3] - position) @ rotation)
+    assert codes(scan_of(np.concatenate(clouds)), sensor("hdl64-512")) == {"accumulated"}
