@@ -69,7 +69,7 @@ class Bank:
 
 @dataclass(frozen=True, slots=True)
 class Ditch:
-    """Trough along the street."""
+    """Channel along the street that drains it."""
 
     start: float  # Distance from the edge of the lots, negative towards the road
     width: float
