@@ -7,8 +7,11 @@ Real data sets are the folders ``pandaset``, ``pandargt`` and ``aachen`` that `d
 describes. After each epoch the running average is scored on what is held out, at each width, in
 ``scores.csv``; no choice is made by it here.
 
+With --write, nothing is trained: the running average of the checkpoint becomes a weights file,
+without class weights in its logits.
+
 Run: python benchmarks/background_training.py RUN SCENES HELD_OUT [pandaset/ pandargt/ aachen/]
-     [--weights default] [--set learning_rate=1e-3]
+     [--weights default] [--set learning_rate=1e-3] [--write FILE]
 """
 
 import argparse
@@ -17,6 +20,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import torch
+from default_weights import remove_class_weights
 from gpu_train import DESCRIPTION, real_sources, training_data
 from scene_pool import KINDS, ScenePool
 
@@ -25,11 +29,13 @@ from salsanext_cli.engines.loading import network_of_module
 from salsanext_cli.engines.settings import weights_file
 from salsanext_cli.files.json_files import Json, read_json, write_json
 from salsanext_cli.network.card import WeightsCard, read_card
+from salsanext_cli.network.weights import save_weights
+from salsanext_cli.training.checkpoint import load_checkpoint
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.fit import StepReport, Training
 from salsanext_cli.training.learner import Learner, fastest_precision
 from salsanext_cli.training.recipe import Recipe, read_overrides, recipe
-from salsanext_cli.training.run_folder import CLASS_COUNTS, Row, write_log
+from salsanext_cli.training.run_folder import CHECKPOINT, CLASS_COUNTS, Row, write_log
 from salsanext_cli.training.setup import initial_network
 from salsanext_cli.training.validation import validate_widths
 
@@ -108,21 +114,35 @@ def training_of(
     return Training(run, learner, data.samples, nothing, card, 1, scoring.report)
 
 
-def main() -> None:
+def write_average(training: Training, target: Path) -> None:
+    """Write the running average of the last checkpoint as weights, and print its steps."""
+    state = load_checkpoint(training.run / CHECKPOINT, training.learner)
+    steps = state.epoch * training.samples.plan.steps_per_epoch + len(state.losses)
+    module = training.learner.average.eval()
+    remove_class_weights(module, training.card, training.run / CLASS_COUNTS)
+    save_weights(target, module, training.card, half=True)
+    print(f"{target}: the running average after {steps} steps", flush=True)
+
+
+def main(*words: str) -> None:
     parser = argparse.ArgumentParser()
     for name in ("run", "scenes", "held_out"):
         parser.add_argument(name, type=Path)
     parser.add_argument("real", type=Path, nargs="*")
     parser.add_argument("--weights", type=Path, default=Path("default"))
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
-    given = parser.parse_args()
+    parser.add_argument("--write", type=Path, metavar="FILE")
+    given = parser.parse_args(words or None)
     how = recipe("street").with_changes(**CHANGES | read_overrides(given.set))
     if how.precision == "auto":
         how = how.with_changes(precision=fastest_precision(torch.device("cpu")))
     given.run.mkdir(parents=True, exist_ok=True)
     start = weights_file(given.weights)
     training = training_of(given.run, start, given.scenes, given.held_out, given.real, how)
-    training.fit()
+    if given.write:
+        write_average(training, given.write)
+    else:
+        training.fit()
 
 
 if __name__ == "__main__":

@@ -37,7 +37,8 @@ from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.fitting.label_scan import prepared_for
 from salsanext_cli.fitting.sensor_fit import ScanSample, fit_scans
 from salsanext_cli.formats import read_scan
-from salsanext_cli.network.card import scan_digest
+from salsanext_cli.network.card import WeightsCard, scan_digest
+from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.network.weights import read_weights, save_weights, save_with_card
 from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.network_task import network_pipeline
@@ -183,20 +184,11 @@ def finish(
 ) -> None:
     """Write the last weights of a run in float16, without class weights, with a temperature.
 
-    A loss weighted by f^-a, f being the share of a class, makes the softmax that of a world where
-    every class is f^-a times as frequent; a·log f added to the logits takes that back. The
-    temperature is the geometric mean of those fitted on the validation scans of the data sets. The
-    weights know the sectors of the circles that they were trained on.
+    The temperature is the geometric mean of those fitted on the validation scans of the data sets.
+    The weights know the sectors of the circles that they were trained on.
     """
     module, card = read_weights(run / "last.safetensors")
-    points = json.loads((run / "class_counts.json").read_text())["points"]
-    counts = np.array([points[name] for name in card.space.names])
-    shares = class_shares(counts, card.space.scored)
-    exponents = np.where(shares > 0, card.recipe["class_weight"], 0)
-    added = exponents * np.log(np.where(shares > 0, shares, 1))
-    state = module.state_dict()
-    state["logits.bias"] += torch.from_numpy(added.astype(np.float32))
-    module.load_state_dict(state)
+    remove_class_weights(module, card, run / "class_counts.json")
     digests = {scan_digest(read_scan(file.path, card.sensor)) for file in sectors}
     card = replace(
         card,
@@ -218,6 +210,23 @@ def finish(
         print(f"temperature of {dataset.name}: {temperatures[-1]:.3f}", flush=True)
     temperature = float(np.exp(np.mean(np.log(temperatures))))
     save_with_card(half, target, replace(card, temperature=temperature))
+
+
+def remove_class_weights(module: SegmentationNetwork, card: WeightsCard, counts: Path) -> None:
+    """Add to the logits what takes back the class weights of the loss.
+
+    A loss weighted by f^-a, f being the share of a class, makes the softmax that of a world where
+    every class is f^-a times as frequent; a·log f added to the logits takes that back. `counts` is
+    the file of the points of each class in training.
+    """
+    points = json.loads(counts.read_text())["points"]
+    of_classes = np.array([points[name] for name in card.space.names])
+    shares = class_shares(of_classes, card.space.scored)
+    exponents = np.where(shares > 0, card.recipe["class_weight"], 0)
+    added = exponents * np.log(np.where(shares > 0, shares, 1))
+    state = module.state_dict()
+    state["logits.bias"] += torch.from_numpy(added.astype(np.float32))
+    module.load_state_dict(state)
 
 
 def corrupted_copies(dataset: Path, files: Sequence[ScanFile], folder: Path) -> list[ScanFile]:

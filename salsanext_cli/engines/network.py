@@ -59,6 +59,12 @@ class Network:
         """Return the network for another sensor, whose images have the same size."""
         return replace(self, sensor=sensor)
 
+    def at_width(self, width: int) -> "Network":
+        """Return the network for images of another width, with which the weights were trained."""
+        size = (self.sensor.height, width)
+        backend = replace(self.backend, card=self.card.at_width(width), size=size)
+        return replace(self, backend=backend, sensor=self.sensor.resized(width=width))
+
     def input(self, channels: Float) -> Float:
         """Return the input (1, 5, H, W) of the weights from channels (5, H, W) of the sensor."""
         return network_input(channels, self.sensor, self.card.sensor)

@@ -184,6 +184,11 @@ def row_gaps(images: Iterable[Float]) -> float | None:
     return round(gaps / (gaps + occupied), GAP_DIGITS) if occupied else None
 
 
+def column_gaps(images: Iterable[Float]) -> float | None:
+    """Return the share of gaps, up to `MAX_GAP` empty pixels of a row; None without pixels."""
+    return row_gaps(channels.transpose(0, 2, 1) for channels in images)
+
+
 def fills_rows(sensor: Sensor, trained: Sensor) -> bool:
     """Return whether a sensor has many more gaps than training, so that they are filled."""
     gaps, usual = sensor.row_gaps, trained.row_gaps

@@ -176,6 +176,7 @@ def predict_scans(
     network = settings.load()
     listed = scans_of(source)
     scans = choose(listed, selection, space_of(listed, network.card.space), source)
+    network = network_of_run(settings, network, listed, out, overwrite=options.overwrite)
     rejection = None if reject is None else _rejection(reject, settings, network, knn)
     if rejection and rejection.kind == "error":
         extras = tuple(dict.fromkeys((*extras, ERROR)))
@@ -183,7 +184,6 @@ def predict_scans(
         error_model(network)
     if "objects" in extras:
         network.space.require_movable("--objects")
-    network = network_of_run(settings, network, listed, out, overwrite=options.overwrite)
     accuracy = None if rejection else network.card.accuracy
     recorded = replace(
         settings_of_network(network),

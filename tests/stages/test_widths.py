@@ -7,17 +7,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scans import SMALL, refused
+from scans import SMALL, refused, write_bin
 from world import World
 
-from salsanext_cli import load_network, project, read_scan
+from salsanext_cli import Scan, load_network, project, read_scan
 from salsanext_cli.errors import OutputError, UsageError, WeightsError
 from salsanext_cli.fitting.label_scan import projected_sensor
-from salsanext_cli.fitting.sensor_fit import fit_network
+from salsanext_cli.fitting.sensor_fit import ScanSample, fit_scans
 from salsanext_cli.geometry.knn import knn_refine
+from salsanext_cli.geometry.network_input import column_gaps
 from salsanext_cli.network.card import AccuracyLine, FittedParts, read_card
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.results.manifest import Manifest
+from salsanext_cli.results.paths import find_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.uncertainty import uncertainty
@@ -49,7 +51,8 @@ def labels_by_hand(world: World, width: int) -> np.ndarray:
     """Return the labels of a scan, from its logits in an image of a width."""
     network = load_network(world.network.weights, "cpu", SMALL.resized(width=width), engine="torch")
     scan = read_scan(world.scan())
-    network = fit_network(network, world.data, view=True)
+    named = replace(world.network, width=width)
+    network = fit_scans(named, network, ScanSample(find_scans(world.data), network.sensor))
     image = project(scan, network.sensor)
     train = knn_refine(image, network.logits(image).argmax(axis=0), network.space.class_count)
     return network.space.to_raw(train)
@@ -145,3 +148,55 @@ def test_damaged_widths_are_refused(world, change):
     metadata = json.loads(read_card(world.network.path).to_metadata()["salsanext"]) | change
     with pytest.raises(WeightsError, match="damaged"):
         type(read_card(world.network.path)).from_metadata({"salsanext": json.dumps(metadata)}, "w")
+
+
+def every_second_column(world: World) -> None:
+    """Write scans with a point in every pixel of the wide image, but of even columns only."""
+    v, u = np.mgrid[: SMALL.height, 0:WIDE:2].reshape(2, -1)
+    elevation = np.radians(3.0 - 28.0 * (v + 0.5) / SMALL.height)
+    azimuth = np.pi * (1 - 2 * (u + 0.5) / WIDE)
+    flat = 10 * np.cos(elevation)
+    points = [flat * np.cos(azimuth), flat * np.sin(azimuth), 10 * np.sin(elevation)]
+    scan = Scan(np.stack(points, axis=1).astype(np.float32), np.full(len(u), 0.5, np.float32))
+    for file in find_scans(world.data):
+        write_bin(file.path, scan)
+
+
+def test_images_are_as_narrow_as_the_sensor_unless_a_width_is_named(mixed, caplog):
+    caplog.set_level(logging.INFO)
+    every_second_column(mixed)
+    mixed.predict()
+    settings = Manifest(mixed.out).settings("predict")
+    assert (settings.sensor.width, settings.temperature) == (NARROW, 2.0)
+    assert "50 % of the pixels between columns" in caplog.text
+    np.testing.assert_array_equal(mixed.labels(), labels_by_hand(mixed, NARROW))
+    # The run can be continued.
+    caplog.clear()
+    assert predict_scans(mixed.data, mixed.out, settings=mixed.network).skipped == 3
+    wide = at(mixed, WIDE)
+    predict_scans(mixed.data, mixed.out.with_name("wide"), settings=wide.network)
+    assert f"use --width {NARROW}" in caplog.text
+    assert Manifest(mixed.out.with_name("wide")).settings("predict").sensor.width == WIDE
+
+
+def test_a_threshold_of_a_wider_image_does_not_hold_for_narrower_ones(mixed, target):
+    at(mixed, WIDE).tune("risk", target, at_most=0.9)
+    world = replace(mixed, network=replace(mixed.network, weights=target))
+    every_second_column(world)
+    error = refused(
+        WeightsError,
+        target,
+        predict_scans,
+        world.data,
+        world.out,
+        settings=world.network,
+        reject="risk",
+    ).value
+    assert f"{NARROW} columns" in error.problem
+
+
+def test_gaps_between_columns_are_those_between_rows_of_the_turned_image():
+    image = np.zeros((5, 3, 20), np.float32)
+    image[0, 0, [0, 2, 3, 11]] = 1  # One gap of a pixel; seven are no gap.
+    image[0, 2, [5, 12]] = 1  # Six
+    assert column_gaps([image]) == round(7 / 13, 4)

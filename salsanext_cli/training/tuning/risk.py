@@ -137,7 +137,7 @@ def fit_risk(scans: TuningScans, at_most: float, confidence: float | None = None
         scans=len(judged),
         sequences=tuple(np.unique(sequences).tolist()),
         digests="".join(scan.digest for scan in judged),
-        settings=labels_depend_on(scans.settings, scans.loaded),
+        settings=labels_depend_on(scans.settings, scans.network),
         views=tuple(map(FittedView.of, network.sensor.members)),
         population=_population(judged, unit),
     )

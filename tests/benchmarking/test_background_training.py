@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: MIT
+# ruff: noqa: F811
+"""Training in the background, and the scores of its weights on drives."""
+
+import csv
+import json
+
+import background_training
+import drive_scores
+import pytest
+from command_line import called
+from scans import SMALL, write_sequence
+from scene_pool import KINDS, ScenePool, write_scene
+from shallow import shallow, weights  # noqa: F401
+
+from salsanext_cli.network.card import read_card
+
+TINY = (
+    "widths=64,32",
+    "crop_width=32",
+    "samples_per_epoch=4",
+    "batch=2",
+    "precision=float32",
+    "no_intensity=0",
+)
+
+
+@pytest.mark.slow
+def test_a_training_goes_on_where_it_ended_and_its_average_becomes_weights(tmp_path, weights):
+    pool = ScenePool(tmp_path / "scenes", SMALL, scans=2, validation=0)
+    for number in range(len(KINDS)):
+        pool.make(number)
+        kind = KINDS[number]
+        write_scene(tmp_path / "held-out" / kind, 0, kind, 9 + number, 1, 10.0, SMALL)
+    run, target = tmp_path / "run", tmp_path / "average.safetensors"
+    call = [*map(str, (run, tmp_path / "scenes", tmp_path / "held-out", "--weights", weights))]
+    settings = [word for text in TINY for word in ("--set", text)]
+    for epochs in (1, 2):
+        background_training.main(*call, *settings, "--set", f"epochs={epochs}")
+        rows = list(csv.DictReader((run / "scores.csv").open()))
+        assert [int(row["step"]) for row in rows] == [2, 4][:epochs]
+        assert {f"{kind}_miou{end}" for kind in KINDS for end in ("", "_32")} <= rows[0].keys()
+    background_training.main(*call, *settings, "--write", str(target))
+    assert read_card(target).trained_widths == (64, 32)
+
+
+def test_scores_of_drives_are_those_of_eval(tmp_path, weights, monkeypatch):
+    monkeypatch.setenv("SALSANEXT_ENGINE", "torch")
+    for name in ("00", "08"):
+        write_sequence(tmp_path / "data/sequences" / name, ["0", "1"])
+    found = tmp_path / "scores.json"
+    words = [str(weights), str(tmp_path / "data"), "--widths", "128,64", "--json", str(found)]
+    drive_scores.main(*words, "--classes", "car")
+    scores = json.loads(found.read_text())
+    assert scores.keys() == {"128", "64"}
+    for width in scores:
+        out = tmp_path / f"out {width}"
+        call = ("predict", tmp_path / "data", out, "--weights", weights, "--width", width)
+        called(*call, "--sequences", "08", "--precision", "float32")
+        judged = json.loads(called("eval", out, "--json").stdout)["scores"]
+        assert scores[width]["08"]["accuracy"] == pytest.approx(100 * judged["accuracy"], abs=0.01)
+        assert scores[width]["08"]["miou"] == pytest.approx(
+            100 * judged["iou_mean_present"], abs=0.01
+        )
