@@ -37,7 +37,7 @@ def test_a_training_goes_on_where_it_ended_and_its_average_becomes_weights(tmp_p
     settings = [word for text in TINY for word in ("--set", text)]
     for epochs in (1, 2):
         background_training.main(*call, *settings, "--set", f"epochs={epochs}")
-        rows = list(csv.DictReader((run / "scores.csv").open()))
+        rows = list(csv.DictReader((run / "scores.csv").read_text().splitlines()))
         assert [int(row["step"]) for row in rows] == [2, 4][:epochs]
         assert {f"{kind}_miou{end}" for kind in KINDS for end in ("", "_32")} <= rows[0].keys()
     background_training.main(*call, *settings, "--write", str(target))
