@@ -6,9 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from salsanext_cli.fitting.mounting_fit import fit_mounting, ground_of
+from salsanext_cli.fitting.mounting_fit import fit_mounting
 from salsanext_cli.fitting.scan_checks import MAX_SHARE_OUTSIDE, share_outside
+from salsanext_cli.geometry.ground import ground_of
 from salsanext_cli.geometry.projection import in_sensor_frame, measured_ranges, without_ego
+from salsanext_cli.geometry.scan_traits import sensor_of
 from salsanext_cli.records import MAX_RANGE_M, Double, Float, Indices, Scan
 from salsanext_cli.sensors.sensor import FITTED_NAME, ORIGIN, UP, Sensor
 
@@ -33,12 +35,12 @@ def fit_ego(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
     """Return the sensor with `min_range` and `ego_box` fitted to its scans where they are None.
 
     The minimum range is `MIN_RANGE_M`, or less for a low sensor. The box is empty for fewer than
-    `MIN_SCANS` scans, and if the vehicle stands.
+    `MIN_SCANS` scans, if the vehicle stands, and for registered scans, in which it turns.
     """
     least, box = sensor.min_range, sensor.ego_box
     if least is not None and box is not None:
         return sensor
-    upright = [in_sensor_frame(scan, sensor) for scan in scans]
+    upright = [in_sensor_frame(scan, sensor_of(scan, sensor)) for scan in scans]
     heights = [ground.height for scan in upright if (ground := ground_of(scan))]
     height = float(np.median(heights)) if heights else None
     if least is None:
@@ -46,7 +48,8 @@ def fit_ego(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
         if height is not None and height >= MIN_SENSOR_HEIGHT_M:
             least = round(min(least, SHARE_OF_HEIGHT * height), DIGITS)
     if box is None:
-        box = _ego_box(upright, height) if height is not None and len(scans) >= MIN_SCANS else ()
+        shows_box = height is not None and len(scans) >= MIN_SCANS and not sensor.registered
+        box = _ego_box(upright, height) if shows_box and height is not None else ()
     return replace(sensor, min_range=least, ego_box=box)
 
 
@@ -125,7 +128,7 @@ def fit_view(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
 
 def _sines(scan: Scan, sensor: Sensor) -> Double:
     """Return the sines of elevation (M,) of the measured points outside the vehicle."""
-    points = without_ego(scan, sensor).points
+    points = without_ego(scan, sensor_of(scan, sensor)).points
     ranges, measured = measured_ranges(points, float(MAX_RANGE_M))
     return points[measured, 2] / ranges[measured]
 
@@ -162,4 +165,5 @@ def view_text(sensor: Sensor) -> str:
     """Describe field of view and mounting: ``field of view +10.7° to -30.7°, up …``."""
     up = "" if sensor.up == UP else f", up {sensor.up}"
     origin = "" if sensor.origin == ORIGIN else f", origin {sensor.origin}"
-    return f"field of view {sensor.fov_up:+g}° to {sensor.fov_down:+g}°{up}{origin}"
+    registered = ", an origin for each scan" if sensor.registered else ""
+    return f"field of view {sensor.fov_up:+g}° to {sensor.fov_down:+g}°{up}{origin}{registered}"

@@ -8,7 +8,7 @@ a warning of the run. docs/reference/warnings.md explains the thresholds.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from shlex import quote
 from typing import Any
@@ -18,8 +18,20 @@ import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError, counted, first_few
 from salsanext_cli.fitting.finding import Finding
-from salsanext_cli.fitting.mounting_fit import MAX_TILT_DEG, TOLERANCE_M, UPSIDE_DOWN_DEG, ground_of
+from salsanext_cli.fitting.place_checks import (
+    MIN_SHARE_OF_GROUND,
+    PlaceProblem,
+    origin_in_file,
+    place_problem,
+)
 from salsanext_cli.fitting.structure_checks import depth_image_findings, structure_findings
+from salsanext_cli.geometry.ground import (
+    MAX_TILT_DEG,
+    TOLERANCE_M,
+    UPSIDE_DOWN_DEG,
+    Ground,
+    ground_of,
+)
 from salsanext_cli.geometry.network_input import BRIGHT, INTENSITY_FACTOR, NO_INTENSITY
 from salsanext_cli.geometry.projection import (
     ego_points,
@@ -28,8 +40,9 @@ from salsanext_cli.geometry.projection import (
     measured_ranges,
 )
 from salsanext_cli.geometry.scan_traits import MIN_TRAIT_POINTS, ScanTraits, intensity_of, sines_of
+from salsanext_cli.geometry.sensor_place import USUAL_HEIGHT_M
 from salsanext_cli.records import Double, FileNotes, Float, Scan
-from salsanext_cli.sensors.sensor import FITTED_NAME, OF_IMAGES, Sensor, presets
+from salsanext_cli.sensors.sensor import FITTED_NAME, OF_IMAGES, ORIGIN, Sensor, presets
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +65,6 @@ MIN_FAR_M = 15.0  # Least usual 99 % quantile of ranges; roads had 27 m, a room 
 MIN_MEASURED = 0.4  # Least usual share of measured points; organised clouds had 0.55 or more
 MIN_ROWS, FEW_OF_ROW = 0.35, 0.1
 """Least usual share of rows with more than a tenth of the mean points; scans had 0.47 or more."""
-MIN_SHARE_OF_GROUND = 0.15  # Least share of near points on a ground that gives reason to doubt
 SECTORS = 64
 MIN_SECTORS = 0.6  # Least share of the directions around with a point; revolutions had 0.89 or more
 FEW_SECTORS = 0.1  # The same for a narrow field of view; solid-state sensors had 0.14 or more
@@ -68,7 +80,7 @@ AUTO = "--sensor auto"
 ALONE = f"expect wrong labels; if the other scans are of another sensor or mounting, {APART}"
 COLUMNS = "name the columns of files without names: --columns x,y,z,intensity"
 TRAIN = "expect worse labels, or `salsanext train` weights on such scans"
-ORIGIN = "expect worse labels, or write the position of the sensor as `origin` in a sensor file"
+SET_ORIGIN = "expect worse labels, or write the position of the sensor as `origin` in a sensor file"
 
 
 def training_findings(
@@ -164,18 +176,23 @@ def check_scan(
     fit = fit or (FIT if sensor is trained else ALONE)
     if sensor.name not in (FITTED_NAME, *presets(), trained and trained.name):
         fit = AUTO
+    ground = ground_of(some)
+    misplaced = place_problem(scan, some, ground, sensor)
     findings = [
         *_file_findings(scan.notes),
         *_unit_findings(ranges, share),
         *_view_findings(some, sines, sensor, fit),
-        *_ground_findings(some, fit),
-        *structure_findings(scan, sensor),
+        *_place_findings(misplaced, fit),
+        *([] if misplaced else _ground_findings(ground, sensor, fit)),
+        *([] if misplaced else structure_findings(scan, sensor)),
         *depth_image_findings(some.points, reason),
     ]
     if trained is not None:
         findings += training_findings(bright, reason, sensor, trained, scan.notes.fields)
     per_point = len(scan) * (1 - ego_share) * share / count
-    traits = ScanTraits.of(sines, bright, per_point, sensor)
+    # The scans of one sensor are compared, also if each has its own origin.
+    fitted = replace(sensor, origin=ORIGIN) if sensor.registered else sensor
+    traits = ScanTraits.of(sines, bright, per_point, fitted)
     return ScanCheck(tuple(findings), traits, ego_share)
 
 
@@ -232,8 +249,7 @@ def _view_findings(scan: Scan, sines: Float, sensor: Sensor, fit: str) -> Iterat
         yield Finding("sparse", problem, TRAIN)
 
 
-def _ground_findings(scan: Scan, fit: str) -> Iterator[Finding]:
-    ground = ground_of(scan)
+def _ground_findings(ground: Ground | None, sensor: Sensor, fit: str) -> Iterator[Finding]:
     if ground is None or ground.share < MIN_SHARE_OF_GROUND:
         return
     if ground.tilt_deg > UPSIDE_DOWN_DEG:
@@ -244,4 +260,19 @@ def _ground_findings(scan: Scan, fit: str) -> Iterator[Finding]:
         where = "above" if ground.height > 0 else "below"
         on_it = abs(ground.height) < TOLERANCE_M
         height = "on" if on_it else f"{abs(ground.height):.1f} m {where}"
-        yield Finding("height", f"the origin of the points is {height} the ground", ORIGIN)
+        yield Finding(
+            "height", f"the origin of the points is {height} the ground", _raised(ground, sensor)
+        )
+
+
+def _raised(ground: Ground, sensor: Sensor) -> str:
+    """Return the hint to place a sensor at the usual height above its ground."""
+    origin = origin_in_file(np.array([0, 0, USUAL_HEIGHT_M - ground.height]), sensor)
+    return f"{SET_ORIGIN}, such as {origin} for {USUAL_HEIGHT_M:g} m above the ground"
+
+
+def _place_findings(misplaced: PlaceProblem | None, fit: str) -> Iterator[Finding]:
+    if misplaced is not None:
+        lines = f"{fit}, or write {misplaced.remedy} into a file for --sensor"
+        hint = lines if misplaced.remedy else SET_ORIGIN
+        yield Finding("out-of-place", misplaced.problem, hint)

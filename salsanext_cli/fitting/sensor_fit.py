@@ -16,6 +16,7 @@ from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE, SalsanextError, UsageError, counted
 from salsanext_cli.files.json_files import as_json
 from salsanext_cli.fitting.field_of_view import fit_ego, fit_view, view_text
+from salsanext_cli.fitting.mounting_fit import fit_mounting
 from salsanext_cli.fitting.scan_checks import check_scan
 from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.network_input import (
@@ -118,8 +119,9 @@ class ScanSample:
             return _usable(self.image_of, self.files)
 
         def checked_image(scan: Scan) -> Float:
-            check_scan(Path(), scan, sensor)
-            return project(scan, sensor).channels
+            placed = sensor_of(scan, sensor)
+            check_scan(Path(), scan, placed)
+            return project(scan, placed).channels
 
         return _usable(checked_image, self.scans)
 
@@ -229,7 +231,9 @@ def _by_sensor(fit: Fit, sample: ScanSample, sensor: Sensor, earlier: Sensor | N
         usual = [member.traits for member in known.members]
         kinds = [known.members.index(sensor_of(scan, known)) for _, scan in sample.read]
     else:
-        kinds, usual = kinds_of([scan for _, scan in sample.read])
+        kinds, usual = kinds_of(sample.scans)
+        if len(usual) > 1 and fit_mounting(sample.scans, sensor).registered:
+            usual = usual[:1]
     if len(usual) < 2:
         return fit(sample, sensor, earlier)
     fits = []
@@ -264,7 +268,8 @@ def _fitted_view(
     if not (view or unknown):
         return sensor
     if earlier is not None:
-        names = [*((f.name for f in fields(FittedView)) if view else ()), *unknown]
+        of_view = [*(field.name for field in fields(FittedView)), "registered"]
+        names = [*(of_view if view else ()), *unknown]
         return replace(sensor, **{name: getattr(earlier, name) for name in names})
     fitted = fit_view(sample.scans, sensor) if view else fit_ego(sample.scans, sensor)
     if replace(fitted, **{name: getattr(sensor, name) for name in EGO}) != sensor:

@@ -4,7 +4,7 @@
 import hashlib
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
 
@@ -16,10 +16,12 @@ from salsanext_cli.files.reading import present, refusing_damage
 from salsanext_cli.formats import read_scan
 from salsanext_cli.fusion.pose_checks import Parts, best_reading, require_fitting
 from salsanext_cli.fusion.poses import POSES, Poses, encode_poses, pose_readings, read_fused_poses
-from salsanext_cli.records import Float
+from salsanext_cli.geometry.projection import in_sensor_frame
+from salsanext_cli.geometry.scan_traits import sensor_of
+from salsanext_cli.records import Float, Scan
 from salsanext_cli.results.layouts import SCAN_FOLDER
 from salsanext_cli.results.paths import ScanFile, drive_order, find_scans
-from salsanext_cli.sensors.sensor import Sensor
+from salsanext_cli.sensors.sensor import UP, Sensor
 
 DRIVE = "drive.json"
 log = logging.getLogger(__name__)
@@ -46,6 +48,21 @@ class Drive:
             log.log(NOTICE, "%s: %s", path, reason)
         poses = readings[counted_from]
         return cls(poses, require_fitting(path, poses, read))
+
+    @classmethod
+    def registered(cls, files: Sequence[ScanFile], sensor: Sensor) -> Self:
+        """Return the drive of scans that are registered to one frame, by their sensor's positions.
+
+        Scans that do not fit each other are refused.
+        """
+        poses = np.tile(np.eye(4), (len(files), 1, 1))
+        for pose, file in zip(poses, files, strict=True):
+            pose[:3, 3] = sensor_of(read_scan(file.path, sensor), sensor).origin
+
+        def read(index: int) -> Float:
+            return measured_points(files[index], sensor)
+
+        return cls(poses, require_fitting(files[0].path.parent, poses, read))
 
     @classmethod
     def recorded(cls, folder: Path) -> Self | None:
@@ -88,10 +105,21 @@ def readings_of(path: Path, files: Sequence[ScanFile]) -> list[Poses]:
     return pose_readings(path, stems, wanted)
 
 
+def points_of_drive(scan: Scan, sensor: Sensor) -> Float:
+    """Return the points (N, 3) of a scan in the frame that its pose is for.
+
+    It is that of the file, whose origin is moved to the sensor for registered scans.
+    """
+    if not sensor.registered:
+        return scan.points
+    only_moved = replace(sensor_of(scan, sensor), up=UP)
+    return in_sensor_frame(scan, only_moved).points
+
+
 def measured_points(file: ScanFile, sensor: Sensor) -> Float:
     """Read the measured points (N, 3) of a scan; none if it is unreadable."""
     try:
-        points = read_scan(file.path, sensor).points
+        points = points_of_drive(read_scan(file.path, sensor), sensor)
     except SalsanextError:
         return np.zeros((0, 3), np.float32)  # The run reports the error.
     return points[np.isfinite(points).all(axis=1)]

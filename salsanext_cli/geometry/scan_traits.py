@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from salsanext_cli.geometry.network_input import BRIGHT, why_no_intensity
 from salsanext_cli.geometry.projection import few_points, measured_ranges
+from salsanext_cli.geometry.sensor_place import placed_sensor
 from salsanext_cli.records import MAX_INTENSITY, Double, Float, Indices, Scan
 from salsanext_cli.sensors.sensor import Sensor
 
@@ -149,7 +150,13 @@ def kinds_of(scans: Sequence[Scan]) -> tuple[list[int], list[tuple[float, ...]]]
 
 
 def sensor_of(scan: Scan, sensor: Sensor) -> Sensor:
-    """Return the member of a fitted sensor whose usual traits are most like those of a scan."""
+    """Return a fitted sensor as it saw a scan.
+
+    It is the member whose usual traits are most like those of the scan. If the scans are registered
+    to a map, its origin is found from the points of the scan.
+    """
+    if sensor.registered:
+        return placed_sensor(scan, sensor)
     if not sensor.others:
         return sensor
     members, traits = sensor.members, traits_of(scan)

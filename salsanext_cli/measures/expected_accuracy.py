@@ -30,6 +30,7 @@ WITHHELD_FOR = (
     "not-measured",
     "one-class",
     "other-images",
+    "out-of-place",
     "out-of-view",
     "sparse",
     "tilted",

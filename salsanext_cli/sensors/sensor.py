@@ -40,7 +40,7 @@ ORIGIN = (0.0, 0.0, 0.0)
 FITTED_NAME = "fitted"  # Name of a sensor whose field of view or mounting was fitted to scans
 OPTIONAL = (
     *(*NOISE, "columns", "up", "origin", "intensity_quantiles", "row_gaps", "min_range", "ego_box"),
-    *("traits", "others", "intensity_field"),
+    *("registered", "traits", "others", "intensity_field"),
 )
 """Fields that are only written if their value is not the default."""
 
@@ -89,6 +89,9 @@ class Sensor:
     ego_box : 6 floats or none, optional
         Upright box around the vehicle in the frame of the sensor: least x, y, z, largest x, y, z
         in metres. Points in it are ignored. Empty for no box; None is to be estimated.
+    registered : bool
+        Whether the files are registered to a map, so that each scan has its own origin, which is
+        found from its points (`geometry.scan_traits.sensor_of`).
     traits : tuple of float
         Traits of the scans that it was fitted to, if scans of several sensors are labelled
         together (`geometry.scan_traits`).
@@ -115,6 +118,7 @@ class Sensor:
     row_gaps: float | None = None
     min_range: float | None = None
     ego_box: tuple[float, ...] | None = None
+    registered: bool = False
     traits: tuple[float, ...] = ()
     others: tuple[Sensor, ...] = ()
 
@@ -255,6 +259,7 @@ POSSIBLE: dict[str, tuple[Callable[[Any], bool], str]] = {
     "row_gaps": (partial(_is_within, least=0, most=1), "a share"),
     "min_range": (partial(_is_within, least=0), "a range in metres"),
     "ego_box": (is_box, BOX_EXPECTED),
+    "registered": (lambda value: isinstance(value, bool), "true or false"),
     "traits": (are_numbers, "numbers"),
     "others": (lambda others: not any(s.others for s in others), "sensors without others"),
 }

@@ -27,7 +27,14 @@ from salsanext_cli.files.optional_packages import import_extra
 from salsanext_cli.fitting.finding import Finding
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
-from salsanext_cli.fusion.drive import DRIVE, Drive, measured_points, poses_beside, readings_of
+from salsanext_cli.fusion.drive import (
+    DRIVE,
+    Drive,
+    measured_points,
+    points_of_drive,
+    poses_beside,
+    readings_of,
+)
 from salsanext_cli.fusion.poses import POSES, encode_poses
 from salsanext_cli.fusion.registration import register
 from salsanext_cli.fusion.top_classes import stored_softmax
@@ -88,7 +95,7 @@ class FuseTask:
             raise drive
 
         def read(index: int) -> tuple[Float, Float]:
-            points = read_scan(files[index].path, self.sensor).points
+            points = points_of_drive(read_scan(files[index].path, self.sensor), self.sensor)
             return points, stored_softmax(self.single.root, files[index], len(points), self.space)
 
         return FusionWindow(drive, read, self.reach, self.space.movable)
@@ -126,13 +133,22 @@ class FusibleResults:
     def given_drives(
         self, poses: Path | None, options: RunOptions
     ) -> dict[str, Drive | SalsanextError | None]:
-        """Read the poses of each sequence, by default from its folder; None without a file."""
+        """Return the drive of each sequence, by default by the poses in its folder.
+
+        None without a file; registered scans need none.
+        """
         if poses is not None and len(self.sequences) > 1:
             problem = f"is one file for {counted(len(self.sequences), 'sequence')}"
             raise UsageError("--poses", problem, hint="choose one sequence with --sequences")
 
+        if poses is not None and self.sensor.registered:
+            problem = "is given, but the scans are in one frame already"
+            raise UsageError("--poses", problem, hint="leave it out")
+
         def drive_of(name: str) -> Drive | None:
             files = self.members[name]
+            if self.sensor.registered:
+                return Drive.registered(files, self.sensor)
             path = poses or poses_beside(files)
             return Drive.checked(path, files, self.sensor) if path else None
 

@@ -12,6 +12,7 @@ from salsanext_cli.classes.label_space import TrainIds
 from salsanext_cli.engines.network import Network
 from salsanext_cli.geometry.knn import knn_refine
 from salsanext_cli.geometry.projection import project
+from salsanext_cli.geometry.scan_traits import sensor_of
 from salsanext_cli.measures.scores import Counts, confusion_matrix, scores
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.error_model import TEMPERATURES
@@ -75,6 +76,7 @@ def validate(
     def read(file: ScanFile) -> ProjectedTruth:
         fitted = network.for_sensor(source.sensor_of(file))
         scan, labels = read_labelled(file, source.space, fitted.sensor)
+        fitted = fitted.for_sensor(sensor_of(scan, fitted.sensor))
         return ProjectedTruth(fitted, labels, project(scan, fitted.sensor))
 
     def logits_of(scans: Sequence[ProjectedTruth]) -> list[Float]:

@@ -8,46 +8,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scans import SMALL
+from street_scans import HEIGHT, moved, street
 
 from salsanext_cli import Scan, project
-from salsanext_cli.fitting import mounting_fit
 from salsanext_cli.fitting.field_of_view import fit_view
-from salsanext_cli.fitting.mounting_fit import (
-    USUAL_HEIGHT_M,
-    find_ground,
-    find_origin,
-    fit_mounting,
-)
+from salsanext_cli.fitting.mounting_fit import fit_mounting
+from salsanext_cli.geometry import beam_origin
+from salsanext_cli.geometry.beam_origin import find_origin
+from salsanext_cli.geometry.ground import find_ground
 from salsanext_cli.geometry.projection import in_sensor_frame, upright_rotation
+from salsanext_cli.geometry.sensor_place import USUAL_HEIGHT_M
 
-HEIGHT = 1.7
 PLACES = [(1.3, 0, 1.9), (-1.1, 0.4, 0.9)]
-
-
-def street_points(azimuth, elevation, height, farthest, noise):
-    """Return the points (N, 3) that rays in some directions (radians) hit.
-
-    `farthest` bounds their ranges, in metres, and `noise` (N,) is added to these. The nearer of the
-    walls has most of them.
-    """
-    flat = np.cos(elevation)
-    rays = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=1)
-    with np.errstate(divide="ignore"):
-        ground = np.where(rays[:, 2] < 0, -height / rays[:, 2], np.inf)
-        wall = np.where(rays[:, 1] > 0, 6, -9) / rays[:, 1]
-    ranges = np.minimum(np.minimum(ground, wall), farthest) + noise
-    return (rays * ranges[:, None]).astype(np.float32)
-
-
-def street(beams: int, height: float = HEIGHT, seed: int = 0) -> Scan:
-    """Points of a rotating sensor on a street between walls and posts; beams 0: no two alike."""
-    random = np.random.default_rng(seed)
-    teeth = np.linspace(-24, 2, beams) if beams else random.uniform(-24, 2, 20_000)
-    elevation = np.radians(random.choice(teeth, 20_000))
-    azimuth = random.uniform(-np.pi, np.pi, 20_000)
-    posts = np.where(azimuth * 6 % 1 < 0.1, random.uniform(5, 30), 60)
-    points = street_points(azimuth, elevation, height, posts, random.normal(0, 0.01, 20_000))
-    return Scan(points, random.random(20_000, np.float32))
 
 
 def objects(beams: int) -> Scan:
@@ -55,11 +27,6 @@ def objects(beams: int) -> Scan:
     scan = street(beams)
     above = scan.points[:, 2] > 0.3 - HEIGHT
     return Scan(scan.points[above], scan.intensity[above])
-
-
-def moved(scan, place):
-    """Return the scan in a frame in which the sensor is at a place."""
-    return Scan((scan.points + np.array(place)).astype(np.float32), scan.intensity)
 
 
 DIRECTION = st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda v: np.linalg.norm(v) > 0.1)
@@ -158,7 +125,7 @@ def test_a_place_must_be_clearly_sharper_than_the_origin(monkeypatch, sharpest, 
     def sharpness(_, place):
         return sharpest - 0.1 * np.linalg.norm(place - (0.9, 0, 1.7)) if place.any() else 1.3
 
-    monkeypatch.setattr(mounting_fit, "sharpness", sharpness)
+    monkeypatch.setattr(beam_origin, "sharpness", sharpness)
     points = moved(objects(32), (0.9, 0, 1.7)).points
     assert (find_origin(points) is not None) == is_found
 

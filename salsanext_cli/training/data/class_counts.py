@@ -19,6 +19,7 @@ from salsanext_cli.errors import TrainingError, counted
 from salsanext_cli.files.json_files import MALFORMED, decoded, encode_json, read_json
 from salsanext_cli.files.reading import identity
 from salsanext_cli.fitting.scan_checks import check_scan
+from salsanext_cli.geometry.scan_traits import sensor_of
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary, ScanWarning, log_recorded
 from salsanext_cli.network.card import parted, scan_digest
 from salsanext_cli.records import Double, Mask
@@ -49,7 +50,7 @@ def count_classes(source: Source, jobs: int = 1) -> tuple[Counts, list[ScanSumma
         if source.fitted:
             seen, trained = source.sensor_of(file), source.sensor
         scan, labels = read_labelled(file, source.space, seen)
-        check = check_scan(file.path, scan, seen, trained)
+        check = check_scan(file.path, scan, sensor_of(scan, seen), trained)
         counts = np.bincount(labels, minlength=source.space.class_count)
         return counts, ScanSummary(file, check), scan_digest(scan)
 

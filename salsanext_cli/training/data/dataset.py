@@ -140,7 +140,7 @@ class Samples(Dataset[Sample]):
         random = np.random.default_rng((recipe.seed, SAMPLE, position))
         scan, labels = self._mixed(index, random)
         source, file = self.scan_at(index)
-        view = replace(source.sensor_of(file), up=UP, origin=ORIGIN)
+        view = replace(source.sensor_of(file), up=UP, origin=ORIGIN, registered=False)
         if recipe.image_widths:
             view = view.resized(width=int(random.choice(recipe.image_widths)))
         if _drawn(recipe.view, random):

@@ -19,6 +19,7 @@ from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.network_input import on_other_scale
 from salsanext_cli.geometry.projection import ego_points, in_sensor_frame, project
+from salsanext_cli.geometry.scan_traits import sensor_of
 from salsanext_cli.labelling.label_records import pre_labelled_scans
 from salsanext_cli.records import Float
 from salsanext_cli.results.paths import ScanFile, find_scans
@@ -69,7 +70,7 @@ class Source:
         """Read a scan without the vehicle's points, in the sensor frame, and its targets, (N,)."""
         sensor = self.sensor_of(file)
         scan, targets = read_labelled(file, self.space, sensor, sets)
-        scan = in_sensor_frame(scan, sensor)
+        scan = in_sensor_frame(scan, sensor_of(scan, sensor))
         if len(ego := ego_points(scan.points, sensor)):
             rest = np.delete(np.arange(len(scan)), ego)
             scan, targets = scan.take(rest), targets[rest]
@@ -90,7 +91,8 @@ def training_sources(sources: Sequence[Source], *, fit: bool, jobs: int = 1) -> 
 
     def image_of(file: ScanFile) -> Float:
         sensor = first.sensor_of(file)
-        return project(read_scan(file.path, sensor), sensor).channels
+        scan = read_scan(file.path, sensor)
+        return project(scan, sensor_of(scan, sensor)).channels
 
     images = ScanSample(first.files, first.sensor, image_of).images(first.sensor)
     sensor = with_image_statistics(first.sensor, images)
@@ -104,7 +106,8 @@ def fitted_source(source: Source, jobs: int = 1) -> Source:
     def fit(files: Sequence[ScanFile]) -> Sensor:
         scans = ScanSample(files, source.sensor).scans
         sensor = fit_view(scans, source.sensor)
-        return with_image_statistics(sensor, [project(scan, sensor).channels for scan in scans])
+        images = [project(scan, sensor_of(scan, sensor)).channels for scan in scans]
+        return with_image_statistics(sensor, images)
 
     run = joblib.Parallel(jobs, backend="threading")
     sensors = run(joblib.delayed(fit)(files) for files in sequences.values())

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: MIT
+"""Check whether the points of a scan are seen from where the sensor is supposed to be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from salsanext_cli.geometry.ground import MAX_TILT_DEG, SUPPORT, UPWARDS, Ground, find_ground
+from salsanext_cli.geometry.projection import in_sensor_frame, upright_rotation
+from salsanext_cli.geometry.sensor_place import (
+    SensorPlace,
+    find_place,
+    is_out_of_place,
+    looks_around,
+)
+from salsanext_cli.records import Double, Scan
+from salsanext_cli.sensors.sensor import Sensor
+
+MIN_SHARE_OF_GROUND = 0.15  # Least share of near points on a ground that is not doubted
+DIGITS = 2
+FLIPPED = np.array([1, -1, -1], np.float32)  # Turns z from down to up
+
+
+@dataclass(frozen=True, slots=True)
+class PlaceProblem:
+    """Reason to doubt the position of a sensor."""
+
+    problem: str
+    remedy: str | None  # Lines of a sensor file; None if the position is unknown
+
+
+def place_problem(
+    scan: Scan, sample: Scan, ground: Ground | None, sensor: Sensor
+) -> PlaceProblem | None:
+    """Return why the sensor seems to be elsewhere, None if it does not.
+
+    Parameters
+    ----------
+    scan : Scan
+        Scan in the frame of its file.
+    sample : Scan
+        Measured points of it in the frame of the sensor, without those of the vehicle.
+    ground : Ground, optional
+        Ground of the sample.
+    sensor : Sensor
+        Sensor that the scan is projected for.
+    """
+    if is_out_of_place(sample, nearby=False):
+        unknown = "the points are not seen from their origin"
+    elif _may_be_upside_down(sample, ground):
+        unknown = "the ground may lie above the sensor"
+    else:
+        return None
+    place = find_place(in_sensor_frame(scan, sensor))
+    if place is not None and place.is_elsewhere:
+        return _elsewhere(place, sensor)
+    return PlaceProblem(unknown, None) if place is None else None
+
+
+def _may_be_upside_down(sample: Scan, ground: Ground | None) -> bool:
+    """Return whether a scan without a ground has one on the other side."""
+    share = ground.share if ground else 0.0
+    if share >= MIN_SHARE_OF_GROUND or not looks_around(sample):
+        return False
+    other = find_ground(sample.points * FLIPPED, MAX_TILT_DEG)
+    return other is not None and other.share > max(MIN_SHARE_OF_GROUND, SUPPORT * share)
+
+
+def origin_in_file(position: Double, sensor: Sensor) -> list[float]:
+    """Return a position (3,) in the frame of a sensor as an `origin` in that of its files."""
+    rotation = upright_rotation(np.asarray(sensor.up))
+    origin = (np.asarray(sensor.origin) + rotation.T @ position).round(DIGITS) + 0.0
+    return [float(value) for value in origin]
+
+
+def _elsewhere(place: SensorPlace, sensor: Sensor) -> PlaceProblem:
+    """Return the problem of a sensor whose place in its supposed frame is known."""
+    remedy = f"origin = {origin_in_file(place.position, sensor)}"
+    if place.up[UPWARDS] < 0:
+        rotation = upright_rotation(np.asarray(sensor.up))
+        up = (rotation.T @ place.up).round(DIGITS) + 0.0
+        remedy = f"up = {up.tolist()} and {remedy}"
+    x, y, z = place.position
+    side = ", upside down" if place.up[UPWARDS] < 0 else ""
+    problem = f"the points are seen from ({x:.1f}, {y:.1f}, {z:.1f}) m{side}, not from the origin"
+    return PlaceProblem(problem, remedy)

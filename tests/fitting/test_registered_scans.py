@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: MIT
+"""Scans in the frame of a vehicle or a map: fit, warning, stages."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scans import SMALL, labels_below, write_bin, write_weights
+from street_scans import HEIGHT, moved, street
+
+from salsanext_cli import Scan
+from salsanext_cli.engines.settings import NetworkSettings
+from salsanext_cli.errors import UsageError
+from salsanext_cli.fitting.mounting_fit import fit_mounting
+from salsanext_cli.fitting.scan_checks import check_scan
+from salsanext_cli.fitting.sensor_fit import fitted_view
+from salsanext_cli.fusion.drive import Drive, points_of_drive
+from salsanext_cli.geometry.scan_traits import sensor_of
+from salsanext_cli.measures.expected_accuracy import WITHHELD_FOR
+from salsanext_cli.results.paths import find_scans
+from salsanext_cli.sensors.sensor import Sensor
+from salsanext_cli.stages.fuse import fuse_results
+from salsanext_cli.stages.knn_refine import knn_refine_scans
+from salsanext_cli.stages.predict import predict_range_images, predict_scans
+from salsanext_cli.stages.project import project_scans
+
+WAY = [(0, 0, 0), (7, 0, 0), (14, 1, 0), (21, 3, 0.3)]
+DOWN = np.diag([1.0, -1, -1])
+
+
+def drive() -> list[Scan]:
+    """Scans of a drive in the frame of the first one."""
+    return [moved(street(32, seed=seed), place) for seed, place in enumerate(WAY)]
+
+
+def upside_down(scan: Scan) -> Scan:
+    return Scan((scan.points @ DOWN).astype(np.float32), scan.intensity)
+
+
+def codes(scan: Scan, sensor: Sensor) -> dict[str, str]:
+    """Return the hints of a scan by code."""
+    findings = check_scan(Path("s.bin"), scan, sensor, SMALL).findings
+    return {finding.code: finding.hint for finding in findings}
+
+
+@pytest.mark.parametrize("place", [(16, 12, 0), (5.2, 0, HEIGHT), (-90, 40, 3)])
+def test_one_origin_of_all_scans(place):
+    scans = [moved(street(0, seed=seed), place) for seed in range(3)]
+    sensor = fit_mounting(scans, SMALL)
+    assert np.hypot(*(np.array(sensor.origin) - place)[:2]) < 0.6
+    assert sensor.origin[2] == pytest.approx(place[2], abs=0.2)
+    assert not sensor.registered
+    assert all("out-of-place" not in codes(scan, sensor) for scan in scans)
+
+
+@pytest.mark.parametrize("height", [0.0, 0.7, 1.2])
+def test_bodies_with_z_down(height):
+    """Their origin is below the sensor, which is 1.7 m above the ground."""
+    scan = upside_down(moved(street(0), (0.5, 0, height)))
+    sensor = fit_mounting([scan], SMALL)
+    assert sensor.up[2] < -0.99
+    assert sensor.origin[2] == pytest.approx(-height, abs=0.35 if height else 0.1)
+
+
+def test_scans_of_a_map_are_of_one_sensor_with_an_origin_each():
+    sensor = fitted_view(drive(), SMALL)
+    assert sensor.registered
+    assert sensor.others == ()
+    for scan, place in zip(drive(), WAY, strict=True):
+        placed = sensor_of(scan, sensor)
+        assert np.abs(np.array(placed.origin) - place).max() < 0.6
+        assert "out-of-place" not in codes(scan, placed)
+    assert len({check_scan(Path(), s, sensor_of(s, sensor)).traits.sensor for s in drive()}) == 1
+
+
+def test_drives_in_the_frame_of_their_sensor_stay_so():
+    scans = [street(32, seed=seed) for seed in range(4)]
+    assert fit_mounting(scans, SMALL) == SMALL
+
+
+@pytest.mark.parametrize("side", [np.eye(3), DOWN])
+def test_the_hint_of_the_warning_works(side):
+    scan = moved(street(0), (30, -20, 1))
+    scan = Scan((scan.points @ side).astype(np.float32), scan.intensity)
+    sensor = replace(SMALL, name="mine")
+    hint = codes(scan, sensor)["out-of-place"]
+    numbers = dict(re.findall(r"(up|origin) = \[([-0-9., ]+)\]", hint))
+    values = {key: tuple(float(word) for word in numbers[key].split(",")) for key in numbers}
+    assert ("up" in values) == (side is DOWN)
+    assert "out-of-place" not in codes(scan, replace(sensor, **values))
+    assert "out-of-place" in WITHHELD_FOR
+
+
+def test_a_sensor_file_with_only_up_leads_to_the_origin():
+    scan = upside_down(moved(street(0), (0.4, 0, 1.2)))
+    hints = codes(scan, replace(SMALL, name="mine", up=(0.0, 0.0, -1.0)))
+    assert "origin" in {**hints}.get("out-of-place", hints.get("height", ""))
+
+
+@pytest.mark.parametrize("angle", [0.35, 0.8])
+def test_narrow_fields_of_view_and_low_sensors_are_not_out_of_place(angle):
+    scan = street(32)
+    ahead = scan.take(np.flatnonzero(np.abs(np.arctan2(*scan.points.T[1::-1])) < angle))
+    assert "out-of-place" not in codes(ahead, SMALL)
+    for height in (0.5, HEIGHT, 4.0):
+        assert "out-of-place" not in codes(street(32, height), SMALL)
+
+
+@pytest.fixture(scope="module")
+def map_drive(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("map")
+    for number, scan in enumerate(drive()):
+        write_bin(folder / "velodyne" / f"{number:06}.bin", scan)
+    write_weights(folder / "w.safetensors", sensor=SMALL)
+    return folder
+
+
+def test_every_stage_sees_a_registered_drive_from_its_sensor(map_drive, tmp_path):
+    network = NetworkSettings(map_drive / "w.safetensors", "cpu", engine="torch")
+    source, out, steps = map_drive / "velodyne", tmp_path / "out", tmp_path / "steps"
+    predict_scans(source, out, settings=network, extras=("probabilities",))
+    project_scans(source, steps, sensor=SMALL, fit=True)
+    predict_range_images(steps, steps, settings=network)
+    knn_refine_scans(steps)
+    labels = labels_below(out)
+    assert len(labels) == len(WAY)
+    assert labels == labels_below(steps)
+    fuse_results(out)
+    with pytest.raises(UsageError) as caught:
+        fuse_results(out, poses=map_drive / "poses.txt")
+    assert caught.value.subject == "--poses"
+
+
+def test_the_poses_of_a_registered_drive_are_the_positions_of_its_sensor(map_drive):
+    files = find_scans(map_drive / "velodyne")
+    sensor = replace(SMALL, registered=True)
+    poses = Drive.registered(files, sensor).poses
+    assert np.abs(poses[:, :3, 3] - WAY).max() < 0.6
+    assert (poses[:, :3, :3] == np.eye(3)).all()
+    for scan, pose in zip(drive(), poses, strict=True):
+        points = points_of_drive(scan, sensor)
+        assert np.abs(points + pose[:3, 3] - scan.points).max() < 1e-4
+        assert points_of_drive(scan, SMALL) is scan.points
