@@ -9,8 +9,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from salsanext_cli.fitting.finding import Finding
-from salsanext_cli.fitting.mounting_fit import sharpness
 from salsanext_cli.fitting.scan_structure import structure_of
+from salsanext_cli.geometry.beam_origin import sharpness
 from salsanext_cli.records import FieldSplit, Float, Scan
 from salsanext_cli.sensors.sensor import Sensor
 

@@ -10,11 +10,17 @@ from typing import Self
 
 import numpy as np
 
-from salsanext_cli.errors import NOTICE, OutputError, SalsanextError
+from salsanext_cli.errors import NOTICE, FormatError, OutputError, SalsanextError
 from salsanext_cli.files.json_files import read_json
 from salsanext_cli.files.reading import present, refusing_damage
 from salsanext_cli.formats import read_scan
-from salsanext_cli.fusion.pose_checks import Parts, best_reading, require_fitting
+from salsanext_cli.fusion.pose_checks import (
+    MAX_MISFIT,
+    Parts,
+    best_reading,
+    fitting_parts,
+    require_fitting,
+)
 from salsanext_cli.fusion.poses import POSES, Poses, encode_poses, pose_readings, read_fused_poses
 from salsanext_cli.geometry.projection import in_sensor_frame
 from salsanext_cli.geometry.scan_traits import sensor_of
@@ -62,7 +68,13 @@ class Drive:
         def read(index: int) -> Float:
             return measured_points(files[index], sensor)
 
-        return cls(poses, require_fitting(files[0].path.parent, poses, read))
+        parts, misfit = fitting_parts(poses, read)
+        if misfit > MAX_MISFIT:
+            folder, hint = files[0].path.parent, "fuse scans with poses, or in the frame of one map"
+            raise FormatError(
+                folder, f"has {misfit:.0%} scans that do not fit the others", hint=hint
+            )
+        return cls(poses, parts)
 
     @classmethod
     def recorded(cls, folder: Path) -> Self | None:

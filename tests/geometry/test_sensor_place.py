@@ -12,7 +12,7 @@ from street_scans import moved, street
 from salsanext_cli import Scan, read_scan
 from salsanext_cli.geometry.projection import in_sensor_frame
 from salsanext_cli.geometry.scan_traits import sensor_of
-from salsanext_cli.geometry.sensor_place import MIN_OFFSET_M, evenness, find_place, is_out_of_place
+from salsanext_cli.geometry.sensor_place import evenness, find_place, is_out_of_place
 from salsanext_cli.results.paths import find_scans
 
 SIDES = {"z up": np.eye(3), "z down": np.diag([1.0, -1, -1])}
@@ -35,7 +35,7 @@ def test_the_sensor_of_a_street_in_any_frame(place, side, beams):
     found = find_place(scan)
     assert found.up.tolist() == SIDES[side][2].tolist()
     assert np.hypot(*(found.position - place)[:2]) < 0.8
-    assert found.position[2] == pytest.approx(place[2], abs=0.2)
+    assert found.position[2] == pytest.approx(place[2], abs=0.25)
 
 
 @pytest.mark.parametrize("metres", [5, 20, 100, 500])
@@ -120,4 +120,4 @@ def test_reported_frames(real_data, name):
     # The true origin is an estimate as well.
     assert np.hypot(*(found.position - places[name])[:2]) < 1.5
     assert found.position[2] == pytest.approx(places[name][2], abs=0.3)
-    assert found.up[2] == (1 if name.startswith("world") else -1)
+    assert found.up[2] * (1 if name.startswith("world") else -1) > 0.99
