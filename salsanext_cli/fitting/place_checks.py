@@ -13,7 +13,7 @@ from salsanext_cli.geometry.sensor_place import (
     SensorPlace,
     find_place,
     is_out_of_place,
-    looks_around,
+    is_outdoors,
 )
 from salsanext_cli.records import Double, Scan
 from salsanext_cli.sensors.sensor import Sensor
@@ -62,7 +62,7 @@ def place_problem(
 def _may_be_upside_down(sample: Scan, ground: Ground | None) -> bool:
     """Return whether a scan without a ground has one on the other side."""
     share = ground.share if ground else 0.0
-    if share >= MIN_SHARE_OF_GROUND or not looks_around(sample):
+    if share >= MIN_SHARE_OF_GROUND or not is_outdoors(sample):
         return False
     other = find_ground(sample.points * FLIPPED, MAX_TILT_DEG)
     return other is not None and other.share > max(MIN_SHARE_OF_GROUND, SUPPORT * share)

@@ -98,13 +98,11 @@ def is_out_of_place(scan: Scan, *, nearby: bool = True) -> bool:
     return best > GAIN_NEARBY * evenness(points, np.zeros(3))
 
 
-def looks_around(scan: Scan) -> bool:
-    """Return whether the points of an upright scan lie outdoors in most directions around."""
+def is_outdoors(scan: Scan) -> bool:
+    """Return whether a scan has enough points, and far ones."""
     points = _usable(few_points(scan, FEW_POINTS).points)
     ranges = np.sqrt(np.einsum("nk,nk->n", points, points))
-    if len(points) < MIN_POINTS or np.quantile(ranges, 0.99) < MIN_FAR_M:
-        return False
-    return _sectors(points)[0] >= ROUND
+    return len(points) >= MIN_POINTS and bool(np.quantile(ranges, 0.99) >= MIN_FAR_M)
 
 
 def find_place(scan: Scan, *, verified: bool = True) -> SensorPlace | None:
