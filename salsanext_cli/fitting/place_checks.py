@@ -34,7 +34,7 @@ class PlaceProblem:
 def place_problem(
     scan: Scan, sample: Scan, ground: Ground | None, sensor: Sensor
 ) -> PlaceProblem | None:
-    """Return why the sensor seems to be elsewhere, None if it does not.
+    """Return why the sensor seems to be elsewhere, None if it does not, or if it is not upright.
 
     Parameters
     ----------
@@ -47,6 +47,8 @@ def place_problem(
     sensor : Sensor
         Sensor that the scan is projected for.
     """
+    if ground and ground.share >= MIN_SHARE_OF_GROUND and ground.tilt_deg > MAX_TILT_DEG:
+        return None  # Another warning; the directions around have no meaning.
     if is_out_of_place(sample, nearby=False):
         unknown = "the points are not seen from their origin"
     elif _may_be_upside_down(sample, ground):
