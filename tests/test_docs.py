@@ -274,7 +274,8 @@ def test_every_name_in_the_tables_exists(page):
 
 
 HELPERS = {
-    *("formats/column_evidence.py", "formats/columns.py", "fitting/mounting_fit.py"),
+    *("formats/column_evidence.py", "formats/columns.py", "fitting/place_checks.py"),
+    *("geometry/ground.py", "geometry/sensor_place.py"),
     *("fitting/scan_structure.py", "fitting/structure_checks.py", "geometry/directions.py"),
     *(f"engines/{name}.py" for name in ("backend", "batches", "device", "graphs")),
 }
