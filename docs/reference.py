@@ -109,8 +109,20 @@ def tables(rows: list[Row]) -> Iterator[str]:
     for panel in dict.fromkeys(row[0] for row in rows):
         yield f"| {panel} | | default |\n|---|---|---|"
         for _, *cells in (row for row in rows if row[0] == panel):
-            yield f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
+            yield f"| {' | '.join(in_table(cell) for cell in cells)} |"
         yield ""
+
+
+def in_table(cell: str) -> str:
+    """Return a cell of a table, whose bars are entities, since code shows backslashes."""
+    parts = cell.split("`")
+    for place, part in enumerate(parts):
+        is_code = place % 2 == 1
+        if is_code and "|" in part:
+            parts[place] = f"<code>{part.replace('|', '&#124;')}</code>"
+        else:
+            parts[place] = f"`{part}`" if is_code else part.replace("|", "&#124;")
+    return "".join(parts)
 
 
 if __name__ == "__main__":

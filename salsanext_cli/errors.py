@@ -6,7 +6,7 @@ exception is a bug and keeps its traceback.
 """
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from typing import Any, ClassVar
 
@@ -53,6 +53,27 @@ def first_few(names: Sequence[object]) -> str:
     more = len(names) - MAX_NAMES_SHOWN
     shown = ", ".join(map(str, names[:MAX_NAMES_SHOWN]))
     return f"{shown} and {more} more" if more > 0 else shown
+
+
+def nearest(word: str, words: Iterable[str]) -> str:
+    """Return the word that was probably meant, also by its initials; empty if none is near."""
+    from difflib import get_close_matches  # Only errors need it
+
+    by_name = {known.lower(): known for known in words}
+    typed = word.strip().lower()
+    if close := get_close_matches(typed, by_name, 1):
+        return by_name[close[0]]
+    for name, known in by_name.items():
+        initials = "".join(part[:1] for part in name.replace("-", "_").split("_"))
+        if len(typed) > 1 and (typed == initials or name.startswith(typed)):
+            return known
+    return ""
+
+
+def did_you_mean(word: str, words: Iterable[str]) -> str:
+    """Return a hint with the word that was probably meant; empty if none is near."""
+    likely = nearest(word, words)
+    return f"did you mean {likely}?" if likely else ""
 
 
 def error_text(error: BaseException) -> str:

@@ -121,7 +121,7 @@ def test_a_format_of_40_lines_is_read_predicted_filtered_and_labelled(weights, t
     np.testing.assert_array_equal(of_rad, of_bin)
     assert {*np.unique(of_rad & 0xFFFF)} >= {7, 9}
 
-    called("filter", tmp_path / "out-rad", "--drop", "tram", "--to", tmp_path / "still")
+    called("filter", tmp_path / "out-rad", tmp_path / "still", "--drop", "tram")
     kept = (tmp_path / "still/sequences/rad/velodyne/0.rad").read_bytes()
     assert kept == b"RAD1" + records[of_rad & 0xFFFF != 9].tobytes()
 

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
-from salsanext_cli.errors import LabelError, UsageError, first_few, shortened
+from salsanext_cli.errors import LabelError, UsageError, did_you_mean, first_few, shortened
 from salsanext_cli.files.plug_ins import PlugIn, load_plug_ins
 from salsanext_cli.files.yaml_toml import read_yaml
 
@@ -166,7 +166,8 @@ class LabelSpace:
         """Return the sequence names of a split; an unknown split raises `UsageError`."""
         if name not in self.splits:
             expected = f"one of {', '.join(self.splits) or 'none'}"
-            raise UsageError(f"split {name}", "no such split", expected)
+            hint = did_you_mean(name, self.splits)
+            raise UsageError(f"split {name}", "no such split", expected, hint)
         return self.splits[name]
 
     def split_of(self, sequence: str) -> str | None:
@@ -345,7 +346,8 @@ def label_space(name_or_file: str | Path = "semantic-kitti") -> LabelSpace:
             target: LabelSpace = plug_ins[str(name_or_file)].target
             return target
         names = ", ".join((*BUILT_IN, *map(str, plug_ins.values())))
-        raise UsageError(path, "no such file", f"a .yaml file or one of {names}") from error
+        hint = did_you_mean(str(path), (*BUILT_IN, *plug_ins))
+        raise UsageError(path, "no such file", f"a .yaml file or one of {names}", hint) from error
     if not isinstance(data, dict):
         expected = f"a mapping with the keys {', '.join(KEYS)}"
         raise UsageError(path, f"contains a {type(data).__name__}", expected)

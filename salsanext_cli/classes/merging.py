@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace, label_space
-from salsanext_cli.errors import UsageError, first_few
+from salsanext_cli.errors import UsageError, did_you_mean, first_few
 
 MIN_MERGED_CLASSES = 2
 """Least number of classes after merging, ignored ones aside."""
@@ -118,7 +118,9 @@ def named_classes(names: Collection[str], space: LabelSpace) -> npt.NDArray[np.b
         known |= {name: np.isin(np.arange(space.class_count), ids) for name, ids in groups}
     known |= dict(zip(space.names, np.eye(space.class_count, dtype=bool), strict=True))
     if unknown := [name for name in names if name not in known]:
-        raise UsageError(f"class {unknown[0]}", "no such class", f"one of {', '.join(known)}")
+        hint = did_you_mean(unknown[0], known)
+        expected = f"one of {', '.join(known)}"
+        raise UsageError(f"class {unknown[0]}", "no such class", expected, hint)
     selected = np.zeros(space.class_count, bool)
     for name in names:
         selected |= known[name]

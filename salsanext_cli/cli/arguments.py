@@ -10,7 +10,7 @@ import typer
 
 from salsanext_cli.cli.expansion import Default, Without
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import UsageError
+from salsanext_cli.errors import UsageError, notice_once
 from salsanext_cli.formats import RECORDING_SUFFIXES, SCAN_SUFFIXES
 from salsanext_cli.option_fields import argument, network_option, option, selection_option
 from salsanext_cli.parallel.run_options import RunOptions, running_option
@@ -119,11 +119,26 @@ def sources(
         )
         if scans is not None and is_apart:
             require_none_hidden(out)
+        if scans is not None:
+            _say_if_beside(single, out)
         return single, out
     if topic is not None:
         raise UsageError("--topic", f"{len(several)} sources were given", "one recording")
     require_none_hidden(out)
     return several, out
+
+
+def _say_if_beside(source: Path, out: Path) -> None:
+    """Print a notice if the results are written into the folder of the scans."""
+    from salsanext_cli.fitting.label_scan import projected_sensor
+
+    folders = source.resolve(), out.resolve()
+    is_data_set = (source / "sequences").is_dir()
+    is_inside = folders[1].is_relative_to(folders[0]) and not is_data_set
+    is_same = folders[0] == folders[1] and projected_sensor(source) is None
+    if is_same or (is_inside and folders[0] != folders[1]):
+        where = "the folder of the scans" if is_same else "inside the folder of the scans"
+        notice_once(f"{out}: is {where}, which gets the results, too; give OUT to separate them")
 
 
 def in_topic(source: Path, topic: str | None) -> Path:
@@ -139,8 +154,15 @@ def in_topic(source: Path, topic: str | None) -> Path:
 
 def share(option: str, text: str | None) -> float | None:
     """Return a share, 0…1, that is typed as ``5%`` or ``0.05``."""
+    if text is None:
+        return None
+    number = text.removesuffix("%")
     try:
-        scale = 100 if (text or "").endswith("%") else 1
-        return None if text is None else float(text.rstrip("%")) / scale
+        value = float(number)
     except ValueError:
         raise UsageError(option, f"{text!r} is not a share", "5% or 0.05, for example") from None
+    typed = value / 100 if text.endswith("%") else value
+    if typed > 1:
+        hint = f"did you mean {number}%?" if 1 < value <= 100 else ""
+        raise UsageError(option, f"{text} is {100 * typed:g} %", "a share of at most 100%", hint)
+    return typed

@@ -10,11 +10,12 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
-from typing import TYPE_CHECKING, Any, ParamSpec, cast
+from typing import TYPE_CHECKING, ParamSpec, cast
 
 import typer
 
 from salsanext_cli.cli.interruption import end_line, interruptible
+from salsanext_cli.cli.wrong_values import usage_error
 from salsanext_cli.errors import HINT, NOTICE, SalsanextError, UsageError, escaped, printable
 from salsanext_cli.option_fields import option, option_group
 
@@ -115,11 +116,7 @@ def usage_errors(arguments: Sequence[str]) -> Iterator[None]:
     try:
         yield
     except USAGE_ERROR as error:
-        raised: Any = error
-        path = getattr(raised.ctx, "command_path", "salsanext")
-        message = raised.format_message().rstrip(".")
-        problem = message[:1].lower() + message[1:]
-        _print_error(UsageError(path, problem, hint=f"see {path} --help"), json=json)
+        _print_error(usage_error(error, arguments), json=json)
         raise typer.Exit(WRONG_USE) from None
 
 

@@ -4,9 +4,13 @@
 import os
 import shlex
 from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from salsanext_cli.cli import arguments, console, summary
 from salsanext_cli.cli.console import over_scans, progress
+from salsanext_cli.cli.expansion import Without
 from salsanext_cli.cli.interruption import ARRIVED
 from salsanext_cli.engines.settings import AUTO, NetworkSettings
 from salsanext_cli.errors import counted
@@ -89,8 +93,16 @@ def report(
         metavar="NAMES",
         show_default="up to four notable scans",
     ),
+    page: Path | None = option(
+        "File to write (.html).",
+        "--output",
+        "-o",
+        metavar="FILE",
+        show_default="report.html, in the folder OUT",
+    ),
+    opened: bool = option("Open the page in the browser.", "--open", default=False),
     query: ResultQuery,
-    running: arguments.Reading,
+    running: Annotated[RunOptions, Without({"shard"})],
     output: console.Output,
 ) -> None:
     """Write a page for any browser: numbers, plots, and scans in 3-D.
@@ -101,7 +113,11 @@ def report(
 
     with over_scans("report", running, output.quiet) as run:
         written = stage(
-            out, scans=names_in(scans, "--scans", "08/000000,08/000010"), query=query, options=run
+            out,
+            page,
+            scans=names_in(scans, "--scans", "08/000000,08/000010"),
+            query=query,
+            options=run,
         )
     missing = written.run.missing
     output.result(written.to_dict())
@@ -111,6 +127,8 @@ def report(
     count = f"{counted(len(written.run.rows), 'scan')}{summary.skipped_text(missing)}"
     megabytes = written.page.stat().st_size / 1e6
     output.print(f"report: {count} → {written.page} ({megabytes:.1f} MB)")
+    if opened and typer.launch(written.page.absolute().as_uri()) != 0:
+        output.print(f"report: no browser could be started; open {written.page} yourself")
     summary.leave(written.failures, missing)
 
 

@@ -2,6 +2,7 @@
 """Commands on your own data: inspect, convert, pick, import labels, simulate, submit."""
 
 import shlex
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Literal
@@ -142,11 +143,19 @@ def pick(
     chosen = f"{len(picked):,} of {counted(picking.scans, 'scan')}"
     output.print(f"pick: {chosen}{already}{failed} → {out}")
     if picked:
-        weights = ["--weights", str(settings.weights)] if settings.weights else []
-        edited = shlex.join(["salsanext", "import-labels", "EDITED", str(out)])
-        training = ["salsanext", "train", str(out), "RUN", "--recipe", "finetune", *weights]
-        output.print(f"next: correct the labels, then `{edited}`, then `{shlex.join(training)}`")
+        output.print(f"next: {_after_pick(out, settings.weights, labelled or ())}")
     summary.leave(outcome.failures, failed=strict and bool(picking.warnings))
+
+
+def _after_pick(out: Path, weights: Path | str | None, labelled: Sequence[Path]) -> str:
+    """Return what to do with picked scans, as a sentence with commands."""
+    edited = ["salsanext", "import-labels", "EDITED", str(out)]
+    training = ["salsanext", "train", str(out), "RUN", "--recipe", "finetune"]
+    if weights:
+        training += ["--weights", str(weights)]
+    for dataset in labelled:
+        training += ["--also", str(dataset)]
+    return f"correct the labels, then `{shlex.join(edited)}`, then `{shlex.join(training)}`"
 
 
 def import_labels(

@@ -32,6 +32,7 @@ REMOVED = {
     ("filter", "--by-class"): "use `--keep` once for each class",
     ("filter", "--indices"): "select points by their labels and errors with numpy",
     ("filter", "--split"): "use `--keep` once for each class, or --sequences to select scans",
+    ("filter", "--to"): "give the folder as the second argument: filter OUT TARGET",
     ("fuse", "--strict"): "use the key `warnings` of `--json`",
     ("int8", "--device"): OF_INT8,
     ("int8", "--engine"): OF_INT8,

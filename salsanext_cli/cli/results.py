@@ -38,7 +38,7 @@ def fuse(
     running: RunOptions,
     output: console.Output,
 ) -> None:
-    """Correct the labels of a drive: all scans that see a location vote.
+    """Improve the labels of a drive: scans that overlap vote on each point.
 
     Example: salsanext fuse out/
     """
@@ -69,29 +69,35 @@ class PointChoice:
 
 
 def filter_command(
-    out: Path = arguments.RESULTS,
+    out: Path = argument(
+        "Folder with the results of earlier commands.", default=..., metavar="OUT"
+    ),
+    target: Path = argument("New folder to write the scans to.", default=..., metavar="TARGET"),
     *,
-    to: Path = option("New folder to write to.", default=...),
     points: PointChoice,
     query: Annotated[ResultQuery, Without({"split", "label_space", "classes"})],
     running: RunOptions,
     output: console.Output,
 ) -> None:
-    """Write the scans in their format without some points, by class or probability of error.
+    """Copy the scans without some points, chosen by class or by probability of error.
 
-    Example: salsanext filter out/ --drop moving --to static/
+    Example: salsanext filter out/ static/ --drop moving
     """
     from salsanext_cli.stages.filter import filter_scans
 
     with over_scans("filter", running, output.quiet) as run:
-        outcome = filter_scans(out, to, **asdict(points), query=query, options=run)
-    summary.finish("filter", outcome, to, output)
+        outcome = filter_scans(out, target, **asdict(points), query=query, options=run)
+    summary.finish("filter", outcome, target, output)
 
 
 def evaluate(
     out: Path = arguments.RESULTS,
     *,
     by_distance: bool = option("Also evaluate by distance from the sensor.", default=False),
+    fail_under: str | None = option(
+        "Exit with status 1 if a score is below its limit in %, such as mean_iou=40,accuracy=80.",
+        metavar="LIMITS",
+    ),
     query: ResultQuery,
     running: arguments.Reading,
     output: console.Output,
@@ -102,10 +108,12 @@ def evaluate(
 
     Example: salsanext eval --split valid
     """
+    from salsanext_cli.measures.score_limits import limits_of, scores_below
     from salsanext_cli.results.result_folder import ResultFolder
     from salsanext_cli.stages.evaluate import evaluate as stage
     from salsanext_cli.stages.evaluate import part_of
 
+    limits = limits_of(fail_under)
     folder = ResultFolder(out, query.dataset)
     files, space = folder.predicted(query.selection, query.label_space, query.classes)
     part = part_of(folder, files, query.selection)
@@ -114,12 +122,16 @@ def evaluate(
         evaluation = stage(
             files, out, space, run, part, by_distance=by_distance, settings=settings, labels=labels
         )
-    output.result(evaluation.to_dict(), _evaluation_tables(evaluation))
+    below = scores_below(limits, evaluation.scores)
+    limited = {} if fail_under is None else {"below": [low.name for low in below]}
+    output.result(evaluation.to_dict() | limited, _evaluation_tables(evaluation))
     summary.print_failures(evaluation.failures)
     missing = evaluation.missing
     scans = f"{counted(evaluation.counts.scans, 'scan')}{summary.skipped_text(missing)}"
     output.print(f"eval: {scans} → {evaluation.folder}/scores.txt, eval.json, eval_*.png")
-    summary.leave(evaluation.failures, missing)
+    for low in below:
+        console.print_line(f"error: {low.text}")
+    summary.leave(evaluation.failures, missing, failed=bool(below))
 
 
 def _evaluation_tables(evaluation: "Evaluation") -> "Group":

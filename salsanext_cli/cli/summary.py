@@ -104,13 +104,13 @@ def _as_data(outcome: Outcome) -> dict[str, Any]:
 
 
 def _lines(summary: RunSummary | None, following: str | None) -> Iterable[str]:
-    """Yield sensor, unlabelled points, estimated accuracy, largest classes and next command."""
+    """Yield images, unlabelled points, estimated accuracy, largest classes and next command."""
     if summary is not None:
         sensor = summary.sensor
-        from salsanext_cli.fitting.field_of_view import ego_text, view_text
+        from salsanext_cli.fitting.field_of_view import ego_text, image_text
 
-        lines = (f"{s.name}, {s.height}×{s.width}, {view_text(s)}" for s in sensor.members)
-        yield from (f"sensor: {line}" for line in dict.fromkeys(lines))
+        images = (image_text(member, summary.trained) for member in sensor.members)
+        yield from (f"image: {text}" for text in dict.fromkeys(images))
         if (share := summary.unlabelled_share) >= LEAST_SHOWN:
             # The share of the vehicle is estimated from a sample, and may exceed the total.
             ego = min(summary.ego_share, share)
@@ -145,7 +145,7 @@ def next_command(
     elif summary.space is None:
         words = ["knn-refine", out]  # The labels belong to pixels.
     else:
-        words = ["eval" if summary.labelled else "export-ply", out]
+        words = ["eval" if summary.labelled else "report", out]
         if split == "test" and not summary.labelled:
             from salsanext_cli.results.selection import unmerged
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from salsanext_cli.errors import FormatError, UsageError, error_text, shortened
+from salsanext_cli.errors import FormatError, UsageError, did_you_mean, error_text, shortened
 from salsanext_cli.files.reading import reading
 
 MAX_YAML_BYTES, MAX_TOML_BYTES = 1 << 18, 1 << 14
@@ -56,7 +56,8 @@ def read_toml(path: Path, kind: str, presets: Iterable[str]) -> dict[str, Any]:
         text = _text(path, MAX_TOML_BYTES, expected)
     except FileNotFoundError as error:
         expected = f"one of {', '.join(presets)}, or a .toml file"
-        raise UsageError(f"{kind} {path}", "no such preset or file", expected) from error
+        hint = did_you_mean(str(path), presets)
+        raise UsageError(f"{kind} {path}", "no such preset or file", expected, hint) from error
     if any(len(line) > MAX_LINE_CHARACTERS for line in text.splitlines()):
         problem = f"has a line of more than {MAX_LINE_CHARACTERS} characters"
         raise UsageError(path, problem, expected)
@@ -86,6 +87,8 @@ def refuse_unknown(data: Iterable[str], kind: type, source: object) -> None:
     known = sorted(field.name for field in fields(kind))
     if unknown := sorted(set(data) - set(known)):
         problem = f"has unknown keys {shortened(', '.join(unknown))}"
+        if hint := did_you_mean(unknown[0], known):
+            raise UsageError(source, problem, hint=hint)
         raise UsageError(source, problem, f"keys {', '.join(known)}")
 
 

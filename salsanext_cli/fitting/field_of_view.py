@@ -161,6 +161,29 @@ def ego_text(sensor: Sensor) -> str:
     return f"{near}, or in {', '.join(sides)} m" if box else near
 
 
+def image_text(sensor: Sensor, trained: Sensor | None = None) -> str:
+    """Describe the range images: ``64×512, field of view +3° to -25° (of the weights)``.
+
+    Parameters
+    ----------
+    sensor : Sensor
+        Sensor of the images.
+    trained : Sensor, optional
+        Sensor of the weights, to state where the field of view is from.
+
+    Returns
+    -------
+    str
+    """
+    text = f"{sensor.height}×{sensor.width}, {view_text(sensor)}"
+    if trained is None:
+        return text
+    if view_text(sensor) == view_text(trained):
+        return f"{text} (of the weights)"
+    source = "fitted" if sensor.name == trained.name else f"sensor {sensor.name}"
+    return f"{text} ({source})"
+
+
 def view_text(sensor: Sensor) -> str:
     """Describe field of view and mounting: ``field of view +10.7° to -30.7°, up …``."""
     up = "" if sensor.up == UP else f", up {sensor.up}"

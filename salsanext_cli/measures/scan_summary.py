@@ -15,12 +15,14 @@ from pathlib import Path
 import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace, TrainIds
-from salsanext_cli.errors import counted, first_few, with_hint
+from salsanext_cli.engines.network import Network
+from salsanext_cli.errors import SalsanextError, counted, first_few, with_hint
 from salsanext_cli.files.reading import present
 from salsanext_cli.fitting.finding import Finding
 from salsanext_cli.fitting.label_scan import LabelledScan
 from salsanext_cli.fitting.scan_checks import UNCHECKED, ScanCheck
 from salsanext_cli.fitting.sensor_fit import is_other_view
+from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.scan_traits import MIN_TRAIT_POINTS, ScanTraits, groups_of
 from salsanext_cli.measures.expected_accuracy import ExpectedAccuracy, expected_accuracy
 from salsanext_cli.measures.population import label_traits, of_units, population_difference
@@ -32,6 +34,7 @@ from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.results.output_run import OutputRun
 from salsanext_cli.results.owned_folder import OwnedFolder, Texts
 from salsanext_cli.results.paths import ScanFile
+from salsanext_cli.results.selection import space_of_labels
 from salsanext_cli.sensors.sensor import Sensor
 
 CLASSES_SHOWN = 5  # Classes that a summary names
@@ -145,6 +148,7 @@ class RunSummary:
     scans: Sequence[ScanFile] = ()
     accuracy: AccuracyLine | None = None  # As in `WeightsCard`
     threshold: RiskThreshold | None = None  # Threshold of the run, whose scans these should be like
+    trained: Sensor | None = None  # Sensor of the weights, if they labelled the scans
     class_points: Counts | None = None  # (C,): number of points by predicted train id
     # Names and findings of scans and sequences by code
     findings: dict[str, list[tuple[str, Finding]]] = field(default_factory=dict)
@@ -158,10 +162,31 @@ class RunSummary:
     # Traits of the labels by name of the scan, of at most `MAX_COMPARED` scans
     label_traits: dict[str, LabelTraits] = field(default_factory=dict)
 
+    @classmethod
+    def of_network(
+        cls,
+        network: Network,
+        scans: Sequence[ScanFile],
+        accuracy: AccuracyLine | None = None,
+        threshold: RiskThreshold | None = None,
+    ) -> RunSummary:
+        """Return the summary of scans that a network labels."""
+        trained = network.card.sensor
+        return cls(network.sensor, network.space, scans, accuracy, threshold, trained)
+
     @property
     def labelled(self) -> bool:
-        """Whether the first scan has labels."""
-        return bool(self.scans) and present(self.scans[0].label_path)
+        """Whether the first scan has labels that `eval` can compare with those of the run."""
+        if not self.scans or not present(path := self.scans[0].label_path):
+            return False
+        if self.space is None:
+            return True
+        space = space_of_labels(self.scans, self.space)
+        try:
+            space.to_train(read_labels(path), strict=False, source=path)
+        except SalsanextError:
+            return False
+        return True
 
     def add(self, scan: ScanSummary) -> None:
         """Add a scan; log the first finding of each code at once."""

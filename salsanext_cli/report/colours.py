@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace, label_space
-from salsanext_cli.errors import SalsanextError, UsageError
+from salsanext_cli.errors import SalsanextError, UsageError, did_you_mean
 from salsanext_cli.results.paths import COLOURS, ScanFile
 from salsanext_cli.results.result_folder import ResultFolder, scalar_columns
 from salsanext_cli.sensors.sensor import Sensor
@@ -95,7 +95,8 @@ def require_colouring(colours: Iterable[str], scale: tuple[float, float] | None)
     """Refuse unknown colours and an invalid scale."""
     for colour in colours:
         if colour not in COLOURS:
-            raise UsageError("--colour", colour, f"one of {', '.join(COLOURS)}")
+            hint = did_you_mean(colour, COLOURS)
+            raise UsageError("--colour", colour, f"one of {', '.join(COLOURS)}", hint)
     if scale and not (scale[0] < scale[1] and all(map(math.isfinite, scale))):
         raise UsageError("--scale", f"{scale[0]} {scale[1]}", "a lower and a higher number")
 

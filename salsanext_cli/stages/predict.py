@@ -194,7 +194,7 @@ def predict_scans(
         **(rejection.recorded if rejection else {}),
     )
     threshold = rejection.risk if rejection else None
-    summary = RunSummary(network.sensor, network.space, scans, accuracy, threshold)
+    summary = RunSummary.of_network(network, scans, accuracy, threshold)
     folders = (*extras, LEAST_CONFIDENCE, "predictions")
     run = output_run(out, "predict", recorded, folders, scans, overwrite=options.overwrite)
     with run as output, summary.recorded_in(output, scans):
@@ -307,7 +307,7 @@ def predict_range_images(
     overwrite = options.overwrite
     network = network_of_run(settings, network, listed, out, overwrite=overwrite, image_of=images)
     recorded, folders = settings_of_network(network), ("pixel_labels",)
-    summary = RunSummary(network.sensor)
+    summary = RunSummary(network.sensor, trained=network.card.sensor)
     run = output_run(out, "predict", recorded, folders, scans, overwrite=overwrite)
     with run as output, summary.recorded_in(output, scans):
         job = partial(PredictImageJob, folder=folder, output=output)

@@ -10,6 +10,7 @@ from threading import Lock
 import numpy as np
 
 from salsanext_cli.errors import NoInputError, OutputError, SalsanextError, escaped
+from salsanext_cli.files.atomic import require_target, write_bytes
 from salsanext_cli.files.json_files import plain
 from salsanext_cli.measures.scan_counts import ScanComparison, ScanCounts, SeparateCounts
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
@@ -61,17 +62,21 @@ class Report:
 
 def report(
     out: Path,
+    target: Path | None = None,
     *,
     scans: Sequence[str] = (),
     query: ResultQuery = ResultQuery(),
     options: RunOptions = RunOptions(),
 ) -> Report:
-    """Write `OUT/report.html`: settings and scores of a run, and the points of some scans.
+    """Write a page with settings and scores of a run, and the points of some scans.
 
     Parameters
     ----------
     out : Path
         Folder with results.
+    target : Path, optional
+        File of the page (.html), replaced only with ``options.overwrite``; by default
+        `OUT/report.html`, which is replaced if it is unchanged since it was written.
     scans : sequence of str
         Scans to show point by point, such as ``08/000000``; by default up to four of interest.
     query, options
@@ -81,8 +86,11 @@ def report(
     -------
     Report
     """
-    page = out / PAGE
-    OwnedFolder(out).refuse_foreign([page])
+    page = target or out / PAGE
+    if target:
+        require_target(target, options.overwrite, ".html")
+    else:
+        OwnedFolder(out).refuse_foreign([page])
     run, unread = read_run(out, query=query, options=options)
     chosen = run.scans_by_name(scans) if scans else run.notable_scans()
     rows = {row.file.name: row for row in run.rows}
@@ -90,7 +98,10 @@ def report(
     failures, compared = (*unread, *unshown), run.compared()
     reasons = [failure.reason for failure in failures]
     html = html_of(run, compared, shown, scales_of(shown), reasons)
-    OwnedFolder(out).replace({page: html.encode()})
+    if target:
+        write_bytes(target, html.encode())
+    else:
+        OwnedFolder(out).replace({page: html.encode()})
     return Report(page, run, compared, {s.name: s.reason for s in shown}, failures)
 
 

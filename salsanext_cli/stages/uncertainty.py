@@ -131,7 +131,7 @@ def uncertainty(
         text = "no probability of error: the labels in %s are of another stage; use predict --error"
         log.log(NOTICE, text, out)
     _require_network_of_labels(out, recorded)
-    summary = RunSummary(network.sensor, network.space, scans)
+    summary = RunSummary.of_network(network, scans)
     run = output_run(out, "uncertainty", recorded, folders, scans, overwrite=options.overwrite)
     with run as output, summary.recorded_in(output, scans):
         job = partial(UncertaintyJob, knn=knn, method=method, output=output)

@@ -171,7 +171,7 @@ def test_characters_outside_the_encoding_of_stdout_are_replaced():
         ("knn-refine a b", ["salsanext knn-refine", "b"]),
         ("predict --engine onnx", ["--engine", "onnx", "openvino"]),
         ("tune temperature only-one", ["salsanext tune temperature", "WEIGHTS_OUT"]),
-        ("tune dropout data w.safetensors --samples few", ["tune dropout", "--samples"]),
+        ("tune dropout data w.safetensors --samples few", ["--samples", "few"]),
     ],
 )
 def test_a_wrong_command_line_is_status_two_and_one_object_of_json(run, line, words):

@@ -10,10 +10,12 @@ from typing import Annotated
 
 import pytest
 from command_line import only_json, parsed
-from scans import SMALL, labels_below, write_weights
+from scans import SMALL, labels_below, refused, write_weights
 
+from salsanext_cli.cli.arguments import share
 from salsanext_cli.cli.expansion import Default, Shown, Without, expanded
 from salsanext_cli.engines.settings import NetworkSettings, weights_file
+from salsanext_cli.errors import UsageError
 from salsanext_cli.formats import RECORDING_SUFFIXES, SCAN_SUFFIXES
 from salsanext_cli.network.card import default_weights
 from salsanext_cli.option_fields import KnnParameters, ScanSelection
@@ -97,8 +99,9 @@ def test_a_named_sensor_sets_its_device_and_nothing_of_the_training(tmp_path):
         "eval --backend=loky",
         "tune error data tuned.safetensors --limit 5",
         "eval --split valid --out out",
-        "filter out --split --to split",
-        "filter out --indices --to masks",
+        "filter out split --split",
+        "filter out --drop car --to split",
+        "filter out masks --indices",
         "knn-refine out --labels theirs",
         "export-rrd out/",
         "tune int8 data tuned.safetensors --device cpu",
@@ -114,3 +117,37 @@ def test_a_removed_option_is_an_error_that_names_what_to_use(run, line):
     error = only_json(result := run(*line.split(), "--json"))
     assert (result.exit_code, error["code"], bool(error["hint"])) == (2, "usage", True)
     assert error["error"].split(":")[0].split()[0] in line
+
+
+@pytest.mark.parametrize(
+    ("line", "subject_of_error", "meant"),
+    [
+        ("uncertainty a b --aleatoric papr", "--aleatoric", "--aleatoric paper?"),
+        ("predict a b --precision=flot32", "--precision", "--precision float32?"),
+        ("predict a b --sensor hdl46", "sensor hdl46", "hdl64?"),
+        ("predict a b --classes coars", "coars", "coarse?"),
+        ("predict a b --jobs x", "--jobs", "--help"),
+        ("view --port 99999", "--port", "--help"),
+        ("train a b --recipe finetun", "recipe finetun", "finetune?"),
+        ("train a b --set lr=1", "--set lr=1", "learning_rate?"),
+        ("export-ply a --colour eror", "--colour", "error?"),
+    ],
+)
+def test_a_wrong_value_is_answered_by_the_likely_one(run, line, subject_of_error, meant):
+    result = run(*line.split(), "--json", status=2)
+    error = only_json(result)
+    assert error["error"].split(": ")[0] == subject_of_error
+    assert error["hint"].endswith(meant)
+    assert "Input should" not in error["error"]
+    assert "Value error" not in error["error"]
+
+
+def test_a_share_above_one_is_answered_by_the_percentage(run):
+    for value, meant in (("10", "10%?"), ("5.5", "5.5%?")):
+        with refused(UsageError, "--at-most") as caught:
+            share("--at-most", value)
+        assert caught.value.hint.endswith(meant)
+    assert share("--at-most", "10%") == share("--at-most", "0.1") == 0.1
+    with refused(UsageError, "--at-most") as caught:
+        share("--at-most", "500%")
+    assert not caught.value.hint

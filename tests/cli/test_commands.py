@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import only_json, subject
-from scans import SMALL, labels_below, write_array, write_sequence
+from evaluated import CAR, ROAD, World
+from scans import SMALL, labels_below, make_scan, write_array, write_bin, write_sequence
 
 from salsanext_cli.network.card import read_card
 from salsanext_cli.results.paths import output_path
@@ -111,7 +112,7 @@ def test_messages_go_to_stderr(predict, weights, tmp_path):
     lines = [re.sub(r"[\d.]+ m?s\b", "T", line) for line in first.stderr.splitlines()]
     lines = [line for line in lines if not line.startswith(("warning", "hint"))]
     assert lines[1] == f"predict: 2 scans in T, T per scan → {out}"
-    assert lines[2].startswith("sensor: small, 16×128, ")
+    assert lines[2].startswith("image: 16×128, ")
     assert re.fullmatch(r"largest classes: (\S+ \d+\.\d %(, |$)){5}", lines[3])
     assert lines[4:] == [f"next: salsanext eval {out}"]
     again = predict(out, "-v")
@@ -310,3 +311,38 @@ def test_a_temperature_is_printed_and_stored(run, data, weights, tmp_path, monke
     assert printed.items() >= expected.items()
     assert printed["after"]["temperature"] == read_card(target).temperature
     assert f"{read_card(target).temperature:.4g}" in run("models", target).stdout
+
+
+def test_eval_fails_below_a_limit(run, tmp_path):
+    world = World(tmp_path)
+    world.add("000000", [ROAD, ROAD], [ROAD, CAR])
+    command = ("eval", world.out, "--dataset", world.dataset, "--json")
+    assert "below" not in only_json(run(*command, status=0))
+    reached = only_json(run(*command, "--fail-under", "accuracy=50", status=0))
+    assert reached["below"] == []
+    low = only_json(run(*command, "--fail-under", "accuracy=51,mean_iou=50", status=1))
+    assert low["below"] == ["accuracy"]
+
+
+def test_results_beside_their_scans_are_announced(run, weights, tmp_path):
+    write_bin(tmp_path / "drive/0.bin", make_scan())
+    words = ("--weights", weights)
+    for out in (tmp_path / "drive/results", tmp_path / "drive"):
+        result = run("project", tmp_path / "drive", out, *words, status=0)
+        assert any(line.startswith(f"{out}: is ") for line in result.stderr.splitlines())
+    apart = tmp_path / "apart"
+    result = run("project", tmp_path / "drive", apart, *words, status=0)
+    assert not any(line.startswith(f"{apart}: is ") for line in result.stderr.splitlines())
+
+
+def test_report_writes_to_a_file_and_opens_it(run, tmp_path, monkeypatch):
+    world = World(tmp_path)
+    world.add("000000", [ROAD, ROAD], [ROAD, CAR])
+    opened = []
+    monkeypatch.setattr("typer.launch", lambda url: opened.append(url) or 0)
+    page = tmp_path / "page.html"
+    command = ("report", world.out, "--dataset", world.dataset, "-o", page)
+    run(*command, status=0)
+    assert opened == []
+    run(*command, "--open", "--overwrite", status=0)
+    assert opened == [page.as_uri()]

@@ -2,7 +2,9 @@
 """Commands on your own data: convert, pick, import-labels, submit."""
 
 import json
+import shlex
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from command_line import only_json, subject
 from edited_clouds import write_ply
 
 from salsanext_cli import label_space, read_labels, read_scan, write_labels
+from salsanext_cli.cli.own_data import _after_pick
 from salsanext_cli.results.paths import output_path
 from salsanext_cli.stages import submit as stage
 
@@ -110,3 +113,12 @@ def test_a_submission_without_a_prediction_is_an_error(run, out, tmp_path):
     result = run("submit", "out", "a.zip", "--json")
     assert (result.exit_code, only_json(result)["code"]) == (1, "no-input")
     assert not (tmp_path / "a.zip").exists()
+
+
+def test_after_pick_the_training_uses_its_labelled_data_sets_and_weights():
+    following = _after_pick(Path("new"), "w.safetensors", [Path("a b"), Path("c")])
+    training = shlex.split(following.split("`")[3])
+    assert training[:6] == ["salsanext", "train", "new", "RUN", "--recipe", "finetune"]
+    assert training[6:8] == ["--weights", "w.safetensors"]
+    assert training[8:] == ["--also", "a b", "--also", "c"]
+    assert "--also" not in _after_pick(Path("new"), None, [])

@@ -17,6 +17,7 @@ from salsanext_cli.cli.pipeline import MANY_SCANS, _advice
 from salsanext_cli.cli.summary import _as_data, _lines, _rejection_lines, next_command
 from salsanext_cli.engines import device
 from salsanext_cli.engines.settings import NetworkSettings
+from salsanext_cli.formats.kitti import write_labels
 from salsanext_cli.measures.scan_summary import RunSummary
 from salsanext_cli.parallel.run import Outcome
 from salsanext_cli.results.manifest import Manifest, StageSettings
@@ -54,7 +55,7 @@ def test_a_single_scan_that_fails_prints_nothing_about_weights_and_sensor(
     result = run(*words, status=0)
     starts = [line.partition(":")[0] for line in result.stderr.splitlines()]
     assert starts[0].startswith(str(weights))
-    assert "sensor" in starts
+    assert "image" in starts
 
 
 def test_rejected_points_are_counted():
@@ -73,7 +74,7 @@ def test_rejected_points_are_counted():
     ("stage", "split", "done", "expected"),
     [
         ("uncertainty", "test", 1, "salsanext export-ply 'a b' --colour uncertainty"),
-        ("predict", "valid", 1, "salsanext export-ply 'a b'"),
+        ("predict", "valid", 1, "salsanext report 'a b'"),
         ("predict", "test", 1, "salsanext submit 'a b' submission.zip"),
         ("predict", "test", 0, None),
         ("knn-refine", "test", 1, "salsanext submit 'a b' submission.zip"),
@@ -86,7 +87,7 @@ def test_next_commands(stage, split, done, expected, tmp_path):
     if expected and "submit" in expected:
         merged = Outcome(0, (), done, summary=RunSummary(SMALL, label_space("coarse")))
         command = next_command(stage, merged, "a b", (), split)
-        assert command == "salsanext export-ply 'a b'"
+        assert command == "salsanext report 'a b'"
         # A data set with the test split of another label space has another benchmark.
         space = replace(label_space("coarse"), splits={"test": ("90",)})
         other = Outcome(0, (), done, summary=RunSummary(SMALL, space))
@@ -94,7 +95,7 @@ def test_next_commands(stage, split, done, expected, tmp_path):
         (file,) = find_scans(write_sequence(tmp_path / "sequences/90", labels=False).parents[1])
         other = replace(other, summary=RunSummary(SMALL, space, [file]))
         (tmp_path / "labels.yaml").write_text(yaml.safe_dump(label_space().to_dict()))
-        assert next_command(stage, other, "a b", (), split) == "salsanext export-ply 'a b'"
+        assert next_command(stage, other, "a b", (), split) == "salsanext report 'a b'"
     (file,) = find_scans(write_sequence(tmp_path / "labelled/00", ["0"]))
     labelled = Outcome(0, (), done, summary=replace(summary, scans=[file]))
     if done and stage != "uncertainty":
@@ -118,12 +119,33 @@ def test_a_warning_is_printed_once(run, data, tmp_path, count):
         assert result.stderr.count("out-of-view") == count
 
 
+def test_eval_is_next_only_if_it_can_compare_the_labels(tmp_path):
+    """Label files of another data set do not lead to a command that fails."""
+    (file,) = find_scans(write_sequence(tmp_path / "00", ["0"]))
+    outcome = Outcome(0, (), 1, summary=RunSummary(SMALL, label_space(), [file]))
+    assert next_command("predict", outcome, "out", ()) == "salsanext eval out"
+    unknown_id = np.full(1500, 24, np.uint32)
+    write_labels(file.label_path, unknown_id)
+    assert next_command("predict", outcome, "out", ()) == "salsanext report out"
+
+
+def test_the_line_of_the_image_names_the_source_of_its_field_of_view():
+    fitted = replace(SMALL, fov_up=SMALL.fov_up + 7)
+    other = replace(fitted, name="hdl32")
+    for sensor, source in ((SMALL, "(of the weights)"), (fitted, "(fitted)"), (other, "hdl32)")):
+        (line,) = _lines(RunSummary(sensor, trained=SMALL), None)
+        assert line.startswith(f"image: {SMALL.height}×{SMALL.width}, ")
+        assert line.endswith(source)
+    (line,) = _lines(RunSummary(SMALL), None)
+    assert "(" not in line
+
+
 def test_equal_sensors_are_printed_once():
     """Sensors may differ in what the line does not show, such as the fit of the intensity."""
     darker, leaning = replace(SMALL, row_gaps=0.5), replace(SMALL, up=(0.5, 0.0, 0.9))
     for others, count in (((darker,), 1), ((darker, leaning), 2)):
         lines = list(_lines(RunSummary(replace(SMALL, others=others)), None))
-        assert len([line for line in lines if line.startswith("sensor: ")]) == count
+        assert len([line for line in lines if line.startswith("image: ")]) == count
 
 
 def test_without_scans_no_folder_is_read_or_made(run, data, tmp_path, monkeypatch):

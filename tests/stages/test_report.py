@@ -208,3 +208,18 @@ def test_probabilities_of_merged_classes_are_added(world):
         kinds = [run.read(row).results.uncertainty for row in run.rows]
         (one,) = (known["least_confidence"] for known in kinds if "least_confidence" in known)
         np.testing.assert_allclose(one, doubt, atol=1e-3)
+
+
+def test_a_page_is_written_to_a_file_and_replaced_only_if_asked(world, tmp_path):
+    query = ResultQuery(world.dataset)
+    target = tmp_path / "page.html"
+    assert report(world.out, target, query=query).page == target
+    assert Page(target).data == made(world)[1].data
+    target.write_text("mine")
+    with refused(OutputError, target):
+        report(world.out, target, query=query)
+    assert target.read_text() == "mine"
+    report(world.out, target, query=query, options=RunOptions(overwrite=True))
+    assert target.read_text() != "mine"
+    with refused(OutputError, "page.txt"):
+        report(world.out, Path("page.txt"), query=query)
