@@ -168,7 +168,9 @@ def import_labels(
         "Data set of `pick`, or folder of scans.", default=..., metavar="DATASET"
     ),
     *,
-    scalar: str | None = option("Scalar field with the labels.", show_default="the only label"),
+    scalar: str | None = option(
+        "Scalar field with the labels.", show_default="label, class or similar"
+    ),
     ids: Path | None = option(
         "YAML file that maps the ids of the tool to class names or raw ids, such as 3: car.",
         "--map",

@@ -71,7 +71,7 @@ class Extras:
         default=False,
     )
     fuse: bool = option(
-        "Then fuse the scans of each sequence, as `fuse` does, into OUT/fused.", default=False
+        "Also write labels fused over each sequence into OUT/fused (see `fuse`).", default=False
     )
     probabilities: bool = option(
         "Also write the class probabilities of every point.", default=False

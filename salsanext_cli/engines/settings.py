@@ -60,15 +60,12 @@ class NetworkSettings:
         show_default="columns of the sensor",
     )
     intensity_field: str | None = network_option(
-        "Field with the intensity, in files that name their fields.",
-        metavar="NAME",
-        show_default="the usual names",
+        "Field with the intensity.", metavar="NAME", show_default="the usual names"
     )
     width: int | None = network_option(
-        "Columns of the range image; more columns show more of far and small objects and take "
-        "more time. Weights warn of widths that they were not trained with.",
+        "Columns of the range image; more take longer and show small objects better.",
         metavar="512|1024|2048",
-        show_default="the default of the weights",
+        show_default="of the weights",
     )
     min_range: float | None = network_option(
         "Leave points nearer than this unlabelled, in metres.",

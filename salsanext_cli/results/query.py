@@ -40,7 +40,7 @@ class ResultQuery:
         parse=named_label_space,
     )
     classes: "LabelSpace | None" = selection_option(
-        "Merge the classes into those of another label space; probabilities are added.",
+        "Merge classes: `coarse`, or a label-space file.",
         metavar="coarse|FILE",
         parse=named_label_space,
     )
