@@ -2,7 +2,7 @@
 """Training of the default weights on a CPU, for days beside other work: it may end at any time.
 
 The same command continues it. SCENES has a folder of scenes for each kind of sensor, which
-`simulate_scenes.py` fills; scenes that are added later are trained on, too. HELD_OUT has others.
+`scene_pool.py` fills; scenes that are added later are trained on, too. HELD_OUT has others.
 Real data sets are the folders ``pandaset``, ``pandargt`` and ``aachen`` that `default_weights.py`
 describes. After each epoch the running average is scored on what is held out, at each width, in
 ``scores.csv``; no choice is made by it here.

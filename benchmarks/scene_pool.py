@@ -3,11 +3,18 @@
 
 A scene is a short drive, `SCANS` scans of one sensor. It becomes visible when it is complete, with
 the sensor that `predict` would fit to it beside its scans.
+
+As a command, it adds scenes to a pool while a training reads it; complete ones stay.
+
+Run: python benchmarks/scene_pool.py SCENES [--seed 10] [--first 0] [--scenes 100] [--scans 8]
+     [--weights default]
 """
 
+import argparse
 import json
 import multiprocessing
 import os
+import shutil
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -18,8 +25,10 @@ from pathlib import Path
 from ray_casting import RayScene
 
 from salsanext_cli.classes.label_space import label_space
+from salsanext_cli.engines.settings import weights_file
 from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.formats.kitti import encode_bin, encode_labels
+from salsanext_cli.network.card import read_card
 from salsanext_cli.parallel.pool import end_with_parent
 from salsanext_cli.results.paths import ScanFile, find_scans
 from salsanext_cli.sensors.sensor import Sensor
@@ -71,6 +80,15 @@ class ScenePool:
         """Return the number of scenes that are complete."""
         folder = self.root / name / "sequences"
         return len([*folder.iterdir()]) if folder.is_dir() else 0
+
+    def complete(self, number: int) -> None:
+        """Make a scene to train on by its number, unless it is complete; a draft is replaced."""
+        scene, index = divmod(number, len(KINDS))
+        if (self.root / KINDS[index] / "sequences" / f"{scene:06}").exists():
+            return
+        draft = self.root / KINDS[index] / "drafts" / "sequences" / f"{scene:06}"
+        shutil.rmtree(draft, ignore_errors=True)
+        self.make(number + self.validation)
 
     @contextmanager
     def working(self, processes: int) -> Iterator[list[BaseProcess]]:
@@ -157,3 +175,23 @@ class FittedSensors(Mapping[str, Sensor]):
 
     def __len__(self) -> int:
         return len([*self])
+
+
+def main(*words: str) -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("scenes_folder", type=Path, metavar="SCENES")
+    numbers = {"--seed": 10, "--first": 0, "--scenes": 100, "--scans": SCANS}
+    for name, default in numbers.items():
+        parser.add_argument(name, type=int, default=default)
+    parser.add_argument("--weights", type=Path, default=Path("default"))
+    given = parser.parse_args(words or None)
+    sensor = read_card(weights_file(given.weights)).sensor
+    pool = ScenePool(given.scenes_folder, sensor, given.seed, given.scans, validation=0)
+    for scene in range(given.first, given.first + given.scenes):
+        for index, kind in enumerate(KINDS):
+            pool.complete(scene * len(KINDS) + index)
+            print(time.ctime(), kind, scene, flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -8,9 +8,10 @@ import json
 import background_training
 import drive_scores
 import pytest
+import scene_pool
 from command_line import called
 from scans import SMALL, write_sequence
-from scene_pool import KINDS, ScenePool, write_scene
+from scene_pool import KINDS, write_scene
 from shallow import shallow, weights  # noqa: F401
 
 from salsanext_cli.network.card import read_card
@@ -27,10 +28,13 @@ TINY = (
 
 @pytest.mark.slow
 def test_a_training_goes_on_where_it_ended_and_its_average_becomes_weights(tmp_path, weights):
-    pool = ScenePool(tmp_path / "scenes", SMALL, scans=2, validation=0)
-    for number in range(len(KINDS)):
-        pool.make(number)
-        kind = KINDS[number]
+    scenes = [str(tmp_path / "scenes"), "--scenes", "1", "--scans", "2", "--weights", str(weights)]
+    scene_pool.main(*scenes)
+    made = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("scenes/**/*.bin")}
+    assert len(made) == 2 * len(KINDS)
+    scene_pool.main(*scenes)
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("scenes/**/*.bin")} == made
+    for number, kind in enumerate(KINDS):
         write_scene(tmp_path / "held-out" / kind, 0, kind, 9 + number, 1, 10.0, SMALL)
     run, target = tmp_path / "run", tmp_path / "average.safetensors"
     call = [*map(str, (run, tmp_path / "scenes", tmp_path / "held-out", "--weights", weights))]
