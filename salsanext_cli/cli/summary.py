@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import typer
 
 from salsanext_cli.cli.console import DONE, FAILED, Output, duration_text, print_line
-from salsanext_cli.errors import counted
+from salsanext_cli.errors import MAX_NAMES_SHOWN, counted, first_few, with_hint
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -95,6 +95,7 @@ def _as_data(outcome: Outcome) -> dict[str, Any]:
         is_used = outcome.done + outcome.skipped > 0
         data["sensor"] = summary.sensor.to_dict(NOISE) if is_used else None
         data["unlabelled_share"] = round(summary.unlabelled_share, 4)
+        data["unmeasured_share"] = round(summary.unmeasured_share, 4)
         data["largest_classes"] = summary.largest_classes()
         data["ego_share"] = round(summary.ego_share, 4)
         expected = summary.expected_accuracy()
@@ -112,12 +113,8 @@ def _lines(summary: RunSummary | None, following: str | None) -> Iterable[str]:
         images = (image_text(member, summary.trained) for member in sensor.members)
         yield from (f"image: {text}" for text in dict.fromkeys(images))
         if (share := summary.unlabelled_share) >= LEAST_SHOWN:
-            # The share of the vehicle is estimated from a sample, and may exceed the total.
-            ego = min(summary.ego_share, share)
-            box = "" if sensor.others else f" ({ego_text(sensor)})"
-            text = f", about {100 * ego:.1f} % on the sensor's housing and vehicle{box}"
-            of_ego = text if ego >= LEAST_SHOWN else ""
-            yield f"unlabelled: {100 * share:.1f} % of the points{of_ego}"
+            causes = "; ".join(_causes(summary, share, ego_text(sensor)))
+            yield f"unlabelled: {100 * share:.1f} % of the points{causes and f' ({causes})'}"
         if expected := summary.expected_accuracy():
             yield expected.text
         if largest := summary.largest_classes():
@@ -125,6 +122,18 @@ def _lines(summary: RunSummary | None, following: str | None) -> Iterable[str]:
             yield f"largest classes: {shares}"
     if following is not None:
         yield f"next: {following}"
+
+
+def _causes(summary: RunSummary, share: float, region: str) -> Iterable[str]:
+    """Yield why points are unlabelled; `share`: of all points, 0…1, `region`: of the vehicle."""
+    if (unmeasured := summary.unmeasured_share) >= LEAST_SHOWN:
+        yield f"{100 * unmeasured:.1f} % without a measurement"
+    # The share of the vehicle is estimated from a sample, and may exceed the total.
+    if (ego := min(summary.ego_share, share)) >= LEAST_SHOWN:
+        where = "" if summary.sensor.others else f", {region}"
+        yield f"about {100 * ego:.1f} % on the sensor's housing and vehicle{where}"
+    if (rejected := summary.rejected_share) >= LEAST_SHOWN:
+        yield f"{100 * rejected:.1f} % rejected"
 
 
 def next_command(
@@ -155,9 +164,19 @@ def next_command(
 
 
 def print_failures(failures: tuple[Failure, ...]) -> None:
-    """Print each error of the failed scans once, on stderr."""
-    for text in dict.fromkeys(failure.text for failure in failures):
-        print_line(f"error: {text}")
+    """Print the errors of the failed scans on stderr; one for many scans with the same problem."""
+    groups: dict[tuple[str, str], list[Failure]] = {}
+    for failure in failures:
+        problem = failure.reason.removeprefix(f"{failure.scan.path}: ")
+        groups.setdefault((problem, failure.hint), []).append(failure)
+    for (problem, hint), equal in groups.items():
+        if len(equal) > MAX_NAMES_SHOWN:
+            names = first_few([failure.scan.name for failure in equal])
+            problem = f"{problem}: {names}" if problem != equal[0].reason else problem
+            print_line(f"error: {counted(len(equal), 'scan')}: {with_hint(problem, hint)}")
+            continue
+        for text in dict.fromkeys(failure.text for failure in equal):
+            print_line(f"error: {text}")
 
 
 def leave(

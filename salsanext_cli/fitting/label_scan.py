@@ -18,8 +18,9 @@ from salsanext_cli.geometry.projection import measured_ranges, project
 from salsanext_cli.geometry.scan_traits import MIN_TRAIT_POINTS, sensor_of
 from salsanext_cli.option_fields import KnnParameters
 from salsanext_cli.records import CHANNELS, Float, RangeImage, Scan
-from salsanext_cli.results.manifest import Manifest, differences
+from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.results.paths import ScanFile, output_path
+from salsanext_cli.results.setting_differences import differences
 from salsanext_cli.sensors.sensor import Sensor
 
 

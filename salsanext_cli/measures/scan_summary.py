@@ -23,6 +23,7 @@ from salsanext_cli.fitting.label_scan import LabelledScan
 from salsanext_cli.fitting.scan_checks import UNCHECKED, ScanCheck
 from salsanext_cli.fitting.sensor_fit import is_other_view
 from salsanext_cli.formats.kitti import read_labels
+from salsanext_cli.geometry.projection import measured_ranges
 from salsanext_cli.geometry.scan_traits import MIN_TRAIT_POINTS, ScanTraits, groups_of
 from salsanext_cli.measures.expected_accuracy import ExpectedAccuracy, expected_accuracy
 from salsanext_cli.measures.population import label_traits, of_units, population_difference
@@ -65,6 +66,7 @@ class ScanSummary:
     check: ScanCheck = UNCHECKED  # Reasons to doubt the scan or its labels
     class_points: Counts | None = None  # (C,): number of points by predicted train id
     rejected_points: int = 0  # Number of points rejected by their error
+    unmeasured_points: int = 0  # Number of points without a measurement
     confidence: float = math.nan  # Mean of the largest probabilities of the points
     traits: LabelTraits | None = None  # Of the labels before any was rejected
 
@@ -87,7 +89,9 @@ class ScanSummary:
         """Summarise a labelled scan, with a warning if the probabilities are low."""
         confidence = scan.pixels.confidence[scan.image.channels[0] > 0]
         mean = float(confidence.mean()) if len(confidence) else 1.0
-        return cls.of_labels(scan.file, scan.labels, space, scan.check, mean)
+        summary = cls.of_labels(scan.file, scan.labels, space, scan.check, mean)
+        measured = measured_ranges(scan.scan.points)[1]
+        return replace(summary, unmeasured_points=int(np.count_nonzero(~measured)))
 
     def without_rejected(self, rejected: Mask, labels: TrainIds, uncertainty: Float) -> ScanSummary:
         """Count rejected points as unlabelled; the checks stay those of all labels.
@@ -155,6 +159,7 @@ class RunSummary:
     traits: dict[ScanFile, ScanTraits] = field(default_factory=dict)  # Traits of the sensor by scan
     names: set[str] = field(default_factory=set)  # Names of the added scans and sequences
     rejected_points: int = 0  # Number of points rejected by their error
+    unmeasured_points: int = 0  # Number of points without a measurement
     # Share of the points on the vehicle, and number of points, of each scan
     ego_shares: list[tuple[float, int]] = field(default_factory=list)
     # Mean of the largest probabilities of the points, 0…1, by name of the scan
@@ -192,6 +197,7 @@ class RunSummary:
         """Add a scan; log the first finding of each code at once."""
         self.names.add(scan.file.name)
         self.rejected_points += scan.rejected_points
+        self.unmeasured_points += scan.unmeasured_points
         points = 1 if scan.class_points is None else int(scan.class_points.sum())
         self.ego_shares.append((scan.check.ego_share, points))
         if not math.isnan(scan.confidence):
@@ -295,6 +301,21 @@ class RunSummary:
         """Share of the points, 0…1, without a label; `ego_share` if no scan is labelled."""
         points = self.class_points
         return self.ego_share if points is None else float(points[0] / max(points.sum(), 1))
+
+    @property
+    def unmeasured_share(self) -> float:
+        """Share of the points, 0…1, without a measurement."""
+        return self._share(self.unmeasured_points)
+
+    @property
+    def rejected_share(self) -> float:
+        """Share of the points, 0…1, that were rejected."""
+        return self._share(self.rejected_points)
+
+    def _share(self, count: int) -> float:
+        """Return a number of points as a share of all points, 0…1."""
+        total = 0 if self.class_points is None else int(self.class_points.sum())
+        return count / max(total, 1)
 
     def expected_accuracy(self) -> ExpectedAccuracy | None:
         """Return the estimated accuracy of this run, None if the weights contain no estimate."""

@@ -7,15 +7,15 @@ fills, and the scans that it was asked for. `OwnedFolder` lists the files themse
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.classes.merging import ClassMerging, contradiction
-from salsanext_cli.errors import LabelError, OutputError, first_few, shortened
+from salsanext_cli.errors import LabelError, OutputError, first_few
 from salsanext_cli.files.json_files import (
     Json,
     as_json,
@@ -32,6 +32,7 @@ from salsanext_cli.option_fields import FusionReach, KnnParameters
 from salsanext_cli.results.digest_files import with_digests, with_files
 from salsanext_cli.results.paths import COLOURINGS, ERROR, SUFFIX_OF_FOLDER, ScanFile
 from salsanext_cli.results.selection import space_of
+from salsanext_cli.results.setting_differences import differences
 from salsanext_cli.sensors.sensor import Sensor, sensor
 from salsanext_cli.version import __version__
 
@@ -345,40 +346,3 @@ def require_same_settings(
     if changed := differences(recorded, settings):
         hint = "use another output folder, or --overwrite to replace all its results"
         raise OutputError(path, f"was made with other settings: {changed}", hint=hint)
-
-
-def differences(recorded: Mapping[str, object], settings: Mapping[str, object]) -> str:
-    """Describe how recorded settings differ from others; empty if they do not."""
-    before, after = dict(_flat(recorded)), dict(_flat(settings))
-    changed = sorted(k for k in before.keys() | after if before.get(k) != after.get(k))
-    return first_few([_difference(k, before.get(k), after.get(k)) for k in changed])
-
-
-def _difference(key: str, before: Any, after: Any) -> str:
-    """Describe how a setting differs, in lists of equal length by the first differing value."""
-    if key == "sensor.intensity_quantiles":
-        was, now = (("matched" if any(q) else "none") if q else "raw" for q in (before, after))
-        now = "matched to other scans" if now == was else now
-        return f"intensity was {was} and is {now} (--intensity)"
-    if key.startswith("origins."):
-        return f"`{key.removeprefix('origins.')}` has replaced its results since"
-    if isinstance(before, dict) and isinstance(after, dict):
-        old, new = (LabelSpace.from_dict(space, key) for space in (before, after))
-        return f"{key} ({first_few(old.differences(new))})"
-    if isinstance(before, list) and isinstance(after, list) and len(before) == len(after):
-        place = next(i for i, value in enumerate(before) if value != after[i])
-        key, before, after = f"{key}[{place}]", before[place], after[place]
-    was, now = (
-        "not set" if value is None else shortened(json.dumps(value, ensure_ascii=False), 40)
-        for value in (before, after)
-    )
-    return f"{key} was {was} and is {now}"
-
-
-def _flat(settings: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, object]]:
-    """Yield dotted keys and values that are set; a label space stays whole."""
-    for key, value in settings.items():
-        if isinstance(value, dict) and key != "label_space":
-            yield from _flat(value, f"{prefix}{key}.")
-        elif value is not None:
-            yield prefix + key, value

@@ -176,6 +176,9 @@ class ResultFolder(Manifest):
             return find_scans(scan_folder, unique=False)
         if is_folder(root if self.dataset else root / "sequences"):
             return find_scans(root, [sequence], unique=False)
+        if not self.records() and is_folder(self.root / "sequences" / sequence / SCAN_FOLDER):
+            hint = f"salsanext predict {shlex.quote(str(self.root))} OUT, then use OUT"
+            raise NoInputError(self.root, "is a data set", "a folder with results", hint)
         problem = f"no scans of it in {self.dataset or folder or root.absolute()}"
         hint = "give with --dataset the folder that contains sequences/"
         raise NoInputError(self.root / "sequences" / sequence, problem, hint=hint)

@@ -185,8 +185,9 @@ def _evaluation(
     counts = separate.scored()
     if not counts.scans:
         if outcome.failures:
-            problem = f"no scan could be compared: {outcome.failures[0].reason}"
-            raise NoInputError(results.root, problem)
+            first = outcome.failures[0]
+            problem = f"no scan could be compared: {first.reason}"
+            raise NoInputError(results.root, problem, hint=first.hint)
         problem = f"has no predictions of {counted(len(counts.missing), 'scan')}"
         hint = "run `salsanext predict` first, or give their folder: salsanext eval OUT"
         raise NoInputError(results.root, problem, hint=hint)

@@ -231,8 +231,13 @@ def _chosen_threshold(
     others = {"--classes": network.merging, "--knn-…": knn != KnnParameters()}
     others |= {name: current[name] != tuned.get(name) for name in current}
     if changed := [name for name, is_other in others.items() if is_other]:
+        name = changed[0]
         problem = "the guarantee of `--reject risk` does not cover other labels"
-        raise UsageError(changed[0], problem, "the settings of `tune risk`")
+        if name in current and name != "--sensor":
+            now = current[name]
+            problem = f"the threshold was chosen with {tuned.get(name)}, this run has {now}"
+        hint = "use the option as for `tune risk`, or run `tune risk` again"
+        raise UsageError(name, problem, hint=hint)
     log.log(NOTICE, "--reject risk: %s", guarantee(risk))
     return risk
 

@@ -14,14 +14,20 @@ from scans import SMALL, make_scan, write_bin, write_sequence
 
 from salsanext_cli import label_space
 from salsanext_cli.cli.pipeline import MANY_SCANS, _advice
-from salsanext_cli.cli.summary import _as_data, _lines, _rejection_lines, next_command
+from salsanext_cli.cli.summary import (
+    _as_data,
+    _lines,
+    _rejection_lines,
+    next_command,
+    print_failures,
+)
 from salsanext_cli.engines import device
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.formats.kitti import write_labels
 from salsanext_cli.measures.scan_summary import RunSummary
-from salsanext_cli.parallel.run import Outcome
+from salsanext_cli.parallel.run import Failure, Outcome
 from salsanext_cli.results.manifest import Manifest, StageSettings
-from salsanext_cli.results.paths import find_scans
+from salsanext_cli.results.paths import ScanFile, find_scans
 
 
 def test_the_next_commands_lead_from_scans_to_scores(run, data, weights, tmp_path):
@@ -205,3 +211,30 @@ def test_a_long_run_without_bfloat16_names_int8(
     settings = NetworkSettings(weights, precision=given["precision"])
     advice = _advice(settings, Outcome(0, (), given["done"]), tmp_path)
     assert ("--precision int8" in advice) == named
+
+
+def failed(stem, problem, hint=""):
+    """Return the failure of a scan."""
+    path = Path(f"/drive/{stem}.bin")
+    return Failure(ScanFile("00", stem, path), f"{path}: {problem}", hint, "format")
+
+
+def test_equal_failures_of_many_scans_are_one_line_with_their_number(capsys):
+    equal = [failed(f"{number}", "is empty", "copy it") for number in range(8)]
+    print_failures((*equal, failed("x", "is cut off"), failed("y", "is cut off")))
+    first, hint, *others = capsys.readouterr().err.splitlines()
+    assert first == "error: 8 scans: is empty: 00/0, 00/1, 00/2 and 5 more"
+    assert hint == "hint: copy it"
+    assert others == ["error: /drive/x.bin: is cut off", "error: /drive/y.bin: is cut off"]
+
+
+def test_the_line_of_unlabelled_points_states_their_causes():
+    points = np.array([60, 40] + [0] * 18)
+    summary = RunSummary(SMALL, label_space(), class_points=points)
+    summary.unmeasured_points, summary.rejected_points = 30, 20
+    summary.ego_shares.append((0.1, 100))
+    (line,) = (line for line in _lines(summary, None) if line.startswith("unlabelled: "))
+    assert line.startswith("unlabelled: 60.0 % of the points (30.0 % without a measurement; ")
+    assert "; about 10.0 % on " in line
+    assert line.endswith("; 20.0 % rejected)")
+    assert _as_data(Outcome(0, (), 1, summary=summary))["unmeasured_share"] == 0.3

@@ -187,3 +187,11 @@ def test_a_part_is_evaluated_in_a_folder_below(world):
     (world.out / "eval/08/scores.txt").write_text("mine")
     with refused(OutputError, world.out / "eval/08/scores.txt"):
         evaluate(scans[:1], world.out, SPACE, part=part)
+
+
+def test_labels_of_another_data_set_get_a_hint(tmp_path):
+    world = World(tmp_path)
+    world.add("000000", [24] * 50, [ROAD] * 50)
+    with pytest.raises(NoInputError) as caught:
+        world.evaluate()
+    assert "--label-space" in caught.value.hint

@@ -223,3 +223,9 @@ def test_a_page_is_written_to_a_file_and_replaced_only_if_asked(world, tmp_path)
     assert target.read_text() != "mine"
     with refused(OutputError, "page.txt"):
         report(world.out, Path("page.txt"), query=query)
+
+
+def test_a_data_set_is_named_as_such_instead_of_results(world):
+    with refused(NoInputError, world.dataset) as caught:
+        report(world.dataset)
+    assert "salsanext predict" in caught.value.hint

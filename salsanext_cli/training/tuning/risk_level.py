@@ -51,7 +51,7 @@ def require_scans(source: Path, count: int, level: RiskLevel) -> None:
         exceed = 1 - (1 - confidence) ** (1 / max(count, 1))  # Clopper and Pearson's bound
         best = f"{exceed:.0%} of scans above the level, with {100 * confidence:.4g} % confidence"
         option = "a lower --confidence"
-    problem = f"{counted(count, 'scan')} can guarantee no less than {best}"
+    problem = f"{counted(count, 'scan')} cannot guarantee less than {best}"
     hint = f"add scans of other drives, or use {option}"
     raise TrainingError(source, problem, f"{missing} more scans", hint)
 
