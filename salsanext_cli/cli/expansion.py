@@ -11,6 +11,8 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import typer
 
+from salsanext_cli.cli.completion import COMPLETERS
+
 
 class Without(frozenset[str]):
     """Fields that a command does not offer: ``Annotated[RunOptions, Without({"shard"})]``."""
@@ -112,6 +114,9 @@ def _offered(
         kind = declared["typed"] or kind
         shown: dict[str, Any] = {"names": declared["names"] or flag, "metavar": _metavar(kind)}
         shown |= declared["option"] | dict(changes or {})
+        option = next(iter(shown["names"]), f"--{name.replace('_', '-')}")
+        if option in COMPLETERS and get_origin(kind) is not Literal:
+            shown["autocompletion"] = COMPLETERS[option]
         mark = typer.Option(*shown.pop("names"), **shown)
         if declared["parse"]:
             default, kind = None, str | None

@@ -214,7 +214,11 @@ def _fit_of_network(
         gaps = shares[0] if shares else row_gaps(images())
     fitted = replace(sensor, intensity_quantiles=quantiles, row_gaps=gaps)
     if fills_rows(fitted, trained):
-        log.log(NOTICE, "gaps between rows, %.0f %% of their pixels, are filled", 100 * (gaps or 0))
+        share = 100 * (gaps or 0)
+        problem = (
+            "%.0f %% of the image is empty between the rows of the sensor; filled for the network"
+        )
+        log.log(NOTICE, problem, share)
     return fitted
 
 

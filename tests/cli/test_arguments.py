@@ -11,7 +11,9 @@ from typing import Annotated
 import pytest
 from command_line import only_json, parsed
 from scans import SMALL, labels_below, refused, write_weights
+from typer.testing import CliRunner
 
+from salsanext_cli.cli.app import app
 from salsanext_cli.cli.arguments import share
 from salsanext_cli.cli.expansion import Default, Shown, Without, expanded
 from salsanext_cli.engines.settings import NetworkSettings, weights_file
@@ -151,3 +153,26 @@ def test_a_share_above_one_is_answered_by_the_percentage(run):
     with refused(UsageError, "--at-most") as caught:
         share("--at-most", "500%")
     assert not caught.value.hint
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("train data run --recipe fi", ["finetune"]),
+        ("predict a b --sensor hdl64", ["hdl64", "hdl64-512"]),
+        ("predict a b --weights d", ["default"]),
+        ("export-ply a --colour entr", ["entropy"]),
+        ("predict a b --classes coa", ["coarse"]),
+        ("predict a b --precision float", ["float32", "float16"]),
+        ("predict a b --sensor ./mi", []),
+    ],
+)
+def test_values_are_completed(line, expected):
+    words = f"salsanext {line}"
+    environment = {
+        "_SALSANEXT_COMPLETE": "complete_bash",
+        "COMP_WORDS": words,
+        "COMP_CWORD": str(len(words.split()) - 1),
+    }
+    result = CliRunner().invoke(app, [], env=environment, prog_name="salsanext")
+    assert result.stdout.split() == expected
