@@ -113,7 +113,7 @@ def test_every_command_line_parses(monkeypatch):
     for line in sorted(line for line in lines if line.startswith("salsanext ")):
         arguments = shlex.split(line, comments=True)[1:]
         if len(arguments) == 1:
-            assert arguments[0] in WORDS | {"--help", "--version"}
+            assert arguments[0] in WORDS | {"--help", "--version", "--install-completion"}
         elif not {"COMMAND", "[OPTIONS]"} & {*arguments}:
             parse(arguments)
 

@@ -17,13 +17,6 @@ def _sensors() -> Iterable[str]:
     return "auto", *presets()
 
 
-def _recipes() -> Iterable[str]:
-    """Return the names of the built-in recipes."""
-    from salsanext_cli.training.recipe import presets
-
-    return presets()
-
-
 def _colours() -> Iterable[str]:
     """Return the values of the points by which clouds are coloured."""
     from salsanext_cli.results.paths import COLOURS
@@ -38,7 +31,7 @@ def _classes() -> Iterable[str]:
     return *BUILT_IN, *plugged_label_spaces()
 
 
-def _completer(values: Callable[[], Iterable[str]]) -> Callable[[str], list[str]]:
+def completer(values: Callable[[], Iterable[str]]) -> Callable[[str], list[str]]:
     """Return the function that typer calls with the beginning of a value."""
 
     def complete(incomplete: str) -> list[str]:
@@ -48,11 +41,10 @@ def _completer(values: Callable[[], Iterable[str]]) -> Callable[[str], list[str]
 
 
 COMPLETERS = {
-    "--classes": _completer(_classes),
-    "--colour": _completer(_colours),
-    "--label-space": _completer(_classes),
-    "--recipe": _completer(_recipes),
-    "--sensor": _completer(_sensors),
-    "--weights": _completer(_weights),
+    "--classes": completer(_classes),
+    "--colour": completer(_colours),
+    "--label-space": completer(_classes),
+    "--sensor": completer(_sensors),
+    "--weights": completer(_weights),
 }
 """Function that completes a value, by the name of the option; shells complete file names."""

@@ -2,11 +2,13 @@
 """`salsanext train`."""
 
 import shlex
+from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from salsanext_cli.cli import arguments, console
+from salsanext_cli.cli.completion import completer
 from salsanext_cli.cli.console import progress
 from salsanext_cli.cli.interruption import require_uninterrupted
 from salsanext_cli.engines.settings import weights_file
@@ -21,6 +23,13 @@ if TYPE_CHECKING:
     from salsanext_cli.training.recipe import Recipe
 
 
+def _recipes() -> Iterable[str]:
+    """Return the names of the built-in recipes."""
+    from salsanext_cli.training.recipe import presets
+
+    return presets()
+
+
 @option_group
 class Start:
     """Recipe, weights and sensor that a training starts from."""
@@ -29,6 +38,7 @@ class Start:
         "Recipe of the training.",
         default="paper",
         metavar="paper|modern|street|finetune|quick|FILE",
+        autocompletion=completer(_recipes),
     )
     changes: list[str] | None = network_option(
         "Change a key of the recipe; may be given several times.", "--set", metavar="KEY=VALUE"
