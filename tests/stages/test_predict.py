@@ -319,7 +319,7 @@ def test_the_stage_imports_no_part_that_labelling_does_not_need():
     own = {name.split(".")[1] for name in names if name.startswith("salsanext_cli.")}
     others = {"cli", "fusion", "labelling", "report", "synthesis", "training"}
     assert own & others == set()
-    assert {"matplotlib", "open3d", "plyfile", "torch", "yaml"} & {*names} == set()
+    assert {"matplotlib", "open3d", "plyfile", "torch"} & {*names} == set()
 
 
 @pytest.mark.real
