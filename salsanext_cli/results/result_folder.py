@@ -126,6 +126,8 @@ class ResultFolder(Manifest):
         wanted = {key for key in there if sequence in (None, key[0])}
         sequences, known = sorted({name for name, _ in wanted}), self.sources()
         if not sequences:
+            if any(is_folder(folder) for folder in self.root.glob(f"sequences/*/{SCAN_FOLDER}")):
+                raise self._is_data_set()
             problem = "contains no results" if self.root.is_dir() else "no such folder"
             expected = "the output folder of an earlier stage"
             raise NoInputError(self.root, problem, expected, PREDICT.format(out=self.root))
@@ -156,6 +158,11 @@ class ResultFolder(Manifest):
             hint = f"run `salsanext {shlex.join(words)} --overwrite`"
             raise OutputError(self.root, f"is outdated: labels in {out} were replaced", hint=hint)
 
+    def _is_data_set(self) -> NoInputError:
+        """Return the error of a data set that was given as results."""
+        hint = f"run `salsanext predict {shlex.quote(str(self.root))} OUT`, then use OUT"
+        return NoInputError(self.root, "is a data set", "a folder with results", hint)
+
     def _of_sequence(self, sequence: str, source: ScanSource | None) -> list[ScanFile]:
         folder = Path(source.folder) if source else None
         if source and folder and not self.dataset and (is_folder(folder) or recording_of(folder)):
@@ -176,9 +183,8 @@ class ResultFolder(Manifest):
             return find_scans(scan_folder, unique=False)
         if is_folder(root if self.dataset else root / "sequences"):
             return find_scans(root, [sequence], unique=False)
-        if not self.records() and is_folder(self.root / "sequences" / sequence / SCAN_FOLDER):
-            hint = f"salsanext predict {shlex.quote(str(self.root))} OUT, then use OUT"
-            raise NoInputError(self.root, "is a data set", "a folder with results", hint)
+        if is_folder(self.root / "sequences" / sequence / SCAN_FOLDER):
+            raise self._is_data_set()
         problem = f"no scans of it in {self.dataset or folder or root.absolute()}"
         hint = "give with --dataset the folder that contains sequences/"
         raise NoInputError(self.root / "sequences" / sequence, problem, hint=hint)
