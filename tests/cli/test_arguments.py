@@ -132,7 +132,7 @@ def test_a_removed_option_is_an_error_that_names_what_to_use(run, line):
         ("view --port 99999", "--port", "--help"),
         ("train a b --recipe finetun", "recipe finetun", "finetune?"),
         ("train a b --set lr=1", "--set lr=1", "learning_rate?"),
-        ("export-ply a --colour eror", "--colour", "error?"),
+        ("export-ply a --colour epistem", "--colour", "epistemic?"),
     ],
 )
 def test_a_wrong_value_is_answered_by_the_likely_one(run, line, subject_of_error, meant):
