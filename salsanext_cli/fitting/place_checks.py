@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,7 +28,8 @@ class PlaceProblem:
     """Reason to doubt the position of a sensor."""
 
     problem: str
-    remedy: str | None  # Lines of a sensor file; None if the position is unknown
+    remedy: str | None = None  # Lines of a sensor file; None if the position is unknown
+    sensor: Sensor | None = None  # The sensor at its place; None if that is unknown
 
 
 def place_problem(
@@ -58,7 +59,7 @@ def place_problem(
     place = find_place(in_sensor_frame(scan, sensor))
     if place is not None and place.is_elsewhere:
         return _elsewhere(place, sensor)
-    return PlaceProblem(unknown, None) if place is None else None
+    return PlaceProblem(unknown) if place is None else None
 
 
 def _may_be_upside_down(sample: Scan, ground: Ground | None) -> bool:
@@ -79,12 +80,14 @@ def origin_in_file(position: Double, sensor: Sensor) -> list[float]:
 
 def _elsewhere(place: SensorPlace, sensor: Sensor) -> PlaceProblem:
     """Return the problem of a sensor whose place in its supposed frame is known."""
-    remedy = f"origin = {origin_in_file(place.position, sensor)}"
+    origin = origin_in_file(place.position, sensor)
+    remedy = f"origin = {origin}"
+    rotation = upright_rotation(np.asarray(sensor.up))
+    up = (rotation.T @ place.up).round(DIGITS) + 0.0
     if place.up[UPWARDS] < 0:
-        rotation = upright_rotation(np.asarray(sensor.up))
-        up = (rotation.T @ place.up).round(DIGITS) + 0.0
         remedy = f"up = {up.tolist()} and {remedy}"
     x, y, z = place.position
     side = ", upside down" if place.up[UPWARDS] < 0 else ""
     problem = f"the points are seen from ({x:.1f}, {y:.1f}, {z:.1f}) m{side}, not from the origin"
-    return PlaceProblem(problem, remedy)
+    there = replace(sensor, origin=tuple(origin), up=tuple(up.tolist()))
+    return PlaceProblem(problem, remedy, there)

@@ -24,7 +24,11 @@ from salsanext_cli.fitting.place_checks import (
     origin_in_file,
     place_problem,
 )
-from salsanext_cli.fitting.structure_checks import depth_image_findings, structure_findings
+from salsanext_cli.fitting.structure_checks import (
+    ACCUMULATED,
+    depth_image_findings,
+    structure_findings,
+)
 from salsanext_cli.geometry.ground import (
     MAX_TILT_DEG,
     TOLERANCE_M,
@@ -178,13 +182,19 @@ def check_scan(
         fit = AUTO
     ground = ground_of(some)
     misplaced = place_problem(scan, some, ground, sensor)
+    at_place = misplaced.sensor if misplaced and misplaced.sensor else sensor
+    structure = [*structure_findings(scan, at_place)]
+    if ACCUMULATED in {finding.code for finding in structure}:
+        misplaced = None  # Several positions have seen the points: no other one has seen all.
+    elif misplaced and not misplaced.sensor:
+        structure = []  # Seen from elsewhere, any scan looks noisy.
     findings = [
         *_file_findings(scan.notes),
         *_unit_findings(ranges, share),
         *_view_findings(some, sines, sensor, fit),
         *_place_findings(misplaced, fit),
         *([] if misplaced else _ground_findings(ground, sensor, fit)),
-        *([] if misplaced else structure_findings(scan, sensor)),
+        *structure,
         *depth_image_findings(some.points, reason),
     ]
     if trained is not None:

@@ -14,6 +14,7 @@ from salsanext_cli.geometry.beam_origin import sharpness
 from salsanext_cli.records import FieldSplit, Float, Scan
 from salsanext_cli.sensors.sensor import Sensor
 
+ACCUMULATED = "accumulated"  # Code of a scan of several scans or sensors
 MAX_HIDDEN = 0.045
 """Largest share of hidden points; single scans had up to 0.037, ten scans in one 0.062 or more."""
 MAX_ROUGHNESS = 0.015
@@ -52,10 +53,10 @@ def _accumulated_findings(hidden: float, split: FieldSplit | None) -> Iterator[F
     if hidden > MAX_HIDDEN:
         problem = f"{hidden:.1%} of the points lie more than a metre behind others"
         origin = "sensors" if several_sensors else "scans"
-        yield Finding("accumulated", f"{problem}, as in several {origin} at once", _remedy(split))
+        yield Finding(ACCUMULATED, f"{problem}, as in several {origin} at once", _remedy(split))
     elif split is not None and several_sensors:
         problem = f"has the points of {split.count} sensors, by its field {split.field}"
-        yield Finding("accumulated", problem, _remedy(split))
+        yield Finding(ACCUMULATED, problem, _remedy(split))
 
 
 def _remedy(split: FieldSplit | None) -> str:
