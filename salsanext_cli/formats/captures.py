@@ -10,6 +10,7 @@ from pathlib import Path
 from salsanext_cli.errors import FormatError
 from salsanext_cli.files.reading import reading
 from salsanext_cli.formats.packets import PCAPNG, UdpPacket, is_capture, udp_packets
+from salsanext_cli.formats.unread import pcapng_hint
 
 OUSTER = "Ouster"
 VELODYNE = "Velodyne"
@@ -117,8 +118,8 @@ def _maker_of_packet(packet: UdpPacket) -> str:
 def _no_capture_error(path: Path, start: bytes) -> FormatError:
     """Return the error of a file that is no capture, by its first bytes."""
     if start == PCAPNG:
-        hint = f"convert it: `editcap -F pcap {path.name} {path.stem}-converted.pcap`"
-        return FormatError(path, "is a capture in the format pcapng", "the format pcap", hint)
+        problem = "is a capture in the format pcapng"
+        return FormatError(path, problem, "the format pcap", pcapng_hint(path))
     problem = "is not a capture of packets" if start else "is empty"
     return FormatError(path, problem, EXPECTED)
 

@@ -29,7 +29,9 @@ def are_float64(values: Float) -> bool:
     if len(values) % 2:
         return False
     halves = np.ascontiguousarray(_sample(values.reshape(-1, 2)))
-    halves = halves[halves.view("<u4").any(axis=1)]
+    # Values that were not measured, 0 or NaN, show nothing.
+    doubles = halves.view("<f8").ravel()
+    halves = halves[np.isfinite(doubles) & (doubles != 0)]
     if not len(halves):
         return False
     possible = are_possible(halves.view("<f8")).mean() > MIN_POSSIBLE_SHARE_OF_FLOAT64

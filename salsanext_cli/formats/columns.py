@@ -11,7 +11,7 @@ import numpy.typing as npt
 from salsanext_cli.errors import FormatError, counted
 from salsanext_cli.formats.field_names import AxisFields, fields_beside, intensity_among
 from salsanext_cli.formats.split_fields import split_field
-from salsanext_cli.records import FileNotes, Float, Scan, normalised_intensity
+from salsanext_cli.records import Double, FileNotes, Float, Scan, normalised_intensity
 from salsanext_cli.sensors.sensor import MAX_COLUMNS, UNUSED_COLUMN
 
 Columns = Mapping[str, npt.NDArray[Any]]  # Values by name, each (N,)
@@ -48,7 +48,7 @@ def scan_of(
         Number of points that the header of the file states, but that it lacks.
     """
     points = coordinates(columns, path)
-    _require_near_origin(points, path)
+    require_near_origin(points, path)
     require_no_matrix(points, path)
     numbers = _numbers(columns)
     name = intensity_among([*numbers], intensity_field, path)
@@ -119,7 +119,7 @@ def require_no_matrix(points: Float, path: Path) -> None:
             raise FormatError(path, problem, "the points of a scan", "pass the scans themselves")
 
 
-def _require_near_origin(points: Float, path: Path) -> None:
+def require_near_origin(points: Float | Double, path: Path) -> None:
     """Refuse points that are all far from a sensor at the origin."""
     for axis, values in zip("xy", points.T, strict=False):
         if (np.abs(values) <= MAX_DISTANCE_M).any():

@@ -25,7 +25,13 @@ from salsanext_cli.formats.column_evidence import (
     empty_places,
     evident_count,
 )
-from salsanext_cli.formats.columns import names_to_try, require_no_matrix, scan_of, unnamed_columns
+from salsanext_cli.formats.columns import (
+    names_to_try,
+    require_near_origin,
+    require_no_matrix,
+    scan_of,
+    unnamed_columns,
+)
 from salsanext_cli.records import Scan, normalised_intensity
 
 COLUMNS = 4  # x, y, z in metres, remission
@@ -63,6 +69,7 @@ def read_bin(
         named = unnamed_columns(table.values, columns, path)
         scan = scan_of(named, path, intensity_scale, intensity_field)
     else:
+        require_near_origin(table.values[:, :3], path)
         with np.errstate(over="ignore", invalid="ignore"):
             points = np.ascontiguousarray(table.values[:, :3], np.float32)
         scan = Scan(points, normalised_intensity(table.values[:, 3], intensity_scale))
@@ -146,9 +153,10 @@ def _other_count(path: Path, count: int, expected: int) -> FormatError:
 
 
 def count_points(path: Path) -> int:
-    """Return the number of points of a `.bin` file of four columns, from its size."""
-    with reading(path) as file:
-        return size_of(file) // (4 * COLUMNS)
+    """Return the number of points of a `.bin` file of the usual columns, float32 or float64."""
+    width = usual_width(path)
+    values, _ = _read_values(path, width)
+    return len(values) // width
 
 
 def encode_bin(scan: Scan) -> bytes:

@@ -17,9 +17,9 @@ from salsanext_cli.formats.tables.text import BYTE_ORDER_MARK
 from salsanext_cli.formats.tables.text_layout import layout_of
 from salsanext_cli.records import Mask
 
-NUMBERS = re.compile(rb"(?m)^(\s*(?:WIDTH|POINTS|element\s+vertex)\s+)\d+")
+NUMBERS = re.compile(rb"(?mi)^(\s*(?:WIDTH|POINTS|element\s+vertex)\s+)\d+")
 NUMBER_ALONE = re.compile(rb"(?m)^(\s*)\d+(?=\s*$)")
-ROWS_OF_PCD = re.compile(rb"(?m)^(\s*HEIGHT\s+)\d+")
+ROWS_OF_PCD = re.compile(rb"(?mi)^(\s*HEIGHT\s+)\d+")
 COMPRESSED_PCD = re.compile(rb"(?mi)^(\s*DATA\s+binary)_compressed")
 END_OF_PLY = re.compile(rb"end_header(?:\r\n|\r|\n)")
 Subset = Callable[[Mask], bytes]

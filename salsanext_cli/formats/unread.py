@@ -38,10 +38,16 @@ def conversion_hint(path: Path) -> str:
     if kind in ARCHIVES:
         return "unpack it, and give the folder"
     if kind == PCAPNG:
-        file = shlex.quote(str(path))
-        target = shlex.quote(str(path.with_suffix(".pcap")))
-        return f"convert it: `editcap -F pcap {file} {target}`"
+        return pcapng_hint(path)
     return "decompress it with gunzip" if kind == GZIP else OTHERWISE
+
+
+def pcapng_hint(path: Path) -> str:
+    """Return the command that converts a capture in the format pcapng, whatever its suffix."""
+    target = path.with_suffix(".pcap")
+    if target == path:
+        target = path.with_name(f"{path.stem}-converted.pcap")
+    return f"convert it: `editcap -F pcap {shlex.quote(str(path))} {shlex.quote(str(target))}`"
 
 
 def folder_hint(folder: Path, names: Sequence[str]) -> str:

@@ -155,7 +155,6 @@ UNUSUAL = {
     "two thirds zeros": np.where(np.random.default_rng(1).random((3000, 1)) < 2 / 3, 0, TABLE),
     "one plane": TABLE * [1, 1, 0, 1],
     "millimetres": TABLE * 1000,
-    "UTM": TABLE + [5e5, 5.6e6, 0, 0],
     "one point": TABLE[:1],
 }
 
@@ -166,6 +165,28 @@ def test_unusual_points_are_read(tmp_path, name):
     table = UNUSUAL[name].astype("<f4")
     path.write_bytes(table.tobytes())
     np.testing.assert_array_equal(kitti.read_bin(path).points, table[:, :3])
+
+
+@pytest.mark.parametrize("columns", [(), ("x", "y", "z", "intensity")])
+@pytest.mark.parametrize("kind", ["<f4", "<f8"])
+@pytest.mark.parametrize("origin", [(15e3, 0, 0), (5e5, 5.6e6, 300)])
+def test_map_coordinates_are_refused(tmp_path, columns, kind, origin):
+    path = tmp_path / "s.bin"
+    path.write_bytes((TABLE + [*origin, 0]).astype(kind).tobytes())
+    with pytest.raises(FormatError, match="map coordinates: x from") as caught:
+        kitti.read_bin(path, columns=columns)
+    assert "subtract" in caught.value.hint
+
+
+@pytest.mark.parametrize("share", [0, 0.2, 0.6])
+@pytest.mark.parametrize("kind", ["<f4", "<f8"])
+def test_points_that_were_not_measured_leave_the_type_evident(tmp_path, kind, share):
+    path = tmp_path / "s.bin"
+    table = TABLE.astype(kind).round(3)
+    table[np.random.default_rng(0).random(len(table)) < share] = np.nan
+    path.write_bytes(table.tobytes())
+    np.testing.assert_array_equal(kitti.read_bin(path).points, table[:, :3].astype("f4"))
+    assert kitti.count_points(path) == len(table)
 
 
 def test_any_columns(tmp_path):

@@ -51,6 +51,7 @@ MADE = {
     "a.bin": lambda keep: TABLE[keep].tobytes(),
     "a.pcd.bin": lambda keep: np.column_stack([TABLE, TABLE[:, 0]])[keep].tobytes(),
     "ascii.pcd": lambda keep: PCD.format(keep.sum()).encode() + b"ascii\n" + text(keep),
+    "lower.pcd": lambda keep: PCD.lower().format(keep.sum()).encode() + b"ascii\n" + text(keep),
     "binary.pcd": lambda keep: PCD.format(keep.sum()).encode() + b"binary\n" + packed(keep),
     "ascii.ply": lambda keep: PLY.format(keep.sum(), "ascii", "int").encode() + text(keep),
     "binary.ply": lambda keep: (
@@ -99,6 +100,15 @@ def test_other_elements_and_missing_points_are_refused(tmp_path):
     (tmp_path / "cut.pcd").write_bytes(MADE["binary.pcd"](KEEP | True)[:-1])
     with pytest.raises(LabelError, match="59 points"):
         subsets_of(tmp_path / "cut.pcd")(KEEP)
+
+
+def test_an_organised_cloud_with_lower_case_keywords_becomes_one_row(tmp_path):
+    head = PCD.lower().format(60).replace("width 60\nheight 1", "width 30\nheight 2")
+    path, target = tmp_path / "organised.pcd", tmp_path / "kept.pcd"
+    path.write_bytes(head.encode() + b"binary\n" + packed(KEEP | True))
+    target.write_bytes(subsets_of(path)(KEEP))
+    assert f"width {KEEP.sum()}\nheight 1\n".encode() in target.read_bytes()
+    np.testing.assert_array_equal(read_scan(target).points, SCAN.points[KEEP])
 
 
 def test_real_files(real_data, tmp_path):

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Captures of packets: the maker of the sensor, and the clouds of Velodyne's."""
 
+import shlex
 import sys
 
 import numpy as np
@@ -74,6 +75,15 @@ def test_captures_without_a_known_sensor_are_refused_unless_metadata_say_ouster(
     assert "damaged" not in caught.value.problem
     (tmp_path / "drive_0.json").write_text("{}")
     assert maker_of(path) == OUSTER
+
+
+def test_the_command_that_converts_a_capture_is_quoted_and_spares_the_capture(tmp_path):
+    path = tmp_path / "my drive.pcap"
+    path.write_bytes(b"\x0a\x0d\x0d\x0a" + bytes(500))
+    with pytest.raises(FormatError) as caught:
+        find_scans(path)
+    words = shlex.split(caught.value.hint.split("`")[1])
+    assert words == ["editcap", "-F", "pcap", str(path), str(tmp_path / "my drive-converted.pcap")]
 
 
 @pytest.mark.parametrize(
