@@ -38,6 +38,7 @@ class FieldName:
 
     plain: str  # In lower case, without prefix and unit
     unit: str  # In lower case; empty without one
+    group: str = ""  # In lower case, what stands before the last point, as in ``velocity.x``
 
     @classmethod
     def parsed(cls, name: str) -> Self:
@@ -47,8 +48,10 @@ class FieldName:
             return cls(plain, unit)
         if match := UNIT.fullmatch(plain) or UNIT_OF_AXIS.fullmatch(plain):
             plain, unit = match[1], match[2].strip()
-        plain = plain.rpartition(".")[2] or plain
-        return cls("_".join(plain.removeprefix(PREFIX).split()), unit)
+        group, _, last = plain.rpartition(".")
+        if last:
+            plain = last
+        return cls("_".join(plain.removeprefix(PREFIX).split()), unit, group)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,16 +64,18 @@ class AxisFields:
     @classmethod
     def among(cls, names: Sequence[str], path: object) -> Self:
         """Find the coordinates among the names of a file."""
-        plain = _by_plain_name(names)
-        for style in AXIS_STYLES:
-            wanted = [style.format(axis=axis, place=i) for i, axis in enumerate(AXES)]
-            if all(name in plain for name in wanted):
-                axes = tuple(plain[name] for name in wanted)
-                if style != AXIS_STYLES[0]:
-                    notice_once(f"columns {', '.join(axes)} are read as x, y, z")
-                return cls(axes, tuple(_metres(name, path) for name in axes))
-        missing = [axis for axis in AXES if axis not in plain]
-        raise FormatError(path, f"has columns {listed(names)}", f"also {', '.join(missing)}")
+        by_group = _axes_by_group(names)
+        if not by_group:
+            plain = _by_plain_name(names)
+            missing = [axis for axis in AXES if axis not in plain] or ["x, y, z of one prefix"]
+            raise FormatError(path, f"has columns {listed(names)}", f"also {', '.join(missing)}")
+        axes = by_group.get("") or next(iter(by_group.values()))
+        if "" not in by_group and len(by_group) > 1:
+            problem = f"has coordinates of several prefixes: {listed(by_group)}"
+            raise FormatError(path, problem, "one", f"rename {', '.join(axes)} to x, y, z")
+        if tuple(FieldName.parsed(name).plain for name in axes) != AXES:
+            notice_once(f"columns {', '.join(axes)} are read as x, y, z")
+        return cls(axes, tuple(_metres(name, path) for name in axes))
 
 
 def _metres(name: str, path: object) -> float:
@@ -85,16 +90,42 @@ def _metres(name: str, path: object) -> float:
 
 def has_axes(names: Sequence[str]) -> bool:
     """Return whether names contain those of x, y and z."""
+    return bool(_axes_by_group(names))
+
+
+def has_bare_axes(names: Sequence[str]) -> bool:
+    """Return whether names contain those of x, y and z without anything before a point."""
+    return "" in _axes_by_group(names)
+
+
+def _axes_by_group(names: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """Return the names of the coordinates by their group; the empty group has none."""
+    groups: dict[str, list[str]] = {}
+    for name in names:
+        groups.setdefault(FieldName.parsed(name).group, []).append(name)
+    axes = {group: _axes_of(members) for group, members in groups.items()}
+    return {group: names_of_axes for group, names_of_axes in axes.items() if names_of_axes}
+
+
+def _axes_of(names: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of the coordinates in the first style that is complete; empty for none."""
     plain = _by_plain_name(names)
-    styles = ([style.format(axis=a, place=i) for i, a in enumerate(AXES)] for style in AXIS_STYLES)
-    return any(all(name in plain for name in style) for style in styles)
+    for style in AXIS_STYLES:
+        wanted = [style.format(axis=axis, place=i) for i, axis in enumerate(AXES)]
+        if all(name in plain for name in wanted):
+            return tuple(plain[name] for name in wanted)
+    return ()
 
 
 def intensity_among(names: Sequence[str], requested: str, path: object) -> str | None:
     """Return the name of the intensity: the requested one, else a usual one; None without any."""
     if not requested:
-        plain = _by_plain_name(names)
-        return next((plain[name] for name in INTENSITY_NAMES if name in plain), None)
+        bare = _by_plain_name(name for name in names if not FieldName.parsed(name).group)
+        # A name without a group takes precedence, whichever of the usual ones it is.
+        fields = [
+            plain.get(name) for plain in (bare, _by_plain_name(names)) for name in INTENSITY_NAMES
+        ]
+        return next(filter(None, fields), None)
     # The exact name takes precedence over one that differs in case, prefix or unit.
     for same in (str, str.lower, lambda name: FieldName.parsed(name).plain):
         fitting = [name for name in names if same(name) == same(requested)]
@@ -118,8 +149,21 @@ def listed(names: Iterable[str]) -> str:
 
 
 def _by_plain_name(names: Iterable[str]) -> dict[str, str]:
-    """Return names by their plain ones; the first of several takes precedence."""
+    """Return names by their plain ones.
+
+    Of several, the plain one itself takes precedence, then one without a prefix, then the first.
+    """
     plain: dict[str, str] = {}
-    for name in names:
+    for name in sorted(names, key=_difference):
         plain.setdefault(FieldName.parsed(name).plain, name)
     return plain
+
+
+def _difference(name: str) -> int:
+    """Return how much a name differs from its plain one, for sorting."""
+    parsed = FieldName.parsed(name)
+    if name == parsed.plain:
+        return 0
+    if parsed.group:
+        return 3
+    return 2 if name.lower().startswith(PREFIX) else 1

@@ -17,7 +17,13 @@ from numpy.lib import format as npy
 from salsanext_cli.errors import FormatError, first_few, notice_once, shortened
 from salsanext_cli.files.reading import read_values, reading, refusing_damage, size_of
 from salsanext_cli.formats.columns import Columns, columns_of_width, unnamed_columns
-from salsanext_cli.formats.field_names import INTENSITY_NAMES, FieldName, fields_beside, has_axes
+from salsanext_cli.formats.field_names import (
+    INTENSITY_NAMES,
+    FieldName,
+    fields_beside,
+    has_axes,
+    has_bare_axes,
+)
 from salsanext_cli.records import Float, Mask
 
 MAX_HEADER_BYTES = 1024  # Largest header; that of an array with a few dimensions has 128
@@ -131,7 +137,7 @@ def npz_columns(path: Path, names: tuple[str, ...]) -> Columns:
             del single["intensity"]
             notice_once("integers in arr_3 are ignored; name them with --columns if they are used")
         notice_once(f"arrays without names are read as {', '.join(single)}")
-    elif not has_axes([*single]):
+    elif not has_bare_axes([*single]) and (_tables(arrays) or not has_axes([*single])):
         table = _columns(_table(arrays, path), names, path)
         if not names and [*table] == ["x", "y", "z"]:
             single = _beside_points(single, len(table["x"]))
@@ -195,13 +201,18 @@ def _is_column(values: npt.NDArray[Any]) -> bool:
     return values.dtype.kind in "iuf" and (values.ndim == 1 or values.shape[1:] == (1,))
 
 
-def _table(arrays: Arrays, path: Path) -> npt.NDArray[Any]:
-    """Return the only table of an archive, else the one with a usual name."""
-    tables = {
+def _tables(arrays: Arrays) -> Arrays:
+    """Return the arrays of an archive that can be tables of points."""
+    return {
         name: values
         for name, values in arrays.items()
         if values.dtype.names or (values.ndim == 2 and not _is_column(values))
     }
+
+
+def _table(arrays: Arrays, path: Path) -> npt.NDArray[Any]:
+    """Return the only table of an archive, else the one with a usual name."""
+    tables = _tables(arrays)
     if len(tables) > 1:
         tables = {name: values for name, values in tables.items() if name in TABLE_NAMES}
     if len(tables) != 1:

@@ -8,12 +8,12 @@ from dataclasses import replace
 import bags
 import numpy as np
 import pytest
-from scans import SMALL, make_scan
+from scans import SMALL, make_scan, refused
 
 from salsanext_cli import read_scan, write_ply
 from salsanext_cli.errors import FormatError
 from salsanext_cli.fitting.scan_checks import check_scan
-from salsanext_cli.formats.field_names import INTENSITY_NAMES, intensity_among
+from salsanext_cli.formats.field_names import INTENSITY_NAMES, AxisFields, intensity_among
 from salsanext_cli.results.paths import find_scans
 
 SCAN = make_scan(300)
@@ -95,6 +95,57 @@ def test_usual_names_need_no_option(name, spelling):
     written = spelling.format(name.title())
     assert intensity_among(["x", "ring", written], "", "s.csv") == written
     assert intensity_among(["x", "ring", f"{name}_filter"], "", "s.csv") is None
+
+
+@pytest.mark.parametrize(
+    ("names", "axes"),
+    [
+        ("velocity.x velocity.y velocity.z x y z", "x y z"),
+        ("velocity.x velocity.y velocity.z x1 y1 z1", "x1 y1 z1"),
+        ("X Y Z x y z", "x y z"),
+        ("scalar_x scalar_y scalar_z X Y Z", "X Y Z"),
+        ("lidar.x lidar.y lidar.z i", "lidar.x lidar.y lidar.z"),
+    ],
+)
+def test_exact_names_of_coordinates_precede_bare_ones_and_prefixed_ones_are_last(names, axes):
+    for order in (names.split(), names.split()[::-1]):
+        assert AxisFields.among(order, "s.csv").names == tuple(axes.split())
+
+
+@pytest.mark.parametrize(
+    "names", ["a.x a.y a.z b.x b.y b.z", "a.x b.y c.z", "velocity.x y z", "normal.x"]
+)
+def test_coordinates_of_several_prefixes_are_refused(names):
+    refused(FormatError, "s.csv", AxisFields.among, names.split(), "s.csv")
+
+
+@pytest.mark.parametrize(
+    ("names", "intensity"),
+    [
+        ("noise.intensity intensity", "intensity"),
+        ("noise.intensity Intensity intensity", "intensity"),
+        ("noise.intensity reflectivity", "reflectivity"),
+        ("scalar_intensity Intensity", "Intensity"),
+        ("noise.intensity ring", "noise.intensity"),
+    ],
+)
+def test_exact_names_of_the_intensity_precede_prefixed_ones(names, intensity):
+    for order in (names.split(), names.split()[::-1]):
+        assert intensity_among(order, "", "s.csv") == intensity
+
+
+def test_attributes_beside_a_table_are_no_coordinates(tmp_path):
+    path = tmp_path / "s.npz"
+    attributes = {f"pcloud_attr.{axis}": np.zeros(300, np.float32) for axis in "xyz"}
+    echo = {"pcloud_attr.reflectance": ECHO.astype("f4")}
+    np.savez(path, **attributes, pcloud_points=SCAN.points, **echo)
+    scan = read_scan(path)
+    np.testing.assert_array_equal(scan.points, SCAN.points)
+    np.testing.assert_array_equal(scan.intensity, ECHO)
+    records = np.rec.fromarrays([0 * X, 0 * X, 0 * X, X, Y, Z], names="a,b,c,x,y,z")
+    records.dtype.names = ("normal.x", "normal.y", "normal.z", "x", "y", "z")
+    np.save(tmp_path / "s.npy", records)
+    np.testing.assert_array_equal(read_scan(tmp_path / "s.npy").points, SCAN.points)
 
 
 def test_clouds_of_bags_have_names_too(tmp_path):
