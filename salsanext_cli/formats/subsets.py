@@ -14,7 +14,7 @@ from salsanext_cli.errors import FormatError, LabelError, counted
 from salsanext_cli.files.reading import reading, refusing_damage
 from salsanext_cli.formats import errors_of_plug_ins, format_of, kitti, npy, pcd, ply
 from salsanext_cli.formats.tables.text import BYTE_ORDER_MARK
-from salsanext_cli.formats.tables.text_layout import layout_of
+from salsanext_cli.formats.tables.text_layout import layout_of, without_comments
 from salsanext_cli.records import Mask
 
 NUMBERS = re.compile(rb"(?mi)^(\s*(?:WIDTH|POINTS|element\s+vertex)\s+)\d+")
@@ -99,7 +99,8 @@ def text_subset(path: Path, _: tuple[str, ...]) -> Subset:
         layout = layout_of(content[mark:])
     start = mark + layout.start
     number = NUMBERS if layout.count is None else NUMBER_ALONE
-    return _rows_subset(path, content[:start], content[start:], 0, number)
+    body = without_comments(content[start:])
+    return _rows_subset(path, content[:start], body, 0, number)
 
 
 def _content(path: Path) -> bytes:

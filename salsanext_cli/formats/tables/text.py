@@ -3,11 +3,10 @@
 
 import io
 import re
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError, notice_once, shortened
 from salsanext_cli.files.reading import reading
@@ -15,13 +14,17 @@ from salsanext_cli.formats.columns import Columns, scan_of
 from salsanext_cli.formats.field_names import AxisFields, intensity_among, listed
 from salsanext_cli.formats.kitti import CONTROL, TEXT_BYTES
 from salsanext_cli.formats.tables.text_layout import (
+    COMMENT_MARKS,
     EMPTY_CELLS,
     EXPECTED,
-    LEICA_SUFFIX,
+    MARKS,
+    TAB,
     Layout,
     is_empty,
     is_number,
     layout_of,
+    stripped,
+    without_comments,
     words_of,
 )
 from salsanext_cli.records import Double, Scan
@@ -30,8 +33,17 @@ from salsanext_cli.sensors.sensor import UNUSED_COLUMN
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 DECIMAL_COMMA = re.compile(rb'(?:^|[;\s"])-?\d*,\d+(?:[;\s"]|$)')
 """Number with a comma between blanks or semicolons, which separate the columns."""
-LEICA_OFFSETS = (128, 2048)
-"""Offsets of the intensities of Leica's files: from -128 to 127, and from -2048 to 2047."""
+
+
+EMPTY_ROW = re.compile(rb"(?m)^\t+\r?$")  # Row of a table whose cells are separated by tabs
+
+
+@dataclass(frozen=True, slots=True)
+class TextTable:
+    """Columns of a table of text."""
+
+    columns: tuple[str, ...]  # All names
+    values: Columns  # Coordinates and intensity by name, (N,) float64
 
 
 def read_text(
@@ -43,23 +55,39 @@ def read_text(
     if CONTROL.search(content[:TEXT_BYTES]):
         raise FormatError(path, "is not text", "a point per line, in ASCII or UTF-8")
     try:
-        layout = layout_of(content)
-        columns = layout.columns(names, path)
-        if layout.names and names and _lower(layout.names) != names:
-            notice_once("--columns is ignored for files whose first line names the columns")
-        used = _used_fields(columns, intensity_field, path)
-        table = _numbers(content, layout, tuple(used.values()))
-        if layout.count not in (None, len(table)):
-            raise ValueError(f"has {len(table)} of the {layout.count} points in its first line")
+        table = _text_table(content, names, intensity_field, path)
     except ValueError as error:
         require_decimal_points(content, path)
         raise FormatError(path, shortened(str(error)), EXPECTED) from error
-    values: Columns = dict(zip(used, table.T, strict=True))
-    is_leica = path.suffix.lower() == LEICA_SUFFIX and not (layout.names or names)
-    if is_leica and "intensity" in values:
-        values = {**values, "intensity": _from_zero(values["intensity"])}
-    unread = [name for name in columns if name not in used and name != UNUSED_COLUMN]
-    return scan_of(values, path, intensity_scale, intensity_field, unread=unread)
+    unread = [name for name in table.columns if name not in table.values and name != UNUSED_COLUMN]
+    return scan_of(table.values, path, intensity_scale, intensity_field, unread=unread)
+
+
+def _text_table(
+    content: bytes, names: tuple[str, ...], intensity_field: str, path: Path
+) -> TextTable:
+    """Read a table of text; tabs are blanks unless empty cells stand between them."""
+    if not EMPTY_ROW.search(content):
+        try:
+            return _table_of(content, layout_of(content), names, intensity_field, path)
+        except ValueError:
+            if TAB.encode() not in content:
+                raise
+    return _table_of(content, layout_of(content, MARKS + TAB), names, intensity_field, path)
+
+
+def _table_of(
+    content: bytes, layout: Layout, names: tuple[str, ...], intensity_field: str, path: Path
+) -> TextTable:
+    """Read the table of a layout; refuse one with other lines than the layout."""
+    columns = layout.columns(names, path)
+    if layout.names and names and _lower(layout.names) != names:
+        notice_once("--columns is ignored for files whose first line names the columns")
+    used = _used_fields(columns, intensity_field, path)
+    table = _numbers(content, layout, tuple(used.values()))
+    if layout.count not in (None, len(table)):
+        raise ValueError(f"has {len(table)} of the {layout.count} points in its first line")
+    return TextTable(columns, dict(zip(used, table.T, strict=True)))
 
 
 def _lower(names: tuple[str, ...]) -> tuple[str, ...]:
@@ -76,17 +104,6 @@ def _used_fields(columns: tuple[str, ...], intensity_field: str, path: Path) -> 
     return {name: columns.index(name) for name in names}
 
 
-def _from_zero(intensity: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return intensities of Leica's files (N,), which may be negative, counted from 0."""
-    known = intensity[np.isfinite(intensity)]
-    if len(known) and known.min() < 0 and (known == np.rint(known)).all():
-        for offset in LEICA_OFFSETS:
-            if -offset <= known.min() and known.max() < offset:
-                notice_once(f"intensities from -{offset} in .pts files are counted from 0")
-                return intensity + offset
-    return intensity
-
-
 def require_decimal_points(content: bytes, path: Path) -> None:
     """Refuse text with a decimal comma."""
     if match := DECIMAL_COMMA.search(content):
@@ -97,7 +114,7 @@ def require_decimal_points(content: bytes, path: Path) -> None:
 
 def _numbers(content: bytes, layout: Layout, used: tuple[int, ...]) -> Double:
     """Return the used columns of the table, (N, len(used)) float64; NaN for an empty cell."""
-    body = content[layout.start :]
+    body = without_comments(content[layout.start :])
     if not body.strip():
         return np.empty((0, len(used)))
     try:
@@ -107,11 +124,12 @@ def _numbers(content: bytes, layout: Layout, used: tuple[int, ...]) -> Double:
             table = _loaded(_with_nan(body, layout.delimiter), layout, used)
         except ValueError:
             raise ValueError(_first_fault(content, layout, used)) from error
-    width: float = table.shape[1]
+    widths = {table.shape[1]}
     if layout.delimiter:
-        width = 1 + body.count(layout.delimiter.encode()) / len(table)
-    if width != layout.width:
-        raise ValueError(f"has lines of more or fewer than {layout.width} columns")
+        mark = layout.delimiter.encode()
+        widths = {1 + line.count(mark) for line in body.splitlines() if line.strip()}
+    if widths != {layout.width}:
+        raise ValueError(_first_fault(content, layout, used))
     return table if layout.delimiter else table[:, used]
 
 
@@ -132,7 +150,8 @@ def _with_nan(body: bytes, delimiter: str | None) -> bytes:
     words = "|".join(sorted(filter(None, EMPTY_CELLS), key=len, reverse=True))
     pattern = rf"(?i)(?<!\S)(?:{words})(?!\S)"
     if delimiter is not None:
-        mark, empty = re.escape(delimiter), rf'[ \t]*+"?(?:{words})?"?[ \t]*+'
+        blank = "[ ]" if delimiter == TAB else r"[ \t]"
+        mark, empty = re.escape(delimiter), rf'{blank}*+"?(?:{words})?"?{blank}*+'
         # A line without a delimiter is blank.
         pattern = rf"(?im)(?:(?<={mark}){empty}(?={mark}|\r?$)|^{empty}(?={mark}))"
     return re.sub(pattern.encode(), b"nan", body)
@@ -142,12 +161,12 @@ def _first_fault(content: bytes, layout: Layout, used: tuple[int, ...]) -> str:
     """Return a description of the first line that differs from the layout."""
     before = content[: layout.start].count(b"\n")
     lines = content[layout.start :].decode("latin-1").split("\n")
-    for number, line in enumerate(map(str.strip, lines), before + 1):
-        words = words_of(line, layout.delimiter)
-        if line and len(words) != layout.width:
-            return f"line {number} has {len(words)} columns, not {layout.width}"
-        if not line:
+    for number, line in enumerate(lines, before + 1):
+        if not line.strip() or line.lstrip().startswith(COMMENT_MARKS):
             continue
+        words = words_of(stripped(line, layout.delimiter), layout.delimiter)
+        if len(words) != layout.width:
+            return f"line {number} has {len(words)} columns, not {layout.width}"
         wrong = [words[i] for i in used if not is_number(words[i]) and not is_empty(words[i])]
         if wrong:
             return f"line {number} has {shortened(wrong[0])!r} instead of a number"

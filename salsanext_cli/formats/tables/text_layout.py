@@ -4,6 +4,7 @@
 Programs name the columns in the first line, or in a comment; Leica's `.pts` has fixed ones.
 """
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +13,9 @@ from salsanext_cli.formats.columns import MAX_UNNAMED_COLUMNS, columns_of_width,
 from salsanext_cli.formats.field_names import AXES, has_axes
 
 COMMENT_MARKS = ("#", "//", "%")
+COMMENT_LINE = re.compile(rb"(?m)^[ \t]*(?:#|//|%).*(?:\n|\Z)")
+TAB = "\t"
+MARKS = ";,"  # Characters between values, in order of precedence
 MAX_HEADER_BYTES = 1 << 16
 EXPECTED = "a point per line, with the same number of columns"
 LEICA_SUFFIX = ".pts"
@@ -51,14 +55,18 @@ class Layout:
         return columns_of_width(self.width, (), path)
 
 
-def layout_of(content: bytes) -> Layout:
-    """Return the layout from the first point, after a header or a number and further text."""
+def layout_of(content: bytes, marks: str = MARKS) -> Layout:
+    """Return the layout from the first point, after a header or a number and further text.
+
+    `marks` are the characters that may stand between values; without one, blanks and tabs do.
+    """
     at, names, count = 0, tuple[str, ...](), None
     while at < min(len(content), MAX_HEADER_BYTES):
         end = content.find(b"\n", at) + 1 or len(content)
-        line = content[at:end].decode("utf-8", "replace").strip()
-        delimiter = next((mark for mark in ";," if mark in line), None)
-        words = words_of(line, delimiter)
+        text = content[at:end].decode("utf-8", "replace")
+        line = text.strip()
+        delimiter = _delimiter_of(stripped(text, TAB), marks)
+        words = words_of(stripped(text, delimiter), delimiter)
         if line.startswith(COMMENT_MARKS):
             comment = words_of(line.lstrip("#/% \t"), delimiter)
             names = comment if has_axes(comment) else names
@@ -78,10 +86,27 @@ def layout_of(content: bytes) -> Layout:
     raise ValueError("has no points")
 
 
+def _delimiter_of(line: str, marks: str) -> str | None:
+    """Return the first of the marks in a line; None for blanks."""
+    return next((mark for mark in marks if mark in line), None)
+
+
+def stripped(line: str, delimiter: str | None) -> str:
+    """Return a line without surrounding blanks; tabs that separate cells stay."""
+    return line.strip(" \r\n") if delimiter == TAB else line.strip()
+
+
+def without_comments(body: bytes) -> bytes:
+    """Return the lines of points without the comments between them."""
+    if any(mark.encode() in body for mark in COMMENT_MARKS):
+        return COMMENT_LINE.sub(b"", body)
+    return body
+
+
 def _is_followed(content: bytes, delimiter: str | None, width: int) -> bool:
     """Return whether the first line of a content is a row of as many columns."""
     line = content[:MAX_HEADER_BYTES].lstrip().partition(b"\n")[0].decode("utf-8", "replace")
-    words = words_of(line.strip(), delimiter)
+    words = words_of(stripped(line, delimiter), delimiter)
     return len(words) == width and is_row(words, are_counted=False)
 
 

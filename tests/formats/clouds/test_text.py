@@ -11,6 +11,7 @@ from scans import SMALL, named_by_hint, refused
 
 from salsanext_cli import read_scan
 from salsanext_cli.errors import NOTICE, FormatError, notice_once
+from salsanext_cli.formats.subsets import subsets_of
 
 ROWS = [[1.5, -2.0, 3e-3, 0.25], [4.0, 5.0, -6.0, 1.0]]
 TABLES = {
@@ -77,6 +78,8 @@ CELLS = {
     "semicolons": "1.5;-2;3e-3;.25\n ; ; ;\n4;5;-6;1\n",
     "words": "x,y,z,i\r\n1.5,-2,3e-3,.25\r\nNA,null,None,N/A\r\n4,5,-6,1\r\n",
     "blanks": "x y z i\n1.5 -2 3e-3 .25\nNA NaN null NA\n4 5 -6 1\n",
+    "tabs": "x\ty\tz\ti\n1.5\t-2\t3e-3\t.25\n\t\t\t\n4\t5\t-6\t1\n",
+    "tabs and words": "1.5\t-2\t3e-3\t.25\r\n\tNA\t\t\r\n4\t5\t-6\t1\r\n",
     "quotes": '"x","y","z","i"\n"1.5","-2","3e-3",".25"\n"","","",""\n4,5,-6,1\n\n',
 }
 
@@ -102,16 +105,36 @@ def test_a_first_row_without_a_measurement_is_no_header(tmp_path):
 LEICA = np.array([[1, -2, 3, -119, 10, 20, 30], [4, 5, -6, 96, 0, 255, 128]])
 
 
-@pytest.mark.parametrize(("least", "offset"), [(-119, 128), (-2048, 2048), (0, 0)])
-def test_points_of_leica(tmp_path, least, offset):
-    """The seven columns are fixed, and the intensity is counted from a negative number."""
+@pytest.mark.parametrize("separator", ["\t", " \t", "\t\t"])
+def test_tabs_beside_blanks_align_values(tmp_path, separator):
+    path = tmp_path / "s.txt"
+    path.write_text("".join("\t" + separator.join(map(str, row)) + "\t\n" for row in ROWS))
+    np.testing.assert_array_equal(read_scan(path).points, np.float32(ROWS)[:, :3])
+
+
+@pytest.mark.parametrize("mark", ["#", "//", "%"])
+@pytest.mark.parametrize("delimiter", [" ", ",", "\t"])
+def test_comments_between_points_are_skipped_and_filtered(tmp_path, mark, delimiter):
+    path, kept = tmp_path / "s.csv", tmp_path / "kept.csv"
+    lines = [delimiter.join(map(str, row)) for row in ROWS]
+    path.write_text("\n".join(["x y z i".replace(" ", delimiter), f"{mark} of, a test", lines[0]]))
+    with path.open("a") as file:
+        file.write(f"\n  {mark} turn 2\n{lines[1]}\n{mark} end")
+    np.testing.assert_array_equal(read_scan(path).points, np.float32(ROWS)[:, :3])
+    kept.write_bytes(subsets_of(path)(np.array([False, True])))
+    np.testing.assert_array_equal(read_scan(kept).points, np.float32(ROWS)[1:, :3])
+
+
+@pytest.mark.parametrize("least", [-119, -2048, 0])
+def test_points_of_leica(tmp_path, least):
+    """The seven columns are fixed, and equal intensities of several files stay equal."""
     path, rows = tmp_path / "s.pts", LEICA.copy()
     rows[0, 3] = least
     text = "2\n" + "".join(" ".join(map(str, row)) + "\n" for row in rows.tolist())
     path.write_text(text)
     scan = read_scan(path)
     np.testing.assert_array_equal(scan.points, rows[:, :3])
-    np.testing.assert_array_equal(scan.intensity, rows[:, 3] + offset)
+    np.testing.assert_array_equal(scan.intensity, rows[:, 3])
     path.write_text("2\n" + "".join(f"{x} {y} {z} 9 8 7\n" for x, y, z, *_ in rows.tolist()))
     np.testing.assert_array_equal(read_scan(path).points, rows[:, :3])
     assert not read_scan(path).intensity.any()
@@ -168,7 +191,9 @@ def test_other_text_is_refused(tmp_path):
         ("9" * 5000 + "\n1 2 3 4\n", "Exceeds the limit"),
         ("1 2 3 255 0 0\n", "6 columns without names"),
         ("1 2 3 4\n5 6 7\n", "line 2 has 3 columns, not 4"),
-        ("x,y,z,i\n1,2,3,4\n5,6,7,8,9\n", "more or fewer than 4 columns"),
+        ("x,y,z,i\n1,2,3,4\n5,6,7,8,9\n", "line 3 has 5 columns, not 4"),
+        ("x,y,z,i\n1,2,3,4\n5,6,7\n1,2,3,4,5\n", "line 3 has 3 columns, not 4"),
+        ("x\ty\tz\ti\n1\t2\t\t4\n5\t6\t7\n", "line 3 has 3 columns, not 4"),
         ("1;2;3;4\n5;6;-;8\n", "line 2 has '-'"),
         ("1 2 3 4\n5 6 no 8\n", "line 2 has 'no'"),
         ("x (deg),y (deg),z\n1,2,3\n", "x (deg), of an unknown unit"),
