@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from salsanext_cli.errors import FormatError, NoInputError, error_text
+from salsanext_cli.errors import FormatError, NoInputError, counted, error_text, notice_once
 from salsanext_cli.files.optional_packages import import_extra
 from salsanext_cli.files.reading import reading, refusing_damage
 from salsanext_cli.formats.captures import VELODYNE_BYTES
@@ -24,6 +24,7 @@ from salsanext_cli.formats.packets import UdpPacket, is_cut, udp_packets
 EXPECTED = "a capture of Velodyne sensors"
 REVOLUTION_ENDS_DEG = 20.0  # A new revolution begins where the azimuth falls by more
 AZIMUTHS_PER_DEG = 100
+MIN_SPAN = 0.9  # Least share of the largest angle that a revolution of the sensor spans
 PROBED_PACKETS = 5  # Of a sensor, whose last bytes show whether it is an HDL-64E
 
 log = logging.getLogger(__name__)
@@ -34,8 +35,14 @@ class Revolution:
     """Packets of a revolution of a sensor."""
 
     time_ns: int  # Of its first packet
+    azimuths: list[int] = field(default_factory=list)  # Of the packets, in hundredths of a degree
     times_s: list[float] = field(default_factory=list)
     offsets: list[int] = field(default_factory=list)  # Of the packets in the file
+
+    @property
+    def span(self) -> int:
+        """Angle from the first to the last packet in hundredths of a degree."""
+        return self.azimuths[-1] - self.azimuths[0]
 
 
 class VelodyneCapture:
@@ -48,7 +55,10 @@ class VelodyneCapture:
         with reading(path) as file:
             if is_cut(file):
                 log.warning("%s: cut off within a packet: its last scan is incomplete", path)
-        by_sensor = _revolutions(path)
+        by_sensor = {
+            sensor: _whole_revolutions(revolutions, path)
+            for sensor, revolutions in _revolutions(path).items()
+        }
         topics = {f"sensor{number}": sensor for number, sensor in enumerate(sorted(by_sensor))}
         self._revolutions = {topic: by_sensor[sensor] for topic, sensor in topics.items()}
         self._configs = {
@@ -124,9 +134,24 @@ def _revolutions(path: Path) -> dict[tuple[bytes, int], list[Revolution]]:
         revolutions = by_sensor.setdefault(sensor, [])
         if not revolutions or fall > REVOLUTION_ENDS_DEG * AZIMUTHS_PER_DEG:
             revolutions.append(Revolution(packet.time_ns))
+        revolutions[-1].azimuths.append(azimuth)
         revolutions[-1].times_s.append(packet.time_ns / 1e9)
         revolutions[-1].offsets.append(packet.offset)
     return by_sensor
+
+
+def _whole_revolutions(revolutions: list[Revolution], path: Path) -> list[Revolution]:
+    """Return the revolutions of a sensor without the first and the last one if they are cut."""
+    # A sensor that is set to a part of the circle spans no more in any revolution.
+    least = MIN_SPAN * max(revolution.span for revolution in revolutions)
+    whole = [
+        revolution
+        for number, revolution in enumerate(revolutions)
+        if revolution.span >= least or 0 < number < len(revolutions) - 1
+    ]
+    if cut := len(revolutions) - len(whole):
+        notice_once(f"{path}: skipped at the ends: {counted(cut, 'incomplete revolution')}")
+    return whole
 
 
 def _configuration(decoder: Any, path: Path, sensor: tuple[bytes, int]) -> Any:

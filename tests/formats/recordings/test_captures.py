@@ -9,7 +9,7 @@ import pytest
 from captures import START_NS, STEP_NS, Sent, vlp16, vlp16_points, write_capture
 
 from salsanext_cli import read_scan
-from salsanext_cli.errors import FormatError, MissingDependency, UsageError
+from salsanext_cli.errors import NOTICE, FormatError, MissingDependency, UsageError, notice_once
 from salsanext_cli.formats.captures import HESAI, LIVOX, OUSTER, ROBOSENSE, VELODYNE, maker_of
 from salsanext_cli.formats.packets import is_cut, udp_packets
 from salsanext_cli.results.paths import find_scans
@@ -175,18 +175,52 @@ def require_points(scan, expected):
 
 def test_the_scans_of_a_velodyne_are_its_revolutions(tmp_path):
     pytest.importorskip("velodyne_decoder")
-    measured = drive(155)
+    measured = drive(150)
     path = write_capture(tmp_path / "drive.pcap", map(Sent, payloads(measured)))
     scans = find_scans(path)
-    starts = [START_NS + number * STEP_NS for number in (0, 75, 150)]
+    starts = [START_NS + number * STEP_NS for number in (0, 75)]
     assert [scan.stem for scan in scans] == [f"{start}" for start in starts]
     assert {scan.sequence for scan in scans} == {"drive"}
-    require_points(read_scan(scans[2].path), points_of(measured[150:]))
     counts = [np.count_nonzero(distances) for _, distances, _, _ in measured]
-    assert [len(read_scan(scan.path)) for scan in scans[:2]] == [
-        sum(counts[:75]),
-        sum(counts[75:150]),
-    ]
+    assert [len(read_scan(scan.path)) for scan in scans] == [sum(counts[:75]), sum(counts[75:])]
+
+
+def test_revolutions_that_are_cut_by_the_ends_of_the_capture_are_no_scans(tmp_path, caplog):
+    pytest.importorskip("velodyne_decoder")
+    notice_once.cache_clear()
+    caplog.set_level(NOTICE, "salsanext_cli")
+    packets = payloads(drive(260))
+    path = tmp_path / "drive.pcap"
+    for first, last, starts, cut in (
+        (50, 260, (75, 150), "2 incomplete revolutions"),
+        (75, 230, (75, 150), "1 incomplete revolution"),
+        (75, 225, (75, 150), ""),
+        (10, 60, (10,), ""),
+    ):
+        caplog.clear()
+        notice_once.cache_clear()
+        write_capture(path, map(Sent, packets[first:last]))
+        stems = [scan.stem for scan in find_scans(path)]
+        assert stems == [f"{START_NS + (number - first) * STEP_NS}" for number in starts]
+        assert ("incomplete" in caplog.text) == bool(cut)
+        assert cut in caplog.text
+
+
+def test_a_sensor_that_is_set_to_a_part_of_the_circle_keeps_its_ends(tmp_path):
+    pytest.importorskip("velodyne_decoder")
+    packets = [payload for n, payload in enumerate(payloads(drive(225))) if 20 <= n % 75 < 50]
+    path = write_capture(tmp_path / "drive.pcap", map(Sent, packets))
+    assert len(find_scans(path)) == 3
+    write_capture(path, map(Sent, packets[10:-10]))
+    assert len(find_scans(path)) == 1
+
+
+def test_the_points_of_a_short_capture_are_as_measured(tmp_path):
+    pytest.importorskip("velodyne_decoder")
+    measured = drive(5)
+    path = write_capture(tmp_path / "drive.pcap", map(Sent, payloads(measured)))
+    (scan,) = find_scans(path)
+    require_points(read_scan(scan.path), points_of(measured))
 
 
 def test_two_velodynes_in_one_capture_are_two_topics(tmp_path):
