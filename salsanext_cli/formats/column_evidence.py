@@ -82,6 +82,12 @@ def are_possible(values: npt.NDArray[np.floating]) -> Mask:
 
 COUNTS = range(3, 17)  # Numbers of columns that are distinguished
 PLANAR_COUNTS = range(3, 9)  # The same of files that are stored column by column
+AXIS_COUNT = 3  # Columns of coordinates alone
+USUAL_COUNT = 4  # Number of columns with an intensity, instead of which coordinates are tried
+DIAGONAL_DEG, DIAGONAL_WIDTH_DEG, MAX_DIAGONAL = 45.0, 5.0, 0.18
+"""Apparent azimuth of neighbours in one column, its deviation, and its largest share in rows; real
+scans in turn had 0.12 or less, their columns 0.23 or more."""
+MIN_EXPLAINED_BY_AXES = 0.02  # The same as `MIN_EXPLAINED` for coordinates alone
 WINDOW = 512  # Values on each side of a place where one column may end
 SHARE_OF_MULTIPLES, SHARE_OF_OTHERS, SHARE_OF_JUMPS = 0.53, 0.7, 0.6
 """Least shares of the variance that multiples and other numbers of planes explain, and of the
@@ -123,7 +129,7 @@ def _evident_count(values: Float, expected: int) -> int | None:
         explained = {n: _explained(values, n) for n in {*COUNTS, expected}}
         most = max(explained.values())
         if most < MIN_EXPLAINED + MIN_EXPLAINED_BY_CHANCE / min(len(values), SAMPLE):
-            return None
+            return AXIS_COUNT if _are_axes_alone(values, expected) else None
         if explained[expected] < SHARE_OF_LARGEST * most:
             # For beams in turn, explained variance grows with the number of rows taken as one.
             in_turn = (n for n in COUNTS if _are_in_turn(values, n))
@@ -131,6 +137,20 @@ def _evident_count(values: Float, expected: int) -> int | None:
             count = next(in_turn, least)
     count = _padded_count(values, count) or _least_count(values, count)
     return None if count == expected else count
+
+
+def _are_axes_alone(values: Float, expected: int) -> bool:
+    """Return whether values (M,) are rows of x, y, z where x, y, z, intensity are expected.
+
+    The three are of similar kinds, so that they explain less than an intensity does.
+    """
+    if expected != USUAL_COUNT:
+        return False
+    if _are_in_turn(values, AXIS_COUNT):
+        return True
+    least = MIN_EXPLAINED_BY_AXES + MIN_EXPLAINED_BY_CHANCE / min(len(values), SAMPLE)
+    explained = _explained(values, AXIS_COUNT)
+    return explained >= max(least, _explained(values, expected) / SHARE_OF_LARGEST)
 
 
 def empty_places(values: Float, columns: int) -> Mask | None:
@@ -178,11 +198,16 @@ def are_planes(values: Float, expected: int) -> bool | None:
     explained = {n: _explained(_few_rows_of_planes(values, n), n) for n in counts}
     most = max(explained.values(), default=0.0)
     chance = MIN_EXPLAINED + MIN_EXPLAINED_BY_CHANCE / min(len(values), SAMPLE)
+    if expected == USUAL_COUNT and _are_rows_of_axes(values):
+        return None
     # The expected number of columns in rows explains most of the usual files.
     by_rows = (_explained(values, count) for count in (expected, *COUNTS))
     if most < chance or any(share >= SHARE_OF_LARGEST * most for share in by_rows):
         return None
     jumps = _jumps_of_planes(values, counts)
+    fits_both = expected == USUAL_COUNT and {expected, AXIS_COUNT} <= {*counts}
+    if fits_both and _planes_in_turn(values) == AXIS_COUNT:
+        return False
     # A multiple of the number divides each column into parts, which explain a little more.
     others = [count for count in counts if count % expected]
     return expected in counts and (
@@ -190,6 +215,25 @@ def are_planes(values: Float, expected: int) -> bool | None:
         and explained[expected] >= SHARE_OF_OTHERS * max((explained[n] for n in others), default=0)
         and jumps[expected] >= SHARE_OF_JUMPS * max((jumps[n] for n in others), default=0)
     )
+
+
+def _planes_in_turn(values: Float) -> int | None:
+    """Return whether values are the planes of coordinates alone, or of the usual columns.
+
+    The steps in azimuth are smaller for the right number. None stands for points in no order.
+    """
+    steps = {
+        count: _steps(values.reshape(count, -1).T.ravel(), count)
+        for count in (AXIS_COUNT, USUAL_COUNT)
+    }
+    if not any(map(_are_small, steps.values())):
+        return None
+    largest = {
+        count: float(np.quantile(angles, MOST_ROWS))
+        for count, angles in steps.items()
+        if len(angles)
+    }
+    return min(largest, key=largest.__getitem__)
 
 
 def _jumps_of_planes(values: Float, counts: Sequence[int]) -> dict[int, float]:
@@ -225,12 +269,36 @@ def _rows(values: Float, columns: int, length: int = ROWS) -> Double:
 
 def _are_in_turn(values: Float, columns: int) -> bool:
     """Return whether rows of `columns` values are points in the order of a scanner's turn."""
-    x, y = np.moveaxis(_rows(values, columns), -1, 0)[:2]
-    azimuth = np.degrees(np.arctan2(y, x))
-    measured = np.isfinite(x) & np.isfinite(y) & ((x != 0) | (y != 0))
-    # The few steps from one block to the next do not matter.
-    steps = np.abs((np.diff(azimuth[measured]) + 180) % 360 - 180)
+    return _are_small(_steps(values, columns))
+
+
+def _are_small(steps: Double) -> bool:
+    """Return whether most steps (M,) in azimuth are those of a scanner."""
     return int((steps < STEP_DEG).sum()) > IN_TURN * max(1, int(steps.size))
+
+
+def _are_rows_of_axes(values: Float) -> bool:
+    """Return whether values (M,) are rows of x, y, z in the order of a scanner's turn."""
+    azimuth = _azimuths(values, AXIS_COUNT)
+    # Consecutive values of one column are nearly equal, which looks like an azimuth of 45°.
+    diagonal = np.abs((azimuth - DIAGONAL_DEG + 90) % 180 - 90) < DIAGONAL_WIDTH_DEG
+    is_column = diagonal.mean() > MAX_DIAGONAL if len(azimuth) else True
+    return not is_column and _are_in_turn(values, AXIS_COUNT)
+
+
+def _steps(values: Float, columns: int) -> Double:
+    """Return the steps in azimuth between consecutive rows of `columns` values in degrees, (M,)."""
+    # The few steps from one block to the next do not matter.
+    steps: Double = np.abs((np.diff(_azimuths(values, columns)) + 180) % 360 - 180)
+    return steps
+
+
+def _azimuths(values: Float, columns: int) -> Double:
+    """Return the azimuths of measured rows of `columns` values in degrees, (M,)."""
+    x, y = np.moveaxis(_rows(values, columns), -1, 0)[:2]
+    measured = np.isfinite(x) & np.isfinite(y) & ((x != 0) | (y != 0))
+    azimuths: Double = np.degrees(np.arctan2(y[measured], x[measured]))
+    return azimuths
 
 
 def _least_count(values: Float, count: int) -> int:

@@ -217,6 +217,38 @@ def test_values_stored_column_by_column_are_recognised_and_rows_never(names, bea
             assert evidence.are_planes(order, expected) is None
 
 
+def require_layouts_are_never_confused(points, intensity):
+    """Require that each layout of a scan is read as it is, or refused, in four columns."""
+    axes = points[: len(points) // 12 * 12].astype(np.float32)
+    four = np.column_stack([axes, intensity[: len(axes)]]).astype(np.float32)
+    assert evidence.are_planes(four.ravel(), 4) is None
+    assert evidence.evident_count(four.ravel(), 4) is None
+    assert evidence.are_planes(np.ascontiguousarray(four.T).ravel(), 4) is not None
+    assert evidence.are_planes(axes.ravel(), 4) is None
+    assert evidence.evident_count(axes.ravel(), 4) == 3
+    shuffled = np.random.default_rng(0).permutation(axes)
+    for planes in (axes.T, shuffled.T):
+        assert not evidence.are_planes(np.ascontiguousarray(planes).ravel(), 4)
+
+
+@pytest.mark.parametrize("beams", [VLP16_DEG, [*range(-25, 7)]], ids=["alternating", "sorted"])
+@pytest.mark.parametrize("height", [0, 1.8, -3])
+@pytest.mark.parametrize("turns", [360, 1800])
+def test_coordinates_alone_are_not_read_with_an_intensity(beams, height, turns):
+    points = scan(turns=turns, beams=beams) + (0, 0, height)
+    intensity = np.random.default_rng(1).random(len(points)) ** 2
+    require_layouts_are_never_confused(points, intensity)
+    four = np.column_stack([points, intensity])
+    assert evidence.are_planes(stored_by_column(four), 4)
+
+
+@pytest.mark.real
+def test_coordinates_alone_of_a_real_scan_are_not_read_with_an_intensity(real_data):
+    for path in real_scans(real_data)[::4]:
+        table = np.fromfile(path, "<f4").reshape(-1, real_columns(path))
+        require_layouts_are_never_confused(table[:, :3], table[:, 3])
+
+
 @pytest.mark.parametrize("period", [2, 3, 4])
 @pytest.mark.parametrize("lost", [0.0, np.nan, np.inf])
 def test_places_of_rows_that_are_always_empty(period, lost):
