@@ -120,7 +120,7 @@ def sources(
         if scans is not None and is_apart:
             require_none_hidden(out)
         if scans is not None:
-            _say_if_beside(single, out)
+            _notice_shared_folder(single, out)
         return single, out
     if topic is not None:
         raise UsageError("--topic", f"{len(several)} sources were given", "one recording")
@@ -128,12 +128,13 @@ def sources(
     return several, out
 
 
-def _say_if_beside(source: Path, out: Path) -> None:
+def _notice_shared_folder(source: Path, out: Path) -> None:
     """Print a notice if the results are written into the folder of the scans."""
+    from salsanext_cli.files.reading import is_folder
     from salsanext_cli.fitting.label_scan import projected_sensor
 
     folders = source.resolve(), out.resolve()
-    is_data_set = (source / "sequences").is_dir()
+    is_data_set = is_folder(source / "sequences")
     is_inside = folders[1].is_relative_to(folders[0]) and not is_data_set
     is_same = folders[0] == folders[1] and projected_sensor(source) is None
     if is_same or (is_inside and folders[0] != folders[1]):

@@ -31,7 +31,8 @@ def usage_error(raised: Any, arguments: Sequence[str]) -> UsageError:
     expected = "" if parameter is None else _expected(parameter)
     if value is not None and expected:
         name = max(parameter.opts, key=len)
-        likely = nearest(value, str(parameter.metavar).split("|"))
+        choices = str(parameter.metavar).split("|")
+        likely = nearest(value, choices) if len(choices) > 1 else None
         hint = f"did you mean {name} {likely}?" if likely else f"see {path} --help"
         return UsageError(name, f"is {shortened(value)}", expected, hint)
     message = raised.format_message().rstrip(".")

@@ -16,7 +16,7 @@ from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.files.reading import present, reading
 from salsanext_cli.network.card import parted
 
-NAME = re.compile(r"digests-([0-9a-f]{16})\.txt")
+NAME = re.compile(r"digests-([0-9a-f]{16})\.digests")
 Change = Callable[[str], str]
 
 
@@ -70,7 +70,7 @@ def _changed(settings: Mapping[Any, object], change: Change) -> dict[str, object
 
 
 def _name_of(digests: str) -> str:
-    return f"digests-{hashlib.sha256(digests.encode()).hexdigest()[:16]}.txt"
+    return f"digests-{hashlib.sha256(digests.encode()).hexdigest()[:16]}.digests"
 
 
 def _read(record: Path, name: str) -> str:

@@ -18,6 +18,7 @@ from salsanext_cli.measures.scores import confusion_matrix
 from salsanext_cli.network.card import read_card, scan_digest
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.results.paths import find_scans
+from salsanext_cli.results.scan_folders import scan_names
 from salsanext_cli.stages.evaluate import Evaluation, evaluate
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.report import read_run, report
@@ -113,7 +114,7 @@ def test_a_record_that_was_changed_is_refused(trained, change):
 
 def digest_file(world: World) -> Path:
     """Return the only file of digests in an output folder."""
-    (path,) = world.out.glob("digests-*.txt")
+    (path,) = world.out.glob("digests-*.digests")
     return path
 
 
@@ -125,6 +126,7 @@ def test_the_digests_are_in_a_file_that_the_record_names(trained):
     assert path.read_text("ascii").splitlines() == sorted(known)
     expected = hashlib.sha256("".join(sorted(known)).encode()).hexdigest()[:16]
     assert path.stem == f"digests-{expected}"
+    assert not scan_names([path.name])
     record = json.loads((trained.out / "predict.json").read_text())
     assert record["settings"]["trained_on"] == path.name
     before = (trained.out / "predict.json").read_bytes()
