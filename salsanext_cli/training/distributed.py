@@ -144,6 +144,9 @@ def process_group(device: str) -> Iterator[tuple[ProcessGroup, torch.device]]:
                 first = store.compare_set(FAILED, "", failure).decode()
                 if isinstance(failed, SalsanextError):
                     failed.reported_elsewhere = first != failure and first.endswith(cause)
+        if getattr(failed, "reported_elsewhere", False):
+            # The worker that reports ends first, since torchrun then ends all others.
+            time.sleep(10 * LEAVING_S)
         raise
     finally:
         # The others notice a failure. Threads of gloo that still free tensors abort a process
