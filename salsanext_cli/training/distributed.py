@@ -4,6 +4,7 @@
 import logging
 import os
 import platform
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -145,13 +146,23 @@ def process_group(device: str) -> Iterator[tuple[ProcessGroup, torch.device]]:
                 if isinstance(failed, SalsanextError):
                     failed.reported_elsewhere = first != failure and first.endswith(cause)
         if getattr(failed, "reported_elsewhere", False):
-            # The worker that reports ends first, since torchrun then ends all others.
-            time.sleep(10 * LEAVING_S)
+            _await_the_reporting_worker()
         raise
     finally:
         # The others notice a failure. Threads of gloo that still free tensors abort a process
         # that ends meanwhile; they need the GIL, and torch's wrapper keeps them from being joined.
         time.sleep(LEAVING_S)
+
+
+def _await_the_reporting_worker() -> None:
+    """Stay until torchrun ends this process, which it does when the reporting worker has ended.
+
+    If this worker ended first, torchrun would end the other one before it prints the error.
+    """
+    if threading.current_thread() is threading.main_thread():
+        # The signal of torchrun ends the process without a further line.
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    time.sleep(10 * LEAVING_S)
 
 
 def _watch(store: Any, left: threading.Event, other_failed: threading.Event) -> None:
