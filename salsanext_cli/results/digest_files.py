@@ -75,7 +75,7 @@ def _name_of(digests: str) -> str:
 
 def _read(record: Path, name: str) -> str:
     path = record.with_name(name)
-    hint = f"copy the file that {record.name} was copied from, or use another folder"
+    hint = f"copy {name} from the folder that {record.name} comes from, or use another folder"
     if not present(path):
         raise OutputError(path, "is missing", f"a file that {record.name} names", hint)
     with reading(path) as file:

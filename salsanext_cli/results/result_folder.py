@@ -342,7 +342,11 @@ def scalar_columns(cloud: ScanResults, space: LabelSpace) -> dict[str, npt.NDArr
 
 def _scans_in(folder: Path, sequence: str) -> list[ScanFile]:
     """Return the scans in a folder of a sequence, which may have several in some layouts."""
-    scans = [scan for scan in find_scans(folder, unique=False) if scan.path.parent == folder]
+    try:
+        found = find_scans(folder, unique=False)
+    except NoInputError:
+        return []  # They were moved.
+    scans = [scan for scan in found if scan.path.parent == folder]
     of_sequence = [scan for scan in scans if scan.sequence == sequence]
     # Older versions named the sequences of some layouts otherwise.
     return of_sequence or [replace(scan, sequence=sequence) for scan in scans]

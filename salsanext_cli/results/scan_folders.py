@@ -117,7 +117,7 @@ def search_below(root: Path, most: int = MAX_ENTRIES) -> FolderSearch:
         If there are more than `most` files and folders.
     """
     search = FolderSearch()
-    waiting = deque((path, 1) for path in _subfolders(root))
+    waiting = deque((path, 1) for path in _subfolders(root, is_root=True))
     visited = {_inode(root)}
     entries = 0
     while waiting:
@@ -157,15 +157,22 @@ def _inode(folder: Path) -> tuple[int, int]:
     return status.st_dev, status.st_ino
 
 
-def _subfolders(folder: Path) -> list[Path]:
-    """Return the folders in a folder that may contain scans."""
-    if not is_folder(folder / FILE_LISTS):
-        return [folder / name for name in folders_in(folder) if name != LABEL_FOLDER]
-    # Results of stages are no scans, but `convert`, `filter` and `synth` write data sets.
+def _subfolders(folder: Path, *, is_root: bool = False) -> list[Path]:
+    """Return the folders in a folder that may contain scans.
+
+    Results may have been written into the root of the scans, or into a folder below it.
+    """
     sequences = folder / "sequences"
+    others = [folder / name for name in folders_in(folder) if name != LABEL_FOLDER]
+    if not is_folder(folder / FILE_LISTS):
+        return others
+    # Results of stages are no scans, but `convert`, `filter` and `synth` write data sets.
     names = folders_in(sequences) if is_folder(sequences) else []
     places = [sequences / name / SCAN_FOLDER for name in names]
-    return [place for place in places if is_folder(place)]
+    data_sets = [place for place in places if is_folder(place)]
+    if not is_root:
+        return data_sets
+    return [other for other in others if other != sequences] + data_sets
 
 
 def usable(folders: Collection[ScanFolder]) -> list[ScanFolder]:

@@ -172,6 +172,14 @@ def test_hidden_folders_results_and_loops_of_links_are_not_searched(tmp_path):
     assert len(found(tmp_path)) == 1
 
 
+def test_results_in_the_root_of_the_scans_hide_no_scans(tmp_path):
+    make(tmp_path, *KITTI)
+    before = found(tmp_path)
+    results = ("sequences/d/predictions/0000000000.label", ".salsanext.files/machine.tsv")
+    make(tmp_path, *results, "sequences/d/velodyne_points/data/0000000009.bin")
+    assert found(tmp_path) == before != []
+
+
 def test_data_sets_that_stages_wrote_are_found(tmp_path):
     make(tmp_path, "data/sequences/08/velodyne/0.bin", "data/sequences/08/ply/0.ply")
     make(tmp_path, "data/.salsanext.files/host.tsv")
@@ -326,3 +334,14 @@ def test_later_stages_find_the_scans_and_never_those_of_another_drive(kitti, wei
     (kitti / "date/drive_1_sync").rename(other)
     with pytest.raises(OutputError):
         predict_scans(other, single, settings=network)
+
+
+def test_scans_that_were_moved_are_named_with_the_option_for_their_new_place(weights, tmp_path):
+    write_sequence(tmp_path / "before", ["000000"])
+    scans = tmp_path / "before/velodyne"
+    out = tmp_path / "out"
+    predict_scans(scans, out, settings=NetworkSettings(weights, "cpu", engine="torch"))
+    for scan in scans.iterdir():
+        scan.unlink()
+    caught = refused(NoInputError, out / "sequences/before", ResultFolder(out).scans)
+    assert "--dataset" in caught.value.hint
