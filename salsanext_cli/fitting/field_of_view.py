@@ -180,8 +180,10 @@ def image_text(sensor: Sensor, trained: Sensor | None = None) -> str:
         return text
     if view_text(sensor) == view_text(trained):
         return f"{text} (of the weights)"
-    source = "fitted" if sensor.name == trained.name else f"sensor {sensor.name}"
-    return f"{text} ({source})"
+    if sensor.name not in (trained.name, FITTED_NAME):
+        return f"{text} (sensor {sensor.name})"
+    is_view_kept = (sensor.fov_up, sensor.fov_down) == (trained.fov_up, trained.fov_down)
+    return f"{text} ({'mounting fitted' if is_view_kept else 'fitted'})"
 
 
 def view_text(sensor: Sensor) -> str:

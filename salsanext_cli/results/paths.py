@@ -222,7 +222,7 @@ def _scans_below(source: Path, place: Path, tables: list[ScanFile]) -> list[Scan
     if not chosen and not tables and search.folders:
         raise ambiguous_folders(source, place, search.folders)
     if not chosen:
-        error = None if tables or names_in(place) else other_files_below(source, search)
+        error = None if tables else other_files_below(source, search)
         if error is not None:
             raise error
         return tables

@@ -137,8 +137,14 @@ def test_eval_is_next_only_if_it_can_compare_the_labels(tmp_path):
 
 def test_the_line_of_the_image_names_the_source_of_its_field_of_view():
     fitted = replace(SMALL, fov_up=SMALL.fov_up + 7)
-    other = replace(fitted, name="hdl32")
-    for sensor, source in ((SMALL, "(of the weights)"), (fitted, "(fitted)"), (other, "hdl32)")):
+    mounted = replace(SMALL, name="fitted", origin=(0.0, 0.0, 1.0))
+    sources = {
+        "(of the weights)": SMALL,
+        "(fitted)": fitted,
+        "(mounting fitted)": mounted,
+        "(sensor hdl32)": replace(fitted, name="hdl32"),
+    }
+    for source, sensor in sources.items():
         (line,) = _lines(RunSummary(sensor, trained=SMALL), None)
         assert line.startswith(f"image: {SMALL.height}×{SMALL.width}, ")
         assert line.endswith(source)

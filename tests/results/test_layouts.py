@@ -218,6 +218,7 @@ def test_folders_that_may_not_be_read_are_skipped(tmp_path):
         (["day/drive.pcapng"], "editcap -F pcap"),
         (["day/scans.tar.gz", "day/more.tar.gz", "day/1.bin.gz"], "unpack it"),
         (["day/drive.bag", "day/other.bag"], "day/drive.bag"),
+        (["day/drive.bag", "README.md"], "day/drive.bag"),
         (["day/drive/metadata.yaml", "day/drive/drive_0.mcap"], "day/drive"),
     ],
 )
