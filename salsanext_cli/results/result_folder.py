@@ -26,6 +26,7 @@ from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.results.layouts import SCAN_FOLDER
 from salsanext_cli.results.manifest import Manifest, ScanSource
+from salsanext_cli.results.moved_scans import scans_in, scans_of_renamed
 from salsanext_cli.results.paths import (
     PREDICTION_STAGES,
     SINGLE_SCAN_STAGES,
@@ -33,7 +34,6 @@ from salsanext_cli.results.paths import (
     ScanFile,
     find_outputs,
     find_scans,
-    of_sequences,
     output_path,
     require_unique_stems,
     with_outputs,
@@ -132,7 +132,7 @@ class ResultFolder(Manifest):
             expected = "the output folder of an earlier stage"
             raise NoInputError(self.root, problem, expected, PREDICT.format(out=self.root))
         if self.dataset and len(sequences) == 1 and _is_sequence(self.dataset):
-            scans = _scans_of_renamed(self.dataset, sequences[0])
+            scans = scans_of_renamed(self.dataset, sequences[0])
         else:
             of_sequences = (self._of_sequence(name, known.get(name)) for name in sequences)
             scans = [scan for of_sequence in of_sequences for scan in of_sequence]
@@ -166,7 +166,7 @@ class ResultFolder(Manifest):
     def _of_sequence(self, sequence: str, source: ScanSource | None) -> list[ScanFile]:
         folder = Path(source.folder) if source else None
         if source and folder and not self.dataset and (is_folder(folder) or recording_of(folder)):
-            scans = _scans_in(folder, sequence)
+            scans = scans_in(folder, sequence)
             listed = {scan.path.name for scan in scans}
             # Tables beside clouds are scans only if they were named.
             files = {stem: stem + suffix for stem, suffix in source.suffixes.items() if suffix}
@@ -338,26 +338,6 @@ def scalar_columns(cloud: ScanResults, space: LabelSpace) -> dict[str, npt.NDArr
         if cloud.label is not None:
             columns["wrong"] = cloud.wrong(space)
     return columns | cloud.uncertainty
-
-
-def _scans_in(folder: Path, sequence: str) -> list[ScanFile]:
-    """Return the scans in a folder of a sequence, which may have several in some layouts."""
-    try:
-        found = find_scans(folder, unique=False)
-    except NoInputError:
-        return []  # They were moved.
-    scans = [scan for scan in found if scan.path.parent == folder]
-    of_sequence = [scan for scan in scans if scan.sequence == sequence]
-    # Older versions named the sequences of some layouts otherwise.
-    return of_sequence or [replace(scan, sequence=sequence) for scan in scans]
-
-
-def _scans_of_renamed(dataset: Path, sequence: str) -> list[ScanFile]:
-    """Return the scans of a sequence whose folder or recording may have been renamed."""
-    scans = find_scans(dataset, unique=False)
-    if len({(scan.path.parent, scan.sequence) for scan in scans}) > 1:
-        return of_sequences(scans, [sequence], dataset)
-    return [replace(scan, sequence=sequence) for scan in scans]
 
 
 def _is_sequence(dataset: Path) -> bool:
