@@ -118,7 +118,10 @@ def _placed(upright: Sequence[Scan], sensor: Sensor, *, always: bool = False) ->
     centre = np.median([place.position for place in proven], axis=0)
     positions = np.array([place.position for place in elsewhere] + [np.zeros(3)] * others)
     registered = bool(np.hypot(*(positions - centre)[:, :UPWARDS].T).max() > REGISTERED_M)
-    up = np.median([place.up for place in elsewhere], axis=0)
+    # The side that most scans show: the median of two opposite directions would be none.
+    side = 1 if sum(float(np.sign(place.up[UPWARDS])) for place in elsewhere) >= 0 else -1
+    ups = [place.up for place in elsewhere if np.sign(place.up[UPWARDS]) == side]
+    up = np.median(ups, axis=0)
     if registered:  # Its frame is level or upside down.
         up = np.array([0, 0, np.sign(up[UPWARDS])])
     if up[UPWARDS] < 1:

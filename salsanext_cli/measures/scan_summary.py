@@ -234,7 +234,9 @@ class RunSummary:
 
     def _compare_with_threshold(self) -> None:
         """Warn if the scans are evidently not like those that the threshold was chosen on."""
-        risk, traits = self.threshold, self.label_traits
+        risk = self.threshold
+        # Workers finish in any order, and the comparison draws from the scans in theirs.
+        traits = dict(sorted(self.label_traits.items()))
         if risk is None or self.space is None or not self.names or OTHER_SCANS in self.findings:
             return
         sensors = self.sensor.members

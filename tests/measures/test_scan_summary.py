@@ -19,6 +19,7 @@ from salsanext_cli.fitting.scan_checks import ScanCheck, check_scan
 from salsanext_cli.geometry.scan_traits import groups_of
 from salsanext_cli.measures.scan_counts import ScanCounts, band_of_point
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary, mixed_sensors
+from salsanext_cli.network.card import LabelTraits, RiskThreshold
 from salsanext_cli.results.paths import ScanFile
 
 SPACE = label_space()
@@ -235,3 +236,25 @@ def test_the_share_of_the_vehicle_is_one_of_points():
         labels, check = np.ones(count, np.uint8), ScanCheck(ego_share=share)
         summary.add(ScanSummary.of_labels(replace(FILE, stem=name), labels, SPACE, check))
     assert summary.ego_share == pytest.approx(0.05)
+
+
+def test_the_order_of_workers_does_not_change_the_comparison_with_a_threshold():
+    rng = np.random.default_rng(5)
+
+    def traits(name, uncertainty):
+        shares = tuple(rng.dirichlet(np.ones(19)))
+        return LabelTraits(unit=name, uncertainty=uncertainty, class_shares=shares)
+
+    population = tuple(traits(f"b{i}", rng.uniform(0.1, 0.2)) for i in range(12))
+    now = {f"08/{i:06}": traits(f"{i}", rng.uniform(0.16, 0.24)) for i in range(10)}
+    risk = RiskThreshold("error", 0.2, 0.1, None, 12, ("00",), population=population)
+    problems = set()
+    for _ in range(6):
+        summary = RunSummary(SMALL, SPACE, threshold=risk)
+        names = list(now)
+        rng.shuffle(names)
+        summary.label_traits = {name: now[name] for name in names}
+        summary.names = set(names)
+        summary.compare_scans()
+        problems.add(str(summary.warnings()))
+    assert len(problems) == 1
