@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: MIT
+"""Decision about the labels of a run: its limits, and the warnings that decide."""
+
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from salsanext_cli.measures.decision import CODES, LEVELS, Decision, Evidence, verdict
+from salsanext_cli.measures.expected_accuracy import WITHHELD_FOR, ExpectedAccuracy
+
+FINE = Evidence(scans=10, class_count=20)
+ORDER = [level.decision for level in LEVELS]
+SHARES = st.none() | st.floats(0, 1)
+
+
+def estimate(accuracy: float) -> ExpectedAccuracy:
+    return ExpectedAccuracy(accuracy, (max(accuracy - 0.1, 0), min(accuracy + 0.1, 1)), 10, {})
+
+
+@pytest.mark.parametrize(
+    ("accuracy", "doubtful", "decision"),
+    [
+        (0.85, 0.35, Decision.USE),
+        (0.85, 0.36, Decision.COARSE),
+        (0.84, 0.1, Decision.COARSE),
+        (0.75, 0.5, Decision.COARSE),
+        (0.74, 0.5, Decision.LABEL_TEN),
+        (0.95, 0.6, Decision.LABEL_TEN),
+        (0.6, 0.7, Decision.LABEL_TEN),
+        (0.59, 0.1, Decision.LABEL_FORTY),
+        (0.9, 0.71, Decision.LABEL_FORTY),
+        (None, 0.2, Decision.USE),
+        (0.8, None, Decision.COARSE),
+    ],
+)
+def test_the_worse_of_accuracy_and_doubtful_points_decides(accuracy, doubtful, decision):
+    measured = replace(FINE, measured=accuracy, doubtful=doubtful)
+    assert verdict(measured).decision is decision
+    expected = estimate(accuracy) if accuracy is not None else None
+    assert verdict(replace(FINE, expected=expected, doubtful=doubtful)).decision is decision
+
+
+@given(SHARES, SHARES, st.integers(2, 30))
+def test_worse_numbers_never_lead_to_a_better_decision(accuracy, doubtful, classes):
+    evidence = Evidence(10, classes, measured=accuracy, doubtful=doubtful)
+    result = verdict(evidence)
+    if accuracy is None and doubtful is None:
+        assert result is None
+        return
+    worse = replace(
+        evidence, measured=accuracy and accuracy / 2, doubtful=doubtful and (1 + doubtful) / 2
+    )
+    assert ORDER.index(verdict(worse).decision) >= ORDER.index(result.decision)
+
+
+def test_coarse_classes_are_not_advised_for_coarse_labels():
+    coarse = replace(FINE, class_count=8, measured=0.8)
+    assert verdict(coarse).decision is Decision.LABEL_TEN
+    assert verdict(replace(coarse, measured=0.9)).decision is Decision.USE
+
+
+def test_the_measured_accuracy_replaces_the_estimate():
+    evidence = replace(FINE, expected=estimate(0.9), measured=0.7)
+    assert verdict(evidence).decision is Decision.LABEL_TEN
+    assert "70 %" in verdict(evidence).reason
+
+
+@pytest.mark.parametrize(("decision", "codes"), CODES.items())
+def test_a_warning_decides_if_most_scans_have_it(decision, codes):
+    for code in codes:
+        good = replace(FINE, measured=0.95)
+        assert verdict(replace(good, warned={code: 6})).decision is decision
+        assert verdict(replace(good, warned={code: 5})).decision is Decision.USE
+
+
+def test_warnings_do_not_improve_a_decision():
+    bad = replace(FINE, measured=0.3, warned={"sparse": 10})
+    assert verdict(bad).decision is Decision.LABEL_FORTY
+    both = replace(bad, warned={"sparse": 10, "tilted": 10, "indoor": 10})
+    assert verdict(both).decision is Decision.UNSUITED
+
+
+def test_every_code_that_withholds_the_estimate_leads_to_one_decision():
+    codes = [code for group in CODES.values() for code in group]
+    assert sorted(codes) == sorted(WITHHELD_FOR)
+    for code in WITHHELD_FOR:
+        assert verdict(replace(FINE, warned={code: 10})).decision is not Decision.USE
+
+
+def test_the_sentence_has_the_numbers():
+    evidence = replace(FINE, expected=estimate(0.8), doubtful=0.42, warned={"sparse": 7})
+    sentence = verdict(evidence).sentence
+    assert all(text in sentence for text in ("70 to 90 %", "42 %", "10 %", "7 with sparse"))
+    assert verdict(evidence).command.endswith("--count 10")
