@@ -90,7 +90,7 @@ LABELLED_FOR = (
     "one-class",
     "sparse",
 )
-"""Warnings that the scans are unlike the training data, so that only labels measure the accuracy."""
+"""Warnings that the scans are unlike the training data: only labels measure the accuracy."""
 CODES = {
     Decision.UNSUITED: UNSUITED_FOR,
     Decision.CORRECT: CORRECTED_FOR,
