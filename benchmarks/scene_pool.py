@@ -17,11 +17,12 @@ import os
 import shutil
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
+from filelock import FileLock, Timeout
 from ray_casting import RayScene
 
 from salsanext_cli.classes.label_space import label_space
@@ -82,13 +83,23 @@ class ScenePool:
         return len([*folder.iterdir()]) if folder.is_dir() else 0
 
     def complete(self, number: int) -> None:
-        """Make a scene to train on by its number, unless it is complete; a draft is replaced."""
+        """Make a scene to train on by its number, unless it is complete or in the making.
+
+        The draft of a process that was killed is replaced.
+        """
         scene, index = divmod(number, len(KINDS))
-        if (self.root / KINDS[index] / "sequences" / f"{scene:06}").exists():
+        root = self.root / KINDS[index]
+        complete = root / "sequences" / f"{scene:06}"
+        if complete.exists():
             return
-        draft = self.root / KINDS[index] / "drafts" / "sequences" / f"{scene:06}"
-        shutil.rmtree(draft, ignore_errors=True)
-        self.make(number + self.validation)
+        (root / "drafts").mkdir(parents=True, exist_ok=True)
+        # The lock of a process ends with it, unlike a folder that it made.
+        claim = FileLock(root / "drafts" / f"{scene:06}.lock", timeout=0)
+        with suppress(Timeout), claim:
+            if complete.exists():
+                return
+            shutil.rmtree(root / "drafts" / "sequences" / f"{scene:06}", ignore_errors=True)
+            self.make(number + self.validation)
 
     @contextmanager
     def working(self, processes: int) -> Iterator[list[BaseProcess]]:

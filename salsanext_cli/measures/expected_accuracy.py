@@ -72,23 +72,36 @@ def expected_accuracy(
 ) -> ExpectedAccuracy | None:
     """Estimate the accuracy of a run by a line through logits of confidence and accuracy.
 
-    `confidences`: mean of the largest probabilities of each scan's points, 0…1, by name of the
-    scan; `warnings`: names of scans by code. None without a line or scans.
+    Parameters
+    ----------
+    line : AccuracyLine, optional
+        Line of the weights.
+    confidences : mapping of str to float
+        Mean of the largest probabilities of each scan's points, 0…1, by name of the scan.
+    warnings : mapping of str to collection of str
+        Names of scans by code. Those of `OF_RUN` count if they concern other scans of the folder.
+
+    Returns
+    -------
+    ExpectedAccuracy or None
+        None without a line or scans.
     """
     if line is None or not confidences:
         return None
-    withheld = {code: {*warnings.get(code, ())} & confidences.keys() for code in WITHHELD_FOR}
+    withheld = {code: {*warnings.get(code, ())} for code in WITHHELD_FOR}
+    for code in withheld.keys() - {*OF_RUN}:
+        withheld[code] &= confidences.keys()
     counts = {code: len(names) for code, names in sorted(withheld.items()) if names}
-    unlike = set().union(*withheld.values())
     if any(code in counts for code in OF_RUN):
-        unlike = set(confidences)
-    usual = [confidence for name, confidence in confidences.items() if name not in unlike]
-    if not usual:
+        return ExpectedAccuracy(None, None, 0, counts)
+    unlike = set().union(*withheld.values())
+    covered = [confidence for name, confidence in confidences.items() if name not in unlike]
+    if not covered:
         return ExpectedAccuracy(None, None, 0, counts)
     # Rounded, since the order of the scans is that of the workers.
-    mean = min(max(round(math.fsum(usual) / len(usual), 6), EDGE), 1 - EDGE)
+    mean = min(max(round(math.fsum(covered) / len(covered), 6), EDGE), 1 - EDGE)
     logit = line.slope * math.log(mean / (1 - mean)) + line.offset
     accuracy = (1 + math.tanh(logit / 2)) / 2  # The logistic function, without overflow
     margin = DEVIATIONS * line.deviation
     interval = (round(max(accuracy - margin, 0), 4), round(min(accuracy + margin, 1), 4))
-    return ExpectedAccuracy(round(accuracy, 4), interval, len(usual), counts)
+    return ExpectedAccuracy(round(accuracy, 4), interval, len(covered), counts)

@@ -24,8 +24,9 @@ from salsanext_cli.fitting.scan_checks import UNCHECKED, ScanCheck
 from salsanext_cli.fitting.sensor_fit import is_other_view
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.projection import measured_ranges
-from salsanext_cli.geometry.scan_traits import MIN_TRAIT_POINTS, ScanTraits, groups_of
+from salsanext_cli.geometry.scan_traits import MIN_TRAIT_POINTS, ScanTraits
 from salsanext_cli.measures.expected_accuracy import ExpectedAccuracy, expected_accuracy
+from salsanext_cli.measures.mixed_sensors import mixed_sensors
 from salsanext_cli.measures.population import label_traits, of_units, population_difference
 from salsanext_cli.measures.risk_control import RiskBoundCheck
 from salsanext_cli.measures.scores import Counts
@@ -47,7 +48,6 @@ MIN_CLASSES = 5
 MIN_CONFIDENCE, MIN_OF_FEW = 0.575, 0.74
 """Least usual mean of a scan; cities had 0.62 or more, and 0.79 or more in `coarse`."""
 USUAL = "check the sensor and its settings"
-APART = "put the scans of each sensor into a separate folder"
 LOOK = "look at the labels: `salsanext export-ply OUT`"
 MAX_COMPARED = 5000  # Most scans that are compared with those of a threshold
 OTHER_SCANS = "other-scans"
@@ -166,6 +166,8 @@ class RunSummary:
     confidences: dict[str, float] = field(default_factory=dict)
     # Traits of the labels by name of the scan, of at most `MAX_COMPARED` scans
     label_traits: dict[str, LabelTraits] = field(default_factory=dict)
+    # Names of scans of earlier runs whose results are in the folder, by code of their warnings
+    earlier_warnings: dict[str, list[str]] = field(default_factory=dict)
 
     @classmethod
     def of_network(
@@ -278,10 +280,13 @@ class RunSummary:
             for name, finding in chain.from_iterable(self.findings.values()):
                 texts_of_scan.setdefault(name, []).append(finding)
             earlier = run.record_findings(texts_of_scan, self.names)
-            there = {file.name for file in scans if run.is_there(file)}
-            for name in sorted(earlier.keys() & there):
+            chosen = {file.name for file in scans}
+            for name in sorted(earlier.keys() & run.names_of_results(earlier)):
                 for texts in earlier[name]:
-                    self.add_finding(name, Finding(*texts))
+                    finding = Finding(*texts)
+                    self.earlier_warnings.setdefault(finding.code, []).append(name)
+                    if name in chosen:
+                        self.add_finding(name, finding)
             self.finished()
 
     def warnings(self) -> list[ScanWarning]:
@@ -321,7 +326,9 @@ class RunSummary:
 
     def expected_accuracy(self) -> ExpectedAccuracy | None:
         """Return the estimated accuracy of this run, None if the weights contain no estimate."""
-        warnings = {code: [name for name, _ in given] for code, given in self.findings.items()}
+        warnings = {code: {*names} for code, names in self.earlier_warnings.items()}
+        for code, findings in self.findings.items():
+            warnings.setdefault(code, set()).update(name for name, _ in findings)
         return expected_accuracy(self.accuracy, self.confidences, warnings)
 
     def largest_classes(self) -> dict[str, float]:
@@ -380,18 +387,3 @@ def largest_classes(space: LabelSpace, points: Counts) -> dict[str, float]:
     """
     largest = np.argsort(-points[1:], kind="stable")[:CLASSES_SHOWN] + 1
     return {space.names[i]: float(points[i] / points.sum()) for i in largest if points[i]}
-
-
-def mixed_sensors(traits: Mapping[ScanFile, ScanTraits]) -> dict[ScanFile, Finding]:
-    """Return a finding for each scan that differs in its sensor from most with the same fit."""
-    findings: dict[ScanFile, Finding] = {}
-    for sensor in dict.fromkeys(traits[file].sensor for file in sorted(traits)):
-        files = [file for file in sorted(traits) if traits[file].sensor == sensor]
-        groups = groups_of([traits[file] for file in files])
-        first = files[groups.index(0)]
-        for file, group in zip(files, groups, strict=True):
-            if group:
-                others = f"the others, such as {first.name} ({traits[first]})"
-                problem = f"seems to be of another sensor ({traits[file]}) than {others}"
-                findings[file] = Finding("mixed-sensors", problem, APART)
-    return findings

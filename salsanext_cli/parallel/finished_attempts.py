@@ -6,6 +6,7 @@ main process removes the file when it has the chunk, and reads what is left if a
 nothing can be written, nothing is kept: the next run finds the results of the scans.
 """
 
+import hashlib
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -18,6 +19,7 @@ from typing import Any
 from salsanext_cli.parallel.job import Attempt
 
 LENGTH_BYTES = 8  # Size of the number before each attempt, that of its bytes
+DIGEST_BYTES = 16  # Size of the digest after that number, by which a part is not read as a whole
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,17 +38,28 @@ class FinishedAttempts:
             path.unlink(missing_ok=True)
 
     def __iter__(self) -> Iterator[Attempt[Any]]:
-        """Yield the attempts that are left, without one that is cut off."""
+        """Yield the attempts that are left, of each file up to one that is cut off."""
         for path in sorted(self.folder.iterdir()) if self.folder else ():
-            content = path.read_bytes()
-            start = 0
-            while start + LENGTH_BYTES <= len(content):
-                begin = start + LENGTH_BYTES
-                end = begin + int.from_bytes(content[start:begin], "little")
-                if end > len(content):
-                    break
-                yield ForkingPickler.loads(content[begin:end])
-                start = end
+            for content in _complete_contents(path.read_bytes()):
+                yield ForkingPickler.loads(content)
+
+
+def _complete_contents(written: bytes) -> Iterator[bytes]:
+    """Yield the pickled attempts in a file before the first that is cut off."""
+    start = 0
+    while start + LENGTH_BYTES + DIGEST_BYTES <= len(written):
+        begin = start + LENGTH_BYTES + DIGEST_BYTES
+        length = int.from_bytes(written[start : start + LENGTH_BYTES], "little")
+        digest = written[start + LENGTH_BYTES : begin]
+        content = written[begin : begin + length]
+        if digest != _digest(content):
+            return
+        yield content
+        start = begin + length
+
+
+def _digest(content: bytes) -> bytes:
+    return hashlib.blake2b(content, digest_size=DIGEST_BYTES).digest()
 
 
 def append_attempt(path: Path | None, attempt: Attempt[Any]) -> None:
@@ -54,8 +67,12 @@ def append_attempt(path: Path | None, attempt: Attempt[Any]) -> None:
     if path is None:
         return
     content = bytes(ForkingPickler.dumps(attempt))
-    with suppress(OSError), path.open("ab") as file:
-        file.write(len(content).to_bytes(LENGTH_BYTES, "little") + content)
+    record = len(content).to_bytes(LENGTH_BYTES, "little") + _digest(content) + content
+    # One unbuffered write on a full disk writes a part, which would precede the next attempt.
+    with suppress(OSError), path.open("ab", buffering=0) as file:
+        start = file.tell()
+        if file.write(record) < len(record):
+            file.truncate(start)
 
 
 @contextmanager

@@ -49,6 +49,12 @@ class OutputRun(OwnedFolder):
         """Return whether a scan has all its results."""
         return all(filled(path) and path not in self.foreign for path in self.paths(file))
 
+    def names_of_results(self, names: Iterable[str]) -> set[str]:
+        """Return the names, as `ScanFile.name`, of the scans that have all their results."""
+        parts = {name: name.rpartition("/") for name in names}
+        files = {name: ScanFile(part[0], part[2], self.root) for name, part in parts.items()}
+        return {name for name, file in files.items() if self.is_there(file)}
+
     def is_done(self, file: ScanFile) -> bool:
         """Return whether a scan has all its results, which are not to be overwritten."""
         return not self.overwrite and self.is_there(file)

@@ -11,7 +11,7 @@ import pytest
 import scene_pool
 from command_line import called
 from scans import SMALL, write_sequence
-from scene_pool import KINDS, write_scene
+from scene_pool import KINDS, ScenePool, write_scene
 from shallow import shallow, weights  # noqa: F401
 
 from salsanext_cli.network.card import read_card
@@ -46,6 +46,30 @@ def test_a_training_goes_on_where_it_ended_and_its_average_becomes_weights(tmp_p
         assert {f"{kind}_miou{end}" for kind in KINDS for end in ("", "_32")} <= rows[0].keys()
     background_training.main(*call, *settings, "--write", str(target))
     assert read_card(target).trained_widths == (64, 32)
+
+
+def test_of_processes_that_ask_for_one_scene_one_makes_it(tmp_path, monkeypatch):
+    """The draft of a process that was killed is replaced, that of a living one is not."""
+    pool, made = ScenePool(tmp_path, SMALL), []
+    draft = tmp_path / KINDS[0] / "drafts/sequences/000003"
+    left = draft / "left"
+
+    def write(root, number, kind, *_):
+        made.append((kind, number))
+        assert not left.exists()
+        draft.mkdir(parents=True)
+        left.touch()
+        ScenePool(tmp_path, SMALL).complete(3 * len(KINDS))
+        assert left.exists()
+        (root / "sequences").mkdir(exist_ok=True)
+        draft.rename(root / "sequences" / draft.name)
+
+    monkeypatch.setattr(scene_pool, "write_scene", write)
+    draft.mkdir(parents=True)
+    left.touch()
+    for _ in range(2):
+        pool.complete(3 * len(KINDS))
+    assert made == [(KINDS[0], 3)]
 
 
 def test_scores_of_drives_are_those_of_eval(tmp_path, weights, monkeypatch):

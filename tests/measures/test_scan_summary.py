@@ -17,8 +17,9 @@ from salsanext_cli import Scan, label_space
 from salsanext_cli.fitting.finding import Finding
 from salsanext_cli.fitting.scan_checks import ScanCheck, check_scan
 from salsanext_cli.geometry.scan_traits import groups_of
+from salsanext_cli.measures.mixed_sensors import mixed_sensors
 from salsanext_cli.measures.scan_counts import ScanCounts, band_of_point
-from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary, mixed_sensors
+from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.network.card import LabelTraits, RiskThreshold
 from salsanext_cli.results.paths import ScanFile
 

@@ -12,6 +12,8 @@ from salsanext_cli import Scan, read_scan
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NoInputError, UsageError
 from salsanext_cli.geometry.projection import in_sensor_frame, measured_ranges, upright_rotation
+from salsanext_cli.network.card import AccuracyLine, read_card
+from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.parallel.run_options import Shard
@@ -23,6 +25,7 @@ from salsanext_cli.stages.inspect import inspect
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
+from salsanext_cli.stages.report import read_run
 from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.uncertainty.method import UncertaintyMethod
 
@@ -133,6 +136,35 @@ def test_a_scan_of_another_sensor_outside_the_sample_is_named(tmp_path):
     outcome = project_scans(tmp_path / "many", tmp_path / "out", sensor=SMALL, fit=True)
     names = [name for name, _ in outcome.summary.findings["mixed-sensors"]]
     assert names == ["many/01"]
+
+
+def test_no_accuracy_is_estimated_beside_scans_of_another_sensor(network, tmp_path, narrow_default):
+    """Whether the warning arose in this run, in another shard, or in an earlier run."""
+    many, out, file = tmp_path / "many", tmp_path / "out", tmp_path / "line.safetensors"
+    for number in range(40):
+        write_bin(many / f"{number:02}.bin", (leaning if number == 1 else level)(number))
+    card = replace(read_card(network.weights), accuracy=AccuracyLine(1.0, 0.0, 0.05))
+    save_with_card(network.weights, file, card)
+    network = replace(network, weights=file)
+
+    def estimate(**options):
+        return predict_scans(many, out, settings=network, **options).summary.expected_accuracy()
+
+    last, first = (RunOptions(shard=Shard(number, 20)) for number in (20, 1))
+    assert estimate(options=last).scans == 2
+    of_first = estimate(options=first)
+    assert of_first.accuracy is None
+    assert of_first.withheld["mixed-sensors"] == 1
+    next_shard = estimate(options=RunOptions(shard=Shard(2, 20)))
+    assert (next_shard.accuracy, next_shard.withheld) == (None, {"mixed-sensors": 1})
+    kept = estimate(selection=ScanSelection(limit=6))
+    assert (kept.accuracy, kept.withheld) == (None, {"mixed-sensors": 1})
+    assert read_run(out)[0].expected_accuracy().accuracy is None
+    # Without its results the warning concerns nothing in the folder.
+    (odd,) = out.glob("sequences/*/predictions/01.label")
+    odd.unlink()
+    assert estimate(options=RunOptions(shard=Shard(10, 20))).accuracy is not None
+    assert read_run(out)[0].expected_accuracy().accuracy is not None
 
 
 def test_a_sensor_file_of_scans_of_several_sensors_is_refused_before_the_survey(mixed, monkeypatch):

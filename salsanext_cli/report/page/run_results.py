@@ -33,7 +33,13 @@ from salsanext_cli.measures.uncertainty_evaluation import UncertaintyEvaluation
 from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.results.manifest import Manifest, StageSettings
 from salsanext_cli.results.owned_folder import OwnedFolder
-from salsanext_cli.results.paths import ERROR, PREDICTION_STAGES, ScanFile, output_path
+from salsanext_cli.results.paths import (
+    ERROR,
+    PREDICTION_STAGES,
+    ScanFile,
+    find_outputs,
+    output_path,
+)
 from salsanext_cli.results.result_folder import ResultFolder, ScanResults, read_kind
 from salsanext_cli.results.selection import MissingResults
 from salsanext_cli.results.uncertainty_kinds import MEANT_BY_UNCERTAINTY, UNCERTAINTY
@@ -261,8 +267,10 @@ class RunResults:
         means = {r.file.name: r.uncertainty.get("least_confidence", math.nan) for r in self.rows}
         confidences = {name: 1 - mean for name, mean in means.items() if not math.isnan(mean)}
         warnings: dict[str, list[str]] = {}
-        for name, findings in OwnedFolder(records.root, "predict").findings().items():
-            for code, *_ in findings:
+        recorded = OwnedFolder(records.root, "predict").findings()
+        for sequence, stem in find_outputs(records.root, "predictions"):
+            name = f"{sequence}/{stem}"
+            for code, *_ in recorded.get(name, ()):
                 warnings.setdefault(code, []).append(name)
         return expected_accuracy(settings.accuracy, confidences, warnings)
 
