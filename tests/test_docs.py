@@ -277,6 +277,7 @@ HELPERS = {
     *("formats/column_evidence.py", "formats/columns.py", "fitting/place_checks.py"),
     *("geometry/ground.py", "geometry/sensor_place.py"),
     *("fitting/scan_structure.py", "fitting/structure_checks.py", "geometry/directions.py"),
+    "fitting/further_returns.py",
     *(f"engines/{name}.py" for name in ("backend", "batches", "device", "graphs")),
 }
 """Files of these parts that the steps of a scan call."""

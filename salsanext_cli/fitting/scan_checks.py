@@ -7,7 +7,7 @@ a warning of the run. docs/reference/warnings.md explains the thresholds.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from shlex import quote
@@ -46,7 +46,7 @@ from salsanext_cli.geometry.projection import (
 from salsanext_cli.geometry.scan_traits import MIN_TRAIT_POINTS, ScanTraits, intensity_of, sines_of
 from salsanext_cli.geometry.sensor_place import USUAL_HEIGHT_M
 from salsanext_cli.records import Double, FileNotes, Float, Scan
-from salsanext_cli.sensors.sensor import FITTED_NAME, OF_IMAGES, ORIGIN, Sensor, presets
+from salsanext_cli.sensors.sensor import FITTED_NAME, OF_IMAGES, ORIGIN, UP, Sensor, presets
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,12 +182,7 @@ def check_scan(
         fit = AUTO
     ground = ground_of(some)
     misplaced = place_problem(scan, some, ground, sensor)
-    at_place = misplaced.sensor if misplaced and misplaced.sensor else sensor
-    structure = [*structure_findings(scan, at_place)]
-    if ACCUMULATED in {finding.code for finding in structure}:
-        misplaced = None  # Several positions have seen the points: no other one has seen all.
-    elif misplaced and not misplaced.sensor:
-        structure = []  # Seen from elsewhere, any scan looks noisy.
+    structure, misplaced = _structure_at_place(scan, sensor, misplaced)
     findings = [
         *_file_findings(scan.notes),
         *_unit_findings(ranges, share),
@@ -204,6 +199,27 @@ def check_scan(
     fitted = replace(sensor, origin=ORIGIN) if sensor.registered else sensor
     traits = ScanTraits.of(sines, bright, per_point, fitted)
     return ScanCheck(tuple(findings), traits, ego_share)
+
+
+def _structure_at_place(
+    scan: Scan, sensor: Sensor, misplaced: PlaceProblem | None
+) -> tuple[list[Finding], PlaceProblem | None]:
+    """Return the signs in the structure of a scan, and what remains of the problem of its place."""
+    at_place = misplaced.sensor if misplaced and misplaced.sensor else sensor
+    structure = [*structure_findings(scan, at_place)]
+    if _accumulated(structure):
+        # Several positions have seen the points: no other one has seen all.
+        return structure, None
+    if misplaced is None or misplaced.sensor is not None:
+        return structure, misplaced
+    # Seen from elsewhere, any scan looks noisy. The position that was fitted to several scans in
+    # one is the one that sees the fewest of them behind others.
+    in_file = replace(sensor, origin=ORIGIN, up=UP)
+    return _accumulated(structure_findings(scan, in_file)), misplaced
+
+
+def _accumulated(findings: Iterable[Finding]) -> list[Finding]:
+    return [finding for finding in findings if finding.code == ACCUMULATED]
 
 
 def _file_findings(notes: FileNotes) -> Iterator[Finding]:

@@ -10,10 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from salsanext_cli.compiled import compiled
+from salsanext_cli.fitting.further_returns import count_further_returns
 from salsanext_cli.geometry.directions import COLUMNS, NO_CELL, ROWS, direction_grid
 from salsanext_cli.geometry.projection import sample_places
 from salsanext_cli.geometry.scan_traits import MIN_TRAIT_POINTS
-from salsanext_cli.records import Double, Float, Int, Scan
+from salsanext_cli.records import Double, Float, Int, Mask, Scan
 from salsanext_cli.sensors.sensor import Sensor
 
 MAX_POINTS = 8192  # Points in a sample of a scan
@@ -30,7 +31,7 @@ NEAR_M = 15.0  # Largest range of a point in the air
 class ScanStructure:
     """Structure of the measured points of a scan, estimated from a sample."""
 
-    hidden: float  # Share, 0…1, of the points behind all surfaces around their direction
+    hidden: float  # Share, 0…1, of points behind all surfaces around, but for further returns
     in_air: float  # Share, 0…1, of the points near the sensor and in front of all around
     roughness: float  # Median deviation of a range from the mean of its two neighbours, relative
 
@@ -39,50 +40,79 @@ def structure_of(scan: Scan, sensor: Sensor) -> ScanStructure | None:
     """Return the structure of a scan; None for fewer than `MIN_TRAIT_POINTS` measured points."""
     grid = direction_grid(scan, sensor)
     places = sample_places(len(scan), MAX_POINTS)
-    cells = grid.cell_of_point[places]
-    measured = cells < NO_CELL
-    cells, ranges = cells[measured], grid.point_range[places][measured]
-    if len(cells) < MIN_TRAIT_POINTS:
+    places = places[grid.cell_of_point[places] < NO_CELL]
+    count = len(places)
+    if count < MIN_TRAIT_POINTS:
         return None
-    deviations = np.empty(len(cells))
-    hidden, in_air = compare_with_neighbours(grid.nearest, cells, ranges, deviations)
-    deviations = deviations[deviations >= 0]
-    roughness = float(np.median(deviations)) if len(deviations) >= MIN_TRAIT_POINTS else 0.0
-    return ScanStructure(hidden / len(cells), in_air / len(cells), roughness)
+    cells = grid.cell_of_point[places]
+    ranges = grid.point_range[places]
+    is_hidden = np.empty(count, np.bool_)
+    is_in_air = np.empty(count, np.bool_)
+    deviations = np.empty(count)
+    compare_with_neighbours(grid.nearest, cells, ranges, is_hidden, is_in_air, deviations)
+    hidden = places[is_hidden]
+    hidden_count = len(hidden) - count_further_returns(
+        scan.points, np.asarray(sensor.origin, np.float64), hidden
+    )
+    return ScanStructure(
+        hidden=hidden_count / count,
+        in_air=float(is_in_air.mean()),
+        roughness=_roughness(deviations),
+    )
+
+
+def _roughness(deviations: Double) -> float:
+    """Return the median of the deviations (M,) that are known, 0 if they are too few."""
+    measured = deviations[deviations >= 0]
+    return float(np.median(measured)) if len(measured) >= MIN_TRAIT_POINTS else 0.0
 
 
 @compiled
 def compare_with_neighbours(
-    nearest: Float, cells: Int, ranges: Float, deviations: Double
-) -> tuple[int, int]:
-    """Count points (M,) of `ScanStructure`: hidden ones, and ones in the air.
+    nearest: Float, cells: Int, ranges: Float, is_hidden: Mask, is_in_air: Mask, deviations: Double
+) -> None:
+    """Write for each point (M,) of some cells and ranges how it lies to its neighbours.
 
-    `nearest` is that of the `DirectionGrid`. The relative deviation of the nearest range of the
-    cell of each point from the mean of the cells to its left and right is written, -1 without
-    both.
+    Parameters
+    ----------
+    nearest : (ROWS, COLUMNS) float32
+        Nearest ranges, as in a `DirectionGrid`.
+    cells, ranges : (M,) int32, float32
+        Cell of each point, and its range in metres.
+    is_hidden, is_in_air : (M,) bool
+        Whether it is one of the points that a `ScanStructure` counts.
+    deviations : (M,) float64
+        Relative deviation of the nearest range of its cell from the mean of the cells to the left
+        and right; -1 without both.
     """
-    hidden, in_air = 0, 0
     for i in range(len(cells)):
-        row, column = cells[i] // COLUMNS, cells[i] % COLUMNS
+        row = cells[i] // COLUMNS
+        column = cells[i] % COLUMNS
         centre = nearest[row, column]
-        surrounding, surface = 0, np.float32(0)
-        around, front = 0, np.float32(np.inf)
+        surface_count = 0
+        surface = np.float32(0)
+        around_count = 0
+        front = np.float32(np.inf)
         for v in range(max(row - 1, 0), min(row + 2, ROWS)):
             for step in range(-2, 3):
                 other = nearest[v, (column + step) % COLUMNS]
                 if other == np.inf:
                     continue
                 if abs(step) < 2:
-                    surrounding += 1
+                    surface_count += 1
                     surface = max(surface, other)
                 if v != row or step != 0:
-                    around += 1
+                    around_count += 1
                     front = min(front, other)
-        behind = max(HIDDEN_M, HIDDEN_SHARE * surface)
-        hidden += surrounding >= MIN_SURROUNDING and ranges[i] - surface > behind
-        ahead = max(IN_AIR_M, IN_AIR_SHARE * centre)
-        in_air += around >= MIN_AROUND and centre < NEAR_M and front - centre > ahead
-        left, right = nearest[row, (column - 1) % COLUMNS], nearest[row, (column + 1) % COLUMNS]
-        both = left < np.inf and right < np.inf
-        deviations[i] = abs(centre - (left + right) / 2) / centre if both else -1.0
-    return hidden, in_air
+        least_behind = max(HIDDEN_M, HIDDEN_SHARE * surface)
+        is_behind = ranges[i] - surface > least_behind
+        is_hidden[i] = is_behind and surface_count >= MIN_SURROUNDING
+        least_ahead = max(IN_AIR_M, IN_AIR_SHARE * centre)
+        is_ahead = front - centre > least_ahead
+        is_in_air[i] = is_ahead and around_count >= MIN_AROUND and centre < NEAR_M
+        left = nearest[row, (column - 1) % COLUMNS]
+        right = nearest[row, (column + 1) % COLUMNS]
+        if left < np.inf and right < np.inf:
+            deviations[i] = abs(centre - (left + right) / 2) / centre
+        else:
+            deviations[i] = -1.0

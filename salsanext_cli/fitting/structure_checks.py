@@ -17,6 +17,8 @@ from salsanext_cli.sensors.sensor import Sensor
 ACCUMULATED = "accumulated"  # Code of a scan of several scans or sensors
 MAX_HIDDEN = 0.045
 """Largest share of hidden points; single scans had up to 0.037, ten scans in one 0.062 or more."""
+MAX_HIDDEN_IN_FOG = 0.09
+"""The same of points of which some float: those of single scans in fog and snow were 0.065."""
 MAX_ROUGHNESS = 0.015
 """Largest relative deviation of neighbouring ranges; scans had up to 0.008, with noise of 0.1 m
 0.023 or more."""
@@ -27,7 +29,9 @@ MAX_SECTORS, SECTORS = 0.6, 64
 MIN_SHARPNESS = 2.0
 """Least sharpness of the rows of a sensor with few directions; a depth image had up to 1.5."""
 SINGLE_SCANS = "label the single scans, then `salsanext fuse`"
-SET_ORIGIN = "if it is a single scan, set the `origin` of its sensor"
+IF_SINGLE = (
+    "if it is a single scan, keep one return of each pulse, or set the `origin` of its sensor"
+)
 CLEAN = "expect wrong labels: remove such points, or `salsanext train` weights on such scans"
 LIDAR = "expect wrong labels: the weights know scans of rotating sensors"
 
@@ -37,11 +41,12 @@ def structure_findings(scan: Scan, sensor: Sensor) -> Iterator[Finding]:
     structure = structure_of(scan, sensor)
     if structure is None:
         return
-    # Noise also lets points float and hides others; fog hides points, too.
+    # Noise also lets points float and hides others; fog hides points, too. In several scans at
+    # once, the vehicles that carried the sensor float.
     if structure.roughness > MAX_ROUGHNESS:
         problem = f"neighbouring ranges differ by {structure.roughness:.1%}, as by noise"
         yield Finding("noisy", f"{problem} or in dense fog", CLEAN)
-    elif structure.in_air > MAX_IN_AIR:
+    elif structure.in_air > MAX_IN_AIR and structure.hidden <= MAX_HIDDEN_IN_FOG:
         problem = f"{structure.in_air:.1%} of the points float near the sensor, as in fog or snow"
         yield Finding("near-returns", problem, CLEAN)
     else:
@@ -61,7 +66,7 @@ def _accumulated_findings(hidden: float, split: FieldSplit | None) -> Iterator[F
 
 def _remedy(split: FieldSplit | None) -> str:
     if split is None:
-        return f"{SINGLE_SCANS}; {SET_ORIGIN}"
+        return f"{SINGLE_SCANS}; {IF_SINGLE}"
     values = f"its field {split.field} has {split.count} values"
     if split.kind == "sensor":
         return f"{values}: split the file by it, and label each sensor in a folder of its own"

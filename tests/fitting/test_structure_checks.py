@@ -9,12 +9,15 @@ import pytest
 from scans import SMALL, make_scan
 
 from salsanext_cli import Scan
+from salsanext_cli.fitting.field_of_view import fit_view
 from salsanext_cli.fitting.scan_checks import check_scan
 from salsanext_cli.fitting.scan_structure import structure_of
+from salsanext_cli.fitting.structure_checks import MAX_HIDDEN, MAX_IN_AIR
 from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.directions import COLUMNS, NEAREST_M, NO_CELL, ROWS, direction_grid
 from salsanext_cli.geometry.network_input import NO_INTENSITY
 from salsanext_cli.measures.expected_accuracy import WITHHELD_FOR
+from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.records import FieldSplit, FileNotes
 from salsanext_cli.sensors.sensor import sensor
 
@@ -110,6 +113,63 @@ def codes(scan, mounted=SMALL):
 )
 def test_structures_that_no_lidar_sees_are_findings(scan, expected):
     assert codes(scan) == expected
+
+
+def returns_of(first, order):
+    """Return the first returns of pulses with second ones, of a third of them, in an order."""
+    has_second = np.random.default_rng(0).random(len(first)) < 0.3
+    factor = 1.4 + 2 / np.linalg.norm(first, axis=1)
+    second = first * np.where(has_second, factor, 1)[:, None]
+    if order == "in turn":
+        return np.stack([first, second], axis=1).reshape(-1, 3)
+    if order == "last one first":
+        return np.stack([second, first], axis=1).reshape(-1, 3)
+    if order == "without empty ones":
+        pairs = np.stack([first, second], axis=1).reshape(-1, 3)
+        return pairs[np.stack([np.ones_like(has_second), has_second], axis=1).ravel()]
+    if order == "by firing":
+        firings = [part.reshape(-1, len(BEAMS_DEG), 3) for part in (first, second)]
+        return np.stack(firings, axis=1).reshape(-1, 3)
+    return np.concatenate([first, np.where(has_second[:, None], second, 0)])
+
+
+RETURN_ORDERS = ("in turn", "last one first", "without empty ones", "by firing", "in halves")
+
+
+@pytest.mark.parametrize("order", RETURN_ORDERS)
+def test_second_returns_of_the_same_pulses_are_not_several_scans(order):
+    first = seen_from(0, turned())
+    assert codes(scan_of(returns_of(first, order))) == set()
+    # Laser and receiver are not exactly at the origin of the frame.
+    moved = returns_of(first + (0.02, 0, 0.05), order) - (0.02, 0, 0.05)
+    assert codes(scan_of(moved + (0, 0.03, 0.1))) == set()
+    clouds = [returns_of(seen_from(-2.0 * k, turned()), order) - (2.0 * k, 0, 0) for k in range(10)]
+    assert codes(scan_of(np.concatenate(clouds))) == {"accumulated"}
+
+
+def test_returns_in_no_order_are_named_by_the_hint():
+    points = returns_of(seen_from(0, turned()), "in turn")
+    scan = scan_of(np.random.default_rng(1).permutation(points))
+    (found,) = (f for f in check_scan(Path("s.bin"), scan, SMALL).findings if f.code in CODES)
+    assert found.code == "accumulated"
+    assert "pulse" in found.hint
+
+
+def test_vehicles_that_carried_the_sensor_do_not_look_like_fog():
+    rng = np.random.default_rng(0)
+    vehicles = [
+        rng.uniform((-3, -3, -1.5), (3, 3, -0.3), (200, 3)) - (2.0 * k, 0, 0) for k in range(10)
+    ]
+    ten = scan_of(np.concatenate([sweeps(10).points, *vehicles]))
+    assert structure_of(ten, SMALL).in_air > MAX_IN_AIR
+    assert codes(ten) == {"accumulated"}
+
+
+def test_several_scans_are_found_from_the_origin_of_the_file_too():
+    """A sensor was fitted between the positions, from where few points are hidden."""
+    fitted = replace(SMALL, origin=(-9.0, 5.0, 4.0))
+    assert structure_of(sweeps(10), fitted).hidden < MAX_HIDDEN
+    assert codes(sweeps(10), fitted) == {"accumulated"}
 
 
 @pytest.mark.parametrize("beams", [16, 32, 128])
@@ -211,6 +271,23 @@ def test_grid_and_structure_agree_with_a_slow_loop():
     assert structure.hidden == pytest.approx(hidden / len(cells), abs=1e-3)
     assert structure.in_air == pytest.approx(in_air / len(cells), abs=1e-3)
     assert structure.roughness == pytest.approx(np.median(deviations), rel=0.02)
+
+
+@pytest.mark.real
+@pytest.mark.parametrize("start", [0, 10, 20])
+@pytest.mark.parametrize("sequence", ["0001", "0004"])
+def test_ten_scans_of_a_drive_in_one_are_a_finding_of_a_fitted_sensor(real_data, sequence, start):
+    drive = real_data / "data/drives/sequences" / sequence
+    poses = np.loadtxt(drive / "poses.txt").reshape(-1, 3, 4)[start : start + 10]
+    scans = [read_scan(path) for path in sorted((drive / "velodyne").iterdir())[start : start + 10]]
+    rotation, position = poses[0, :, :3], poses[0, :, 3]
+    clouds = [
+        (scan.points @ pose[:, :3].T + pose[:, 3] - position) @ rotation
+        for scan, pose in zip(scans, poses, strict=True)
+    ]
+    cloud = scan_of(np.concatenate(clouds))
+    fitted = fit_view([cloud], read_card(default_weights()).sensor)
+    assert codes(cloud, fitted) == {"accumulated"}
 
 
 @pytest.mark.real
