@@ -140,11 +140,9 @@ def _evaluation_tables(evaluation: "Evaluation") -> "Group":
     from rich.text import Text
 
     from salsanext_cli.report import tables
-    from salsanext_cli.stages.evaluate import ON_TRAINING_SCANS
 
-    of_training = ON_TRAINING_SCANS if evaluation.counts.trained_on else ""
     uncertainty, accepted = evaluation.uncertainty, evaluation.accepted
-    parts: list[Any] = [tables.score_table(evaluation.scores, of_training)]
+    parts: list[Any] = [tables.score_table(evaluation.scores, evaluation.doubt)]
     parts += [tables.band_table(evaluation.by_distance)] if evaluation.by_distance else []
     parts += tables.uncertainty_tables(uncertainty)
     parts += [Text(uncertainty.accepted.sentence)] if uncertainty.accepted else []

@@ -35,7 +35,8 @@ from salsanext_cli.measures.histograms import (
 from salsanext_cli.measures.scores import Counts, accepted, confusion_matrix, scored_rows, scores
 from salsanext_cli.network.card import is_among
 from salsanext_cli.records import Float, Indices, Mask, Scan
-from salsanext_cli.results.manifest import Manifest, Rejection
+from salsanext_cli.results.digest_files import NO_SCANS, RecordedScans
+from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.results.paths import ScanFile, output_path
 from salsanext_cli.results.result_folder import read_kind
 from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
@@ -175,8 +176,9 @@ class ScanComparison:
     labels: LabelSpace  # Meaning of the raw ids of the truth
     merging: ClassMerging | None  # From the classes of the probabilities to those of `space`
     sensor: Sensor  # Sensor of the range images, and origin of the scans
-    rejection: Rejection | None = None
-    trained_on: frozenset[str] = frozenset()  # Digests of scans
+    rejects: bool = False  # Whether the run rejected points
+    trained_on: RecordedScans = NO_SCANS  # Scans that the weights were trained on
+    chosen_on: RecordedScans = NO_SCANS  # Scans that the threshold was chosen on
     by_distance: bool = False  # Whether to count distance bands too
 
     @classmethod
@@ -184,9 +186,28 @@ class ScanComparison:
         cls, results: Manifest, space: LabelSpace, labels: LabelSpace, *, by_distance: bool = False
     ) -> ScanComparison:
         """Return the settings that the records of an output folder imply."""
-        merging, sensor = results.merging_into(space), results.sensor()
-        of_weights = results.rejection(), results.trained_on()
-        return cls(results.root, space, labels, merging, sensor, *of_weights, by_distance)
+        return cls(
+            out=results.root,
+            space=space,
+            labels=labels,
+            merging=results.merging_into(space),
+            sensor=results.sensor(),
+            rejects=results.rejected_above() is not None,
+            trained_on=results.trained_on(),
+            chosen_on=results.scans_of_threshold(),
+            by_distance=by_distance,
+        )
+
+    def warnings(self) -> Iterator[str]:
+        """Yield what the comparison cannot check, in words, because a file of digests is gone."""
+        kinds = {
+            "the weights were trained on these scans": self.trained_on,
+            "the threshold was chosen on these scans": self.chosen_on,
+        }
+        for question, recorded in kinds.items():
+            if recorded.missing:
+                headline = f"{recorded.missing}: is missing, so it is unknown whether {question}"
+                yield with_hint(headline, recorded.hint)
 
     def count(self, scan: ScanFile) -> ScanCounts:
         """Count one scan; a scan without predictions counts as missing.
@@ -205,7 +226,7 @@ class ScanComparison:
         predicted = space.to_train(raw_predicted, strict=False, source=predictions)
         read = cache(lambda: cloud or read_scan(scan.path, self.sensor))
         counts.scans = 1
-        counts.trained_on = int(is_among(self.trained_on, len(truth), read))
+        counts.trained_on = int(is_among(self.trained_on.digests, len(truth), read))
         counts.unknown_truth.update(self.labels.unknown_ids(raw_truth))
         counts.unknown_predictions.update(space.unknown_ids(raw_predicted))
         counts.confusion = confusion_matrix(truth, predicted, space.class_count)
@@ -225,11 +246,11 @@ class ScanComparison:
         wrong = predicted != truth
         values = self._count_softmax(scan, scored, truth, counts)
         values |= self._uncertainties(scan, scored, counts)
-        if self.rejection:
+        if self.rejects:
             labelled = predicted != 0
             accepted_points, wrong_points = int(labelled.sum()), int((labelled & wrong).sum())
             counts.accepted[scan.name] = len(labelled), accepted_points, wrong_points
-            counts.calibrated = int(is_among(self.rejection.chosen_on, len(scored), read))
+            counts.calibrated = int(is_among(self.chosen_on.digests, len(scored), read))
             values = {kind: np.where(labelled, v, np.nan) for kind, v in values.items()}
         for kind, of_points in values.items():
             counts.histograms[kind] = uncertainty_histogram(of_points, wrong)

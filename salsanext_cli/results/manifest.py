@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.classes.merging import ClassMerging, contradiction
@@ -27,9 +27,17 @@ from salsanext_cli.files.json_files import (
 )
 from salsanext_cli.files.reading import identity
 from salsanext_cli.formats import scan_suffix
-from salsanext_cli.network.card import AccuracyLine, RiskThreshold, parted
+from salsanext_cli.network.card import AccuracyLine, RiskThreshold
 from salsanext_cli.option_fields import FusionReach, KnnParameters
-from salsanext_cli.results.digest_files import with_digests, with_files
+from salsanext_cli.results.digest_files import (
+    NO_SCANS,
+    RecordedScans,
+    digests_of_guarantee,
+    recorded_scans,
+    require_digests,
+    with_names,
+    without_names,
+)
 from salsanext_cli.results.paths import COLOURINGS, ERROR, SUFFIX_OF_FOLDER, ScanFile
 from salsanext_cli.results.selection import space_of
 from salsanext_cli.results.setting_differences import differences
@@ -99,7 +107,7 @@ class StageRecord:
 
     def has_settings(self, settings: Mapping[str, object]) -> bool:
         """Return whether the record has the same settings."""
-        return not differences(self.settings, settings)
+        return not differences(with_names(self.settings), with_names(settings))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -133,10 +141,11 @@ class StageSettings:
     scale: tuple[float, ...] | None = None
     max_error: float | None = None  # Largest error of the points that `filter` writes
     origins: Mapping[str, str] | None = None  # Digests of the settings of earlier stages, by name
-    trained_on: str | None = None  # Joined digests of the scans that the weights were trained on
+    # Joined digests of the scans that the weights were trained on, or the name of their file
+    trained_on: str | None = None
 
     def __post_init__(self) -> None:
-        parted(self.trained_on or "")  # Raises an error for invalid digests.
+        require_digests(self.trained_on or "")
         if any(len(ends) < 2 for ends in (*(self.scales or {}).values(), self.scale or (0, 1))):
             raise ValueError("a scale with fewer than two numbers")
 
@@ -161,22 +170,14 @@ def _read(path: Path, stage: str, _: tuple[object, ...]) -> StageRecord | None:
         raise OutputError(path, f"is not a record of `{stage}`", hint=hint)
     content = {RENAMED.get(key, key): value for key, value in content.items()}
     if isinstance(settings := content.get("settings"), dict):
-        renamed = {RENAMED.get(key, key): value for key, value in settings.items()}
-        content["settings"] = with_digests(renamed, path)
+        content["settings"] = {RENAMED.get(key, key): value for key, value in settings.items()}
     return record_of(StageRecord, content, path)
 
 
 @lru_cache(4 * len(RESULT_STAGES))
 def _settings(path: Path, stage: str, state: tuple[object, ...]) -> StageSettings | None:
     record = _read(path, stage, state)
-    return record_of(StageSettings, record.settings, path) if record else None
-
-
-class Rejection(NamedTuple):
-    """Rule by which a run rejected points."""
-
-    above: float  # Threshold of the uncertainty
-    chosen_on: frozenset[str]  # Digests of the scans that `tune risk` chose the threshold on
+    return record_of(StageSettings, without_names(record.settings), path) if record else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,8 +203,7 @@ class Manifest:
     def write(self, record: StageRecord) -> None:
         """Write the record of a stage durably if it has changed."""
         if self.record(record.stage) != record:
-            apart = replace(record, settings=with_files(record.settings, self.root))
-            write_json(self.path(record.stage), apart)
+            write_json(self.path(record.stage), record)
 
     def sources(self) -> dict[str, ScanSource]:
         """Return the sources of the scans of all stages, by sequence."""
@@ -292,21 +292,25 @@ class Manifest:
 
     def weights(self, folder: str) -> str | None:
         """Return the SHA-256 of the weights of a folder of results, if it is recorded."""
-        settings = self._network_of(folder)
+        stage = self._network_stage(folder)
+        settings = self.settings(stage) if stage else None
         return settings.weights if settings else None
 
-    def trained_on(self) -> frozenset[str]:
-        """Return the digests of the scans that the weights of the predictions were trained on."""
-        settings = self._network_of("predictions")
-        return frozenset(parted(settings.trained_on or "")) if settings else frozenset()
+    def trained_on(self) -> RecordedScans:
+        """Return the scans that the weights of the predictions were trained on."""
+        stage = self._network_stage("predictions")
+        settings = self.settings(stage) if stage else None
+        if stage is None or settings is None:
+            return NO_SCANS
+        return recorded_scans(settings.trained_on or "", self.path(stage))
 
-    def _network_of(self, folder: str) -> StageSettings | None:
-        """Return the settings of the stage that ran the network for a folder of results."""
-        settings = self.settings_of(folder)
+    def _network_stage(self, folder: str) -> str | None:
+        """Return the stage that ran the network for a folder of results."""
+        stage, settings = self.owner(folder), self.settings_of(folder)
         # Without origins, an earlier version refined labels of another program.
-        if settings and settings.origins is not None and self.owner(folder) == "knn-refine":
-            return self._network_of("pixel_labels")
-        return settings
+        if stage == "knn-refine" and settings and settings.origins is not None:
+            return self._network_stage("pixel_labels")
+        return stage
 
     def require_same_weights(self) -> None:
         """Refuse an uncertainty of other weights or classes than the labels."""
@@ -323,13 +327,18 @@ class Manifest:
                 hint = f"{hint} --classes of the labels"
                 raise OutputError(self.root, problem, "the same classes", hint)
 
-    def rejection(self, folder: str = "predictions") -> Rejection | None:
-        """Return the rule by which the run of a folder of results rejected points, if it did."""
+    def rejected_above(self, folder: str = "predictions") -> float | None:
+        """Return the uncertainty above which the run of a folder of results rejected points."""
         settings = self.settings_of(folder)
-        if settings is None or settings.reject is None:
-            return None
-        digests = settings.guarantee.digests if settings.guarantee else ""
-        return Rejection(settings.reject, frozenset(parted(digests)))
+        return settings.reject if settings else None
+
+    def scans_of_threshold(self) -> RecordedScans:
+        """Return the scans that `tune risk` chose the threshold of the predictions on."""
+        stage = self.owner("predictions")
+        record = self.record(stage) if stage else None
+        if stage is None or record is None:
+            return NO_SCANS
+        return recorded_scans(digests_of_guarantee(record.settings), self.path(stage))
 
     def _recorded(self, value: Kind | None, name: str) -> Kind:
         """Return a setting that the record must contain."""
@@ -343,6 +352,6 @@ def require_same_settings(
     path: Path, recorded: Mapping[str, object], settings: Mapping[str, object]
 ) -> None:
     """Refuse to mix or to replace results of other settings, and name the differences."""
-    if changed := differences(recorded, settings):
+    if changed := differences(with_names(recorded), with_names(settings)):
         hint = "use another output folder, or --overwrite to replace all its results"
         raise OutputError(path, f"was made with other settings: {changed}", hint=hint)

@@ -2,7 +2,7 @@
 """Runs of stages in an output folder, where several stages write results of the same scans."""
 
 import io
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,6 +15,7 @@ from salsanext_cli.classes.label_space import RawIds
 from salsanext_cli.errors import OutputError
 from salsanext_cli.files.reading import filled
 from salsanext_cli.formats.kitti import encode_labels
+from salsanext_cli.results.digest_files import names_files, with_files
 from salsanext_cli.results.manifest import (
     Manifest,
     ScanSource,
@@ -75,7 +76,8 @@ class OutputRun(OwnedFolder):
     def claim(self, wanted: StageRecord) -> StageRecord:
         """Update the locked records and remove outdated results for this run, or refuse."""
         known = self.manifest.records()
-        before = known.pop(self.stage, None) or StageRecord(self.stage, wanted.settings)
+        earlier = known.pop(self.stage, None)
+        before = earlier or StageRecord(self.stage, wanted.settings)
         same = before.has_settings(wanted.settings)
         others = [record for record in known.values() if {*record.writes} & {*wanted.writes}]
         if "predictions" in wanted.writes and not same and "fuse" in known:
@@ -98,11 +100,11 @@ class OutputRun(OwnedFolder):
         recorded = {folder for record in (before, *others) for folder in record.writes}
         foreign += self._remove_unrecorded(name for name in wanted.writes if name not in recorded)
         names = {path.relative_to(self.root).as_posix() for path in foreign}
-        merged = replace(wanted, foreign=tuple(sorted(names)))
+        settings = self._settings_with_files(wanted, earlier if same else None)
+        merged = replace(wanted, settings=settings, foreign=tuple(sorted(names)))
         if same:
             merged = replace(
                 merged,
-                settings=before.settings,
                 writes=tuple(sorted({*before.writes, *wanted.writes})),
                 scans=merged_sources((before.scans, wanted.scans)),
                 foreign=tuple(sorted({*before.foreign, *names})),
@@ -110,6 +112,18 @@ class OutputRun(OwnedFolder):
         # The record comes last, so that the next run repeats what a killed run did not finish.
         self.manifest.write(merged)
         return merged
+
+    def _settings_with_files(
+        self, wanted: StageRecord, same: StageRecord | None
+    ) -> Mapping[str, object]:
+        """Return the settings to record, and write the files of digests that they name.
+
+        `same`: the earlier record with the same settings, which may hold the digests itself.
+        """
+        if same and not names_files(same.settings):
+            return same.settings
+        settings = with_files(wanted.settings, self.root)
+        return same.settings if same else settings
 
     def _take_over(self, other: StageRecord, folders: Collection[str]) -> list[Path]:
         """Remove results of another stage from folders, and results that depend on its labels."""

@@ -247,7 +247,7 @@ class ResultFolder(Manifest):
             "predictions_of": stage,
             "weights": self.weights("predictions"),
             "temperature": softmax.temperature if softmax else None,
-            "reject": rejection.above if (rejection := self.rejection()) else None,
+            "reject": self.rejected_above(),
             "uncertainty": estimated
             and {k: v for k in UNCERTAINTY_SETTINGS if (v := getattr(estimated, k)) is not None},
             "origins": self.origins(sorted(made_by)),
@@ -276,7 +276,7 @@ class ResultFolder(Manifest):
         if label is not None and classes is not None:
             label = classes.to_raw(classes.to_train(label, strict=False))
         rejected, predicted_in = None, classes or self.label_space()
-        if label is not None and predicted_in and self.rejection():
+        if label is not None and predicted_in and self.rejected_above() is not None:
             rejected = predicted_in.to_train(label, strict=False) == 0
         truth, _ = _labels(file.label_path, count) if truth_in else (None, None)
         if truth is not None and truth_in:

@@ -41,6 +41,7 @@ NOT_COVERED = (
     f"the threshold was chosen on ({OTHER_SCANS})\nhint: {TUNE_AGAIN}"
 )
 ON_TRAINING_SCANS = "scores on scans that the weights were trained on"
+UNKNOWN_TRAINING_SCANS = "scores on scans that the weights may have been trained on"
 
 log = logging.getLogger(__name__)
 
@@ -50,6 +51,7 @@ class Evaluation:
     """Result of comparing predictions with labels."""
 
     space: LabelSpace  # Classes of the comparison
+    comparison: ScanComparison
     counts: ScanCounts  # Of the scored scans: all only if the weights were trained on all
     scores: Scores  # Scores over all points
     by_distance: dict[str, Scores]  # Scores by name of the band; empty if not requested
@@ -64,7 +66,7 @@ class Evaluation:
 
     def files(self) -> dict[str, bytes]:
         """Return the content of the files of an evaluation by name."""
-        heading = f"# {ON_TRAINING_SCANS}\n" if self.counts.trained_on else ""
+        heading = f"# {self.doubt}\n" if self.doubt else ""
         return {
             "scores.txt": (heading + self.scores.official_yaml()).encode(),
             "eval_confusion.png": confusion_picture(self.counts.confusion, self.space),
@@ -72,9 +74,17 @@ class Evaluation:
             "eval.json": encode_json(escaped(self.to_dict())),
         }
 
+    @property
+    def doubt(self) -> str:
+        """Whether the weights were or may have been trained on the scans, in words; else empty."""
+        if self.comparison.trained_on.missing:
+            return UNKNOWN_TRAINING_SCANS
+        return ON_TRAINING_SCANS if self.counts.trained_on else ""
+
     def warnings(self) -> Iterator[str]:
         """Yield reasons to doubt the scores or the guarantee, in words."""
         yield from self.counts.label_warnings(self.space)
+        yield from self.comparison.warnings()
         if self.guarantee and self.guarantee.warning:
             yield self.guarantee.warning
         elif self.guarantee and not self.guarantee.is_covered:
@@ -83,6 +93,7 @@ class Evaluation:
     def to_dict(self) -> dict[str, object]:
         """Return plain data for JSON; null stands for NaN."""
         counts = self.counts
+        is_known = self.comparison.trained_on.missing is None
         unknown_ids = {"truth": counts.unknown_truth, "predictions": counts.unknown_predictions}
         content = {
             "stage": "eval",
@@ -90,8 +101,8 @@ class Evaluation:
             "settings": self.settings,
             "label_space": self.space.name,
             "scans": counts.scans,
-            "trained_on": counts.skipped,
-            "on_training_scans": counts.trained_on > 0,
+            "trained_on": counts.skipped if is_known else None,
+            "on_training_scans": counts.trained_on > 0 if is_known else None,
             **self.missing.to_dict(),
             "failures": self.failures,
             "unknown_ids": {name: dict(sorted(ids.items())) for name, ids in unknown_ids.items()},
@@ -197,6 +208,7 @@ def _evaluation(
     bands = zip(BAND_NAMES, counts.bands, strict=comparison.by_distance)
     return Evaluation(
         space=space,
+        comparison=comparison,
         counts=counts,
         scores=scores(counts.confusion, space),
         by_distance={name: scores(band, space) for name, band in bands},

@@ -43,6 +43,7 @@ from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.option_fields import FusionReach
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.records import Float
+from salsanext_cli.results.digest_files import recorded_scans
 from salsanext_cli.results.manifest import StageSettings
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.owned_folder import OwnedFolder, foreign_file
@@ -62,7 +63,7 @@ from salsanext_cli.sensors.sensor import Sensor
 
 FUSED = "fused"  # Folder of the fused labels in the folder of the labels of single scans
 SOFTMAX_FOLDERS = ("probabilities", "votes")
-OF_NETWORK = ("weights", "weights_version", "inherited", "trained_on", "temperature")
+OF_NETWORK = ("weights", "weights_version", "inherited", "temperature")
 """Settings of `predict` that the fused labels inherit."""
 
 Value = TypeVar("Value")
@@ -159,9 +160,12 @@ class FusibleResults:
         origins = self.results.origins(SINGLE_SCAN_STAGES)
         of_single = StageSettings(reach=reach, origins=origins)
         network = self.results.settings("predict") or StageSettings()
+        # The record of the fused labels has a file of its own.
+        trained = recorded_scans(network.trained_on or "", self.results.path("predict"))
         return of_single, replace(
             of_single,
             **{name: getattr(network, name) for name in OF_NETWORK},
+            trained_on="".join(sorted(trained.digests)) or network.trained_on,
             label_space=self.space,
             sensor=self.sensor,
             fused_of=os.path.relpath(self.results.root, target),
@@ -173,7 +177,7 @@ def _fusible_results(out: Path, query: ResultQuery) -> FusibleResults:
     if (predicted := OwnedFolder(out, "predict")).is_shared():
         raise predicted.busy()
     results = ResultFolder(out, query.dataset)
-    if results.rejection():
+    if results.rejected_above() is not None:
         problem, hint = "has labels of which some were rejected", "predict without --reject"
         raise OutputError(out, problem, "all labels, since votes replace rejected ones", hint)
     present_scans = results.scans()

@@ -95,7 +95,7 @@ def knn_refine_scans(
     Outcome
     """
     results = ResultFolder(out)
-    if results.rejection("pixel_labels"):
+    if results.rejected_above("pixel_labels") is not None:
         problem, hint = "has labels of which some were rejected", "predict without --reject"
         raise OutputError(out, problem, "all labels, since the vote restores rejected ones", hint)
     scans = find_scans(dataset) if dataset else results.scans()

@@ -42,13 +42,14 @@ class Report:
         counts, compared = self.run.counts, self.compared
         scores, labels = compared and compared.scores, compared and compared.accepted
         best = compared and compared.uncertainty.accepted
+        is_known = self.run.reader.trained_on.missing is None
         return {
             "stage": "report",
             "page": str(self.page),
             "bytes": self.page.stat().st_size,
             "scans": len(self.run.rows),
-            "trained_on": counts.skipped if counts else 0,
-            "on_training_scans": bool(counts and counts.trained_on),
+            "trained_on": (counts.skipped if counts else 0) if is_known else None,
+            "on_training_scans": bool(counts and counts.trained_on) if is_known else None,
             "shown": self.shown,
             "accuracy": plain(scores.accuracy) if scores and not labels else None,
             "iou_mean_present": plain(scores.iou_mean_present) if scores and not labels else None,

@@ -365,7 +365,7 @@ def test_digests_of_training_scans_come_last(tmp_path: Path) -> None:
     content = json.loads((tmp_path / "predict.json").read_text())
     assert [*content] == ["stage", "version", "writes", "settings", "scans"]
     assert [*content["settings"]][-1] == "trained_on"
-    assert Manifest(tmp_path).trained_on() == {digest}
+    assert Manifest(tmp_path).trained_on().digests == {digest}
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@
 
 import hashlib
 import json
-import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,11 +16,17 @@ from salsanext_cli.errors import OutputError
 from salsanext_cli.measures.scores import confusion_matrix
 from salsanext_cli.network.card import read_card, scan_digest
 from salsanext_cli.network.weights import save_with_card
+from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.results.digest_files import with_files
+from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.results.paths import find_scans
 from salsanext_cli.results.scan_folders import scan_names
 from salsanext_cli.stages.evaluate import Evaluation, evaluate
+from salsanext_cli.stages.export_ply import export_ply
+from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.report import read_run, report
+from salsanext_cli.stages.uncertainty import uncertainty
 
 SPACE = label_space()
 EVERY = (("00", "000000"), ("08", "000000"), ("08", "000001"))
@@ -99,6 +104,7 @@ def test_a_report_leaves_out_the_same(trained):
     assert [row.confusion.any() for row in rows.rows] == [True, True, False]
 
 
+REPLACED = RunOptions(overwrite=True)  # `knn-refine` replaces the labels of `predict`.
 RISK = {"kind": "error", "threshold": 0.5, "at_most": 0.1, "confidence": None}
 RISK |= {"scans": 3, "sequences": ["00"], "digests": "all"}
 
@@ -148,13 +154,93 @@ def test_a_record_of_an_early_version_holds_them_itself(trained):
     assert json.loads(path.read_text()) == record
 
 
-@pytest.mark.parametrize("content", [None, b"", b"0" * 24, b"\xff"])
-def test_a_missing_or_changed_file_of_digests_is_refused(trained, content):
-    """Scans of the training would count otherwise; a process reads an unchanged record once."""
+@pytest.mark.parametrize("content", [b"", b"0" * 24, b"\xff"])
+def test_a_changed_file_of_digests_is_refused_where_scans_are_compared(trained, content):
+    """Scans of the training would count otherwise."""
     predict(trained)
-    os.utime(trained.out / "predict.json", ns=(0, 0))
+    path = digest_file(trained)
+    path.write_bytes(content)
+    export_ply(trained.out)
+    refused(OutputError, path, judged, trained)
+    path.unlink()
+    predict(trained)  # Writes the file again, as the hint of a missing one says.
+    assert judged(trained).counts.skipped == 1
+
+
+def test_without_the_file_of_digests_only_the_comparison_with_them_is_missing(trained, caplog):
+    predict(trained, extras=("pixel_labels", "probabilities"))
     path = digest_file(trained)
     path.unlink()
-    if content is not None:
-        path.write_bytes(content)
-    refused(OutputError, path, judged, trained)
+    knn_refine_scans(trained.out, options=REPLACED)
+    uncertainty(trained.data, trained.out, settings=trained.network)
+    path.unlink()  # `uncertainty` names the same file.
+    export_ply(trained.out)
+    caplog.clear()
+    result = judged(trained)
+    assert [str(path) in message for message in caplog.messages].count(True) == 1
+    assert (result.counts.scans, result.counts.skipped) == (3, 0)
+    numbers = json.loads((trained.out / "eval.json").read_text())
+    assert (numbers["trained_on"], numbers["on_training_scans"]) == (None, None)
+    assert (trained.out / "scores.txt").read_text().startswith("# ")
+    made = report(trained.out)
+    assert made.to_dict()["trained_on"] is None
+    assert path.name in made.page.read_text("utf-8")
+
+
+def test_the_scans_of_a_threshold_are_unknown_without_their_file(trained, caplog):
+    digests = {scan_digest(read_scan(trained.scan("08", "000001")))}
+    predict(trained)
+    path = trained.out / "predict.json"
+    record = json.loads(path.read_text())
+    risk = RISK | {"digests": "".join(digests)}
+    settings = record["settings"] | {"reject": 0.5, "guarantee": risk}
+    record["settings"] = with_files(settings, trained.out)
+    path.write_text(json.dumps(record))
+    assert judged(trained).counts.calibrated == 0  # That scan is skipped.
+    named = trained.out / record["settings"]["guarantee"]["digests"]
+    assert Manifest(trained.out).scans_of_threshold().digests == digests
+    named.unlink()
+    caplog.clear()
+    judged(trained)
+    assert [message for message in caplog.messages if str(named) in message]
+
+
+def test_a_later_stage_runs_again_after_the_file_of_digests_has_gone_and_come_back(trained):
+    """The settings of `predict` stay the same settings."""
+    predict(trained, extras=("pixel_labels",))
+    knn_refine_scans(trained.out, options=REPLACED)
+    path = digest_file(trained)
+    content = path.read_bytes()
+    path.unlink()
+    knn_refine_scans(trained.out)
+    path.write_bytes(content)
+    knn_refine_scans(trained.out)
+
+
+def test_records_of_early_versions_stay_as_they_are_when_scans_are_added(trained):
+    """Later stages recorded the digest of the settings as they were written."""
+    first = trained.scan("08", "000000")
+    predict_scans(first, trained.out, settings=trained.network)
+    path = trained.out / "predict.json"
+    record = json.loads(path.read_text())
+    joined = digest_file(trained).read_text("ascii").replace("\n", "")
+    record["settings"]["trained_on"] = joined
+    digest_file(trained).unlink()
+    path.write_text(json.dumps(record))
+    before = Manifest(trained.out).origins(["predict"])
+    expected = json.dumps(record["settings"], sort_keys=True)
+    assert before["predict"] == hashlib.sha256(expected.encode()).hexdigest()[:12]
+    predict(trained)
+    assert json.loads(path.read_text())["settings"]["trained_on"] == joined
+    assert Manifest(trained.out).origins(["predict"]) == before
+    assert judged(trained).counts.skipped == 1
+
+
+def test_a_file_of_digests_with_the_former_suffix_is_read(trained):
+    predict(trained)
+    path = digest_file(trained)
+    former = path.rename(path.with_suffix(".txt"))
+    record = (trained.out / "predict.json").read_text().replace(path.name, former.name)
+    (trained.out / "predict.json").write_text(record)
+    assert judged(trained).counts.skipped == 1
+    predict(trained)  # With the same settings

@@ -92,7 +92,7 @@ class ScanRow:
         if is_labelled and present(file.label_path):
             counts = reader.count(file)
             confusion = scored_rows(counts.confusion, space)
-            confusion = accepted(confusion) if reader.rejection else confusion
+            confusion = accepted(confusion) if reader.rejects else confusion
         return cls(file, points, class_points, uncertainty, confusion), counts
 
 
@@ -184,6 +184,7 @@ class RunResults:
             yield self.guarantee.warning
         if self.counts:
             yield from self.counts.label_warnings(self.reader.space)
+            yield from self.reader.warnings()
         wanted = {name for row in self.rows for name in (row.file.name, row.file.sequence)}
         yield from warnings_of_run(self.reader.out, wanted)
         if self.missing.scans:
