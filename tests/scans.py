@@ -193,3 +193,11 @@ def real_scans(real_data: Path) -> list[Path]:
 def real_columns(path: Path) -> int:
     """Return the number of columns of a real `.bin` file."""
     return 5 if "five" in path.name or path.name.endswith(".pcd.bin") else 4
+
+
+def make_empty(root: Path, *names: str) -> None:
+    """Write empty files below a root, whose readers are not called."""
+    for name in names:
+        path = root / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(b"")

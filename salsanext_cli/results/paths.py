@@ -5,7 +5,7 @@ import os
 import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -15,25 +15,24 @@ from salsanext_cli.files.reading import present, reason
 from salsanext_cli.formats import is_table, scan_suffix, suffixes_in_words
 from salsanext_cli.formats.recordings import is_recording, recorded_paths, recording_of, sequence_of
 from salsanext_cli.formats.unread import UNFINISHED, conversion_hint, folder_hint, unread_kind
-from salsanext_cli.results.layouts import (
-    LABEL_FOLDER,
-    SCAN_FOLDER,
-    layout_of,
-    sequence_name,
-    sequence_names,
-)
+from salsanext_cli.results.layouts import LABEL_FOLDER, SCAN_FOLDER, layout_of, sequence_name
 from salsanext_cli.results.scan_folders import (
+    CERTAIN,
+    MAX_ENTRIES_BESIDE_SCANS,
     MAX_ENTRIES_BESIDE_TABLES,
     FolderSearch,
     ScanFolder,
     ambiguous_folders,
     folders_in,
+    folders_of_one_name,
     names_in,
     other_files_below,
     scan_names,
     search_below,
     usable,
     words_of_choice,
+    words_of_drives,
+    words_of_others,
 )
 from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 
@@ -110,7 +109,7 @@ class ScanFile:
             return folder.parent / LABEL_FOLDER / name
         nested = folder / LABEL_FOLDER / name
         beside = folder / name
-        layout = layout_of(folder)
+        layout = layout_of(folder, [self.path.name])
         apart = layout.label_path(folder, self.stem) if layout else None
         if apart and (present(apart) or not (present(nested) or present(beside))):
             return apart
@@ -138,6 +137,8 @@ def find_scans(
         scans = sorted(_scans_of(place))
         if source.is_dir() and all(is_table(scan.path.name) for scan in scans[:1]):
             scans = _scans_below(source, place, scans)
+        elif source.is_dir():
+            scans = _with_scans_elsewhere(source, place, scans)
         others = names_in(source) if not scans and source.is_dir() else []
     except OSError as error:
         raise NoInputError(source, reason(error), "a scan or a folder of scans") from error
@@ -164,7 +165,7 @@ def _scans_of(path: Path) -> Iterator[ScanFile]:
         path.stat()
         if suffix := scan_suffix(path.name):
             folder = ScanFolder(path.parent, {path.name: suffix})
-            yield from _scan_files(folder, sequence_name(path.parent))
+            yield from _scan_files(folder, sequence_name(path.parent, [path.name]))
     else:
         # A `sequences` folder without scans may contain results.
         of_data_set = [*_scans_of_sequences(path / "sequences")]
@@ -199,7 +200,7 @@ def _scans_of_sequences(folder: Path) -> Iterator[ScanFile]:
 
 def _scans_in(folder: Path) -> Iterator[ScanFile]:
     suffixes = scan_names(names_in(folder)) if folder.is_dir() else {}
-    yield from _scan_files(ScanFolder(folder, suffixes), sequence_name(folder))
+    yield from _scan_files(ScanFolder(folder, suffixes), sequence_name(folder, suffixes))
 
 
 def _scan_files(folder: ScanFolder, sequence: str) -> Iterator[ScanFile]:
@@ -215,29 +216,81 @@ def _scans_below(source: Path, place: Path, tables: list[ScanFile]) -> list[Scan
 
     Tables are the scans unless there is a known layout below.
     """
-    if recording_of(place) or (tables and layout_of(place)):
+    if recording_of(place) or (tables and layout_of(place, [scan.path.name for scan in tables])):
         return tables
     search = _layouts_beside_tables(place) if tables else search_below(place)
-    chosen = usable(search.folders)
-    if not chosen and not tables and search.folders:
-        raise ambiguous_folders(source, place, search.folders)
+    chosen = [] if search.stopped_after else usable(search.folders)
+    if not chosen and search.folders and (search.stopped_after or not tables):
+        itself = ScanFolder(place, scan_names(names_in(place)))
+        raise ambiguous_folders(source, place, search, itself if tables else None)
     if not chosen:
         error = None if tables else other_files_below(source, search)
         if error is not None:
             raise error
         return tables
     notice_once(words_of_choice(source, place, chosen, search.folders))
-    names = sequence_names((folder.path for folder in chosen), place)
-    return sorted(scan for folder in chosen for scan in _scan_files(folder, names[folder.path]))
+    return _scans_of_folders(source, place, chosen)
+
+
+def _scans_of_folders(source: Path, place: Path, folders: Iterable[ScanFolder]) -> list[ScanFile]:
+    """Return the scans of folders below a root; refuse several folders of one sequence."""
+    scans: list[ScanFile] = []
+    for folder in folders:
+        name = sequence_name(folder.path, folder.suffixes)
+        if folder.layout:
+            name = folder.layout.sequence_below(folder.path, place)
+        scans += _scan_files(folder, name)
+    _require_a_folder_each(source, place, scans)
+    return sorted(scans)
+
+
+def _require_a_folder_each(source: Path, place: Path, scans: Iterable[ScanFile]) -> None:
+    """Refuse scans of one sequence in several folders, which results could not tell apart."""
+    by_sequence: dict[str, dict[Path, dict[str, str]]] = {}
+    for scan in scans:
+        names = by_sequence.setdefault(scan.sequence, {}).setdefault(scan.path.parent, {})
+        names[scan.path.name] = scan.path.name[len(scan.stem) :]
+    for sequence, names_by_folder in sorted(by_sequence.items()):
+        if len(names_by_folder) > 1:
+            folders = [ScanFolder(path, names) for path, names in sorted(names_by_folder.items())]
+            raise folders_of_one_name(source, place, sequence, folders)
+
+
+def _with_scans_elsewhere(source: Path, place: Path, scans: list[ScanFile]) -> list[ScanFile]:
+    """Return scans with those of deeper folders of drives; print a line about other folders.
+
+    Drives in `PLACE/*/velodyne` are a collection, to which deeper drives belong. Other drives
+    below a sequence, a data set or a folder of scans are only named.
+    """
+    if recording_of(place):
+        return scans
+    used = {scan.path.parent for scan in scans}
+    search = search_below(place, MAX_ENTRIES_BESIDE_SCANS, skipped=used)
+    others = [folder for folder in search.folders if folder.layout]
+    itself = ScanFolder(place, {} if place in used else scan_names(names_in(place)))
+    if itself.suffixes and itself.rank == CERTAIN:
+        others.insert(0, itself)
+    is_collection = all(path.parent.parent == place for path in used)
+    drives = [folder for folder in others if is_collection and _is_drive(folder.path)]
+    others = [folder for folder in others if folder not in drives]
+    if drives:
+        notice_once(words_of_drives(source, place, drives))
+        scans = sorted([*scans, *_scans_of_folders(source, place, drives)])
+        _require_a_folder_each(source, place, scans)
+    if words := words_of_others(source, place, others, search.stopped_after):
+        notice_once(words)
+    return scans
+
+
+def _is_drive(folder: Path) -> bool:
+    """Return whether a folder of scans is that of a drive, and not of a data set of its own."""
+    return folder.name == SCAN_FOLDER and folder.parent.parent.name != "sequences"
 
 
 def _layouts_beside_tables(place: Path) -> FolderSearch:
     """Search for known layouts below a folder of tables, unless there are too many files."""
-    try:
-        search = search_below(place, MAX_ENTRIES_BESIDE_TABLES)
-    except NoInputError:
-        return FolderSearch()
-    return FolderSearch([folder for folder in search.folders if folder.layout])
+    search = search_below(place, MAX_ENTRIES_BESIDE_TABLES)
+    return replace(search, folders=[folder for folder in search.folders if folder.layout])
 
 
 def of_sequences(

@@ -5,7 +5,7 @@ import os
 import shlex
 from collections import Counter, deque
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from operator import attrgetter
 from pathlib import Path
@@ -30,6 +30,8 @@ MAX_ENTRIES = 1_000_000
 """Files and folders that a search looks at, some ten seconds of work."""
 MAX_ENTRIES_BESIDE_TABLES = 20_000
 """The same below a folder of tables, which are probably the scans."""
+MAX_ENTRIES_BESIDE_SCANS = 200_000
+"""The same beside folders of scans, of which others are only named."""
 
 
 def names_in(folder: Path) -> list[str]:
@@ -73,7 +75,7 @@ class ScanFolder:
     @cached_property
     def layout(self) -> Layout | None:
         """The layout of a data set that the folder fits."""
-        return layout_of(self.path)
+        return layout_of(self.path, self.suffixes)
 
     @property
     def rank(self) -> int:
@@ -92,9 +94,13 @@ class FolderSearch:
     recordings: list[Path] = field(default_factory=list)
     # Names of files with points that are not read, by folder
     unread: dict[Path, list[str]] = field(default_factory=dict)
+    # Number of files and folders after which the search stopped; 0 if it looked at all
+    stopped_after: int = 0
 
 
-def search_below(root: Path, most: int = MAX_ENTRIES) -> FolderSearch:
+def search_below(
+    root: Path, most: int = MAX_ENTRIES, *, skipped: Collection[Path] = ()
+) -> FolderSearch:
     """Search the folders below a root, not itself, for scans.
 
     Hidden folders, folders of labels, recordings, results of stages and folders below scans are
@@ -105,20 +111,17 @@ def search_below(root: Path, most: int = MAX_ENTRIES) -> FolderSearch:
     root : Path
         Folder, searched to a depth of `MAX_DEPTH`.
     most : int
-        Number of files and folders that the search looks at.
+        Number of files and folders that the search looks at before it stops.
+    skipped : collection of Path
+        Folders that are not searched.
 
     Returns
     -------
     FolderSearch
-
-    Raises
-    ------
-    NoInputError
-        If there are more than `most` files and folders.
     """
     search = FolderSearch()
     waiting = deque((path, 1) for path in _subfolders(root, is_root=True))
-    visited = {_inode(root)}
+    visited = {_inode(root), *map(_inode, skipped)}
     entries = 0
     while waiting:
         path, depth = waiting.popleft()
@@ -136,8 +139,8 @@ def search_below(root: Path, most: int = MAX_ENTRIES) -> FolderSearch:
             continue  # A folder that may not be read
         entries += len(names) + len(subfolders)
         if entries > most:
-            problem = f"contains no scans itself, and over {most:,} files below it"
-            raise NoInputError(root, problem, "a folder of scans", "give the folder of the scans")
+            search = replace(search, stopped_after=most)
+            break
         folder = ScanFolder(path, scan_names(names))
         if folder.suffixes:
             search.folders.append(folder)
@@ -206,19 +209,65 @@ def words_of_choice(
     return f"{text}; not used: {unused}" if unused else text
 
 
-def ambiguous_folders(source: Path, place: Path, folders: Collection[ScanFolder]) -> NoInputError:
-    """Return the error of a folder below which several may contain the scans.
+def words_of_others(
+    source: Path, place: Path, others: Collection[ScanFolder], stopped_after: int
+) -> str:
+    """Return the line about folders of scans that are not used; empty if there is none to name.
 
     `source` is the folder as the user gave it, `place` its absolute path.
     """
-    best = max(folder.rank for folder in folders)
-    likely = [folder for folder in folders if folder.rank == best]
+    words = []
+    if others:
+        listed = first_few([_counted(folder, place) for folder in others])
+        words = [f"not used: {listed}", _commands(source, place, others)]
+    if stopped_after:
+        words.append(f"the search for other scans stopped after {stopped_after:,} files")
+    return f"{source}: {'; '.join(words)}" if words else ""
+
+
+def words_of_drives(source: Path, place: Path, drives: Collection[ScanFolder]) -> str:
+    """Return the line about deeper folders of drives that are used too."""
+    return f"{source}: also using {first_few([_counted(folder, place) for folder in drives])}"
+
+
+def ambiguous_folders(
+    source: Path, place: Path, search: FolderSearch, tables: ScanFolder | None = None
+) -> NoInputError:
+    """Return the error of a folder below which several may contain the scans, or more may be.
+
+    `source` is the folder as the user gave it, `place` its absolute path, and `tables` the tables
+    in it.
+    """
+    best = max(folder.rank for folder in search.folders)
+    likely = [folder for folder in search.folders if folder.rank == best]
     listed = first_few([_counted(folder, place) for folder in likely])
     problem = f"contains no scans itself, but there are some below it: {listed}"
-    words = [str(source / folder.path.relative_to(place)) for folder in likely]
-    commands = [f"salsanext predict {shlex.quote(word)} OUT" for word in words]
-    hint = f"give one as SCANS: {'; or '.join(commands[:MAX_NAMES_SHOWN])}"
+    if tables:
+        problem = f"may contain scans itself, {_counted(tables, place)}, or below it: {listed}"
+    if search.stopped_after:
+        problem = f"{problem}; the search stopped after {search.stopped_after:,} files"
+    hint = _commands(source, place, [tables, *likely] if tables else likely)
     return NoInputError(source, problem, "one folder of scans", hint)
+
+
+def folders_of_one_name(
+    source: Path, place: Path, name: str, folders: Collection[ScanFolder]
+) -> NoInputError:
+    """Return the error of several folders with scans of one sequence."""
+    listed = first_few([_counted(folder, place) for folder in folders])
+    problem = f"contains several folders with scans of sequence {name}: {listed}"
+    return NoInputError(source, problem, "one of each name", _commands(source, place, folders))
+
+
+def _commands(source: Path, place: Path, folders: Iterable[ScanFolder]) -> str:
+    """Return the command for each of the first folders, for the files in the place itself."""
+    words = []
+    for folder in folders:
+        word = shlex.quote(str(source / folder.path.relative_to(place)))
+        if folder.path == place:
+            word = f"{word}/*{min(folder.suffixes.values())}"
+        words.append(f"salsanext predict {word} OUT")
+    return f"give one as SCANS: {'; or '.join(words[:MAX_NAMES_SHOWN])}"
 
 
 def other_files_below(source: Path, search: FolderSearch) -> NoInputError | None:
@@ -227,6 +276,9 @@ def other_files_below(source: Path, search: FolderSearch) -> NoInputError | None
         problem = f"contains no scans, but recordings below it: {first_few(search.recordings)}"
         hint = f"give one recording, such as {search.recordings[0]}"
         return NoInputError(source, problem, "scans", hint)
+    if search.stopped_after and not search.unread:
+        problem = f"contains no scans itself, and over {search.stopped_after:,} files below it"
+        return NoInputError(source, problem, "a folder of scans", "give the folder of the scans")
     if search.unread:
         folder = min(search.unread)
         names = search.unread[folder]

@@ -145,7 +145,7 @@ def data_set_of(scan: ScanFile) -> Path | None:
     folder = scan.path.parent
     if folder.name == SCAN_FOLDER and folder.parent.parent.name == "sequences":
         return folder.parents[2]
-    layout = layout_of(folder)
+    layout = layout_of(folder, [scan.path.name])
     return layout.root(folder) if layout and layout.has_labels else None
 
 

@@ -46,6 +46,7 @@ from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.records import Float
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.paths import ERROR, LEAST_CONFIDENCE, ScanFile, output_path, with_outputs
+from salsanext_cli.results.recorded_names import with_recorded_names
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import choose, scans_of, space_of
 from salsanext_cli.uncertainty.error_features import error_model, error_probability
@@ -174,7 +175,7 @@ def predict_scans(
     if batch is not None and batch < 1:
         raise UsageError("--batch", str(batch), "at least 1, or auto")
     network = settings.load()
-    listed = scans_of(source)
+    listed = with_recorded_names(scans_of(source), out)
     scans = choose(listed, selection, space_of(listed, network.card.space), source)
     network = network_of_run(settings, network, listed, out, overwrite=options.overwrite)
     rejection = None if reject is None else _rejection(reject, settings, network, knn)

@@ -13,6 +13,7 @@ from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.results.manifest import Manifest, StageSettings
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.paths import ScanFile
+from salsanext_cli.results.recorded_names import with_recorded_names
 from salsanext_cli.results.selection import choose, scans_of, space_of
 from salsanext_cli.sensors.sensor import Sensor
 
@@ -70,7 +71,7 @@ def project_scans(
     -------
     Outcome
     """
-    listed = scans_of(source)
+    listed = with_recorded_names(scans_of(source), out)
     scans = choose(listed, selection, space_of(listed), source)
     recorded = None if options.overwrite else Manifest(out).settings("project")
     sensor = fitted_view(listed, sensor, recorded.sensor if recorded else None, view=fit)

@@ -25,6 +25,7 @@ from salsanext_cli.records import Float
 from salsanext_cli.results.manifest import Manifest, StageSettings
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.paths import ERROR, ScanFile
+from salsanext_cli.results.recorded_names import with_recorded_names
 from salsanext_cli.results.selection import choose, scans_of, space_of
 from salsanext_cli.uncertainty.error_features import error_probability, knows_error
 from salsanext_cli.uncertainty.method import UncertaintyMethod
@@ -107,7 +108,7 @@ def uncertainty(
     Outcome
     """
     network = settings.for_sampling().load()
-    listed = scans_of(source)
+    listed = with_recorded_names(scans_of(source), out)
     scans = choose(listed, selection, space_of(listed, network.card.space), source)
     # Labels of another stage stay, and so must the sensor with which they were made.
     labels_too = Manifest(out).owner("predictions") in (None, "uncertainty")

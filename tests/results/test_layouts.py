@@ -7,23 +7,15 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from scans import refused, write_sequence
+from scans import make_empty, refused, write_sequence
 
 from salsanext_cli import read_scan
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE, NoInputError, OutputError
-from salsanext_cli.results import scan_folders
-from salsanext_cli.results.paths import find_scans, require_unique_stems
+from salsanext_cli.results.paths import find_scans
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import data_set_of
 from salsanext_cli.stages.predict import predict_scans
-
-
-def make(root: Path, *names: str) -> None:
-    for name in names:
-        path = root / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(b"")
 
 
 def found(source: Path) -> list[str]:
@@ -59,7 +51,11 @@ NUSCENES = [
     "sweeps/RADAR_FRONT/n008__RADAR_FRONT__16.pcd",
     "lidarseg/v1.0-mini/0ab9_lidarseg.bin",
 ]
-PANDASET = ["001/lidar/00.npy", "001/meta/gps.json", "002/lidar/00.npy", "002/camera/front/00.jpg"]
+PANDASET = [
+    *(f"{drive}/lidar/{name}" for drive in ("001", "002") for name in ("00.npy", "poses.json")),
+    "001/meta/gps.json",
+    "002/camera/front/00.jpg",
+]
 UNPACKED = ["velodyne/00/000000.bin", "velodyne/01/000000.bin", "labels/00/000000.label"]
 GOOSE = ["lidar/train/2022_x/2022_x__7_vls128.bin", "lidar/val/2022_y/2022_y__7_vls128.bin"]
 
@@ -85,7 +81,7 @@ GOOSE = ["lidar/train/2022_x/2022_x__7_vls128.bin", "lidar/val/2022_y/2022_y__7_
 )
 def test_drives_of_known_layouts_are_sequences(tmp_path, files, expected, places):
     root = tmp_path / "data set"
-    make(root, *files)
+    make_empty(root, *files)
     for place in places:
         assert found(root / place) == expected, place
 
@@ -100,7 +96,7 @@ def test_drives_of_known_layouts_are_sequences(tmp_path, files, expected, places
     ],
 )
 def test_a_drive_has_one_name_however_it_is_given(tmp_path, files, place, sequence):
-    make(tmp_path, *files)
+    make_empty(tmp_path, *files)
     scans = find_scans(tmp_path / place)
     assert {scan.sequence for scan in scans} == {sequence}
     assert find_scans(scans[0].path.parent) == scans
@@ -112,7 +108,7 @@ def test_a_drive_has_one_name_however_it_is_given(tmp_path, files, place, sequen
     "folder", ["clouds", "pointclouds/front", "sensors/lidar", "lidar", "a/b/c/velodyne_points"]
 )
 def test_the_only_folder_with_scans_is_used_and_named(tmp_path, folder, caplog):
-    make(tmp_path, f"{folder}/1.pcd", "gps/track.csv", "README.md")
+    make_empty(tmp_path, f"{folder}/1.pcd", "gps/track.csv", "README.md")
     with caplog.at_level(NOTICE):
         assert [scan.path for scan in find_scans(tmp_path)] == [tmp_path / folder / "1.pcd"]
     (record,) = caplog.records
@@ -121,7 +117,7 @@ def test_the_only_folder_with_scans_is_used_and_named(tmp_path, folder, caplog):
 
 
 def test_folders_that_are_not_used_are_named(tmp_path, caplog):
-    make(tmp_path, *NUSCENES)
+    make_empty(tmp_path, *NUSCENES)
     with caplog.at_level(NOTICE):
         find_scans(tmp_path)
     (message,) = caplog.messages
@@ -130,7 +126,7 @@ def test_folders_that_are_not_used_are_named(tmp_path, caplog):
 
 
 def test_several_folders_are_listed_with_their_counts_and_commands(tmp_path):
-    make(tmp_path, "front/1.pcd", "front/2.pcd", "rear scans/1.pcd", "notes/a.txt")
+    make_empty(tmp_path, "front/1.pcd", "front/2.pcd", "rear scans/1.pcd", "notes/a.txt")
     error = refused(NoInputError, tmp_path, find_scans, tmp_path).value
     assert "front (2 .pcd), rear scans (1 .pcd)" in error.problem
     assert "notes" not in error.problem
@@ -139,33 +135,75 @@ def test_several_folders_are_listed_with_their_counts_and_commands(tmp_path):
 
 
 def test_two_layouts_are_ambiguous_and_texts_are_listed_but_never_used(tmp_path):
-    make(tmp_path / "both", *KITTI, *PANDASET)
+    make_empty(tmp_path / "both", *KITTI, *PANDASET)
     refused(NoInputError, tmp_path / "both", find_scans, tmp_path / "both")
-    make(tmp_path / "texts", "clouds/1.csv")
+    make_empty(tmp_path / "texts", "clouds/1.csv")
     error = refused(NoInputError, tmp_path / "texts", find_scans, tmp_path / "texts").value
     assert "clouds (1 .csv)" in error.problem
 
 
 def test_tables_in_the_folder_are_the_scans_unless_a_known_layout_is_below(tmp_path):
-    make(tmp_path, "a.npy", "other/1.pcd")
+    make_empty(tmp_path, "a.npy", "other/1.pcd")
     assert found(tmp_path) == [f"{tmp_path.name}/a"]
-    make(tmp_path, "drive/lidar/00.pcd")
+    make_empty(tmp_path, "drive/lidar/00.pcd", "drive/lidar/timestamps.json")
     assert found(tmp_path) == ["drive/00"]
-    make(tmp_path, "b.bin")
+    make_empty(tmp_path, "b.bin")
     assert found(tmp_path) == [f"{tmp_path.name}/b"]
 
 
-def test_equal_names_of_drives_stay_apart(tmp_path):
-    make(tmp_path, "day/run1/lidar/0.bin", "night/run1/lidar/0.bin", "night/run2/lidar/0.bin")
-    scans = find_scans(tmp_path)
-    require_unique_stems(scans)
-    names = ["day_run1_lidar/0", "night_run1_lidar/0", "run2/0"]
-    assert [scan.name for scan in scans] == names
+@pytest.mark.parametrize(
+    ("drives", "expected"),
+    [
+        (["day/run1/velodyne", "night/run1/velodyne"], ["day_run1/0", "night_run1/0"]),
+        (["one/velodyne/00", "two/velodyne/00"], ["one_00/0", "two_00/0"]),
+    ],
+)
+def test_names_of_drives_depend_on_their_own_path(tmp_path, drives, expected):
+    """A drive that is added later does not rename the results of the others."""
+    make_empty(tmp_path, f"{drives[0]}/0.bin")
+    assert found(tmp_path) == expected[:1]
+    make_empty(tmp_path, f"{drives[1]}/0.bin", f"third/{drives[1]}/1.bin")
+    assert {*expected} < {*found(tmp_path)}
+
+
+@pytest.mark.parametrize(
+    "drives",
+    [
+        ["a/sequences/08/velodyne", "b/sequences/08/velodyne"],
+        ["a/b_c/velodyne", "a_b/c/velodyne"],
+        ["b_c/velodyne", "b/c/velodyne"],
+        [f"{place}/drive_0001_sync/velodyne_points/data" for place in ("day", "copy of day")],
+    ],
+)
+def test_folders_of_one_sequence_are_refused_with_the_command_for_each(tmp_path, drives):
+    """Results could not tell their scans apart, also if the scans have other names."""
+    make_empty(tmp_path, *(f"{drive}/{number}.bin" for number, drive in enumerate(drives)))
+    error = refused(NoInputError, tmp_path, find_scans, tmp_path).value
+    for drive in drives:
+        assert f"salsanext predict {shlex.quote(f'{tmp_path}/{drive}')} OUT" in error.hint
+        assert len(find_scans(tmp_path / drive)) == 1
+
+
+@pytest.mark.parametrize(
+    "files",
+    [
+        ["a/lidar/0.bin", "b/clouds/0.bin"],  # PandaSet has poses.json beside the scans.
+        ["lidar/front/top/0.bin", "b/clouds/0.bin"],  # GOOSE has names of its own.
+        ["a/sensors/lidar/0.pcd", "b/clouds/0.bin"],  # Argoverse 2 has Feather tables.
+    ],
+)
+def test_folders_that_are_only_named_as_in_a_data_set_are_plain_folders(tmp_path, files):
+    make_empty(tmp_path, *files)
+    error = refused(NoInputError, tmp_path, find_scans, tmp_path).value
+    for file in files:
+        assert f"salsanext predict {(tmp_path / file).parent} OUT" in error.hint
 
 
 def test_hidden_folders_results_and_loops_of_links_are_not_searched(tmp_path):
-    make(tmp_path, "run/clouds/1.pcd", ".cache/clouds/1.pcd", "run/.tmp/1.pcd", "labels/1.ply")
-    make(tmp_path, "out/sequences/run/ply/1.ply", "out/.salsanext.files/host.tsv")
+    make_empty(
+        tmp_path, "run/clouds/1.pcd", ".cache/clouds/1.pcd", "run/.tmp/1.pcd", "labels/1.ply"
+    )
+    make_empty(tmp_path, "out/sequences/run/ply/1.ply", "out/.salsanext.files/host.tsv")
     (tmp_path / "run" / "up").symlink_to(tmp_path)
     (tmp_path / "again").symlink_to(tmp_path / "run")
     (tmp_path / "self").symlink_to(tmp_path / "self")
@@ -173,34 +211,22 @@ def test_hidden_folders_results_and_loops_of_links_are_not_searched(tmp_path):
 
 
 def test_results_in_the_root_of_the_scans_hide_no_scans(tmp_path):
-    make(tmp_path, *KITTI)
+    make_empty(tmp_path, *KITTI)
     before = found(tmp_path)
     results = ("sequences/d/predictions/0000000000.label", ".salsanext.files/machine.tsv")
-    make(tmp_path, *results, "sequences/d/velodyne_points/data/0000000009.bin")
+    make_empty(tmp_path, *results, "sequences/d/velodyne_points/data/0000000009.bin")
     assert found(tmp_path) == before != []
 
 
 def test_data_sets_that_stages_wrote_are_found(tmp_path):
-    make(tmp_path, "data/sequences/08/velodyne/0.bin", "data/sequences/08/ply/0.ply")
-    make(tmp_path, "data/.salsanext.files/host.tsv")
+    make_empty(tmp_path, "data/sequences/08/velodyne/0.bin", "data/sequences/08/ply/0.ply")
+    make_empty(tmp_path, "data/.salsanext.files/host.tsv")
     assert found(tmp_path) == ["08/0"]
-
-
-def test_the_search_is_bounded(tmp_path, monkeypatch):
-    deep = "/".join(f"{n}" for n in range(scan_folders.MAX_DEPTH))
-    make(tmp_path, f"{deep}/1.pcd")
-    assert len(found(tmp_path)) == 1
-    make(tmp_path / "deeper", f"{deep}/one more/1.pcd")
-    refused(NoInputError, tmp_path / "deeper", find_scans, tmp_path / "deeper")
-    make(tmp_path / "many", *(f"photos/{n}.jpg" for n in range(20)), "zz/1.pcd")
-    monkeypatch.setattr(scan_folders.search_below, "__defaults__", (20,))
-    error = refused(NoInputError, tmp_path / "many", find_scans, tmp_path / "many").value
-    assert "over 20 files" in error.problem
 
 
 @pytest.mark.skipif(os.name == "nt" or not os.getuid(), reason="root may read everything")
 def test_folders_that_may_not_be_read_are_skipped(tmp_path):
-    make(tmp_path, "clouds/1.pcd", "private/1.pcd")
+    make_empty(tmp_path, "clouds/1.pcd", "private/1.pcd")
     (tmp_path / "private").chmod(0)
     try:
         assert found(tmp_path) == ["clouds/1"]
@@ -223,14 +249,14 @@ def test_folders_that_may_not_be_read_are_skipped(tmp_path):
     ],
 )
 def test_other_files_below_and_in_a_folder_get_the_hint_of_a_single_one(tmp_path, files, hint):
-    make(tmp_path, *files)
+    make_empty(tmp_path, *files)
     place = (tmp_path / files[0]).parent
     for source in [tmp_path, *([place] if "mcap" not in files[-1] else [])]:
         assert hint in refused(NoInputError, source, find_scans, source).value.hint
 
 
 def test_an_unfinished_bag_is_named(tmp_path):
-    make(tmp_path, "drive.bag.active")
+    make_empty(tmp_path, "drive.bag.active")
     source = tmp_path / "drive.bag.active"
     error = refused(NoInputError, source, find_scans, source).value
     assert "never closed" in error.problem
@@ -252,8 +278,8 @@ def test_the_command_for_pickles_converts_all_of_a_folder(tmp_path):
 
 
 def test_labels_of_the_layouts_are_found(tmp_path):
-    make(tmp_path / "sk", *UNPACKED)
-    make(tmp_path / "goose", *GOOSE)
+    make_empty(tmp_path / "sk", *UNPACKED)
+    make_empty(tmp_path / "goose", *GOOSE)
     first, _ = find_scans(tmp_path / "sk")
     assert first.label_path == tmp_path / "sk/labels/00/000000.label"
     assert data_set_of(first) == tmp_path / "sk"
@@ -263,10 +289,10 @@ def test_labels_of_the_layouts_are_found(tmp_path):
 
 
 def test_labels_beside_the_scans_precede_those_that_a_layout_lacks(tmp_path):
-    make(tmp_path, "velodyne/00/a.bin", "velodyne/00/labels/a.label")
+    make_empty(tmp_path, "velodyne/00/a.bin", "velodyne/00/labels/a.label")
     (scan,) = find_scans(tmp_path)
     assert scan.label_path == tmp_path / "velodyne/00/labels/a.label"
-    make(tmp_path, "labels/00/a.label")
+    make_empty(tmp_path, "labels/00/a.label")
     assert scan.label_path == tmp_path / "labels/00/a.label"
 
 
@@ -298,21 +324,6 @@ def test_drives_of_one_folder_are_found_by_later_stages(weights, tmp_path):
     predict_scans(folder / f"{names[2]}.bin", single, settings=network)
     assert ResultFolder(single).scans() == expected[2:]
     assert ResultFolder(single, folder).scans() == expected[2:]
-
-
-def test_sequences_of_older_versions_keep_their_names(weights, tmp_path, monkeypatch):
-    folder = tmp_path / "drive/lidar"
-    write_sequence(tmp_path, ["0"])
-    folder.parent.mkdir()
-    (tmp_path / "velodyne").rename(folder)
-    out = tmp_path / "out"
-    with monkeypatch.context() as patch:
-        patch.setattr("salsanext_cli.results.layouts.LAYOUTS", ())
-        network = NetworkSettings(weights, "cpu", engine="torch")
-        predict_scans(folder, out, settings=network)
-        assert (out / "sequences/lidar").is_dir()
-    assert [scan.name for scan in find_scans(folder)] == ["drive/0"]
-    assert [scan.name for scan in ResultFolder(out).scans()] == ["lidar/0"]
 
 
 def test_later_stages_find_the_scans_and_never_those_of_another_drive(kitti, weights, tmp_path):
