@@ -11,9 +11,11 @@ from salsanext_cli.cli import arguments, console, summary
 from salsanext_cli.cli.console import over_scans, print_line, progress
 from salsanext_cli.cli.expansion import Shown
 from salsanext_cli.engines.settings import with_names
-from salsanext_cli.errors import counted, printable, with_hint
+from salsanext_cli.errors import UsageError, counted, printable, with_hint
 from salsanext_cli.option_fields import ScanSelection, argument, option, option_group
 from salsanext_cli.results.query import named_label_space
+
+PICKED = 10  # Number of scans that `pick` picks by default
 
 
 def inspect(
@@ -104,7 +106,10 @@ def pick(
     scans: Path = argument(arguments.SCANS_HELP, default=..., metavar="SCANS"),
     out: Path = arguments.NEW_DATASET,
     *,
-    count: int = option("Number of scans to pick.", default=10),
+    count: int | None = option("Number of scans to pick.", show_default=str(PICKED)),
+    names: Path | None = option(
+        "Pick the scans whose names this text file lists, one per line.", "--from", metavar="FILE"
+    ),
     seed: int = option("Seed of the dropout masks.", default=0),
     labelled: list[Path] | None = option(
         "Data set of labelled scans, which the picked scans should differ from; may be given "
@@ -124,13 +129,16 @@ def pick(
     from salsanext_cli.report.picked import picked_table
     from salsanext_cli.stages.pick import pick as stage
 
+    if names and count is not None:
+        raise UsageError("--count", "chooses scans, and so does --from", "one of both")
     with over_scans("pick", running, output.quiet) as run:
         picking = stage(
             arguments.in_topic(scans, topic),
             out,
-            count=count,
+            count=PICKED if count is None else count,
             seed=seed,
             labelled=labelled or (),
+            names=names,
             settings=settings,
             selection=selection,
             options=run,

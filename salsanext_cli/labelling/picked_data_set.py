@@ -29,6 +29,8 @@ from salsanext_cli.version import __version__
 
 STAGE = "pick"
 LABEL_SPACE, TABLE = "labels.yaml", "picked.csv"
+CHOSEN, NAMED = "both", "named"
+"""Strategies: scans by uncertainty and distance, and the scans of a list."""
 
 log = logging.getLogger(__name__)
 
@@ -61,7 +63,7 @@ class PickSettings:
     scans: str  # Number and digest of the scans to choose from
     labelled: str | None  # The same of scans that are already labelled
     samples: int  # Monte-Carlo passes of a scan
-    strategy: str = "both"  # Earlier versions had others
+    strategy: str = CHOSEN  # Or `NAMED`; earlier versions had others
 
     def to_dict(self) -> dict[str, object]:
         """Return all settings in one table."""

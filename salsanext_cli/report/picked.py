@@ -23,6 +23,7 @@ from salsanext_cli.labelling.scan_choice import Choice
 from salsanext_cli.records import Float
 from salsanext_cli.report.tables import ABSENT, table_of
 from salsanext_cli.results.paths import ScanFile
+from salsanext_cli.uncertainty.scan_description import ScanDescription
 
 
 def picked_cloud(labelled: LabelledScan, uncertainty: Float, space: LabelSpace) -> bytes:
@@ -60,6 +61,22 @@ def picked_scans(choices: Sequence[Choice], files: Sequence[ScanFile]) -> list[P
         numbers = (choice.uncertainty, distance, nearest, reason(choice, len(files), nearest))
         picked.append(PickedScan(rank, file.sequence, file.stem, *numbers))
     return picked
+
+
+def scans_of_list(described: Sequence[ScanDescription]) -> list[PickedScan]:
+    """Return the scans of a list as picked scans, in its order."""
+    return [
+        PickedScan(
+            rank,
+            scan.file.sequence,
+            scan.file.stem,
+            uncertainty=scan.uncertainty,
+            distance=None,
+            nearest=None,
+            reason="in the list",
+        )
+        for rank, scan in enumerate(described, start=1)
+    ]
 
 
 def picked_table(picked: Sequence[PickedScan]) -> Table:

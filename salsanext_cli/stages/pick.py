@@ -14,12 +14,14 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.engines.backend import PixelPrediction
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import NOTICE, NoInputError, counted
+from salsanext_cli.errors import NOTICE, NoInputError, UsageError, counted
 from salsanext_cli.files.json_files import plain
 from salsanext_cli.fitting.label_scan import PreparedScan, labelled, prepared_for
 from salsanext_cli.fitting.sensor_fit import ScanSample, fit_scans, settings_of_network
 from salsanext_cli.formats.kitti import encode_labels
 from salsanext_cli.labelling.picked_data_set import (
+    CHOSEN,
+    NAMED,
     STAGE,
     TABLE,
     PickedDataSet,
@@ -32,8 +34,9 @@ from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary, ScanWar
 from salsanext_cli.option_fields import KnnParameters, ScanSelection
 from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
-from salsanext_cli.report.picked import picked_cloud, picked_csv, picked_scans
+from salsanext_cli.report.picked import picked_cloud, picked_csv, picked_scans, scans_of_list
 from salsanext_cli.results.manifest import settings_json
+from salsanext_cli.results.named_scans import named_scans, read_names
 from salsanext_cli.results.paths import ScanFile, find_scans
 from salsanext_cli.results.selection import choose, evenly_spaced, scans_of, space_of
 from salsanext_cli.sensors.sensor import Sensor
@@ -101,6 +104,7 @@ def pick(
     selection: ScanSelection = ScanSelection(),
     options: RunOptions = RunOptions(),
     labelled: Sequence[Path] = (),
+    names: Path | None = None,
 ) -> Picking:
     """Write a data set of the scans most worth labelling, in the layout of SemanticKITTI.
 
@@ -114,6 +118,8 @@ def pick(
         Network; subset of the scans, evenly spaced if limited; workers and overwriting.
     labelled : sequence of Path
         Data sets of labelled scans, which the picked ones are to differ from.
+    names : Path, optional
+        Text file with the names of the scans to pick, one per line, instead of `count` scans.
 
     Returns
     -------
@@ -125,15 +131,20 @@ def pick(
     every, data_set = scans_of(source), PickedDataSet(out)
     data_set.require_apart(every)
     space = space_of(every, network.space)
-    chosen = choose(every, replace(selection, limit=None), space, source)
-    scans = evenly_spaced(chosen, selection.limit or 0)
-    known = {scan.name for path in labelled for scan in find_scans(path)}
-    if len(done := {scan for scan in scans if scan.name in known}) == len(scans):
-        raise NoInputError(source, "has only labelled scans", "others to pick")
+    scans = choose(every, replace(selection, limit=None), space, source)
+    if names is None:
+        strategy = CHOSEN
+        scans = evenly_spaced(scans, selection.limit or 0)
+    else:
+        strategy = NAMED
+        scans = _of_list(names, scans, selection, labelled)
+        count = len(scans)
+    done = _done(scans, labelled, source)
     with data_set.open():
         network = fit_scans(settings, network, ScanSample(every, network.sensor))
         digests = _digest(scans), _digest(sorted(done)) if labelled else None
-        recorded = PickSettings(settings_of_network(network), count, seed, *digests, SAMPLES)
+        of_network = settings_of_network(network)
+        recorded = PickSettings(of_network, count, seed, *digests, SAMPLES, strategy)
         record = data_set.earlier(recorded, overwrite=options.overwrite)
         if record and data_set.is_complete(record):
             log_recorded(record.warnings)
@@ -151,6 +162,25 @@ def pick(
         space = space if space.fits(network.space) else space_of([], network.space)
         outcome = _written(task, data_set, record, scans, options, space)
     return replace(_picking(record, scans), outcome=outcome)
+
+
+def _done(scans: Sequence[ScanFile], labelled: Sequence[Path], source: Path) -> set[ScanFile]:
+    """Return the scans that the data sets of labelled scans contain; refuse if all are."""
+    known = {scan.name for path in labelled for scan in find_scans(path)}
+    done = {scan for scan in scans if scan.name in known}
+    if len(done) == len(scans):
+        raise NoInputError(source, "has only labelled scans", "others to pick")
+    return done
+
+
+def _of_list(
+    names: Path, scans: Sequence[ScanFile], selection: ScanSelection, labelled: Sequence[Path]
+) -> list[ScanFile]:
+    """Return the scans whose names a file lists; refuse options that choose scans too."""
+    for option, value in (("--subset", selection.limit), ("--labelled", labelled)):
+        if value:
+            raise UsageError(option, "chooses scans, and so does --from", "one of both")
+    return named_scans(read_names(names), scans, str(names))
 
 
 def _picking(record: PickRecord, scans: Sequence[ScanFile]) -> Picking:
@@ -187,12 +217,15 @@ def _chosen(
     labelled = [index for index, scan in enumerate(described) if scan.file in done]
     picked: list[PickedScan] = []
     if unlabelled := len(described) - len(labelled):
-        if settings.count > unlabelled:
+        if settings.count > unlabelled and settings.strategy == CHOSEN:
             log.log(NOTICE, "all of only %s are picked", counted(unlabelled, "scan"))
-        features = np.stack([scan.features for scan in described])
-        uncertainty = [scan.uncertainty for scan in described]
-        choices = choose_scans(features, uncertainty, settings.count, labelled)
-        picked = picked_scans(choices, [scan.file for scan in described])
+        if settings.strategy == NAMED:
+            picked = scans_of_list(described)
+        else:
+            features = np.stack([scan.features for scan in described])
+            uncertainty = [scan.uncertainty for scan in described]
+            choices = choose_scans(features, uncertainty, settings.count, labelled)
+            picked = picked_scans(choices, [scan.file for scan in described])
     failed = [failure.to_dict() for failure in failures]
     return PickRecord(settings_json(settings), picked, failed, summary.finished().warnings())
 

@@ -51,6 +51,16 @@ def test_pick_names_the_next_commands_and_the_scans_that_failed(run, data, tmp_p
     assert f"error: {broken}: " in picked.stderr
 
 
+def test_pick_takes_the_scans_of_a_list_instead_of_a_number(run, data, tmp_path, weights):
+    listed = tmp_path / "tagged.txt"
+    listed.write_text("08/000001\n")
+    wanted = ("--from", listed, "--weights", weights)
+    both = run("pick", data, tmp_path / "out", *wanted, "--count", 1, status=2)
+    assert "--count" in both.stderr
+    picked = run("pick", data, tmp_path / "out", *wanted, "--json", status=0)
+    assert [scan["scan"] for scan in only_json(picked)["picked"]] == ["000001"]
+
+
 @pytest.fixture
 def edited(data, tmp_path):
     """Return a folder with a cloud of each scan, one of them with a raw id that is unknown."""

@@ -20,7 +20,14 @@ from salsanext_cli import (
     sample,
     write_labels,
 )
-from salsanext_cli.errors import NOTICE, NoInputError, OutputError, UsageError, WeightsError
+from salsanext_cli.errors import (
+    NOTICE,
+    FormatError,
+    NoInputError,
+    OutputError,
+    UsageError,
+    WeightsError,
+)
 from salsanext_cli.labelling.scan_choice import choose_scans
 from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.pipeline import Pipeline
@@ -311,3 +318,42 @@ def test_scans_that_are_labelled_already_are_not_picked_again(picked, tmp_path):
         (picked.data / "sequences/08/velodyne" / f"{name.split('/')[1]}.bin").write_bytes(b"short")
     nothing = run(picked, out=tmp_path / "none", labelled=[picked.out])
     assert (nothing.picked, len(nothing.outcome.failures)) == ((), 3)
+
+
+def test_the_scans_of_a_list_are_picked_in_its_order(drive, tmp_path):
+    listed = tmp_path / "tagged.txt"
+    listed.write_text("# a comment\n08/000040\n\n000010\n08/000040\n")
+    found = run(drive, names=listed)
+    assert names(found) == ["08/000040", "08/000010"]
+    assert of_folder(drive, "velodyne") == ["000010.bin", "000040.bin"]
+    assert all(each.uncertainty > 0 and each.distance is None for each in found.picked)
+    assert run(drive, names=listed).outcome.skipped == 2
+    listed.write_text("08/000040\n")
+    with refused(OutputError, drive.out / "pick.json"):
+        run(drive, names=listed)
+    assert names(run(drive, names=listed, overwrite=True)) == ["08/000040"]
+
+
+@pytest.mark.parametrize(
+    ("content", "subject"), [(b"", "is empty"), (b"# none\n", "comments"), (b"\xff\xfe", "no text")]
+)
+def test_a_list_without_names_is_refused(drive, tmp_path, content, subject):
+    listed = tmp_path / f"{subject}.txt"
+    listed.write_bytes(content)
+    with refused(FormatError, listed):
+        run(drive, names=listed)
+    assert not drive.out.exists()
+
+
+def test_unknown_names_and_a_second_choice_are_refused(drive, tmp_path):
+    listed = tmp_path / "tagged.txt"
+    listed.write_text("08/000040\n08/00001\n")
+    with refused(UsageError, listed) as caught:
+        run(drive, names=listed)
+    assert "08/00001" in caught.value.headline
+    listed.write_text("08/000040\n")
+    with refused(UsageError, "--labelled"):
+        run(drive, names=listed, labelled=[drive.data])
+    with refused(UsageError, "--subset"):
+        run(drive, names=listed, selection=ScanSelection(limit=2))
+    assert not drive.out.exists()

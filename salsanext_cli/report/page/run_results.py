@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.errors import SalsanextError, UsageError, counted, first_few, shortened
+from salsanext_cli.errors import SalsanextError, counted, first_few, shortened
 from salsanext_cli.files.reading import fingerprint, present, reading, refusing_damage
 from salsanext_cli.fitting.field_of_view import view_text
 from salsanext_cli.formats.kitti import read_labels
@@ -32,6 +32,7 @@ from salsanext_cli.measures.scores import Counts, Scores, accepted, scored_rows,
 from salsanext_cli.measures.uncertainty_evaluation import UncertaintyEvaluation
 from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.results.manifest import Manifest, StageSettings
+from salsanext_cli.results.named_scans import named_scans
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.paths import (
     ERROR,
@@ -226,15 +227,8 @@ class RunResults:
 
     def scans_by_name(self, names: Sequence[str]) -> dict[str, str]:
         """Choose scans by name, ``08/000000``, or by stem where only one sequence has it."""
-        files, chosen = [row.file for row in self.rows], dict[str, str]()
-        for name in names:
-            matches = [file.name for file in files if name in (file.name, file.stem)]
-            if len(matches) != 1:
-                holders = f"{len(matches)} scans have" if matches else "no scan has"
-                expected = f"names such as {first_few(matches or [file.name for file in files])}"
-                raise UsageError("--scans", f"{name}: {holders} this name", expected)
-            chosen[matches[0]] = "named"
-        return chosen
+        files = [row.file for row in self.rows]
+        return {file.name: "named" for file in named_scans(names, files, "--scans")}
 
     def facts(self) -> Iterator[tuple[str, str]]:
         """Yield titles and texts of the recorded settings of a run."""
