@@ -21,9 +21,9 @@ INTRODUCTION = """\
 
 # Commands
 
-`salsanext --help` lists the commands, `salsanext COMMAND --help` the usual options of a command,
-and `salsanext COMMAND --help-all` all of its options. This page lists all of them. Options that
-several commands share are described [at the end](#shared-options).
+`salsanext --help` lists the commands, `salsanext COMMAND --help` the usual options of a command.
+If there are others, `salsanext COMMAND --help-all` lists them too. This page lists all of them.
+Options that several commands share are described [at the end](#shared-options).
 """
 SHARED = """\
 ## Shared options

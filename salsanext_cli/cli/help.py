@@ -13,18 +13,22 @@ from salsanext_cli.cli.removed import refuse_removed
 DOCUMENTATION = "https://salsanext.readthedocs.io"
 NAMES_WIDTH = 24  # Columns of the names of options; longer ones get a line
 HIDDEN = {
-    "": "--aleatoric --batch --ego --engine --install-completion --intensity "
+    "": "--batch --ego --engine --install-completion --intensity "
     "--knn-cutoff --knn-k --knn-sigma --knn-window --min-range --movable-reach --on-error "
     "--pixel-labels --precision --shard --show-completion",
     "pick": "--seed",
     **dict.fromkeys(("export-ply", "picture", "report", "view"), "--label-space"),
 }
 """Options that only `--help-all` lists, by command, "" for all commands."""
-HELP = [("-h, --help", "Show this message."), ("--help-all", "Show all options.")]
+HELP = ("-h, --help", "Show this message.")
+HELP_ALL = ("--help-all", "Show all options.")
 
 
 def write_help(command: Any, ctx: Any, formatter: Any, *, every: bool = False) -> None:
-    """Write usage, description, link, commands and options; `every`: the hidden ones too."""
+    """Write usage, description, link, commands and options; `every`: the hidden ones too.
+
+    A command without hidden options does not offer `--help-all`, which would show the same.
+    """
     formatter.write_usage(ctx.command_path, usage(command))
     command.format_help_text(ctx, formatter)
     anchor = f"/cli/#{'-'.join(['salsanext', *_names(ctx)])}" if ctx.parent else ""
@@ -39,12 +43,15 @@ def write_help(command: Any, ctx: Any, formatter: Any, *, every: bool = False) -
                 formatter.write_dl(
                     [(name, members[name].get_short_help_str(200)) for name in names]
                 )
-    hidden = set() if every else {*" ".join(HIDDEN.get(n, "") for n in ("", *_names(ctx))).split()}
+    hidden = _hidden(command, ctx)
     panels = {
-        heading: [(synopsis(p), _meaning(p)) for p in parameters if not hidden & {*p.opts}]
+        heading: [(synopsis(p), _meaning(p)) for p in parameters if every or not hidden & {*p.opts}]
         for heading, parameters in by_panel(command.params).items()
     } or {"Options": []}
-    [*panels.values()][-1].extend(HELP)
+    last_panel = [*panels.values()][-1]
+    last_panel.append(HELP)
+    if hidden:
+        last_panel.append(HELP_ALL)
     for heading, rows in panels.items():
         if rows:
             with formatter.section(heading):
@@ -94,6 +101,13 @@ class Group(TyperGroup):
 def _names(ctx: Any) -> list[str]:
     """Return the name of a command after those of its groups, without that of the program."""
     return [*_names(ctx.parent), ctx.info_name] if ctx.parent else []
+
+
+def _hidden(command: Any, ctx: Any) -> set[str]:
+    """Return the options of a command that only the whole help lists."""
+    listed = " ".join(HIDDEN.get(name, "") for name in ("", *_names(ctx))).split()
+    offered = {name for parameter in command.params for name in parameter.opts}
+    return offered.intersection(listed)
 
 
 def _print_whole_help(command: Any, ctx: Any, args: Sequence[str]) -> None:

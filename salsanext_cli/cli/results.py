@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Commands on results: fuse, filter, evaluate and export them."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -115,8 +115,10 @@ def evaluate(
 
     limits = limits_of(fail_under)
     folder = ResultFolder(out, query.dataset)
-    files, space = folder.predicted(query.selection, query.label_space, query.classes)
-    part = part_of(folder, files, query.selection)
+    unlimited = replace(query.selection, limit=None)
+    chosen, space = folder.predicted(unlimited, query.label_space, query.classes)
+    part = part_of(folder, chosen, query.selection)
+    files = chosen[: query.selection.limit]
     with over_scans("eval", running, output.quiet) as run:
         settings, labels = folder.provenance(query.selection), query.label_space
         evaluation = stage(

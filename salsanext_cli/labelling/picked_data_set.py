@@ -19,7 +19,7 @@ from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import encode_bin
 from salsanext_cli.fusion.poses import CALIBRATION, POSES, line_numbers
 from salsanext_cli.labelling.label_records import IMPORTED
-from salsanext_cli.measures.scan_summary import ScanWarning
+from salsanext_cli.measures.scan_warnings import ScanWarning
 from salsanext_cli.results.layouts import SCAN_FOLDER
 from salsanext_cli.results.manifest import StageSettings, require_same_settings, settings_json
 from salsanext_cli.results.owned_folder import OwnedFolder, foreign_file

@@ -16,7 +16,7 @@ import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.engines.network import Network
-from salsanext_cli.errors import SalsanextError, counted, first_few, with_hint
+from salsanext_cli.errors import SalsanextError, counted, first_few
 from salsanext_cli.files.reading import present
 from salsanext_cli.fitting.finding import Finding
 from salsanext_cli.fitting.label_scan import LabelledScan
@@ -29,6 +29,7 @@ from salsanext_cli.measures.expected_accuracy import ExpectedAccuracy, expected_
 from salsanext_cli.measures.mixed_sensors import mixed_sensors
 from salsanext_cli.measures.population import label_traits, of_units, population_difference
 from salsanext_cli.measures.risk_control import RiskBoundCheck
+from salsanext_cli.measures.scan_warnings import LOOK, ScanWarning, hint_in, log_finding, log_text
 from salsanext_cli.measures.scores import Counts
 from salsanext_cli.network.card import AccuracyLine, LabelTraits, RiskThreshold
 from salsanext_cli.records import Float, Mask
@@ -48,7 +49,6 @@ MIN_CLASSES = 5
 MIN_CONFIDENCE, MIN_OF_FEW = 0.575, 0.74
 """Least usual mean of a scan; cities had 0.62 or more, and 0.79 or more in `coarse`."""
 USUAL = "check the sensor and its settings"
-LOOK = "look at the labels: `salsanext export-ply OUT`"
 MAX_COMPARED = 5000  # Most scans that are compared with those of a threshold
 OTHER_SCANS = "other-scans"
 """Code of the warning that the guarantee of a threshold does not cover the scans of a run."""
@@ -132,16 +132,6 @@ def _label_findings(points: Counts, confidence: float, space: LabelSpace) -> Ite
         yield Finding("low-confidence", mean, f"{USUAL}; {LOOK}")
 
 
-@dataclass(frozen=True, slots=True)
-class ScanWarning:
-    """Reason to doubt some scans, with the text of the first of them."""
-
-    code: str
-    message: str
-    hint: str
-    scans: list[str]  # Names of the scans, or of their sequences
-
-
 @dataclass(slots=True)
 class RunSummary:
     """Summary of the scans of a run."""
@@ -168,6 +158,7 @@ class RunSummary:
     label_traits: dict[str, LabelTraits] = field(default_factory=dict)
     # Names of scans of earlier runs whose results are in the folder, by code of their warnings
     earlier_warnings: dict[str, list[str]] = field(default_factory=dict)
+    out: Path | None = None  # Folder of the results, for hints
 
     @classmethod
     def of_network(
@@ -217,14 +208,14 @@ class RunSummary:
     def add_finding(self, name: str, finding: Finding) -> None:
         """Add a reason to doubt a scan; log it if it is the first of its code."""
         if finding.code not in self.findings:
-            log_finding(name, finding)
+            log_finding(name, finding, self.out)
         self.findings.setdefault(finding.code, []).append((name, finding))
 
     def add_sequence(self, name: str, findings: Iterable[Finding]) -> None:
         """Add and log reasons to doubt a whole sequence."""
         self.names.add(name)
         for finding in findings:
-            log_finding(f"sequence {name}", finding)
+            log_finding(f"sequence {name}", finding, self.out)
             self.findings.setdefault(finding.code, []).append((name, finding))
 
     def compare_scans(self) -> None:
@@ -265,13 +256,14 @@ class RunSummary:
         self.compare_scans()
         for code, findings in sorted(self.findings.items()):
             if others := sorted(name for name, _ in findings[1:] if "/" in name):
-                count, names = counted(len(others), "more scan"), _text(first_few(others))
+                count, names = counted(len(others), "more scan"), log_text(first_few(others))
                 log.warning("%s in %s: %s", code, count, names)
         return self
 
     @contextmanager
     def recorded_in(self, run: OutputRun, scans: Sequence[ScanFile]) -> Iterator[None]:
         """Finish the summary when the run ends; record its and add earlier findings."""
+        self.out = run.root
         try:
             yield
         finally:
@@ -294,7 +286,8 @@ class RunSummary:
         warnings = []
         for code in sorted(self.findings):
             names, (first, *_) = zip(*sorted(self.findings[code], key=itemgetter(0)), strict=True)
-            warnings.append(ScanWarning(code, first.problem, first.hint, [*names]))
+            hint = hint_in(self.out, first.hint)
+            warnings.append(ScanWarning(code, first.problem, hint, [*names]))
         return warnings
 
     @property
@@ -360,24 +353,6 @@ def guarantee_of_run(
     codes = {code for name in losses for code, *_ in findings.get(name, ())}
     threshold = Manifest(out).guarantee(space)
     return RiskBoundCheck.of_scans(threshold, losses, is_covered=OTHER_SCANS not in codes)
-
-
-def log_finding(name: str, finding: Finding) -> None:
-    """Log a reason to doubt a scan or sequence as a warning."""
-    headline = f"{_text(name)}: {finding.problem} ({finding.code})"
-    log.warning("%s", with_hint(headline, finding.hint))
-
-
-def log_recorded(warnings: Iterable[ScanWarning]) -> None:
-    """Log the warnings of an earlier run."""
-    for warning in warnings:
-        finding = Finding(warning.code, warning.message, warning.hint)
-        log_finding(first_few(warning.scans), finding)
-
-
-def _text(names: str) -> str:
-    # Log handlers of other programs may refuse names that are no valid text.
-    return names.encode(errors="backslashreplace").decode()
 
 
 def largest_classes(space: LabelSpace, points: Counts) -> dict[str, float]:

@@ -35,7 +35,7 @@ def card_table(file: DescribedWeights) -> Table:
     rows = {
         "weights": f"default weights version {card.version}" if card.version else "",
         "description": card.description or ABSENT,
-        "architecture": ", ".join(f"{_name(k)} {v}" for k, v in card.architecture.items()),
+        "architecture": _architecture(card.architecture),
         "temperature": f"{card.temperature:.4g}",
         "label space": f"{card.space.name}, {card.space.class_count} classes",
         "sensor": f"{sensor.name}, {sensor.height}×{sensor.width}, {view}",
@@ -52,6 +52,16 @@ def card_table(file: DescribedWeights) -> Table:
     table = table_of(("", "value"), known, texts=["value"], title=str(file.path))
     table.show_header = False
     return table
+
+
+def _architecture(parameters: Json) -> str:
+    """Return the name of a network, its number of classes, and its other parameters."""
+    others = {key: value for key, value in parameters.items() if key not in ("name", "class_count")}
+    parts = [str(parameters["name"])]
+    if "class_count" in parameters:
+        parts.append(f"{parameters['class_count']} classes")
+    parts += [f"{_name(key)} {_rounded(value)}" for key, value in others.items()]
+    return ", ".join(parts)
 
 
 def _error_rows(scores: Json) -> dict[str, str]:

@@ -130,7 +130,7 @@ class ResultFolder(Manifest):
                 raise self._is_data_set()
             problem = "contains no results" if self.root.is_dir() else "no such folder"
             expected = "the output folder of an earlier stage"
-            raise NoInputError(self.root, problem, expected, PREDICT.format(out=self.root))
+            raise NoInputError(self.root, problem, expected, self._command(PREDICT))
         if self.dataset and len(sequences) == 1 and _is_sequence(self.dataset):
             scans = scans_of_renamed(self.dataset, sequences[0])
         else:
@@ -160,7 +160,9 @@ class ResultFolder(Manifest):
 
     def _is_data_set(self) -> NoInputError:
         """Return the error of a data set that was given as results."""
-        hint = f"run `salsanext predict {shlex.quote(str(self.root))} OUT`, then use OUT"
+        new = f"{os.path.normpath(self.root)}-out"
+        command = shlex.join(["salsanext", "predict", str(self.root), new])
+        hint = f"run `{command}`, then give {shlex.quote(new)}"
         return NoInputError(self.root, "is a data set", "a folder with results", hint)
 
     def _of_sequence(self, sequence: str, source: ScanSource | None) -> list[ScanFile]:
@@ -227,7 +229,7 @@ class ResultFolder(Manifest):
         self.require_same_weights()
         scans = with_outputs(chosen, self.root, *FOLDERS)[:limit]
         if not scans:
-            hint = PREDICT.format(out=self.root)
+            hint = self._command(PREDICT, *chosen[:1])
             raise NoInputError(self.root, "contains no results of these scans", hint=hint)
         if len(scans) == limit:
             # Scans after the last one of the limit are not missing.
@@ -307,7 +309,13 @@ class ResultFolder(Manifest):
             return NoInputError(file.path, "has no labels", f"the file {file.label_path}")
         made_by = UNCERTAINTY[column].made_by if column in UNCERTAINTY else PREDICT
         expected = f"the file {self._path(file, column)}"
-        return NoInputError(file.path, f"has no {column}", expected, made_by.format(out=self.root))
+        return NoInputError(file.path, f"has no {column}", expected, self._command(made_by, file))
+
+    def _command(self, template: str, *files: ScanFile) -> str:
+        """Return a hint with a command that makes results in this folder, of these scans if any."""
+        places = [str(data_set_of(file) or file.path.parent) for file in files]
+        scans = shlex.join(places) if places else "SCANS"
+        return template.format(scans=scans, out=shlex.quote(str(self.root)))
 
     def _path(self, file: ScanFile, column: str) -> Path:
         return output_path(self.root, file.sequence, FOLDER_OF_COLUMN[column], file.stem)

@@ -266,7 +266,7 @@ def _commands(source: Path, place: Path, folders: Iterable[ScanFolder]) -> str:
         word = shlex.quote(str(source / folder.path.relative_to(place)))
         if folder.path == place:
             word = f"{word}/*{min(folder.suffixes.values())}"
-        words.append(f"salsanext predict {word} OUT")
+        words.append(f"salsanext predict {word} out")
     return f"give one as SCANS: {'; or '.join(words[:MAX_NAMES_SHOWN])}"
 
 

@@ -6,11 +6,11 @@ from typing import NamedTuple
 BLUE, SKY, ORANGE, RED, GREEN = "#0072b2", "#56b4e9", "#e69f00", "#d55e00", "#009e73"
 PURPLE = "#cc79a7"
 """Colours that colour-blind people can distinguish."""
-PREDICT = "run `salsanext predict SCANS {out}` first"
-UNCERTAINTY_STAGE = "run `salsanext uncertainty SCANS {out}` first"
+PREDICT = "run `salsanext predict {scans} {out}` first"
+UNCERTAINTY_STAGE = "run `salsanext uncertainty {scans} {out}` first"
 FUSE = "run `salsanext fuse {out}` first"
 PREDICT_ERROR = (
-    "run `salsanext predict SCANS {out} --error` with the default weights "
+    "run `salsanext predict {scans} {out} --error` with the default weights "
     "or weights of `salsanext tune error`"
 )
 
@@ -19,7 +19,7 @@ class UncertaintyKind(NamedTuple):
     """Kind of uncertainty of points, in the folder `uncertainty/<kind>`."""
 
     title: str  # Title of pictures
-    made_by: str  # Hint for an output folder `out` without it
+    made_by: str  # Hint for an output folder `out` of `scans` without it
     colour: str  # Colour of its line in plots
     is_dashed: bool = False
     unit: str = ""

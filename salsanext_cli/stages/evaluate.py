@@ -223,15 +223,15 @@ def _evaluation(
     )
 
 
-def part_of(folder: ResultFolder, scans: Sequence[ScanFile], selection: ScanSelection) -> str:
+def part_of(folder: ResultFolder, chosen: Sequence[ScanFile], selection: ScanSelection) -> str:
     """Return a name for a part of the scans with results, such as ``08,10-first-5``.
 
     Parameters
     ----------
     folder : ResultFolder
         Output folder.
-    scans : sequence of ScanFile
-        Selected scans.
+    chosen : sequence of ScanFile
+        Scans of the selected split or sequences, whatever the limit.
     selection : ScanSelection
         Selection by split, sequences and limit.
 
@@ -240,16 +240,16 @@ def part_of(folder: ResultFolder, scans: Sequence[ScanFile], selection: ScanSele
     str
         Name of the part, empty for all scans of the split or folder.
     """
-    limit, total = selection.limit, folder.scans()
-    if selection.split:
-        total, _ = folder.predicted(ScanSelection(selection.split))
+    limit = selection.limit
+    scans = chosen[:limit]
+    total = chosen if selection.split else folder.scans()
     name = ",".join(sorted({scan.sequence for scan in scans}))
     if len(os.fsencode(name)) > MAX_PART_BYTES:
         digest = hashlib.sha256(os.fsencode(name)).hexdigest()[:16]
         name = f"{name.count(',') + 1} sequences {digest}"
     name += f"-first-{limit}" * bool(limit)
-    chosen = bool(selection.sequences or limit) and len(scans) < len(total)
-    return name if chosen else ""
+    is_part = bool(selection.sequences or limit) and len(scans) < len(total)
+    return name if is_part else ""
 
 
 def _require_labels(scans: Sequence[ScanFile]) -> None:

@@ -18,7 +18,8 @@ from salsanext_cli.geometry.network_input import NO_INTENSITY
 from salsanext_cli.geometry.projection import measured_ranges, project, without_ego
 from salsanext_cli.geometry.scan_traits import kinds_of, sensor_of
 from salsanext_cli.measures.mixed_sensors import APART
-from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary, ScanWarning
+from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
+from salsanext_cli.measures.scan_warnings import ScanWarning
 from salsanext_cli.measures.survey import Survey, survey
 from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.option_fields import ScanSelection

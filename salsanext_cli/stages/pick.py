@@ -30,7 +30,8 @@ from salsanext_cli.labelling.picked_data_set import (
     PickSettings,
 )
 from salsanext_cli.labelling.scan_choice import choose_scans, require_choice
-from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary, ScanWarning, log_recorded
+from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
+from salsanext_cli.measures.scan_warnings import ScanWarning, log_recorded
 from salsanext_cli.option_fields import KnnParameters, ScanSelection
 from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans

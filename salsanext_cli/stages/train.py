@@ -17,7 +17,7 @@ from salsanext_cli.engines.loading import network_of_module
 from salsanext_cli.errors import NOTICE, UsageError, counted
 from salsanext_cli.fitting.label_scan import prepared_for
 from salsanext_cli.labelling.label_records import require_labels
-from salsanext_cli.measures.scan_summary import ScanWarning
+from salsanext_cli.measures.scan_warnings import ScanWarning
 from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.network.weights import encode_weights, read_weights
 from salsanext_cli.parallel.run_options import cores, worker_count

@@ -44,7 +44,9 @@ def test_help_is_short_and_the_whole_help_lists_every_option(run, monkeypatch):
     for name in every_command():
         usual, whole = (run(*name.split(), flag).stdout for flag in ("--help", "--help-all"))
         options = {option for p in parsed(name).params for option in p.opts if option[0] == "-"}
-        assert {word.rstrip(",") for word in whole.split()} >= {*options, "--help-all"}, name
+        assert {word.rstrip(",") for word in whole.split()} >= {*options, "--help"}, name
+        # The whole help is offered where it shows more, and only there.
+        assert ("--help-all" in usual) == (whole != usual), name
         assert "<" not in whole, name
         assert f"{help.DOCUMENTATION}/cli/#salsanext-{name.replace(' ', '-')}" in usual
         lengths = [len(line) for line in usual.splitlines()]
@@ -53,6 +55,7 @@ def test_help_is_short_and_the_whole_help_lists_every_option(run, monkeypatch):
     predict = run("predict", "--help").stdout
     assert "--knn-k" not in predict
     assert "--json" in predict
+    assert "--aleatoric" in run("uncertainty", "--help").stdout
     assert "--install-completion" not in run("--help").stdout
     assert "--install-completion" in run("--help-all").stdout
 

@@ -280,6 +280,14 @@ def test_import_weights_and_predict_with_them(run, data, weights, tmp_path):
     assert run("predict", data, tmp_path / "out", "--weights", half).exit_code == 0
 
 
+def test_splits_without_names_are_said_once(run, tmp_path, weights):
+    write_sequence(tmp_path / "data/sequences/x1", ["000000", "000001"])
+    run("predict", tmp_path / "data", tmp_path / "out", "--weights", weights, status=0)
+    for limit in ((), ("--limit", 1)):
+        result = run("eval", tmp_path / "out", "--split", "valid", *limit, status=0)
+        assert result.stderr.count("no split names x1") == 1
+
+
 def test_several_scans_and_globs(run, data, weights, tmp_path):
     scans = sorted((data / "sequences/08/velodyne").iterdir())
     options = ("--weights", weights, "--device", "cpu")

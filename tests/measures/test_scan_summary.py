@@ -20,6 +20,7 @@ from salsanext_cli.geometry.scan_traits import groups_of
 from salsanext_cli.measures.mixed_sensors import mixed_sensors
 from salsanext_cli.measures.scan_counts import ScanCounts, band_of_point
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
+from salsanext_cli.measures.scan_warnings import LOOK
 from salsanext_cli.network.card import LabelTraits, RiskThreshold
 from salsanext_cli.results.paths import ScanFile
 
@@ -54,6 +55,17 @@ def test_labels_of_low_probability_are_doubted():
     few = small_space(*map(str, range(8)))
     assert codes_of(labels % 8, few, confidence=0.72) == ["low-confidence"]
     assert codes_of(labels % 8, few, confidence=0.76) == []
+
+
+def test_hints_about_labels_name_the_folder_of_the_run(caplog):
+    finding = Finding("one-class", "80% of the points are road", LOOK)
+    for out, hint in ((None, LOOK), (Path("my out"), f"{LOOK}: `salsanext report 'my out'`")):
+        summary = RunSummary(SMALL, SPACE, out=out)
+        summary.add_finding(FILE.name, finding)
+        assert [warning.hint for warning in summary.warnings()] == [hint]
+        assert caplog.messages[-1].endswith(f"hint: {hint}")
+        # The folder may be moved, so it is not recorded.
+        assert summary.findings["one-class"] == [(FILE.name, finding)]
 
 
 def test_rejected_labels_do_not_make_one_class_large():

@@ -118,6 +118,11 @@ def test_a_card_has_words_for_its_keys(weights):
     named = {"miou": 0.5, "miou_spread": 0.1, "iou_other-vehicle": 0.25}
     card = replace(described.card, scores=named, error=error)
     rows = dict(printed_wide(card_table(replace(described, card=card))))
+    network = {"name": "salsanext", "class_count": 20, "dropout": 0.1}
+    networks = replace(described, card=replace(card, architecture=network))
+    assert dict(printed_wide(card_table(networks)))["architecture"] == (
+        "salsanext, 20 classes, dropout 0.100"
+    )
     assert rows["error model on 5 folds of held-out scans"].startswith("AUROC 0.875, AURC 0.050")
     assert rows["confidence, to compare"].startswith("AUROC 0.845")
     assert rows["points of the error model"].startswith(

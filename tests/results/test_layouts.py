@@ -131,7 +131,7 @@ def test_several_folders_are_listed_with_their_counts_and_commands(tmp_path):
     assert "front (2 .pcd), rear scans (1 .pcd)" in error.problem
     assert "notes" not in error.problem
     for place in (f"{tmp_path}/front", f"'{tmp_path}/rear scans'"):
-        assert f"salsanext predict {place} OUT" in error.hint
+        assert f"salsanext predict {place} out" in error.hint
 
 
 def test_two_layouts_are_ambiguous_and_texts_are_listed_but_never_used(tmp_path):
@@ -180,7 +180,7 @@ def test_folders_of_one_sequence_are_refused_with_the_command_for_each(tmp_path,
     make_empty(tmp_path, *(f"{drive}/{number}.bin" for number, drive in enumerate(drives)))
     error = refused(NoInputError, tmp_path, find_scans, tmp_path).value
     for drive in drives:
-        assert f"salsanext predict {shlex.quote(f'{tmp_path}/{drive}')} OUT" in error.hint
+        assert f"salsanext predict {shlex.quote(f'{tmp_path}/{drive}')} out" in error.hint
         assert len(find_scans(tmp_path / drive)) == 1
 
 
@@ -196,7 +196,7 @@ def test_folders_that_are_only_named_as_in_a_data_set_are_plain_folders(tmp_path
     make_empty(tmp_path, *files)
     error = refused(NoInputError, tmp_path, find_scans, tmp_path).value
     for file in files:
-        assert f"salsanext predict {(tmp_path / file).parent} OUT" in error.hint
+        assert f"salsanext predict {(tmp_path / file).parent} out" in error.hint
 
 
 def test_hidden_folders_results_and_loops_of_links_are_not_searched(tmp_path):

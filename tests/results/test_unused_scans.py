@@ -72,7 +72,7 @@ def test_a_search_that_stopped_names_what_it_found(tmp_path, monkeypatch):
     error = refused(NoInputError, tmp_path, find_scans, tmp_path).value
     assert "clouds (1 .pcd)" in error.problem
     assert "stopped after 20 files" in error.problem
-    assert f"salsanext predict {tmp_path}/clouds OUT" in error.hint
+    assert f"salsanext predict {tmp_path}/clouds out" in error.hint
     error = refused(NoInputError, tmp_path / "empty", find_scans, tmp_path / "empty").value
     assert "over 20 files" in error.problem
 
@@ -84,8 +84,8 @@ def test_a_search_beside_tables_and_scans_that_stopped_says_so(tmp_path, monkeyp
         make_empty(tmp_path / root, *(f"trip/photos/{n}.jpg" for n in range(20)))
     make_empty(tmp_path / "tables", "1.csv", "drive/lidar/1.bin", "drive/lidar/poses.json")
     error = refused(NoInputError, tmp_path / "tables", find_scans, tmp_path / "tables").value
-    assert f"salsanext predict {tmp_path}/tables/drive/lidar OUT" in error.hint
-    assert f"salsanext predict {tmp_path}/tables/*.csv OUT" in error.hint
+    assert f"salsanext predict {tmp_path}/tables/drive/lidar out" in error.hint
+    assert f"salsanext predict {tmp_path}/tables/*.csv out" in error.hint
     make_empty(tmp_path / "only tables", "1.csv")
     assert found(tmp_path / "only tables") == ["only tables/1"]
     make_empty(tmp_path / "scans", "1.pcd")

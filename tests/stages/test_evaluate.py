@@ -174,7 +174,8 @@ def test_a_part_is_evaluated_in_a_folder_below(world):
     assert json.loads((world.out / "eval/08/eval.json").read_text())["scores"]["accuracy"] == 1
     assert {name: (world.out / name).read_bytes() for name in before} == before
     assert part_of(folder, scans, ScanSelection(sequences=("08", "09"))) == ""
-    assert part_of(folder, scans[:1], ScanSelection(limit=1)) == "08-first-1"
+    assert part_of(folder, scans, ScanSelection(limit=1)) == "08-first-1"
+    assert part_of(folder, scans[:1], ScanSelection(split="valid", limit=1)) == ""
     world.add("000000", [ROAD], [CAR], "08-09")
     scans = find_scans(world.dataset)
     names = [part_of(folder, some, ScanSelection(limit=9)) for some in (scans[::2], scans[1:2])]

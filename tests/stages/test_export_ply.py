@@ -144,7 +144,7 @@ def test_uncertainty_is_the_confidence_until_another_kind_is_known(predicted):
     assert ply(predicted, "00").comments[0].startswith("colour least_confidence viridis ")
     with pytest.raises(NoInputError) as caught:
         export(predicted, colour="entropy")
-    assert "`salsanext uncertainty SCANS " in caught.value.hint
+    assert f"`salsanext uncertainty '{predicted.data}' " in caught.value.hint
     uncertainty(
         *(predicted.data, predicted.out),
         settings=predicted.network,

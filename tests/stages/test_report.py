@@ -228,4 +228,4 @@ def test_a_page_is_written_to_a_file_and_replaced_only_if_asked(world, tmp_path)
 def test_a_data_set_is_named_as_such_instead_of_results(world):
     with refused(NoInputError, world.dataset) as caught:
         report(world.dataset)
-    assert f"salsanext predict '{world.dataset}' OUT" in caught.value.hint
+    assert f"salsanext predict '{world.dataset}' '{world.dataset}-out'" in caught.value.hint

@@ -20,7 +20,8 @@ from salsanext_cli.files.json_files import MALFORMED, decoded, encode_json, read
 from salsanext_cli.files.reading import identity
 from salsanext_cli.fitting.scan_checks import check_scan
 from salsanext_cli.geometry.scan_traits import sensor_of
-from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary, ScanWarning, log_recorded
+from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
+from salsanext_cli.measures.scan_warnings import ScanWarning, log_recorded
 from salsanext_cli.network.card import parted, scan_digest
 from salsanext_cli.records import Double, Mask
 from salsanext_cli.results.owned_folder import OwnedFolder
