@@ -40,7 +40,6 @@ from salsanext_cli.results.manifest import settings_json
 from salsanext_cli.results.named_scans import named_scans, read_names
 from salsanext_cli.results.paths import ScanFile, find_scans
 from salsanext_cli.results.selection import choose, evenly_spaced, scans_of, space_of
-from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.uncertainty.monte_carlo import Estimate, require_sampling
 from salsanext_cli.uncertainty.scan_description import DescribeJob, ScanDescription, checked_sample
 
@@ -133,28 +132,20 @@ def pick(
     data_set.require_apart(every)
     space = space_of(every, network.space)
     scans = choose(every, replace(selection, limit=None), space, source)
-    if names is None:
-        strategy = CHOSEN
-        scans = evenly_spaced(scans, selection.limit or 0)
-    else:
-        strategy = NAMED
-        scans = _of_list(names, scans, selection, labelled)
-        count = len(scans)
+    scans = _candidates(scans, selection, labelled, names)
+    count = count if names is None else len(scans)
     done = _done(scans, labelled, source)
     with data_set.open():
         network = fit_scans(settings, network, ScanSample(every, network.sensor))
-        digests = _digest(scans), _digest(sorted(done)) if labelled else None
-        of_network = settings_of_network(network)
-        recorded = PickSettings(of_network, count, seed, *digests, SAMPLES, strategy)
+        labels = done if labelled else None
+        recorded = _settings(network, count, seed, scans, labels, is_list=names is not None)
         record = data_set.earlier(recorded, overwrite=options.overwrite)
         if record and data_set.is_complete(record):
             log_recorded(record.warnings)
             return _picking(record, scans)
         resolved = settings.resolved(network)
         if record is None:
-            describe = partial(DescribeJob, samples=SAMPLES, seed=seed)
-            task = NetworkTask(describe, resolved, network, batch=1)
-            record = _chosen(task, scans, recorded, done, network.sensor, options)
+            record = _chosen(resolved, network, scans, recorded, done, options)
             if not record.picked:
                 return _picking(record, scans)
             data_set.begin(record)
@@ -163,6 +154,27 @@ def pick(
         space = space if space.fits(network.space) else space_of([], network.space)
         outcome = _written(task, data_set, record, scans, options, space)
     return replace(_picking(record, scans), outcome=outcome)
+
+
+def _settings(
+    network: Network,
+    count: int,
+    seed: int,
+    scans: Sequence[ScanFile],
+    done: set[ScanFile] | None,
+    *,
+    is_list: bool,
+) -> PickSettings:
+    """Return the settings of a choice among scans, some of which are labelled already."""
+    return PickSettings(
+        settings_of_network(network),
+        count,
+        seed,
+        scans=_digest(scans),
+        labelled=None if done is None else _digest(sorted(done)),
+        samples=SAMPLES,
+        strategy=NAMED if is_list else CHOSEN,
+    )
 
 
 def _done(scans: Sequence[ScanFile], labelled: Sequence[Path], source: Path) -> set[ScanFile]:
@@ -174,10 +186,18 @@ def _done(scans: Sequence[ScanFile], labelled: Sequence[Path], source: Path) -> 
     return done
 
 
-def _of_list(
-    names: Path, scans: Sequence[ScanFile], selection: ScanSelection, labelled: Sequence[Path]
+def _candidates(
+    scans: Sequence[ScanFile],
+    selection: ScanSelection,
+    labelled: Sequence[Path],
+    names: Path | None,
 ) -> list[ScanFile]:
-    """Return the scans whose names a file lists; refuse options that choose scans too."""
+    """Return the scans of a list of names, else evenly spaced ones.
+
+    Options that choose scans too are refused beside a list.
+    """
+    if names is None:
+        return evenly_spaced(scans, selection.limit or 0)
     for option, value in (("--subset", selection.limit), ("--labelled", labelled)):
         if value:
             raise UsageError(option, "chooses scans, and so does --from", "one of both")
@@ -198,15 +218,17 @@ def _digest(scans: Sequence[ScanFile]) -> str:
 
 
 def _chosen(
-    task: NetworkTask,
+    resolved: NetworkSettings,
+    network: Network,
     scans: Sequence[ScanFile],
     settings: PickSettings,
     done: set[ScanFile],
-    sensor: Sensor,
     options: RunOptions,
 ) -> PickRecord:
     """Describe scans; choose uncertain ones that differ from each other and from labelled ones."""
-    summary = RunSummary(sensor, scans=scans)
+    describe = partial(DescribeJob, samples=SAMPLES, seed=settings.seed)
+    task = NetworkTask(describe, resolved, network, batch=1)
+    summary = RunSummary(network.sensor, scans=scans)
     of_scan: dict[ScanFile, ScanDescription] = {}
 
     def add(scan: ScanDescription) -> None:
