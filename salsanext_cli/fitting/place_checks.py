@@ -7,19 +7,24 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from salsanext_cli.geometry.ground import MAX_TILT_DEG, SUPPORT, UPWARDS, Ground, find_ground
-from salsanext_cli.geometry.projection import in_sensor_frame, upright_rotation
-from salsanext_cli.geometry.sensor_place import (
-    SensorPlace,
-    find_place,
-    is_out_of_place,
-    is_outdoors,
+from salsanext_cli.geometry.beam_origin import MIN_SHARPNESS_ELSEWHERE, sharpness_at_origin
+from salsanext_cli.geometry.evenness import is_fan, is_out_of_place, is_outdoors
+from salsanext_cli.geometry.ground import (
+    MAX_TILT_DEG,
+    MIN_HEIGHT_M,
+    SUPPORT,
+    UPWARDS,
+    Ground,
+    find_ground,
 )
-from salsanext_cli.records import Double, Scan
-from salsanext_cli.sensors.sensor import Sensor
+from salsanext_cli.geometry.projection import few_points, in_sensor_frame, upright_rotation
+from salsanext_cli.geometry.sensor_place import SensorPlace, find_place, origin_in_file
+from salsanext_cli.records import Scan
+from salsanext_cli.sensors.sensor import FITTED_NAME, ORIGIN, Sensor
 
 MIN_SHARE_OF_GROUND = 0.15  # Least share of near points on a ground that is not doubted
-DIGITS = 2
+HINT_DIGITS = 2  # Digits of an origin in a hint, in metres
+POINTS_OF_BEAMS = 16_384  # Points that show the beams
 FLIPPED = np.array([1, -1, -1], np.float32)  # Turns z from down to up
 
 
@@ -54,12 +59,28 @@ def place_problem(
         unknown = "the points are not seen from their origin"
     elif _may_be_upside_down(sample, ground):
         unknown = "the ground may lie above the sensor"
+    elif _is_unproven(scan, sample, ground, sensor):
+        problem = "nothing in its part of the circle proves the fitted position of the sensor"
+        return PlaceProblem(problem)
     else:
         return None
     place = find_place(in_sensor_frame(scan, sensor))
     if place is not None and place.is_elsewhere:
         return _elsewhere(place, sensor)
     return PlaceProblem(unknown) if place is None else None
+
+
+def _is_unproven(scan: Scan, sample: Scan, ground: Ground | None, sensor: Sensor) -> bool:
+    """Return whether a sensor was moved by a fit to scans of a fan that show no beams.
+
+    The directions are as even from positions beside that of the sensor.
+    """
+    if sensor.name != FITTED_NAME or sensor.origin == ORIGIN or not is_fan(sample):
+        return False
+    points = in_sensor_frame(few_points(scan, POINTS_OF_BEAMS), sensor).points
+    above = MIN_HEIGHT_M - ground.height if ground else -np.inf
+    objects = points[points[:, UPWARDS] > above]
+    return sharpness_at_origin(objects) < MIN_SHARPNESS_ELSEWHERE
 
 
 def _may_be_upside_down(sample: Scan, ground: Ground | None) -> bool:
@@ -71,23 +92,16 @@ def _may_be_upside_down(sample: Scan, ground: Ground | None) -> bool:
     return other is not None and other.share > max(MIN_SHARE_OF_GROUND, SUPPORT * share)
 
 
-def origin_in_file(position: Double, sensor: Sensor) -> list[float]:
-    """Return a position (3,) in the frame of a sensor as an `origin` in that of its files."""
-    rotation = upright_rotation(np.asarray(sensor.up))
-    origin = (np.asarray(sensor.origin) + rotation.T @ position).round(DIGITS) + 0.0
-    return [float(value) for value in origin]
-
-
 def _elsewhere(place: SensorPlace, sensor: Sensor) -> PlaceProblem:
     """Return the problem of a sensor whose place in its supposed frame is known."""
-    origin = origin_in_file(place.position, sensor)
-    remedy = f"origin = {origin}"
+    origin = origin_in_file(place.position, sensor, HINT_DIGITS)
+    remedy = f"origin = {list(origin)}"
     rotation = upright_rotation(np.asarray(sensor.up))
-    up = (rotation.T @ place.up).round(DIGITS) + 0.0
+    up = (rotation.T @ place.up).round(HINT_DIGITS) + 0.0
     if place.up[UPWARDS] < 0:
         remedy = f"up = {up.tolist()} and {remedy}"
     x, y, z = place.position
     side = ", upside down" if place.up[UPWARDS] < 0 else ""
     problem = f"the points are seen from ({x:.1f}, {y:.1f}, {z:.1f}) m{side}, not from the origin"
-    there = replace(sensor, origin=tuple(origin), up=tuple(up.tolist()))
+    there = replace(sensor, origin=origin, up=tuple(up.tolist()))
     return PlaceProblem(problem, remedy, there)

@@ -19,9 +19,9 @@ import numpy.typing as npt
 from salsanext_cli.errors import FormatError, counted, first_few
 from salsanext_cli.fitting.finding import Finding
 from salsanext_cli.fitting.place_checks import (
+    HINT_DIGITS,
     MIN_SHARE_OF_GROUND,
     PlaceProblem,
-    origin_in_file,
     place_problem,
 )
 from salsanext_cli.fitting.structure_checks import (
@@ -44,7 +44,7 @@ from salsanext_cli.geometry.projection import (
     measured_ranges,
 )
 from salsanext_cli.geometry.scan_traits import MIN_TRAIT_POINTS, ScanTraits, intensity_of, sines_of
-from salsanext_cli.geometry.sensor_place import USUAL_HEIGHT_M
+from salsanext_cli.geometry.sensor_place import USUAL_HEIGHT_M, origin_in_file
 from salsanext_cli.records import Double, FileNotes, Float, Scan
 from salsanext_cli.sensors.sensor import FITTED_NAME, OF_IMAGES, ORIGIN, UP, Sensor, presets
 
@@ -293,7 +293,8 @@ def _ground_findings(ground: Ground | None, sensor: Sensor, fit: str) -> Iterato
 
 def _raised(ground: Ground, sensor: Sensor) -> str:
     """Return the hint to place a sensor at the usual height above its ground."""
-    origin = origin_in_file(np.array([0, 0, USUAL_HEIGHT_M - ground.height]), sensor)
+    position = np.array([0, 0, USUAL_HEIGHT_M - ground.height])
+    origin = list(origin_in_file(position, sensor, HINT_DIGITS))
     return f"{SET_ORIGIN}, such as {origin} for {USUAL_HEIGHT_M:g} m above the ground"
 
 

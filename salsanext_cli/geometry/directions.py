@@ -62,14 +62,17 @@ def find_cells(
     """Write the cell and the range of each point (`DirectionGrid`)."""
     # Without branches the loop is vectorised.
     for i in range(len(point_range)):
-        x = np.float64(points[3 * i]) - origin[0]
-        y = np.float64(points[3 * i + 1]) - origin[1]
-        z = np.float64(points[3 * i + 2]) - origin[2]
+        a, b, c = points[3 * i], points[3 * i + 1], points[3 * i + 2]
+        x = np.float64(a) - origin[0]
+        y = np.float64(b) - origin[1]
+        z = np.float64(c) - origin[2]
         ahead = rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z
         aside = rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z
         above = rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z
         distance = math.sqrt(ahead * ahead + aside * aside + above * above)
-        measured = (distance >= NEAREST_M) & (distance <= MAX_RANGE_M)
+        # Zeros in the file are no measurement, wherever the sensor is.
+        stated = (a != 0) | (b != 0) | (c != 0)
+        measured = stated & (distance >= NEAREST_M) & (distance <= MAX_RANGE_M)
         column = (arctan2(aside, ahead) / math.pi + 1) * (COLUMNS / 2)
         row = (above / distance + 1) * (ROWS / 2)
         column = column if column < COLUMNS - 1 else COLUMNS - 1.0

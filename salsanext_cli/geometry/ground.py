@@ -28,6 +28,7 @@ UPSIDE_DOWN_DEG = 155.0  # Least angle of a ground above the sensor
 SUPPORT = 1.5  # Least factor between the points of a tilted ground and of the best level one
 SUPPORT_OF_CEILING = 4.0
 """The same for a ground above the sensor; ceilings of simulated rooms had up to 3.7."""
+OBJECT_M = 0.5  # Least distance of objects from the ground
 HEIGHTS_M = (1.0, 2.6)  # Usual heights of a sensor on a vehicle; real scans had 1.4 to 2.1
 AXES, UPWARDS = range(3), 2  # Indices of x, y, z, and of z
 
@@ -39,7 +40,7 @@ class Ground:
     # (3,) float64: unit normal from the ground to the sensor; along the nearest axis if the origin
     # is on the ground
     up: Double
-    height: float  # Height of the origin in metres; around 0 if it is on the ground
+    height: float  # Height of the origin in metres; 0 on the ground, negative below it
     share: float  # Share of the near points on the ground, 0…1
 
     @property
@@ -130,11 +131,25 @@ def ground_of(scan: Scan) -> Ground | None:
     if ground is None or ground.tilt_deg <= MAX_TILT_DEG:
         return ground
     level = find_ground(points, MAX_TILT_DEG)
+    if ground.tilt_deg > UPSIDE_DOWN_DEG and _is_seen_from_below(points, ground):
+        return Ground(-ground.up, -ground.height, ground.share)
     usual = ground.is_usual or ground.height < MIN_HEIGHT_M
     in_room = level and level.height > TOLERANCE_M and ground.tilt_deg > UPSIDE_DOWN_DEG
     support = SUPPORT_OF_CEILING if in_room else SUPPORT
     likely = level is None or ground.share > support * level.share
     return ground if usual and likely else level
+
+
+def _is_seen_from_below(points: Float, ground: Ground) -> bool:
+    """Return whether most objects among points (N, 3) lie behind the ground.
+
+    Then the origin of the frame is below the ground, where no sensor is.
+    """
+    near = np.einsum("nk,nk->n", points, points) < RANGES_M[1] ** 2
+    x, y, z = points[near].T
+    heights = ground.up[0] * x + ground.up[1] * y + ground.up[2] * z + ground.height
+    behind = (heights < -OBJECT_M).sum()
+    return bool(behind > (heights > OBJECT_M).sum())
 
 
 def finite_points(scan: Scan) -> Float:

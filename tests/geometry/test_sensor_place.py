@@ -12,7 +12,8 @@ from street_scans import moved, street
 from salsanext_cli import Scan, read_scan
 from salsanext_cli.geometry.projection import in_sensor_frame
 from salsanext_cli.geometry.scan_traits import sensor_of
-from salsanext_cli.geometry.sensor_place import evenness, find_place, is_out_of_place
+from salsanext_cli.geometry.evenness import evenness, is_out_of_place
+from salsanext_cli.geometry.sensor_place import find_place
 from salsanext_cli.results.paths import find_scans
 
 SIDES = {"z up": np.eye(3), "z down": np.diag([1.0, -1, -1])}
