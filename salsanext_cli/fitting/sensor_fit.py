@@ -16,8 +16,8 @@ from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE, SalsanextError, UsageError, counted
 from salsanext_cli.files.json_files import as_json
 from salsanext_cli.fitting.field_of_view import fit_ego, fit_view, view_text
-from salsanext_cli.fitting.mounting_fit import fit_mounting
 from salsanext_cli.fitting.scan_checks import check_scan
+from salsanext_cli.fitting.sensor_groups import SensorGroup, sensor_groups
 from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.network_input import (
     NO_INTENSITY,
@@ -27,7 +27,7 @@ from salsanext_cli.geometry.network_input import (
     row_gaps,
 )
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.geometry.scan_traits import kinds_of, sensor_of
+from salsanext_cli.geometry.scan_traits import member_of, sensor_of
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.results.manifest import Manifest, StageSettings
 from salsanext_cli.results.paths import ScanFile, find_scans
@@ -228,28 +228,30 @@ Fit = Callable[[ScanSample, Sensor, Sensor | None], Sensor]
 
 def _by_sensor(fit: Fit, sample: ScanSample, sensor: Sensor, earlier: Sensor | None) -> Sensor:
     """Return the fit to the scans of the most frequent sensor, with the fits to the others."""
-    known = earlier if earlier and earlier.others else sensor
-    if not known.others and (earlier or sample.image_of or len(sample.files) < 2):
+    before = earlier if earlier and earlier.others else sensor
+    if not before.others and (earlier or sample.image_of or len(sample.files) < 2):
         return fit(sample, sensor, earlier)
-    if known.others:  # Sensors of earlier results or of range images
-        usual = [member.traits for member in known.members]
-        kinds = [known.members.index(sensor_of(scan, known)) for _, scan in sample.read]
+    if before.others:  # Sensors of earlier results or of range images
+        numbers = [member_of(scan, before) for _, scan in sample.read]
+        groups = [
+            SensorGroup(tuple(i for i, n in enumerate(numbers) if n == number), member.traits)
+            for number, member in enumerate(before.members)
+        ]
     else:
-        kinds, usual = kinds_of(sample.scans)
-        if len(usual) > 1 and fit_mounting(sample.scans, sensor).registered:
-            usual = usual[:1]
-    if len(usual) < 2:
+        groups = sensor_groups(sample.scans, sensor)
+    if len(groups) < 2:
         return fit(sample, sensor, earlier)
     fits = []
-    for kind, traits in enumerate(usual):
-        files = [file for (file, _), k in zip(sample.read, kinds, strict=True) if k == kind]
+    for number, group in enumerate(groups):
+        files = [sample.read[place][0] for place in group.numbers]
         if files:
-            scans, name = counted(len(files), "scan"), getattr(files[0], "name", "none")
-            log.log(NOTICE, "sensor %d of %d: %s, such as %s", kind + 1, len(usual), scans, name)
+            scans = counted(len(files), "scan")
+            name = getattr(files[0], "name", "none")
+            log.log(NOTICE, "sensor %d of %d: %s, such as %s", number + 1, len(groups), scans, name)
         part = ScanSample(files, sample.sensor, sample.image_of)
-        member = sensor.members[kind] if sensor.others else sensor
-        before = earlier.members[kind] if earlier and earlier.others else earlier
-        fits.append(replace(fit(part, member, before), traits=traits))
+        member = sensor.members[number] if sensor.others else sensor
+        of_earlier = earlier.members[number] if earlier and earlier.others else earlier
+        fits.append(replace(fit(part, member, of_earlier), traits=group.traits))
     alike = len({replace(fitted, traits=()) for fitted in fits}) == 1
     return replace(fits[0], traits=()) if alike else replace(fits[0], others=tuple(fits[1:]))
 

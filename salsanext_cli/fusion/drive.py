@@ -122,10 +122,12 @@ def points_of_drive(scan: Scan, sensor: Sensor) -> Float:
 
     It is that of the file, whose origin is moved to the sensor for registered scans.
     """
-    if not sensor.registered:
+    if not sensor.has_registered:
         return scan.points
-    only_moved = replace(sensor_of(scan, sensor), up=UP)
-    return in_sensor_frame(scan, only_moved).points
+    of_scan = sensor_of(scan, sensor)
+    if not of_scan.registered:
+        return scan.points
+    return in_sensor_frame(scan, replace(of_scan, up=UP)).points
 
 
 def measured_points(file: ScanFile, sensor: Sensor) -> Float:

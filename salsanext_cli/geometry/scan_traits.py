@@ -5,13 +5,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.geometry.network_input import BRIGHT, why_no_intensity
-from salsanext_cli.geometry.projection import few_points, measured_ranges
+from salsanext_cli.geometry.projection import few_points, in_sensor_frame, measured_ranges
 from salsanext_cli.geometry.sensor_place import placed_sensor
 from salsanext_cli.records import MAX_INTENSITY, Double, Float, Indices, Scan
 from salsanext_cli.sensors.sensor import Sensor
@@ -81,13 +81,14 @@ def intensity_of(points: Float, intensity: Float) -> tuple[str, float]:
 
 def traits_of(scan: Scan) -> ScanTraits | None:
     """Return the traits of a scan in the frame of its file, None for too few measured points."""
-    some = few_points(scan)
-    measured = np.flatnonzero(measured_ranges(some.points)[1])
+    sample = few_points(scan)
+    per_point = len(scan) / max(len(sample), 1)
+    measured = np.flatnonzero(measured_ranges(sample.points)[1])
     if len(measured) < MIN_TRAIT_POINTS:
         return None
-    per_point, some = len(scan) / len(some), some.take(measured)
-    _, bright = intensity_of(some.points, some.intensity)
-    return ScanTraits.of(sines_of(some.points), bright, per_point)
+    sample = sample.take(measured)
+    _, bright = intensity_of(sample.points, sample.intensity)
+    return ScanTraits.of(sines_of(sample.points), bright, per_point)
 
 
 def groups_of(traits: Sequence[ScanTraits]) -> list[int]:
@@ -142,25 +143,73 @@ def usual_traits(traits: Sequence[ScanTraits]) -> tuple[float, ...]:
 
 def kinds_of(scans: Sequence[Scan]) -> tuple[list[int], list[tuple[float, ...]]]:
     """Return the group of each scan, as of `groups_of`, and the usual traits of each group."""
-    known = {i: traits for i, scan in enumerate(scans) if (traits := traits_of(scan))}
+    traits = {i: of_scan for i, scan in enumerate(scans) if (of_scan := traits_of(scan))}
     kinds = np.zeros(len(scans), np.intp)
-    kinds[list(known)] = groups_of(list(known.values()))
-    groups = [[known[i] for i in known if kinds[i] == k] for k in range(kinds.max(initial=0) + 1)]
+    kinds[list(traits)] = groups_of(list(traits.values()))
+    count = kinds.max(initial=0) + 1
+    groups = [[traits[i] for i in traits if kinds[i] == kind] for kind in range(count)]
     return kinds.tolist(), [usual_traits(group) for group in groups if group]
 
 
-def sensor_of(scan: Scan, sensor: Sensor) -> Sensor:
+def sensor_of(scan: Scan, sensor: Sensor, origin: tuple[float, ...] | None = None) -> Sensor:
     """Return a fitted sensor as it saw a scan.
 
-    It is the member whose usual traits are most like those of the scan. If the scans are registered
-    to a map, its origin is found from the points of the scan.
+    Parameters
+    ----------
+    scan : Scan
+        Scan in the frame of its file.
+    sensor : Sensor
+        Sensor that was fitted to such scans. Of several members, it is the one whose usual traits
+        are most like those of the scan.
+    origin : 3 floats, optional
+        Position of a sensor of registered scans in the frame of the file, in metres; by default it
+        is found from the points.
+
+    Returns
+    -------
+    Sensor
+        The member, whose origin is that of the scan if it is registered.
     """
-    if sensor.registered:
-        return placed_sensor(scan, sensor)
     if not sensor.others:
-        return sensor
-    members, traits = sensor.members, traits_of(scan)
-    if traits is None:
-        return members[0]
-    values = _scaled([traits.compared, *(member.traits for member in members)])
-    return members[int(np.abs(values[1:] - values[0]).sum(axis=1).argmin())]
+        return _as_it_saw(scan, sensor, origin)
+    return _likeliest_member(scan, sensor, origin).sensor
+
+
+def member_of(scan: Scan, sensor: Sensor) -> int:
+    """Return the number of the member of a fitted sensor that saw a scan, as of `sensor_of`."""
+    return _likeliest_member(scan, sensor, None).number if sensor.others else 0
+
+
+@dataclass(frozen=True, slots=True)
+class _Member:
+    """Member of a fitted sensor as it saw a scan."""
+
+    number: int
+    sensor: Sensor
+
+
+def _as_it_saw(scan: Scan, member: Sensor, origin: tuple[float, ...] | None) -> Sensor:
+    """Return a member with the origin of a scan if its scans are registered to a map."""
+    if not member.registered:
+        return member
+    return placed_sensor(scan, member) if origin is None else replace(member, origin=origin)
+
+
+def _likeliest_member(scan: Scan, sensor: Sensor, origin: tuple[float, ...] | None) -> _Member:
+    """Return the member of a sensor whose usual traits are most like those of a scan.
+
+    The traits of registered scans are those in the frame of the sensor.
+    """
+    members = [_as_it_saw(scan, member, origin) for member in sensor.members]
+    in_file = traits_of(scan)
+    if in_file is None:
+        return _Member(0, members[0])
+    of_scan = [
+        (traits_of(in_sensor_frame(scan, member)) if member.registered else None) or in_file
+        for member in members
+    ]
+    usual = [member.traits for member in sensor.members]
+    values = _scaled([*(traits.compared for traits in of_scan), *usual])
+    differences = np.abs(values[: len(members)] - values[len(members) :]).sum(axis=1)
+    number = int(differences.argmin())
+    return _Member(number, members[number])

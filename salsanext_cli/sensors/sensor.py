@@ -140,6 +140,11 @@ class Sensor:
         """The sensor alone, and the others."""
         return replace(self, others=()), *self.others
 
+    @property
+    def has_registered(self) -> bool:
+        """Whether scans of a member are registered to a map."""
+        return any(member.registered for member in self.members)
+
     def without_noise(self) -> Sensor:
         """Return the sensor without its noise, which labels do not depend on."""
         others = tuple(other.without_noise() for other in self.others)

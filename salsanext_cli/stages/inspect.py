@@ -12,11 +12,12 @@ from salsanext_cli.files.json_files import plain
 from salsanext_cli.files.reading import present
 from salsanext_cli.fitting.scan_checks import ALONE, FIT, check_scan
 from salsanext_cli.fitting.sensor_fit import ScanSample, fitted_view
+from salsanext_cli.fitting.sensor_groups import sensor_groups
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.network_input import NO_INTENSITY
 from salsanext_cli.geometry.projection import measured_ranges, project, without_ego
-from salsanext_cli.geometry.scan_traits import kinds_of, sensor_of
+from salsanext_cli.geometry.scan_traits import sensor_of
 from salsanext_cli.measures.mixed_sensors import APART
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.measures.scan_warnings import ScanWarning
@@ -122,7 +123,7 @@ def inspect(
     elif as_predict:
         sensor = fitted_view(files, sensor)
         hint = ALONE
-    elif len(kinds_of(ScanSample(files, sensor).scans)[1]) > 1:
+    elif len(sensor_groups(ScanSample(files, sensor).scans, sensor)) > 1:
         hint = APART
     return _inspect(scans, sensor, space, options, hint)
 

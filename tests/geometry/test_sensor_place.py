@@ -10,9 +10,9 @@ from scans import SMALL
 from street_scans import moved, street
 
 from salsanext_cli import Scan, read_scan
+from salsanext_cli.geometry.evenness import evenness, is_out_of_place
 from salsanext_cli.geometry.projection import in_sensor_frame
 from salsanext_cli.geometry.scan_traits import sensor_of
-from salsanext_cli.geometry.evenness import evenness, is_out_of_place
 from salsanext_cli.geometry.sensor_place import find_place
 from salsanext_cli.results.paths import find_scans
 
@@ -75,6 +75,15 @@ def test_a_narrow_field_of_view_is_not_taken_for_another_place():
 def test_points_that_show_no_sensor(points):
     scan = Scan(points.astype(np.float32), np.zeros(len(points), np.float32))
     assert find_place(scan) is None
+
+
+def test_huge_coordinates_are_no_measurements():
+    scan = moved(street(0), PLACES[1])
+    points = scan.points.copy()
+    points[::7] = [3e38, -1e30, 1e9]
+    damaged = find_place(Scan(points, scan.intensity))
+    assert np.hypot(*(damaged.position - PLACES[1])[:2]) < 0.8
+    is_out_of_place(Scan(points, scan.intensity))
 
 
 def test_evenness_by_a_plain_loop():

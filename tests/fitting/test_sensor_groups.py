@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: MIT
+"""Folders with the scans of several sensors, of which some are registered to a map."""
+
+import numpy as np
+import pytest
+from scans import SMALL
+from street_scans import moved, street, street_points
+
+from salsanext_cli import Scan
+from salsanext_cli.fitting.sensor_fit import fitted_view
+from salsanext_cli.fitting.sensor_groups import sensor_groups
+from salsanext_cli.geometry.scan_traits import member_of, sensor_of
+
+WAY = [(0, 0, 0), (7, 0, 0), (14, 0, 0)]
+LOW = 1.2
+
+
+def low_sensor(seed: int) -> Scan:
+    """Return a scan of a low sensor with another field of view and fewer points."""
+    random = np.random.default_rng(seed)
+    elevation = np.radians(random.choice(np.linspace(-16, 14, 16), 6000))
+    azimuth = random.uniform(-np.pi, np.pi, 6000)
+    posts = np.where(azimuth * 6 % 1 < 0.1, random.uniform(5, 30), 60)
+    points = street_points(azimuth, elevation, LOW, posts, random.normal(0, 0.01, 6000))
+    return Scan(points, random.random(6000, np.float32))
+
+
+def folder() -> list[Scan]:
+    """Return scans of a drive in the frame of its first scan, and of another sensor in between."""
+    drive = [moved(street(32, seed=seed), place) for seed, place in enumerate(WAY)]
+    others = [low_sensor(seed) for seed in range(2)]
+    return [drive[0], others[0], drive[1], others[1], drive[2]]
+
+
+DRIVE = (0, 2, 4)
+OTHERS = (1, 3)
+
+
+def test_registered_scans_are_one_group_beside_another():
+    groups = sensor_groups(folder(), SMALL)
+    assert [group.numbers for group in groups] == [DRIVE, OTHERS]
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    return fitted_view(folder(), SMALL)
+
+
+def test_each_group_has_its_fit(fitted):
+    assert [member.registered for member in fitted.members] == [True, False]
+    alone = [fitted_view([folder()[n] for n in numbers], SMALL) for numbers in (DRIVE, OTHERS)]
+    for member, sensor in zip(fitted.members, alone, strict=True):
+        assert member.traits
+        assert (member.up, member.origin, member.fov_up, member.fov_down) == (
+            sensor.up,
+            sensor.origin,
+            sensor.fov_up,
+            sensor.fov_down,
+        )
+
+
+def test_scans_are_of_their_sensor_and_registered_ones_have_their_origin(fitted):
+    scans = folder()
+    assert [member_of(scan, fitted) for scan in scans] == [0, 1, 0, 1, 0]
+    for number, place in zip(DRIVE, WAY, strict=True):
+        assert np.abs(np.array(sensor_of(scans[number], fitted).origin) - place).max() < 0.6
+    for number in OTHERS:
+        assert sensor_of(scans[number], fitted) == fitted.others[0]
+
+
+def test_an_earlier_fit_stays(fitted):
+    assert fitted_view(folder()[1:], SMALL, fitted) == fitted
+
+
+def test_a_later_scan_of_the_drive_has_its_origin_too(fitted):
+    later = moved(street(32, seed=9), (60, 5, 1))
+    assert sensor_of(later, fitted).origin == pytest.approx((60, 5, 1), abs=0.6)
+
+
+def test_an_origin_that_is_known_is_not_searched(fitted):
+    scans = folder()
+    placed = sensor_of(scans[2], fitted, (7.0, 0.0, 0.0))
+    assert placed.origin == (7.0, 0.0, 0.0)
+    assert sensor_of(scans[1], fitted, (0.0, 0.0, 0.0)) == fitted.others[0]
