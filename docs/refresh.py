@@ -33,6 +33,7 @@ CAPTURED = (
     "tutorials/own-sensor.md",
     "tutorials/few-labels.md",
     "tutorials/semantickitti.md",
+    "tutorials/paper.md",
     "tutorials/guarantee.md",
 )
 """Pages whose commands are run, each in a folder of its own."""
