@@ -20,7 +20,6 @@ from salsanext_cli.results.scan_folders import (
     CERTAIN,
     MAX_ENTRIES_BESIDE_SCANS,
     MAX_ENTRIES_BESIDE_TABLES,
-    FolderSearch,
     ScanFolder,
     ambiguous_folders,
     folders_in,
@@ -218,18 +217,39 @@ def _scans_below(source: Path, place: Path, tables: list[ScanFile]) -> list[Scan
     """
     if recording_of(place) or (tables and layout_of(place, [scan.path.name for scan in tables])):
         return tables
-    search = _layouts_beside_tables(place) if tables else search_below(place)
+    if tables:
+        return _layout_below(source, place) or tables
+    search = search_below(place)
     chosen = [] if search.stopped_after else usable(search.folders)
-    if not chosen and search.folders and (search.stopped_after or not tables):
-        itself = ScanFolder(place, scan_names(names_in(place)))
-        raise ambiguous_folders(source, place, search, itself if tables else None)
+    if not chosen and search.folders:
+        raise ambiguous_folders(source, place, search)
     if not chosen:
-        error = None if tables else other_files_below(source, search)
+        error = other_files_below(source, search)
         if error is not None:
             raise error
-        return tables
+        return []
     notice_once(words_of_choice(source, place, chosen, search.folders))
     return _scans_of_folders(source, place, chosen)
+
+
+def _layout_below(source: Path, place: Path) -> list[ScanFile]:
+    """Return the scans of the only known layout below a folder of tables; print what is not used.
+
+    Refuse a known layout that a search found before it stopped.
+    """
+    search = search_below(place, MAX_ENTRIES_BESIDE_TABLES)
+    itself = ScanFolder(place, scan_names(names_in(place)))
+    layouts = [folder for folder in search.folders if folder.layout]
+    if search.stopped_after and layouts:
+        tables = itself if itself.suffixes else None
+        raise ambiguous_folders(source, place, replace(search, folders=layouts), tables)
+    if chosen := usable(layouts):
+        notice_once(words_of_choice(source, place, chosen, [itself, *search.folders]))
+        return _scans_of_folders(source, place, chosen)
+    clouds = [folder for folder in search.folders if folder.rank == CERTAIN]
+    if words := words_of_others(source, place, clouds, 0):
+        notice_once(words)
+    return []
 
 
 def _scans_of_folders(source: Path, place: Path, folders: Iterable[ScanFolder]) -> list[ScanFile]:
@@ -285,12 +305,6 @@ def _with_scans_elsewhere(source: Path, place: Path, scans: list[ScanFile]) -> l
 def _is_drive(folder: Path) -> bool:
     """Return whether a folder of scans is that of a drive, and not of a data set of its own."""
     return folder.name == SCAN_FOLDER and folder.parent.parent.name != "sequences"
-
-
-def _layouts_beside_tables(place: Path) -> FolderSearch:
-    """Search for known layouts below a folder of tables, unless there are too many files."""
-    search = search_below(place, MAX_ENTRIES_BESIDE_TABLES)
-    return replace(search, folders=[folder for folder in search.folders if folder.layout])
 
 
 def of_sequences(

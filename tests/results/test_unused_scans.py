@@ -57,6 +57,23 @@ def test_scans_that_are_not_used_are_named_with_a_command(tmp_path, caplog, used
     assert scan.path == tmp_path / unused / "1.bin"
 
 
+@pytest.mark.parametrize(
+    "others",
+    [
+        ["other/1.pcd"],
+        ["samples/LIDAR_TOP/1.pcd.bin", "drive_0001_sync/velodyne_points/data/1.bin"],
+    ],
+)
+def test_clouds_below_a_folder_of_tables_are_named(tmp_path, caplog, others):
+    make_empty(tmp_path, "a.npy", *others, "more/1.csv")
+    with caplog.at_level(NOTICE):
+        assert found(tmp_path) == [f"{tmp_path.name}/a"]
+    (message,) = caplog.messages
+    for other in others:
+        assert f"salsanext predict {(tmp_path / other).parent} out" in message
+    assert "more" not in message
+
+
 def test_the_search_is_bounded(tmp_path, monkeypatch):
     deep = "/".join(f"{n}" for n in range(scan_folders.MAX_DEPTH))
     make_empty(tmp_path, f"{deep}/1.pcd")
