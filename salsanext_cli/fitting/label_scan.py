@@ -51,21 +51,37 @@ class LabelledScan(ProjectedScan):
     labels: TrainIds  # (N,) uint8, refined by kNN
 
 
-def prepared_for(network: Network, file: ScanFile, scan: Scan | None = None) -> PreparedScan:
-    """Read, unless it is given, check and project a scan for a network."""
-    projected = project_scan(file, network.sensor, network.card.sensor, scan)
+def prepared_for(
+    network: Network,
+    file: ScanFile,
+    scan: Scan | None = None,
+    origin: tuple[float, ...] | None = None,
+) -> PreparedScan:
+    """Read, unless it is given, check and project a scan for a network.
+
+    `origin`: that of a registered scan in metres, by default found from its points.
+    """
+    projected = project_scan(file, network.sensor, network.card.sensor, scan, origin)
     network = network.for_sensor(projected.sensor)
     return PreparedScan(projected, network, network.input(projected.image.channels))
 
 
 def project_scan(
-    file: ScanFile, sensor: Sensor, trained: Sensor | None = None, scan: Scan | None = None
+    file: ScanFile,
+    sensor: Sensor,
+    trained: Sensor | None = None,
+    scan: Scan | None = None,
+    origin: tuple[float, ...] | None = None,
 ) -> ProjectedScan:
-    """Read, unless it is given, check and project a scan; `trained`: sensor of the weights."""
+    """Read, unless it is given, check and project a scan.
+
+    `trained`: sensor of the weights; `origin`: that of a registered scan in metres, by default
+    found from its points.
+    """
     if scan is None:
         scan = read_scan(file.path, sensor)
         _require_measurements(file.path, scan)
-    sensor = sensor_of(scan, sensor)
+    sensor = sensor_of(scan, sensor, origin)
     check = check_scan(file.path, scan, sensor, trained)
     return ProjectedScan(file, scan, project(scan, sensor), check, sensor)
 

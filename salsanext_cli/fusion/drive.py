@@ -23,10 +23,10 @@ from salsanext_cli.fusion.pose_checks import (
 )
 from salsanext_cli.fusion.poses import POSES, Poses, encode_poses, pose_readings, read_fused_poses
 from salsanext_cli.geometry.projection import in_sensor_frame
-from salsanext_cli.geometry.scan_traits import sensor_of
-from salsanext_cli.records import Float, Scan
+from salsanext_cli.records import Float
 from salsanext_cli.results.layouts import SCAN_FOLDER
 from salsanext_cli.results.paths import ScanFile, drive_order, find_scans
+from salsanext_cli.results.recorded_origins import sensor_of_result
 from salsanext_cli.sensors.sensor import UP, Sensor
 
 DRIVE = "drive.json"
@@ -41,11 +41,14 @@ class Drive:
     parts: Parts  # (N,)
 
     @classmethod
-    def checked(cls, path: Path, files: Sequence[ScanFile], sensor: Sensor) -> Self:
-        """Return the drive by the poses in a file; refuse poses that do not fit the scans."""
+    def checked(cls, path: Path, files: Sequence[ScanFile], sensor: Sensor, out: Path) -> Self:
+        """Return the drive by the poses in a file; refuse poses that do not fit the scans.
+
+        `out`: output folder with the origins of registered scans.
+        """
 
         def read(index: int) -> Float:
-            return measured_points(files[index], sensor)
+            return measured_points(files[index], sensor, out)
 
         readings = readings_of(path, files)
         counted_from = best_reading(readings, read)
@@ -56,24 +59,25 @@ class Drive:
         return cls(poses, require_fitting(path, poses, read))
 
     @classmethod
-    def registered(cls, files: Sequence[ScanFile], sensor: Sensor) -> Self:
+    def registered(cls, files: Sequence[ScanFile], sensor: Sensor, out: Path) -> Self:
         """Return the drive of scans that are registered to one frame, by their sensor's positions.
 
-        Scans that do not fit each other are refused.
+        `out`: output folder with their origins. Scans that do not fit each other are refused.
         """
         poses = np.tile(np.eye(4), (len(files), 1, 1))
         for pose, file in zip(poses, files, strict=True):
-            pose[:3, 3] = sensor_of(read_scan(file.path, sensor), sensor).origin
+            scan = read_scan(file.path, sensor)
+            pose[:3, 3] = sensor_of_result(out, file, scan, sensor).origin
 
         def read(index: int) -> Float:
-            return measured_points(files[index], sensor)
+            return measured_points(files[index], sensor, out)
 
         parts, misfit = fitting_parts(poses, read)
         if misfit > MAX_MISFIT:
-            folder, hint = files[0].path.parent, "fuse scans with poses, or in the frame of one map"
-            raise FormatError(
-                folder, f"has {misfit:.0%} scans that do not fit the others", hint=hint
-            )
+            folder = files[0].path.parent
+            problem = f"has {misfit:.0%} scans that do not fit the others"
+            hint = f"move the scans to their sensor, and give its poses in {POSES}"
+            raise FormatError(folder, problem, "scans in the frame of one map", hint)
         return cls(poses, parts)
 
     @classmethod
@@ -117,23 +121,33 @@ def readings_of(path: Path, files: Sequence[ScanFile]) -> list[Poses]:
     return pose_readings(path, stems, wanted)
 
 
-def points_of_drive(scan: Scan, sensor: Sensor) -> Float:
-    """Return the points (N, 3) of a scan in the frame that its pose is for.
+def is_registered(files: Sequence[ScanFile], sensor: Sensor, out: Path) -> bool:
+    """Return whether the scans of a sequence are in the frame of a map, by the first one."""
+    if not (sensor.has_registered and sensor.others):
+        return sensor.registered
+    scan = read_scan(files[0].path, sensor)
+    return sensor_of_result(out, files[0], scan, sensor).registered
 
-    It is that of the file, whose origin is moved to the sensor for registered scans.
+
+def points_of_drive(file: ScanFile, sensor: Sensor, out: Path) -> Float:
+    """Read the points (N, 3) of a scan in the frame that its pose is for.
+
+    It is that of the file, whose origin is moved to the sensor for registered scans. `out`: output
+    folder with their origins.
     """
+    scan = read_scan(file.path, sensor)
     if not sensor.has_registered:
         return scan.points
-    of_scan = sensor_of(scan, sensor)
+    of_scan = sensor_of_result(out, file, scan, sensor)
     if not of_scan.registered:
         return scan.points
     return in_sensor_frame(scan, replace(of_scan, up=UP)).points
 
 
-def measured_points(file: ScanFile, sensor: Sensor) -> Float:
-    """Read the measured points (N, 3) of a scan; none if it is unreadable."""
+def measured_points(file: ScanFile, sensor: Sensor, out: Path) -> Float:
+    """Read the measured points (N, 3) of a scan by `points_of_drive`; none if it is unreadable."""
     try:
-        points = points_of_drive(read_scan(file.path, sensor), sensor)
+        points = points_of_drive(file, sensor, out)
     except SalsanextError:
         return np.zeros((0, 3), np.float32)  # The run reports the error.
     return points[np.isfinite(points).all(axis=1)]

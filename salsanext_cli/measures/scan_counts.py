@@ -22,7 +22,6 @@ from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.npy import read_probabilities
 from salsanext_cli.geometry.projection import in_sensor_frame, measured_ranges
-from salsanext_cli.geometry.scan_traits import sensor_of
 from salsanext_cli.measures.calibration import SCAN_BINS, reliability
 from salsanext_cli.measures.histograms import (
     Histogram,
@@ -38,6 +37,7 @@ from salsanext_cli.records import Float, Indices, Mask, Scan
 from salsanext_cli.results.digest_files import NO_SCANS, RecordedScans
 from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.results.paths import ScanFile, output_path
+from salsanext_cli.results.recorded_origins import sensor_of_result
 from salsanext_cli.results.result_folder import read_kind
 from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 from salsanext_cli.sensors.sensor import Sensor
@@ -235,7 +235,8 @@ class ScanComparison:
         shown = of_scan.points, of_scan.accuracy, of_scan.iou_mean_present
         counts.by_scan[scan.name] = ScanScores(*shown)
         if cloud is not None:
-            seen = in_sensor_frame(cloud, sensor_of(cloud, self.sensor))
+            sensor = sensor_of_result(self.out, scan, cloud, self.sensor)
+            seen = in_sensor_frame(cloud, sensor)
             bands = band_of_point(seen.points)
             counts.bands = tuple(
                 confusion_matrix(truth[bands == i], predicted[bands == i], space.class_count)

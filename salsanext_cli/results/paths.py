@@ -39,6 +39,7 @@ SINGLE_SCAN_STAGES = ("predict", "knn-refine", "uncertainty")
 PREDICTION_STAGES = (*SINGLE_SCAN_STAGES, "fuse")  # Stages whose results later stages read
 ERROR = "uncertainty/error"
 LEAST_CONFIDENCE = "uncertainty/least_confidence"  # 1 − the largest probability
+ORIGINS = "origins"  # Position of the sensor of each registered scan
 DISAGREEMENT = "uncertainty/disagreement"  # Share of the scans against the label
 COLOURINGS = ("label", "truth", "wrong", "intensity", "range", *UNCERTAINTY)
 """Values for the colours of point clouds."""
@@ -46,6 +47,7 @@ COLOURS = (*COLOURINGS, "uncertainty")  # "uncertainty": see `ResultFolder.meant
 SUFFIX_OF_FOLDER = {
     "range": ".npy",
     "pixels": ".npy",
+    ORIGINS: ".npy",
     "pixel_labels": ".npy",
     "predictions": ".label",
     "probabilities": ".npy",

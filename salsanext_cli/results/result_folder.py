@@ -21,7 +21,6 @@ from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.npy import read_uncertainty
 from salsanext_cli.formats.recordings import recording_of
 from salsanext_cli.geometry.projection import in_sensor_frame, measured_ranges
-from salsanext_cli.geometry.scan_traits import sensor_of
 from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.results.layouts import SCAN_FOLDER
@@ -39,6 +38,7 @@ from salsanext_cli.results.paths import (
     with_outputs,
 )
 from salsanext_cli.results.query import DATASET_VARIABLE, ResultQuery
+from salsanext_cli.results.recorded_origins import sensor_of_result
 from salsanext_cli.results.selection import (
     MissingResults,
     choose,
@@ -269,7 +269,7 @@ class ResultFolder(Manifest):
         of the truth, and the label space to convert it to.
         """
         scan = read_scan(file.path, sensor)
-        sensor = sensor and sensor_of(scan, sensor)
+        sensor = sensor and sensor_of_result(self.root, file, scan, sensor)
         count = len(scan)
         label, instance = _labels(self._path(file, "label"), count)
         recorded = self.settings_of("predictions")

@@ -18,7 +18,6 @@ from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.recordings import recording_of
 from salsanext_cli.formats.subsets import subsets_of
 from salsanext_cli.geometry.projection import measured_ranges, without_ego
-from salsanext_cli.geometry.scan_traits import sensor_of
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.records import Mask
 from salsanext_cli.results.layouts import SCAN_FOLDER
@@ -37,6 +36,7 @@ from salsanext_cli.results.paths import (
     with_outputs,
 )
 from salsanext_cli.results.query import ResultQuery
+from salsanext_cli.results.recorded_origins import sensor_of_result
 from salsanext_cli.results.result_folder import ChosenResults, ResultFolder, read_kind
 from salsanext_cli.sensors.sensor import Sensor
 
@@ -82,7 +82,8 @@ class PointFilter:
         train = self.space.to_train(labels, source=path)
         remains = self.selected[train]
         if scan is not None:
-            remains &= measured_ranges(without_ego(scan, sensor_of(scan, self.sensor)).points)[1]
+            sensor = sensor_of_result(self.results.root, file, scan, self.sensor)
+            remains &= measured_ranges(without_ego(scan, sensor).points)[1]
         if settings.max_error is not None:
             errors = output_path(self.results.root, file.sequence, ERROR, file.stem)
             if not present(errors):

@@ -25,11 +25,11 @@ from salsanext_cli.errors import (
 from salsanext_cli.files.json_files import encode_json, read_json
 from salsanext_cli.files.optional_packages import import_extra
 from salsanext_cli.fitting.finding import Finding
-from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.fusion.drive import (
     DRIVE,
     Drive,
+    is_registered,
     measured_points,
     points_of_drive,
     poses_beside,
@@ -96,7 +96,7 @@ class FuseTask:
             raise drive
 
         def read(index: int) -> tuple[Float, Float]:
-            points = points_of_drive(read_scan(files[index].path, self.sensor), self.sensor)
+            points = points_of_drive(files[index], self.sensor, self.single.root)
             return points, stored_softmax(self.single.root, files[index], len(points), self.space)
 
         return FusionWindow(drive, read, self.reach, self.space.movable)
@@ -142,16 +142,13 @@ class FusibleResults:
             problem = f"is one file for {counted(len(self.sequences), 'sequence')}"
             raise UsageError("--poses", problem, hint="choose one sequence with --sequences")
 
-        if poses is not None and self.sensor.registered:
-            problem = "is given, but the scans are in one frame already"
-            raise UsageError("--poses", problem, hint="leave it out")
-
         def drive_of(name: str) -> Drive | None:
-            files = self.members[name]
-            if self.sensor.registered:
-                return Drive.registered(files, self.sensor)
+            files, out = self.members[name], self.results.root
+            if is_registered(files, self.sensor, out):
+                _require_no_poses(poses, files)
+                return Drive.registered(files, self.sensor, out)
             path = poses or poses_beside(files)
-            return Drive.checked(path, files, self.sensor) if path else None
+            return Drive.checked(path, files, self.sensor, out) if path else None
 
         return _by_sequence(self.sequences, drive_of, options)
 
@@ -170,6 +167,14 @@ class FusibleResults:
             sensor=self.sensor,
             fused_of=os.path.relpath(self.results.root, target),
         )
+
+
+def _require_no_poses(poses: Path | None, files: Sequence[ScanFile]) -> None:
+    """Refuse poses of scans that are in the frame of a map already."""
+    if poses is None:
+        return
+    problem = f"the scans of sequence {files[0].sequence} are in one frame without {poses.name}"
+    raise UsageError("--poses", problem, hint="omit --poses: their origins are known")
 
 
 def _fusible_results(out: Path, query: ResultQuery) -> FusibleResults:
@@ -333,7 +338,7 @@ def _recorded_drive(
     earlier = Drive.recorded(folder) if has_same_scans and not fused.overwrite else None
     if (drive := given or earlier) is None:
         log.log(NOTICE, "sequence %s: no %s, computing poses of its scans", name, POSES)
-        drive = register(measured_points(file, sensor) for file in files)
+        drive = register(measured_points(file, sensor, single.root) for file in files)
     content = drive.record(stems)
     with fused.locked_records():
         if read_json(record) != content:

@@ -12,7 +12,6 @@ from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.npy import read_array
 from salsanext_cli.geometry.knn import knn_refine
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.geometry.scan_traits import sensor_of
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.option_fields import KnnParameters, ScanSelection
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
@@ -20,6 +19,7 @@ from salsanext_cli.records import RangeImage
 from salsanext_cli.results.manifest import StageSettings
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.paths import ScanFile, find_scans, with_outputs
+from salsanext_cli.results.recorded_origins import sensor_of_result
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import choose, space_of
 from salsanext_cli.sensors.sensor import Sensor
@@ -46,7 +46,7 @@ class RefineJob:
         """Read and project a scan, and read the labels of its pixels."""
         self.output.require_replaceable(file)
         scan = read_scan(file.path, self.sensor)
-        image = project(scan, sensor_of(scan, self.sensor))
+        image = project(scan, sensor_of_result(self.output.root, file, scan, self.sensor))
         path = self.output.path(file, "pixel_labels")
         labels: TrainIds = read_array(path, "uint8", (self.sensor.height, self.sensor.width))
         if (highest := labels.max()) >= self.space.class_count:

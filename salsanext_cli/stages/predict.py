@@ -37,7 +37,6 @@ from salsanext_cli.fitting.sensor_fit import (
 from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.objects import BOX, Objects, find_objects, fit_boxes
 from salsanext_cli.geometry.projection import points_from_pixels
-from salsanext_cli.geometry.scan_traits import sensor_of
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.network.card import RiskThreshold
 from salsanext_cli.option_fields import KnnParameters, ScanSelection
@@ -45,8 +44,20 @@ from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.records import Float
 from salsanext_cli.results.output_run import OutputRun, output_run
-from salsanext_cli.results.paths import ERROR, LEAST_CONFIDENCE, ScanFile, output_path, with_outputs
+from salsanext_cli.results.paths import (
+    ERROR,
+    LEAST_CONFIDENCE,
+    ORIGINS,
+    ScanFile,
+    output_path,
+    with_outputs,
+)
 from salsanext_cli.results.recorded_names import with_recorded_names
+from salsanext_cli.results.recorded_origins import (
+    folders_of_origins,
+    origin_array,
+    sensor_of_result,
+)
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import choose, scans_of, space_of
 from salsanext_cli.uncertainty.error_features import error_model, error_probability
@@ -95,6 +106,8 @@ class PredictJob:
         scan, network, output = labelled(prepared, pixels, self.knn), prepared.network, self.output
         file, image, space = scan.file, scan.image, network.space
         least_confidence = points_from_pixels(1 - pixels.confidence, image.pixel_of_point, np.nan)
+        if ORIGINS in output.folders:
+            output.write_array(file, ORIGINS, origin_array(scan.sensor))
         output.write_array(file, LEAST_CONFIDENCE, least_confidence)
         values = {"least_confidence": least_confidence}
         if "pixel_labels" in output.folders:
@@ -196,7 +209,8 @@ def predict_scans(
     )
     threshold = rejection.risk if rejection else None
     summary = RunSummary.of_network(network, scans, accuracy, threshold)
-    folders = (*extras, LEAST_CONFIDENCE, "predictions")
+    origins = folders_of_origins(out, "predict", network.sensor)
+    folders = (*extras, *origins, LEAST_CONFIDENCE, "predictions")
     run = output_run(out, "predict", recorded, folders, scans, overwrite=options.overwrite)
     with run as output, summary.recorded_in(output, scans):
         job = partial(PredictJob, knn=knn, output=output, reject=rejection)
@@ -265,7 +279,8 @@ class PredictImageJob:
         network = self.network
         if network.sensor.others:
             scan = read_scan(file.path, network.sensor)
-            network = network.for_sensor(sensor_of(scan, network.sensor))
+            of_scan = sensor_of_result(self.folder, file, scan, network.sensor)
+            network = network.for_sensor(of_scan)
         image = range_image(file, self.folder, network.sensor)
         check = check_image(image, network.sensor, network.card.sensor)
         return PreparedImage(file, network.input(image), check)

@@ -12,8 +12,9 @@ from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.results.manifest import Manifest, StageSettings
 from salsanext_cli.results.output_run import OutputRun, output_run
-from salsanext_cli.results.paths import ScanFile
+from salsanext_cli.results.paths import ORIGINS, ScanFile
 from salsanext_cli.results.recorded_names import with_recorded_names
+from salsanext_cli.results.recorded_origins import folders_of_origins, origin_array
 from salsanext_cli.results.selection import choose, scans_of, space_of
 from salsanext_cli.sensors.sensor import Sensor
 
@@ -38,6 +39,8 @@ class ProjectJob:
 
     def finish(self, scan: ProjectedScan, _: None) -> ScanSummary:
         """Write the range image and the pixels of the points."""
+        if ORIGINS in self.output.folders:
+            self.output.write_array(scan.file, ORIGINS, origin_array(scan.sensor))
         self.output.write_array(scan.file, "range", scan.image.channels)
         self.output.write_array(scan.file, "pixels", scan.image.pixel_of_point)
         return ScanSummary(scan.file, scan.check)
@@ -76,7 +79,8 @@ def project_scans(
     recorded = None if options.overwrite else Manifest(out).settings("project")
     sensor = fitted_view(listed, sensor, recorded.sensor if recorded else None, view=fit)
     settings, summary = StageSettings(sensor=sensor), RunSummary(sensor, scans=scans)
-    run = output_run(out, "project", settings, FOLDERS, scans, overwrite=options.overwrite)
+    folders = (*FOLDERS, *folders_of_origins(out, "project", sensor))
+    run = output_run(out, "project", settings, folders, scans, overwrite=options.overwrite)
     with run as output, summary.recorded_in(output, scans):
         job = ProjectJob(sensor, output)
         return run_over_scans(job, scans, options, is_done=output.is_done, summary=summary)

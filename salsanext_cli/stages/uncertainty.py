@@ -24,8 +24,9 @@ from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.records import Float
 from salsanext_cli.results.manifest import Manifest, StageSettings
 from salsanext_cli.results.output_run import OutputRun, output_run
-from salsanext_cli.results.paths import ERROR, ScanFile
+from salsanext_cli.results.paths import ERROR, ORIGINS, ScanFile
 from salsanext_cli.results.recorded_names import with_recorded_names
+from salsanext_cli.results.recorded_origins import folders_of_origins, origin_array, recorded_origin
 from salsanext_cli.results.selection import choose, scans_of, space_of
 from salsanext_cli.uncertainty.error_features import error_probability, knows_error
 from salsanext_cli.uncertainty.method import UncertaintyMethod
@@ -49,7 +50,9 @@ class UncertaintyJob:
     def prepare(self, file: ScanFile) -> PreparedScan:
         """Read, check and project a scan whose results may be replaced."""
         self.output.require_replaceable(file)
-        return prepared_for(self.network, file)
+        writes_origins = ORIGINS in self.output.folders
+        recorded = recorded_origin(self.output.root, file, self.network.sensor)
+        return prepared_for(self.network, file, origin=None if writes_origins else recorded)
 
     def compute(self, scans: Sequence[PreparedScan]) -> list[Computed]:
         """Estimate the uncertainty of the pixels of scans, one after the other."""
@@ -68,6 +71,8 @@ class UncertaintyJob:
         """Write the uncertainty of the points, and their labels."""
         (projected, network, _), (estimate, softmax) = scan, computed
         file, image, output = projected.file, projected.image, self.output
+        if ORIGINS in output.folders:
+            output.write_array(file, ORIGINS, origin_array(projected.sensor))
         for kind in self.method.kinds:
             of_pixels = getattr(estimate.uncertainty, kind)
             of_points = points_from_pixels(of_pixels, image.pixel_of_point, np.nan)
@@ -131,6 +136,7 @@ def uncertainty(
     elif knows_error(network) and Manifest(out).owner(ERROR) is None:
         text = "no probability of error: the labels in %s are of another stage; use predict --error"
         log.log(NOTICE, text, out)
+    folders = (*folders_of_origins(out, "uncertainty", network.sensor), *folders)
     _require_network_of_labels(out, recorded)
     summary = RunSummary.of_network(network, scans)
     run = output_run(out, "uncertainty", recorded, folders, scans, overwrite=options.overwrite)

@@ -2,6 +2,7 @@
 """Scans in the frame of a vehicle or a map: fit, warning, stages."""
 
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,21 +11,28 @@ import pytest
 from scans import SMALL, labels_below, write_bin, write_weights
 from street_scans import HEIGHT, moved, street
 
-from salsanext_cli import Scan
+from salsanext_cli import Scan, read_scan
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import UsageError
+from salsanext_cli.errors import FormatError, UsageError
 from salsanext_cli.fitting.mounting_fit import fit_mounting
 from salsanext_cli.fitting.scan_checks import check_scan
 from salsanext_cli.fitting.sensor_fit import fitted_view
 from salsanext_cli.fusion.drive import Drive, points_of_drive
+from salsanext_cli.geometry import scan_traits
 from salsanext_cli.geometry.scan_traits import sensor_of
 from salsanext_cli.measures.expected_accuracy import WITHHELD_FOR
-from salsanext_cli.results.paths import find_scans
+from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.results.paths import ORIGINS, find_scans, output_path
+from salsanext_cli.results.recorded_origins import recorded_origin
+from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.stages.fuse import fuse_results
 from salsanext_cli.stages.knn_refine import knn_refine_scans
+from salsanext_cli.stages.picture import picture
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
+from salsanext_cli.stages.uncertainty import uncertainty
+from salsanext_cli.uncertainty.method import UncertaintyMethod
 
 WAY = [(0, 0, 0), (7, 0, 0), (14, 0, 0), (21, 0, 0)]
 DOWN = np.diag([1.0, -1, -1])
@@ -133,13 +141,77 @@ def test_every_stage_sees_a_registered_drive_from_its_sensor(map_drive, tmp_path
     assert caught.value.subject == "--poses"
 
 
+@pytest.fixture(scope="module")
+def predicted(map_drive, tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("out")
+    network = NetworkSettings(map_drive / "w.safetensors", "cpu", engine="torch")
+    extras = ("probabilities", "pixel_labels")
+    predict_scans(map_drive / "velodyne", out, settings=network, extras=extras)
+    return out
+
+
+def test_the_origin_of_each_scan_is_recorded(predicted, tmp_path):
+    results = ResultFolder(predicted)
+    sensor = results.sensor()
+    assert ORIGINS in results.record("predict").writes
+    for file, place in zip(results.scans(), WAY, strict=True):
+        array = np.load(output_path(predicted, file.sequence, ORIGINS, file.stem))
+        assert (array.shape, array.dtype) == ((3,), np.float64)
+        assert np.abs(array - place).max() < 0.6
+        origin = recorded_origin(predicted, file, sensor)
+        assert origin == sensor_of(read_scan(file.path), sensor).origin
+        assert recorded_origin(predicted, file, SMALL) is None
+        assert recorded_origin(tmp_path, file, sensor) is None
+
+
+@pytest.mark.usefixtures("workers_in_process")
+def test_later_stages_search_no_origin(map_drive, predicted, tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    shutil.copytree(predicted, out)
+    scan, sensor = ResultFolder(out).scans()[1], ResultFolder(out).sensor()
+    before = ResultFolder(out).read(scan, sensor)
+
+    def searched(*_):
+        raise AssertionError("an origin was searched")
+
+    monkeypatch.setattr(scan_traits, "placed_sensor", searched)
+    network = NetworkSettings(map_drive / "w.safetensors", "cpu", engine="torch")
+    few = UncertaintyMethod(samples=2, aleatoric="none")
+    assert uncertainty(map_drive / "velodyne", out, settings=network, method=few).done == len(WAY)
+    assert picture(out, colours=("range",)).done == len(WAY)
+    assert fuse_results(out).done == len(WAY)
+    for folder in (out, out / "fused"):
+        assert ResultFolder(folder).read(scan, sensor).sensor == before.sensor
+    assert knn_refine_scans(out, options=RunOptions(overwrite=True)).done == len(WAY)
+
+
+@pytest.mark.parametrize("content", [np.zeros(2), np.full(3, np.nan), np.zeros(3, np.float32)])
+def test_a_damaged_origin_is_refused(predicted, tmp_path, content):
+    file, sensor = ResultFolder(predicted).scans()[0], ResultFolder(predicted).sensor()
+    path = output_path(tmp_path, file.sequence, ORIGINS, file.stem)
+    path.parent.mkdir(parents=True)
+    np.save(path, content)
+    with pytest.raises(FormatError) as caught:
+        recorded_origin(tmp_path, file, sensor)
+    assert caught.value.subject == str(path)
+
+
+def test_scans_at_the_sensor_have_no_origins(map_drive, tmp_path):
+    scans, out = tmp_path / "scans", tmp_path / "out"
+    for number in range(2):
+        write_bin(scans / f"{number}.bin", street(32, seed=number))
+    network = NetworkSettings(map_drive / "w.safetensors", "cpu", engine="torch")
+    predict_scans(scans, out, settings=network)
+    assert not list(out.glob(f"sequences/*/{ORIGINS}"))
+
+
 def test_the_poses_of_a_registered_drive_are_the_positions_of_its_sensor(map_drive):
     files = find_scans(map_drive / "velodyne")
     sensor = replace(SMALL, registered=True)
-    poses = Drive.registered(files, sensor).poses
+    poses = Drive.registered(files, sensor, map_drive).poses
     assert np.abs(poses[:, :3, 3] - WAY).max() < 0.6
     assert (poses[:, :3, :3] == np.eye(3)).all()
-    for scan, pose in zip(drive(), poses, strict=True):
-        points = points_of_drive(scan, sensor)
+    for file, scan, pose in zip(files, drive(), poses, strict=True):
+        points = points_of_drive(file, sensor, map_drive)
         assert np.abs(points + pose[:3, 3] - scan.points).max() < 1e-4
-        assert points_of_drive(scan, SMALL) is scan.points
+        assert np.array_equal(points_of_drive(file, SMALL, map_drive), scan.points)
