@@ -16,6 +16,8 @@ from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.results.paths import ORIGINS, ScanFile, output_path
 from salsanext_cli.sensors.sensor import Sensor
 
+Origins = dict[str, tuple[float, ...]]  # Position of the sensor in metres, by name of the scan
+
 
 def sensor_of_result(out: Path, file: ScanFile, scan: Scan, sensor: Sensor) -> Sensor:
     """Return a fitted sensor as it saw a scan, by the origin that an output folder has.

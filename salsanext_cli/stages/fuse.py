@@ -35,6 +35,7 @@ from salsanext_cli.fusion.drive import (
     poses_beside,
     readings_of,
 )
+from salsanext_cli.fusion.pose_origins import sensor_positions
 from salsanext_cli.fusion.poses import POSES, encode_poses
 from salsanext_cli.fusion.registration import register
 from salsanext_cli.fusion.top_classes import stored_softmax
@@ -145,7 +146,8 @@ class FusibleResults:
         def drive_of(name: str) -> Drive | None:
             files, out = self.members[name], self.results.root
             if is_registered(files, self.sensor, out):
-                _require_no_poses(poses, files)
+                if poses is not None:
+                    _require_positions(poses, files, self.sensor)
                 return Drive.registered(files, self.sensor, out)
             path = poses or poses_beside(files)
             return Drive.checked(path, files, self.sensor, out) if path else None
@@ -169,12 +171,14 @@ class FusibleResults:
         )
 
 
-def _require_no_poses(poses: Path | None, files: Sequence[ScanFile]) -> None:
-    """Refuse poses of scans that are in the frame of a map already."""
-    if poses is None:
-        return
-    problem = f"the scans of sequence {files[0].sequence} are in one frame without {poses.name}"
-    raise UsageError("--poses", problem, hint="omit --poses: their origins are known")
+def _require_positions(poses: Path, files: Sequence[ScanFile], sensor: Sensor) -> None:
+    """Refuse poses that are not those of the sensor in the frame of registered scans."""
+    name = files[0].sequence
+    if sensor_positions(poses, files, sensor) is None:
+        problem = f"{poses.name} is not where the sensor is in the scans of sequence {name}"
+        expected = "poses in the frame of the map that the scans are in"
+        raise UsageError("--poses", problem, expected, "omit --poses: the scans are in one frame")
+    log.log(NOTICE, "sequence %s: its scans are in one frame, and %s agrees", name, poses)
 
 
 def _fusible_results(out: Path, query: ResultQuery) -> FusibleResults:

@@ -5,7 +5,7 @@ import csv
 import io
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -54,6 +54,7 @@ from salsanext_cli.results.paths import (
 )
 from salsanext_cli.results.recorded_names import with_recorded_names
 from salsanext_cli.results.recorded_origins import (
+    Origins,
     folders_of_origins,
     origin_array,
     sensor_of_result,
@@ -90,11 +91,12 @@ class PredictJob:
     knn: KnnParameters
     output: OutputRun
     reject: LabelRejection | None = None
+    origins: Origins = field(default_factory=dict)  # Of registered scans with poses
 
     def prepare(self, file: ScanFile) -> PreparedScan:
         """Read, check and project a scan whose results may be replaced."""
         self.output.require_replaceable(file)
-        return prepared_for(self.network, file)
+        return prepared_for(self.network, file, origin=self.origins.get(file.name))
 
     def compute(self, scans: Sequence[PreparedScan]) -> list[PixelPrediction]:
         """Predict the pixels of scans, with the softmax if a result needs it."""
@@ -185,6 +187,8 @@ def predict_scans(
     -------
     Outcome
     """
+    from salsanext_cli.fusion.pose_origins import origins_by_poses
+
     if batch is not None and batch < 1:
         raise UsageError("--batch", str(batch), "at least 1, or auto")
     network = settings.load()
@@ -209,11 +213,12 @@ def predict_scans(
     )
     threshold = rejection.risk if rejection else None
     summary = RunSummary.of_network(network, scans, accuracy, threshold)
-    origins = folders_of_origins(out, "predict", network.sensor)
-    folders = (*extras, *origins, LEAST_CONFIDENCE, "predictions")
+    folders = (*extras, LEAST_CONFIDENCE, "predictions")
+    folders = (*folders_of_origins(out, "predict", network.sensor), *folders)
     run = output_run(out, "predict", recorded, folders, scans, overwrite=options.overwrite)
     with run as output, summary.recorded_in(output, scans):
-        job = partial(PredictJob, knn=knn, output=output, reject=rejection)
+        origins = origins_by_poses(scans, network.sensor)
+        job = partial(PredictJob, knn=knn, output=output, reject=rejection, origins=origins)
         task = NetworkTask(job, resolved_for(settings, network, scans), network, batch)
         outcome = run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)
     return replace(outcome, rejected_points=summary.rejected_points if rejection else None)

@@ -2,7 +2,7 @@
 """Stage `project`: scans to range images on disk."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from salsanext_cli.fitting.label_scan import ProjectedScan, project_scan
@@ -14,7 +14,7 @@ from salsanext_cli.results.manifest import Manifest, StageSettings
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.paths import ORIGINS, ScanFile
 from salsanext_cli.results.recorded_names import with_recorded_names
-from salsanext_cli.results.recorded_origins import folders_of_origins, origin_array
+from salsanext_cli.results.recorded_origins import Origins, folders_of_origins, origin_array
 from salsanext_cli.results.selection import choose, scans_of, space_of
 from salsanext_cli.sensors.sensor import Sensor
 
@@ -27,11 +27,12 @@ class ProjectJob:
 
     sensor: Sensor
     output: OutputRun
+    origins: Origins = field(default_factory=dict)  # Of registered scans with poses
 
     def prepare(self, file: ScanFile) -> ProjectedScan:
         """Read, check and project a scan whose results may be replaced."""
         self.output.require_replaceable(file)
-        return project_scan(file, self.sensor)
+        return project_scan(file, self.sensor, origin=self.origins.get(file.name))
 
     def compute(self, scans: Sequence[ProjectedScan]) -> Sequence[None]:
         """Return nothing for each scan."""
@@ -74,6 +75,8 @@ def project_scans(
     -------
     Outcome
     """
+    from salsanext_cli.fusion.pose_origins import origins_by_poses
+
     listed = with_recorded_names(scans_of(source), out)
     scans = choose(listed, selection, space_of(listed), source)
     recorded = None if options.overwrite else Manifest(out).settings("project")
@@ -82,5 +85,5 @@ def project_scans(
     folders = (*FOLDERS, *folders_of_origins(out, "project", sensor))
     run = output_run(out, "project", settings, folders, scans, overwrite=options.overwrite)
     with run as output, summary.recorded_in(output, scans):
-        job = ProjectJob(sensor, output)
+        job = ProjectJob(sensor, output, origins_by_poses(scans, sensor))
         return run_over_scans(job, scans, options, is_done=output.is_done, summary=summary)

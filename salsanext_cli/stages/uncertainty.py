@@ -3,7 +3,7 @@
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -26,7 +26,12 @@ from salsanext_cli.results.manifest import Manifest, StageSettings
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.paths import ERROR, ORIGINS, ScanFile
 from salsanext_cli.results.recorded_names import with_recorded_names
-from salsanext_cli.results.recorded_origins import folders_of_origins, origin_array, recorded_origin
+from salsanext_cli.results.recorded_origins import (
+    Origins,
+    folders_of_origins,
+    origin_array,
+    recorded_origin,
+)
 from salsanext_cli.results.selection import choose, scans_of, space_of
 from salsanext_cli.uncertainty.error_features import error_probability, knows_error
 from salsanext_cli.uncertainty.method import UncertaintyMethod
@@ -46,13 +51,15 @@ class UncertaintyJob:
     knn: KnnParameters
     method: UncertaintyMethod
     output: OutputRun
+    origins: Origins = field(default_factory=dict)  # Of registered scans with poses
 
     def prepare(self, file: ScanFile) -> PreparedScan:
         """Read, check and project a scan whose results may be replaced."""
         self.output.require_replaceable(file)
-        writes_origins = ORIGINS in self.output.folders
-        recorded = recorded_origin(self.output.root, file, self.network.sensor)
-        return prepared_for(self.network, file, origin=None if writes_origins else recorded)
+        origin = self.origins.get(file.name)
+        if ORIGINS not in self.output.folders:
+            origin = recorded_origin(self.output.root, file, self.network.sensor)
+        return prepared_for(self.network, file, origin=origin)
 
     def compute(self, scans: Sequence[PreparedScan]) -> list[Computed]:
         """Estimate the uncertainty of the pixels of scans, one after the other."""
@@ -112,6 +119,8 @@ def uncertainty(
     -------
     Outcome
     """
+    from salsanext_cli.fusion.pose_origins import origins_by_poses
+
     network = settings.for_sampling().load()
     listed = with_recorded_names(scans_of(source), out)
     scans = choose(listed, selection, space_of(listed, network.card.space), source)
@@ -141,7 +150,8 @@ def uncertainty(
     summary = RunSummary.of_network(network, scans)
     run = output_run(out, "uncertainty", recorded, folders, scans, overwrite=options.overwrite)
     with run as output, summary.recorded_in(output, scans):
-        job = partial(UncertaintyJob, knn=knn, method=method, output=output)
+        origins = origins_by_poses(scans, network.sensor) if ORIGINS in folders else {}
+        job = partial(UncertaintyJob, knn=knn, method=method, output=output, origins=origins)
         task = NetworkTask(job, resolved_for(settings, network, scans), network, batch=1)
         return run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)
 

@@ -18,6 +18,8 @@ from salsanext_cli.fitting.mounting_fit import fit_mounting
 from salsanext_cli.fitting.scan_checks import check_scan
 from salsanext_cli.fitting.sensor_fit import fitted_view
 from salsanext_cli.fusion.drive import Drive, points_of_drive
+from salsanext_cli.fusion.pose_origins import origins_by_poses
+from salsanext_cli.fusion.poses import encode_poses
 from salsanext_cli.geometry import scan_traits
 from salsanext_cli.geometry.scan_traits import sensor_of
 from salsanext_cli.measures.expected_accuracy import WITHHELD_FOR
@@ -136,9 +138,57 @@ def test_every_stage_sees_a_registered_drive_from_its_sensor(map_drive, tmp_path
     assert len(labels) == len(WAY)
     assert labels == labels_below(steps)
     fuse_results(out)
+
+
+def write_poses(path: Path, positions: np.ndarray) -> None:
+    """Write poses of a vehicle that turns by a degree from one to the next."""
+    poses = np.tile(np.eye(4), (len(positions), 1, 1))
+    for number, pose in enumerate(poses):
+        cos, sin = np.cos(np.radians(number)), np.sin(np.radians(number))
+        pose[:2, :2] = [[cos, -sin], [sin, cos]]
+    poses[:, :3, 3] = positions
+    path.write_bytes(encode_poses(poses))
+
+
+@pytest.mark.usefixtures("workers_in_process")
+def test_poses_in_the_frame_of_the_scans_are_their_origins(map_drive, tmp_path, caplog):
+    shutil.copytree(map_drive / "velodyne", tmp_path / "velodyne")
+    write_poses(tmp_path / "poses.txt", np.array(WAY, float))
+    network = NetworkSettings(map_drive / "w.safetensors", "cpu", engine="torch")
+    out = tmp_path / "out"
+    caplog.set_level("INFO")
+    predict_scans(tmp_path / "velodyne", out, settings=network, extras=("probabilities",))
+    assert str(tmp_path / "poses.txt") in caplog.text
+    results = ResultFolder(out)
+    for file, place in zip(results.scans(), WAY, strict=True):
+        assert recorded_origin(out, file, results.sensor()) == place
+    assert fuse_results(out).done == len(WAY)
+    fused = np.loadtxt(next(out.glob("fused/sequences/*/poses.txt"))).reshape(-1, 3, 4)
+    assert np.array_equal(fused[:, :, 3], np.array(WAY))
+    assert np.array_equal(fused[:, :, :3], np.tile(np.eye(3), (len(WAY), 1, 1)))
+
+
+@pytest.mark.parametrize("shift", [(3, 0, 0), (0, 0, 2)])
+def test_poses_elsewhere_are_not_the_origins_of_scans(map_drive, tmp_path, shift):
+    shutil.copytree(map_drive / "velodyne", tmp_path / "velodyne")
+    write_poses(tmp_path / "poses.txt", np.array(WAY, float) + shift)
+    files = find_scans(tmp_path / "velodyne")
+    assert origins_by_poses(files, replace(SMALL, registered=True)) == {}
+    assert origins_by_poses(files, SMALL) == {}
+    (tmp_path / "poses.txt").write_text("1 2 3\n")
+    assert origins_by_poses(files, replace(SMALL, registered=True)) == {}
+
+
+def test_poses_of_a_registered_drive_must_agree_with_its_scans(predicted, tmp_path):
+    out, path = tmp_path / "out", tmp_path / "p.txt"
+    shutil.copytree(predicted, out)
+    write_poses(path, np.array(WAY, float))
+    assert fuse_results(out, tmp_path / "fused", poses=path).done == len(WAY)
+    write_poses(path, np.array(WAY, float) + (3, 0, 0))
     with pytest.raises(UsageError) as caught:
-        fuse_results(out, poses=map_drive / "poses.txt")
+        fuse_results(out, tmp_path / "other", poses=path)
     assert caught.value.subject == "--poses"
+    assert "omit --poses" in caught.value.hint
 
 
 @pytest.fixture(scope="module")
