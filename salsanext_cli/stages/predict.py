@@ -196,12 +196,7 @@ def predict_scans(
     scans = choose(listed, selection, space_of(listed, network.card.space), source)
     network = network_of_run(settings, network, listed, out, overwrite=options.overwrite)
     rejection = None if reject is None else _rejection(reject, settings, network, knn)
-    if rejection and rejection.kind == "error":
-        extras = tuple(dict.fromkeys((*extras, ERROR)))
-    if ERROR in extras:
-        error_model(network)
-    if "objects" in extras:
-        network.space.require_movable("--objects")
+    extras = _possible_extras(extras, rejection, network)
     accuracy = None if rejection else network.card.accuracy
     recorded = replace(
         settings_of_network(network),
@@ -222,6 +217,19 @@ def predict_scans(
         task = NetworkTask(job, resolved_for(settings, network, scans), network, batch)
         outcome = run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)
     return replace(outcome, rejected_points=summary.rejected_points if rejection else None)
+
+
+def _possible_extras(
+    extras: tuple[str, ...], rejection: LabelRejection | None, network: Network
+) -> tuple[str, ...]:
+    """Return the further results with those that the rejection needs; refuse impossible ones."""
+    if rejection and rejection.kind == "error":
+        extras = tuple(dict.fromkeys((*extras, ERROR)))
+    if ERROR in extras:
+        error_model(network)
+    if "objects" in extras:
+        network.space.require_movable("--objects")
+    return extras
 
 
 def _rejection(
