@@ -111,6 +111,7 @@ def report(
     """
     from salsanext_cli.stages.report import report as stage
 
+    out = _results_in(out)
     with over_scans("report", running, output.quiet) as run:
         written = stage(
             out,
@@ -146,6 +147,7 @@ def view(
     """
     from salsanext_cli.stages.report import view as stage
 
+    out = _results_in(out)
     with over_scans("view", running, output.quiet) as run:
         server = stage(out, port=port, query=query, options=run)
     summary.print_failures(server.failures)
@@ -161,6 +163,15 @@ def view(
         ARRIVED.clear()
         output.print("view: ended")
     summary.leave(server.failures, server.missing)
+
+
+def _results_in(folder: Path) -> Path:
+    """Return a folder of results; in a data set of `pick`, that of the picked scans."""
+    from salsanext_cli.labelling.label_records import PICKED
+    from salsanext_cli.labelling.picked_data_set import PREDICTED
+
+    predicted = folder / PREDICTED
+    return predicted if (folder / PICKED).is_file() and predicted.is_dir() else folder
 
 
 def _forwarding(port: int, connection: str) -> str:

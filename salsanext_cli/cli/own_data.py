@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Commands on your own data: inspect, convert, pick, import labels, simulate, submit."""
 
-import shlex
-from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Literal
@@ -126,6 +124,8 @@ def pick(
 
     Example: salsanext pick my/drive to-label/ --count 10
     """
+    from salsanext_cli.cli.after_pick import lines_after_pick
+    from salsanext_cli.cli.picked_labels import label_picked_scans
     from salsanext_cli.report.picked import picked_table
     from salsanext_cli.stages.pick import pick as stage
 
@@ -144,26 +144,22 @@ def pick(
             options=run,
         )
     picked, outcome = picking.picked, picking.outcome
-    output.result(picking.to_dict() | {"out": str(out)}, picked_table(picked) if picked else None)
-    summary.print_failures(outcome.failures)
-    already = f", {outcome.skipped} done already" if outcome.skipped else ""
-    failed = f", {len(outcome.failures)} failed" if outcome.failures else ""
-    chosen = f"{len(picked):,} of {counted(picking.scans, 'scan')}"
-    output.print(f"pick: {chosen}{already}{failed} → {out}")
+    labels = None
     if picked:
-        output.print(f"next: {_after_pick(out, settings.weights, labelled or ())}")
-    summary.leave(outcome.failures, failed=strict and bool(picking.warnings))
-
-
-def _after_pick(out: Path, weights: Path | str | None, labelled: Sequence[Path]) -> str:
-    """Return what to do with picked scans, as a sentence with commands."""
-    edited = ["salsanext", "import-labels", "EDITED", str(out)]
-    training = ["salsanext", "train", str(out), "RUN", "--recipe", "finetune"]
-    if weights:
-        training += ["--weights", str(weights)]
-    for dataset in labelled:
-        training += ["--also", str(dataset)]
-    return f"correct the labels, then `{shlex.join(edited)}`, then `{shlex.join(training)}`"
+        with over_scans("predict", running, output.quiet) as run:
+            labels = label_picked_scans(out, settings, run)
+    result = picking.to_dict() | {"out": str(out), "predicted": labels and str(labels.folder)}
+    decision = labels.verdict.decision if labels and labels.verdict else None
+    output.result(result | {"decision": decision}, picked_table(picked) if picked else None)
+    summary.print_failures(outcome.failures)
+    chosen = f"{len(picked):,} of {counted(picking.scans, 'scan')}"
+    output.print(f"pick: {chosen}{summary.others_text(outcome)} → {out}")
+    if labels is not None:
+        weights = settings.weights
+        for line in lines_after_pick(out, picking.scale, labels, weights, labelled or ()):
+            output.print(line)
+    failures = (*outcome.failures, *(labels.failures if labels else ()))
+    summary.leave(failures, failed=strict and bool(picking.warnings))
 
 
 def import_labels(

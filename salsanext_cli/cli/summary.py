@@ -43,11 +43,9 @@ def finish(
     print_failures(outcome.failures)
     following = next_command(stage, outcome, str(results or out), more, split)
     output.result({"stage": stage, "out": str(out), **_as_data(outcome), "next": following})
-    already = f", {outcome.skipped} done already" if outcome.skipped else ""
-    failed = f", {len(outcome.failures)} failed" if outcome.failures else ""
     took = f" in {duration_text(output.seconds)}"
     took += f", {duration_text(outcome.seconds / outcome.done)} per scan" if outcome.done else ""
-    scans = f"{counted(outcome.done, 'scan')}{already}{failed}{took}"
+    scans = f"{counted(outcome.done, 'scan')}{others_text(outcome)}{took}"
     output.print(f"{stage}: {scans}{skipped_text(outcome.missing)} → {out}")
     lines = _lines(outcome.summary, following) if outcome.done + outcome.skipped else ()
     for line in (*_rejection_lines(outcome, limit), advice, *lines):
@@ -177,6 +175,13 @@ def print_failures(failures: tuple[Failure, ...]) -> None:
             continue
         for text in dict.fromkeys(failure.text for failure in equal):
             print_line(f"error: {text}")
+
+
+def others_text(outcome: Outcome) -> str:
+    """Return how many scans were done already and how many failed, if any."""
+    already = f", {outcome.skipped} done already" if outcome.skipped else ""
+    failed = f", {len(outcome.failures)} failed" if outcome.failures else ""
+    return f"{already}{failed}"
 
 
 def leave(

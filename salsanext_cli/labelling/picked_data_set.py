@@ -29,6 +29,7 @@ from salsanext_cli.version import __version__
 
 STAGE = "pick"
 LABEL_SPACE, TABLE = "labels.yaml", "picked.csv"
+PREDICTED = "predicted"  # Folder of the results of the picked scans, for `report` and `eval`
 CHOSEN, NAMED = "both", "named"
 """Strategies: scans by uncertainty and distance, and the scans of a list."""
 
@@ -51,6 +52,16 @@ class PickedScan:
     def name(self) -> str:
         """Sequence and scan."""
         return f"{self.sequence}/{self.scan}"
+
+
+@dataclass(frozen=True, slots=True)
+class UncertaintyScale:
+    """Uncertainties of all scans of a choice, to compare those of the picked scans with."""
+
+    least: float  # Mean mutual information of the pixels of a scan, nats, as all three
+    median: float
+    most: float
+    class_count: int  # The mutual information is at most its logarithm
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +91,7 @@ class PickRecord:
     failures: list[dict[str, str]]  # `scan`, `reason`, `hint` and `code` of unreadable scans
     warnings: list[ScanWarning]
     pre_labels: dict[str, str] = field(default_factory=dict)  # SHA-256 by name of the scan
+    scale: UncertaintyScale | None = None  # None in records of earlier versions
     stage: str = STAGE
     version: str = __version__
 

@@ -180,6 +180,8 @@ class ScanComparison:
     trained_on: RecordedScans = NO_SCANS  # Scans that the weights were trained on
     chosen_on: RecordedScans = NO_SCANS  # Scans that the threshold was chosen on
     by_distance: bool = False  # Whether to count distance bands too
+    # Names of the scans whose label files are pre-labels, which nobody has reviewed
+    unreviewed: frozenset[str] = frozenset()
 
     @classmethod
     def of_results(
@@ -208,6 +210,10 @@ class ScanComparison:
             if recorded.missing:
                 headline = f"{recorded.missing}: is missing, so it is unknown whether {question}"
                 yield with_hint(headline, recorded.hint)
+
+    def has_truth(self, scan: ScanFile) -> bool:
+        """Return whether a scan has labels to compare with."""
+        return scan.name not in self.unreviewed and present(scan.label_path)
 
     def count(self, scan: ScanFile) -> ScanCounts:
         """Count one scan; a scan without predictions counts as missing.

@@ -3,6 +3,7 @@
 
 import hashlib
 import logging
+import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -28,6 +29,7 @@ from salsanext_cli.labelling.picked_data_set import (
     PickedScan,
     PickRecord,
     PickSettings,
+    UncertaintyScale,
 )
 from salsanext_cli.labelling.scan_choice import choose_scans, require_choice
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
@@ -56,6 +58,7 @@ class Picking:
     scans: int  # Number of scans to choose from
     outcome: Outcome  # Of the picked scans, and failures of all scans
     warnings: list[ScanWarning]  # Of all scans
+    scale: UncertaintyScale | None = None  # None without described scans
 
     def to_dict(self) -> dict[str, object]:
         """Return plain data for JSON."""
@@ -63,6 +66,7 @@ class Picking:
             "stage": STAGE,
             "scans": self.scans,
             "picked": plain(self.picked),
+            "scale": plain(self.scale),
             "failures": plain(self.outcome.failures),
             "warnings": plain(self.warnings),
         }
@@ -207,7 +211,7 @@ def _candidates(
 def _picking(record: PickRecord, scans: Sequence[ScanFile]) -> Picking:
     """Return the result if every picked scan was written before."""
     outcome = Outcome(len(record.picked), _failures(record, scans), 0)
-    return Picking(tuple(record.picked), len(scans), outcome, record.warnings)
+    return Picking(tuple(record.picked), len(scans), outcome, record.warnings, record.scale)
 
 
 def _digest(scans: Sequence[ScanFile]) -> str:
@@ -249,8 +253,19 @@ def _chosen(
             uncertainty = [scan.uncertainty for scan in described]
             choices = choose_scans(features, uncertainty, settings.count, labelled)
             picked = picked_scans(choices, [scan.file for scan in described])
-    failed = [failure.to_dict() for failure in failures]
-    return PickRecord(settings_json(settings), picked, failed, summary.finished().warnings())
+    return PickRecord(
+        settings_json(settings),
+        picked,
+        [failure.to_dict() for failure in failures],
+        summary.finished().warnings(),
+        scale=_scale(described, network.space) if described else None,
+    )
+
+
+def _scale(described: Sequence[ScanDescription], space: LabelSpace) -> UncertaintyScale:
+    """Return the scale of the uncertainties of described scans."""
+    values = [scan.uncertainty for scan in described]
+    return UncertaintyScale(min(values), statistics.median(values), max(values), space.class_count)
 
 
 def _written(

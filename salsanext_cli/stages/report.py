@@ -12,6 +12,7 @@ import numpy as np
 from salsanext_cli.errors import NoInputError, OutputError, SalsanextError, escaped
 from salsanext_cli.files.atomic import require_target, write_bytes
 from salsanext_cli.files.json_files import plain
+from salsanext_cli.labelling.label_records import pre_labelled_scans
 from salsanext_cli.measures.scan_counts import ScanComparison, ScanCounts, SeparateCounts
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.report.page.clouds import encode_cloud, scales_of
@@ -201,7 +202,10 @@ def read_run(
     """
     results = ResultFolder(out, query.dataset)
     chosen = results.chosen(query)
-    reader = ScanComparison.of_results(results, chosen.space, chosen.labels)
+    reader = replace(
+        ScanComparison.of_results(results, chosen.space, chosen.labels),
+        unreviewed=frozenset(scan.name for scan in pre_labelled_scans(chosen.scans)),
+    )
     rows: list[ScanRow] = []
     counts = SeparateCounts(reader.space)
     trained_on: set[ScanRow] = set()

@@ -12,7 +12,7 @@ from command_line import only_json, subject
 from edited_clouds import write_ply
 
 from salsanext_cli import label_space, read_labels, read_scan, write_labels
-from salsanext_cli.cli.own_data import _after_pick
+from salsanext_cli.cli.after_pick import commands_after_pick
 from salsanext_cli.results.paths import output_path
 from salsanext_cli.stages import submit as stage
 
@@ -39,7 +39,12 @@ def test_pick_names_the_next_commands_and_the_scans_that_failed(run, data, tmp_p
     out = tmp_path / "to label"
     picked = run("pick", data, out, "--count", 1, "--weights", weights, status=0)
     assert "pick: 1 of 2 scans → " in picked.stderr
-    assert f"salsanext train '{out}' RUN --recipe finetune" in picked.stderr
+    assert f"next: salsanext report '{out}'\n" in picked.stderr
+    assert f"salsanext train '{out}' runs/mine --recipe finetune" in picked.stderr
+    assert "uncertainty of all scans: " in picked.stderr
+    assert " labelled scans gained " in picked.stderr
+    run("report", out, status=0)
+    assert (out / "predicted/report.html").is_file()
     broken = data / "sequences/08/velodyne/000002.bin"
     broken.write_bytes(b"x")
     picked = run("pick", data, tmp_path / "out", "--weights", weights, "--json")
@@ -47,6 +52,11 @@ def test_pick_names_the_next_commands_and_the_scans_that_failed(run, data, tmp_p
     result = only_json(picked)
     assert (result["stage"], result["scans"], len(result["picked"])) == ("pick", 3, 2)
     assert result["picked"][0]["distance"] is None
+    uncertainty = [scan["uncertainty"] for scan in result["picked"]]
+    scale = result["scale"]
+    assert [scale["least"], scale["most"]] == [min(uncertainty), max(uncertainty)]
+    assert scale["median"] == pytest.approx(sum(uncertainty) / 2)
+    assert result["predicted"] == str(tmp_path / "out/predicted")
     assert [failure["code"] for failure in result["failures"]] == ["format"]
     assert f"error: {broken}: " in picked.stderr
 
@@ -126,9 +136,9 @@ def test_a_submission_without_a_prediction_is_an_error(run, out, tmp_path):
 
 
 def test_after_pick_the_training_uses_its_labelled_data_sets_and_weights():
-    following = _after_pick(Path("new"), "w.safetensors", [Path("a b"), Path("c")])
+    following = commands_after_pick(Path("new"), "w.safetensors", [Path("a b"), Path("c")])
     training = shlex.split(following.split("`")[3])
-    assert training[:6] == ["salsanext", "train", "new", "RUN", "--recipe", "finetune"]
+    assert training[:6] == ["salsanext", "train", "new", "runs/mine", "--recipe", "finetune"]
     assert training[6:8] == ["--weights", "w.safetensors"]
     assert training[8:] == ["--also", "a b", "--also", "c"]
-    assert "--also" not in _after_pick(Path("new"), None, [])
+    assert "--also" not in commands_after_pick(Path("new"), None, [])

@@ -90,7 +90,7 @@ class ScanRow:
                 mean = finite.mean(dtype=np.float64) if len(finite) else math.nan
                 uncertainty[kind] = float(mean)
         counts, confusion = None, np.zeros((space.class_count, space.class_count), np.int64)
-        if is_labelled and present(file.label_path):
+        if is_labelled and reader.has_truth(file):
             counts = reader.count(file)
             confusion = scored_rows(counts.confusion, space)
             confusion = accepted(confusion) if reader.rejects else confusion
@@ -152,7 +152,8 @@ class RunResults:
     def read(self, row: ScanRow, reason: str = "") -> ShownScan:
         """Read the points of a scan, their results and their confidence."""
         file, reader, space = row.file, self.reader, self.reader.space
-        results = ResultFolder(reader.out).read(file, reader.sensor, space, (reader.labels, space))
+        truth_in = (reader.labels, space) if reader.has_truth(file) else None
+        results = ResultFolder(reader.out).read(file, reader.sensor, space, truth_in)
         if present(path := output_path(reader.out, file.sequence, SOFTMAX, file.stem)):
             all_points = np.ones(len(results.scan), bool)
             softmax = read_softmax(path, all_points, space, reader.merging)

@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: MIT
+"""The tables of the tutorial that lead to a decision are the rules of the package."""
+
+import re
+from pathlib import Path
+
+from salsanext_cli.measures.decision import CODES, DOUBTFUL, LEVELS, MOST, Decision
+from salsanext_cli.measures.label_gains import MANY_RIGHT, TRIALS, GainRange
+
+PAGE = Path(__file__).parents[1] / "docs/tutorials/own-sensor.md"
+SECTION = PAGE.read_text("utf-8").partition("## 6. Use, label, or stop\n")[2]
+WORDS = {
+    Decision.USE: "use the labels",
+    Decision.COARSE: "use coarse classes",
+    Decision.LABEL_TEN: "label ten scans",
+    Decision.LABEL_FORTY: "label forty scans",
+    Decision.CORRECT: "correct the scans first",
+    Decision.UNSUITED: "stop",
+}
+"""Beginning of the advice in the tables."""
+
+
+def rows() -> list[list[str]]:
+    """Return the cells of the rows of both tables, without headings."""
+    lines = [line for line in SECTION.splitlines() if line.startswith("| ")]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+
+
+def decision_of(advice: str) -> Decision:
+    (decision,) = (key for key, words in WORDS.items() if advice.startswith(words))
+    return decision
+
+
+def percentage(cell: str, default: float) -> float:
+    number = re.match(r"(\d+) % or (more|less)$", cell)
+    return int(number[1]) / 100 if number else default
+
+
+def test_the_limits_are_those_of_the_levels_in_their_order():
+    limits = [cells for cells in rows() if len(cells) == 3 and cells[0] != "estimated accuracy"]
+    shown = [
+        (decision_of(do), percentage(accuracy, 0.0), percentage(rejected, 1.0))
+        for accuracy, rejected, do in limits
+    ]
+    assert shown == [
+        (level.decision, level.least_accuracy, level.most_doubtful) for level in LEVELS
+    ]
+    assert f"rejected at {100 * DOUBTFUL:.0f} %" in SECTION
+    assert f"`--reject {DOUBTFUL}`" in SECTION
+
+
+def test_the_warnings_are_those_of_each_decision():
+    shown = {
+        decision_of(do): tuple(re.findall(r"`([a-z-]+)`", codes))
+        for codes, do in (cells for cells in rows() if len(cells) == 2)
+        if codes != "warning"
+    }
+    assert shown == CODES
+    assert MOST == 0.5
+    assert "more than half of the scans" in SECTION
+
+
+def test_the_gains_quoted_are_those_of_the_trials():
+    text = " ".join(SECTION.split())
+    many = GainRange(tuple(trial for trial in TRIALS if trial.before >= MANY_RIGHT))
+    few = GainRange(tuple(trial for trial in TRIALS if trial.before < MANY_RIGHT))
+    quoted = (
+        f"gained {many.worst:.1f} to {many.best:.1f} points of accuracy (median {many.usual:.1f})"
+    )
+    assert quoted in text
+    assert f"scans gained {few.worst:.0f} to {few.best:.0f} points" in text
+    assert (len(many.trials), len(few.trials)) == (9, 3)
