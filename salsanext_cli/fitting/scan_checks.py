@@ -159,38 +159,38 @@ def check_scan(
     `path` is for errors. `trained` is the sensor of the weights, if the intensity
     matters; without quantiles it stands for 0 to 1. `fit` is the hint if a fit may help.
     """
-    some = in_sensor_frame(few_points(scan), sensor)
-    ranges, measured = measured_ranges(some.points)
-    if len(some) < len(scan) and measured.sum() < MIN_TRAIT_POINTS:
-        some = in_sensor_frame(scan, sensor)
-        ranges, measured = measured_ranges(some.points)
+    sample = in_sensor_frame(few_points(scan), sensor)
+    ranges, measured = measured_ranges(sample.points)
+    if len(sample) < len(scan) and measured.sum() < MIN_TRAIT_POINTS:
+        sample = in_sensor_frame(scan, sensor)
+        ranges, measured = measured_ranges(sample.points)
     _require_metres(path, len(scan), ranges[measured])
-    ego = ego_points(some.points, sensor)
-    ego_share = len(ego) / max(len(some), 1)
+    ego = ego_points(sample.points, sensor)
+    ego_share = len(ego) / max(len(sample), 1)
     if len(ego):
-        some = some.take(np.delete(np.arange(len(some)), ego))
-        ranges, measured = measured_ranges(some.points)
+        sample = sample.take(np.delete(np.arange(len(sample)), ego))
+        ranges, measured = measured_ranges(sample.points)
     if (count := int(measured.sum())) < MIN_TRAIT_POINTS:
         problem = f"has {counted(count, 'point')} with a measurement, too few to check"
         return ScanCheck((Finding("few-points", problem, "give whole scans"),), None, ego_share)
-    share, ranges = count / len(some), ranges[measured]
-    some = Scan(some.points[measured], some.intensity[measured])
-    sines = sines_of(some.points)
-    reason, bright = intensity_of(some.points, some.intensity)
+    share, ranges = count / len(sample), ranges[measured]
+    sample = Scan(sample.points[measured], sample.intensity[measured])
+    sines = sines_of(sample.points)
+    reason, bright = intensity_of(sample.points, sample.intensity)
     fit = fit or (FIT if sensor is trained else ALONE)
     if sensor.name not in (FITTED_NAME, *presets(), trained and trained.name):
         fit = AUTO
-    ground = ground_of(some)
-    misplaced = place_problem(scan, some, ground, sensor)
+    ground = ground_of(sample)
+    misplaced = place_problem(scan, sample, ground, sensor)
     structure, misplaced = _structure_at_place(scan, sensor, misplaced)
     findings = [
         *_file_findings(scan.notes),
         *_unit_findings(ranges, share),
-        *_view_findings(some, sines, sensor, fit),
+        *_view_findings(sample, sines, sensor, fit),
         *_place_findings(misplaced, fit),
         *([] if misplaced else _ground_findings(ground, sensor, fit)),
         *structure,
-        *depth_image_findings(some.points, reason),
+        *depth_image_findings(sample.points, reason),
     ]
     if trained is not None:
         findings += training_findings(bright, reason, sensor, trained, scan.notes.fields)

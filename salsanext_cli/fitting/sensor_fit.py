@@ -198,7 +198,7 @@ def _fit_of_network(
     if sample.image_of is None:
         sensor = _fitted_view(sample, sensor, earlier, view=settings.fits_view)
     images = cache(lambda: sample.images(sensor))
-    known = [given for given in (earlier, settings.named_sensor()) if given]
+    references = [other for other in (earlier, settings.named_sensor()) if other]
     quantiles: tuple[float, ...] = ()
     if method == "none":
         quantiles = NO_INTENSITY
@@ -206,11 +206,11 @@ def _fit_of_network(
         # Neither earlier results without intensity nor the sensor of the weights, which was named
         # for its columns, show the intensity of the scans.
         others = ((), NO_INTENSITY, trained.intensity_quantiles)
-        stated = [s.intensity_quantiles for s in known if s.intensity_quantiles not in others]
+        stated = [s.intensity_quantiles for s in references if s.intensity_quantiles not in others]
         quantiles = stated[0] if stated else intensity_quantiles(images())
     gaps = None
     if trained.row_gaps is not None:
-        shares = [s.row_gaps for s in known if s.row_gaps not in (None, trained.row_gaps)]
+        shares = [s.row_gaps for s in references if s.row_gaps not in (None, trained.row_gaps)]
         gaps = shares[0] if shares else row_gaps(images())
     fitted = replace(sensor, intensity_quantiles=quantiles, row_gaps=gaps)
     if fills_rows(fitted, trained):

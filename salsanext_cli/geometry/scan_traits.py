@@ -97,10 +97,12 @@ def groups_of(traits: Sequence[ScanTraits]) -> list[int]:
     Two groups differ if a gap of one of `FACTORS` divides the scans sorted by that trait. Cut or
     thinned scans, with the same shares of points, belong to one group.
     """
-    group_of, groups, usual = np.zeros(len(traits), np.intp), list[int](), []
+    group_of = np.zeros(len(traits), np.intp)
+    groups: list[int] = []
+    medians: list[tuple[float, ...]] = []
     for number, members in enumerate(_divided(np.array([scan.compared for scan in traits]))):
-        usual.append(usual_traits([traits[i] for i in members]))
-        steps = np.abs(np.diff([_scaled([other, usual[-1]]) for other in usual], axis=1))
+        medians.append(usual_traits([traits[i] for i in members]))
+        steps = np.abs(np.diff([_scaled([other, medians[-1]]) for other in medians], axis=1))
         alike = int((steps[:, 0, NODES:] < 1).all(axis=1).argmax())
         groups.append(groups[alike] if alike < number else number)
         group_of[members] = groups[-1]
@@ -208,8 +210,8 @@ def _likeliest_member(scan: Scan, sensor: Sensor, origin: tuple[float, ...] | No
         (traits_of(in_sensor_frame(scan, member)) if member.registered else None) or in_file
         for member in members
     ]
-    usual = [member.traits for member in sensor.members]
-    values = _scaled([*(traits.compared for traits in of_scan), *usual])
+    of_members = [member.traits for member in sensor.members]
+    values = _scaled([*(traits.compared for traits in of_scan), *of_members])
     differences = np.abs(values[: len(members)] - values[len(members) :]).sum(axis=1)
     number = int(differences.argmin())
     return _Member(number, members[number])

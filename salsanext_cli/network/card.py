@@ -187,7 +187,7 @@ class WeightsCard:
 
     @property
     def substitutes(self) -> FittedParts:
-        """The parts for a width without own ones: those of the default width but the risk."""
+        """Parts for a width that has none of its own: those of the default width, without risk."""
         default = self.trained_widths[0]
         parts = self.parts if self.sensor.width == default else self.of_widths[default]
         return replace(parts, risk=None)

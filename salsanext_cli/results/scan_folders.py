@@ -179,7 +179,7 @@ def _subfolders(folder: Path, *, is_root: bool = False) -> list[Path]:
 
 
 def usable(folders: Collection[ScanFolder]) -> list[ScanFolder]:
-    """Return the folders that are certainly those of the scans; none if it is ambiguous.
+    """Return the folders of the scans; none if several could be meant.
 
     These are all folders of the only known layout, else the only folder of scans.
     """
