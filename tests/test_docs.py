@@ -276,6 +276,7 @@ def test_every_name_in_the_tables_exists(page):
 HELPERS = {
     *("formats/column_evidence.py", "formats/columns.py", "fitting/place_checks.py"),
     *("geometry/ground.py", "geometry/evenness.py"),
+    *("formats/column_measures.py", "formats/plane_evidence.py", "formats/value_types.py"),
     *("fitting/scan_structure.py", "fitting/structure_checks.py", "geometry/directions.py"),
     "fitting/further_returns.py",
     *(f"engines/{name}.py" for name in ("backend", "batches", "device", "graphs")),

@@ -6,6 +6,7 @@ Files of anything but points are refused.
 
 import re
 from dataclasses import dataclass
+from io import BufferedReader
 from pathlib import Path
 from typing import Any
 
@@ -18,27 +19,36 @@ from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.files.reading import read_values, reading, size_of
 from salsanext_cli.formats import FORMATS
 from salsanext_cli.formats.column_evidence import (
-    are_coordinates,
-    are_float16,
-    are_float64,
-    are_planes,
     empty_places,
     evident_count,
+    have_signs_of_coordinates,
 )
 from salsanext_cli.formats.columns import (
+    columns_of_width,
     names_to_try,
     require_near_origin,
     require_no_matrix,
     scan_of,
     unnamed_columns,
 )
-from salsanext_cli.records import Scan, normalised_intensity
+from salsanext_cli.formats.plane_evidence import are_planes
+from salsanext_cli.formats.value_types import (
+    are_coordinates,
+    are_float16,
+    are_float64,
+    are_halves,
+    blocks_of_pairs,
+)
+from salsanext_cli.records import Float, Scan, normalised_intensity
+from salsanext_cli.sensors.sensor import UNUSED_COLUMN
 
+INTENSITY = "intensity"
 COLUMNS = 4  # x, y, z in metres, remission
 COLUMNS_WITH_RING = 5  # x, y, z, intensity, ring: the `.pcd.bin` files of nuScenes
 REWRITE = "rewrite it as float32 x, y, z, intensity"
 REWRITE_FLOAT16 = "np.fromfile(FILE, np.float16).astype(np.float32).tofile(NEW) converts it"
 REWRITE_ROWS = "np.fromfile(FILE, np.float32).reshape(COLUMNS, -1).T.tofile(NEW) converts it"
+FLOAT32_BYTES = 4
 MAX_CLASS = 0xFFFF  # Largest label of four bytes without an instance
 
 
@@ -76,6 +86,8 @@ def read_bin(
         require_no_matrix(points, path)
     if not are_coordinates(scan.points):
         raise _no_coordinates(path, table.values.shape[1])
+    if not table.is_planar:
+        _require_intensity(table.values, columns, path)
     return scan
 
 
@@ -108,6 +120,22 @@ def read_table(path: Path, columns: tuple[str, ...] = ()) -> BinTable:
     return BinTable(table, is_planar=False)
 
 
+def _require_intensity(
+    table: npt.NDArray[np.floating[Any]], columns: tuple[str, ...], path: Path
+) -> None:
+    """Refuse rows (N, C) whose intensities have the signs and sizes of coordinates."""
+    width = table.shape[1]
+    names = columns_of_width(width, columns, path)
+    if INTENSITY not in names:
+        return
+    values = table.ravel()
+    if have_signs_of_coordinates(values, width, names.index(INTENSITY)):
+        other_names = ",".join(UNUSED_COLUMN if name == INTENSITY else name for name in names)
+        hint = f"{REWRITE_ROWS} if it is stored column by column; if not, --columns {other_names}"
+        problem = "has coordinates as its intensities"
+        raise FormatError(path, problem, f"{width} float32 per point", hint)
+
+
 def usual_width(path: Path) -> int:
     """Return the number of columns of a `.bin` file, 5 for `.pcd.bin`."""
     return COLUMNS_WITH_RING if path.name.lower().endswith(".pcd.bin") else COLUMNS
@@ -116,20 +144,28 @@ def usual_width(path: Path) -> int:
 def _read_values(path: Path, width: int) -> tuple[npt.NDArray[np.floating[Any]], int]:
     """Return the float32 or float64 values (M,) of a file, and its size in bytes."""
     with reading(path) as file:
-        if (size := size_of(file)) == 0:
-            raise FormatError(path, "is empty", _multiple_of(width), "copy it again, or remove it")
-        if kind := other_kind(file.read(TEXT_BYTES)):
-            hint = f"rename it to {kind} if it contains points" if kind[0] == "." else REWRITE
-            name = "text" if kind == TEXT_SUFFIX else f"a {kind} file" if kind[0] == "." else kind
-            raise FormatError(path, f"is {name}", f"{width} float32 per point", hint)
+        size = _size_of_values(file, path, width)
         file.seek(0)
-        values = read_values(file, path, "<f4", size // 4)
+        values = read_values(file, path, "<f4", size // FLOAT32_BYTES)
     if are_float64(values):
         notice_once(".bin files of float64 are read, and rounded to float32")
         return values.view("<f8"), size
     if are_float16(values, width):
         raise FormatError(path, "looks like float16", f"{width} float32 per point", REWRITE_FLOAT16)
     return values, size
+
+
+def _size_of_values(file: BufferedReader, path: Path, width: int) -> int:
+    """Return the size of a file in bytes; refuse an empty one, and one of another format."""
+    size = size_of(file)
+    if size == 0:
+        raise FormatError(path, "is empty", _multiple_of(width), "copy it again, or remove it")
+    if kind := other_kind(file.read(TEXT_BYTES)):
+        is_suffix = kind.startswith(".")
+        hint = f"rename it to {kind} if it contains points" if is_suffix else REWRITE
+        name = "text" if kind == TEXT_SUFFIX else f"a {kind} file" if is_suffix else kind
+        raise FormatError(path, f"is {name}", f"{width} float32 per point", hint)
+    return size
 
 
 def _multiple_of(width: int, itemsize: int = 4) -> str:
@@ -153,10 +189,24 @@ def _other_count(path: Path, count: int, expected: int) -> FormatError:
 
 
 def count_points(path: Path) -> int:
-    """Return the number of points of a `.bin` file of the usual columns, float32 or float64."""
+    """Return the number of points of a `.bin` file of the usual columns, float32 or float64.
+
+    Only a sample of the values is read: their type and the size of the file determine the number.
+    """
     width = usual_width(path)
-    values, _ = _read_values(path, width)
-    return len(values) // width
+    with reading(path) as file:
+        size = _size_of_values(file, path, width)
+        is_float64 = size // FLOAT32_BYTES % 2 == 0 and are_halves(_sampled_pairs(file, path, size))
+    return size // (FLOAT32_BYTES * (1 + is_float64) * width)
+
+
+def _sampled_pairs(file: BufferedReader, path: Path, size: int) -> Float:
+    """Read the pairs of float32 values (M, 2) that show whether all are halves of float64."""
+    blocks = []
+    for block in blocks_of_pairs(size // (2 * FLOAT32_BYTES)):
+        file.seek(2 * FLOAT32_BYTES * block.start)
+        blocks.append(read_values(file, path, "<f4", 2 * len(block)))
+    return np.concatenate(blocks).reshape(-1, 2)
 
 
 def encode_bin(scan: Scan) -> bytes:

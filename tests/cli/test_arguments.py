@@ -129,6 +129,9 @@ def test_a_removed_option_is_an_error_that_names_what_to_use(run, line):
         ("predict a b --sensor hdl46", "sensor hdl46", "hdl64?"),
         ("predict a b --classes coars", "coars", "coarse?"),
         ("predict a b --jobs x", "--jobs", "--help"),
+        # The word for a value in the help is none of its values.
+        ("predict a b --jobs n", "--jobs", "--help"),
+        ("predict a b --limit N", "--limit", "--help"),
         ("view --port 99999", "--port", "--help"),
         ("train a b --recipe finetun", "recipe finetun", "finetune?"),
         ("train a b --set lr=1", "--set lr=1", "learning_rate?"),

@@ -11,6 +11,8 @@ from scans import real_columns, real_scans
 from salsanext_cli.errors import FormatError
 from salsanext_cli.formats import column_evidence as evidence
 from salsanext_cli.formats import kitti
+from salsanext_cli.formats.column_measures import COUNTS
+from salsanext_cli.formats.plane_evidence import are_planes
 
 
 @pytest.mark.real
@@ -103,7 +105,7 @@ def test_a_multiple_of_the_columns_which_halves_the_points_is_noticed(names):
     rows = table(names, scan(beams=[*range(-25, 7)]))
     count = rows.shape[1]
     for values in in_both_orders(rows):
-        for expected in range(2 * count, evidence.COUNTS.stop, count):
+        for expected in range(2 * count, COUNTS.stop, count):
             assert evidence.evident_count(values, expected) == count, expected
 
 
@@ -141,10 +143,10 @@ def test_few_points_are_enough_or_undecided():
             assert evidence.evident_count(values, 4) in {None, 3 + len(names)}, names
 
 
-@given(hnp.arrays("<u4", st.integers(0, 300)), st.sampled_from([*evidence.COUNTS, 40]))
+@given(hnp.arrays("<u4", st.integers(0, 300)), st.sampled_from([*COUNTS, 40]))
 def test_any_bytes_have_some_number_of_columns_or_none(content, expected):
     found = evidence.evident_count(content.view("<f4"), expected)
-    assert found is None or (found in evidence.COUNTS and found != expected)
+    assert found is None or (found in COUNTS and found != expected)
 
 
 def wide_records(points, random):
@@ -212,23 +214,23 @@ def test_values_stored_column_by_column_are_recognised_and_rows_never(names, bea
     for order in in_both_orders(rows):
         values = order.reshape(-1, count)
         for expected in (3, 4, 5):
-            fits = evidence.are_planes(stored_by_column(values), expected)
+            fits = are_planes(stored_by_column(values), expected)
             assert fits == (expected == count)
-            assert evidence.are_planes(order, expected) is None
+            assert are_planes(order, expected) is None
 
 
 def require_layouts_are_never_confused(points, intensity):
     """Require that each layout of a scan is read as it is, or refused, in four columns."""
     axes = points[: len(points) // 12 * 12].astype(np.float32)
     four = np.column_stack([axes, intensity[: len(axes)]]).astype(np.float32)
-    assert evidence.are_planes(four.ravel(), 4) is None
+    assert are_planes(four.ravel(), 4) is None
     assert evidence.evident_count(four.ravel(), 4) is None
-    assert evidence.are_planes(np.ascontiguousarray(four.T).ravel(), 4) is not None
-    assert evidence.are_planes(axes.ravel(), 4) is None
+    assert are_planes(np.ascontiguousarray(four.T).ravel(), 4) is not None
+    assert are_planes(axes.ravel(), 4) is None
     assert evidence.evident_count(axes.ravel(), 4) == 3
     shuffled = np.random.default_rng(0).permutation(axes)
     for planes in (axes.T, shuffled.T):
-        assert not evidence.are_planes(np.ascontiguousarray(planes).ravel(), 4)
+        assert not are_planes(np.ascontiguousarray(planes).ravel(), 4)
 
 
 @pytest.mark.parametrize("beams", [VLP16_DEG, [*range(-25, 7)]], ids=["alternating", "sorted"])
@@ -239,7 +241,7 @@ def test_coordinates_alone_are_not_read_with_an_intensity(beams, height, turns):
     intensity = np.random.default_rng(1).random(len(points)) ** 2
     require_layouts_are_never_confused(points, intensity)
     four = np.column_stack([points, intensity])
-    assert evidence.are_planes(stored_by_column(four), 4)
+    assert are_planes(stored_by_column(four), 4)
 
 
 @pytest.mark.real
@@ -247,6 +249,75 @@ def test_coordinates_alone_of_a_real_scan_are_not_read_with_an_intensity(real_da
     for path in real_scans(real_data)[::4]:
         table = np.fromfile(path, "<f4").reshape(-1, real_columns(path))
         require_layouts_are_never_confused(table[:, :3], table[:, 3])
+
+
+@pytest.mark.parametrize("shift", [(0, 0, 0), (24, 18, 3), (-300, 120, 10)])
+@pytest.mark.parametrize("padding", [0.02, 0.3, 0.5])
+@pytest.mark.parametrize("shuffled", [False, True])
+def test_rows_of_zeros_at_the_end_are_no_columns(shift, padding, shuffled):
+    """As of arrays of a fixed size, of which a program filled a part."""
+    rows = table(("fraction",), scan(beams=[*range(-25, 7)]) + shift)
+    if shuffled:
+        rows = np.random.default_rng(0).permutation(rows)
+    filled = np.concatenate([rows, np.zeros((round(padding * len(rows)), 4), np.float32)])
+    assert are_planes(filled.ravel(), 4) is None
+    assert evidence.evident_count(filled.ravel(), 4) is None
+    # Intensities of zero follow the coordinates of planes.
+    dark = table(("zero",), scan(turns=360) + shift)
+    assert are_planes(stored_by_column(dark), 4)
+
+
+EVEN_WALLS = np.random.default_rng(5).uniform(1, 40, (20_000, 1))
+
+
+def even_scan():
+    """Simulate x, y, z around a sensor that sees about the same in all directions."""
+    random = np.random.default_rng(6)
+    directions = random.normal(size=(len(EVEN_WALLS), 3))
+    return EVEN_WALLS * directions / np.linalg.norm(directions, axis=1, keepdims=True)
+
+
+@pytest.mark.parametrize("names", [(), ("x", "y", "z", "intensity")])
+def test_shuffled_coordinates_stored_by_column_are_not_read_with_an_intensity(tmp_path, names):
+    path, points = tmp_path / "s.bin", even_scan().astype(np.float32)
+    path.write_bytes(np.ascontiguousarray(points.T).tobytes())
+    with pytest.raises(FormatError, match="coordinates") as caught:
+        kitti.read_bin(path, columns=names)
+    hint = caught.value.hint
+    assert "--columns x,y,z,_" in hint
+    # The hint works when it is followed.
+    expression = hint.partition("(FILE, np.float32)")[2].partition(".tofile")[0]
+    assert expression == ".reshape(COLUMNS, -1).T"
+    np.testing.assert_array_equal(np.fromfile(path, np.float32).reshape(3, -1).T, points)
+    assert len(kitti.read_bin(path, columns=("x", "y", "z", "_"))) == len(points) * 3 // 4
+
+
+def test_the_hint_has_as_many_names_as_a_file_with_rings_has_columns(tmp_path):
+    path, points = tmp_path / "s.pcd.bin", even_scan()[:19_000].astype(np.float32)
+    path.write_bytes(np.ascontiguousarray(points.T).tobytes())
+    with pytest.raises(FormatError, match="coordinates") as caught:
+        kitti.read_bin(path)
+    names = caught.value.hint.rpartition("--columns ")[2].split(",")
+    assert len(kitti.read_bin(path, columns=tuple(names))) == len(points) * 3 // 5
+
+
+@pytest.mark.parametrize("fourth", [0.01, 1.0, 255.0])
+def test_a_fourth_column_of_both_signs_is_read_if_it_differs(tmp_path, fourth):
+    path, points = tmp_path / "s.bin", even_scan()
+    rows = np.column_stack([points, np.random.default_rng(7).normal(0, fourth, len(points))])
+    path.write_bytes(rows.astype(np.float32).tobytes())
+    assert len(kitti.read_bin(path)) == len(points)
+
+
+@pytest.mark.real
+def test_shuffled_coordinates_of_a_real_scan_stored_by_column_are_refused(real_data, tmp_path):
+    path = tmp_path / "s.bin"
+    for scan_path in real_scans(real_data)[::10]:
+        points = np.fromfile(scan_path, "<f4").reshape(-1, real_columns(scan_path))[:, :3]
+        points = np.random.default_rng(0).permutation(points[points.any(axis=1)])
+        path.write_bytes(np.ascontiguousarray(points[: len(points) // 4 * 4].T).tobytes())
+        with pytest.raises(FormatError):
+            kitti.read_bin(path)
 
 
 @pytest.mark.parametrize("period", [2, 3, 4])
@@ -270,11 +341,11 @@ def test_no_real_scan_is_taken_for_planes_and_its_transpose_is(real_data):
     for path in real_scans(real_data)[::4]:
         count = real_columns(path)
         rows = np.fromfile(path, "<f4").reshape(-1, count)
-        assert evidence.are_planes(rows.ravel(), count) is None, path
+        assert are_planes(rows.ravel(), count) is None, path
         # A wrong number is refused with a hint; a right one may be refused too.
-        fits = evidence.are_planes(np.ascontiguousarray(rows.T).ravel(), count)
+        fits = are_planes(np.ascontiguousarray(rows.T).ravel(), count)
         right.append(fits)
         assert fits is not None, path
-        wrong = evidence.are_planes(np.ascontiguousarray(rows.T).ravel(), 9 - count)
+        wrong = are_planes(np.ascontiguousarray(rows.T).ravel(), 9 - count)
         assert not wrong, path
     assert np.mean(right) > 0.9

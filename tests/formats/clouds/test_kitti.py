@@ -14,6 +14,7 @@ from hypothesis.extra import numpy as hnp
 from scans import make_scan, real_columns, real_scans
 
 from salsanext_cli.errors import NOTICE, FormatError, LabelError, notice_once
+from salsanext_cli.files.reading import read_values
 from salsanext_cli.formats import kitti
 
 
@@ -187,6 +188,21 @@ def test_points_that_were_not_measured_leave_the_type_evident(tmp_path, kind, sh
     path.write_bytes(table.tobytes())
     np.testing.assert_array_equal(kitti.read_bin(path).points, table[:, :3].astype("f4"))
     assert kitti.count_points(path) == len(table)
+
+
+@pytest.mark.parametrize("kind", ["<f4", "<f8"])
+def test_points_are_counted_by_a_part_of_the_file(tmp_path, monkeypatch, kind):
+    path, table = tmp_path / "s.bin", np.tile(TABLE.astype(kind).round(3), (10, 1))
+    path.write_bytes(table.tobytes())
+    sizes = []
+
+    def read(file, path, dtype, count):
+        sizes.append(4 * count)
+        return read_values(file, path, dtype, count)
+
+    monkeypatch.setattr(kitti, "read_values", read)
+    assert kitti.count_points(path) == len(table)
+    assert sum(sizes) < path.stat().st_size / 5
 
 
 def test_any_columns(tmp_path):
