@@ -61,17 +61,17 @@ def _ego_box(scans: Sequence[Scan], height: float) -> tuple[float, ...]:
         np.minimum.at(ranges, *_in_cells(scan.points))
     seen = np.isfinite(nearest).mean(axis=0)
     with np.errstate(invalid="ignore"):  # A cell without a point in any scan
-        usual = np.sort(nearest, axis=0)[(seen * len(scans) / 2).astype(int), np.arange(len(seen))]
-        constant = (np.abs(nearest - usual) < TOLERANCE_M).sum(axis=0) / (seen * len(scans))
-        rises = usual * np.tile(np.sin(CENTRES), AZIMUTHS) > least_z
+        median = np.sort(nearest, axis=0)[(seen * len(scans) / 2).astype(int), np.arange(len(seen))]
+        constant = (np.abs(nearest - median) < TOLERANCE_M).sum(axis=0) / (seen * len(scans))
+        rises = median * np.tile(np.sin(CENTRES), AZIMUTHS) > least_z
     always = seen >= SEEN
-    far = always & rises & (usual > FARTHEST_M)
+    far = always & rises & (median > FARTHEST_M)
     if not far.any() or (constant[far] >= CONSTANT).mean() > MOVING:
         return ()
-    body_cells = always & rises & (usual <= FARTHEST_M) & (constant >= CONSTANT)
+    body_cells = always & rises & (median <= FARTHEST_M) & (constant >= CONSTANT)
     if body_cells.sum() < MIN_CELLS:
         return ()
-    reach = np.where(body_cells, usual + TOLERANCE_M, 0)
+    reach = np.where(body_cells, median + TOLERANCE_M, 0)
     body = []
     for scan in scans:
         cells, ranges = _in_cells(scan.points)

@@ -114,15 +114,15 @@ def projected_sensor(folder: Path) -> Sensor | None:
     return projected.sensor if projected else None
 
 
-def sensor_of_images(folder: Path, projected: Sensor | None, wanted: Sensor) -> Sensor:
+def sensor_of_images(folder: Path, projected: Sensor | None, fitted: Sensor) -> Sensor:
     """Return the sensor of a network for projected scans; refuse another geometry than theirs."""
     if projected is None:
         raise UsageError(folder, "has no range images", "the output folder of `project`")
     fits = [
         replace(member, columns=projected.columns, intensity_field=projected.intensity_field)
-        for member in wanted.members
+        for member in fitted.members
     ]
-    images = [replace(other, means=wanted.means, stds=wanted.stds) for other in projected.members]
+    images = [replace(other, means=fitted.means, stds=fitted.stds) for other in projected.members]
     pairs = ((a.view(), b.view()) for a, b in zip(images, fits, strict=False))
     counts = ({"sensors": len(images)}, {"sensors": len(fits)})
     if changed := next(filter(None, starmap(differences, (counts, *pairs))), ""):

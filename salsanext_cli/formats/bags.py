@@ -125,8 +125,8 @@ def _connections_of(reader: Any, topic: str) -> list[Any]:
 
 def _indexed_times(storage: Any, topic: str) -> Iterator[int]:
     """Yield the times of the clouds of a topic in nanoseconds, unordered, from the indices."""
-    wanted = _connections_of(storage, topic)
-    keys = [connection.id for connection in wanted]
+    connections = _connections_of(storage, topic)
+    keys = [connection.id for connection in connections]
     if hasattr(storage, "storages"):  # a folder of files
         yield from chain.from_iterable(_indexed_times(part, topic) for part in storage.storages)
     elif hasattr(storage, "indexes"):  # ROS 1
@@ -140,7 +140,7 @@ def _indexed_times(storage: Any, topic: str) -> Iterator[int]:
             yield from chain.from_iterable(_times_of_chunk(storage, chunk, key) for key in keys)
     else:
         # A file without chunks has no index.
-        yield from (time for _, time, _ in storage.messages_scan(wanted))
+        yield from (time for _, time, _ in storage.messages_scan(connections))
 
 
 def _times_of_chunk(storage: Any, chunk: Any, key: int) -> Iterator[int]:

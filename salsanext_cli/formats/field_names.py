@@ -4,14 +4,21 @@
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import Self
 
 from salsanext_cli.errors import FormatError, notice_once, shortened
 
 AXES = ("x", "y", "z")
 AXIS_STYLES = (
-    *("{axis}", "{axis}1", "pos_{axis}", "position_{axis}", "point_{axis}", "{axis}_coordinate"),
-    *("points:{place}", "points_m_xyz:{place}"),
+    ("x", "y", "z"),
+    ("x1", "y1", "z1"),
+    ("pos_x", "pos_y", "pos_z"),
+    ("position_x", "position_y", "position_z"),
+    ("point_x", "point_y", "point_z"),
+    ("x_coordinate", "y_coordinate", "z_coordinate"),
+    ("points:0", "points:1", "points:2"),
+    ("points_m_xyz:0", "points_m_xyz:1", "points_m_xyz:2"),
 )
 """Plain names of the three axes, in order of precedence; the last two are of VeloView, ParaView."""
 INTENSITY_NAMES = ("intensity", "reflectivity", "reflectance", "remission", "intensities", "i")
@@ -111,9 +118,8 @@ def _axes_of(names: Sequence[str]) -> tuple[str, ...]:
     """Return the names of the coordinates in the first style that is complete; empty for none."""
     plain = _by_plain_name(names)
     for style in AXIS_STYLES:
-        wanted = [style.format(axis=axis, place=i) for i, axis in enumerate(AXES)]
-        if all(name in plain for name in wanted):
-            return tuple(plain[name] for name in wanted)
+        if all(name in plain for name in style):
+            return tuple(plain[name] for name in style)
     return ()
 
 
@@ -139,7 +145,7 @@ def intensity_among(names: Sequence[str], requested: str, path: object) -> str |
 
 def fields_beside(names: Iterable[str]) -> tuple[str, ...]:
     """Return the names of the fields that are no coordinates."""
-    axes = {style.format(axis=a, place=i) for style in AXIS_STYLES for i, a in enumerate(AXES)}
+    axes = set(chain.from_iterable(AXIS_STYLES))
     return tuple(name for name in names if name and FieldName.parsed(name).plain not in axes)
 
 

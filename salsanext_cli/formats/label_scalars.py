@@ -92,7 +92,7 @@ def _plain(name: str) -> str:
 
 def whole_numbers(values: npt.NDArray[Any], path: Path, name: str) -> Ids:
     """Return labels (M,) of any real dtype as integers, `NO_VALUE` for NaN."""
-    known = ~np.isnan(values)
+    has_value = ~np.isnan(values)
     largest, rounding, hint = MAX_ID, "", ""
     if values.dtype.kind == "f" and (exact := 2 ** (np.finfo(values.dtype).nmant + 1)) < MAX_ID:
         largest, hint = exact, "export integers, or classes without instances"
@@ -103,13 +103,13 @@ def whole_numbers(values: npt.NDArray[Any], path: Path, name: str) -> Ids:
         (possible, f"a number up to {largest}{rounding}", hint),
     )
     for sound, expected, advice in conditions:
-        if (wrong := known & ~sound).any():
+        if (wrong := has_value & ~sound).any():
             first, count = int(wrong.argmax()), int(wrong.sum())
             others = f", and {count - 1:,} more" if count > 1 else ""
             problem = f"has {name} {values[first]} at point {first}{others}"
             raise LabelError(path, problem, expected, advice)
     ids = np.full(len(values), NO_VALUE, np.int64)
-    ids[known] = values[known].astype(np.int64)
+    ids[has_value] = values[has_value].astype(np.int64)
     return ids
 
 
@@ -169,17 +169,17 @@ def _read_map(path: Path, space: LabelSpace) -> dict[int, int]:
         raise UsageError(path, f"contains a {type(data).__name__}", EXPECTED_MAP)
     by_name = {name: raw for raw, name in reversed(space.labels.items())}
     by_name |= {space.labels[raw]: raw for raw in space.learning_map_inv.values()}
-    known = _raw_ids(space)
+    raw_ids = _raw_ids(space)
     raw_of: dict[Any, Any] = {
         key: by_name.get(value) if isinstance(value, str) else value for key, value in data.items()
     }
     wrong = [
         f"{quoted(key)}: {quoted(data[key])}"
         for key, raw in raw_of.items()
-        if type(key) is not int or key > CLASS_BITS or type(raw) is not int or raw not in known
+        if type(key) is not int or key > CLASS_BITS or type(raw) is not int or raw not in raw_ids
     ]
     if wrong:
-        named = ", ".join(f"{raw} {space.labels.get(raw, '')}" for raw in known)
+        named = ", ".join(f"{raw} {space.labels.get(raw, '')}" for raw in raw_ids)
         problem = f"has unknown entries {shortened(', '.join(wrong))}"
         raise UsageError(path, problem, f"whole numbers for {named}")
     return raw_of

@@ -130,26 +130,43 @@ def _numbers(text: bytes, width: int, count: int, path: Path, first: int) -> Dou
 
 def _irregular(text: bytes, width: int, count: int, path: Path, first: int) -> Double:
     """Return the numbers of lines, a few of which lack the last ones; these are NaN."""
-    rows, faults, fault = [], [], ""
+    rows: list[list[float]] = []
+    faults: list[str] = []
+    is_last_short = False
     for number, line in enumerate(text.splitlines(), first):
-        words = line.replace(b",", b" ").decode("latin-1").split()
-        fault = f"line {number} has {len(words)} of {width} values"
-        if len(words) == 2 * width:
-            require_decimal_points(line, path)
-        if wrong := [word for word in words if not is_number(word)]:
-            raise ValueError(f"line {number} has {shortened(wrong[0])!r} instead of a number")
-        if len(words) > width:
-            raise ValueError(fault)
-        if words:
-            rows.append([*map(float, words), *[math.nan] * (width - len(words))])
-            faults += [fault] if len(words) < width else []
-    if faults and fault == faults[-1]:
-        raise ValueError(f"{len(rows) - 1} of {count} points; {fault}")
+        words = _words_of_point(line, number, width, path)
+        if not words:
+            is_last_short = False
+            continue
+        missing = width - len(words)
+        rows.append([float(word) for word in words] + [math.nan] * missing)
+        is_last_short = missing > 0
+        if is_last_short:
+            faults.append(_fault(number, words, width))
+    if is_last_short:
+        raise ValueError(f"{len(rows) - 1} of {count} points; {faults[-1]}")
     if len(faults) > MAX_SHORT_SHARE * len(rows):
         raise ValueError(f"{len(faults)} of {len(rows)} lines are too short; {faults[0]}")
     for fault in faults:
         notice_once(f"{path}: {fault}; the others are read as NaN")
     return np.array(rows)
+
+
+def _words_of_point(line: bytes, number: int, width: int, path: Path) -> list[str]:
+    """Return the numbers of a line as text, none of an empty line; refuse other words."""
+    words = line.replace(b",", b" ").decode("latin-1").split()
+    if len(words) == 2 * width:
+        require_decimal_points(line, path)
+    wrong = [word for word in words if not is_number(word)]
+    if wrong:
+        raise ValueError(f"line {number} has {shortened(wrong[0])!r} instead of a number")
+    if len(words) > width:
+        raise ValueError(_fault(number, words, width))
+    return words
+
+
+def _fault(number: int, words: list[str], width: int) -> str:
+    return f"line {number} has {len(words)} of {width} values"
 
 
 def _read_binary(file: BufferedReader, path: Path, header: Header) -> Columns:

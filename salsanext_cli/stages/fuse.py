@@ -348,6 +348,8 @@ def _recorded_drive(
         if read_json(record) != content:
             results = [(run, _results_of(run, name)) for run in (single, fused)]
             if any(paths for _, paths in results) and not fused.overwrite:
+                if before is None and not _results_of(fused, name):
+                    raise _earlier_fusion(single, fused.root, name)
                 raise _other_drive(record, single)
             for run, paths in results:
                 run.remove_written(paths)
@@ -366,9 +368,23 @@ def _other_drive(record: Path, single: OutputRun) -> OutputError:
     """Return the error of results with votes of other scans, or by other poses."""
     target, sequence = record.parents[2], record.parent.name
     problem = f"has other scans or poses than {single.root} has now"
-    words = ["fuse", str(single.root), str(target), "--sequences", sequence, "--overwrite"]
-    hint = f"run `salsanext {shlex.join(words)}`, with --poses if you used it"
+    hint = f"run {_overwriting(single.root, target, sequence)}, with --poses if you used it"
     return OutputError(record, problem, hint=hint)
+
+
+def _earlier_fusion(single: OutputRun, target: Path, sequence: str) -> OutputError:
+    """Return the error of results beside the labels of a fusion into another folder."""
+    folders = " and ".join(f"{name}/" for name in sorted(single.folders))
+    problem = f"has {folders} of sequence {sequence} from a fusion into another folder"
+    fused = _overwriting(single.root, target, sequence)
+    hint = f"run {fused} to replace them; the labels in the other folder stay"
+    return OutputError(single.root, problem, hint=hint)
+
+
+def _overwriting(out: Path, target: Path, sequence: str) -> str:
+    """Return the command that fuses a sequence again."""
+    words = ["fuse", str(out), str(target), "--sequences", sequence, "--overwrite"]
+    return f"`salsanext {shlex.join(words)}`"
 
 
 def _findings(files: Sequence[ScanFile], drive: Drive) -> list[Finding]:

@@ -157,6 +157,17 @@ def test_fused_labels_of_refined_ones_are_fused_again(drive):
     assert ResultFolder(drive.out / "TARGET").scans()
 
 
+def test_a_second_folder_for_fused_labels_has_a_hint_that_works(drive):
+    """The disagreement beside the labels of single scans is of the first fusion."""
+    fuse_results(drive.out)
+    first = files_below(fused_folder(drive))
+    caught = refused(OutputError, drive.out, fuse_results, drive.out, drive.out / "other")
+    assert "another folder" in caught.value.problem
+    typed(caught.value.hint)
+    assert files_below(drive.out / "other/sequences/08") == first
+    assert files_below(fused_folder(drive)) == first
+
+
 def test_votes_of_other_scans_are_not_mixed(drive):
     hidden = drive.result("probabilities", stem="000002")
     hidden.rename(hidden.with_suffix(".hidden"))

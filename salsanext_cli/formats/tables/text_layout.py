@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from salsanext_cli.errors import FormatError, shortened
-from salsanext_cli.formats.columns import MAX_UNNAMED_COLUMNS, columns_of_width, names_to_try
+from salsanext_cli.formats.columns import columns_of_width, names_to_try
 from salsanext_cli.formats.field_names import AXES, has_axes
 
 COMMENT_MARKS = ("#", "//", "%")
@@ -35,9 +35,9 @@ class Layout:
     start: int  # Offset of the first point in bytes
     delimiter: str | None  # Character between values; None for blanks
     width: int  # Number of columns
-    names: tuple[str, ...]  # Names of the columns; empty if the file has none that are known
+    names: tuple[str, ...]  # Names of the columns; empty if the file has none with coordinates
     count: int | None = None  # Number of points, if the first line consists of it
-    header: str = ""  # First line of text, if its names are not known
+    header: str = ""  # First line of text, if it does not name the coordinates
 
     def columns(self, requested: tuple[str, ...], path: Path) -> tuple[str, ...]:
         """Return the names of the columns: the file's, else the requested or the usual ones."""
@@ -46,13 +46,19 @@ class Layout:
         if requested:
             return columns_of_width(self.width, requested, path)
         if self.header:
-            problem = f"has {shortened(self.header)} instead of numbers or names x, y, z"
-            hint = f"if it has coordinates, name them: --columns {names_to_try(self.width)}"
-            raise FormatError(path, problem, EXPECTED, hint if self.width >= len(AXES) else "")
-        is_leica = str(path).lower().endswith(LEICA_SUFFIX) and self.width > MAX_UNNAMED_COLUMNS
+            raise self._unusable_header(path)
+        is_leica = str(path).lower().endswith(LEICA_SUFFIX)
         if is_leica and self.width in LEICA_COLUMNS:
             return LEICA_COLUMNS[self.width]
         return columns_of_width(self.width, (), path)
+
+    def _unusable_header(self, path: Path) -> FormatError:
+        """Return the error of a header without the names of coordinates."""
+        problem = f"has {shortened(self.header)} instead of numbers or names x, y, z"
+        hint = ""
+        if self.width >= len(AXES):
+            hint = f"if it has coordinates, name them: --columns {names_to_try(self.width)}"
+        return FormatError(path, problem, EXPECTED, hint)
 
 
 def layout_of(content: bytes, marks: str = MARKS) -> Layout:
@@ -60,7 +66,9 @@ def layout_of(content: bytes, marks: str = MARKS) -> Layout:
 
     `marks` are the characters that may stand between values; without one, blanks and tabs do.
     """
-    at, names, count = 0, tuple[str, ...](), None
+    at = 0
+    names: tuple[str, ...] = ()
+    count: int | None = None
     while at < min(len(content), MAX_HEADER_BYTES):
         end = content.find(b"\n", at) + 1 or len(content)
         text = content[at:end].decode("utf-8", "replace")
