@@ -10,13 +10,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from shlex import quote
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.errors import FormatError, counted, first_few
+from salsanext_cli.errors import FormatError, counted
 from salsanext_cli.fitting.finding import Finding
 from salsanext_cli.fitting.place_checks import (
     HINT_DIGITS,
@@ -29,6 +28,7 @@ from salsanext_cli.fitting.structure_checks import (
     depth_image_findings,
     structure_findings,
 )
+from salsanext_cli.fitting.training_checks import APART, training_findings
 from salsanext_cli.geometry.ground import (
     MAX_TILT_DEG,
     TOLERANCE_M,
@@ -36,7 +36,6 @@ from salsanext_cli.geometry.ground import (
     Ground,
     ground_of,
 )
-from salsanext_cli.geometry.network_input import BRIGHT, INTENSITY_FACTOR, NO_INTENSITY
 from salsanext_cli.geometry.projection import (
     ego_points,
     few_points,
@@ -46,7 +45,7 @@ from salsanext_cli.geometry.projection import (
 from salsanext_cli.geometry.scan_traits import MIN_TRAIT_POINTS, ScanTraits, intensity_of, sines_of
 from salsanext_cli.geometry.sensor_place import USUAL_HEIGHT_M, origin_in_file
 from salsanext_cli.records import Double, FileNotes, Float, Scan
-from salsanext_cli.sensors.sensor import FITTED_NAME, OF_IMAGES, ORIGIN, UP, Sensor, presets
+from salsanext_cli.sensors.sensor import FITTED_NAME, ORIGIN, UP, Sensor, presets
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +59,6 @@ class ScanCheck:
 
 UNCHECKED = ScanCheck()
 
-MAX_USUAL_INTENSITY = 2.0  # Upper intensity of the scale 0…1, if that of training is unknown
 MAX_SHARE_OUTSIDE = 0.2  # Most points outside without a warning; a matching sensor has 0.07
 MEDIAN_RANGES_M = (0.3, 250.0)  # Possible median ranges of a scan in metres; real scans had 4 to 32
 USUAL_RANGES_M = (60.0, 300.0)
@@ -73,66 +71,12 @@ SECTORS = 64
 MIN_SECTORS = 0.6  # Least share of the directions around with a point; revolutions had 0.89 or more
 FEW_SECTORS = 0.1  # The same for a narrow field of view; solid-state sensors had 0.14 or more
 
-APART = "label it alone, into another folder"
-SET_SCALE = "set intensity_scale in a file for --sensor"
-NAME_COLUMN = (
-    "if the files have one, name the columns of files without names: --columns x,y,z,_,intensity "
-    "for example"
-)
 FIT = "`salsanext inspect SCANS --fit sensor.toml`, then --sensor sensor.toml"
 AUTO = "--sensor auto"
 ALONE = f"expect wrong labels; if the other scans are of another sensor or mounting, {APART}"
 COLUMNS = "name the columns of files without names: --columns x,y,z,intensity"
 TRAIN = "expect worse labels, or `salsanext train` weights on such scans"
 SET_ORIGIN = "expect worse labels, or write the position of the sensor as `origin` in a sensor file"
-
-
-def training_findings(
-    bright: float, reason: str, sensor: Sensor, trained: Sensor, fields: tuple[str, ...] = ()
-) -> Iterator[Finding]:
-    """Compare images and their upper intensity `bright` with training.
-
-    `reason` states why the values are not intensities, if they are not. `fields` are the names of
-    the fields of the file.
-    """
-    sizes = [f"{s.height}×{s.width}" for s in (sensor, trained)]
-    if sizes[0] != sizes[1]:
-        problem = f"the images have {sizes[0]} pixels, and {sizes[1]} in training"
-        hint = "accuracy drops: leave out --width, or height and width in the sensor file"
-        yield Finding("other-images", problem, hint)
-    elif any(getattr(sensor, key) != getattr(trained, key) for key in OF_IMAGES):
-        problem = "the sensor file changes the normalisation of the images"
-        hint = "accuracy drops: leave means and stds out of the file"
-        yield Finding("other-images", problem, hint)
-    matched = sensor.intensity_quantiles
-    can_match = trained.intensity_quantiles and not matched
-    if reason:
-        problem = reason if matched else f"{reason}; the network takes it as it is"
-        hint = _name_of_intensity(fields) or NAME_COLUMN
-        yield Finding("no-intensity", problem, "--intensity none" if can_match else hint)
-        return
-    if matched == NO_INTENSITY:
-        return
-    quantiles = matched or trained.intensity_quantiles
-    if quantiles:
-        usual = quantiles[round(BRIGHT * (len(quantiles) - 1))]
-        near = usual / INTENSITY_FACTOR <= bright <= usual * INTENSITY_FACTOR
-        doubtful = usual > 0 and not near  # Factors have no meaning below 0.
-        expected = f"and {usual:.2g} in {'the scans fitted to' if matched else 'training'}"
-    else:
-        doubtful, expected = not 0 <= bright <= MAX_USUAL_INTENSITY, "where 0 to 1 is usual"
-    if doubtful:
-        problem = f"{BRIGHT:.0%} of the intensities are below {bright:.3g}, {expected}"
-        scale = "--intensity auto, or " * bool(can_match) + SET_SCALE
-        yield Finding("intensity-scale", problem, APART if matched else scale)
-
-
-def _name_of_intensity(fields: tuple[str, ...]) -> str:
-    """Return the hint that lists the fields of a file with names; empty without any."""
-    if not fields:
-        return ""
-    which = f"one of {first_few(fields)}" if len(fields) > 1 else fields[0]
-    return f"if {which} is the intensity, --intensity-field {quote(fields[0])} for example"
 
 
 def check_image(channels: Float, sensor: Sensor, trained: Sensor) -> ScanCheck:
@@ -160,45 +104,61 @@ def check_scan(
     matters; without quantiles it stands for 0 to 1. `fit` is the hint if a fit may help.
     """
     sample = in_sensor_frame(few_points(scan), sensor)
-    ranges, measured = measured_ranges(sample.points)
-    if len(sample) < len(scan) and measured.sum() < MIN_TRAIT_POINTS:
+    ranges, is_measured = measured_ranges(sample.points)
+    if len(sample) < len(scan) and is_measured.sum() < MIN_TRAIT_POINTS:
         sample = in_sensor_frame(scan, sensor)
-        ranges, measured = measured_ranges(sample.points)
-    _require_metres(path, len(scan), ranges[measured])
+        ranges, is_measured = measured_ranges(sample.points)
+    _require_metres(path, len(scan), ranges[is_measured])
     ego = ego_points(sample.points, sensor)
     ego_share = len(ego) / max(len(sample), 1)
     if len(ego):
         sample = sample.take(np.delete(np.arange(len(sample)), ego))
-        ranges, measured = measured_ranges(sample.points)
-    if (count := int(measured.sum())) < MIN_TRAIT_POINTS:
+        ranges, is_measured = measured_ranges(sample.points)
+    count = int(is_measured.sum())
+    if count < MIN_TRAIT_POINTS:
         problem = f"has {counted(count, 'point')} with a measurement, too few to check"
         return ScanCheck((Finding("few-points", problem, "give whole scans"),), None, ego_share)
-    share, ranges = count / len(sample), ranges[measured]
-    sample = Scan(sample.points[measured], sample.intensity[measured])
-    sines = sines_of(sample.points)
-    reason, bright = intensity_of(sample.points, sample.intensity)
-    fit = fit or (FIT if sensor is trained else ALONE)
-    if sensor.name not in (FITTED_NAME, *presets(), trained and trained.name):
-        fit = AUTO
-    ground = ground_of(sample)
-    misplaced = place_problem(scan, sample, ground, sensor)
-    structure, misplaced = _structure_at_place(scan, sensor, misplaced)
+    measured = Scan(sample.points[is_measured], sample.intensity[is_measured])
+    measured_share = count / len(sample)
+    sines = sines_of(measured.points)
+    no_intensity, bright = intensity_of(measured.points, measured.intensity)
     findings = [
         *_file_findings(scan.notes),
-        *_unit_findings(ranges, share),
-        *_view_findings(sample, sines, sensor, fit),
-        *_place_findings(misplaced, fit),
-        *([] if misplaced else _ground_findings(ground, sensor, fit)),
-        *structure,
-        *depth_image_findings(sample.points, reason),
+        *_unit_findings(ranges[is_measured], measured_share),
+        *_mounting_findings(scan, measured, sines, sensor, _fit_hint(sensor, trained, fit)),
+        *depth_image_findings(measured.points, no_intensity),
     ]
     if trained is not None:
-        findings += training_findings(bright, reason, sensor, trained, scan.notes.fields)
-    per_point = len(scan) * (1 - ego_share) * share / count
+        findings += training_findings(bright, no_intensity, sensor, trained, scan.notes.fields)
+    per_point = len(scan) * (1 - ego_share) * measured_share / count
     # The scans of one sensor are compared, also if each has its own origin.
     fitted = replace(sensor, origin=ORIGIN) if sensor.registered else sensor
     traits = ScanTraits.of(sines, bright, per_point, fitted)
     return ScanCheck(tuple(findings), traits, ego_share)
+
+
+def _fit_hint(sensor: Sensor, trained: Sensor | None, fit: str) -> str:
+    """Return the hint about a fit of the sensor, which is `fit` if that may help."""
+    if sensor.name not in (FITTED_NAME, *presets(), trained and trained.name):
+        return AUTO
+    return fit or (FIT if sensor is trained else ALONE)
+
+
+def _mounting_findings(
+    scan: Scan, measured: Scan, sines: Float, sensor: Sensor, fit: str
+) -> Iterator[Finding]:
+    """Yield doubts about field of view, position, ground and structure, in this order.
+
+    `measured` are measured points in the frame of the sensor, `sines` those of their elevations.
+    """
+    ground = ground_of(measured)
+    misplaced = place_problem(scan, measured, ground, sensor)
+    structure, misplaced = _structure_at_place(scan, sensor, misplaced)
+    yield from _view_findings(measured, sines, sensor, fit)
+    yield from _place_findings(misplaced, fit)
+    if misplaced is None:
+        yield from _ground_findings(ground, sensor, fit)
+    yield from structure
 
 
 def _structure_at_place(
@@ -234,7 +194,8 @@ def _require_metres(path: Path, count: int, ranges: Double) -> None:
         raise FormatError(path, problem, "finite coordinates around the sensor")
     if len(ranges) < MIN_TRAIT_POINTS:
         return
-    median, (least, most) = float(np.median(ranges)), MEDIAN_RANGES_M
+    median = float(np.median(ranges))
+    least, most = MEDIAN_RANGES_M
     if not least <= median <= most:
         expected = "coordinates in metres, with the sensor at the origin"
         hint = "convert other units; subtract the position of the sensor from map coordinates"

@@ -16,8 +16,8 @@ from salsanext_cli.fitting.structure_checks import MAX_HIDDEN, MAX_IN_AIR
 from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.directions import COLUMNS, NEAREST_M, NO_CELL, ROWS, direction_grid
 from salsanext_cli.geometry.network_input import NO_INTENSITY
-from salsanext_cli.measures.expected_accuracy import WITHHELD_FOR
-from salsanext_cli.network.card import default_weights, read_card
+from salsanext_cli.measures.expected_accuracy import WITHHELD_FOR, expected_accuracy
+from salsanext_cli.network.card import AccuracyLine, default_weights, read_card
 from salsanext_cli.records import FieldSplit, FileNotes
 from salsanext_cli.sensors.sensor import sensor
 
@@ -216,6 +216,13 @@ def test_a_few_points_have_no_structure():
         structure_of(Scan(np.full((500, 3), np.nan, np.float32), np.zeros(500, "f4")), SMALL)
         is None
     )
+
+
+@pytest.mark.parametrize("scan", [foggy(0.02), foggy(0.2), shaken(0.2)])
+def test_confident_weights_do_not_lead_to_an_estimate_in_fog_and_noise(scan):
+    warnings = {code: ["s"] for code in codes(scan)}
+    estimate = expected_accuracy(AccuracyLine(1.0, 0.0, 0.01), {"s": 0.99}, warnings)
+    assert estimate.accuracy is None
 
 
 def test_no_estimate_for_these():
