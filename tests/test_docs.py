@@ -274,11 +274,12 @@ def test_every_name_in_the_tables_exists(page):
 
 
 HELPERS = {
-    *("formats/column_evidence.py", "formats/columns.py", "fitting/place_checks.py"),
+    *("formats/evidence/column_evidence.py", "formats/columns.py", "fitting/place_checks.py"),
     *("geometry/ground.py", "geometry/evenness.py"),
-    *("formats/column_measures.py", "formats/plane_evidence.py", "formats/value_types.py"),
+    *("formats/evidence/column_measures.py", "formats/evidence/plane_evidence.py"),
+    "formats/evidence/value_types.py",
     *("fitting/scan_structure.py", "fitting/structure_checks.py", "geometry/directions.py"),
-    "fitting/further_returns.py",
+    *("fitting/further_returns.py", "fitting/training_checks.py"),
     *(f"engines/{name}.py" for name in ("backend", "batches", "device", "graphs")),
 }
 """Files of these parts that the steps of a scan call."""

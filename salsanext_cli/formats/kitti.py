@@ -18,11 +18,6 @@ from salsanext_cli.errors import FormatError, LabelError, counted, notice_once
 from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.files.reading import read_values, reading, size_of
 from salsanext_cli.formats import FORMATS
-from salsanext_cli.formats.column_evidence import (
-    empty_places,
-    evident_count,
-    have_signs_of_coordinates,
-)
 from salsanext_cli.formats.columns import (
     columns_of_width,
     names_to_try,
@@ -31,8 +26,13 @@ from salsanext_cli.formats.columns import (
     scan_of,
     unnamed_columns,
 )
-from salsanext_cli.formats.plane_evidence import are_planes
-from salsanext_cli.formats.value_types import (
+from salsanext_cli.formats.evidence.column_evidence import (
+    empty_places,
+    evident_count,
+    have_signs_of_coordinates,
+)
+from salsanext_cli.formats.evidence.plane_evidence import are_planes
+from salsanext_cli.formats.evidence.value_types import (
     are_coordinates,
     are_float16,
     are_float64,

@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from salsanext_cli.formats.column_measures import (
+from salsanext_cli.formats.evidence.column_measures import (
     COUNTS,
     SAMPLE,
     are_in_turn,

@@ -5,13 +5,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from salsanext_cli.formats.column_evidence import (
+from salsanext_cli.formats.evidence.column_evidence import (
     AXIS_COUNT,
     MOST_ROWS,
     SHARE_OF_LARGEST,
     USUAL_COUNT,
 )
-from salsanext_cli.formats.column_measures import (
+from salsanext_cli.formats.evidence.column_measures import (
     COUNTS,
     SAMPLE,
     are_in_turn,

@@ -4,7 +4,12 @@
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.formats.column_measures import COUNTS, SAMPLE, explained_share, least_explained
+from salsanext_cli.formats.evidence.column_measures import (
+    COUNTS,
+    SAMPLE,
+    explained_share,
+    least_explained,
+)
 from salsanext_cli.records import Float, Mask
 
 LEAST, MOST = 1e-12, 1e7
