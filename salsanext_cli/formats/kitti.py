@@ -109,7 +109,7 @@ def read_table(path: Path, columns: tuple[str, ...] = ()) -> BinTable:
             raise _other_count(path, count, width)
         raise _no_coordinates(path, width)
     if size % (values.itemsize * width):
-        hint = "copy it again, or convert it if it has other columns"
+        hint = "copy it again; if it has other columns, name them with --columns"
         raise FormatError(path, f"has {size} bytes", _multiple_of(width, values.itemsize), hint)
     table = values.reshape(-1, width)
     places = empty_places(rounded, width)

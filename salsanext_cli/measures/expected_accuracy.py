@@ -62,7 +62,8 @@ class ExpectedAccuracy:
         low, high = math.floor(100 * self.interval[0]), math.ceil(100 * self.interval[1])
         others = f"; not estimated for the others: {reasons}" if reasons else ""
         scans = f" of {counted(self.scans, 'scan')}" if reasons else ""
-        return f"Estimated accuracy{scans}: {low} to {high} % (from confidence{others})"
+        source = f"from confidence, without labels{others}"
+        return f"Estimated accuracy{scans}: {low} to {high} % ({source})"
 
 
 def expected_accuracy(
