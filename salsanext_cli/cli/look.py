@@ -125,6 +125,8 @@ def report(
     summary.print_failures(written.failures)
     for name, reason in written.shown.items():
         output.print(f"  {name}: {reason}")
+    if decided := written.verdict:
+        output.print(decided.sentence)
     count = f"{counted(len(written.run.rows), 'scan')}{summary.skipped_text(missing)}"
     megabytes = written.page.stat().st_size / 1e6
     output.print(f"report: {count} → {written.page} ({megabytes:.1f} MB)")

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Stages `report` and `view`: the page of a run, as an HTML file or on a local server."""
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from threading import Lock
@@ -13,12 +13,15 @@ from salsanext_cli.errors import NoInputError, OutputError, SalsanextError, esca
 from salsanext_cli.files.atomic import require_target, write_bytes
 from salsanext_cli.files.json_files import plain
 from salsanext_cli.labelling.label_records import pre_labelled_scans
+from salsanext_cli.measures.decision import Verdict, verdict
 from salsanext_cli.measures.scan_counts import ScanComparison, ScanCounts, SeparateCounts
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.report.page.clouds import encode_cloud, scales_of
-from salsanext_cli.report.page.html import html_of
-from salsanext_cli.report.page.run_results import Comparison, RunResults, ScanRow, ShownScan
+from salsanext_cli.report.page.html import Served, html_of
+from salsanext_cli.report.page.run_results import Comparison, RunResults, ShownScan
+from salsanext_cli.report.page.scan_row import ScanRow
 from salsanext_cli.report.page.server import PageServer
+from salsanext_cli.report.page.thumbnails import scans_for_thumbnails, thumbnail
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.paths import PREDICTION_STAGES
 from salsanext_cli.results.query import ResultQuery
@@ -38,11 +41,17 @@ class Report:
     shown: dict[str, str]  # Scans that the page shows point by point, and why
     failures: tuple[Failure, ...]  # Scans that could not be read
 
+    @property
+    def verdict(self) -> Verdict | None:
+        """What to do with the labels, None if it is unknown."""
+        return verdict(self.run.evidence())
+
     def to_dict(self) -> dict[str, object]:
         """Return plain data for JSON, null for NaN."""
         counts, compared = self.run.counts, self.compared
         scores, labels = compared and compared.scores, compared and compared.accepted
         best = compared and compared.uncertainty.accepted
+        decided = self.verdict
         is_known = self.run.reader.trained_on.missing is None
         return {
             "stage": "report",
@@ -57,6 +66,7 @@ class Report:
             "coverage": labels and labels.coverage,
             "risk": labels and labels.risk,
             "sentence": best and best.sentence,
+            "decision": decided and asdict(decided),
             **self.run.missing.to_dict(),
             "failures": [failure.to_dict() for failure in self.failures],
         }
@@ -99,7 +109,8 @@ def report(
     shown, unshown = _readable(run, ((rows[name], reason) for name, reason in chosen.items()))
     failures, compared = (*unread, *unshown), run.compared()
     reasons = [failure.reason for failure in failures]
-    html = html_of(run, compared, shown, scales_of(shown), reasons)
+    pictures = _thumbnails(run, chosen, options)
+    html = html_of(run, compared, shown, scales_of(shown), reasons, pictures)
     if target:
         write_bytes(target, html.encode())
     else:
@@ -110,7 +121,9 @@ def report(
 class RunServer(PageServer):
     """Server of the page of a run, with the number of `scans`, the `missing` and `failures`."""
 
-    def take(self, run: RunResults, failures: tuple[Failure, ...]) -> None:
+    def take(
+        self, run: RunResults, failures: tuple[Failure, ...], thumbnails: Mapping[str, str]
+    ) -> None:
         """Take the results to serve; raise `NoInputError` if no scan can be shown."""
         self._run, self._state, self._lock = run, _state_of(run.reader.out), Lock()
         reasons = run.notable_scans()
@@ -123,7 +136,7 @@ class RunServer(PageServer):
         problems = [failure.reason for failure in self.failures]
         served = {row.file.name: reasons.get(row.file.name, "") for row in run.rows}
         page = html_of(
-            run, run.compared(), (), self._scales, problems, served=served, token=self.token
+            run, run.compared(), (), self._scales, problems, thumbnails, Served(served, self.token)
         )
         self.page = page.encode()
 
@@ -174,7 +187,8 @@ def view(
     """
     server = RunServer(port)
     try:
-        server.take(*read_run(out, query=query, options=options))
+        run, failures = read_run(out, query=query, options=options)
+        server.take(run, failures, _thumbnails(run, run.notable_scans(), options))
     except BaseException:
         server.server_close()
         raise
@@ -228,6 +242,16 @@ def read_run(
     rows.sort(key=lambda row: row.file)  # Workers finish in any order.
     of_labelled = scored if scored.scans else None
     return RunResults(reader, rows, of_labelled, chosen.missing), outcome.failures
+
+
+def _thumbnails(run: RunResults, names: Collection[str], options: RunOptions) -> dict[str, str]:
+    """Draw small pictures of some scans, by name; unreadable scans have none."""
+    pictures: dict[str, str] = {}
+    files = scans_for_thumbnails(run, names)
+    task = partial(thumbnail, reader=run.reader)
+    silent = RunOptions(jobs=options.jobs)
+    run_over_scans(task, files, silent, on_result=lambda named: pictures.update([named]))
+    return pictures
 
 
 def _readable(

@@ -16,7 +16,16 @@ const change = (id, value, name) => {
 const legend = () => [...byId("legend").children];
 const at = (target, name, x, y) => target.dispatchEvent(
   new PointerEvent(name, { clientX: x, clientY: y, bubbles: true, pointerId: 1 }));
+const half = right => {  // of the picture: its colours
+  view.draw();
+  const { gl } = view, { width, height } = gl.canvas, pixels = new Uint8Array(2 * width * height);
+  gl.readPixels(right ? width / 2 + 1 : 0, 0, width / 2 - 1, height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+  return new Set(new Uint32Array(pixels.buffer));
+};
+const cssOf = entries => entries.map(({ rgb }) => (255 * 2 ** 24 + rgb[2] * 65536 + rgb[1] * 256 + rgb[0]));
 (async () => {
+  result.panes = [view.panes.length, byId("beside").value, byId("names").hidden];
+  change("beside", "", "change");
   result.state = [byId("scan").value, byId("colour").value, byId("by").value, byId("size").value];
   result.colours = Object.fromEntries([...byId("colour").options].map(({ value }) => {
     change("colour", value, "change");
@@ -76,6 +85,39 @@ const at = (target, name, x, y) => target.dispatchEvent(
   at(strip, "pointermove", area.left + (pixel % cloud.width + 0.5) * area.width / cloud.width,
     area.top + (Math.floor(pixel / cloud.width) + 0.5) * area.height / cloud.height);
   result.strip = [cloud.first[pixel], +document.documentElement.dataset.point];
+  byId("boxes").click();
+  change("beside", "wrong", "change");
+  const wrong = cssOf(data.outcomes)[2], car = cssOf(data.classes)[1];
+  result.halves = [false, true].map(right => [wrong, car].map(colour => half(right).has(colour)));
+  const { width, height } = view.pane(), n = view.matrix(), part = i => n[i] * x + n[4 + i] * y + n[8 + i] * z + n[12 + i];
+  const [a, b] = [(part(0) / part(3) + 1) / 2 * width, (1 - part(1) / part(3)) / 2 * height];
+  result.both = [view.pick(a, b), view.pick(a + width, b)];
+  result.strips = byId("beside-strip").hidden;
+  byId("confusion").querySelector("[data-cell='9,1']").click();
+  await new Promise(done => setTimeout(done, 300));
+  result.cell = [cloud.name, shown(), byId("summary").textContent, location.hash];
+  result.faint = cloud.values.label.every((id, i) =>
+    visible[i] === (id === 1 && cloud.values.truth[i] === 9 ? 1 : 2));
+  byId("all").click();
+  result.cleared = [shown(), state.cell];
+  change("colour", "entropy", "change");
+  result.ticks = [...byId("scale").querySelectorAll(".ticks span")].map(tick => tick.textContent);
+  result.scales = [byId("scale").hidden, byId("beside-scale").hidden];
+  const scans = () => [...document.querySelectorAll("#table tbody tr")].map(row => row.dataset.scan);
+  const heading = name => [...document.querySelectorAll("#table th button")].find(button => button.textContent === name);
+  result.rows = [scans()];
+  for (const name of ["mean entropy", "scan", "scan"]) { heading(name).click(); result.rows.push(scans()); }
+  result.sorted = document.querySelector("#table th[aria-sort]").textContent;
+  result.pictures = [...document.querySelectorAll("#table img")].map(image => image.naturalWidth);
+  const tagged = document.querySelector("#table tr[data-scan='08/000000'] input");
+  result.nothing = byId("save").disabled;
+  tagged.click();
+  await choose(0);
+  byId("tag").click();
+  await new Promise(done => setTimeout(done, 300));
+  result.tags = [table.save(), byId("save").disabled, new URLSearchParams(location.hash.slice(1)).getAll("tag")];
+  tagged.click();
+  result.untagged = table.list();
   byId("columns").dispatchEvent(new KeyboardEvent("keydown", { key: "End" }));
   byId("columns").dispatchEvent(new KeyboardEvent("keydown", { key: "Enter" }));
   result.opened = [cloud.name, byId("column").textContent];

@@ -16,7 +16,7 @@ from evaluated import CAR, ROAD, SPACE, World
 from scans import SMALL, make_scan, write_bin
 from served import served
 
-from salsanext_cli import write_labels
+from salsanext_cli import read_labels, write_labels
 from salsanext_cli.geometry.objects import BOX
 from salsanext_cli.results.manifest import Manifest, StageRecord
 from salsanext_cli.results.paths import output_path
@@ -73,6 +73,17 @@ def console_of(page: str, tmp_path: Path) -> str:
     return "\n".join(line for line in done.stderr.splitlines() if ":CONSOLE" in line)
 
 
+def most_confused(world: World, truth: int, label: int) -> tuple[str, int]:
+    """Return the scan with most points of a class that have another label, and their number."""
+    counts = {}
+    for stem in STEMS:
+        labels = read_labels(world.dataset / f"sequences/08/labels/{stem}.label")
+        predicted = read_labels(output_path(world.out, "08", "predictions", stem))
+        counts[f"08/{stem}"] = int(((labels == truth) & (predicted == label)).sum())
+    name = max(counts, key=lambda scan: counts[scan])
+    return name, counts[name]
+
+
 def result_in(console: str) -> dict[str, Any]:
     """Return what a probe wrote to the console."""
     written = RESULT.search(console)
@@ -93,7 +104,12 @@ def test_the_page_draws_and_its_controls_work(world, tmp_path):
     # The address hides entropies above 0.5; they go from 0 to 2.
     assert result["state"] == ["1", "wrong", "entropy", "4"]
     assert abs(result["shown"] - COUNT / 4) < 0.02 * COUNT
-    assert re.search(r"1,500 points, 2\d\.\d % visible: \d+\.\d % wrong", result["summary"])
+    visible = (
+        r"1,500 points, 2\d\.\d % visible: \d+\.\d % of the 3\d\d visible labelled points wrong"
+    )
+    assert re.search(visible, result["summary"])
+    # Truth beside the colour of the address, "wrong".
+    assert result["panes"] == [2, "truth", False]
     assert [*result["colours"]] == ["label", "truth", "wrong", "entropy", "range", "intensity"]
     # The background and at least two colours, many for values.
     assert all(count >= 3 for count in result["colours"].values())
@@ -122,9 +138,50 @@ def test_the_page_draws_and_its_controls_work(world, tmp_path):
     assert result["turned"] == 5
     assert result["pixels"]
     assert result["strip"][0] == result["strip"][1]
+    # Each half of the picture has its own colours; points are found in both.
+    assert result["halves"] == [[False, True], [True, False]]
+    assert result["both"][0] == result["both"][1] >= 0
+    assert not result["strips"]
+    most, points = most_confused(world, ROAD, CAR)
+    name, shown, summary, address = result["cell"]
+    assert (name, shown) == (most, points)
+    assert f"{points} of them points of road taken for car" in summary
+    assert "truth=road&taken=car" in address
+    assert result["faint"]
+    assert result["cleared"] == [COUNT, None]
+    assert result["ticks"] == ["0", "0.5", "1", "1.5"]
+    assert result["scales"] == [False, True]
+    # The most uncertain scan is first; names rise, then fall.
+    rising = ["08/000000", "08/000001"]
+    assert result["rows"] == [rising, rising[::-1], rising, rising[::-1]]
+    assert result["sorted"] == "scan"
+    assert result["pictures"] == [96, 96]
+    saved, disabled, tags = result["tags"]
+    assert result["nothing"]
+    assert not disabled
+    assert tags == ["08/000000", "08/000001"]
+    assert result["untagged"] == ["08/000001"]
+    assert [line for line in saved.splitlines() if not line.startswith("#")] == tags
     assert result["opened"][0] == "08/000001"
     assert result["opened"][1].startswith("08/000001 · mean entropy 0.5")
     assert result["fetched"] == 0
+
+
+def test_the_page_fits_a_narrow_screen(world, tmp_path):
+    made = report(world.out, query=ResultQuery(world.dataset))
+    probe = script("narrow_page_probe.js")
+    (tmp_path / "page.html").write_text(
+        made.page.read_text("utf-8").replace("</body>", f"{probe}</body>"), "utf-8"
+    )
+    # Windows of Chromium are wider than telephones, frames are not.
+    frame = tmp_path / "frame.html"
+    frame.write_text(
+        '<html data-ready="yes"><iframe src="page.html" style="width:390px;height:800px">'
+    )
+    result = result_in(console_of(frame.as_uri(), tmp_path))
+    assert result["width"] <= 390
+    assert result["beyond"] == []
+    assert result["panes"] == [1, 2]
 
 
 @pytest.mark.slow

@@ -19,7 +19,9 @@ from salsanext_cli.files.reading import fingerprint
 from salsanext_cli.geometry.objects import BOX
 from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.report.page.clouds import NO_VALUE, encode_cloud, scales_of
-from salsanext_cli.report.page.run_results import ScanRow, ShownScan, read_boxes, warnings_of_run
+from salsanext_cli.report.page.recorded_warnings import codes_by_scan, warnings_of_run
+from salsanext_cli.report.page.run_results import ShownScan, read_boxes
+from salsanext_cli.report.page.scan_row import PointErrors, ScanRow
 from salsanext_cli.results.manifest import Manifest, StageRecord
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.paths import ScanFile
@@ -119,6 +121,29 @@ def test_warnings_of_all_stages_are_one_line_for_each_code(tmp_path):
     assert warnings_of_run(tmp_path / "none", warnings) == []
     OwnedFolder(tmp_path, "fuse").record_findings({"00": [("apart", "two parts", "look")]}, {"00"})
     assert warnings_of_run(tmp_path, {"00"}) == ["apart in 1 sequence (00): two parts; look"]
+
+
+def test_a_warning_about_a_sequence_counts_for_each_of_its_scans(tmp_path):
+    files = [ScanFile(sequence, "1", Path("/1.bin")) for sequence in ("00", "08")]
+    OwnedFolder(tmp_path, "fuse").record_findings({"00": [("apart", "two parts", "look")]}, {"00"})
+    few = ("few-points", "12 points", "drive on")
+    OwnedFolder(tmp_path, "predict").record_findings({"00/1": [few]}, {"00/1"})
+    assert codes_by_scan(tmp_path, files) == {"00/1": ["apart", "few-points"], "08/1": []}
+
+
+@given(st.lists(st.floats(0, 1, width=32) | st.just(math.nan), max_size=20))
+def test_errors_are_counted_over_the_points_that_have_one(values):
+    errors = PointErrors.of_values(np.array(values, np.float32))
+    known = [value for value in values if not math.isnan(value)]
+    assert errors.points == len(known)
+    assert errors.total == pytest.approx(sum(known), abs=1e-5)
+    assert errors.doubtful == sum(value > np.float32(0.1) for value in known)
+    assert (errors + errors).points == 2 * len(known)
+    if known:
+        assert (errors + errors).doubtful_share == errors.doubtful_share
+        assert errors.mean == pytest.approx(sum(known) / len(known), abs=1e-5)
+    else:
+        assert (errors.mean, errors.doubtful_share) == (None, None)
 
 
 def test_boxes_are_read_from_the_table_or_it_is_refused(tmp_path):

@@ -50,9 +50,9 @@ def test_the_report_has_coverage_and_risk(world, query):
     assert (numbers["accuracy"], numbers["iou_mean_present"]) == (None, None)
     assert found.shown["08/0"].startswith("most wrong (33.3 % of the points with a label)")
     page = found.page.read_text()
-    assert "<b>25.0 %</b>coverage: accepted points of 2 scans" in page
+    assert "<b>25.0 %</b>coverage: accepted of 16 labelled points, 2 scans" in page
     assert "<b>25.0 %</b>risk" in page
-    assert "accuracy, 2 scans" not in page
+    assert "accuracy: right" not in page
     confusions = page.partition("Largest confusions")[2].partition("</ol>")[0]
     assert "<li>road taken for car: 50.0 % of 2 points</li></ol>" in f"{confusions}</ol>"
     evaluation = evaluate(find_scans(world.dataset), world.out, SPACE)

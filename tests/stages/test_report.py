@@ -14,6 +14,7 @@ from salsanext_cli import label_space
 from salsanext_cli.errors import NoInputError, OutputError
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.manifest import Manifest, StageRecord
+from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.paths import output_path
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.stages.report import read_run, report
@@ -78,11 +79,76 @@ def test_scores_are_the_same_as_in_eval(world):
     assert numbers["accuracy"] == evaluated.scores.accuracy == 7 / 8
     assert numbers["iou_mean_present"] == evaluated.scores.iou_mean_present
     assert numbers["sentence"] == sentence
-    for text in ("87.5 %", sentence[1:], "not recorded", "accuracy, 2 scans"):
+    for text in ("87.5 %", sentence[1:], "not recorded", "8 labelled points, 2 scans with labels"):
         assert text in page.text
-    assert page.source.count("data:image/png;base64,") == 1
+    # A plot of the uncertainty, and a thumbnail of each scan.
+    assert page.source.count("data:image/png;base64,") == 3
     assert [*result.shown] == ["08/000000", "08/000001"]
     assert page.data["drive"]["kind"] == "entropy"
+
+
+def test_the_tiles_and_the_decision_have_the_numbers_of_the_run(world):
+    line = {"slope": 1.0, "offset": 0.0, "deviation": 0.02}
+    settings = {"label_space": SPACE.to_dict(), "sensor": SMALL.to_dict(), "accuracy": line}
+    shutil.rmtree(world.dataset / "sequences/08/labels")
+    Manifest(world.out).write(StageRecord("predict", settings, ("predictions",)))
+    for stem in ("000000", "000001"):
+        world.put("uncertainty/least_confidence", stem, [0.2] * 4)
+        world.put("uncertainty/error", stem, [0.05, 0.05, 0.05, 0.45])
+    result, page = made(world)
+    tiles = dict(re.findall("<div><b>([^<]*)</b>([^<]*)</div>", page.source))
+    assert tiles["2"] == "scans, 8 points"
+    # A slope of 1 leaves the confidence of 80 %; 3.5 deviations are 7 points.
+    assert tiles["73 to 87 %"] == "estimated accuracy, from confidence"
+    assert tiles["15.0 %"] == "mean probability of error of 8 points, 25.0 % of them above 10 %"
+    assert tiles["0"] == "scans with warnings"
+    assert result.to_dict()["decision"]["decision"] == "coarse"
+    assert "<b>Use coarse classes</b>: the estimated accuracy is 73 to 87 %" in page.source
+    sparse = {"08/000000": [("sparse", "few rows", "look")]}
+    sparse["08/000001"] = sparse["08/000000"]
+    OwnedFolder(world.out, "predict").record_findings(sparse, set(sparse))
+    result, page = made(world)
+    tiles = dict(re.findall("<div><b>([^<]*)</b>([^<]*)</div>", page.source))
+    assert tiles["withheld"] == "estimated accuracy: sparse in 2 scans"
+    assert tiles["2"] == "scans with warnings: sparse 2"
+    assert page.data["drive"]["codes"] == [["sparse"], ["sparse"]]
+    assert result.to_dict()["decision"]["decision"] == "label-10"
+
+
+def test_rejected_points_have_a_tile_and_withhold_the_estimate(world):
+    settings = {"label_space": SPACE.to_dict(), "sensor": SMALL.to_dict(), "reject": 0.3}
+    Manifest(world.out).write(StageRecord("predict", settings, ("predictions",)))
+    world.put("uncertainty/error", "000000", [0.3, 0.31, 0.9, np.nan])
+    world.put("uncertainty/error", "000001", [0.0] * 4)
+    _, page = made(world)
+    tiles = dict(re.findall("<div><b>([^<]*)</b>([^<]*)</div>", page.source))
+    assert tiles["25.0 %"] == "of all points rejected: error above 0.3"
+    assert "withheld" in tiles
+
+
+def test_a_page_has_a_bounded_number_of_thumbnails(world, monkeypatch):
+    world.put("uncertainty/entropy", "000000", [0.1] * 4)
+    world.put("uncertainty/entropy", "000001", [0.9] * 4)
+    monkeypatch.setattr("salsanext_cli.report.page.thumbnails.MAX_THUMBNAILS", 1)
+    _, page = made(world, scans=["000000"])
+    first, second = page.data["drive"]["thumbnails"]
+    assert first.startswith("data:image/png;base64,")
+    assert second == ""
+    _, page = made(world, scans=["000001"])
+    assert page.data["drive"]["thumbnails"][0] == ""
+
+
+def test_cells_of_the_confusion_matrix_name_the_scan_with_most_of_their_points(world):
+    world.add("000002", [ROAD] * 5, [CAR] * 5)
+    _, page = made(world, scans=["000000"])
+    car, road = 1, 9
+    cells = page.data["cells"]
+    # Only the first scan is in the page; the last one has most of the points.
+    assert cells[f"{road},{car}"] == [0, "08/000002"]
+    assert cells.keys() == {f"{car},{car}", f"{road},{car}", f"{road},{road}"}
+    assert f'data-cell="{road},{car}"' in page.source
+    _, page = made(world, scans=["000002"])
+    assert page.data["cells"][f"{car},{car}"][0] == -1
 
 
 def test_confusions_are_in_words_and_absent_classes_have_no_iou(world):
@@ -107,7 +173,7 @@ def test_without_labels_there_are_no_scores(world):
     numbers = result.to_dict()
     assert [numbers[key] for key in ("accuracy", "iou_mean_present", "sentence")] == [None] * 3
     assert "accuracy" not in page.text
-    assert "data:image" not in page.source
+    assert "<img" not in page.source.partition("<script")[0]
     assert [*result.shown.values()] == ["at random"]
     assert "label" in json.loads(page.texts["cloud-0"])["values"]
 

@@ -6,42 +6,35 @@ from __future__ import annotations
 import csv
 import math
 import random
-import re
-from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import suppress
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.errors import SalsanextError, counted, first_few, shortened
-from salsanext_cli.files.reading import fingerprint, present, reading, refusing_damage
-from salsanext_cli.fitting.field_of_view import view_text
-from salsanext_cli.formats.kitti import read_labels
+from salsanext_cli.errors import counted
+from salsanext_cli.files.reading import present, reading, refusing_damage
 from salsanext_cli.geometry.objects import BOX
+from salsanext_cli.measures.decision import Evidence
 from salsanext_cli.measures.expected_accuracy import ExpectedAccuracy, expected_accuracy
 from salsanext_cli.measures.histograms import lack_of_confidence
-from salsanext_cli.measures.risk_control import AcceptedLabels, RiskBoundCheck, guarantee
+from salsanext_cli.measures.risk_control import AcceptedLabels, RiskBoundCheck
 from salsanext_cli.measures.scan_counts import SOFTMAX, ScanComparison, ScanCounts, read_softmax
 from salsanext_cli.measures.scan_summary import guarantee_of_run
-from salsanext_cli.measures.scores import Counts, Scores, accepted, scored_rows, scores
+from salsanext_cli.measures.scores import Scores, accepted, scores
 from salsanext_cli.measures.uncertainty_evaluation import UncertaintyEvaluation
-from salsanext_cli.network.card import default_weights, read_card
-from salsanext_cli.results.manifest import Manifest, StageSettings
+from salsanext_cli.report.page.recorded_facts import recorded_facts
+from salsanext_cli.report.page.recorded_warnings import codes_by_scan, warnings_of_run
+from salsanext_cli.report.page.scan_row import PointErrors, ScanRow
+from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.results.named_scans import named_scans
 from salsanext_cli.results.owned_folder import OwnedFolder
-from salsanext_cli.results.paths import (
-    ERROR,
-    PREDICTION_STAGES,
-    ScanFile,
-    find_outputs,
-    output_path,
-)
-from salsanext_cli.results.result_folder import ResultFolder, ScanResults, read_kind
+from salsanext_cli.results.paths import find_outputs, output_path
+from salsanext_cli.results.result_folder import ResultFolder, ScanResults
 from salsanext_cli.results.selection import MissingResults
 from salsanext_cli.results.uncertainty_kinds import MEANT_BY_UNCERTAINTY, UNCERTAINTY
 
@@ -50,51 +43,6 @@ LEADING_KINDS = ("error", "entropy", *UNCERTAINTY)
 UNCERTAIN = (*dict.fromkeys(("error", *MEANT_BY_UNCERTAINTY, *UNCERTAINTY)),)
 """Values by which points can be hidden, in the order of the menu."""
 SCALARS = (*UNCERTAIN, "range", "intensity")  # Values with a scale
-SHOWN_DIGITS = 12  # Hexadecimal digits of a SHA-256 on the page
-CHECKED_STAGES = ("project", *PREDICTION_STAGES)  # Stages that record warnings about scans
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ScanRow:
-    """One scan in numbers."""
-
-    file: ScanFile
-    points: int  # Number of points with a label or an uncertainty
-    class_points: Counts  # (C,) int64: number of points by predicted train id
-    uncertainty: dict[str, float]  # Mean over the points by kind; NaN without any
-    # (C, C) as `scored_rows`, of accepted points if the run rejected labels
-    confusion: Counts
-
-    @property
-    def wrong(self) -> float:
-        """Share of wrong points in `confusion`, 0…1; NaN without points."""
-        points = self.confusion.sum()
-        return float(1 - self.confusion.trace() / points) if points else math.nan
-
-    @classmethod
-    def read(cls, file: ScanFile, reader: ScanComparison) -> tuple[Self, ScanCounts | None]:
-        """Read the results of a scan and, if it has labels, count its points."""
-        out, space = reader.out, reader.space
-        path_of = partial(output_path, out, file.sequence, stem=file.stem)
-        points, class_points = 0, np.zeros(space.class_count, np.int64)
-        if is_labelled := present(path := path_of(folder="predictions")):
-            predicted = space.to_train(read_labels(path), strict=False, source=path)
-            points = len(predicted)
-            class_points = np.bincount(predicted, minlength=space.class_count)
-        uncertainty = {}
-        for kind in UNCERTAINTY:
-            if present(path := path_of(folder=f"uncertainty/{kind}")):
-                values = read_kind(path, kind, points or None)
-                points = len(values)
-                finite = values[np.isfinite(values)]
-                mean = finite.mean(dtype=np.float64) if len(finite) else math.nan
-                uncertainty[kind] = float(mean)
-        counts, confusion = None, np.zeros((space.class_count, space.class_count), np.int64)
-        if is_labelled and reader.has_truth(file):
-            counts = reader.count(file)
-            confusion = scored_rows(counts.confusion, space)
-            confusion = accepted(confusion) if reader.rejects else confusion
-        return cls(file, points, class_points, uncertainty, confusion), counts
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -232,27 +180,8 @@ class RunResults:
         return {file.name: "named" for file in named_scans(names, files, "--scans")}
 
     def facts(self) -> Iterator[tuple[str, str]]:
-        """Yield titles and texts of the recorded settings of a run."""
-        records = Manifest(self.reader.out)
-        yield "Weights", _weights(records)
-        for member in self.reader.sensor.members:
-            yield "Sensor", f"{member.name}, {member.height}×{member.width}, {view_text(member)}"
-        stage, labels = records.owner("predictions"), records.settings_of("predictions")
-        if stage and labels:
-            yield "Labels", _labels(stage, labels)
-            if labels.guarantee:
-                yield "Guarantee", guarantee(labels.guarantee)
-            if labels.inherited:
-                parts = shortened(labels.inherited, 200)
-                yield "Inherited", f"{parts}, not fitted to these weights"
-        if settings := records.settings("uncertainty"):
-            numbers = {name: getattr(settings, name) for name in ("samples", "seed", "aleatoric")}
-            texts = (f"{name} {value}" for name, value in numbers.items() if value is not None)
-            yield "Uncertainty", ", ".join([str(settings.method), *texts])
-        if records.owner(ERROR) == "predict":
-            yield "Uncertainty", "probability of error, from predict --error"
-        if expected := self.expected_accuracy():
-            yield "Without labels", expected.text
+        """Yield titles and texts of the recorded settings of the run."""
+        yield from recorded_facts(self.reader.out, self.reader.sensor)
 
     def expected_accuracy(self) -> ExpectedAccuracy | None:
         """Estimate the accuracy of labels of `predict`; None for labels of other stages."""
@@ -270,46 +199,32 @@ class RunResults:
                 warnings.setdefault(code, []).append(name)
         return expected_accuracy(settings.accuracy, confidences, warnings)
 
+    def evidence(self) -> Evidence:
+        """Return the numbers that decide what to do with the labels.
 
-def _weights(records: Manifest) -> str:
-    """Describe the weights behind the labels, else those behind the uncertainty."""
-    folders = ("predictions", "uncertainty/epistemic", "uncertainty/error", "pixel_labels")
-    sha256 = next(filter(None, map(records.weights, folders)), None)
-    if sha256 is None:
-        return "not recorded"
-    name = f"SHA-256 {sha256[:SHOWN_DIGITS]}"
-    path = default_weights()
-    # An installation without its weights still shows results.
-    with suppress(SalsanextError):
-        if fingerprint(path) == sha256:
-            card = read_card(path)
-            text = re.sub(r"See \S+\.md; (.)", lambda rest: rest[1].upper(), card.description)
-            name = card.named(path) if card.version else f"default weights, {name}"
-            return f"{name}. {text.replace('`', '')}"
-    return f"{name}, not the default weights; salsanext models FILE describes them"
+        Accuracy is measured on scans that the weights were not trained on, and not after labels
+        were rejected.
+        """
+        counts = self.counts
+        measured = None
+        if counts and not counts.trained_on and not counts.accepted:
+            accuracy = scores(counts.confusion, self.reader.space).accuracy
+            measured = None if math.isnan(accuracy) else accuracy
+        return Evidence(
+            scans=len(self.rows),
+            class_count=self.reader.space.class_count,
+            expected=self.expected_accuracy(),
+            measured=measured,
+            doubtful=self.errors.doubtful_share,
+            warned=Counter(code for codes in self.codes.values() for code in codes),
+        )
 
+    @property
+    def codes(self) -> dict[str, list[str]]:
+        """Codes of the warnings about each scan, by its name."""
+        return codes_by_scan(self.reader.out, [row.file for row in self.rows])
 
-def _labels(stage: str, settings: StageSettings) -> str:
-    words = [stage]
-    if settings.engine:
-        words.append(f"{settings.engine} in {settings.precision}")
-    if settings.temperature is not None:
-        words.append(f"temperature {settings.temperature:.3g}")
-    if settings.reject is not None:
-        kind = (settings.reject_by or "error").replace("_", " ")
-        words.append(f"points rejected: {kind} above {settings.reject:g}")
-    return ", ".join(words)
-
-
-def warnings_of_run(out: Path, wanted: Collection[str]) -> list[str]:
-    """Return the recorded warnings about some scans and sequences, one line per code."""
-    texts: dict[str, dict[str, str]] = {}  # By code and name
-    for stage in CHECKED_STAGES:
-        for name, findings in OwnedFolder(out, stage).findings().items():
-            for code, message, hint in findings if name in wanted else ():
-                texts.setdefault(code, {}).setdefault(name, f"{message}; {hint}")
-    return [
-        f"{code} in {counted(len(by_name), 'scan' if '/' in min(by_name) else 'sequence')} "
-        f"({first_few([*by_name])}): {next(iter(by_name.values()))}"
-        for code, by_name in sorted(texts.items())
-    ]
+    @property
+    def errors(self) -> PointErrors:
+        """Probability of error over the points of all scans."""
+        return sum((row.errors for row in self.rows), PointErrors())

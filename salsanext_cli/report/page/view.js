@@ -1,6 +1,5 @@
-"use strict";
 // SPDX-License-Identifier: MIT
-// Points in three dimensions, drawn with WebGL 2 by a camera that turns around a target.
+// Points in three dimensions, drawn with WebGL 2 once, or twice in two colourings beside each other.
 
 const VERTEX = `#version 300 es
 in vec3 position;
@@ -15,7 +14,7 @@ out vec3 rgb;
 void main() {
   gl_Position = shown > 0.0 ? camera * vec4(low + step_m * position, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
   gl_PointSize = ring > 0.0 ? ring : size * clamp(25.0 / gl_Position.w, 0.7, 3.0);
-  rgb = texelFetch(palette, ivec2(int(colour), row), 0).rgb;
+  rgb = shown > 1.5 ? vec3(0.23, 0.25, 0.28) : texelFetch(palette, ivec2(int(colour), row), 0).rgb;
 }`;
 const FRAGMENT = `#version 300 es
 precision highp float;
@@ -30,15 +29,10 @@ void main() {
     pixel = vec4(1.0);
   }
 }`;
-const START = { azimuth: 180, elevation: 32, distance: 42 };  // degrees, metres: looking forward
-const NEAR_M = 0.3, FAR_M = 20000, FIELD_OF_VIEW = 50;
 const EDGES = [0, 1, 1, 3, 3, 2, 2, 0, 4, 5, 5, 7, 7, 6, 6, 4, 0, 4, 1, 5, 2, 6, 3, 7];  // pairs of corners of a box
+const WIDE_PX = 700;  // a narrower canvas shows its two panes below each other
+const ROWS = { colour: 0, beside: 2 };  // of the palettes; row 1 has the colours of boxes
 const REACH_PX = 7;  // farthest distance of a picked point from the pointer
-
-function multiply(a, b) {  // of 4 × 4 matrices, column by column
-  return Float32Array.from({ length: 16 }, (_, i) =>
-    [0, 1, 2, 3].reduce((sum, k) => sum + a[(i & 3) + 4 * k] * b[k + (i & 12)], 0));
-}
 
 class PointView {
   constructor(canvas) {
@@ -48,7 +42,8 @@ class PointView {
     this.size = 2;
     this.marked = -1;
     this.count = this.corners = 0;
-    this.home();
+    this.panes = ["colour"];
+    Object.assign(this, START, { target: [0, 0, 0], distance: 42 });
     this.prepare();
     new ResizeObserver(() => this.redraw()).observe(canvas);
   }
@@ -69,14 +64,15 @@ class PointView {
     this.uniform = Object.fromEntries(["camera", "low", "step_m", "size", "ring", "row"].map(
       name => [name, gl.getUniformLocation(program, name)]));
     this.buffers = {};
-    for (const [name, parts, type] of [["position", 3, gl.UNSIGNED_SHORT], ["colour", 1, gl.UNSIGNED_BYTE],
-      ["shown", 1, gl.UNSIGNED_BYTE]]) {
+    for (const name of ["position", "colour", "beside", "shown"]) this.buffers[name] = gl.createBuffer();
+    this.colourPlace = gl.getAttribLocation(program, "colour");
+    for (const [name, parts, type] of [["position", 3, gl.UNSIGNED_SHORT], ["shown", 1, gl.UNSIGNED_BYTE]]) {
       const place = gl.getAttribLocation(program, name);
-      this.buffers[name] = gl.createBuffer();
       gl.bindBuffer(gl.ARRAY_BUFFER, this.buffers[name]);
       gl.enableVertexAttribArray(place);
       gl.vertexAttribPointer(place, parts, type, false, 0, 0);
     }
+    gl.enableVertexAttribArray(this.colourPlace);
     this.lines = gl.createVertexArray();
     gl.bindVertexArray(this.lines);
     gl.vertexAttrib1f(gl.getAttribLocation(program, "shown"), 1);
@@ -101,13 +97,15 @@ class PointView {
     this.upload("position", cloud.position);
   }
 
-  colour(values, palettes) {  // a byte per point; 256 colours of 4 bytes for points, then as many for boxes
+  colour(values, beside, palettes) {  // bytes per point, `beside` or null; 256 colours of 4 bytes for points, boxes and beside
     const gl = this.gl;
-    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, 256, 2, 0, gl.RGBA, gl.UNSIGNED_BYTE, palettes);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, 256, 3, 0, gl.RGBA, gl.UNSIGNED_BYTE, palettes);
+    this.panes = beside ? ["colour", "beside"] : ["colour"];
+    if (beside) this.upload("beside", beside);
     this.upload("colour", values);
   }
 
-  filter(visible) {  // 1 or 0 per point
+  filter(visible) {  // per point: 0 hidden, 1 shown, 2 faint
     this.visible = visible;
     this.upload("shown", visible);
   }
@@ -121,28 +119,24 @@ class PointView {
     this.upload("lines", Float32Array.from(corners));
   }
 
-  home() {
-    Object.assign(this, START, { target: [0, 0, 0] });
+  home() {  // where most points are visible
+    if (this.cloud) Object.assign(this, fitted(this.cloud, this.aspect()));
     this.redraw();
   }
 
-  axes() {  // of the camera: right, up, back
-    const a = this.azimuth * Math.PI / 180, e = this.elevation * Math.PI / 180;
-    const back = [Math.cos(a) * Math.cos(e), Math.sin(a) * Math.cos(e), Math.sin(e)];
-    const right = [-Math.sin(a), Math.cos(a), 0];
-    const up = [-Math.cos(a) * Math.sin(e), -Math.sin(a) * Math.sin(e), Math.cos(e)];
-    return [right, up, back];
+  pane() {  // number of panes across and down, and their size in CSS pixels
+    const { clientWidth, clientHeight } = this.canvas, two = this.panes.length > 1;
+    const across = two && clientWidth >= WIDE_PX ? 2 : 1, down = two && across === 1 ? 2 : 1;
+    return { across, down, width: clientWidth / across, height: Math.max(1, clientHeight / down) };
+  }
+
+  aspect() {
+    const { width, height } = this.pane();
+    return Math.max(0.1, width / height);
   }
 
   matrix() {
-    const axes = this.axes(), eye = this.target.map((t, i) => t + this.distance * axes[2][i]);
-    const turned = [0, 1, 2, 3].flatMap(column => column < 3 ? [...axes.map(axis => axis[column]), 0]
-      : [...axes.map(axis => -axis.reduce((sum, each, i) => sum + each * eye[i], 0)), 1]);
-    const near = Math.max(NEAR_M, this.distance / 200), focal = 1 / Math.tan(FIELD_OF_VIEW * Math.PI / 360);
-    const aspect = this.canvas.clientWidth / Math.max(1, this.canvas.clientHeight);
-    const depth = 1 / (near - FAR_M);
-    return multiply([focal / aspect, 0, 0, 0, 0, focal, 0, 0, 0, 0, (FAR_M + near) * depth, -1,
-      0, 0, 2 * FAR_M * near * depth, 0], turned);
+    return matrixOf(this, this.aspect());
   }
 
   redraw() {
@@ -154,15 +148,29 @@ class PointView {
     const gl = this.gl, canvas = this.canvas, ratio = Math.min(devicePixelRatio || 1, 2);
     const [width, height] = [canvas.clientWidth, canvas.clientHeight].map(n => Math.max(1, Math.round(n * ratio)));
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
-    gl.viewport(0, 0, width, height);
+    gl.disable(gl.SCISSOR_TEST);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     if (!this.count || !this.visible) return;
+    gl.enable(gl.SCISSOR_TEST);
     gl.uniformMatrix4fv(this.uniform.camera, false, this.matrix());
+    const { across, down } = this.pane(), [w, h] = [Math.floor(width / across), Math.floor(height / down)];
+    this.panes.forEach((name, i) => {
+      const box = [across > 1 ? i * w : 0, down > 1 ? (1 - i) * h : 0, w, h];
+      gl.viewport(...box);
+      gl.scissor(...box);
+      this.drawPane(name, ratio);
+    });
+  }
+
+  drawPane(name, ratio) {
+    const gl = this.gl;
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.buffers[name]);
+    gl.vertexAttribPointer(this.colourPlace, 1, gl.UNSIGNED_BYTE, false, 0, 0);
     gl.uniform3fv(this.uniform.low, this.cloud.low);
     gl.uniform3fv(this.uniform.step_m, this.cloud.step);
     gl.uniform1f(this.uniform.size, this.size * ratio);
     gl.uniform1f(this.uniform.ring, 0);
-    gl.uniform1i(this.uniform.row, 0);
+    gl.uniform1i(this.uniform.row, ROWS[name]);
     gl.drawArrays(gl.POINTS, 0, this.count);
     if (this.marked >= 0) {
       gl.disable(gl.DEPTH_TEST);
@@ -186,12 +194,12 @@ class PointView {
 
   pick(x, y) {  // the nearest visible point at a position on the canvas, CSS pixels; -1 without one
     if (!this.cloud) return -1;
-    const m = this.matrix(), { low, step, position } = this.cloud, { clientWidth, clientHeight } = this.canvas;
-    const [s, t] = [2 * x / clientWidth - 1, 1 - 2 * y / clientHeight];
-    const [across, down] = [clientWidth / 2, clientHeight / 2];
+    const m = this.matrix(), { low, step, position } = this.cloud, { width, height } = this.pane();
+    const [s, t] = [2 * (x % width) / width - 1, 1 - 2 * (y % height) / height];
+    const [across, down] = [width / 2, height / 2];
     let best = -1, least = Infinity;
     for (let i = 0; i < this.count; i++) {
-      if (!this.visible[i]) continue;
+      if (this.visible[i] !== 1) continue;
       const px = low[0] + step[0] * position[3 * i], py = low[1] + step[1] * position[3 * i + 1],
         pz = low[2] + step[2] * position[3 * i + 2];
       const w = m[3] * px + m[7] * py + m[11] * pz + m[15];
@@ -222,7 +230,7 @@ class PointView {
   }
 
   move(across, down) {  // in CSS pixels
-    const [right, up] = this.axes(), metres = this.distance * 0.93 / Math.max(1, this.canvas.clientHeight);
+    const [right, up] = axesOf(this), metres = this.distance * 0.93 / this.pane().height;
     this.target = this.target.map((t, i) => t + metres * (down * up[i] - across * right[i]));
     this.redraw();
   }

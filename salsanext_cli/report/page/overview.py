@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: MIT
+"""Overview at the top of a page: tiles with the numbers that decide, and the decision."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from salsanext_cli.errors import counted
+from salsanext_cli.measures.decision import ADVICE, DOUBTFUL, Evidence, verdict
+from salsanext_cli.measures.expected_accuracy import ExpectedAccuracy
+from salsanext_cli.report.page.elements import text_of
+from salsanext_cli.report.page.run_results import Comparison, RunResults
+from salsanext_cli.report.tables import percent
+from salsanext_cli.results.manifest import Manifest
+
+WITHHELD = "withheld"
+
+
+@dataclass(frozen=True, slots=True)
+class Tile:
+    """A number and its meaning."""
+
+    value: str
+    meaning: str
+
+
+def overview(run: RunResults, compared: Comparison | None) -> str:
+    """Return tiles and the sentence that leads to a decision, as HTML."""
+    evidence = run.evidence()
+    tiles = "".join(
+        f"<div><b>{text_of(tile.value)}</b>{text_of(tile.meaning)}</div>"
+        for tile in _tiles(run, compared, evidence)
+    )
+    return f'<div class="tiles">{tiles}</div>\n{_decision(evidence)}{_sentences(compared)}'
+
+
+def _tiles(run: RunResults, compared: Comparison | None, evidence: Evidence) -> Iterator[Tile]:
+    points = sum(row.points for row in run.rows)
+    yield Tile(f"{len(run.rows):,}", f"scans, {counted(points, 'point')}")
+    if compared:
+        yield from _score_tiles(compared)
+    yield from _estimate_tiles(run, evidence.expected)
+    errors = run.errors
+    mean = errors.mean
+    doubtful = errors.doubtful_share
+    if mean is not None and doubtful is not None:
+        above = f"{percent(doubtful, 1, ' %')} of them above {100 * DOUBTFUL:.0f} %"
+        meaning = f"mean probability of error of {counted(errors.points, 'point')}, {above}"
+        yield Tile(percent(mean, 1, " %"), meaning)
+    rejected = _rejection(run)
+    if rejected:
+        share = sum(row.rejected for row in run.rows) / max(points, 1)
+        yield Tile(percent(share, 1, " %"), f"of all points rejected: {rejected}")
+    yield _warning_tile(run, evidence)
+
+
+def _score_tiles(compared: Comparison) -> Iterator[Tile]:
+    """Yield accuracy and mean IoU, or coverage and risk of a run that rejected labels."""
+    scores = compared.scores
+    which = "trained on" if compared.counts.trained_on else "with labels"
+    scans = f"{counted(compared.counts.scans, 'scan')} {which}"
+    labelled = counted(scores.points, "labelled point")
+    if labels := compared.accepted:
+        points = sum(counts[0] for counts in compared.counts.accepted.values())
+        coverage = f"coverage: accepted of {counted(points, 'labelled point')}, {scans}"
+        yield Tile(percent(labels.coverage, 1, " %"), coverage)
+        risk = f"risk: wrong of {counted(scores.points, 'accepted point')}"
+        yield Tile(percent(labels.risk, 1, " %"), risk)
+        return
+    yield Tile(percent(scores.accuracy, 1, " %"), f"accuracy: right of {labelled}, {scans}")
+    present = sum(c.points > 0 for c in scores.classes)
+    yield Tile(percent(scores.iou_mean_present, 1, " %"), f"mean IoU of {present} classes present")
+    if present < len(scores.classes):
+        every = f"mean IoU of all {len(scores.classes)}, official"
+        yield Tile(percent(scores.iou_mean_official, 1, " %"), every)
+
+
+def _estimate_tiles(run: RunResults, expected: ExpectedAccuracy | None) -> Iterator[Tile]:
+    """Yield the interval of the estimated accuracy, or why there is none."""
+    if expected is None:
+        if _rejection(run):
+            yield Tile(WITHHELD, "estimated accuracy: not known after labels were rejected")
+        return
+    reasons = ", ".join(f"{code} in {counted(n, 'scan')}" for code, n in expected.withheld.items())
+    if expected.interval is None:
+        yield Tile(WITHHELD, f"estimated accuracy: {reasons}")
+        return
+    low = math.floor(100 * expected.interval[0])
+    high = math.ceil(100 * expected.interval[1])
+    scans = f" of {counted(expected.scans, 'scan')}; withheld: {reasons}" if reasons else ""
+    yield Tile(f"{low} to {high} %", f"estimated accuracy, from confidence{scans}")
+
+
+def _rejection(run: RunResults) -> str:
+    """Describe the threshold of a run that rejected labels; empty without one."""
+    settings = Manifest(run.reader.out).settings_of("predictions")
+    if settings is None or settings.reject is None:
+        return ""
+    kind = (settings.reject_by or "error").replace("_", " ")
+    return f"{kind} above {settings.reject:.3g}"
+
+
+def _warning_tile(run: RunResults, evidence: Evidence) -> Tile:
+    """Return the number of scans with warnings, and with each code."""
+    warned = sum(bool(codes) for codes in run.codes.values())
+    counts = sorted(evidence.warned.items(), key=lambda item: (-item[1], item[0]))
+    codes = ", ".join(f"{code} {number:,}" for code, number in counts)
+    return Tile(
+        f"{warned:,}", f"{'scan' if warned == 1 else 'scans'} with warnings{codes and f': {codes}'}"
+    )
+
+
+def _decision(evidence: Evidence) -> str:
+    """Return the decision and the command that follows from it, as HTML; empty if unknown."""
+    decided = verdict(evidence)
+    if decided is None:
+        return ""
+    advice = text_of(ADVICE[decided.decision])
+    command = f" <code>{text_of(decided.command)}</code>" if decided.command else ""
+    reason = text_of(decided.reason)
+    return f'<p class="decision"><b>{advice}</b>: {reason}.{command}</p>'
+
+
+def _sentences(compared: Comparison | None) -> str:
+    """Return the sentences on risk, as HTML; empty without labels and uncertainty."""
+    if compared is None:
+        return ""
+    best = compared.uncertainty.accepted
+    sentences = [*compared.sentences, *([best.sentence] if best else [])]
+    return "".join(f'<p class="sentence">{text_of(s[:1].upper() + s[1:])}.</p>' for s in sentences)

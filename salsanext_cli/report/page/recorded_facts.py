@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: MIT
+"""Recorded settings of a run in words."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+from salsanext_cli.errors import SalsanextError, shortened
+from salsanext_cli.files.reading import fingerprint
+from salsanext_cli.fitting.field_of_view import view_text
+from salsanext_cli.measures.risk_control import guarantee
+from salsanext_cli.network.card import default_weights, read_card
+from salsanext_cli.results.manifest import Manifest, StageSettings
+from salsanext_cli.results.paths import ERROR
+from salsanext_cli.sensors.sensor import Sensor
+
+SHOWN_DIGITS = 12  # Hexadecimal digits of a SHA-256 on the page
+
+
+def recorded_facts(out: Path, sensor: Sensor) -> Iterator[tuple[str, str]]:
+    """Yield titles and texts of the recorded settings of a run for a sensor."""
+    records = Manifest(out)
+    yield "Weights", _weights(records)
+    for member in sensor.members:
+        yield "Sensor", f"{member.name}, {member.height}×{member.width}, {view_text(member)}"
+    stage, labels = records.owner("predictions"), records.settings_of("predictions")
+    if stage and labels:
+        yield "Labels", _labels(stage, labels)
+        if labels.guarantee:
+            yield "Guarantee", guarantee(labels.guarantee)
+        if labels.inherited:
+            parts = shortened(labels.inherited, 200)
+            yield "Inherited", f"{parts}, not fitted to these weights"
+    if settings := records.settings("uncertainty"):
+        numbers = {name: getattr(settings, name) for name in ("samples", "seed", "aleatoric")}
+        texts = (f"{name} {value}" for name, value in numbers.items() if value is not None)
+        yield "Uncertainty", ", ".join([str(settings.method), *texts])
+    if records.owner(ERROR) == "predict":
+        yield "Uncertainty", "probability of error, from predict --error"
+
+
+def _weights(records: Manifest) -> str:
+    """Describe the weights behind the labels, else those behind the uncertainty."""
+    folders = ("predictions", "uncertainty/epistemic", "uncertainty/error", "pixel_labels")
+    sha256 = next(filter(None, map(records.weights, folders)), None)
+    if sha256 is None:
+        return "not recorded"
+    name = f"SHA-256 {sha256[:SHOWN_DIGITS]}"
+    path = default_weights()
+    # An installation without its weights still shows results.
+    with suppress(SalsanextError):
+        if fingerprint(path) == sha256:
+            card = read_card(path)
+            text = re.sub(r"See \S+\.md; (.)", lambda rest: rest[1].upper(), card.description)
+            name = card.named(path) if card.version else f"default weights, {name}"
+            return f"{name}. {text.replace('`', '')}"
+    return f"{name}, not the default weights; salsanext models FILE describes them"
+
+
+def _labels(stage: str, settings: StageSettings) -> str:
+    words = [stage]
+    if settings.engine:
+        words.append(f"{settings.engine} in {settings.precision}")
+    if settings.temperature is not None:
+        words.append(f"temperature {settings.temperature:.3g}")
+    if settings.reject is not None:
+        kind = (settings.reject_by or "error").replace("_", " ")
+        words.append(f"points rejected: {kind} above {settings.reject:g}")
+    return ", ".join(words)

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: MIT
+"""One scan of a run in numbers: its points, classes, uncertainty, rejected and wrong points."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from salsanext_cli.files.reading import present
+from salsanext_cli.formats.kitti import read_labels
+from salsanext_cli.measures.decision import DOUBTFUL
+from salsanext_cli.measures.scan_counts import ScanComparison, ScanCounts
+from salsanext_cli.measures.scores import Counts, accepted, scored_rows
+from salsanext_cli.records import Float
+from salsanext_cli.results.manifest import Manifest
+from salsanext_cli.results.paths import ScanFile, output_path
+from salsanext_cli.results.result_folder import read_kind
+from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
+
+
+@dataclass(frozen=True, slots=True)
+class PointErrors:
+    """Probability of error over the points that have one."""
+
+    points: int = 0  # Number of points with a probability of error
+    total: float = 0.0  # Sum of the probabilities
+    doubtful: int = 0  # Number of points with a probability above `DOUBTFUL`
+
+    @classmethod
+    def of_values(cls, error: Float) -> Self:
+        """Count errors (N,), 0…1, NaN where unknown."""
+        known = error[np.isfinite(error)]
+        doubtful = int(np.count_nonzero(known > np.float32(DOUBTFUL)))
+        return cls(len(known), float(known.sum(dtype=np.float64)), doubtful)
+
+    def __add__(self, other: PointErrors) -> PointErrors:
+        """Return the sums over the points of both."""
+        return PointErrors(
+            self.points + other.points, self.total + other.total, self.doubtful + other.doubtful
+        )
+
+    @property
+    def mean(self) -> float | None:
+        """Mean probability of error, 0…1; None without points."""
+        return self.total / self.points if self.points else None
+
+    @property
+    def doubtful_share(self) -> float | None:
+        """Share of the points above `DOUBTFUL`, 0…1; None without points."""
+        return self.doubtful / self.points if self.points else None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScanRow:
+    """One scan in numbers."""
+
+    file: ScanFile
+    points: int  # Number of points with a label or an uncertainty
+    class_points: Counts  # (C,) int64: number of points by predicted train id
+    uncertainty: dict[str, float]  # Mean over the points by kind; NaN without any
+    # (C, C) as `scored_rows`, of accepted points if the run rejected labels
+    confusion: Counts
+    errors: PointErrors = PointErrors()
+    rejected: int = 0  # Number of points whose label was rejected
+
+    @property
+    def judged(self) -> int:
+        """Number of points in `confusion`."""
+        return int(self.confusion.sum())
+
+    @property
+    def wrong(self) -> float:
+        """Share of wrong points in `confusion`, 0…1; NaN without points."""
+        return float(1 - self.confusion.trace() / self.judged) if self.judged else math.nan
+
+    @classmethod
+    def read(cls, file: ScanFile, reader: ScanComparison) -> tuple[Self, ScanCounts | None]:
+        """Read the results of a scan and, if it has labels, count its points."""
+        out, space = reader.out, reader.space
+        path_of = partial(output_path, out, file.sequence, stem=file.stem)
+        points = 0
+        class_points = np.zeros(space.class_count, np.int64)
+        if is_labelled := present(path := path_of(folder="predictions")):
+            predicted = space.to_train(read_labels(path), strict=False, source=path)
+            points = len(predicted)
+            class_points = np.bincount(predicted, minlength=space.class_count)
+        values = _uncertainty(file, out, points)
+        points = points or max(map(len, values.values()), default=0)
+        uncertainty = {kind: _mean(of_points) for kind, of_points in values.items()}
+        errors = PointErrors.of_values(values["error"]) if "error" in values else PointErrors()
+        counts = None
+        confusion = np.zeros((space.class_count, space.class_count), np.int64)
+        if is_labelled and reader.has_truth(file):
+            counts = reader.count(file)
+            confusion = scored_rows(counts.confusion, space)
+            confusion = accepted(confusion) if reader.rejects else confusion
+        rejected = _rejected(out, values)
+        return cls(file, points, class_points, uncertainty, confusion, errors, rejected), counts
+
+
+def _uncertainty(file: ScanFile, out: Path, points: int) -> dict[str, Float]:
+    """Read the known kinds of uncertainty of a scan, arrays (N,) float32."""
+    values: dict[str, Float] = {}
+    for kind in UNCERTAINTY:
+        path = output_path(out, file.sequence, f"uncertainty/{kind}", file.stem)
+        if present(path):
+            values[kind] = read_kind(path, kind, points or None)
+            points = len(values[kind])
+    return values
+
+
+def _mean(values: Float) -> float:
+    """Return the mean of the finite values; NaN without any."""
+    finite = values[np.isfinite(values)]
+    return float(finite.mean(dtype=np.float64)) if len(finite) else math.nan
+
+
+def _rejected(out: Path, values: dict[str, Float]) -> int:
+    """Count the points above the threshold of the run; 0 without a threshold."""
+    settings = Manifest(out).settings_of("predictions")
+    if settings is None or settings.reject is None:
+        return 0
+    uncertainty = values.get(settings.reject_by or "error")
+    if uncertainty is None:
+        return 0
+    return int(np.count_nonzero(uncertainty > np.float32(settings.reject)))

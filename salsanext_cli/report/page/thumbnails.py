@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: MIT
+"""Small pictures of scans from above, in the colours of their labels."""
+
+from __future__ import annotations
+
+import math
+from base64 import b64encode
+from collections.abc import Collection
+from io import BytesIO
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.geometry.projection import in_sensor_frame
+from salsanext_cli.measures.scan_counts import ScanComparison
+from salsanext_cli.records import Double, Float
+from salsanext_cli.report.colours import PointColours, value_range
+from salsanext_cli.report.page.run_results import RunResults
+from salsanext_cli.report.page.scan_row import ScanRow
+from salsanext_cli.report.scan_pictures import raster
+from salsanext_cli.results.paths import ScanFile
+from salsanext_cli.results.result_folder import ResultFolder, scalar_columns
+
+MAX_THUMBNAILS = 100  # Most thumbnails of a page, each of about 5 kB
+SIZE_PX = 96
+SHARE_INSIDE = 0.85  # Share of the points within the picture
+LEAST_REACH_M = 4.0
+PNG = "data:image/png;base64,"
+
+
+def scans_for_thumbnails(run: RunResults, names: Collection[str]) -> list[ScanFile]:
+    """Return the scans with some names and the most uncertain ones, at most `MAX_THUMBNAILS`."""
+    kind = run.leading_kind or ""
+
+    def rank(row: ScanRow) -> tuple[bool, float]:
+        mean = row.uncertainty.get(kind, math.nan)
+        return row.file.name not in names, -mean if math.isfinite(mean) else math.inf
+
+    return [row.file for row in sorted(run.rows, key=rank)[:MAX_THUMBNAILS]]
+
+
+def thumbnail(file: ScanFile, reader: ScanComparison) -> tuple[str, str]:
+    """Return the name of a scan and its picture, a PNG as an address for `img`."""
+    results = ResultFolder(reader.out).read(file, reader.sensor, reader.space)
+    colour = "label" if results.label is not None else next(iter(results.uncertainty), "range")
+    columns = scalar_columns(results, reader.space)
+    scale = value_range(columns[colour])
+    colours = PointColours(colour, scale, reader.space, dark=True).of_points(columns)
+    points = in_sensor_frame(results.scan, results.sensor or reader.sensor).points
+    return file.name, PNG + b64encode(_picture(points, colours)).decode("ascii")
+
+
+def _picture(points: Float, colours: npt.NDArray[np.uint8]) -> bytes:
+    """Draw points (N, 3), metres, from above around their middle, as a PNG."""
+    from matplotlib.image import imsave
+
+    middle, reach = _frame(points)
+    shifted = points - np.append(middle, 0.0).astype(np.float32)
+    pixels = raster(shifted, colours, reach, SIZE_PX)
+    png = BytesIO()
+    imsave(png, pixels, format="png")
+    return png.getvalue()
+
+
+def _frame(points: Float) -> tuple[Double, float]:
+    """Return the middle (2,) of the points from above, and the distance to an edge, metres."""
+    measured = points[np.isfinite(points).all(axis=1) & points.any(axis=1), :2].astype(np.float64)
+    if not len(measured):
+        return np.zeros(2), LEAST_REACH_M
+    middle = np.median(measured, axis=0)
+    far = np.abs(measured - middle).max(axis=1)
+    return middle, max(float(np.quantile(far, SHARE_INSIDE)), LEAST_REACH_M)
