@@ -1,15 +1,13 @@
 # SPDX-License-Identifier: MIT
 """Decision about the labels of a run: its limits, and the warnings that decide."""
 
-import re
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from salsanext_cli.measures.decision import ADVICE, CODES, LEVELS, Decision, Evidence, verdict
+from salsanext_cli.measures.decision import CODES, LEVELS, Decision, Evidence, verdict
 from salsanext_cli.measures.expected_accuracy import WITHHELD_FOR, ExpectedAccuracy
 
 FINE = Evidence(scans=10, class_count=20)
@@ -19,15 +17,6 @@ SHARES = st.none() | st.floats(0, 1)
 
 def estimate(accuracy: float) -> ExpectedAccuracy:
     return ExpectedAccuracy(accuracy, (max(accuracy - 0.1, 0), min(accuracy + 0.1, 1)), 10, {})
-
-
-def test_the_limits_are_those_of_the_docs():
-    page = Path(__file__).parents[2] / "docs/how-to/look-at-results.md"
-    rows = page.read_text().partition("| decision |")[2].partition("\n\n")[0].splitlines()[2:]
-    limits = [[int(n) / 100 for n in re.findall(r"(\d+) %", row)] for row in rows]
-    assert limits[:-1] == [[level.least_accuracy, level.most_doubtful] for level in LEVELS[:-1]]
-    names = [row.split("|")[1].strip() for row in rows]
-    assert names == [ADVICE[level.decision].lower() for level in LEVELS]
 
 
 @pytest.mark.parametrize(
