@@ -89,7 +89,7 @@ def export_onnx(
         default=...,
         metavar="WEIGHTS",
     ),
-    target: Path = argument("ONNX model to write (.onnx).", default=..., metavar="OUT"),
+    target: Path = argument("ONNX model to write (.onnx).", default=..., metavar="MODEL"),
     *,
     sensor: str | None = arguments.sensor_option(show_default="the sensor of the weights"),
     dynamic_width: bool = option("Accept any width that is a multiple of 16 or 32.", default=False),
