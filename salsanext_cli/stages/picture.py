@@ -13,11 +13,12 @@ from salsanext_cli.fitting.sensor_fit import fitted_view
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.report.colours import CLASS_COLOURS, Scales, common_scales, require_colouring
 from salsanext_cli.report.scan_pictures import known_views, picture_of_results
+from salsanext_cli.results.foreign_labels import warn_of_foreign_labels
 from salsanext_cli.results.manifest import StageSettings
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.paths import COLOURINGS, PREDICTION_STAGES, ScanFile
 from salsanext_cli.results.query import ResultQuery
-from salsanext_cli.results.result_folder import ResultFolder, scalar_columns
+from salsanext_cli.results.result_folder import ChosenResults, ResultFolder, scalar_columns
 from salsanext_cli.sensors.sensor import Sensor, sensor
 
 STAGE, FOLDER = "picture", "pictures"
@@ -33,12 +34,10 @@ def _picture_scan(
     sensor: Sensor,
     output: OutputRun,
     classes: LabelSpace | None,
-    labels: LabelSpace,
+    truth_in: tuple[LabelSpace, LabelSpace] | None,
 ) -> None:
     """Write the picture of one scan in some colours, or in all colours that it has."""
     output.require_replaceable(file)
-    shows_truth = not colours or {"truth", "wrong"} & {*colours}
-    truth_in = (labels, space) if shows_truth else None
     results = ResultFolder(output.root).read(file, sensor, classes, truth_in)
     columns = scalar_columns(results, space)
     for colour in colours:
@@ -48,6 +47,13 @@ def _picture_scan(
     strips = colours or [colour for colour in COLOURINGS if colour in columns]
     png = picture_of_results(file.name, results, space, sensor, scales, views, strips)
     output.write(output.path(file, FOLDER), png)
+
+
+def _shows_truth(chosen: ChosenResults, colours: Collection[str], sensor: Sensor) -> bool:
+    """Return whether pictures need the true labels: if asked for, or if there are usable ones."""
+    if colours:
+        return bool({"truth", "wrong"} & {*colours})
+    return not warn_of_foreign_labels(chosen.scans, chosen.labels, sensor)
 
 
 def picture(
@@ -100,10 +106,11 @@ def picture(
     settings = StageSettings(
         colours=tuple(colours), scales=scales, sensor=view, label_space=space, origins=origins
     )
+    truth_in = (chosen.labels, space) if _shows_truth(chosen, colours, view) else None
     run = (out, STAGE, settings, (FOLDER,), scans)
     with output_run(*run, overwrite=overwrite, record_scans=False) as output:
         task = partial(_picture_scan, colours=colours, scales=scales, space=space, sensor=view)
-        task = partial(task, output=output, classes=query.classes, labels=chosen.labels)
+        task = partial(task, output=output, classes=query.classes, truth_in=truth_in)
         outcome = run_over_scans(task, scans, options, is_done=output.is_done)
         log.log(NOTICE, "pictures: %s", out / "sequences/*" / FOLDER)
     return replace(outcome, missing=chosen.missing)

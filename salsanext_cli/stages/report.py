@@ -22,6 +22,7 @@ from salsanext_cli.report.page.run_results import Comparison, RunResults, ShownS
 from salsanext_cli.report.page.scan_row import ScanRow
 from salsanext_cli.report.page.server import PageServer
 from salsanext_cli.report.page.thumbnails import scans_for_thumbnails, thumbnail
+from salsanext_cli.results.foreign_labels import warn_of_foreign_labels
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.paths import PREDICTION_STAGES
 from salsanext_cli.results.query import ResultQuery
@@ -216,9 +217,12 @@ def read_run(
     """
     results = ResultFolder(out, query.dataset)
     chosen = results.chosen(query)
+    without_truth = pre_labelled_scans(chosen.scans)
+    if warn_of_foreign_labels(chosen.scans, chosen.labels, results.known_sensor()):
+        without_truth = chosen.scans
     reader = replace(
         ScanComparison.of_results(results, chosen.space, chosen.labels),
-        unreviewed=frozenset(scan.name for scan in pre_labelled_scans(chosen.scans)),
+        unreviewed=frozenset(scan.name for scan in without_truth),
     )
     rows: list[ScanRow] = []
     counts = SeparateCounts(reader.space)
