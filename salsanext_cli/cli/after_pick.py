@@ -24,7 +24,7 @@ def lines_after_pick(
     labelled: Sequence[Path],
 ) -> Iterator[str]:
     """Yield the lines about picked scans in a data set; `labelled`: data sets that have labels."""
-    if scale is not None:
+    if scale is not None and scale.least < scale.most:
         yield scale_text(scale)
     if labels.verdict is not None:
         yield f"the picked scans: {labels.verdict.sentence}"

@@ -2,6 +2,7 @@
 """Commands on your own data: convert, pick, import-labels, submit."""
 
 import json
+import math
 import shlex
 import shutil
 from pathlib import Path
@@ -12,7 +13,9 @@ from command_line import only_json, subject
 from edited_clouds import write_ply
 
 from salsanext_cli import label_space, read_labels, read_scan, write_labels
-from salsanext_cli.cli.after_pick import commands_after_pick
+from salsanext_cli.cli.after_pick import commands_after_pick, lines_after_pick, scale_text
+from salsanext_cli.cli.picked_labels import PickedLabels
+from salsanext_cli.labelling.picked_data_set import UncertaintyScale
 from salsanext_cli.results.paths import output_path
 from salsanext_cli.stages import submit as stage
 
@@ -133,6 +136,17 @@ def test_a_submission_without_a_prediction_is_an_error(run, out, tmp_path):
     result = run("submit", "out", "a.zip", "--json")
     assert (result.exit_code, only_json(result)["code"]) == (1, "no-input")
     assert not (tmp_path / "a.zip").exists()
+
+
+def test_the_scale_of_the_uncertainties_is_that_of_the_scans_and_the_classes():
+    text = scale_text(UncertaintyScale(0.00123, 0.0025, 0.01, class_count=20))
+    assert "0.0012 to 0.0100 nats, median 0.0025" in text
+    assert f"{math.log(20):.2f}" in text
+    labels = PickedLabels(Path("new/predicted"), (), None, None)
+    for most, is_printed in ((0.01, True), (0.00123, False)):
+        scale = UncertaintyScale(0.00123, 0.00123, most, class_count=20)
+        lines = [*lines_after_pick(Path("new"), scale, labels, None, ())]
+        assert any("nats" in line for line in lines) == is_printed
 
 
 def test_after_pick_the_training_uses_its_labelled_data_sets_and_weights():
