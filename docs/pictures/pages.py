@@ -14,8 +14,9 @@ from prepared import predicted_drive
 from pictures.concepts import SCAN, TRUTH
 from pictures.shrink import shrink
 
-WINDOW = "1280,1500"
+WINDOW = "1280,2080"
 WIDTH_PX = 1280
+SCANS_SHOWN = 4  # So that the picture has the table of scans and a scan
 
 
 def report(data: Path, picture: Path) -> None:
@@ -24,7 +25,7 @@ def report(data: Path, picture: Path) -> None:
         folder = Path(temporary, "example")  # The page shows its name.
         folder.mkdir()
         predicted_drive(data, folder, "--error")
-        salsanext("report", folder / "out")
+        salsanext("report", folder / "out", "--limit", SCANS_SHOWN)
         screenshot(folder / "out/report.html", folder / "page.png")
         shrink(folder / "page.png", picture, WIDTH_PX)
 

@@ -85,6 +85,21 @@ const cssOf = entries => entries.map(({ rgb }) => (255 * 2 ** 24 + rgb[2] * 6553
   at(strip, "pointermove", area.left + (pixel % cloud.width + 0.5) * area.width / cloud.width,
     area.top + (Math.floor(pixel / cloud.width) + 0.5) * area.height / cloud.height);
   result.strip = [cloud.first[pixel], +document.documentElement.dataset.point];
+  const inside = scan => {  // share of its points that the fitted camera shows
+    const aspect = 0.7, k = matrixOf(fitted(scan, aspect), aspect), { low, step, position } = scan;
+    let count = 0;
+    for (let i = 0; i < scan.shown; i++) {
+      const at = [0, 1, 2].map(axis => low[axis] + step[axis] * position[3 * i + axis]);
+      const [u, v, , w] = [0, 1, 2, 3].map(row => k[row] * at[0] + k[4 + row] * at[1] + k[8 + row] * at[2] + k[12 + row]);
+      count += w > 0 && Math.abs(u) <= w && Math.abs(v) <= w;
+    }
+    return count / scan.shown;
+  };
+  const sector = Uint16Array.from({ length: 3000 }, (_, i) => i % 3 === 2 ? 0 : (i * 7919) % 1000);
+  const left = { shown: 1000, position: sector, low: [-5, 10, 0], step: [0.01, 0.02, 0.01] };
+  const far = { ...left, low: [1e5, 1e5, 0] };
+  result.inside = [cloud, left, far].map(inside);
+  result.azimuths = [cloud, left, far].map(scan => Math.round(fitted(scan, 1).azimuth));
   byId("boxes").click();
   change("beside", "wrong", "change");
   const wrong = cssOf(data.outcomes)[2], car = cssOf(data.classes)[1];

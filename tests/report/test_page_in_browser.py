@@ -138,6 +138,9 @@ def test_the_page_draws_and_its_controls_work(world, tmp_path):
     assert result["turned"] == 5
     assert result["pixels"]
     assert result["strip"][0] == result["strip"][1]
+    # The camera shows nine points of ten, and looks where the points are: here to the left.
+    assert min(result["inside"]) >= 0.9
+    assert result["azimuths"] == [180, 270, 180]
     # Each half of the picture has its own colours; points are found in both.
     assert result["halves"] == [[False, True], [True, False]]
     assert result["both"][0] == result["both"][1] >= 0

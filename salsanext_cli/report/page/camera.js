@@ -6,8 +6,9 @@ const START = { azimuth: 180, elevation: 32 };  // degrees: looking forward
 const NEAR_M = 0.3, FAR_M = 20000, FOCAL = 1 / Math.tan(25 * Math.PI / 180);  // field of view: 50 degrees
 const SAMPLED = 5000;  // points from which the position follows
 const SHARE_INSIDE = 0.9;  // of the points, within the picture
+const OUTER = 0.05;  // share of the points beyond each side of those that the target is in the middle of
 const LEAST_DISTANCE_M = 4;
-const SECTOR = [0.5, 4];  // distance of the middle from the origin, in typical distances to it, if the points lie in one direction
+const FARTHEST = 2;  // distance of the target from the origin, in extents; farther scans are in the frame of a map
 
 function multiply(a, b) {  // of 4 × 4 matrices, column by column
   return Float32Array.from({ length: 16 }, (_, i) =>
@@ -23,11 +24,11 @@ function fitted(cloud, aspect) {  // azimuth, elevation, target and distance for
   const { low, step, position, shown } = cloud, every = Math.max(1, Math.floor(shown / SAMPLED));
   const axes = [[], [], []];
   for (let i = 0; i < shown; i += every) axes.forEach((axis, k) => axis.push(low[k] + step[k] * position[3 * i + k]));
-  const target = axes.map(axis => quantile(axis, 0.5));
-  const apart = axes[0].map((x, i) => Math.hypot(x - target[0], axes[1][i] - target[1]));
-  const away = Math.hypot(target[0], target[1]) / Math.max(1, quantile(apart, 0.5));
-  const sector = away > SECTOR[0] && away < SECTOR[1];  // farther ones are in the frame of a map
-  const azimuth = sector ? Math.atan2(target[1], target[0]) * 180 / Math.PI + 180 : START.azimuth;
+  const sides = axes.slice(0, 2).map(axis => [quantile(axis, OUTER), quantile(axis, 1 - OUTER)]);
+  const target = [...sides.map(([low, high]) => (low + high) / 2), quantile(axes[2], 0.5)];
+  const outside = sides.some(([low, high]) => low > 0 || high < 0);  // the origin: the points lie in one direction of it
+  const near = Math.hypot(target[0], target[1]) < FARTHEST * Math.max(...sides.map(([low, high]) => high - low));
+  const azimuth = outside && near ? Math.atan2(target[1], target[0]) * 180 / Math.PI + 180 : START.azimuth;
   const camera = { ...START, azimuth, target }, turned = axesOf(camera);
   const needed = axes[0].map((_, i) => {  // distance from which a point is just within the picture
     const [right, up, back] = turned.map(axis => axis.reduce((sum, each, k) => sum + each * (axes[k][i] - target[k]), 0));

@@ -90,16 +90,25 @@ def cells_of(rows: Sequence[ScanRow], openable: Sequence[str]) -> dict[str, list
         By train ids of truth and label, ``"9,11"``: number in `openable` of the scan with most
         points, -1 if none of them has any, and name of the scan with most points of all.
     """
-    matrices = np.stack([row.confusion for row in rows])
-    names = [row.file.name for row in rows]
     number_of = {name: number for number, name in enumerate(openable)}
-    places = np.array([number_of.get(name, -1) for name in names])
-    shown = np.where(places[:, None, None] >= 0, matrices, 0)
-    most = matrices.argmax(axis=0)
-    most_shown = shown.argmax(axis=0)
-    cells: dict[str, list[object]] = {}
-    for i, j in np.argwhere(matrices.any(axis=0)).tolist():
-        row = int(most_shown[i, j])
-        number = int(places[row]) if shown[row, i, j] else -1
-        cells[f"{i},{j}"] = [number, names[most[i, j]]]
-    return cells
+    most = _with_most(rows)
+    shown = _with_most([row for row in rows if row.file.name in number_of])
+    return {
+        f"{true},{label}": [
+            number_of[shown[cell].file.name] if cell in shown else -1,
+            row.file.name,
+        ]
+        for cell, row in sorted(most.items())
+        for true, label in [cell]
+    }
+
+
+def _with_most(rows: Sequence[ScanRow]) -> dict[tuple[int, int], ScanRow]:
+    """Return the first scan with most points of each cell, by train ids of truth and label."""
+    best: dict[tuple[int, int], ScanRow] = {}
+    for row in rows:
+        for true, label in np.argwhere(row.confusion).tolist():
+            cell = (true, label)
+            if cell not in best or row.confusion[cell] > best[cell].confusion[cell]:
+                best[cell] = row
+    return best

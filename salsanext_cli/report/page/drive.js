@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT
 // The drive, one column per scan: curves of mean uncertainty and wrong points above shares of classes.
 
-const CURVE_PX = 110, GAP_PX = 20, NAMES_PX = 18, UNCERTAIN_COLOUR = "#2f7fd0", WRONG_COLOUR = "#e0482e";
-const LEFT_PX = 46, RIGHT_PX = 46, HEAD_PX = 22;
+const CURVE_PX = 126, GAP_PX = 20, NAMES_PX = 18, UNCERTAIN_COLOUR = "#2f7fd0", WRONG_COLOUR = "#e0482e";
+const LEFT_PX = 46, RIGHT_PX = 46, HEAD_PX = 34, LINE_PX = 15;  // one line of the legend per curve
 
 class DriveView {
   // scans: { count, names, sequences, shown: index in the page or -1, marked: whether worth a look, shares: (count × classes), uncertainty, wrong, kind }
@@ -79,11 +79,10 @@ class DriveView {
     pen.scale(ratio, ratio);
     pen.font = "12px system-ui, sans-serif";
     const per = this.per(), middle = place => LEFT_PX + (place + 0.5) * per;
-    let left = LEFT_PX;
-    for (const curve of this.curves()) {
+    for (const [line, curve] of this.curves().entries()) {
       this.axis(pen, curve, width);
       this.curve(pen, curve, middle);
-      left += this.entry(pen, curve, left);
+      this.entry(pen, curve, line);
     }
     const top = CURVE_PX + GAP_PX, bottom = height - NAMES_PX;
     this.shares(pen, top, bottom);
@@ -95,13 +94,12 @@ class DriveView {
     pen.strokeRect(middle(this.at) - Math.max(3, per / 2), top - 1, Math.max(6, per), bottom - top + 1);
   }
 
-  entry(pen, { name, colour }, left) {  // of the legend; returns its width
+  entry(pen, { name, colour }, line) {  // of the legend
     pen.fillStyle = colour;
-    pen.fillRect(left, 5, 12, 3);
+    pen.fillRect(LEFT_PX, 5 + LINE_PX * line, 12, 3);
     pen.fillStyle = this.faint();
     pen.textAlign = "left";
-    pen.fillText(name, left + 17, 11);
-    return pen.measureText(name).width + 32;
+    pen.fillText(name, LEFT_PX + 17, 11 + LINE_PX * line);
   }
 
   faint() {

@@ -34,6 +34,7 @@ from salsanext_cli.report.page.overview import overview
 from salsanext_cli.report.page.run_results import UNCERTAIN, Comparison, RunResults, ShownScan
 from salsanext_cli.report.plots import PICTURES, uncertainty_pictures
 from salsanext_cli.report.tables import percent
+from salsanext_cli.results.layouts import SCAN_FOLDER
 from salsanext_cli.results.paths import PREDICTION_STAGES, find_outputs
 from salsanext_cli.version import __version__
 
@@ -159,7 +160,8 @@ def _part(name: str) -> str:
 def _source(run: RunResults) -> str:
     """Return the folder of the scans and the day of their results, in words."""
     folders = list(dict.fromkeys(row.file.path.parent for row in run.rows))
-    names = "/".join(folders[0].parts[-3:])
+    parts = folders[0].parts
+    names = "/".join(parts[-4:] if parts[-1] == SCAN_FOLDER else parts[-1:])
     others = f" and {counted(len(folders) - 1, 'more folder')}" if len(folders) > 1 else ""
     written = _day_of_results(run.reader.out)
     return f"scans: {names}{others}{f' · results of {written}' if written else ''}"

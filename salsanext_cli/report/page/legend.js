@@ -11,6 +11,7 @@ function legend() {  // of a colouring by class; buttons of equal classes stay, 
   if (box.dataset.key !== key) box.replaceChildren(...present.map(id => entry(name, id, present)));
   box.style.setProperty("--entry", `${Math.max(0, ...present.map(id => CATEGORIES[name][id].name.length)) + 8}ch`);
   box.dataset.key = key;
+  byId("legend-hint").hidden = !present.length;
   present.forEach((id, i) => {
     box.children[i].lastChild.textContent = `${CATEGORIES[name][id].name} ${(100 * counts[id] / cloud.shown).toFixed(1)} %`;
     box.children[i].classList.toggle("absent", !counts[id]);

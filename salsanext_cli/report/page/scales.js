@@ -21,9 +21,13 @@ function placeOf(name, value) {  // 0 to 1 along the colour bar
   return (i + (value - marks[i]) / (marks[i + 1] - marks[i])) / last;
 }
 
+function isClipped(name) {  // whether larger values have the colour of the last one
+  return name !== "error" && name !== "least_confidence";
+}
+
 function shownValue(name, byte) {
   if (byte === NO_VALUE) return "none";
-  const beyond = byte === TOP && name !== "error" && name !== "least_confidence" ? "≥ " : "";
+  const beyond = byte === TOP && isClipped(name) ? "≥ " : "";
   return `${beyond}${+valueOf(name, byte).toPrecision(3)} ${data.scales[name].unit}`.trim();
 }
 
@@ -33,7 +37,8 @@ function drawScale(box, name) {  // hidden for colours that are no values
   if (!scale) return;
   const most = scale.marks[scale.marks.length - 1];
   const marks = scale.marks.length > 2 ? scale.marks : roundMarks(most).filter(mark => mark <= most);
-  box.querySelector(".name").textContent = `${title(name)}${scale.unit && `, ${scale.unit}`}`;
+  const clipped = isClipped(name) ? ` (brightest: ${+most.toPrecision(3)} or more)` : "";
+  box.querySelector(".name").textContent = `${title(name)}${scale.unit && `, ${scale.unit}`}${clipped}`;
   const ticks = marks.map(mark => {
     const tick = document.createElement("span");
     tick.style.left = `${100 * placeOf(name, mark)}%`;
