@@ -17,10 +17,12 @@ from salsanext_cli import Scan, label_space, project
 from salsanext_cli.errors import FormatError, UsageError
 from salsanext_cli.files.reading import fingerprint
 from salsanext_cli.geometry.objects import BOX
+from salsanext_cli.measures.expected_accuracy import ExpectedAccuracy
+from salsanext_cli.measures.scan_counts import ScanCounts
 from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.report.page.clouds import NO_VALUE, encode_cloud, scales_of
 from salsanext_cli.report.page.recorded_warnings import codes_by_scan, warnings_of_run
-from salsanext_cli.report.page.run_results import ShownScan, read_boxes
+from salsanext_cli.report.page.run_results import RunResults, ShownScan, read_boxes
 from salsanext_cli.report.page.scan_row import PointErrors, ScanRow
 from salsanext_cli.results.manifest import Manifest, StageRecord
 from salsanext_cli.results.owned_folder import OwnedFolder
@@ -121,6 +123,23 @@ def test_warnings_of_all_stages_are_one_line_for_each_code(tmp_path):
     assert warnings_of_run(tmp_path / "none", warnings) == []
     OwnedFolder(tmp_path, "fuse").record_findings({"00": [("apart", "two parts", "look")]}, {"00"})
     assert warnings_of_run(tmp_path, {"00"}) == ["apart in 1 sequence (00): two parts; look"]
+
+
+@pytest.mark.parametrize(
+    ("trained_on", "estimate", "measured"),
+    [(0, None, 0.7), (0, 0.5, 0.7), (1, 0.5, None), (1, 0.8, 0.7), (1, None, None)],
+)
+def test_scores_of_training_scans_count_only_against_the_labels(
+    monkeypatch, trained_on, estimate, measured
+):
+    expected = None if estimate is None else ExpectedAccuracy(estimate, (0.0, 1.0), 1, {})
+    monkeypatch.setattr(RunResults, "expected_accuracy", lambda _: expected)
+    confusion = np.array([[0, 0, 0], [0, 3, 2], [0, 1, 4]])
+    counts = ScanCounts(confusion, scans=1, trained_on=trained_on)
+    run = replace(run_of(rows=[row("1")], space=SPACE), counts=counts)
+    assert run.evidence().measured == measured
+    rejecting = replace(counts, accepted={"00/1": (12, 10, 3)})
+    assert replace(run, counts=rejecting).evidence().measured is None
 
 
 def test_a_warning_about_a_sequence_counts_for_each_of_its_scans(tmp_path):

@@ -200,24 +200,32 @@ class RunResults:
         return expected_accuracy(settings.accuracy, confidences, warnings)
 
     def evidence(self) -> Evidence:
-        """Return the numbers that decide what to do with the labels.
-
-        Accuracy is measured on scans that the weights were not trained on, and not after labels
-        were rejected.
-        """
-        counts = self.counts
-        measured = None
-        if counts and not counts.trained_on and not counts.accepted:
-            accuracy = scores(counts.confusion, self.reader.space).accuracy
-            measured = None if math.isnan(accuracy) else accuracy
+        """Return the numbers that decide what to do with the labels."""
+        expected = self.expected_accuracy()
         return Evidence(
             scans=len(self.rows),
             class_count=self.reader.space.class_count,
-            expected=self.expected_accuracy(),
-            measured=measured,
+            expected=expected,
+            measured=self._measured_accuracy(expected),
             doubtful=self.errors.doubtful_share,
             warned=Counter(code for codes in self.codes.values() for code in codes),
         )
+
+    def _measured_accuracy(self, expected: ExpectedAccuracy | None) -> float | None:
+        """Return the accuracy on labelled scans, 0…1; None if it says nothing about new scans.
+
+        On scans that the weights were trained on, it counts only if it is below the estimate:
+        new scans are rarely better.
+        """
+        counts = self.counts
+        if counts is None or counts.accepted:
+            return None
+        accuracy = scores(counts.confusion, self.reader.space).accuracy
+        if math.isnan(accuracy):
+            return None
+        estimate = expected.accuracy if expected else None
+        is_better = estimate is None or accuracy >= estimate
+        return None if counts.trained_on and is_better else accuracy
 
     @property
     def codes(self) -> dict[str, list[str]]:
