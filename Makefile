@@ -56,9 +56,9 @@ format: $(INSTALLED)
 docs: $(INSTALLED)
 	$(BIN)/python -m pip install --quiet --constraint $(CONSTRAINTS) --editable '.[docs]'
 	$(BIN)/python docs/reference.py
-	$(BIN)/mkdocs build --strict
 	$(BIN)/salsanext demo $(DEMO)
-	install -D -m 644 $(DEMO)/out/report.html site/example/report.html
+	install -D -m 644 $(DEMO)/out/report.html docs/example/report.html
+	$(BIN)/mkdocs build --strict
 
 wheel: $(INSTALLED)
 	rm -rf dist
@@ -75,4 +75,4 @@ workflows: $(INSTALLED)
 
 clean:
 	find . -name __pycache__ -not -path './.venv/*' -prune -exec rm -rf {} +
-	rm -rf .venv dist site demo .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .venv dist site demo docs/example .pytest_cache .mypy_cache .ruff_cache .hypothesis

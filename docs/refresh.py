@@ -23,7 +23,7 @@ from pathlib import Path
 
 import guide
 from measurements import MEASURES
-from pictures import PICTURES, concepts
+from pictures import PICTURES, example
 from prepared import prepared_folder
 
 from salsanext_cli.network.card import default_weights
@@ -37,7 +37,7 @@ CAPTURED = (
     "tutorials/guarantee.md",
 )
 """Pages whose commands are run, each in a folder of its own."""
-MEASURED = MEASURES | {"pictures": concepts.measured}
+MEASURED = MEASURES | {"pictures": example.measured}
 
 
 def main() -> None:

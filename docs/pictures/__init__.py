@@ -4,7 +4,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from pictures import concepts, drive, pages, pipeline, ranges, sensors
+from pictures import concepts, drive, guarantee, pages, pipeline, ranges, sensors
 
 PICTURES: dict[str, Callable[[Path, Path], None]] = {
     "demo.gif": drive.draw,
@@ -13,8 +13,9 @@ PICTURES: dict[str, Callable[[Path, Path], None]] = {
     "concept-hidden.webp": concepts.hidden_points,
     "concept-knn.webp": concepts.vote,
     "concept-uncertainty.webp": concepts.uncertainties,
-    "concept-guarantee.webp": concepts.guarantee,
+    "concept-guarantee.webp": guarantee.draw,
     "report.webp": pages.report,
+    "report-without-labels.webp": pages.report_without_labels,
     "picture.webp": pages.picture,
     "ranges/real.webp": ranges.real,
     "ranges/synthetic.webp": ranges.simulated,

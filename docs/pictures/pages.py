@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Show what `report` and `picture` write for the drive that training has not seen."""
+"""Show what `report` writes for the demonstration, and `picture` for a real scan."""
 
 from __future__ import annotations
 
@@ -11,27 +11,37 @@ from pathlib import Path
 from measurements import salsanext
 from prepared import predicted_drive
 
-from pictures.concepts import SCAN, TRUTH
+from pictures.example import SCAN
 from pictures.shrink import shrink
 
-WINDOW = "1280,2080"
-WIDTH_PX = 1280
-SCANS_SHOWN = 4  # So that the picture has the table of scans and a scan
+WINDOW = "1000,1540"
+WIDTH_PX = 1000
+PICTURE_WIDTH_PX = 1600
+"""Width of what `picture` draws, whose text is small."""
 
 
-def report(data: Path, picture: Path) -> None:
-    """Take a screenshot of the page of a run, in Chromium."""
+def report(_: Path, picture: Path) -> None:
+    """Take a screenshot of the page of the demonstration, the live example of the site."""
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        salsanext("demo", folder / "demo")
+        screenshot(folder / "demo/out/report.html", folder / "page.png")
+        shrink(folder / "page.png", picture, WIDTH_PX)
+
+
+def report_without_labels(data: Path, picture: Path) -> None:
+    """Take a screenshot of the page of a drive without labels, that of the first tutorial."""
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary, "example")  # The page shows its name.
         folder.mkdir()
-        predicted_drive(data, folder, "--error")
-        salsanext("report", folder / "out", "--limit", SCANS_SHOWN)
+        predicted_drive(data, folder)
+        salsanext("report", folder / "out")
         screenshot(folder / "out/report.html", folder / "page.png")
         shrink(folder / "page.png", picture, WIDTH_PX)
 
 
 def screenshot(page: Path, png: Path, window: str = WINDOW) -> None:
-    """Write a screenshot of a page."""
+    """Write a screenshot of a page, in Chromium."""
     chromium = shutil.which("chromium") or shutil.which("chromium-browser") or "chromium"
     options = ("--headless", "--no-sandbox", "--hide-scrollbars", "--use-gl=swiftshader")
     wait = ("--virtual-time-budget=20000", f"--window-size={window}", f"--screenshot={png}")
@@ -40,14 +50,10 @@ def screenshot(page: Path, png: Path, window: str = WINDOW) -> None:
 
 
 def picture(data: Path, target: Path) -> None:
-    """Draw a scan with truth, prediction, wrong labels and uncertainty."""
+    """Draw a scan with its classes and its probability of error, as the page asks for it."""
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
-        scans, results = predicted_drive(data, folder, "--error")
-        labels = folder / "drive/labels"
-        labels.mkdir()
-        for scan in scans:
-            shutil.copy(data / TRUTH / f"{scan.stem}.label", labels)
-        colours = [f"--colour={name}" for name in ("truth", "label", "wrong", "uncertainty")]
+        _, results = predicted_drive(data, folder, "--error")
+        colours = ("--colour", "label", "--colour", "uncertainty")
         salsanext("picture", folder / "out", "--limit", 1, *colours)
-        shrink(results / "pictures" / f"{SCAN}.png", target, 1600)
+        shrink(results / "pictures" / f"{SCAN}.png", target, PICTURE_WIDTH_PX)

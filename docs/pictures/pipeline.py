@@ -40,13 +40,13 @@ BOXES = {
     "labels": Box(0, 0, FILES, "labels"),
     "train": Box(1, 0, COMMAND, "train"),
     "weights": Box(2, 0, FILES, "weights"),
-    "scans": Box(0, 1, FILES, "scans", ".bin .pcd .ply .npy …"),
+    "scans": Box(0, 1, FILES, "scans", ".bin .pcd .ply …"),
     "project": Box(1, 1, COMMAND, "project"),
     "images": Box(2, 1, FILES, "range images"),
     "predict": Box(3, 1, COMMAND, "predict"),
     "pixels": Box(4, 1, FILES, "pixel labels"),
-    "uncertainty": Box(2, 2, COMMAND, "uncertainty"),
-    "values": Box(3, 2, FILES, "uncertainties", "of every point"),
+    "uncertainty": Box(1, 2, COMMAND, "uncertainty"),
+    "values": Box(2, 2, FILES, "uncertainties", "of every point"),
     "knn": Box(4, 2, COMMAND, "knn-refine"),
     "results": Box(2, 3, COMMAND, "eval, report, export-ply", "scores, a page, point clouds", 2),
     "points": Box(4, 3, FILES, "point labels"),
@@ -54,7 +54,7 @@ BOXES = {
 ARROWS = (
     *("labels train", "scans train", "train weights", "weights predict", "scans project"),
     *("project images", "images predict", "predict pixels", "pixels knn", "knn points"),
-    *("images uncertainty", "uncertainty values", "values results", "points results"),
+    *("scans uncertainty", "uncertainty values", "values results", "points results"),
 )
 
 
@@ -66,7 +66,7 @@ def drawn(box: Box) -> str:
         f'x="{x - box.width / 2:g}" y="{y - HEIGHT / 2:g}" width="{box.width}" height="{HEIGHT}"'
     )
     parts = [f'<rect {place} rx="6" fill="{fill}"/>']
-    for text, size, down in ((box.text, 16, -3 if box.below else 5.5), (box.below, 12, 14)):
+    for text, size, down in ((box.text, 17, -3 if box.below else 6), (box.below, 13, 15)):
         at = f'x="{x:g}" y="{y + down:g}" font-size="{size}" fill="{ink}"'
         parts += [f"<text {at}>{escape(text)}</text>"] * bool(text)
     return "".join(parts)

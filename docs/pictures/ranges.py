@@ -8,19 +8,21 @@ from pathlib import Path
 
 import numpy as np
 from measurements import salsanext
-from PIL import Image
 
 import salsanext_cli as sn
+from pictures.concepts import INTENSITIES, RANGES_M, SHADES
+from pictures.sheets import colour_bar, panels, save, sheet, titled
+from salsanext_cli.report.colours import value_colours
 
 SENSOR = "hdl64-512"
-NEAR_M, FAR_M = 2.0, 80.0
-ROW_HEIGHT_PX, GAP_PX, QUALITY = 2, 6, 60
-COUNT = 10
+COUNT = 6
 
 
 def real(data: Path, picture: Path) -> None:
     """Draw scans of SemanticKITTI."""
-    draw(sorted((data / "semantickitti/sequences").glob("*/velodyne/*.bin"))[:COUNT], picture)
+    scans = sorted((data / "semantickitti/sequences").glob("*/velodyne/*.bin"))
+    # Neighbours in this order are often of the same place.
+    draw(scans[:: len(scans) // COUNT][:COUNT], picture)
 
 
 def simulated(_: Path, picture: Path) -> None:
@@ -31,20 +33,18 @@ def simulated(_: Path, picture: Path) -> None:
 
 
 def draw(scans: list[Path], picture: Path) -> None:
-    """Draw scans below each other."""
-    rows = [strips(scan) for scan in scans]
-    gap = np.full((GAP_PX, rows[0].shape[1]), 255, np.uint8)
-    sheet = np.vstack([part for row in rows for part in (row, gap)])
-    Image.fromarray(sheet).save(picture, quality=QUALITY, method=6)
-
-
-def strips(path: Path) -> np.ndarray:
-    """Return range and intensity of a scan as grey values, (H, 2 W + gap) uint8; near is bright."""
-    channels = sn.project(sn.read_scan(path), sn.sensor(SENSOR)).channels
-    full = channels[0] > 0
-    nearness = np.log(FAR_M / np.clip(channels[0], NEAR_M, FAR_M)) / np.log(FAR_M / NEAR_M)
-    bright = np.quantile(channels[4][full], 0.95)
-    intensity = np.sqrt(np.clip(channels[4] / bright, 0, 1))
-    gap = np.full((len(full), GAP_PX), 255, np.uint8)
-    grey = [(255 * np.where(full, value, 0)).astype(np.uint8) for value in (nearness, intensity)]
-    return np.repeat(np.hstack([grey[0], gap, grey[1]]), ROW_HEIGHT_PX, axis=0)
+    """Draw scans below each other, and the scales of both columns below them."""
+    figure = sheet(1.45 * len(scans) + 0.9)
+    axes = panels(figure, len(scans) + 1, 2, height_ratios=[6] * len(scans) + [1])
+    titled(axes[0], "range, m")
+    titled(axes[1], "intensity, from 0 to 1")
+    for row, scan in enumerate(scans):
+        channels = sn.project(sn.read_scan(scan), sn.sensor(SENSOR)).channels
+        full = channels[0] > 0
+        columns = ((channels[0], RANGES_M, SHADES[::-1]), (channels[4], INTENSITIES, SHADES))
+        for column, (values, marks, shades) in enumerate(columns):
+            strip = value_colours(np.where(full, values, np.nan), *marks, colour_map=shades)
+            axes[2 * row + column].imshow(strip, aspect="auto", interpolation="nearest")
+    colour_bar(axes[-2], RANGES_M, SHADES[::-1])
+    colour_bar(axes[-1], INTENSITIES, SHADES)
+    save(figure, picture)
