@@ -37,6 +37,8 @@ CAPTURED = (
     "tutorials/guarantee.md",
 )
 """Pages whose commands are run, each in a folder of its own."""
+DRAWN = guide.DOCS / "pictures.json"
+"""SHA-256 of the weights that each picture was drawn with."""
 MEASURED = MEASURES | {"pictures": example.measured}
 
 
@@ -54,7 +56,7 @@ def main() -> None:
 def figures(data: Path, names: list[str]) -> None:
     """Measure groups of figures, and write their values into the pages."""
     stored = guide.stored_figures()
-    weights = hashlib.sha256(default_weights().read_bytes()).hexdigest()
+    weights = digest_of_weights()
     home = Path.cwd()
     for name in names or MEASURED:
         with tempfile.TemporaryDirectory() as folder:
@@ -82,10 +84,23 @@ def outputs(data: Path, names: list[str]) -> None:
 
 
 def pictures(data: Path, names: list[str]) -> None:
-    """Draw pictures."""
+    """Draw pictures, and note the weights that they show."""
     for name in names or PICTURES:
         PICTURES[name](data, guide.DOCS / "images" / name)
+        drawn = weights_of_pictures() | {name: digest_of_weights()}
+        DRAWN.write_text(json.dumps(drawn, indent=1, sort_keys=True) + "\n", "utf-8")
         print(name, flush=True)
+
+
+def weights_of_pictures() -> dict[str, str]:
+    """Return the SHA-256 of the weights that each picture was drawn with."""
+    drawn: dict[str, str] = json.loads(DRAWN.read_text("utf-8")) if DRAWN.exists() else {}
+    return drawn
+
+
+def digest_of_weights() -> str:
+    """Return the SHA-256 of the default weights."""
+    return hashlib.sha256(default_weights().read_bytes()).hexdigest()
 
 
 PARTS = {"figures": figures, "outputs": outputs, "pictures": pictures}

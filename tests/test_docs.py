@@ -69,6 +69,8 @@ BANNED = re.compile(
 """Words that the vocabulary of the project replaces."""
 LONGEST_SENTENCE = 30
 """Number of words."""
+BUILT = DOCS / "example/report.html"
+"""Live example of a report, which `make docs` builds before the site."""
 INLINE = re.compile(r"`((?:time )?salsanext [^`]+)`")
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 
@@ -326,7 +328,7 @@ def test_every_link_leads_somewhere(pages):
             if path.startswith("https:"):
                 continue
             goal = (page.parent / path).resolve() if path else page
-            assert goal.exists(), f"{page.name}: {target}"
+            assert goal.exists() or goal == BUILT, f"{page.name}: {target}"
             if anchor:
                 headings = re.findall(r"^#+ (.+)$", goal.read_text("utf-8"), re.MULTILINE)
                 assert anchor in [h.lower().replace(" ", "-") for h in headings], target
@@ -362,6 +364,10 @@ def test_every_picture_is_shown_and_can_be_drawn_again():
     files = {path for path in (DOCS / "images").rglob("*") if path.is_file()}
     assert files <= shown
     assert {DOCS / "images" / name for name in refresh.PICTURES} <= files
+    weights = refresh.digest_of_weights()
+    drawn = refresh.weights_of_pictures()
+    old = [name for name in refresh.PICTURES if drawn.get(name) != weights]
+    assert not old, f"run docs/refresh.py pictures {' '.join(old)}"
 
 
 @pytest.mark.parametrize("page", CHECKED, ids=lambda page: page.name + "-" + page.parent.name)
@@ -369,6 +375,17 @@ def test_sentences_are_short_and_avoid_words_of_the_laboratory(page):
     for sentence in sentences(page.read_text("utf-8")):
         assert len(sentence.split()) <= LONGEST_SENTENCE, sentence
         assert not BANNED.search(sentence), sentence
+
+
+def test_the_live_example_is_built_before_the_site_whose_links_are_checked():
+    recipe = text_of("Makefile").partition("\ndocs:")[2].partition("\n\n")[0]
+    steps = [recipe.index(step) for step in (" demo ", "docs/example/report.html", "mkdocs build")]
+    assert steps == sorted(steps)
+    assert "mkdocs build --strict" in recipe
+    assert "/docs/example/" in text_of(".gitignore").splitlines()
+    targets = LINK.findall(text_of("docs/index.md"))
+    assert "images/report.webp" in targets
+    assert str(BUILT.relative_to(DOCS)) in targets
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -83,8 +83,9 @@ def rendered(
     size = np.rint(scale * POINT_SIZE_M)
     size = np.clip(size, SUPERSAMPLING, LARGEST_POINT_PX * SUPERSAMPLING).astype(int)
     canvas = np.full((high, wide, 3), BACKGROUND, np.uint8)
-    for down in range(size.max()):
-        for across in range(size.max()):
+    largest = size.max(initial=0)
+    for down in range(largest):
+        for across in range(largest):
             x = column + across
             y = row + down
             drawn = (size > max(down, across)) & (x >= 0) & (x < wide) & (y >= 0) & (y < high)
