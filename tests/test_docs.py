@@ -384,7 +384,7 @@ def test_the_live_example_is_built_before_the_site_whose_links_are_checked():
     assert "mkdocs build --strict" in recipe
     assert "/docs/example/" in text_of(".gitignore").splitlines()
     targets = LINK.findall(text_of("docs/index.md"))
-    assert "images/report.webp" in targets
+    assert "images/report-scan.webp" in targets
     assert str(BUILT.relative_to(DOCS)) in targets
 
 

@@ -15,6 +15,7 @@ PICTURES: dict[str, Callable[[Path, Path], None]] = {
     "concept-uncertainty.webp": concepts.uncertainties,
     "concept-guarantee.webp": guarantee.draw,
     "report.webp": pages.report,
+    "report-scan.webp": pages.report_scan,
     "report-without-labels.webp": pages.report_without_labels,
     "picture.webp": pages.picture,
     "ranges/real.webp": ranges.real,

@@ -6,6 +6,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 from measurements import salsanext
@@ -14,39 +15,74 @@ from prepared import predicted_drive
 from pictures.example import SCAN
 from pictures.shrink import shrink
 
-WINDOW = "1000,1540"
 WIDTH_PX = 1000
 PICTURE_WIDTH_PX = 1600
 """Width of what `picture` draws, whose text is small."""
+SECTIONS = ("run", "list", "scans", "drive", "plots")
+"""Sections of the page: what was run, table of scans, scan in 3-D, drive, plots."""
 
 
 def report(_: Path, picture: Path) -> None:
-    """Take a screenshot of the page of the demonstration, the live example of the site."""
+    """Show how the page of the demonstration begins."""
     with tempfile.TemporaryDirectory() as temporary:
-        folder = Path(temporary)
-        salsanext("demo", folder / "demo")
-        screenshot(folder / "demo/out/report.html", folder / "page.png")
-        shrink(folder / "page.png", picture, WIDTH_PX)
+        page = demonstration(Path(temporary))
+        screenshot(page, picture, ("run", "list"), height=1440)
+
+
+def report_scan(_: Path, picture: Path) -> None:
+    """Show the scan in 3-D of the page of the demonstration."""
+    with tempfile.TemporaryDirectory() as temporary:
+        page = demonstration(Path(temporary))
+        screenshot(page, picture, ("scans",), height=1080)
 
 
 def report_without_labels(data: Path, picture: Path) -> None:
-    """Take a screenshot of the page of a drive without labels, that of the first tutorial."""
+    """Show what was run, and the scan in 3-D, of a drive without labels: the first tutorial."""
     with tempfile.TemporaryDirectory() as temporary:
-        folder = Path(temporary, "example")  # The page shows its name.
-        folder.mkdir()
+        folder = Path(temporary, "data/example")  # The page shows these names.
+        folder.mkdir(parents=True)
         predicted_drive(data, folder)
         salsanext("report", folder / "out")
-        screenshot(folder / "out/report.html", folder / "page.png")
-        shrink(folder / "page.png", picture, WIDTH_PX)
+        screenshot(folder / "out/report.html", picture, ("run", "scans"), height=1660)
 
 
-def screenshot(page: Path, png: Path, window: str = WINDOW) -> None:
-    """Write a screenshot of a page, in Chromium."""
+def demonstration(folder: Path) -> Path:
+    """Run the demonstration in a folder; return its page, the live example of the site."""
+    salsanext("demo", folder / "demo")
+    return folder / "demo/out/report.html"
+
+
+def screenshot(page: Path, picture: Path, sections: Sequence[str], height: int) -> None:
+    """Write a screenshot of some sections of a page as WebP, with Chromium.
+
+    Parameters
+    ----------
+    page : Path
+        Page of `report`.
+    picture : Path
+        WebP file to write.
+    sections : sequence of str
+        `SECTIONS` to show; the others are hidden.
+    height : int
+        Height in pixels.
+    """
+    html = page.read_text("utf-8")
+    hidden = [f"#{name}" for name in SECTIONS if name not in sections]
+    for name in SECTIONS:
+        # A picture of a page with other sections would show the wrong ones.
+        if f'<section id="{name}"' not in html:
+            message = f"{page}: no section {name}"
+            raise ValueError(message)
+    style = f"<style>{', '.join(hidden)} {{ display: none; }}</style>"
+    partial = page.with_name("partial.html")
+    partial.write_text(html.replace("</head>", f"{style}</head>", 1), "utf-8")
+    png = page.with_name("page.png")
     chromium = shutil.which("chromium") or shutil.which("chromium-browser") or "chromium"
     options = ("--headless", "--no-sandbox", "--hide-scrollbars", "--use-gl=swiftshader")
-    wait = ("--virtual-time-budget=20000", f"--window-size={window}", f"--screenshot={png}")
-    command = [chromium, *options, "--enable-unsafe-swiftshader", *wait, page.as_uri()]
-    subprocess.run(command, check=True, capture_output=True, timeout=180)
+    wait = ("--virtual-time-budget=20000", f"--window-size={WIDTH_PX},{height}")
+    command = [chromium, *options, "--enable-unsafe-swiftshader", *wait, f"--screenshot={png}"]
+    subprocess.run([*command, partial.as_uri()], check=True, capture_output=True, timeout=180)
+    shrink(png, picture, WIDTH_PX)
 
 
 def picture(data: Path, target: Path) -> None:
