@@ -26,6 +26,7 @@ def lines_after_pick(
     """Yield the lines about picked scans in a data set; `labelled`: data sets that have labels."""
     if scale is not None and scale.least < scale.most:
         yield scale_text(scale)
+        yield "distance: 0 is an equal scan, 1 the usual distance of two of these scans"
     if labels.verdict is not None:
         yield f"the picked scans: {labels.verdict.sentence}"
     for gains in gains_of_trials(labels.accuracy):
@@ -47,10 +48,9 @@ def commands_after_pick(out: Path, weights: Path | str | None, labelled: Sequenc
 
 
 def scale_text(scale: UncertaintyScale) -> str:
-    """Return what an uncertainty and a distance mean among the scans of a run."""
+    """Return what an uncertainty means among the scans of a run."""
     most = math.log(scale.class_count)
     return (
         f"uncertainty of all scans: {scale.least:.4f} to {scale.most:.4f} nats, median "
-        f"{scale.median:.4f}; 0 is certain, {most:.2f} the most that is possible. "
-        "Distance: 0 is an equal scan, 1 the usual distance of two of these scans"
+        f"{scale.median:.4f}; 0 is certain, {most:.2f} the most that is possible"
     )
