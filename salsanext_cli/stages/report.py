@@ -16,6 +16,7 @@ from salsanext_cli.labelling.label_records import pre_labelled_scans
 from salsanext_cli.measures.decision import Verdict, verdict
 from salsanext_cli.measures.scan_counts import ScanComparison, ScanCounts, SeparateCounts
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
+from salsanext_cli.report.colours import screen_colours
 from salsanext_cli.report.page.clouds import encode_cloud, scales_of
 from salsanext_cli.report.page.html import Served, html_of
 from salsanext_cli.report.page.run_results import Comparison, RunResults, ShownScan
@@ -252,7 +253,7 @@ def _thumbnails(run: RunResults, names: Collection[str], options: RunOptions) ->
     """Draw small pictures of some scans, by name; unreadable scans have none."""
     pictures: dict[str, str] = {}
     files = scans_for_thumbnails(run, names)
-    task = partial(thumbnail, reader=run.reader)
+    task = partial(thumbnail, reader=run.reader, colours=screen_colours(run.reader.space))
     silent = RunOptions(jobs=options.jobs)
     run_over_scans(task, files, silent, on_result=lambda named: pictures.update([named]))
     return pictures

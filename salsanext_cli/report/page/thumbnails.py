@@ -9,19 +9,19 @@ from collections.abc import Collection
 from io import BytesIO
 
 import numpy as np
-import numpy.typing as npt
 
 from salsanext_cli.geometry.projection import in_sensor_frame
 from salsanext_cli.measures.scan_counts import ScanComparison
 from salsanext_cli.records import Double, Float
-from salsanext_cli.report.colours import PointColours, value_range
+from salsanext_cli.report.colours import Colours, value_colours, value_range
 from salsanext_cli.report.page.run_results import RunResults
 from salsanext_cli.report.page.scan_row import ScanRow
 from salsanext_cli.report.scan_pictures import raster
 from salsanext_cli.results.paths import ScanFile
-from salsanext_cli.results.result_folder import ResultFolder, scalar_columns
+from salsanext_cli.results.result_folder import ResultFolder
 
 MAX_THUMBNAILS = 100  # Most thumbnails of a page, each of about 5 kB
+MAX_POINTS = 20_000  # About so many points are drawn, evenly spaced
 SIZE_PX = 96
 SHARE_INSIDE = 0.85  # Share of the points within the picture
 LEAST_REACH_M = 4.0
@@ -39,18 +39,37 @@ def scans_for_thumbnails(run: RunResults, names: Collection[str]) -> list[ScanFi
     return [row.file for row in sorted(run.rows, key=rank)[:MAX_THUMBNAILS]]
 
 
-def thumbnail(file: ScanFile, reader: ScanComparison) -> tuple[str, str]:
-    """Return the name of a scan and its picture, a PNG as an address for `img`."""
+def thumbnail(file: ScanFile, reader: ScanComparison, colours: Colours) -> tuple[str, str]:
+    """Draw a scan from above.
+
+    Parameters
+    ----------
+    file : ScanFile
+        Scan with results.
+    reader : ScanComparison
+        Folder of the results, and their classes.
+    colours : ndarray of uint8 (C, 3)
+        Red, green and blue of each class.
+
+    Returns
+    -------
+    tuple of str
+        Name of the scan, and its picture, a PNG as an address for `img`.
+    """
     results = ResultFolder(reader.out).read(file, reader.sensor, reader.space)
-    colour = "label" if results.label is not None else next(iter(results.uncertainty), "range")
-    columns = scalar_columns(results, reader.space)
-    scale = value_range(columns[colour])
-    colours = PointColours(colour, scale, reader.space, dark=True).of_points(columns)
     points = in_sensor_frame(results.scan, results.sensor or reader.sensor).points
-    return file.name, PNG + b64encode(_picture(points, colours)).decode("ascii")
+    drawn = np.arange(0, len(points), max(len(points) // MAX_POINTS, 1))
+    if results.label is not None:
+        labels = reader.space.to_train(results.label[drawn], strict=False)
+        of_points = colours[labels]
+    else:
+        values = next(iter(results.uncertainty.values()), results.range)[drawn]
+        of_points = value_colours(values, *value_range(values))
+    png = _picture(points[drawn], of_points)
+    return file.name, PNG + b64encode(png).decode("ascii")
 
 
-def _picture(points: Float, colours: npt.NDArray[np.uint8]) -> bytes:
+def _picture(points: Float, colours: Colours) -> bytes:
     """Draw points (N, 3), metres, from above around their middle, as a PNG."""
     from matplotlib.image import imsave
 
