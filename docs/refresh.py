@@ -23,7 +23,7 @@ from pathlib import Path
 
 import guide
 from measurements import MEASURES
-from pictures import PICTURES, example
+from pictures import PICTURES, example, ranking, sampling
 from prepared import prepared_folder
 
 from salsanext_cli.network.card import default_weights
@@ -39,7 +39,11 @@ CAPTURED = (
 """Pages whose commands are run, each in a folder of its own."""
 DRAWN = guide.DOCS / "pictures.json"
 """SHA-256 of the weights that each picture was drawn with."""
-MEASURED = MEASURES | {"pictures": example.measured}
+MEASURED = MEASURES | {
+    "pictures": example.measured,
+    "ranking": ranking.measured,
+    "sampling": sampling.measured,
+}
 
 
 def main() -> None:

@@ -4,7 +4,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from pictures import concepts, drive, guarantee, pages, pipeline, ranges, sensors
+from pictures import concepts, drive, guarantee, pages, pipeline, ranges, ranking, sampling, sensors
 
 PICTURES: dict[str, Callable[[Path, Path], None]] = {
     "demo.gif": drive.draw,
@@ -18,6 +18,8 @@ PICTURES: dict[str, Callable[[Path, Path], None]] = {
     "report-scan.webp": pages.report_scan,
     "report-without-labels.webp": pages.report_without_labels,
     "picture.webp": pages.picture,
+    "risk-coverage.webp": ranking.draw,
+    "uncertainty.png": sampling.draw,
     "ranges/real.webp": ranges.real,
     "ranges/synthetic.webp": ranges.simulated,
     **{f"sensors/{name}.webp": sensors.draw for name in sensors.SCANS},
