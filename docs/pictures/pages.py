@@ -15,7 +15,8 @@ from prepared import predicted_drive
 from pictures.example import SCAN
 from pictures.shrink import shrink
 
-WIDTH_PX = 1000
+WIDTH_PX = 680
+"""Width of the window: the page is then legible on a telephone and in the column of the site."""
 PICTURE_WIDTH_PX = 1600
 """Width of what `picture` draws, whose text is small."""
 SECTIONS = ("run", "list", "scans", "drive", "plots")
@@ -26,14 +27,14 @@ def report(_: Path, picture: Path) -> None:
     """Show how the page of the demonstration begins."""
     with tempfile.TemporaryDirectory() as temporary:
         page = demonstration(Path(temporary))
-        screenshot(page, picture, ("run", "list"), height=1440)
+        screenshot(page, picture, ("run", "list"), height=1510)
 
 
 def report_scan(_: Path, picture: Path) -> None:
     """Show the scan in 3-D of the page of the demonstration."""
     with tempfile.TemporaryDirectory() as temporary:
         page = demonstration(Path(temporary))
-        screenshot(page, picture, ("scans",), height=1110)
+        screenshot(page, picture, ("scans",), height=1230)
 
 
 def report_without_labels(data: Path, picture: Path) -> None:
@@ -43,7 +44,7 @@ def report_without_labels(data: Path, picture: Path) -> None:
         folder.mkdir(parents=True)
         predicted_drive(data, folder)
         salsanext("report", folder / "out")
-        screenshot(folder / "out/report.html", picture, ("run", "scans"), height=1660)
+        screenshot(folder / "out/report.html", picture, ("run", "scans"), height=1900)
 
 
 def demonstration(folder: Path) -> Path:
