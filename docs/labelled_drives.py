@@ -79,8 +79,8 @@ def judged_drives(data: Path, root: Path) -> list[LabelledDrive]:
     Returns
     -------
     list of LabelledDrive
-        Ten drives of SemanticKITTI, one of PandaSet by both sensors, and two of nuScenes.
-        Training saw none of the scans.
+        Ten excerpts of SemanticKITTI, two of them of one drive, one drive of PandaSet by both
+        sensors, and two of nuScenes. Training saw none of the scans, but earlier ones of PandaSet.
     """
     kitti = root / "semantickitti"
     drives = [

@@ -88,7 +88,7 @@ def rare_classes(scores: dict[str, Any]) -> dict[str, str]:
 
 
 def semantickitti(data: Path) -> dict[str, str]:
-    """Return the quality on 27 labelled scans of ten drives of SemanticKITTI."""
+    """Return the quality on 27 labelled scans, ten excerpts of drives of SemanticKITTI."""
     drives = linked_semantickitti(data, Path("semantickitti"))
     values = quality(Path("semantickitti"))
     by_drive = json.loads(Path("out-semantickitti/eval.json").read_text("utf-8"))["by_sequence"]

@@ -79,13 +79,14 @@ def tune_risk(
     target: Path = arguments.WEIGHTS_OUT,
     *,
     at_most: str = option(
-        "Limit on the expected share of points that are accepted and wrong, such as 5%.",
+        "Limit on the share of the points of a scan that are accepted and wrong, such as 5%. "
+        "Without `--confidence` it limits the average over scans or drives.",
         default=...,
         metavar="SHARE",
     ),
     confidence: str | None = option(
         "Instead of an average: with this confidence, at least this share of scans (or drives) "
-        "stays within the limit, such as 90%.",
+        "stays within the limit, such as 90%. The others may exceed it by any amount.",
         metavar="SHARE",
     ),
     record: Path | None = option(

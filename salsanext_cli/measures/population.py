@@ -3,12 +3,14 @@
 
 A guarantee holds for scans that are exchangeable with those it was obtained on. Labels are not
 needed to see that scans are not: the shares of the predicted classes and the mean uncertainty of
-both groups would differ less. A permutation test with the largest standardised difference decides
+both groups would differ less. Units of one drive after another are alike, so they are not
+exchangeable and differ more. A permutation test with the largest standardised difference decides
 (Westfall and Young 1993: the maximum over the traits needs no correction for their number).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -122,7 +124,8 @@ def population_difference(
         drawn = rng.permutation(traits)
         differences = _differences(drawn[:count], drawn[count:], spread)
         as_large += int(differences.max() >= observed.max() - 1e-9)
-    chance = as_large / (PERMUTATIONS + 1)
+    # Of all divisions, the observed one is at least as extreme; draws may miss that by chance.
+    chance = max(as_large / (PERMUTATIONS + 1), 1 / math.comb(len(traits), count))
     if chance > LIKELY:
         return None
     largest = int(observed.argmax())

@@ -3,8 +3,8 @@
 
 The loss of a scan at a threshold is the share of its scored points that are accepted and wrong. It
 rises with the threshold. Scans, or drives if there are enough, are assumed to be exchangeable;
-points are not. The loss of a drive is the mean of its scans. Arrays of losses are (n, T): scans or
-drives by rising threshold.
+points are not. Consecutive scans of a drive are not exchangeable with later ones. The loss of a
+drive is the mean of its scans. Arrays of losses are (n, T): scans or drives by rising threshold.
 """
 
 import math
@@ -23,9 +23,10 @@ from salsanext_cli.network.card import RiskThreshold
 PEOPLE = ("person", "bicyclist", "motorcyclist", "person-or-cycle")
 """Classes whose points are of people."""
 RISK_BOUND_EXCEEDED = (
-    "the share of accepted and wrong points exceeds the guarantee: by chance if these scans are "
-    "few, else because location, sensor or weather differ from the scans that the threshold was "
-    "chosen on\nhint: choose it with `salsanext tune risk` on labelled scans like these"
+    "the share of accepted and wrong points exceeds the limit of the guarantee: by chance, in the "
+    "choice of these scans or of those that the threshold was chosen on, or because location, "
+    "sensor or weather differ\nhint: choose the threshold with `salsanext tune risk` on more "
+    "labelled scans like these"
 )
 
 
@@ -44,9 +45,9 @@ def held_thresholds(
 
     Without a confidence they bound the expected loss of a new scan: (Σ losses + 1) / (n + 1) ≤
     level, conformal risk control (Angelopoulos et al. 2022, arXiv 2208.02814, eq. 4) of a loss of
-    at most 1. Otherwise, with this confidence over the choice of the n scans, at most a share
-    1 − confidence of all scans has a larger loss. `scans`: the number n, if it is not that of the
-    losses.
+    at most 1. The expectation is also over the choice of the n scans. Otherwise, with this
+    confidence over that choice, at most a share 1 − confidence of all scans has a larger loss.
+    `scans`: the number n, if it is not that of the losses.
     """
     n = scans or len(losses)
     if confidence is None:
@@ -134,7 +135,7 @@ class AcceptedLabels:
     points: int
     accepted: int  # Number of points with a label, and of wrong ones among them
     wrong: int
-    people: int  # Number of points of people, and of those accepted with another label
+    people: int  # Number of points of people, and of those accepted as something else
     missed_people: int
     # Accepted and wrong points by predicted class, people first
     classes: dict[str, tuple[int, int]]
@@ -186,7 +187,7 @@ class AcceptedLabels:
         yield f"worst scan: {name}, {loss} ({of_accepted})"
         if self.people:
             missed = f"{self.missed_people:,} of {self.people:,} points of people"
-            yield f"missed people: {missed} are accepted with another label"
+            yield f"missed people: {missed} are accepted, but not as people"
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,13 +268,16 @@ def _scope(risk: RiskThreshold) -> str:
     chosen = f"was chosen on ({counted(risk.scans, 'scan')} of {first_few(risk.sequences)})"
     if risk.unit == "drive":
         return f"drives like those that the threshold {chosen}"
-    return f"further scans of the drives that the threshold {chosen}, not of other drives"
+    return f"scans drawn in the same way from the drives that the threshold {chosen}, not others"
 
 
 def _bound(at_most: float, confidence: float | None, unit: str) -> str:
     level = f"{100 * at_most:.3g} %"
     if confidence is None:
-        return f"on average at most {level} of the points of known classes are accepted and wrong"
+        return (
+            f"on average over new {unit}s and over choices of the labelled ones, at most {level} "
+            "of the points of known classes are accepted and wrong"
+        )
     return (
         f"with {100 * confidence:.3g} % confidence, at most {100 - 100 * confidence:.3g} % of "
         f"{unit}s have more than {level} of their points of known classes accepted and wrong"

@@ -2,6 +2,7 @@
 """Scans unlike those of a guarantee are recognised, and scans like them are not."""
 
 import itertools
+import math
 
 import numpy as np
 import pytest
@@ -63,6 +64,18 @@ def test_the_chance_is_that_of_all_divisions():
         for two in itertools.combinations(range(5), 2)
     ]
     assert sum(gap >= gaps[-1] - 1e-12 for gap in gaps) == 1
+
+
+@pytest.mark.parametrize(("before", "now"), [(65, 1), (85, 1), (98, 1), (1, 97), (12, 2), (5, 3)])
+def test_no_chance_is_below_that_of_one_division(before, now):
+    # The permutations that are drawn may lack the observed division, even if it is likely.
+    rng = np.random.default_rng(4)
+    usual = units(rng, before, 0.9, (0.2, 0.5, 0.3))
+    others = units(rng, now, 0.3, (0.9, 0.05, 0.05))
+    difference = population_difference(usual, others, NAMES)
+    one = 1 / math.comb(before + now, now)
+    assert difference is None or difference.chance >= one
+    assert one <= LIKELY or difference is None
 
 
 def test_too_few_scans_show_no_difference():

@@ -194,9 +194,7 @@ def _population(judged: Sequence[JudgedScan], unit: str) -> tuple[LabelTraits, .
 
 def _no_threshold(source: Path, kind: str, few: FewUnits | None, level: RiskLevel) -> TrainingError:
     """Return the error about a level that every threshold exceeds."""
-    problem = (
-        f"no threshold of {kind} accepts points with at most {level.at_most:.3g} of them wrong"
-    )
+    problem = f"no threshold of {kind} accepts a point within {100 * level.at_most:.3g} %"
     hint = few.hint if few else "use a higher --at-most, or better weights"
     return TrainingError(source, problem, hint=hint)
 

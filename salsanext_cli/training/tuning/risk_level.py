@@ -91,8 +91,8 @@ class FewUnits:
             )
         else:
             text = (
-                f"{units}: {100 * self.left:.2g} % of the points may be accepted and wrong, not "
-                f"{limit}; with {more} {useful:.3g} %"
+                f"{units}: {100 * self.left:.2g} % of the points of these may be accepted and "
+                f"wrong, not {limit}; with {more} {useful:.3g} %"
             )
         log.warning("%s", with_hint(text, self.hint))
 
