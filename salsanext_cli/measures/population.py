@@ -23,7 +23,7 @@ from salsanext_cli.records import Double, Float
 PERMUTATIONS = 999
 LIKELY = 0.01
 """Largest probability of a difference by chance that is reported. One of 24 simulated drives and
-12 others is 0.6; of 24 simulated drives and ten of SemanticKITTI 0.007."""
+12 others is 0.6; of 24 simulated drives and ten excerpts of SemanticKITTI 0.007."""
 EDGE = 1e-4  # Least distance of an uncertainty from 0 and 1, whose logits are infinite
 DIGITS = 4
 
