@@ -57,6 +57,8 @@ SAVE_INTERVAL_S = 60.0
 LOGGED_LOSSES = 200  # Steps of which the log has the mean loss
 CHECKED_STEPS = 20  # Steps between two looks at the losses
 POLL_INTERVAL_S = 0.2
+SECONDS_OF_SMALL = 15.0
+"""Time that a small training takes at most, however many minutes the run has."""
 SPACES = {"pandaset": "pandaset.yaml", "pandargt": "pandaset.yaml", "aachen": "aachen.yaml"}
 """Label spaces of packed data sets; no others are trained on."""
 DESCRIPTION = "Trained with benchmarks/gpu_run.py on simulated scenes{also}, from {weights}."
@@ -185,7 +187,8 @@ def train(
         stream = batches(samples, 0, loaders, pinned=device.type == "cuda")
         begun = time.monotonic()
         with utilisation(figures.device) as used:
-            run.fit(stream, figures.deadline - reserve_s)
+            end = figures.deadline - reserve_s
+            run.fit(stream, min(end, begun + SECONDS_OF_SMALL) if small else end)
         if not run.steps:
             raise TrainingError("training", "no time was left for a step", hint="more --minutes")
         seconds = time.monotonic() - begun

@@ -120,7 +120,7 @@ def test_every_part_runs_on_a_cpu(tmp_path):
         write_sequence(tmp_path / sequence, stems, count=2000)
     pack.pack([tmp_path / "pandaset", tmp_path / "aachen"], tmp_path / "p.npz")
     out = tmp_path / "out"
-    words = ("--device", "cpu", "--minutes", "4", "--small", "--pack", str(tmp_path / "p.npz"))
+    words = ("--device", "cpu", "--minutes", "30", "--small", "--pack", str(tmp_path / "p.npz"))
     assert gpu_run.main(str(out), *words) == 0, (out / "run.log").read_text()
     names = {"run.log", "report.json", "log.csv", "scores.json", "class_counts.json"}
     names |= {"last.safetensors", "module.safetensors"}
