@@ -35,7 +35,8 @@ from corruptions import SEVERITIES, write_data_set
 from salsanext_cli.classes.label_space import label_space
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.fitting.label_scan import prepared_for
-from salsanext_cli.fitting.sensor_fit import ScanSample, fit_scans
+from salsanext_cli.fitting.scan_sample import ScanSample
+from salsanext_cli.fitting.sensor_fit import fit_scans
 from salsanext_cli.formats import read_scan
 from salsanext_cli.network.card import WeightsCard, scan_digest
 from salsanext_cli.network.segmentation import SegmentationNetwork

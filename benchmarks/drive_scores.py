@@ -21,7 +21,8 @@ import numpy as np
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings, weights_file
 from salsanext_cli.fitting.label_scan import LabelledScan, labelled, prepared_for
-from salsanext_cli.fitting.sensor_fit import ScanSample, fit_scans
+from salsanext_cli.fitting.scan_sample import ScanSample
+from salsanext_cli.fitting.sensor_fit import fit_scans
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.measures.scores import Counts, confusion_matrix, scores
 from salsanext_cli.option_fields import KnnParameters

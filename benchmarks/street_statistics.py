@@ -32,7 +32,8 @@ import numpy.typing as npt
 from salsanext_cli import label_space, read_labels, read_scan, sensor
 from salsanext_cli.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.fitting.sensor_fit import ScanSample, fitted_view
+from salsanext_cli.fitting.scan_sample import ScanSample
+from salsanext_cli.fitting.sensor_fit import fitted_view
 from salsanext_cli.geometry.network_input import intensity_quantiles, match_intensity
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.records import Float

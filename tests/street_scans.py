@@ -6,6 +6,7 @@ import numpy as np
 from salsanext_cli import Scan
 
 HEIGHT = 1.7
+LOW_HEIGHT = 1.2
 
 
 def street_points(azimuth, elevation, height, farthest, noise):
@@ -32,6 +33,16 @@ def street(beams: int, height: float = HEIGHT, seed: int = 0) -> Scan:
     posts = np.where(azimuth * 6 % 1 < 0.1, random.uniform(5, 30), 60)
     points = street_points(azimuth, elevation, height, posts, random.normal(0, 0.01, 20_000))
     return Scan(points, random.random(20_000, np.float32))
+
+
+def low_street(seed: int) -> Scan:
+    """Return a scan of a low sensor with another field of view and fewer points."""
+    random = np.random.default_rng(seed)
+    elevation = np.radians(random.choice(np.linspace(-16, 14, 16), 6000))
+    azimuth = random.uniform(-np.pi, np.pi, 6000)
+    posts = np.where(azimuth * 6 % 1 < 0.1, random.uniform(5, 30), 60)
+    points = street_points(azimuth, elevation, LOW_HEIGHT, posts, random.normal(0, 0.01, 6000))
+    return Scan(points, random.random(6000, np.float32))
 
 
 def moved(scan, place):

@@ -15,7 +15,7 @@ from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.npy import read_array
 from salsanext_cli.geometry.knn import knn_refine
 from salsanext_cli.geometry.projection import measured_ranges, project
-from salsanext_cli.geometry.scan_traits import MIN_TRAIT_POINTS, sensor_of
+from salsanext_cli.geometry.scan_traits import MIN_TRAIT_POINTS, origin_of_scan, sensor_of
 from salsanext_cli.option_fields import KnnParameters
 from salsanext_cli.records import CHANNELS, Float, RangeImage, Scan
 from salsanext_cli.results.manifest import Manifest
@@ -33,6 +33,7 @@ class ProjectedScan:
     image: RangeImage  # H × W pixels
     check: ScanCheck
     sensor: Sensor  # Member of a fitted sensor that the scan belongs to
+    origin: tuple[float, ...] | None  # By which the member was found; None if no scan has its own
 
 
 class PreparedScan(NamedTuple):
@@ -81,9 +82,10 @@ def project_scan(
     if scan is None:
         scan = read_scan(file.path, sensor)
         _require_measurements(file.path, scan)
+    origin = origin_of_scan(scan, sensor, origin)
     sensor = sensor_of(scan, sensor, origin)
     check = check_scan(file.path, scan, sensor, trained)
-    return ProjectedScan(file, scan, project(scan, sensor), check, sensor)
+    return ProjectedScan(file, scan, project(scan, sensor), check, sensor, origin)
 
 
 def _require_measurements(path: Path, scan: Scan) -> None:
@@ -96,10 +98,20 @@ def _require_measurements(path: Path, scan: Scan) -> None:
 
 def labelled(scan: PreparedScan, pixels: PixelPrediction, knn: KnnParameters) -> LabelledScan:
     """Return a scan with the labels of its points, refined from the prediction of its pixels."""
-    done, network = scan.projected, scan.network
-    network.backend.require_finite(pixels.confidence, done.file.path)
-    labels = knn_refine(done.image, pixels.labels, network.space.class_count, knn)
-    return LabelledScan(done.file, done.scan, done.image, done.check, done.sensor, pixels, labels)
+    projected = scan.projected
+    network = scan.network
+    network.backend.require_finite(pixels.confidence, projected.file.path)
+    labels = knn_refine(projected.image, pixels.labels, network.space.class_count, knn)
+    return LabelledScan(
+        projected.file,
+        projected.scan,
+        projected.image,
+        projected.check,
+        projected.sensor,
+        projected.origin,
+        pixels,
+        labels,
+    )
 
 
 def range_image(file: ScanFile, folder: Path, sensor: Sensor) -> Float:

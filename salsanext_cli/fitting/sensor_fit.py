@@ -2,23 +2,20 @@
 """Fit of a network to scans of another sensor than that of its training."""
 
 import logging
-from collections.abc import Callable, Iterable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
-from functools import cache, cached_property, partial
+from functools import cache, partial
 from pathlib import Path
-from typing import Any, TypeVar
 
 import numpy as np
 
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import NOTICE, SalsanextError, UsageError, counted
+from salsanext_cli.errors import NOTICE, UsageError, counted
 from salsanext_cli.files.json_files import as_json
 from salsanext_cli.fitting.field_of_view import fit_ego, fit_view, view_text
-from salsanext_cli.fitting.scan_checks import check_scan
+from salsanext_cli.fitting.scan_sample import OriginsOf, Scans, ScanSample
 from salsanext_cli.fitting.sensor_groups import SensorGroup, sensor_groups
-from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.network_input import (
     NO_INTENSITY,
     column_gaps,
@@ -26,20 +23,13 @@ from salsanext_cli.geometry.network_input import (
     intensity_quantiles,
     row_gaps,
 )
-from salsanext_cli.geometry.projection import project
-from salsanext_cli.geometry.scan_traits import member_of, sensor_of
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.results.manifest import Manifest, StageSettings
 from salsanext_cli.results.paths import ScanFile, find_scans
-from salsanext_cli.results.selection import evenly_spaced
 from salsanext_cli.sensors.sensor import FittedView, Sensor
 
 log = logging.getLogger(__name__)
 
-Scans = Sequence[ScanFile | Scan]
-Result = TypeVar("Result")
-
-MAX_SCANS = 16  # Scans that a fit reads, evenly spaced among all of a source
 VIEW_TOLERANCES = {"fov_up": 5.0, "fov_down": 5.0, "up": 0.1, "origin": 0.5}
 """Largest differences, in degrees, of a unit vector, in metres, of fits to scans of one sensor."""
 MAX_COLUMN_GAPS = 0.3
@@ -88,53 +78,6 @@ def fit_network(
     return fit_scans(settings, network, ScanSample(files, network.sensor))
 
 
-class ScanSample:
-    """Up to 16 scans of a source, evenly spaced, each of which is read once for all fits.
-
-    They are a sample of all scans of the source, so that runs over parts of it agree. Unreadable
-    scans are skipped, since the run reports them. `image_of` returns the range image (5, H, W) of a
-    scan that was projected before.
-    """
-
-    def __init__(
-        self, files: Scans, sensor: Sensor, image_of: Callable[[ScanFile], Float] | None = None
-    ) -> None:
-        self.files, self.sensor, self.image_of = evenly_spaced(files, MAX_SCANS), sensor, image_of
-
-    @cached_property
-    def read(self) -> list[tuple[ScanFile | Scan, Scan]]:
-        """Readable files, each with its scan."""
-        return _usable(
-            lambda f: (f, f if isinstance(f, Scan) else read_scan(f.path, self.sensor)), self.files
-        )
-
-    @property
-    def scans(self) -> list[Scan]:
-        """Readable scans; none if there are range images instead."""
-        return [] if self.image_of else [scan for _, scan in self.read]
-
-    def images(self, sensor: Sensor) -> list[Float]:
-        """Return the range images (5, H, W) float32 for a sensor of the scans that pass checks."""
-        if self.image_of:
-            return _usable(self.image_of, self.files)
-
-        def checked_image(scan: Scan) -> Float:
-            placed = sensor_of(scan, sensor)
-            check_scan(Path(), scan, placed)
-            return project(scan, placed).channels
-
-        return _usable(checked_image, self.scans)
-
-
-def _usable(function: Callable[[Any], Result], items: Iterable[Any]) -> list[Result]:
-    """Return the results of a function for the items that it accepts."""
-    results = []
-    for item in items:
-        with suppress(SalsanextError):
-            results.append(function(item))
-    return results
-
-
 def resolved_for(
     settings: NetworkSettings, network: Network, scans: Sequence[ScanFile]
 ) -> NetworkSettings:
@@ -153,13 +96,12 @@ def fit_scans(
 
     Images of the default width become narrower if the sensor has fewer columns.
     """
-    fit = partial(_fit_of_network, settings, network)
-    fitted = network.for_sensor(_by_sensor(fit, sample, network.sensor, earlier))
+    fitted = network.for_sensor(_fit_of_network(settings, network, sample, earlier))
     width = _width_of_columns(settings, fitted, sample)
     if width == fitted.sensor.width:
         return fitted
-    fit, network = partial(_fit_of_network, settings), network.at_width(width)
-    return network.for_sensor(_by_sensor(partial(fit, network), sample, network.sensor, earlier))
+    network = network.at_width(width)
+    return network.for_sensor(_fit_of_network(settings, network, sample, earlier))
 
 
 def _width_of_columns(settings: NetworkSettings, fitted: Network, sample: ScanSample) -> int:
@@ -187,17 +129,39 @@ def _width_of_columns(settings: NetworkSettings, fitted: Network, sample: ScanSa
 
 
 def _fit_of_network(
+    settings: NetworkSettings, network: Network, sample: ScanSample, earlier: Sensor | None
+) -> Sensor:
+    """Return the sensor of a network, fitted to the view and then to the images of scans."""
+    sensor = network.sensor
+    if sample.image_of is None:
+        fit = partial(_fitted_view, view=settings.fits_view)
+        sensor = _by_sensor(fit, sample, sensor, earlier)
+    images_of_members = cache(lambda: sample.images_of_members(sensor))
+    members = []
+    for number, member in enumerate(sensor.members):
+        before = earlier.members[number] if earlier and earlier.others else earlier
+        images = partial(_images_of_member, images_of_members, number)
+        members.append(_with_statistics(settings, network, member, before, images))
+    return _joined(members)
+
+
+def _images_of_member(
+    images_of_members: Callable[[], list[list[Float]]], number: int
+) -> list[Float]:
+    """Return the images of the scans of one member."""
+    return images_of_members()[number]
+
+
+def _with_statistics(
     settings: NetworkSettings,
     network: Network,
-    sample: ScanSample,
     sensor: Sensor,
     earlier: Sensor | None,
+    images: Callable[[], list[Float]],
 ) -> Sensor:
-    """Return a sensor for a network, fitted to scans of one sensor."""
-    method, trained = _method(settings, network), network.card.sensor
-    if sample.image_of is None:
-        sensor = _fitted_view(sample, sensor, earlier, view=settings.fits_view)
-    images = cache(lambda: sample.images(sensor))
+    """Return a member with the intensity and the gaps of its images, for a network."""
+    method = _method(settings, network)
+    trained = network.card.sensor
     references = [other for other in (earlier, settings.named_sensor()) if other]
     quantiles: tuple[float, ...] = ()
     if method == "none":
@@ -229,10 +193,10 @@ Fit = Callable[[ScanSample, Sensor, Sensor | None], Sensor]
 def _by_sensor(fit: Fit, sample: ScanSample, sensor: Sensor, earlier: Sensor | None) -> Sensor:
     """Return the fit to the scans of the most frequent sensor, with the fits to the others."""
     before = earlier if earlier and earlier.others else sensor
-    if not before.others and (earlier or sample.image_of or len(sample.files) < 2):
+    if not before.others and (earlier or len(sample.files) < 2):
         return fit(sample, sensor, earlier)
     if before.others:  # Sensors of earlier results or of range images
-        numbers = [member_of(scan, before) for _, scan in sample.read]
+        numbers = sample.members_of_scans(before)
         groups = [
             SensorGroup(tuple(i for i, n in enumerate(numbers) if n == number), member.traits)
             for number, member in enumerate(before.members)
@@ -248,12 +212,18 @@ def _by_sensor(fit: Fit, sample: ScanSample, sensor: Sensor, earlier: Sensor | N
             scans = counted(len(files), "scan")
             name = getattr(files[0], "name", "none")
             log.log(NOTICE, "sensor %d of %d: %s, such as %s", number + 1, len(groups), scans, name)
-        part = ScanSample(files, sample.sensor, sample.image_of)
+        part = ScanSample(files, sample.sensor)
         member = sensor.members[number] if sensor.others else sensor
         of_earlier = earlier.members[number] if earlier and earlier.others else earlier
         fits.append(replace(fit(part, member, of_earlier), traits=group.traits))
-    alike = len({replace(fitted, traits=()) for fitted in fits}) == 1
-    return replace(fits[0], traits=()) if alike else replace(fits[0], others=tuple(fits[1:]))
+    return replace(fits[0], others=tuple(fits[1:]))
+
+
+def _joined(members: Sequence[Sensor]) -> Sensor:
+    """Return the sensor of all members, a single one if the fits to them are alike."""
+    if len({replace(member, traits=(), others=()) for member in members}) == 1:
+        return replace(members[0], traits=(), others=())
+    return replace(members[0], others=tuple(members[1:]))
 
 
 def fitted_view(
@@ -263,7 +233,8 @@ def fitted_view(
 
     Without `view`, `fit_ego` fits it. The fit for `earlier` results in the same folder stays.
     """
-    return _by_sensor(partial(_fitted_view, view=view), ScanSample(scans, sensor), sensor, earlier)
+    fit = partial(_fitted_view, view=view)
+    return _joined(_by_sensor(fit, ScanSample(scans, sensor), sensor, earlier).members)
 
 
 def _fitted_view(
@@ -334,11 +305,15 @@ def network_of_run(
     *,
     overwrite: bool = False,
     image_of: Callable[[ScanFile], Float] | None = None,
+    origins_of: OriginsOf | None = None,
 ) -> Network:
-    """Return a network fitted to the scans of a run, or as for earlier results in its folder."""
+    """Return a network fitted to the scans of a run, or as for earlier results in its folder.
+
+    `image_of`, `origins_of`: range images and origins of the scans, as of `ScanSample`.
+    """
     recorded = [] if overwrite else map(Manifest(out).settings, ("predict", "uncertainty"))
     earlier = next((s for s in recorded if s and s.weights == network.backend.sha256), None)
-    sample = ScanSample(files, network.sensor, image_of)
+    sample = ScanSample(files, network.sensor, image_of, origins_of)
     return fit_scans(settings, network, sample, earlier.sensor if earlier else None)
 
 

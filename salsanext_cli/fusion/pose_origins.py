@@ -1,32 +1,104 @@
 # SPDX-License-Identifier: MIT
-"""Origins of registered scans by the poses in the folder of their sequence."""
+"""Origins of registered scans in a run: recorded ones, else by the poses of a sequence."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
 
 import numpy as np
 
-from salsanext_cli.errors import NOTICE, SalsanextError
+from salsanext_cli.errors import NOTICE, SalsanextError, counted, first_few
 from salsanext_cli.formats import read_scan
 from salsanext_cli.fusion.drive import poses_beside, readings_of
+from salsanext_cli.fusion.poses import Poses
+from salsanext_cli.geometry.evenness import is_out_of_place
+from salsanext_cli.geometry.projection import in_sensor_frame
 from salsanext_cli.geometry.scan_traits import sensor_of
 from salsanext_cli.geometry.sensor_place import MIN_OFFSET_M
 from salsanext_cli.records import Double
+from salsanext_cli.results.output_run import OutputRun
 from salsanext_cli.results.paths import ScanFile
-from salsanext_cli.results.recorded_origins import Origins
+from salsanext_cli.results.recorded_origins import Origins, are_replaced, recorded_origin
 from salsanext_cli.results.selection import evenly_spaced
 from salsanext_cli.sensors.sensor import Sensor
 
-COMPARED_SCANS = 4  # Scans of a sequence that show whether its poses are those of the sensor
+COMPARED_SCANS = 5  # Scans of a sequence that show whether its poses are those of the sensor
 
 log = logging.getLogger(__name__)
 
 
-def origins_by_poses(files: Sequence[ScanFile], sensor: Sensor) -> Origins:
+@dataclass(frozen=True, slots=True)
+class OriginsOfRun:
+    """Origins of the registered scans of a run, the same for its fit and for its results.
+
+    Attributes
+    ----------
+    out : Path
+        Output folder, whose recorded origins are used unless the run replaces them.
+    stage : str
+        Stage that runs.
+    listed : sequence of ScanFile
+        All scans of the source, from which a few show whether the poses of a sequence are used.
+    overwrite : bool
+        Whether the run replaces existing results.
+    """
+
+    out: Path
+    stage: str
+    listed: Sequence[ScanFile]
+    overwrite: bool = False
+
+    def of_sample(self, files: Sequence[ScanFile], sensor: Sensor) -> Origins:
+        """Return the origins, in metres, of scans that a fit reads; points show the others."""
+        recorded: Origins = {}
+        if not are_replaced(self.out, self.stage, overwrite=self.overwrite):
+            for file in files:
+                with suppress(SalsanextError):  # The run reports a damaged file.
+                    origin = recorded_origin(self.out, file, sensor)
+                    if origin is not None:
+                        recorded[file.name] = origin
+        others = [file for file in files if file.name not in recorded]
+        by_poses = origins_by_poses(others, sensor, self.listed)
+        return recorded | by_poses.origins
+
+    def of_results(self, output: OutputRun, files: Sequence[ScanFile], sensor: Sensor) -> Origins:
+        """Return the origins by poses of the scans of a run that are to do and have no record.
+
+        The log has a line about the poses of each of their sequences.
+        """
+        todo = [file for file in files if not output.is_done(file)]
+        if not are_replaced(self.out, self.stage, overwrite=self.overwrite):
+            todo = [file for file in todo if not _is_recorded(self.out, file, sensor)]
+        by_poses = origins_by_poses(todo, sensor, self.listed)
+        for line in by_poses.lines:
+            log.log(NOTICE, "%s", line)
+        return by_poses.origins
+
+
+def _is_recorded(out: Path, file: ScanFile, sensor: Sensor) -> bool:
+    """Return whether there is a record of the origin of a scan, which may be damaged."""
+    try:
+        return recorded_origin(out, file, sensor) is not None
+    except SalsanextError:
+        return True
+
+
+@dataclass(frozen=True, slots=True)
+class OriginsByPoses:
+    """Origins of registered scans by the poses of their sequences."""
+
+    origins: Origins = field(default_factory=dict)
+    lines: list[str] = field(default_factory=list)  # Which poses are used, and which are not
+
+
+def origins_by_poses(
+    files: Sequence[ScanFile], sensor: Sensor, listed: Sequence[ScanFile] = ()
+) -> OriginsByPoses:
     """Return the origins of registered scans by the poses of their sequences.
 
     Parameters
@@ -35,54 +107,135 @@ def origins_by_poses(files: Sequence[ScanFile], sensor: Sensor) -> Origins:
         Scans of any sequences.
     sensor : Sensor
         Sensor that was fitted to them.
+    listed : sequence of ScanFile, optional
+        All scans of the sequences, of which the majority decides; by default `files`.
 
     Returns
     -------
-    dict of str to tuple of float
-        Positions in metres by name of the scan. Sequences without usable poses are missing: those
-        without a file, and those whose poses are not where the points show the sensor.
+    OriginsByPoses
+        Positions in metres by name of the scan. Scans without usable poses are missing: those of
+        sequences without a file, those of sequences most of whose poses are not where the points
+        show the sensor, and those that are not seen from their pose.
     """
-    origins: Origins = {}
+    by_poses = OriginsByPoses()
     if not sensor.has_registered:
-        return origins
-    ordered = sorted(files)
-    for sequence, group in groupby(ordered, lambda file: file.sequence):
+        return by_poses
+    for sequence, group in groupby(sorted(files), lambda file: file.sequence):
         scans = list(group)
         path = poses_beside(scans)
-        positions = None if path is None else sensor_positions(path, scans, sensor)
-        if positions is not None:
-            log.log(NOTICE, "sequence %s: the origins of its scans are those of %s", sequence, path)
-            for file, position in zip(scans, positions.tolist(), strict=True):
-                origins[file.name] = tuple(position)
-    return origins
+        if path is not None:
+            of_sequence = [file for file in listed if file.sequence == sequence]
+            _add_sequence(by_poses, path, scans, sorted(of_sequence) or scans, sensor)
+    return by_poses
+
+
+def _add_sequence(
+    by_poses: OriginsByPoses,
+    path: Path,
+    scans: Sequence[ScanFile],
+    of_sequence: Sequence[ScanFile],
+    sensor: Sensor,
+) -> None:
+    """Add the origins of the scans of a sequence by the poses in a file."""
+    seen_from = _origins_by_points(of_sequence, sensor)
+    if not seen_from:
+        return
+    try:
+        positions = _agreeing_positions(readings_of(path, of_sequence), seen_from)
+    except SalsanextError as error:
+        by_poses.lines.append(f"{path} is not used for the origins of the scans: {error.problem}")
+        return
+    if positions is None:
+        reason = "the points of most scans show the sensor elsewhere"
+        by_poses.lines.append(f"{path} is not used for the origins of the scans: {reason}")
+        return
+    numbers = {file.name: number for number, file in enumerate(of_sequence)}
+    sequence = scans[0].sequence
+    by_poses.lines.append(f"sequence {sequence}: the origins of its scans are those of {path}")
+    unused = []
+    for file in scans:
+        position = tuple(positions[numbers[file.name]].tolist())
+        is_seen_from_pose = _is_seen_from(file, sensor, position)
+        if is_seen_from_pose:
+            by_poses.origins[file.name] = position
+        elif is_seen_from_pose is not None:
+            unused.append(file.name)
+    if unused:
+        poses = counted(len(unused), "pose")
+        reason = "the points show the sensor elsewhere"
+        line = f"{path}: {poses} not used for the origins, {reason}: {first_few(unused)}"
+        by_poses.lines.append(line)
 
 
 def sensor_positions(path: Path, files: Sequence[ScanFile], sensor: Sensor) -> Double | None:
-    """Return the positions (N, 3) of the poses in a file, None if scans are seen from elsewhere."""
-    try:
-        readings = readings_of(path, files)
-    except SalsanextError as error:
-        log.log(NOTICE, "%s is not used for the origins of the scans: %s", path, error.problem)
-        return None
-    numbers = evenly_spaced(range(len(files)), COMPARED_SCANS)
-    seen_from = {number: _origin_by_points(files[number], sensor) for number in numbers}
+    """Return the positions of the poses in a file, if most compared scans are seen from there.
+
+    Parameters
+    ----------
+    path : Path
+        File of poses.
+    files : sequence of ScanFile
+        The N scans of a sequence, sorted.
+    sensor : Sensor
+        Sensor that was fitted to them.
+
+    Returns
+    -------
+    array (N, 3) of float64, or None
+        In metres; None if most of the compared scans are seen from elsewhere, or none is
+        registered.
+
+    Raises
+    ------
+    SalsanextError
+        If the file cannot be read or does not have poses of the scans.
+    """
+    return _agreeing_positions(readings_of(path, files), _origins_by_points(files, sensor))
+
+
+def _agreeing_positions(
+    readings: Sequence[Poses], seen_from: Mapping[int, Double]
+) -> Double | None:
+    """Return the positions (N, 3) of the poses that agree with most of the origins.
+
+    `seen_from`: origin (3,) of compared scans, by their number. None if no poses agree with more
+    than half of them.
+    """
+    best: Double | None = None
+    most = len(seen_from) // 2
     for poses in readings:
         positions: Double = poses[:, :3, 3]
-        distances = [
-            float(np.linalg.norm(positions[number] - origin))
-            for number, origin in seen_from.items()
-            if origin is not None
-        ]
-        if distances and max(distances) < MIN_OFFSET_M:
-            return positions
-    return None
+        agreeing = 0
+        for number, origin in seen_from.items():
+            distance = float(np.linalg.norm(positions[number] - origin))
+            agreeing += int(distance < MIN_OFFSET_M)
+        if agreeing > most:
+            best = positions
+            most = agreeing
+    return best
 
 
-def _origin_by_points(file: ScanFile, sensor: Sensor) -> Double | None:
-    """Return the origin (3,) of a registered scan that its points show; None for other scans."""
+def _origins_by_points(files: Sequence[ScanFile], sensor: Sensor) -> dict[int, Double]:
+    """Return the origins (3,) that the points of a few registered scans show, by their number."""
+    origins = {}
+    for number in evenly_spaced(range(len(files)), COMPARED_SCANS):
+        try:
+            scan = read_scan(files[number].path, sensor)
+        except SalsanextError:
+            continue  # The run reports the error.
+        member = sensor_of(scan, sensor)
+        if member.registered:
+            origins[number] = np.array(member.origin)
+    return origins
+
+
+def _is_seen_from(file: ScanFile, sensor: Sensor, position: tuple[float, ...]) -> bool | None:
+    """Return whether a registered scan looks as if seen from a position; None for other scans."""
     try:
         scan = read_scan(file.path, sensor)
     except SalsanextError:
         return None  # The run reports the error.
-    of_scan = sensor_of(scan, sensor)
-    return np.array(of_scan.origin) if of_scan.registered else None
+    member = sensor_of(scan, sensor, position)
+    if not member.registered:
+        return None
+    return not is_out_of_place(in_sensor_frame(scan, member))

@@ -177,9 +177,22 @@ def sensor_of(scan: Scan, sensor: Sensor, origin: tuple[float, ...] | None = Non
     return _likeliest_member(scan, sensor, origin).sensor
 
 
-def member_of(scan: Scan, sensor: Sensor) -> int:
+def member_of(scan: Scan, sensor: Sensor, origin: tuple[float, ...] | None = None) -> int:
     """Return the number of the member of a fitted sensor that saw a scan, as of `sensor_of`."""
-    return _likeliest_member(scan, sensor, None).number if sensor.others else 0
+    return _likeliest_member(scan, sensor, origin).number if sensor.others else 0
+
+
+def origin_of_scan(
+    scan: Scan, sensor: Sensor, origin: tuple[float, ...] | None = None
+) -> tuple[float, ...] | None:
+    """Return the origin of a scan that its member and its projection depend on, in metres.
+
+    It is the one that is given, else that of the points; None unless scans of a member are
+    registered. `sensor_of` with it returns the same member now and in later stages.
+    """
+    if not sensor.has_registered or origin is not None:
+        return origin
+    return sensor_of(scan, sensor).origin
 
 
 @dataclass(frozen=True, slots=True)

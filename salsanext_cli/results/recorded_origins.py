@@ -13,8 +13,9 @@ from salsanext_cli.formats.npy import read_array
 from salsanext_cli.geometry.scan_traits import sensor_of
 from salsanext_cli.records import Double, Scan
 from salsanext_cli.results.manifest import Manifest
+from salsanext_cli.results.output_run import OutputRun
 from salsanext_cli.results.paths import ORIGINS, ScanFile, output_path
-from salsanext_cli.sensors.sensor import Sensor
+from salsanext_cli.sensors.sensor import ORIGIN, Sensor
 
 Origins = dict[str, tuple[float, ...]]  # Position of the sensor in metres, by name of the scan
 
@@ -46,16 +47,57 @@ def recorded_origin(out: Path, file: ScanFile, sensor: Sensor) -> tuple[float, .
     """
     if not sensor.has_registered:
         return None
-    path = output_path(out, file.sequence, ORIGINS, file.stem)
+    folder = out
     fused = Manifest(out).settings("fuse")
     if fused is not None and fused.fused_of is not None:
-        path = output_path(out / fused.fused_of, file.sequence, ORIGINS, file.stem)
+        folder = out / fused.fused_of
+    path = output_path(folder, file.sequence, ORIGINS, file.stem)
     if not present(path):
         return None
-    position = read_array(path, "float64", (3,))
+    stage = Manifest(folder).owner(ORIGINS) or "predict"
+    hint = f"delete it and run `salsanext {stage}` again, which writes it"
+    try:
+        position = read_array(path, "float64", (3,))
+    except FormatError as error:
+        raise FormatError(path, error.problem, error.expected, hint) from error
     if not np.isfinite(position).all():
-        raise FormatError(path, "has no position", "three finite numbers in metres")
+        raise FormatError(path, "has no position", "three finite numbers in metres", hint)
     return tuple(position.tolist())
+
+
+def origin_in_run(
+    run: OutputRun, file: ScanFile, sensor: Sensor, by_poses: Origins
+) -> tuple[float, ...] | None:
+    """Return the origin of a registered scan in metres that a run uses.
+
+    Parameters
+    ----------
+    run : OutputRun
+        Run of a stage, whose folder may have recorded origins.
+    file : ScanFile
+        Scan with results to write.
+    sensor : Sensor
+        Sensor that was fitted to the scans.
+    by_poses : dict of str to tuple of float
+        Origins by poses, by name of the scan.
+
+    Returns
+    -------
+    tuple of float, or None
+        The recorded origin unless the run replaces it, else the one by poses; None without both.
+    """
+    recorded = None
+    if not are_replaced(run.root, run.stage, overwrite=run.overwrite):
+        recorded = recorded_origin(run.root, file, sensor)
+    return by_poses.get(file.name) if recorded is None else recorded
+
+
+def are_replaced(out: Path, stage: str, *, overwrite: bool) -> bool:
+    """Return whether a run of a stage replaces the origins that are recorded in its folder.
+
+    Origins of another stage in the output folder stay, and the run uses them.
+    """
+    return overwrite and Manifest(out).owner(ORIGINS) in (None, stage)
 
 
 def folders_of_origins(out: Path, stage: str, sensor: Sensor) -> tuple[str, ...]:
@@ -67,6 +109,6 @@ def folders_of_origins(out: Path, stage: str, sensor: Sensor) -> tuple[str, ...]
     return (ORIGINS,) if sensor.has_registered and is_free else ()
 
 
-def origin_array(sensor: Sensor) -> Double:
+def origin_array(origin: tuple[float, ...] | None) -> Double:
     """Return the origin (3,) of a scan, float64 in metres, as it is recorded."""
-    return np.array(sensor.origin, np.float64)
+    return np.array(ORIGIN if origin is None else origin, np.float64)

@@ -175,7 +175,7 @@ def _require_positions(poses: Path, files: Sequence[ScanFile], sensor: Sensor) -
     """Refuse poses that are not those of the sensor in the frame of registered scans."""
     name = files[0].sequence
     if sensor_positions(poses, files, sensor) is None:
-        problem = f"{poses.name} is not where the sensor is in the scans of sequence {name}"
+        problem = f"{poses} is not where the sensor is in most scans of sequence {name}"
         expected = "poses in the frame of the map that the scans are in"
         raise UsageError("--poses", problem, expected, "omit --poses: the scans are in one frame")
     log.log(NOTICE, "sequence %s: its scans are in one frame, and %s agrees", name, poses)

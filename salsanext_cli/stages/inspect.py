@@ -11,7 +11,8 @@ from salsanext_cli.files.atomic import require_absent, write_bytes
 from salsanext_cli.files.json_files import plain
 from salsanext_cli.files.reading import present
 from salsanext_cli.fitting.scan_checks import ALONE, FIT, check_scan
-from salsanext_cli.fitting.sensor_fit import ScanSample, fitted_view
+from salsanext_cli.fitting.scan_sample import ScanSample
+from salsanext_cli.fitting.sensor_fit import fitted_view
 from salsanext_cli.fitting.sensor_groups import sensor_groups
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels

@@ -18,7 +18,8 @@ from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE, NoInputError, UsageError, counted
 from salsanext_cli.files.json_files import plain
 from salsanext_cli.fitting.label_scan import PreparedScan, labelled, prepared_for
-from salsanext_cli.fitting.sensor_fit import ScanSample, fit_scans, settings_of_network
+from salsanext_cli.fitting.scan_sample import ScanSample
+from salsanext_cli.fitting.sensor_fit import fit_scans, settings_of_network
 from salsanext_cli.formats.kitti import encode_labels
 from salsanext_cli.labelling.picked_data_set import (
     CHOSEN,

@@ -35,6 +35,7 @@ from salsanext_cli.fitting.sensor_fit import (
     settings_of_network,
 )
 from salsanext_cli.formats import read_scan
+from salsanext_cli.fusion.pose_origins import OriginsOfRun
 from salsanext_cli.geometry.objects import BOX, Objects, find_objects, fit_boxes
 from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
@@ -57,6 +58,7 @@ from salsanext_cli.results.recorded_origins import (
     Origins,
     folders_of_origins,
     origin_array,
+    origin_in_run,
     sensor_of_result,
 )
 from salsanext_cli.results.result_folder import ResultFolder
@@ -96,7 +98,8 @@ class PredictJob:
     def prepare(self, file: ScanFile) -> PreparedScan:
         """Read, check and project a scan whose results may be replaced."""
         self.output.require_replaceable(file)
-        return prepared_for(self.network, file, origin=self.origins.get(file.name))
+        origin = origin_in_run(self.output, file, self.network.sensor, self.origins)
+        return prepared_for(self.network, file, origin=origin)
 
     def compute(self, scans: Sequence[PreparedScan]) -> list[PixelPrediction]:
         """Predict the pixels of scans, with the softmax if a result needs it."""
@@ -105,11 +108,15 @@ class PredictJob:
 
     def finish(self, prepared: PreparedScan, pixels: PixelPrediction) -> ScanSummary:
         """Refine the labels on the points and write the results; return numbers about the scan."""
-        scan, network, output = labelled(prepared, pixels, self.knn), prepared.network, self.output
-        file, image, space = scan.file, scan.image, network.space
+        scan = labelled(prepared, pixels, self.knn)
+        file = scan.file
+        image = scan.image
+        network = prepared.network
+        space = network.space
+        output = self.output
         least_confidence = points_from_pixels(1 - pixels.confidence, image.pixel_of_point, np.nan)
         if ORIGINS in output.folders:
-            output.write_array(file, ORIGINS, origin_array(scan.sensor))
+            output.write_array(file, ORIGINS, origin_array(scan.origin))
         output.write_array(file, LEAST_CONFIDENCE, least_confidence)
         values = {"least_confidence": least_confidence}
         if "pixel_labels" in output.folders:
@@ -187,14 +194,16 @@ def predict_scans(
     -------
     Outcome
     """
-    from salsanext_cli.fusion.pose_origins import origins_by_poses
-
     if batch is not None and batch < 1:
         raise UsageError("--batch", str(batch), "at least 1, or auto")
     network = settings.load()
     listed = with_recorded_names(scans_of(source), out)
     scans = choose(listed, selection, space_of(listed, network.card.space), source)
-    network = network_of_run(settings, network, listed, out, overwrite=options.overwrite)
+    overwrite = options.overwrite
+    origins = OriginsOfRun(out, "predict", listed, overwrite)
+    network = network_of_run(
+        settings, network, listed, out, overwrite=overwrite, origins_of=origins.of_sample
+    )
     rejection = None if reject is None else _rejection(reject, settings, network, knn)
     extras = _possible_extras(extras, rejection, network)
     accuracy = None if rejection else network.card.accuracy
@@ -210,10 +219,10 @@ def predict_scans(
     summary = RunSummary.of_network(network, scans, accuracy, threshold)
     folders = (*extras, LEAST_CONFIDENCE, "predictions")
     folders = (*folders_of_origins(out, "predict", network.sensor), *folders)
-    run = output_run(out, "predict", recorded, folders, scans, overwrite=options.overwrite)
+    run = output_run(out, "predict", recorded, folders, scans, overwrite=overwrite)
     with run as output, summary.recorded_in(output, scans):
-        origins = origins_by_poses(scans, network.sensor)
-        job = partial(PredictJob, knn=knn, output=output, reject=rejection, origins=origins)
+        by_poses = origins.of_results(output, scans, network.sensor)
+        job = partial(PredictJob, knn=knn, output=output, reject=rejection, origins=by_poses)
         task = NetworkTask(job, resolved_for(settings, network, scans), network, batch)
         outcome = run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)
     return replace(outcome, rejected_points=summary.rejected_points if rejection else None)
@@ -339,8 +348,18 @@ def predict_range_images(
     scans = choose(listed, selection, space_of(listed, network.card.space), folder)
     images = partial(range_image, folder=folder, sensor=network.sensor)
     overwrite = options.overwrite
-    network = network_of_run(settings, network, listed, out, overwrite=overwrite, image_of=images)
-    recorded, folders = settings_of_network(network), ("pixel_labels",)
+    origins = OriginsOfRun(folder, "predict", listed)
+    network = network_of_run(
+        settings,
+        network,
+        listed,
+        out,
+        overwrite=overwrite,
+        image_of=images,
+        origins_of=origins.of_sample,
+    )
+    recorded = settings_of_network(network)
+    folders = ("pixel_labels",)
     summary = RunSummary(network.sensor, trained=network.card.sensor)
     run = output_run(out, "predict", recorded, folders, scans, overwrite=overwrite)
     with run as output, summary.recorded_in(output, scans):

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from salsanext_cli.fitting.label_scan import ProjectedScan, project_scan
 from salsanext_cli.fitting.sensor_fit import fitted_view
+from salsanext_cli.fusion.pose_origins import OriginsOfRun
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
@@ -14,7 +15,12 @@ from salsanext_cli.results.manifest import Manifest, StageSettings
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.paths import ORIGINS, ScanFile
 from salsanext_cli.results.recorded_names import with_recorded_names
-from salsanext_cli.results.recorded_origins import Origins, folders_of_origins, origin_array
+from salsanext_cli.results.recorded_origins import (
+    Origins,
+    folders_of_origins,
+    origin_array,
+    origin_in_run,
+)
 from salsanext_cli.results.selection import choose, scans_of, space_of
 from salsanext_cli.sensors.sensor import Sensor
 
@@ -32,7 +38,8 @@ class ProjectJob:
     def prepare(self, file: ScanFile) -> ProjectedScan:
         """Read, check and project a scan whose results may be replaced."""
         self.output.require_replaceable(file)
-        return project_scan(file, self.sensor, origin=self.origins.get(file.name))
+        origin = origin_in_run(self.output, file, self.sensor, self.origins)
+        return project_scan(file, self.sensor, origin=origin)
 
     def compute(self, scans: Sequence[ProjectedScan]) -> Sequence[None]:
         """Return nothing for each scan."""
@@ -41,7 +48,7 @@ class ProjectJob:
     def finish(self, scan: ProjectedScan, _: None) -> ScanSummary:
         """Write the range image and the pixels of the points."""
         if ORIGINS in self.output.folders:
-            self.output.write_array(scan.file, ORIGINS, origin_array(scan.sensor))
+            self.output.write_array(scan.file, ORIGINS, origin_array(scan.origin))
         self.output.write_array(scan.file, "range", scan.image.channels)
         self.output.write_array(scan.file, "pixels", scan.image.pixel_of_point)
         return ScanSummary(scan.file, scan.check)
@@ -75,15 +82,15 @@ def project_scans(
     -------
     Outcome
     """
-    from salsanext_cli.fusion.pose_origins import origins_by_poses
-
     listed = with_recorded_names(scans_of(source), out)
     scans = choose(listed, selection, space_of(listed), source)
     recorded = None if options.overwrite else Manifest(out).settings("project")
     sensor = fitted_view(listed, sensor, recorded.sensor if recorded else None, view=fit)
-    settings, summary = StageSettings(sensor=sensor), RunSummary(sensor, scans=scans)
+    settings = StageSettings(sensor=sensor)
+    summary = RunSummary(sensor, scans=scans)
     folders = (*FOLDERS, *folders_of_origins(out, "project", sensor))
     run = output_run(out, "project", settings, folders, scans, overwrite=options.overwrite)
     with run as output, summary.recorded_in(output, scans):
-        job = ProjectJob(sensor, output, origins_by_poses(scans, sensor))
+        origins = OriginsOfRun(out, "project", listed, options.overwrite)
+        job = ProjectJob(sensor, output, origins.of_results(output, scans, sensor))
         return run_over_scans(job, scans, options, is_done=output.is_done, summary=summary)

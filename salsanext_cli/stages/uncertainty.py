@@ -15,6 +15,7 @@ from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE, OutputError
 from salsanext_cli.fitting.label_scan import PreparedScan, ProjectedScan, labelled, prepared_for
 from salsanext_cli.fitting.sensor_fit import network_of_run, resolved_for, settings_of_network
+from salsanext_cli.fusion.pose_origins import OriginsOfRun
 from salsanext_cli.geometry.network_input import noise_of
 from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
@@ -30,7 +31,7 @@ from salsanext_cli.results.recorded_origins import (
     Origins,
     folders_of_origins,
     origin_array,
-    recorded_origin,
+    origin_in_run,
 )
 from salsanext_cli.results.selection import choose, scans_of, space_of
 from salsanext_cli.uncertainty.error_features import error_probability, knows_error
@@ -56,9 +57,7 @@ class UncertaintyJob:
     def prepare(self, file: ScanFile) -> PreparedScan:
         """Read, check and project a scan whose results may be replaced."""
         self.output.require_replaceable(file)
-        origin = self.origins.get(file.name)
-        if ORIGINS not in self.output.folders:
-            origin = recorded_origin(self.output.root, file, self.network.sensor)
+        origin = origin_in_run(self.output, file, self.network.sensor, self.origins)
         return prepared_for(self.network, file, origin=origin)
 
     def compute(self, scans: Sequence[PreparedScan]) -> list[Computed]:
@@ -79,7 +78,7 @@ class UncertaintyJob:
         (projected, network, _), (estimate, softmax) = scan, computed
         file, image, output = projected.file, projected.image, self.output
         if ORIGINS in output.folders:
-            output.write_array(file, ORIGINS, origin_array(projected.sensor))
+            output.write_array(file, ORIGINS, origin_array(projected.origin))
         for kind in self.method.kinds:
             of_pixels = getattr(estimate.uncertainty, kind)
             of_points = points_from_pixels(of_pixels, image.pixel_of_point, np.nan)
@@ -119,15 +118,16 @@ def uncertainty(
     -------
     Outcome
     """
-    from salsanext_cli.fusion.pose_origins import origins_by_poses
-
     network = settings.for_sampling().load()
     listed = with_recorded_names(scans_of(source), out)
     scans = choose(listed, selection, space_of(listed, network.card.space), source)
     # Labels of another stage stay, and so must the sensor with which they were made.
     labels_too = Manifest(out).owner("predictions") in (None, "uncertainty")
     overwrite = options.overwrite and labels_too
-    network = network_of_run(settings, network, listed, out, overwrite=overwrite)
+    origins = OriginsOfRun(out, "uncertainty", listed, options.overwrite)
+    network = network_of_run(
+        settings, network, listed, out, overwrite=overwrite, origins_of=origins.of_sample
+    )
     method.require(network)
     recorded = replace(
         settings_of_network(network),
@@ -150,8 +150,8 @@ def uncertainty(
     summary = RunSummary.of_network(network, scans)
     run = output_run(out, "uncertainty", recorded, folders, scans, overwrite=options.overwrite)
     with run as output, summary.recorded_in(output, scans):
-        origins = origins_by_poses(scans, network.sensor) if ORIGINS in folders else {}
-        job = partial(UncertaintyJob, knn=knn, method=method, output=output, origins=origins)
+        by_poses = origins.of_results(output, scans, network.sensor)
+        job = partial(UncertaintyJob, knn=knn, method=method, output=output, origins=by_poses)
         task = NetworkTask(job, resolved_for(settings, network, scans), network, batch=1)
         return run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)
 

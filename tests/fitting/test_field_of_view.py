@@ -13,10 +13,10 @@ from scans import SMALL, make_scan
 
 from salsanext_cli import Scan, project, read_labels, read_scan
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.fitting import sensor_fit
+from salsanext_cli.fitting import scan_sample, sensor_fit
 from salsanext_cli.fitting.field_of_view import MIN_RANGE_M, SHOWN, fit_ego, fit_view
 from salsanext_cli.fitting.scan_checks import check_scan, share_outside
-from salsanext_cli.fitting.sensor_fit import MAX_SCANS
+from salsanext_cli.fitting.scan_sample import MAX_SCANS, ScanSample
 from salsanext_cli.geometry.projection import ego_points, upright_rotation, without_ego
 from salsanext_cli.results.paths import find_scans
 from salsanext_cli.results.selection import evenly_spaced
@@ -130,10 +130,10 @@ def test_each_scan_is_read_once_for_view_intensity_and_gaps(world, monkeypatch):
         read.append(path)
         return read_scan(path, *arguments)
 
-    monkeypatch.setattr(sensor_fit, "read_scan", counted)
+    monkeypatch.setattr(scan_sample, "read_scan", counted)
     settings = NetworkSettings(device="cpu", engine="torch")
     network = settings.load()
-    sample = sensor_fit.ScanSample(find_scans(world.data), network.sensor)
+    sample = ScanSample(find_scans(world.data), network.sensor)
     network = sensor_fit.fit_scans(settings, network, sample)
     assert len(sample.images(network.sensor)) == len(read)
     assert network.sensor.intensity_quantiles

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scans import SMALL, labels_below, write_bin, write_weights
-from street_scans import HEIGHT, moved, street
+from street_scans import HEIGHT, low_street, moved, street
 
 from salsanext_cli import Scan, read_scan
 from salsanext_cli.engines.settings import NetworkSettings
@@ -18,16 +18,17 @@ from salsanext_cli.fitting.mounting_fit import fit_mounting
 from salsanext_cli.fitting.scan_checks import check_scan
 from salsanext_cli.fitting.sensor_fit import fitted_view
 from salsanext_cli.fusion.drive import Drive, points_of_drive
-from salsanext_cli.fusion.pose_origins import origins_by_poses
+from salsanext_cli.fusion.pose_origins import OriginsByPoses, _agreeing_positions, origins_by_poses
 from salsanext_cli.fusion.poses import encode_poses
 from salsanext_cli.geometry import scan_traits
 from salsanext_cli.geometry.scan_traits import sensor_of
 from salsanext_cli.measures.expected_accuracy import WITHHELD_FOR
 from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.results.paths import ORIGINS, find_scans, output_path
 from salsanext_cli.results.recorded_origins import recorded_origin
 from salsanext_cli.results.result_folder import ResultFolder
-from salsanext_cli.sensors.sensor import Sensor
+from salsanext_cli.sensors.sensor import INTENSITY_LEVELS, Sensor
 from salsanext_cli.stages.fuse import fuse_results
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.picture import picture
@@ -140,6 +141,60 @@ def test_every_stage_sees_a_registered_drive_from_its_sensor(map_drive, tmp_path
     fuse_results(out)
 
 
+STATISTICS = replace(
+    SMALL, intensity_quantiles=tuple(np.linspace(0, 1, INTENSITY_LEVELS).tolist()), row_gaps=0.0
+)
+"""Sensor of weights whose network depends on the intensity and the gaps of the images."""
+
+
+def require_same_results_in_three_stages(source: Path, weights: Path, folder: Path) -> None:
+    """Require the labels, and the fit, of `predict` and of the three stages to be the same."""
+    write_weights(weights, sensor=STATISTICS)
+    network = NetworkSettings(weights, "cpu", engine="torch")
+    out = folder / "out"
+    steps = folder / "steps"
+    predict_scans(source, out, settings=network)
+    project_scans(source, steps, sensor=SMALL, fit=True)
+    predict_range_images(steps, steps, settings=network)
+    knn_refine_scans(steps)
+    fit = Manifest(out).settings("predict").sensor
+    assert fit.has_registered
+    assert fit.intensity_quantiles != STATISTICS.intensity_quantiles
+    assert Manifest(steps).settings("predict").sensor == fit
+    labels = labels_below(out)
+    assert len(labels) == len(find_scans(source))
+    assert labels == labels_below(steps)
+    for file in find_scans(source):
+        assert recorded_origin(out, file, fit) == recorded_origin(steps, file, fit)
+
+
+@pytest.mark.parametrize("has_poses", [False, True])
+@pytest.mark.usefixtures("workers_in_process")
+def test_three_stages_give_the_labels_of_predict(map_drive, tmp_path, has_poses):
+    """The poses are those of another point of the vehicle, near the place that the points show."""
+    shutil.copytree(map_drive / "velodyne", tmp_path / "velodyne")
+    if has_poses:
+        write_poses(tmp_path / "poses.txt", np.array(WAY, float) + (0.4, -0.3, 0.2))
+    weights = tmp_path / "w.safetensors"
+    require_same_results_in_three_stages(tmp_path / "velodyne", weights, tmp_path)
+
+
+@pytest.mark.parametrize("has_poses", [False, True])
+@pytest.mark.usefixtures("workers_in_process")
+def test_three_stages_give_the_labels_of_predict_for_several_sensors(tmp_path, has_poses):
+    places = np.array([*WAY[:3], (0, 0, 0), (0, 0, 0)], float)
+    seeds = enumerate([street(32, seed=seed) for seed in range(3)])
+    scans = [moved(scan, places[number]) for number, scan in seeds]
+    scans += [low_street(seed) for seed in (10, 11)]
+    for number, scan in enumerate(scans):
+        write_bin(tmp_path / "velodyne" / f"{number:06}.bin", scan)
+    if has_poses:
+        write_poses(tmp_path / "poses.txt", places + (0.4, -0.3, 0.2))
+    weights = tmp_path / "w.safetensors"
+    require_same_results_in_three_stages(tmp_path / "velodyne", weights, tmp_path)
+    assert len(Manifest(tmp_path / "out").settings("predict").sensor.members) == 2
+
+
 def write_poses(path: Path, positions: np.ndarray) -> None:
     """Write poses of a vehicle that turns by a degree from one to the next."""
     poses = np.tile(np.eye(4), (len(positions), 1, 1))
@@ -173,10 +228,45 @@ def test_poses_elsewhere_are_not_the_origins_of_scans(map_drive, tmp_path, shift
     shutil.copytree(map_drive / "velodyne", tmp_path / "velodyne")
     write_poses(tmp_path / "poses.txt", np.array(WAY, float) + shift)
     files = find_scans(tmp_path / "velodyne")
-    assert origins_by_poses(files, replace(SMALL, registered=True)) == {}
-    assert origins_by_poses(files, SMALL) == {}
-    (tmp_path / "poses.txt").write_text("1 2 3\n")
-    assert origins_by_poses(files, replace(SMALL, registered=True)) == {}
+    for text in (None, "1 2 3\n"):
+        if text is not None:
+            (tmp_path / "poses.txt").write_text(text)
+        by_poses = origins_by_poses(files, replace(SMALL, registered=True))
+        assert by_poses.origins == {}
+        (line,) = by_poses.lines
+        assert line.startswith(f"{tmp_path / 'poses.txt'} is not used")
+        assert origins_by_poses(files, SMALL) == OriginsByPoses()
+
+
+@pytest.mark.parametrize("wrong", [0, 2, 3])
+def test_a_wrong_pose_is_used_for_no_scan_and_the_others_are(map_drive, tmp_path, wrong):
+    shutil.copytree(map_drive / "velodyne", tmp_path / "velodyne")
+    positions = np.array(WAY, float)
+    positions[wrong] += (20, 5, 0)
+    write_poses(tmp_path / "poses.txt", positions)
+    files = find_scans(tmp_path / "velodyne")
+    by_poses = origins_by_poses(files, replace(SMALL, registered=True))
+    seen = {file.name: place for file, place in zip(files, WAY, strict=True)}
+    name = files[wrong].name
+    assert by_poses.origins == {key: place for key, place in seen.items() if key != name}
+    used, unused = by_poses.lines
+    assert used.endswith(str(tmp_path / "poses.txt"))
+    assert unused.startswith(str(tmp_path / "poses.txt"))
+    assert unused.endswith(name)
+
+
+def test_most_compared_scans_decide_about_poses():
+    seen_from = {0: np.zeros(3), 4: np.ones(3), 8: np.full(3, 2.0), 9: np.full(3, 3.0)}
+    poses = np.tile(np.eye(4), (10, 1, 1))
+    for number, origin in seen_from.items():
+        poses[number, :3, 3] = origin
+    poses[0, :3, 3] += 5
+    assert np.array_equal(_agreeing_positions([poses], seen_from), poses[:, :3, 3])
+    other = poses.copy()
+    other[4, :3, 3] += 5
+    assert _agreeing_positions([other], seen_from) is None
+    assert np.array_equal(_agreeing_positions([other, poses], seen_from), poses[:, :3, 3])
+    assert _agreeing_positions([poses], {}) is None
 
 
 def test_poses_of_a_registered_drive_must_agree_with_its_scans(predicted, tmp_path):

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 from scans import SMALL
-from street_scans import moved, street, street_points
+from street_scans import low_street, moved, street
 
 from salsanext_cli import Scan
 from salsanext_cli.fitting.sensor_fit import fitted_view
@@ -12,23 +12,12 @@ from salsanext_cli.fitting.sensor_groups import sensor_groups
 from salsanext_cli.geometry.scan_traits import member_of, sensor_of
 
 WAY = [(0, 0, 0), (7, 0, 0), (14, 0, 0)]
-LOW = 1.2
-
-
-def low_sensor(seed: int) -> Scan:
-    """Return a scan of a low sensor with another field of view and fewer points."""
-    random = np.random.default_rng(seed)
-    elevation = np.radians(random.choice(np.linspace(-16, 14, 16), 6000))
-    azimuth = random.uniform(-np.pi, np.pi, 6000)
-    posts = np.where(azimuth * 6 % 1 < 0.1, random.uniform(5, 30), 60)
-    points = street_points(azimuth, elevation, LOW, posts, random.normal(0, 0.01, 6000))
-    return Scan(points, random.random(6000, np.float32))
 
 
 def folder() -> list[Scan]:
     """Return scans of a drive in the frame of its first scan, and of another sensor in between."""
     drive = [moved(street(32, seed=seed), place) for seed, place in enumerate(WAY)]
-    others = [low_sensor(seed) for seed in range(2)]
+    others = [low_street(seed) for seed in range(2)]
     return [drive[0], others[0], drive[1], others[1], drive[2]]
 
 

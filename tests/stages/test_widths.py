@@ -13,7 +13,8 @@ from world import World
 from salsanext_cli import Scan, load_network, project, read_scan
 from salsanext_cli.errors import OutputError, UsageError, WeightsError
 from salsanext_cli.fitting.label_scan import projected_sensor
-from salsanext_cli.fitting.sensor_fit import ScanSample, fit_scans
+from salsanext_cli.fitting.scan_sample import ScanSample
+from salsanext_cli.fitting.sensor_fit import fit_scans
 from salsanext_cli.geometry.knn import knn_refine
 from salsanext_cli.geometry.network_input import column_gaps
 from salsanext_cli.network.card import AccuracyLine, FittedParts, read_card

@@ -14,7 +14,8 @@ from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.classes.merging import ClassMerging, is_merged
 from salsanext_cli.errors import NOTICE, LabelError, NoInputError, counted, first_few
 from salsanext_cli.fitting.field_of_view import fit_view
-from salsanext_cli.fitting.sensor_fit import ScanSample, with_image_statistics
+from salsanext_cli.fitting.scan_sample import ScanSample
+from salsanext_cli.fitting.sensor_fit import with_image_statistics
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.network_input import on_other_scale

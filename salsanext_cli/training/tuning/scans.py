@@ -13,7 +13,8 @@ from salsanext_cli.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import LabelError
-from salsanext_cli.fitting.sensor_fit import ScanSample, fit_scans
+from salsanext_cli.fitting.scan_sample import ScanSample
+from salsanext_cli.fitting.sensor_fit import fit_scans
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.geometry.scan_traits import sensor_of
 from salsanext_cli.network.card import WeightsCard
