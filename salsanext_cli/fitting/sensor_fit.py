@@ -136,6 +136,8 @@ def _fit_of_network(
     if sample.image_of is None:
         fit = partial(_fitted_view, view=settings.fits_view)
         sensor = _by_sensor(fit, sample, sensor, earlier)
+    elif sensor.others:
+        _announce_members(sample, sensor)
     images_of_members = cache(lambda: sample.images_of_members(sensor))
     members = []
     for number, member in enumerate(sensor.members):
@@ -143,6 +145,14 @@ def _fit_of_network(
         images = partial(_images_of_member, images_of_members, number)
         members.append(_with_statistics(settings, network, member, before, images))
     return _joined(members)
+
+
+def _announce_members(sample: ScanSample, sensor: Sensor) -> None:
+    """Log the scans of each of several sensors."""
+    numbers = sample.members_of_scans(sensor)
+    for number in range(len(sensor.members)):
+        files = [sample.read[place][0] for place, other in enumerate(numbers) if other == number]
+        _announce_member(number, len(sensor.members), files)
 
 
 def _images_of_member(
@@ -208,15 +218,20 @@ def _by_sensor(fit: Fit, sample: ScanSample, sensor: Sensor, earlier: Sensor | N
     fits = []
     for number, group in enumerate(groups):
         files = [sample.read[place][0] for place in group.numbers]
-        if files:
-            scans = counted(len(files), "scan")
-            name = getattr(files[0], "name", "none")
-            log.log(NOTICE, "sensor %d of %d: %s, such as %s", number + 1, len(groups), scans, name)
+        _announce_member(number, len(groups), files)
         part = ScanSample(files, sample.sensor)
         member = sensor.members[number] if sensor.others else sensor
         of_earlier = earlier.members[number] if earlier and earlier.others else earlier
         fits.append(replace(fit(part, member, of_earlier), traits=group.traits))
     return replace(fits[0], others=tuple(fits[1:]))
+
+
+def _announce_member(number: int, count: int, files: Scans) -> None:
+    """Log the scans of one of several sensors."""
+    if files:
+        scans = counted(len(files), "scan")
+        name = getattr(files[0], "name", "none")
+        log.log(NOTICE, "sensor %d of %d: %s, such as %s", number + 1, count, scans, name)
 
 
 def _joined(members: Sequence[Sensor]) -> Sensor:

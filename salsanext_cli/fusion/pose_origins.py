@@ -1,18 +1,16 @@
 # SPDX-License-Identifier: MIT
-"""Origins of registered scans in a run: recorded ones, else by the poses of a sequence."""
+"""Origins of registered scans by the poses in the folder of their sequence."""
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
 
 import numpy as np
 
-from salsanext_cli.errors import NOTICE, SalsanextError, counted, first_few
+from salsanext_cli.errors import SalsanextError, counted, first_few
 from salsanext_cli.formats import read_scan
 from salsanext_cli.fusion.drive import poses_beside, readings_of
 from salsanext_cli.fusion.poses import Poses
@@ -21,71 +19,12 @@ from salsanext_cli.geometry.projection import in_sensor_frame
 from salsanext_cli.geometry.scan_traits import sensor_of
 from salsanext_cli.geometry.sensor_place import MIN_OFFSET_M
 from salsanext_cli.records import Double
-from salsanext_cli.results.output_run import OutputRun
 from salsanext_cli.results.paths import ScanFile
-from salsanext_cli.results.recorded_origins import Origins, are_replaced, recorded_origin
+from salsanext_cli.results.recorded_origins import Origins
 from salsanext_cli.results.selection import evenly_spaced
 from salsanext_cli.sensors.sensor import Sensor
 
 COMPARED_SCANS = 5  # Scans of a sequence that show whether its poses are those of the sensor
-
-log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True)
-class OriginsOfRun:
-    """Origins of the registered scans of a run, the same for its fit and for its results.
-
-    Attributes
-    ----------
-    out : Path
-        Output folder, whose recorded origins are used unless the run replaces them.
-    stage : str
-        Stage that runs.
-    listed : sequence of ScanFile
-        All scans of the source, from which a few show whether the poses of a sequence are used.
-    overwrite : bool
-        Whether the run replaces existing results.
-    """
-
-    out: Path
-    stage: str
-    listed: Sequence[ScanFile]
-    overwrite: bool = False
-
-    def of_sample(self, files: Sequence[ScanFile], sensor: Sensor) -> Origins:
-        """Return the origins, in metres, of scans that a fit reads; points show the others."""
-        recorded: Origins = {}
-        if not are_replaced(self.out, self.stage, overwrite=self.overwrite):
-            for file in files:
-                with suppress(SalsanextError):  # The run reports a damaged file.
-                    origin = recorded_origin(self.out, file, sensor)
-                    if origin is not None:
-                        recorded[file.name] = origin
-        others = [file for file in files if file.name not in recorded]
-        by_poses = origins_by_poses(others, sensor, self.listed)
-        return recorded | by_poses.origins
-
-    def of_results(self, output: OutputRun, files: Sequence[ScanFile], sensor: Sensor) -> Origins:
-        """Return the origins by poses of the scans of a run that are to do and have no record.
-
-        The log has a line about the poses of each of their sequences.
-        """
-        todo = [file for file in files if not output.is_done(file)]
-        if not are_replaced(self.out, self.stage, overwrite=self.overwrite):
-            todo = [file for file in todo if not _is_recorded(self.out, file, sensor)]
-        by_poses = origins_by_poses(todo, sensor, self.listed)
-        for line in by_poses.lines:
-            log.log(NOTICE, "%s", line)
-        return by_poses.origins
-
-
-def _is_recorded(out: Path, file: ScanFile, sensor: Sensor) -> bool:
-    """Return whether there is a record of the origin of a scan, which may be damaged."""
-    try:
-        return recorded_origin(out, file, sensor) is not None
-    except SalsanextError:
-        return True
 
 
 @dataclass(frozen=True, slots=True)

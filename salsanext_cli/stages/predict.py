@@ -35,7 +35,6 @@ from salsanext_cli.fitting.sensor_fit import (
     settings_of_network,
 )
 from salsanext_cli.formats import read_scan
-from salsanext_cli.fusion.pose_origins import OriginsOfRun
 from salsanext_cli.geometry.objects import BOX, Objects, find_objects, fit_boxes
 from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
@@ -43,6 +42,7 @@ from salsanext_cli.network.card import RiskThreshold
 from salsanext_cli.option_fields import KnnParameters, ScanSelection
 from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
+from salsanext_cli.parallel.run_origins import OriginsOfRun
 from salsanext_cli.records import Float
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.paths import (
@@ -201,9 +201,8 @@ def predict_scans(
     scans = choose(listed, selection, space_of(listed, network.card.space), source)
     overwrite = options.overwrite
     origins = OriginsOfRun(out, "predict", listed, overwrite)
-    network = network_of_run(
-        settings, network, listed, out, overwrite=overwrite, origins_of=origins.of_sample
-    )
+    fit = partial(network_of_run, settings, network, listed, out, overwrite=overwrite)
+    network = fit(origins_of=origins.of_sample)
     rejection = None if reject is None else _rejection(reject, settings, network, knn)
     extras = _possible_extras(extras, rejection, network)
     accuracy = None if rejection else network.card.accuracy

@@ -7,10 +7,10 @@ from pathlib import Path
 
 from salsanext_cli.fitting.label_scan import ProjectedScan, project_scan
 from salsanext_cli.fitting.sensor_fit import fitted_view
-from salsanext_cli.fusion.pose_origins import OriginsOfRun
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
+from salsanext_cli.parallel.run_origins import OriginsOfRun
 from salsanext_cli.results.manifest import Manifest, StageSettings
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.paths import ORIGINS, ScanFile

@@ -15,13 +15,13 @@ from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE, OutputError
 from salsanext_cli.fitting.label_scan import PreparedScan, ProjectedScan, labelled, prepared_for
 from salsanext_cli.fitting.sensor_fit import network_of_run, resolved_for, settings_of_network
-from salsanext_cli.fusion.pose_origins import OriginsOfRun
 from salsanext_cli.geometry.network_input import noise_of
 from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.option_fields import KnnParameters, ScanSelection
 from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
+from salsanext_cli.parallel.run_origins import OriginsOfRun
 from salsanext_cli.records import Float
 from salsanext_cli.results.manifest import Manifest, StageSettings
 from salsanext_cli.results.output_run import OutputRun, output_run
@@ -138,14 +138,7 @@ def uncertainty(
         seed=method.seed,
         noise=noise_of(network.sensor) if method.is_noisy else None,
     )
-    kinds = tuple(f"uncertainty/{kind}" for kind in method.kinds)
-    folders = (*kinds, "predictions") if labels_too else kinds
-    if knows_error(network) and labels_too:
-        folders = (ERROR, *folders)
-    elif knows_error(network) and Manifest(out).owner(ERROR) is None:
-        text = "no probability of error: the labels in %s are of another stage; use predict --error"
-        log.log(NOTICE, text, out)
-    folders = (*folders_of_origins(out, "uncertainty", network.sensor), *folders)
+    folders = _folders(out, network, method, labels_too=labels_too)
     _require_network_of_labels(out, recorded)
     summary = RunSummary.of_network(network, scans)
     run = output_run(out, "uncertainty", recorded, folders, scans, overwrite=options.overwrite)
@@ -154,6 +147,20 @@ def uncertainty(
         job = partial(UncertaintyJob, knn=knn, method=method, output=output, origins=by_poses)
         task = NetworkTask(job, resolved_for(settings, network, scans), network, batch=1)
         return run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)
+
+
+def _folders(
+    out: Path, network: Network, method: UncertaintyMethod, *, labels_too: bool
+) -> tuple[str, ...]:
+    """Return the folders of the results; `labels_too`: whether the labels are among them."""
+    kinds = tuple(f"uncertainty/{kind}" for kind in method.kinds)
+    folders = (*kinds, "predictions") if labels_too else kinds
+    if knows_error(network) and labels_too:
+        folders = (ERROR, *folders)
+    elif knows_error(network) and Manifest(out).owner(ERROR) is None:
+        text = "no probability of error: the labels in %s are of another stage; use predict --error"
+        log.log(NOTICE, text, out)
+    return (*folders_of_origins(out, "uncertainty", network.sensor), *folders)
 
 
 def _require_network_of_labels(out: Path, settings: StageSettings) -> None:

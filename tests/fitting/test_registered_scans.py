@@ -168,7 +168,7 @@ def require_same_results_in_three_stages(source: Path, weights: Path, folder: Pa
         assert recorded_origin(out, file, fit) == recorded_origin(steps, file, fit)
 
 
-@pytest.mark.parametrize("has_poses", [False, True])
+@pytest.mark.parametrize("has_poses", [pytest.param(False, marks=pytest.mark.slow), True])
 @pytest.mark.usefixtures("workers_in_process")
 def test_three_stages_give_the_labels_of_predict(map_drive, tmp_path, has_poses):
     """The poses are those of another point of the vehicle, near the place that the points show."""
@@ -179,6 +179,7 @@ def test_three_stages_give_the_labels_of_predict(map_drive, tmp_path, has_poses)
     require_same_results_in_three_stages(tmp_path / "velodyne", weights, tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("has_poses", [False, True])
 @pytest.mark.usefixtures("workers_in_process")
 def test_three_stages_give_the_labels_of_predict_for_several_sensors(tmp_path, has_poses):
@@ -334,6 +335,52 @@ def test_a_damaged_origin_is_refused(predicted, tmp_path, content):
     with pytest.raises(FormatError) as caught:
         recorded_origin(tmp_path, file, sensor)
     assert caught.value.subject == str(path)
+    assert caught.value.hint.startswith("delete it and run")
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("workers_in_process")
+def test_recorded_origins_stay_when_poses_appear(map_drive, tmp_path, caplog):
+    """Neither a run with nothing to do nor one of another stage records or reads others."""
+    source = tmp_path / "velodyne"
+    shutil.copytree(map_drive / "velodyne", source)
+    weights = tmp_path / "w.safetensors"
+    write_weights(weights, sensor=STATISTICS)
+    network = NetworkSettings(weights, "cpu", engine="torch")
+    out = tmp_path / "out"
+    project_scans(source, out, sensor=SMALL, fit=True)
+    sensor = Manifest(out).settings("project").sensor
+    files = find_scans(source)
+    before = [recorded_origin(out, file, sensor) for file in files]
+    write_poses(tmp_path / "poses.txt", np.array(WAY, float) + (0.4, -0.3, 0.2))
+    caplog.set_level("INFO")
+    assert project_scans(source, out, sensor=SMALL, fit=True).done == 0
+    predict_scans(source, out, settings=network)
+    assert "poses.txt" not in caplog.text
+    assert [recorded_origin(out, file, sensor) for file in files] == before
+    (tmp_path / "poses.txt").unlink()
+    predict_scans(source, tmp_path / "without", settings=network)
+    assert labels_below(out) == labels_below(tmp_path / "without")
+
+
+@pytest.mark.usefixtures("workers_in_process")
+def test_the_hint_about_a_damaged_origin_works(map_drive, predicted, tmp_path):
+    out = tmp_path / "out"
+    shutil.copytree(predicted, out)
+    results = ResultFolder(out)
+    file = results.scans()[1]
+    path = output_path(out, file.sequence, ORIGINS, file.stem)
+    content = path.read_bytes()
+    path.write_bytes(b"damaged")
+    with pytest.raises(FormatError) as caught:
+        recorded_origin(out, file, results.sensor())
+    assert caught.value.hint == "delete it and run `salsanext predict` again, which writes it"
+    path.unlink()
+    network = NetworkSettings(map_drive / "w.safetensors", "cpu", engine="torch")
+    extras = ("probabilities", "pixel_labels")
+    again = predict_scans(map_drive / "velodyne", out, settings=network, extras=extras)
+    assert again.done == 1
+    assert path.read_bytes() == content
 
 
 def test_scans_at_the_sensor_have_no_origins(map_drive, tmp_path):
