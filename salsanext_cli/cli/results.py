@@ -95,7 +95,8 @@ def evaluate(
     *,
     by_distance: bool = option("Also evaluate by distance from the sensor.", default=False),
     fail_under: str | None = option(
-        "Exit with status 1 if a score is below its limit in %, such as mean_iou=40,accuracy=80.",
+        "Exit with status 1 if a score is below its limit in %, such as mean_iou=40,accuracy=80; "
+        "mean_iou is that of the classes present.",
         metavar="LIMITS",
     ),
     query: ResultQuery,

@@ -43,6 +43,9 @@ def limits_of(text: str | None) -> dict[str, float]:
             raise UsageError(OPTION, f"{number!r} is not a number", EXAMPLE) from None
         if not 0 <= limit <= 100:
             raise UsageError(OPTION, f"the limit of {name} is {number}", "0 to 100 %")
+        if 0 < limit < 1 and not number.endswith("%"):
+            hint = f"use {name}={100 * limit:g}, or {name}={number}% if this is meant"
+            raise UsageError(OPTION, f"{name}={number} looks like a share", EXAMPLE, hint)
         limits[name] = limit
     return limits
 

@@ -19,11 +19,13 @@ HALF = replace(EMPTY, accuracy=0.5, iou_mean_present=0.25)
 
 def test_limits_are_percentages_by_name():
     assert limits_of("mean_iou=40, accuracy = 80%") == {"mean_iou": 40, "accuracy": 80}
+    assert limits_of("mean_iou=0.25%,accuracy=0") == {"mean_iou": 0.25, "accuracy": 0}
     assert limits_of(None) == {}
 
 
 @pytest.mark.parametrize(
-    "text", ["", "iou=3", "accuracy", "accuracy=much", "mean_iou=101", "accuracy=nan"]
+    "text",
+    ["", "iou=3", "accuracy", "accuracy=much", "mean_iou=101", "accuracy=nan", "mean_iou=0.25"],
 )
 def test_other_limits_are_refused(text):
     with refused(UsageError, "--fail-under"):
