@@ -202,7 +202,7 @@ class RiskBoundCheck:
     mean: float  # Mean and largest loss
     worst: float
     scope: str = ""  # Scans that the guarantee covers, in words
-    is_covered: bool = True  # Whether the scans may be such; False if they evidently are not
+    are_others: bool = False  # Whether the scans are evidently not such; False proves nothing
 
     @classmethod
     def of_scans(
@@ -210,7 +210,7 @@ class RiskBoundCheck:
         guaranteed: RiskThreshold | None,
         scans: Mapping[str, tuple[int, int, int]],
         *,
-        is_covered: bool = True,
+        are_others: bool = False,
     ) -> Self | None:
         """Compare with scored, accepted and wrong points of scans by name; None without either."""
         judged = {name: wrong / points for name, (points, _, wrong) in scans.items() if points}
@@ -229,7 +229,7 @@ class RiskBoundCheck:
             mean=float(losses.mean()),
             worst=float(losses.max()),
             scope=_scope(guaranteed),
-            is_covered=is_covered,
+            are_others=are_others,
         )
 
     @property
@@ -248,7 +248,7 @@ class RiskBoundCheck:
             measured = f"{100 * self.mean:.1f} % on average over {counted(self.units, self.unit)}"
         bound = _bound(self.at_most, self.confidence, self.unit)
         guaranteed = f"guaranteed for {self.scope}: {bound}"
-        if not self.is_covered:
+        if self.are_others:
             guaranteed = (
                 "not guaranteed, because the scans are unlike those that the threshold was chosen "
                 f"on: {bound}"

@@ -352,7 +352,7 @@ def guarantee_of_run(
     findings = OwnedFolder(out, "predict").findings()
     codes = {code for name in losses for code, *_ in findings.get(name, ())}
     threshold = Manifest(out).guarantee(space)
-    return RiskBoundCheck.of_scans(threshold, losses, is_covered=OTHER_SCANS not in codes)
+    return RiskBoundCheck.of_scans(threshold, losses, are_others=OTHER_SCANS in codes)
 
 
 def largest_classes(space: LabelSpace, points: Counts) -> dict[str, float]:

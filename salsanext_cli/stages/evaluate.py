@@ -87,7 +87,7 @@ class Evaluation:
         yield from self.comparison.warnings()
         if self.guarantee and self.guarantee.warning:
             yield self.guarantee.warning
-        elif self.guarantee and not self.guarantee.is_covered:
+        elif self.guarantee and self.guarantee.are_others:
             yield NOT_COVERED
 
     def to_dict(self) -> dict[str, object]:

@@ -73,7 +73,7 @@ def test_the_threshold_holds_the_guarantee(unsure_is_wrong: World, target, caplo
     judged = evaluate(find_scans(world.data), world.out, space)
     numbers = {"units": 3, "above": sum(loss > 0.3 for loss in losses), "at_most": 0.3}
     numbers |= {"mean": pytest.approx(np.mean(losses)), "worst": pytest.approx(max(losses))}
-    numbers |= {"confidence": None, "unit": "scan", "is_covered": True}
+    numbers |= {"confidence": None, "unit": "scan", "are_others": False}
     numbers["scope"] = tuned["guarantee"].partition(", for ")[2]
     assert judged.to_dict()["rejection"]["guarantee"] == numbers
     page = report(world.out).page.read_text("utf-8")
@@ -122,7 +122,7 @@ def test_a_guarantee_that_does_not_hold_warns(unsure_is_wrong: World, target, ca
     predict_scans(world.data, world.out.with_name("o"), settings=network, reject="risk")
     assert OTHER_SCANS in caplog.text
     check = evaluate(find_scans(world.data), world.out.with_name("o"), label_space()).guarantee
-    assert not check.is_covered
+    assert check.are_others
     assert "not guaranteed" in check.sentence
     # One of several sensors that the threshold was chosen on
     caplog.clear()
@@ -286,7 +286,7 @@ def test_scans_with_other_classes_are_not_covered(unsure_is_wrong: World, target
     predict_scans(world.data, world.out, settings=network, reject="risk")
     assert OTHER_SCANS in caplog.text
     check = evaluate(find_scans(world.data), world.out, label_space()).guarantee
-    assert not check.is_covered
+    assert check.are_others
     assert "the guarantee does not cover these scans" in caplog.text
     # Weights of early versions have no population.
     caplog.clear()
