@@ -86,8 +86,8 @@ def read_bin(
         require_no_matrix(points, path)
     if not are_coordinates(scan.points):
         raise _no_coordinates(path, table.values.shape[1])
-    if not table.is_planar:
-        _require_intensity(table.values, columns, path)
+    if not (columns or table.is_planar):
+        _require_intensity(table.values, path)
     return scan
 
 
@@ -120,18 +120,18 @@ def read_table(path: Path, columns: tuple[str, ...] = ()) -> BinTable:
     return BinTable(table, is_planar=False)
 
 
-def _require_intensity(
-    table: npt.NDArray[np.floating[Any]], columns: tuple[str, ...], path: Path
-) -> None:
-    """Refuse rows (N, C) whose intensities have the signs and sizes of coordinates."""
+def _require_intensity(table: npt.NDArray[np.floating[Any]], path: Path) -> None:
+    """Refuse rows (N, C) without names whose intensities look like coordinates."""
     width = table.shape[1]
-    names = columns_of_width(width, columns, path)
+    names = columns_of_width(width, (), path)
     if INTENSITY not in names:
         return
     values = table.ravel()
     if have_signs_of_coordinates(values, width, names.index(INTENSITY)):
         other_names = ",".join(UNUSED_COLUMN if name == INTENSITY else name for name in names)
-        hint = f"{REWRITE_ROWS} if it is stored column by column; if not, --columns {other_names}"
+        by_column = f"{REWRITE_ROWS} if it is stored column by column"
+        named = f"--columns {','.join(names)} if these are intensities"
+        hint = f"{by_column}; {named}; if not, --columns {other_names}"
         problem = "has coordinates as its intensities"
         raise FormatError(path, problem, f"{width} float32 per point", hint)
 

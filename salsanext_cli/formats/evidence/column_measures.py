@@ -12,12 +12,13 @@ from salsanext_cli.records import Double, Float
 COUNTS = range(3, 17)  # Numbers of columns that are distinguished
 SAMPLE = 4096  # Rows that are examined, evenly spaced
 BLOCKS = 32  # Parts of a file that are examined, evenly spaced
-ROWS, VALUES = 64, 128  # Rows of each for their order, and approximate values for their kinds
+ROWS = 64  # Rows of each for their order
+VALUES = 128  # Approximate values of each for their kinds
 STEP_DEG = 5.0  # Largest difference in azimuth between consecutive measurements of a scanner
 IN_TURN = 0.6
 """Least share of such points; real scans have 0.8 or more, wrong widths 0.34 or less."""
-MIN_EXPLAINED, MIN_EXPLAINED_BY_CHANCE = 0.05, 40
-"""Least explained variance for a decision; the second is divided by the number of values."""
+MIN_EXPLAINED = 0.05  # Least explained share of the variance for a decision
+MIN_EXPLAINED_BY_CHANCE = 40  # What is added for few values: divided by their number
 MIN_VARIANCE = 0.005  # Least variance of a property that is examined
 RANGE_LOG10 = 3.0  # Magnitudes count up to a factor of a thousand
 
@@ -26,7 +27,8 @@ def explained_share(values: Float, columns: int) -> float:
     """Return the share of the variance of sign, wholeness and magnitude between the columns."""
     sample = blocks_of(values, columns, VALUES // columns).reshape(-1, columns)
     properties = properties_of(sample)
-    within, total = properties.var(axis=1, ddof=1).mean(axis=1), properties.var(axis=(1, 2))
+    within = properties.var(axis=1, ddof=1).mean(axis=1)
+    total = properties.var(axis=(1, 2))
     vary = total > MIN_VARIANCE
     return float(np.mean(1 - within[vary] / total[vary])) if vary.any() else 0.0
 

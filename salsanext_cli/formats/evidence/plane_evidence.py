@@ -25,13 +25,18 @@ from salsanext_cli.formats.evidence.column_measures import (
 from salsanext_cli.records import Float
 
 PLANAR_COUNTS = range(3, 9)  # Numbers of columns that are distinguished
-DIAGONAL_DEG, DIAGONAL_WIDTH_DEG, MAX_DIAGONAL = 45.0, 5.0, 0.18
-"""Apparent azimuth of neighbours in one column, its deviation, and its largest share in rows; real
-scans in turn had 0.12 or less, their columns 0.23 or more."""
+DIAGONAL_DEG = 45.0  # Apparent azimuth of neighbours in one column
+DIAGONAL_WIDTH_DEG = 5.0  # Its deviation
+MAX_DIAGONAL = 0.18
+"""Its largest share in rows; real scans in turn had 0.12 or less, their columns 0.23 or more."""
 WINDOW = 512  # Values on each side of a place where one column may end
-SHARE_OF_MULTIPLES, SHARE_OF_OTHERS, SHARE_OF_JUMPS = 0.53, 0.7, 0.6
-"""Least shares of the variance that multiples and other numbers of planes explain, and of the
-changes between planes; the right number had 0.61, 0.81 and 0.94, wrong ones less in one of them."""
+SHARE_OF_MULTIPLES = 0.53
+"""Least share of the variance that multiples explain; the right number had 0.61."""
+SHARE_OF_OTHERS = 0.7
+"""Least share of the variance that other numbers of planes explain; the right number had 0.81."""
+SHARE_OF_JUMPS = 0.6
+"""Least share of the changes between planes of other numbers; the right number had 0.94. Wrong
+numbers had less in one of the three."""
 
 
 def are_planes(values: Float, expected: int) -> bool | None:
@@ -85,10 +90,17 @@ def _explain_as_much(values: Float, expected: int, most: float) -> bool:
 
 
 def _are_padded_rows(values: Float, expected: int) -> bool:
-    """Return whether values are rows, followed by so many rows of zeros that these look planar."""
-    last = int(np.flatnonzero(values)[-1])
-    measured = values[: (last // expected + 1) * expected]
-    if len(measured) == len(values) or len(measured) < 2 * max(expected, *COUNTS):
+    """Return whether values are rows, among so many without a point that these look planar.
+
+    The coordinates of such rows are zeros or not finite. They may be anywhere, as of arrays of a
+    fixed size that a program filled from one end or in the middle.
+    """
+    rows = values[: len(values) // expected * expected].reshape(-1, expected)
+    coordinates = rows[:, :AXIS_COUNT]
+    with np.errstate(invalid="ignore"):  # of a signalling NaN
+        is_empty = ~(np.isfinite(coordinates) & (coordinates != 0)).any(axis=1)
+    measured = rows[~is_empty].ravel()
+    if not is_empty.any() or len(measured) < 2 * max(expected, *COUNTS):
         return False
     counts = _plane_counts(measured, expected)
     most = max(_explained_by_planes(measured, counts).values(), default=0.0)

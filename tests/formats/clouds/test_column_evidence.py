@@ -251,6 +251,37 @@ def test_coordinates_alone_of_a_real_scan_are_not_read_with_an_intensity(real_da
         require_layouts_are_never_confused(table[:, :3], table[:, 3])
 
 
+@pytest.mark.parametrize(
+    ("before", "after"), [(0.5, 0), (1, 0), (2, 0), (0.3, 0.3), (1, 1), (0, 2)]
+)
+@pytest.mark.parametrize("empty", [(0, 0, 0, 0), [np.nan] * 4, [np.nan] * 3 + [0]])
+@pytest.mark.parametrize("shuffled", [False, True])
+def test_rows_without_a_point_at_the_ends_are_no_columns(tmp_path, before, after, empty, shuffled):
+    rows = table(("fraction",), scan(beams=[*range(-25, 7)]))
+    if shuffled:
+        rows = np.random.default_rng(0).permutation(rows)
+    parts = [
+        np.tile(np.array(empty, np.float32), (round(n * len(rows)), 1)) for n in (before, after)
+    ]
+    filled = np.concatenate([parts[0], rows, parts[1]])
+    path = tmp_path / "s.bin"
+    path.write_bytes(filled.tobytes())
+    np.testing.assert_array_equal(kitti.read_bin(path).points, filled[:, :3])
+
+
+def test_standardised_intensities_are_read_if_they_are_named(tmp_path):
+    points = even_scan()
+    intensity = np.random.default_rng(8).normal(0, 8, len(points))
+    path = tmp_path / "s.bin"
+    rows = np.column_stack([points, intensity]).astype(np.float32)
+    path.write_bytes(rows.tobytes())
+    with pytest.raises(FormatError) as caught:
+        kitti.read_bin(path)
+    names = ("x", "y", "z", "intensity")
+    assert f"--columns {','.join(names)} if" in caught.value.hint
+    np.testing.assert_array_equal(kitti.read_bin(path, names).points, rows[:, :3])
+
+
 @pytest.mark.parametrize("shift", [(0, 0, 0), (24, 18, 3), (-300, 120, 10)])
 @pytest.mark.parametrize("padding", [0.02, 0.3, 0.5])
 @pytest.mark.parametrize("shuffled", [False, True])
@@ -277,12 +308,11 @@ def even_scan():
     return EVEN_WALLS * directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
 
-@pytest.mark.parametrize("names", [(), ("x", "y", "z", "intensity")])
-def test_shuffled_coordinates_stored_by_column_are_not_read_with_an_intensity(tmp_path, names):
+def test_shuffled_coordinates_stored_by_column_are_not_read_with_an_intensity(tmp_path):
     path, points = tmp_path / "s.bin", even_scan().astype(np.float32)
     path.write_bytes(np.ascontiguousarray(points.T).tobytes())
     with pytest.raises(FormatError, match="coordinates") as caught:
-        kitti.read_bin(path, columns=names)
+        kitti.read_bin(path)
     hint = caught.value.hint
     assert "--columns x,y,z,_" in hint
     # The hint works when it is followed.
