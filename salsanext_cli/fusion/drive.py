@@ -83,11 +83,13 @@ class Drive:
     @classmethod
     def recorded(cls, folder: Path) -> Self | None:
         """Return the drive that `fuse` recorded in the folder of a sequence, None without one."""
-        record, path = read_json(folder / DRIVE), folder / POSES
+        record = read_json(folder / DRIVE)
+        path = folder / POSES
         if record is None or not present(path):
             return None
         with refusing_damage(folder / DRIVE, "the record of `fuse`"):
-            stems, parts = [*map(str, record["scans"])], np.array(record.get("parts", ()), np.int64)
+            stems = [*map(str, record["scans"])]
+            parts = np.array(record.get("parts", ()), np.int64)
             drive = cls(read_fused_poses(path, stems), parts)
         if drive.record(stems) != record:
             problem = "differs from the poses that the scans were fused by"

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
@@ -10,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from salsanext_cli.errors import SalsanextError, counted, first_few
+from salsanext_cli.errors import NOTICE, SalsanextError, UsageError, counted, first_few
 from salsanext_cli.formats import read_scan
 from salsanext_cli.fusion.drive import poses_beside, readings_of
 from salsanext_cli.fusion.poses import Poses
@@ -25,6 +26,8 @@ from salsanext_cli.results.selection import evenly_spaced
 from salsanext_cli.sensors.sensor import Sensor
 
 COMPARED_SCANS = 5  # Scans of a sequence that show whether its poses are those of the sensor
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,6 +133,16 @@ def sensor_positions(path: Path, files: Sequence[ScanFile], sensor: Sensor) -> D
         If the file cannot be read or does not have poses of the scans.
     """
     return _agreeing_positions(readings_of(path, files), _origins_by_points(files, sensor))
+
+
+def require_positions(poses: Path, files: Sequence[ScanFile], sensor: Sensor) -> None:
+    """Refuse poses that are not those of the sensor in the frame of registered scans."""
+    name = files[0].sequence
+    if sensor_positions(poses, files, sensor) is None:
+        problem = f"{poses} is not where the sensor is in most scans of sequence {name}"
+        expected = "poses in the frame of the map that the scans are in"
+        raise UsageError("--poses", problem, expected, "omit --poses: the scans are in one frame")
+    log.log(NOTICE, "sequence %s: its scans are in one frame, and %s agrees", name, poses)
 
 
 def _agreeing_positions(

@@ -34,7 +34,7 @@ class RecordedScans:
         """How to get the missing file back; empty if it is there."""
         if self.missing is None:
             return ""
-        again = "or predict with the same weights into another folder, which contains it too"
+        again = "or predict again with the same weights into this folder, or into another one"
         return f"copy the file from the folder that the results come from, {again}"
 
 

@@ -306,7 +306,8 @@ class Manifest:
 
     def _network_stage(self, folder: str) -> str | None:
         """Return the stage that ran the network for a folder of results."""
-        stage, settings = self.owner(folder), self.settings_of(folder)
+        stage = self.owner(folder)
+        settings = self.settings_of(folder)
         # Without origins, an earlier version refined labels of another program.
         if stage == "knn-refine" and settings and settings.origins is not None:
             return self._network_stage("pixel_labels")

@@ -288,7 +288,7 @@ def _with_scans_elsewhere(source: Path, place: Path, scans: list[ScanFile]) -> l
         return scans
     used = {scan.path.parent for scan in scans}
     search = search_below(place, MAX_ENTRIES_BESIDE_SCANS, skipped=used)
-    others = [folder for folder in search.folders if folder.layout]
+    others = [folder for folder in search.folders if folder.rank == CERTAIN]
     itself = ScanFolder(place, {} if place in used else scan_names(names_in(place)))
     if itself.suffixes and itself.rank == CERTAIN:
         others.insert(0, itself)

@@ -130,7 +130,7 @@ class ResultFolder(Manifest):
                 raise self._is_data_set()
             problem = "contains no results" if self.root.is_dir() else "no such folder"
             expected = "the output folder of an earlier stage"
-            raise NoInputError(self.root, problem, expected, self._command(PREDICT))
+            raise NoInputError(self.root, problem, expected, self.command(PREDICT))
         if self.dataset and len(sequences) == 1 and _is_sequence(self.dataset):
             scans = scans_of_renamed(self.dataset, sequences[0])
         else:
@@ -229,7 +229,7 @@ class ResultFolder(Manifest):
         self.require_same_weights()
         scans = with_outputs(chosen, self.root, *FOLDERS)[:limit]
         if not scans:
-            hint = self._command(PREDICT, *chosen[:1])
+            hint = self.command(PREDICT, *chosen[:1])
             raise NoInputError(self.root, "contains no results of these scans", hint=hint)
         if len(scans) == limit:
             # Scans after the last one of the limit are not missing.
@@ -309,9 +309,9 @@ class ResultFolder(Manifest):
             return NoInputError(file.path, "has no labels", f"the file {file.label_path}")
         made_by = UNCERTAINTY[column].made_by if column in UNCERTAINTY else PREDICT
         expected = f"the file {self._path(file, column)}"
-        return NoInputError(file.path, f"has no {column}", expected, self._command(made_by, file))
+        return NoInputError(file.path, f"has no {column}", expected, self.command(made_by, file))
 
-    def _command(self, template: str, *files: ScanFile) -> str:
+    def command(self, template: str, *files: ScanFile) -> str:
         """Return a hint with a command that makes results in this folder, of these scans if any."""
         places = [str(data_set_of(file) or file.path.parent) for file in files]
         scans = shlex.join(places) if places else "SCANS"

@@ -35,7 +35,7 @@ from salsanext_cli.fusion.drive import (
     poses_beside,
     readings_of,
 )
-from salsanext_cli.fusion.pose_origins import sensor_positions
+from salsanext_cli.fusion.pose_origins import require_positions
 from salsanext_cli.fusion.poses import POSES, encode_poses
 from salsanext_cli.fusion.registration import register
 from salsanext_cli.fusion.top_classes import stored_softmax
@@ -144,10 +144,11 @@ class FusibleResults:
             raise UsageError("--poses", problem, hint="choose one sequence with --sequences")
 
         def drive_of(name: str) -> Drive | None:
-            files, out = self.members[name], self.results.root
+            files = self.members[name]
+            out = self.results.root
             if is_registered(files, self.sensor, out):
                 if poses is not None:
-                    _require_positions(poses, files, self.sensor)
+                    require_positions(poses, files, self.sensor)
                 return Drive.registered(files, self.sensor, out)
             path = poses or poses_beside(files)
             return Drive.checked(path, files, self.sensor, out) if path else None
@@ -171,16 +172,6 @@ class FusibleResults:
         )
 
 
-def _require_positions(poses: Path, files: Sequence[ScanFile], sensor: Sensor) -> None:
-    """Refuse poses that are not those of the sensor in the frame of registered scans."""
-    name = files[0].sequence
-    if sensor_positions(poses, files, sensor) is None:
-        problem = f"{poses} is not where the sensor is in most scans of sequence {name}"
-        expected = "poses in the frame of the map that the scans are in"
-        raise UsageError("--poses", problem, expected, "omit --poses: the scans are in one frame")
-    log.log(NOTICE, "sequence %s: its scans are in one frame, and %s agrees", name, poses)
-
-
 def _fusible_results(out: Path, query: ResultQuery) -> FusibleResults:
     """Return the results of `predict` in a folder; refuse those that cannot be fused."""
     if (predicted := OwnedFolder(out, "predict")).is_shared():
@@ -192,16 +183,19 @@ def _fusible_results(out: Path, query: ResultQuery) -> FusibleResults:
     present_scans = results.scans()
     known = with_outputs(present_scans, out, *SOFTMAX_FOLDERS)
     known = with_outputs(known, out, "predictions")
-    space, of_softmax = results.label_space(), results.label_space(*SOFTMAX_FOLDERS)
+    space = results.label_space()
+    of_softmax = results.label_space(*SOFTMAX_FOLDERS)
     if not known or space is None or of_softmax is None:
         words = "--fuse --overwrite" if results.record("fuse") else "--fuse"
-        hint = f"run `salsanext predict SCANS {out} {words}`, or with --probabilities"
+        template = f"run `salsanext predict {{scans}} {{out}} {words}`, or with --probabilities"
+        hint = results.command(template, *present_scans[:1])
         raise NoInputError(out, "has no softmax of any scan", "votes or probabilities", hint)
     if not space.fits(of_softmax):
         problem = f"has labels of {space.name}, but softmax of {of_softmax.name}"
         raise OutputError(out, problem, "the same label space", "predict both again")
     compared = results.compared_space(known, other_ids=True)
-    wanted, has_softmax = choose(present_scans, query.selection, compared, out), {*known}
+    wanted = choose(present_scans, query.selection, compared, out)
+    has_softmax = {*known}
     scans = [file for file in wanted if file in has_softmax]
     missing = results.missing_predictions({*wanted} - {*scans})
     missing.log_error(len(wanted), "softmax and labels")
@@ -243,9 +237,12 @@ def fuse_results(
         raise UsageError("TARGET", f"{target} has the labels of single scans", "another folder")
     fusible = _fusible_results(out, query)
     warn_without_movable_classes(fusible.space)  # Here, not in each worker
-    given, sensor, scans = fusible.given_drives(poses, options), fusible.sensor, fusible.scans
+    given = fusible.given_drives(poses, options)
+    sensor = fusible.sensor
+    scans = fusible.scans
     summary = RunSummary(sensor, fusible.space, scans)
-    kinds, overwrite = (DISAGREEMENT, "views"), options.overwrite
+    kinds = (DISAGREEMENT, "views")
+    overwrite = options.overwrite
     of_single, of_fused = fusible.settings(reach, target)
     of_target = (target, "fuse", of_fused, (*kinds, "predictions"), scans)
     with (
@@ -330,9 +327,11 @@ def _recorded_drive(
     """Return the drive of a sequence, computed unless it is given, and record it."""
     if isinstance(given, SalsanextError):
         raise given
-    name, stems = files[0].sequence, [file.stem for file in files]
+    name = files[0].sequence
+    stems = [file.stem for file in files]
     folder = fused.root / "sequences" / name
-    path, record = folder / POSES, folder / DRIVE
+    path = folder / POSES
+    record = folder / DRIVE
     if fused.foreign_files([path]):
         raise foreign_file(path)
     before = read_json(record)

@@ -37,6 +37,9 @@ def test_deeper_drives_of_a_collection_are_sequences_too(tmp_path, caplog):
         ("sequences/08/velodyne", "sequences/later/09/velodyne"),
         (".", "second/velodyne"),
         ("velodyne", "."),
+        ("velodyne", "loose"),
+        ("first/velodyne", "loose"),
+        ("sequences/08/velodyne", "loose/deeper"),
     ],
 )
 def test_scans_that_are_not_used_are_named_with_a_command(tmp_path, caplog, used, unused):

@@ -286,8 +286,10 @@ def test_unfusible_results_are_refused(world, drive):
     with pytest.raises(FormatError):
         fuse_results(drive.out)
     shutil.rmtree(drive.out / "sequences/08/probabilities")
-    with pytest.raises(NoInputError, match="--fuse"):
+    with pytest.raises(NoInputError, match="--fuse") as caught:
         fuse_results(drive.out)
+    command = shlex.split(caught.value.hint.partition("`")[2].partition("`")[0])
+    assert command == ["salsanext", "predict", str(drive.data), str(drive.out), "--fuse"]
     assert not fused_folder(drive).exists()
 
 
