@@ -37,6 +37,7 @@ from salsanext_cli.fitting.sensor_fit import (
 from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.objects import BOX, Objects, find_objects, fit_boxes
 from salsanext_cli.geometry.projection import points_from_pixels
+from salsanext_cli.measures.risk_control import guarantee
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.network.card import RiskThreshold
 from salsanext_cli.option_fields import KnnParameters, ScanSelection
@@ -127,6 +128,7 @@ class PredictJob:
         if "probabilities" in output.folders:
             output.write_array(file, "probabilities", of_points.astype(np.float16))
         if "votes" in output.folders:
+            # Only labels that are to be fused need a part of `fusion`.
             from salsanext_cli.fusion.top_classes import top_classes
 
             output.write_array(file, "votes", top_classes(of_points))
@@ -255,8 +257,6 @@ def _chosen_threshold(
     settings: NetworkSettings, network: Network, knn: KnnParameters
 ) -> RiskThreshold:
     """Return the threshold in the weights; refuse settings that its guarantee does not cover."""
-    from salsanext_cli.measures.risk_control import guarantee
-
     risk = network.card.risk
     if risk is None:
         width = f" --width {settings.width}" if settings.width else ""
