@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from salsanext_cli.fitting.mounting_fit import REGISTERED_M
-from salsanext_cli.geometry.evenness import is_out_of_place
+from salsanext_cli.geometry.evenness import is_fan, is_out_of_place
 from salsanext_cli.geometry.ground import UPWARDS
 from salsanext_cli.geometry.projection import in_sensor_frame
 from salsanext_cli.geometry.scan_traits import (
@@ -32,8 +32,8 @@ class SensorGroup:
     traits: tuple[float, ...]  # Usual traits; in the frame of the sensor if it moves in the files
 
 
-@dataclass(frozen=True, slots=True)
-class _SeenScan:
+@dataclass(frozen=True, slots=True, eq=False)
+class _PlacedScan:
     """Scan in the frame of its sensor."""
 
     number: int  # Its place among all scans
@@ -45,8 +45,9 @@ class _SeenScan:
 def sensor_groups(scans: Sequence[Scan], sensor: Sensor) -> list[SensorGroup]:
     """Return the groups of scans (F scans) by their sensors, the largest first.
 
-    Scans in the frame of a map differ among each other as those of many sensors do. So they are
-    compared in the frame of their sensor, and belong together if it moves.
+    Scans in the frame of a map differ among each other as those of many sensors do. So they belong
+    together if their sensor moves, unless numbers of points or intensities differ: elevations
+    depend on the tilt of the vehicle, which a map does not follow.
 
     Parameters
     ----------
@@ -62,27 +63,37 @@ def sensor_groups(scans: Sequence[Scan], sensor: Sensor) -> list[SensorGroup]:
     groups = _groups_in_file(scans, range(len(scans)))
     if len(groups) < 2 or not any(map(is_out_of_place, scans)):
         return groups
-    seen = [view for number, scan in enumerate(scans) if (view := _seen(number, scan, sensor))]
-    moving = _moving_groups(seen)
-    registered = {number for group in moving for number in group.numbers}
+    placed_scans = [_placed_scan(number, scan, sensor) for number, scan in enumerate(scans)]
+    moving_groups = _moving_groups([placed for placed in placed_scans if placed])
+    if not moving_groups:
+        return groups
+    registered = {number for group in moving_groups for number in group.numbers}
     others = [number for number in range(len(scans)) if number not in registered]
-    fixed = _groups_in_file([scans[number] for number in others], others) if moving else groups
-    return sorted([*moving, *fixed], key=lambda group: -len(group.numbers))
+    fixed_groups = _groups_in_file([scans[number] for number in others], others)
+    return sorted([*moving_groups, *fixed_groups], key=lambda group: -len(group.numbers))
 
 
 def _groups_in_file(scans: Sequence[Scan], numbers: Sequence[int]) -> list[SensorGroup]:
-    """Return the groups of scans with these places among all, by their traits in the files."""
+    """Return the groups of scans with these places among all, by their traits in the files.
+
+    There is none if no scan shows traits.
+    """
     kinds, traits = kinds_of(scans)
+    if not traits:
+        return []
     members: list[list[int]] = [[] for _ in traits]
     for number, kind in zip(numbers, kinds, strict=True):
-        if members:
-            members[kind].append(number)
+        members[kind].append(number)
     return [SensorGroup(tuple(group), usual) for group, usual in zip(members, traits, strict=True)]
 
 
-def _seen(number: int, scan: Scan, sensor: Sensor) -> _SeenScan | None:
-    """Return the traits of a scan in the frame of its sensor, None if nothing shows its place."""
-    place = find_place(scan)
+def _placed_scan(number: int, scan: Scan, sensor: Sensor) -> _PlacedScan | None:
+    """Return a scan in the frame of its sensor, None if its place or its traits do not show.
+
+    A scan all around that is seen from elsewhere has the best place, even if nothing proves it.
+    """
+    is_seen_from_elsewhere = is_out_of_place(scan)
+    place = find_place(scan, verified=not is_seen_from_elsewhere or is_fan(scan))
     if place is None:
         return None
     up = UP if place.up[UPWARDS] > 0 else (0.0, 0.0, -1.0)
@@ -90,29 +101,64 @@ def _seen(number: int, scan: Scan, sensor: Sensor) -> _SeenScan | None:
     traits = traits_of(in_sensor_frame(scan, there))
     if traits is None:
         return None
-    is_moved = place.is_elsewhere and is_out_of_place(scan)
-    return _SeenScan(number, traits, place.position, is_moved)
+    is_far = bool(np.hypot(*place.position[:UPWARDS]) > REGISTERED_M)
+    is_moved = place.is_elsewhere and (is_seen_from_elsewhere or is_far)
+    return _PlacedScan(number, traits, place.position, is_moved)
 
 
-def _moving_groups(seen: Sequence[_SeenScan]) -> list[SensorGroup]:
-    """Return the groups of scans whose sensor moves, with its scans at the origin."""
-    moved = [view for view in seen if view.is_moved]
-    at_origin = [view for view in seen if not view.is_moved]
-    kinds = groups_of([view.traits for view in moved])
-    groups = []
-    for kind in sorted({*kinds}):
-        members = [view for view, other in zip(moved, kinds, strict=True) if other == kind]
-        traits = [view.traits for view in members]
-        members += [view for view in at_origin if {*groups_of([*traits, view.traits])} == {0}]
-        if _moves(members):
-            numbers = sorted(view.number for view in members)
-            groups.append(SensorGroup(tuple(numbers), usual_traits(traits)))
-            at_origin = [view for view in at_origin if view.number not in numbers]
-    return groups
+def _moving_groups(placed_scans: Sequence[_PlacedScan]) -> list[SensorGroup]:
+    """Return the groups of scans whose sensor moves, with its scans at the origin.
+
+    Moved scans of no such group belong to the one with the most similar number of points.
+    """
+    moved = [placed for placed in placed_scans if placed.is_moved]
+    at_origin = [placed for placed in placed_scans if not placed.is_moved]
+    kinds = groups_of([_without_elevations(placed.traits) for placed in moved])
+    of_kinds: list[list[_PlacedScan]] = [[] for _ in {*kinds}]
+    for placed, kind in zip(moved, kinds, strict=True):
+        of_kinds[kind].append(placed)
+    moving: list[list[_PlacedScan]] = []
+    single: list[_PlacedScan] = []
+    for members in of_kinds:
+        with_origin = [*members, *_like_any(members, at_origin)]
+        if not _moves(with_origin):
+            single += members
+            continue
+        moving.append(with_origin)
+        at_origin = [placed for placed in at_origin if placed not in with_origin]
+    if not moving:
+        return []
+    usual = [usual_traits([placed.traits for placed in members]) for members in moving]
+    numbers = [[placed.number for placed in members] for members in moving]
+    points = np.log([np.median([placed.traits.points for placed in members]) for members in moving])
+    for placed in single:
+        numbers[int(np.abs(points - np.log(placed.traits.points)).argmin())].append(placed.number)
+    return [
+        SensorGroup(tuple(sorted(of_group)), traits)
+        for of_group, traits in zip(numbers, usual, strict=True)
+    ]
 
 
-def _moves(seen: Sequence[_SeenScan]) -> bool:
+def _without_elevations(traits: ScanTraits) -> ScanTraits:
+    """Return traits that differ by number of points and intensity alone."""
+    return replace(traits, below=(0.0,) * len(traits.below))
+
+
+def _like_any(
+    members: Sequence[_PlacedScan], at_origin: Sequence[_PlacedScan]
+) -> list[_PlacedScan]:
+    """Return the scans at the origin whose traits are like those of a member of a group."""
+    traits = [placed.traits for placed in members]
+    alike = []
+    for placed in at_origin:
+        *kinds, kind = groups_of([*traits, placed.traits])
+        if kind in kinds:
+            alike.append(placed)
+    return alike
+
+
+def _moves(members: Sequence[_PlacedScan]) -> bool:
     """Return whether the positions of a sensor differ among its scans."""
-    positions = np.array([view.position for view in seen])[:, :UPWARDS]
+    positions = np.array([placed.position for placed in members])[:, :UPWARDS]
     distances = np.hypot(*(positions - np.median(positions, axis=0)).T)
     return bool(distances.max() > REGISTERED_M)

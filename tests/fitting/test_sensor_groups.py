@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 from scans import SMALL
-from street_scans import low_street, moved, street
+from street_scans import HEIGHT, low_street, moved, street, street_points
 
 from salsanext_cli import Scan
 from salsanext_cli.fitting.sensor_fit import fitted_view
@@ -28,6 +28,34 @@ OTHERS = (1, 3)
 def test_registered_scans_are_one_group_beside_another():
     groups = sensor_groups(folder(), SMALL)
     assert [group.numbers for group in groups] == [DRIVE, OTHERS]
+
+
+def leaning(scan: Scan, degrees: float) -> Scan:
+    """Return a level scan as a sensor that leans forwards measures it in a level frame."""
+    angle = np.radians(degrees)
+    ranges = np.linalg.norm(scan.points, axis=1)
+    elevation = np.arcsin(scan.points[:, 2] / ranges)
+    azimuth = np.arctan2(scan.points[:, 1], scan.points[:, 0])
+    elevation -= angle * np.cos(azimuth)
+    noise = np.zeros(len(ranges))
+    return Scan(street_points(azimuth, elevation, HEIGHT, 60, noise), scan.intensity)
+
+
+def test_a_registered_drive_over_bumps_is_one_group():
+    places = [(5 * step + 20, 10, 0) for step in range(5)]
+    leans = [0, 8, 0, 0, 8]
+    drive = [
+        moved(leaning(street(32, seed=seed), lean), place)
+        for seed, (lean, place) in enumerate(zip(leans, places, strict=True))
+    ]
+    assert [group.numbers for group in sensor_groups(drive, SMALL)] == [(0, 1, 2, 3, 4)]
+
+
+def test_a_registered_scan_with_few_points_is_no_fixed_sensor():
+    drive = [moved(street(32, seed=seed), (7 * seed + 20, 10, 0)) for seed in range(3)]
+    thinned = drive[1].take(np.arange(0, len(drive[1]), 5))
+    groups = sensor_groups([drive[0], thinned, drive[2]], SMALL)
+    assert [group.numbers for group in groups] == [(0, 1, 2)]
 
 
 @pytest.fixture(scope="module")
