@@ -91,7 +91,7 @@ def test_scores_on_training_scans_only_are_marked(trained, caplog):
     numbers = made.to_dict()
     assert (numbers["trained_on"], numbers["on_training_scans"]) == (0, True)
     assert numbers["accuracy"] == result.scores.accuracy
-    assert "accuracy, 1 scan trained on" in made.page.read_text("utf-8")
+    assert "labelled points, 1 scan trained on" in made.page.read_text("utf-8")
 
 
 def test_a_report_leaves_out_the_same(trained):
