@@ -77,10 +77,25 @@ def _is_unproven(scan: Scan, sample: Scan, ground: Ground | None, sensor: Sensor
     """
     if sensor.name != FITTED_NAME or sensor.origin == ORIGIN or not is_fan(sample):
         return False
+    return not shows_beams(scan, ground, sensor)
+
+
+def shows_beams(scan: Scan, ground: Ground | None, sensor: Sensor) -> bool:
+    """Return whether beams prove that a scan is seen from the origin of its sensor.
+
+    Parameters
+    ----------
+    scan : Scan
+        Scan in the frame of its file.
+    ground : Ground, optional
+        Its ground in the frame of the sensor.
+    sensor : Sensor
+        Sensor that the scan is projected for.
+    """
     points = in_sensor_frame(few_points(scan, POINTS_OF_BEAMS), sensor).points
     above = MIN_HEIGHT_M - ground.height if ground else -np.inf
     objects = points[points[:, UPWARDS] > above]
-    return sharpness_at_origin(objects) < MIN_SHARPNESS_ELSEWHERE
+    return sharpness_at_origin(objects) >= MIN_SHARPNESS_ELSEWHERE
 
 
 def _may_be_upside_down(sample: Scan, ground: Ground | None) -> bool:

@@ -22,9 +22,11 @@ from salsanext_cli.fitting.place_checks import (
     MIN_SHARE_OF_GROUND,
     PlaceProblem,
     place_problem,
+    shows_beams,
 )
 from salsanext_cli.fitting.structure_checks import (
     ACCUMULATED,
+    accumulated_from_file,
     depth_image_findings,
     structure_findings,
 )
@@ -154,6 +156,9 @@ def _mounting_findings(
     ground = ground_of(measured)
     misplaced = place_problem(scan, measured, ground, sensor)
     structure, misplaced = _structure_at_place(scan, sensor, misplaced)
+    is_moved = sensor.name == FITTED_NAME and sensor.origin != ORIGIN and not sensor.registered
+    if is_moved and not _accumulated(structure) and not shows_beams(scan, ground, sensor):
+        structure += accumulated_from_file(scan, sensor)
     yield from _view_findings(measured, sines, sensor, fit)
     yield from _place_findings(misplaced, fit)
     if misplaced is None:

@@ -5,6 +5,7 @@ They do not depend on the confidence of weights, which can be high on a ruined s
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,11 +13,14 @@ from salsanext_cli.fitting.finding import Finding
 from salsanext_cli.fitting.scan_structure import structure_of
 from salsanext_cli.geometry.beam_origin import sharpness
 from salsanext_cli.records import FieldSplit, Float, Scan
-from salsanext_cli.sensors.sensor import Sensor
+from salsanext_cli.sensors.sensor import ORIGIN, UP, Sensor
 
 ACCUMULATED = "accumulated"  # Code of a scan of several scans or sensors
 MAX_HIDDEN = 0.045
 """Largest share of hidden points; single scans had up to 0.037, ten scans in one 0.062 or more."""
+MIN_STILL_HIDDEN = 0.4
+"""Least share of the points hidden from the origin of a file that several scans in one still hide
+from a position fitted to them, 0.6; scans that were moved had up to 0.21."""
 MAX_HIDDEN_IN_FOG = 0.09
 """The same of points of which some float: those of single scans in fog and snow were 0.065."""
 MAX_ROUGHNESS = 0.015
@@ -51,6 +55,22 @@ def structure_findings(scan: Scan, sensor: Sensor) -> Iterator[Finding]:
         yield Finding("near-returns", problem, CLEAN)
     else:
         yield from _accumulated_findings(structure.hidden, scan.notes.split)
+
+
+def accumulated_from_file(scan: Scan, sensor: Sensor) -> Iterator[Finding]:
+    """Yield a sign of several scans in one that shows from the origin of the file alone.
+
+    The position that was fitted to several scans in one is the one that sees the fewest points
+    behind others. A single scan that is seen from there hides hardly any.
+    """
+    fitted = structure_of(scan, sensor)
+    if fitted is None or fitted.hidden < MIN_STILL_HIDDEN * MAX_HIDDEN:
+        return
+    in_file = replace(sensor, origin=ORIGIN, up=UP)
+    structure = structure_of(scan, in_file)
+    if structure is not None and fitted.hidden >= MIN_STILL_HIDDEN * structure.hidden:
+        findings = structure_findings(scan, in_file)
+        yield from (finding for finding in findings if finding.code == ACCUMULATED)
 
 
 def _accumulated_findings(hidden: float, split: FieldSplit | None) -> Iterator[Finding]:

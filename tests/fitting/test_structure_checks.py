@@ -172,6 +172,23 @@ def test_several_scans_are_found_from_the_origin_of_the_file_too():
     assert codes(sweeps(10), fitted) == {"accumulated"}
 
 
+def test_several_scans_are_found_if_a_place_between_them_was_fitted():
+    four = sweeps(4)
+    fitted = fit_view([four], SMALL)
+    assert fitted.origin != SMALL.origin
+    assert structure_of(four, fitted).hidden < MAX_HIDDEN < structure_of(four, SMALL).hidden
+    assert codes(four, fitted) == {"accumulated"}
+
+
+@pytest.mark.parametrize("place", [(4, 1, 0), (8, -4, 0), (-8, 3, 0)])
+def test_a_moved_scan_is_no_several_scans(place):
+    one = sweeps(1)
+    moved = Scan(one.points + np.float32(place), one.intensity)
+    fitted = fit_view([moved], SMALL)
+    assert structure_of(moved, SMALL).hidden > MAX_HIDDEN
+    assert codes(moved, fitted) == set()
+
+
 @pytest.mark.parametrize("beams", [16, 32, 128])
 def test_sensors_of_few_and_many_beams_have_no_finding(beams):
     points = seen_from(0, turned(np.linspace(15, -25, beams), 900))
