@@ -76,6 +76,7 @@ FEW_SECTORS = 0.1  # The same for a narrow field of view; solid-state sensors ha
 FIT = "`salsanext inspect SCANS --fit sensor.toml`, then --sensor sensor.toml"
 AUTO = "--sensor auto"
 ALONE = f"expect wrong labels; if the other scans are of another sensor or mounting, {APART}"
+IN_MAP = "expect wrong labels: correct its pose, or `salsanext predict` this scan alone"
 COLUMNS = "name the columns of files without names: --columns x,y,z,intensity"
 TRAIN = "expect worse labels, or `salsanext train` weights on such scans"
 SET_ORIGIN = "expect worse labels, or write the position of the sensor as `origin` in a sensor file"
@@ -143,6 +144,8 @@ def _fit_hint(sensor: Sensor, trained: Sensor | None, fit: str) -> str:
     """Return the hint about a fit of the sensor, which is `fit` if that may help."""
     if sensor.name not in (FITTED_NAME, *presets(), trained and trained.name):
         return AUTO
+    if sensor.registered:  # A fit to all scans, or a position of all, does not help one of them.
+        return IN_MAP
     return fit or (FIT if sensor is trained else ALONE)
 
 
@@ -160,7 +163,7 @@ def _mounting_findings(
     if is_moved and not _accumulated(structure) and not shows_beams(scan, ground, sensor):
         structure += accumulated_from_file(scan, sensor)
     yield from _view_findings(measured, sines, sensor, fit)
-    yield from _place_findings(misplaced, fit)
+    yield from _place_findings(misplaced, sensor, fit)
     if misplaced is None:
         yield from _ground_findings(ground, sensor, fit)
     yield from structure
@@ -252,9 +255,8 @@ def _ground_findings(ground: Ground | None, sensor: Sensor, fit: str) -> Iterato
         where = "above" if ground.height > 0 else "below"
         on_it = abs(ground.height) < TOLERANCE_M
         height = "on" if on_it else f"{abs(ground.height):.1f} m {where}"
-        yield Finding(
-            "height", f"the origin of the points is {height} the ground", _raised(ground, sensor)
-        )
+        hint = IN_MAP if sensor.registered else _raised(ground, sensor)
+        yield Finding("height", f"the origin of the points is {height} the ground", hint)
 
 
 def _raised(ground: Ground, sensor: Sensor) -> str:
@@ -264,8 +266,8 @@ def _raised(ground: Ground, sensor: Sensor) -> str:
     return f"{SET_ORIGIN}, such as {origin} for {USUAL_HEIGHT_M:g} m above the ground"
 
 
-def _place_findings(misplaced: PlaceProblem | None, fit: str) -> Iterator[Finding]:
+def _place_findings(misplaced: PlaceProblem | None, sensor: Sensor, fit: str) -> Iterator[Finding]:
     if misplaced is not None:
         lines = f"{fit}, or write {misplaced.remedy} into a file for --sensor"
         hint = lines if misplaced.remedy else SET_ORIGIN
-        yield Finding("out-of-place", misplaced.problem, hint)
+        yield Finding("out-of-place", misplaced.problem, IN_MAP if sensor.registered else hint)

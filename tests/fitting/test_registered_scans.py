@@ -104,6 +104,16 @@ def test_the_hint_of_the_warning_works(side):
     assert "out-of-place" in WITHHELD_FOR
 
 
+def test_the_hint_about_a_scan_of_a_map_does_not_move_the_others():
+    scan = moved(street(32), (30, 10, 0))
+    wrong = replace(SMALL, name="fitted", registered=True, origin=(15.0, 10.0, 0.0))
+    hint = codes(scan, wrong)["out-of-place"]
+    assert "--sensor" not in hint
+    assert "pose" in hint
+    assert "alone" in hint
+    assert "out-of-place" not in codes(scan, fitted_view([scan], SMALL))
+
+
 def test_a_sensor_file_with_only_up_leads_to_the_origin():
     scan = upside_down(moved(street(0), (0.4, 0, 1.2)))
     hints = codes(scan, replace(SMALL, name="mine", up=(0.0, 0.0, -1.0)))
