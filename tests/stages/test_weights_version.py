@@ -15,7 +15,7 @@ from salsanext_cli.files.reading import fingerprint
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.report.card_table import card_table
-from salsanext_cli.report.page import run_results
+from salsanext_cli.report.page import recorded_facts
 from salsanext_cli.stages.import_weights import import_weights
 from salsanext_cli.stages.models import describe_weights
 from salsanext_cli.stages.predict import predict_scans
@@ -29,7 +29,7 @@ def default(narrow_default: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Have a version in the default weights."""
     card = replace(read_card(narrow_default), version=5, description=TRAINED)
     save_with_card(narrow_default, narrow_default, card)
-    monkeypatch.setattr(run_results, "default_weights", lambda: narrow_default)
+    monkeypatch.setattr(recorded_facts, "default_weights", lambda: narrow_default)
     return narrow_default
 
 
