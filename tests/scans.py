@@ -40,6 +40,21 @@ IN_BYTES = replace(SMALL, intensity_scale=255.0)
 """Sensor with intensities from 0 to 255."""
 
 
+HOUSING = 300
+"""Number of points that `add_housing` adds to a scan."""
+
+
+def add_housing(data: Path) -> None:
+    """Begin each scan of a data set with points on a housing, 0.3 m from the sensor."""
+    directions = np.random.default_rng(0).normal(size=(HOUSING, 3))
+    directions *= 0.3 / np.linalg.norm(directions, axis=1, keepdims=True)
+    for path in data.rglob("*.bin"):
+        scan = read_scan(path)
+        points = np.concatenate([directions.astype(np.float32), scan.points])
+        intensity = np.concatenate([np.full(HOUSING, 0.5, np.float32), scan.intensity])
+        write_bin(path, Scan(points, intensity))
+
+
 def refused(kind: type[SalsanextError], subject: object, *call: Any, **options: Any) -> Any:
     """Expect an error with a subject: of a function and its arguments, else of the body of `with`.
 

@@ -45,7 +45,7 @@ def test_the_limits_are_those_of_the_levels_in_their_order():
     assert shown == [
         (level.decision, level.least_accuracy, level.most_doubtful) for level in LEVELS
     ]
-    assert f"rejected at {100 * DOUBTFUL:.0f} %" in SECTION
+    assert f"rejected at {100 * DOUBTFUL:.0f} %, of the points with a label" in SECTION
     assert f"`--reject {DOUBTFUL}`" in SECTION
 
 

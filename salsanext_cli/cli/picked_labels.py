@@ -84,7 +84,7 @@ def label_picked_scans(
 
 
 def doubtful_share(out: Path) -> float | None:
-    """Return the share of the points, 0…1, whose probability of error is above `DOUBTFUL`.
+    """Return the share of the points with a label, 0…1, whose error is above `DOUBTFUL`.
 
     None without such results.
     """

@@ -58,8 +58,9 @@ def finish(
 def _rejection_lines(outcome: Outcome, limit: float | str | None) -> Iterable[str]:
     """Yield how many points were rejected or filtered."""
     if (rejected := outcome.rejected_points) is not None:
-        classes = outcome.summary.class_points if outcome.summary else None
-        share = "" if classes is None else f" ({100 * rejected / max(classes.sum(), 1):.1f} %)"
+        share = ""
+        if outcome.summary and outcome.summary.judged_points:
+            share = f" ({100 * outcome.summary.rejected_share:.1f} % of the points with a label)"
         reason = "above the threshold of `tune risk`"
         if limit != "risk":
             reason = f"probability of error above {limit:g}"
@@ -83,6 +84,8 @@ def _as_data(outcome: Outcome) -> dict[str, Any]:
         data |= missing.to_dict()
     if outcome.rejected_points is not None:
         data["rejected_points"] = outcome.rejected_points
+        if outcome.summary:
+            data["rejected_share"] = round(outcome.summary.rejected_share, 4)
     if outcome.accepted_points:
         data["points"], data["accepted_points"] = outcome.accepted_points
     if summary := outcome.summary:
@@ -112,7 +115,7 @@ def _lines(summary: RunSummary | None, following: str | None) -> Iterable[str]:
         yield from (f"image: {text}" for text in dict.fromkeys(images))
         if (share := summary.unlabelled_share) >= LEAST_SHOWN:
             causes = "; ".join(_causes(summary, share, ego_text(sensor)))
-            yield f"unlabelled: {100 * share:.1f} % of the points{causes and f' ({causes})'}"
+            yield f"unlabelled: {100 * share:.1f} % of all points{causes and f' ({causes})'}"
         if expected := summary.expected_accuracy():
             yield expected.text
         if largest := summary.largest_classes():
@@ -130,7 +133,7 @@ def _causes(summary: RunSummary, share: float, region: str) -> Iterable[str]:
     if (ego := min(summary.ego_share, share)) >= LEAST_SHOWN:
         where = "" if summary.sensor.others else f", {region}"
         yield f"about {100 * ego:.1f} % on the sensor's housing and vehicle{where}"
-    if (rejected := summary.rejected_share) >= LEAST_SHOWN:
+    if (rejected := summary.rejected_share_of_all) >= LEAST_SHOWN:
         yield f"{100 * rejected:.1f} % rejected"
 
 

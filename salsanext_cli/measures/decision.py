@@ -50,7 +50,7 @@ class Level:
 
     decision: Decision
     least_accuracy: float  # Estimated or measured, 0…1
-    most_doubtful: float  # Largest share of doubtful points, 0…1
+    most_doubtful: float  # Largest share of doubtful points among those with a label, 0…1
 
 
 LEVELS = (
@@ -106,7 +106,8 @@ class Evidence:
     class_count: int  # Number of classes of the labels, class 0 included
     expected: ExpectedAccuracy | None = None  # Estimate without labels
     measured: float | None = None  # Measured share of right labels, 0…1
-    # Share of points with an error above `DOUBTFUL`, 0…1; None if the error was not computed
+    # Share of the points with a label, 0…1, whose error is above `DOUBTFUL`; also labels that were
+    # rejected since count. None if the error was not computed
     doubtful: float | None = None
     warned: Mapping[str, int] = field(default_factory=dict)  # Number of scans by code
 
@@ -190,13 +191,13 @@ def _numbers(evidence: Evidence) -> list[str]:
     words = []
     expected = evidence.expected
     if evidence.measured is not None:
-        words.append(f"{100 * evidence.measured:.0f} % of the labelled points are right")
+        words.append(f"{100 * evidence.measured:.1f} % of the labelled points are right")
     elif expected and expected.interval:
         low = math.floor(100 * expected.interval[0])
         high = math.ceil(100 * expected.interval[1])
         words.append(f"the estimated accuracy is {low} to {high} %")
     if evidence.doubtful is not None:
-        doubtful = f"{100 * evidence.doubtful:.0f} % of the points"
+        doubtful = f"{100 * evidence.doubtful:.1f} % of the points with a label"
         words.append(f"{doubtful} have a probability of error above {100 * DOUBTFUL:.0f} %")
     return words
 

@@ -65,6 +65,8 @@ class ScanSummary:
     file: ScanFile
     check: ScanCheck = UNCHECKED  # Reasons to doubt the scan or its labels
     class_points: Counts | None = None  # (C,): number of points by predicted train id
+    # Number of points that had a label when those above a threshold were rejected
+    judged_points: int = 0
     rejected_points: int = 0  # Number of points rejected by their error
     unmeasured_points: int = 0  # Number of points without a measurement
     confidence: float = math.nan  # Mean of the largest probabilities of the points
@@ -110,12 +112,15 @@ class ScanSummary:
         ScanSummary
         """
         count = int(rejected.sum())
+        judged = int(np.count_nonzero(~np.isnan(uncertainty)))
         if self.class_points is None:
-            return replace(self, rejected_points=count)
+            return replace(self, rejected_points=count, judged_points=judged)
         points = self.class_points - np.bincount(labels[rejected], minlength=len(self.class_points))
         points[0] += count
         traits = label_traits(self.file.name, self.class_points, uncertainty)
-        return replace(self, class_points=points, rejected_points=count, traits=traits)
+        return replace(
+            self, class_points=points, judged_points=judged, rejected_points=count, traits=traits
+        )
 
 
 def _label_findings(points: Counts, confidence: float, space: LabelSpace) -> Iterator[Finding]:
@@ -148,6 +153,8 @@ class RunSummary:
     findings: dict[str, list[tuple[str, Finding]]] = field(default_factory=dict)
     traits: dict[ScanFile, ScanTraits] = field(default_factory=dict)  # Traits of the sensor by scan
     names: set[str] = field(default_factory=set)  # Names of the added scans and sequences
+    # Number of points that had a label when those above a threshold were rejected
+    judged_points: int = 0
     rejected_points: int = 0  # Number of points rejected by their error
     unmeasured_points: int = 0  # Number of points without a measurement
     # Share of the points on the vehicle, and number of points, of each scan
@@ -189,6 +196,7 @@ class RunSummary:
     def add(self, scan: ScanSummary) -> None:
         """Add a scan; log the first finding of each code at once."""
         self.names.add(scan.file.name)
+        self.judged_points += scan.judged_points
         self.rejected_points += scan.rejected_points
         self.unmeasured_points += scan.unmeasured_points
         points = 1 if scan.class_points is None else int(scan.class_points.sum())
@@ -309,7 +317,12 @@ class RunSummary:
 
     @property
     def rejected_share(self) -> float:
-        """Share of the points, 0…1, that were rejected."""
+        """Share of the points with a label, 0…1, that were rejected."""
+        return self.rejected_points / max(self.judged_points, 1)
+
+    @property
+    def rejected_share_of_all(self) -> float:
+        """Share of all points, 0…1, that were rejected."""
         return self._share(self.rejected_points)
 
     def _share(self, count: int) -> float:

@@ -66,13 +66,15 @@ def test_a_single_scan_that_fails_prints_nothing_about_weights_and_sensor(
 
 def test_rejected_points_are_counted():
     summary = RunSummary(SMALL, label_space(), class_points=np.array([1500, 500] + [0] * 18))
-    outcome = Outcome(2, (), 1, summary=summary, rejected_points=1500)
+    summary.judged_points, summary.rejected_points = 1600, 1200
+    outcome = Outcome(2, (), 1, summary=summary, rejected_points=1200)
     (line,) = _rejection_lines(outcome, 0.5)
     reason = "probability of error above 0.5; 2 done already not counted"
-    assert line == f"1,500 points (75.0 %) rejected: {reason}"
+    assert line == f"1,200 points (75.0 % of the points with a label) rejected: {reason}"
     (line,) = _rejection_lines(replace(outcome, skipped=0), "risk")
     assert line.endswith(" rejected: above the threshold of `tune risk`")
-    assert _as_data(outcome)["rejected_points"] == 1500
+    data = _as_data(outcome)
+    assert (data["rejected_points"], data["rejected_share"]) == (1200, 0.75)
     assert not [*_rejection_lines(replace(outcome, rejected_points=None), None)]
 
 
@@ -240,7 +242,7 @@ def test_the_line_of_unlabelled_points_states_their_causes():
     summary.unmeasured_points, summary.rejected_points = 30, 20
     summary.ego_shares.append((0.1, 100))
     (line,) = (line for line in _lines(summary, None) if line.startswith("unlabelled: "))
-    assert line.startswith("unlabelled: 60.0 % of the points (30.0 % without a measurement; ")
+    assert line.startswith("unlabelled: 60.0 % of all points (30.0 % without a measurement; ")
     assert "; about 10.0 % on " in line
     assert line.endswith("; 20.0 % rejected)")
     assert _as_data(Outcome(0, (), 1, summary=summary))["unmeasured_share"] == 0.3

@@ -64,7 +64,7 @@ def test_coarse_classes_are_not_advised_for_coarse_labels():
 def test_the_measured_accuracy_replaces_the_estimate():
     evidence = replace(FINE, expected=estimate(0.9), measured=0.7)
     assert verdict(evidence).decision is Decision.LABEL_TEN
-    assert "70 %" in verdict(evidence).reason
+    assert "70.0 %" in verdict(evidence).reason
 
 
 @pytest.mark.parametrize(("decision", "codes"), CODES.items())
@@ -92,5 +92,17 @@ def test_every_code_that_withholds_the_estimate_leads_to_one_decision():
 def test_the_sentence_has_the_numbers():
     evidence = replace(FINE, expected=estimate(0.8), doubtful=0.42, warned={"sparse": 7})
     sentence = verdict(evidence).sentence
-    assert all(text in sentence for text in ("70 to 90 %", "42 %", "10 %", "7 with sparse"))
+    assert all(text in sentence for text in ("70 to 90 %", "42.0 %", "10 %", "7 with sparse"))
     assert verdict(evidence).command.endswith("--count 10")
+
+
+@pytest.mark.parametrize("level", [level for level in LEVELS if level.most_doubtful < 1])
+def test_a_number_just_beyond_a_limit_does_not_read_as_the_limit(level):
+    beyond = replace(FINE, measured=level.least_accuracy, doubtful=level.most_doubtful + 0.002)
+    assert verdict(beyond).decision is not level.decision
+    assert (
+        f"{100 * level.most_doubtful:.0f}.2 % of the points with a label" in verdict(beyond).reason
+    )
+    below = replace(FINE, measured=level.least_accuracy - 0.002, doubtful=level.most_doubtful)
+    assert verdict(below).decision is not level.decision
+    assert f"{100 * level.least_accuracy - 1:.0f}.8 % of" in verdict(below).reason

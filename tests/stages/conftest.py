@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from narrow import narrow, once_predicted, predicted, weights  # noqa: F401
+from scans import add_housing
 from world import World
 
 
@@ -13,6 +14,13 @@ from world import World
 def target(tmp_path: Path) -> Path:
     """Return the name of weights to write."""
     return tmp_path / "tuned.safetensors"
+
+
+@pytest.fixture
+def housed(world: World) -> World:
+    """Return the world; the first `HOUSING` points of each scan are on a housing."""
+    add_housing(world.data)
+    return world
 
 
 @pytest.fixture

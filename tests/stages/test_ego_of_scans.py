@@ -8,24 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from command_line import called, only_json
-from scans import SMALL, labels_below, write_bin
+from scans import HOUSING as NEAR
+from scans import SMALL, labels_below
 
-from salsanext_cli import Scan, read_labels, read_scan
-
-NEAR = 300
-
-
-@pytest.fixture
-def housed(world):
-    """Return the world; the first points of each scan are on a housing at 0.3 m."""
-    directions = np.random.default_rng(0).normal(size=(NEAR, 3))
-    directions *= 0.3 / np.linalg.norm(directions, axis=1, keepdims=True)
-    for path in world.data.rglob("*.bin"):
-        scan = read_scan(path)
-        points = np.concatenate([directions.astype(np.float32), scan.points])
-        intensity = np.concatenate([np.full(NEAR, 0.5, np.float32), scan.intensity])
-        write_bin(path, Scan(points, intensity))
-    return world
+from salsanext_cli import read_labels
 
 
 def typed(world, line, out=None, status=0):

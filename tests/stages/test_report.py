@@ -100,7 +100,10 @@ def test_the_tiles_and_the_decision_have_the_numbers_of_the_run(world):
     assert tiles["2"] == "scans, 8 points"
     # A slope of 1 leaves the confidence of 80 %; 3.5 deviations are 7 points.
     assert tiles["73 to 87 %"] == "estimated accuracy, from confidence"
-    assert tiles["15.0 %"] == "mean probability of error of 8 points, 25.0 % of them above 10 %"
+    assert (
+        tiles["15.0 %"]
+        == "mean probability of error of 8 points with a label, 25.0 % of them above 10 %"
+    )
     assert tiles["0"] == "scans with warnings"
     assert result.to_dict()["decision"]["decision"] == "coarse"
     assert "<b>Use coarse classes</b>: the estimated accuracy is 73 to 87 %" in page.source
@@ -122,7 +125,8 @@ def test_rejected_points_have_a_tile_and_withhold_the_estimate(world):
     world.put("uncertainty/error", "000001", [0.0] * 4)
     _, page = made(world)
     tiles = dict(re.findall("<div><b>([^<]*)</b>([^<]*)</div>", page.source))
-    assert tiles["25.0 %"] == "of all points rejected: error above 0.3"
+    # Two of the seven points with a label.
+    assert tiles["28.6 %"] == "of the points with a label rejected: error above 0.3"
     assert "withheld" in tiles
 
 

@@ -39,7 +39,8 @@ def drive_data(
     points = np.array([row.points for row in rows])
     shares = class_points / np.maximum(class_points.sum(axis=1, keepdims=True), 1)
     doubtful = [row.errors.doubtful_share for row in rows]
-    rejected = np.array([row.rejected for row in rows])
+    is_rejected = any(row.rejected.rejected for row in rows)
+    rejected = np.array([row.rejected.share for row in rows])
     codes = run.codes
     return {
         "names": [row.file.name for row in rows],
@@ -52,7 +53,7 @@ def drive_data(
         "uncertainty": _floats(np.array([row.uncertainty.get(kind, np.nan) for row in rows])),
         "wrong": _floats(np.array([row.wrong for row in rows])),
         "doubtful": _floats(np.array([np.nan if d is None else d for d in doubtful])),
-        "rejected": _floats(rejected / np.maximum(points, 1)) if rejected.any() else "",
+        "rejected": _floats(rejected) if is_rejected else "",
         "shares": base64_of(shares, "<f4") if class_points.any() else "",
     }
 

@@ -12,6 +12,7 @@ from salsanext_cli.measures.decision import ADVICE, DOUBTFUL, Evidence, verdict
 from salsanext_cli.measures.expected_accuracy import ExpectedAccuracy
 from salsanext_cli.report.page.elements import text_of
 from salsanext_cli.report.page.run_results import Comparison, RunResults
+from salsanext_cli.report.page.scan_row import Rejection
 from salsanext_cli.report.tables import percent
 from salsanext_cli.results.manifest import Manifest
 
@@ -47,12 +48,13 @@ def _tiles(run: RunResults, compared: Comparison | None, evidence: Evidence) -> 
     doubtful = errors.doubtful_share
     if mean is not None and doubtful is not None:
         above = f"{percent(doubtful, 1, ' %')} of them above {100 * DOUBTFUL:.0f} %"
-        meaning = f"mean probability of error of {counted(errors.points, 'point')}, {above}"
+        points_of_errors = f"{counted(errors.points, 'point')} with a label"
+        meaning = f"mean probability of error of {points_of_errors}, {above}"
         yield Tile(percent(mean, 1, " %"), meaning)
     rejected = _rejection(run)
     if rejected:
-        share = sum(row.rejected for row in run.rows) / max(points, 1)
-        yield Tile(percent(share, 1, " %"), f"of all points rejected: {rejected}")
+        share = sum((row.rejected for row in run.rows), Rejection()).share
+        yield Tile(percent(share, 1, " %"), f"of the points with a label rejected: {rejected}")
     yield _warning_tile(run, evidence)
 
 

@@ -25,9 +25,9 @@ from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 
 @dataclass(frozen=True, slots=True)
 class PointErrors:
-    """Probability of error over the points that have one."""
+    """Probability of error over the points with a label, also if it was rejected since."""
 
-    points: int = 0  # Number of points with a probability of error
+    points: int = 0  # Number of points with a label, which have a probability of error
     total: float = 0.0  # Sum of the probabilities
     doubtful: int = 0  # Number of points with a probability above `DOUBTFUL`
 
@@ -55,6 +55,23 @@ class PointErrors:
         return self.doubtful / self.points if self.points else None
 
 
+@dataclass(frozen=True, slots=True)
+class Rejection:
+    """Points whose label was rejected, among those that had one."""
+
+    points: int = 0  # Number of points that had a label
+    rejected: int = 0  # Number of these whose label was rejected
+
+    def __add__(self, other: Rejection) -> Rejection:
+        """Return the sums over the points of both."""
+        return Rejection(self.points + other.points, self.rejected + other.rejected)
+
+    @property
+    def share(self) -> float:
+        """Share of the points with a label that were rejected, 0…1."""
+        return self.rejected / max(self.points, 1)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ScanRow:
     """One scan in numbers."""
@@ -66,7 +83,7 @@ class ScanRow:
     # (C, C) as `scored_rows`, of accepted points if the run rejected labels
     confusion: Counts
     errors: PointErrors = PointErrors()
-    rejected: int = 0  # Number of points whose label was rejected
+    rejected: Rejection = Rejection()
 
     @property
     def judged(self) -> int:
@@ -120,12 +137,13 @@ def _mean(values: Float) -> float:
     return float(finite.mean(dtype=np.float64)) if len(finite) else math.nan
 
 
-def _rejected(out: Path, values: dict[str, Float]) -> int:
-    """Count the points above the threshold of the run; 0 without a threshold."""
+def _rejected(out: Path, values: dict[str, Float]) -> Rejection:
+    """Count the points above the threshold of the run; none without a threshold."""
     settings = Manifest(out).settings_of("predictions")
     if settings is None or settings.reject is None:
-        return 0
+        return Rejection()
     uncertainty = values.get(settings.reject_by or "error")
     if uncertainty is None:
-        return 0
-    return int(np.count_nonzero(uncertainty > np.float32(settings.reject)))
+        return Rejection()
+    points = int(np.count_nonzero(~np.isnan(uncertainty)))
+    return Rejection(points, int(np.count_nonzero(uncertainty > np.float32(settings.reject))))
