@@ -114,7 +114,7 @@ def _lines(summary: RunSummary | None, following: str | None) -> Iterable[str]:
         images = (image_text(member, summary.trained) for member in sensor.members)
         yield from (f"image: {text}" for text in dict.fromkeys(images))
         if (share := summary.unlabelled_share) >= LEAST_SHOWN:
-            causes = "; ".join(_causes(summary, share, ego_text(sensor)))
+            causes = "; ".join(_causes(summary, ego_text(sensor)))
             yield f"unlabelled: {100 * share:.1f} % of all points{causes and f' ({causes})'}"
         if expected := summary.expected_accuracy():
             yield expected.text
@@ -125,14 +125,13 @@ def _lines(summary: RunSummary | None, following: str | None) -> Iterable[str]:
         yield f"next: {following}"
 
 
-def _causes(summary: RunSummary, share: float, region: str) -> Iterable[str]:
-    """Yield why points are unlabelled; `share`: of all points, 0…1, `region`: of the vehicle."""
+def _causes(summary: RunSummary, region: str) -> Iterable[str]:
+    """Yield why points are unlabelled, with shares of all points; `region`: of the vehicle."""
     if (unmeasured := summary.unmeasured_share) >= LEAST_SHOWN:
         yield f"{100 * unmeasured:.1f} % without a measurement"
-    # The share of the vehicle is estimated from a sample, and may exceed the total.
-    if (ego := min(summary.ego_share, share)) >= LEAST_SHOWN:
+    if (ego := summary.ego_share) >= LEAST_SHOWN:
         where = "" if summary.sensor.others else f", {region}"
-        yield f"about {100 * ego:.1f} % on the sensor's housing and vehicle{where}"
+        yield f"{100 * ego:.1f} % on the sensor's housing and vehicle{where}"
     if (rejected := summary.rejected_share_of_all) >= LEAST_SHOWN:
         yield f"{100 * rejected:.1f} % rejected"
 

@@ -6,6 +6,8 @@ from itertools import starmap
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from salsanext_cli.classes.label_space import TrainIds
 from salsanext_cli.engines.backend import PixelPrediction
 from salsanext_cli.engines.network import Network
@@ -14,7 +16,7 @@ from salsanext_cli.fitting.scan_checks import ScanCheck, check_scan
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.npy import read_array
 from salsanext_cli.geometry.knn import knn_refine
-from salsanext_cli.geometry.projection import measured_ranges, project
+from salsanext_cli.geometry.projection import ego_points, in_sensor_frame, measured_ranges, project
 from salsanext_cli.geometry.scan_traits import MIN_TRAIT_POINTS, origin_of_scan, sensor_of
 from salsanext_cli.option_fields import KnnParameters
 from salsanext_cli.records import CHANNELS, Float, RangeImage, Scan
@@ -85,7 +87,15 @@ def project_scan(
     origin = origin_of_scan(scan, sensor, origin)
     sensor = sensor_of(scan, sensor, origin)
     check = check_scan(file.path, scan, sensor, trained)
-    return ProjectedScan(file, scan, project(scan, sensor), check, sensor, origin)
+    image = project(scan, sensor)
+    check = replace(check, points=len(scan), ego_points=_ego_count(scan, image, sensor))
+    return ProjectedScan(file, scan, image, check, sensor, origin)
+
+
+def _ego_count(scan: Scan, image: RangeImage, sensor: Sensor) -> int:
+    """Count the points of a scan on the housing of its sensor or its vehicle."""
+    without_pixel = scan.take(np.flatnonzero(image.pixel_of_point < 0))
+    return len(ego_points(in_sensor_frame(without_pixel, sensor).points, sensor))
 
 
 def _require_measurements(path: Path, scan: Scan) -> None:

@@ -56,7 +56,8 @@ class ScanCheck:
 
     findings: tuple[Finding, ...] = ()
     traits: ScanTraits | None = None  # None for fewer than `MIN_TRAIT_POINTS` measured points
-    ego_share: float = 0.0  # Share of the points on the housing of the sensor or its vehicle, 0…1
+    points: int = 0  # Number of points of the scan; 0 unless `project_scan` counted them
+    ego_points: int = 0  # Number of these on the housing of the sensor or its vehicle
 
 
 UNCHECKED = ScanCheck()
@@ -120,7 +121,7 @@ def check_scan(
     count = int(is_measured.sum())
     if count < MIN_TRAIT_POINTS:
         problem = f"has {counted(count, 'point')} with a measurement, too few to check"
-        return ScanCheck((Finding("few-points", problem, "give whole scans"),), None, ego_share)
+        return ScanCheck((Finding("few-points", problem, "give whole scans"),))
     measured = Scan(sample.points[is_measured], sample.intensity[is_measured])
     measured_share = count / len(sample)
     sines = sines_of(measured.points)
@@ -137,7 +138,7 @@ def check_scan(
     # The scans of one sensor are compared, also if each has its own origin.
     fitted = replace(sensor, origin=ORIGIN) if sensor.registered else sensor
     traits = ScanTraits.of(sines, bright, per_point, fitted)
-    return ScanCheck(tuple(findings), traits, ego_share)
+    return ScanCheck(tuple(findings), traits)
 
 
 def _fit_hint(sensor: Sensor, trained: Sensor | None, fit: str) -> str:

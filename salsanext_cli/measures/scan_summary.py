@@ -157,8 +157,8 @@ class RunSummary:
     judged_points: int = 0
     rejected_points: int = 0  # Number of points rejected by their error
     unmeasured_points: int = 0  # Number of points without a measurement
-    # Share of the points on the vehicle, and number of points, of each scan
-    ego_shares: list[tuple[float, int]] = field(default_factory=list)
+    checked_points: int = 0  # Number of points of the scans that were projected
+    ego_points: int = 0  # Number of these on the housing of the sensor or its vehicle
     # Mean of the largest probabilities of the points, 0…1, by name of the scan
     confidences: dict[str, float] = field(default_factory=dict)
     # Traits of the labels by name of the scan, of at most `MAX_COMPARED` scans
@@ -199,8 +199,8 @@ class RunSummary:
         self.judged_points += scan.judged_points
         self.rejected_points += scan.rejected_points
         self.unmeasured_points += scan.unmeasured_points
-        points = 1 if scan.class_points is None else int(scan.class_points.sum())
-        self.ego_shares.append((scan.check.ego_share, points))
+        self.checked_points += scan.check.points
+        self.ego_points += scan.check.ego_points
         if not math.isnan(scan.confidence):
             self.confidences[scan.file.name] = scan.confidence
         for finding in scan.check.findings:
@@ -301,8 +301,7 @@ class RunSummary:
     @property
     def ego_share(self) -> float:
         """Share of the points, 0…1, on the housing and the vehicle, over the scans of this run."""
-        shares = math.fsum(share * points for share, points in self.ego_shares)
-        return shares / max(sum(points for _, points in self.ego_shares), 1)
+        return self.ego_points / max(self.checked_points, 1)
 
     @property
     def unlabelled_share(self) -> float:

@@ -240,9 +240,9 @@ def test_the_line_of_unlabelled_points_states_their_causes():
     points = np.array([60, 40] + [0] * 18)
     summary = RunSummary(SMALL, label_space(), class_points=points)
     summary.unmeasured_points, summary.rejected_points = 30, 20
-    summary.ego_shares.append((0.1, 100))
+    summary.ego_points, summary.checked_points = 10, 100
     (line,) = (line for line in _lines(summary, None) if line.startswith("unlabelled: "))
     assert line.startswith("unlabelled: 60.0 % of all points (30.0 % without a measurement; ")
-    assert "; about 10.0 % on " in line
+    assert "; 10.0 % on " in line
     assert line.endswith("; 20.0 % rejected)")
     assert _as_data(Outcome(0, (), 1, summary=summary))["unmeasured_share"] == 0.3

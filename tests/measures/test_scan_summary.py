@@ -245,8 +245,9 @@ def test_labels_that_hardly_agree_with_predictions_are_doubted(right, wrong, sha
 
 def test_the_share_of_the_vehicle_is_one_of_points():
     summary = RunSummary(SMALL, SPACE)
-    for name, count, share in (("a", 900, 0.0), ("b", 100, 0.5)):
-        labels, check = np.ones(count, np.uint8), ScanCheck(ego_share=share)
+    for name, count, ego in (("a", 900, 0), ("b", 100, 50)):
+        labels = np.ones(count, np.uint8)
+        check = ScanCheck(points=count, ego_points=ego)
         summary.add(ScanSummary.of_labels(replace(FILE, stem=name), labels, SPACE, check))
     assert summary.ego_share == pytest.approx(0.05)
 
