@@ -96,7 +96,12 @@ def test_the_default_weights_are_small_and_describe_themselves():
     assert Recipe.from_dict({**card.recipe, "initial": "random"}) == plan
 
 
-@pytest.mark.parametrize("scenes", [3, pytest.param(8, marks=pytest.mark.slow)])
+LIMIT_MISSED = pytest.mark.xfail(
+    reason="version 5 is older than these scenes: its error has an ECE of 0.062", strict=True
+)
+
+
+@pytest.mark.parametrize("scenes", [3, pytest.param(16, marks=(pytest.mark.slow, LIMIT_MISSED))])
 def test_the_default_weights_label_unseen_scenes(tmp_path, scenes):
     """On average: a single scene may be ranked worse by error than by confidence."""
     synthesise(tmp_path, train=0, valid=scenes, scans=1, seed=1234)
@@ -118,8 +123,7 @@ def test_the_default_weights_label_unseen_scenes(tmp_path, scenes):
     assert wrong.mean() < 0.25
     error, baseline = (error_scores(values, wrong) for values in (error, np.clip(doubt, 0, 1)))
     assert error["aurc"] < baseline["aurc"]
-    # The error of version 5 was fitted to easier scenes, on which it was below 0.06.
-    assert error["ece"] < 0.08
+    assert error["ece"] < 0.06
 
 
 @pytest.mark.real

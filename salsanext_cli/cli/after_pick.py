@@ -14,19 +14,22 @@ from salsanext_cli.measures.label_gains import gains_of_trials
 if TYPE_CHECKING:
     from salsanext_cli.cli.picked_labels import PickedLabels
     from salsanext_cli.labelling.picked_data_set import UncertaintyScale
+    from salsanext_cli.stages.pick import Picking
 
 
 def lines_after_pick(
     out: Path,
-    scale: UncertaintyScale | None,
+    picking: Picking,
     labels: PickedLabels,
     weights: Path | str | None,
     labelled: Sequence[Path],
 ) -> Iterator[str]:
     """Yield the lines about picked scans in a data set; `labelled`: data sets that have labels."""
+    scale = picking.scale
     if scale is not None and scale.least < scale.most:
         yield scale_text(scale)
-        yield "distance: 0 is an equal scan, 1 the usual distance of two of these scans"
+        if any(scan.distance is not None for scan in picking.picked):
+            yield "distance: 0 is an equal scan, 1 the usual distance of two of these scans"
     if labels.verdict is not None:
         yield f"the picked scans: {labels.verdict.sentence}"
     for gains in gains_of_trials(labels.accuracy):

@@ -155,8 +155,7 @@ def pick(
     chosen = f"{len(picked):,} of {counted(picking.scans, 'scan')}"
     output.print(f"pick: {chosen}{summary.others_text(outcome)} → {out}")
     if labels is not None:
-        weights = settings.weights
-        for line in lines_after_pick(out, picking.scale, labels, weights, labelled or ()):
+        for line in lines_after_pick(out, picking, labels, settings.weights, labelled or ()):
             output.print(line)
     failures = (*outcome.failures, *(labels.failures if labels else ()))
     summary.leave(failures, failed=strict and bool(picking.warnings))

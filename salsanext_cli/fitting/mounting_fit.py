@@ -33,10 +33,10 @@ from salsanext_cli.sensors.sensor import FITTED_NAME, ORIGIN, UP, Sensor
 MIN_THICKNESS_M = 1.0  # Least height of the points above the ground of a sensor of several beams
 SCANS_OF_ORIGIN = 4  # Scans that show the origin
 POINTS_OF_ORIGIN = 8192  # Points of each of these
-SHARPER, SHARPER_M = 1.1, 0.5
-"""Least factor between the sharpness of another position and of a sharp origin, and least distance.
-
-Scans of 32 beams that were moved by 4 or 5 m had 1.18 or more; correct ones up to 0.35 m."""
+SHARPER = 1.1
+"""Least factor between the sharpness of another position and of a sharp origin; scans of 32 beams
+that were moved by 4 or 5 m had 1.18 or more."""
+SHARPER_M = 0.5  # Least distance between them; correct scans had up to 0.35 m
 MIN_OUT_OF_PLACE = 1 / 3  # Least share of scans that are seen from elsewhere
 MIN_FOUND = 0.5  # Least share of these whose sensor is found
 REGISTERED_M = 2.0  # Least distance of a position from the median in scans of a moving sensor
@@ -116,8 +116,8 @@ class _UprightScans:
     scans: Sequence[Scan]
     height: float | None = None  # Height of the origin above the ground in metres, if it is unusual
     all_doubtful: bool = False  # Whether no scan shows that its origin is at the sensor
-    uneven: dict[int, bool] = field(default_factory=dict)
-    places: dict[int, SensorPlace | None] = field(default_factory=dict)
+    _uneven: dict[int, bool] = field(default_factory=dict, init=False)
+    _places: dict[int, SensorPlace | None] = field(default_factory=dict, init=False)
 
     def is_doubtful(self, number: int) -> bool:
         """Return whether a scan may be seen from elsewhere than the origin."""
@@ -125,15 +125,15 @@ class _UprightScans:
 
     def is_uneven(self, number: int) -> bool:
         """Return whether the points of a scan do not look as if seen from the origin."""
-        if number not in self.uneven:
-            self.uneven[number] = is_out_of_place(self.scans[number])
-        return self.uneven[number]
+        if number not in self._uneven:
+            self._uneven[number] = is_out_of_place(self.scans[number])
+        return self._uneven[number]
 
     def place(self, number: int) -> SensorPlace | None:
         """Return the place of the sensor in a scan, None if it is unknown."""
-        if number not in self.places:
-            self.places[number] = find_place(self.scans[number])
-        return self.places[number]
+        if number not in self._places:
+            self._places[number] = find_place(self.scans[number])
+        return self._places[number]
 
     def place_elsewhere(self, number: int) -> SensorPlace | None:
         """Return the place in a scan, None if it is unknown or the origin."""

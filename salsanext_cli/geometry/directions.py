@@ -62,7 +62,9 @@ def find_cells(
     """Write the cell and the range of each point (`DirectionGrid`)."""
     # Without branches the loop is vectorised.
     for i in range(len(point_range)):
-        a, b, c = points[3 * i], points[3 * i + 1], points[3 * i + 2]
+        a = points[3 * i]
+        b = points[3 * i + 1]
+        c = points[3 * i + 2]
         x = np.float64(a) - origin[0]
         y = np.float64(b) - origin[1]
         z = np.float64(c) - origin[2]

@@ -30,7 +30,8 @@ NEARBY_POSITIONS = 8
 GAIN_NEARBY = 1.02
 """Least factor of the evenness nearby to that at the origin; correct scans had up to 1.01."""
 HIDDEN = 0.38  # Largest share of hidden points of a fan; real ones had up to 0.34
-HIDDEN_M, HIDDEN_SHARE = 1.0, 0.05  # A point is hidden if it is so much farther in its cell
+HIDDEN_M = 1.0  # A point is hidden if it is so much farther than the nearest of its cell, and
+HIDDEN_SHARE = 0.05  # this share of its range besides
 FARTHEST_NEAR_M = 40.0  # Largest 1 % quantile of ranges; a sensor sees something nearby
 MIN_FAR_M = 15.0  # Least 99 % quantile of ranges outdoors
 
@@ -107,7 +108,8 @@ def evenness(points: Double, position: Double, offsets: Sequence[float] = (0.0,)
     """
     around, upwards, ranges = _directions(points - position)
     far = ranges > VEHICLE_M
-    around, upwards = around[far], upwards[far]
+    around = around[far]
+    upwards = upwards[far]
     shares = []
     for offset in offsets:
         cells = _cells(around + offset, upwards + offset)

@@ -40,11 +40,11 @@ def warn_of_foreign_labels(
         Whether no sampled label file can be mapped. The scans can be shown without truth.
     """
     labelled = [scan for scan in scans if present(scan.label_path)]
-    errors = [_error_of(scan, space, sensor) for scan in evenly_spaced(labelled, SAMPLE)]
-    if not errors or None in errors:
+    sample = evenly_spaced(labelled, SAMPLE)
+    errors = [error for scan in sample if (error := _error_of(scan, space, sensor))]
+    if not errors or len(errors) < len(sample):
         return False
     first = errors[0]
-    assert first is not None
     log.warning("%s", with_hint(f"{first.headline}; shown without true labels", first.hint))
     return True
 

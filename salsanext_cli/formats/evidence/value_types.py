@@ -19,8 +19,8 @@ MIN_POSSIBLE_SHARE_OF_LOW = 0.42
 """The same of every second float32; half of those of a planar scanner, z, are 0."""
 MIN_POSSIBLE_SHARE_OF_FLOAT64 = 0.9
 SCAN_RANGES_M = (0.3, 250.0)  # Possible median ranges of a scan
-PAIR_BLOCKS, BLOCK_PAIRS = 8, 512
-"""Number of blocks of a file that show whether its values are float64, and pairs in each."""
+PAIR_BLOCKS = 8  # Blocks of a file that show whether its values are float64
+BLOCK_PAIRS = 512  # Pairs of values in each
 
 
 def are_float64(values: Float) -> bool:

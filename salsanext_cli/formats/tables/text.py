@@ -33,8 +33,6 @@ from salsanext_cli.sensors.sensor import UNUSED_COLUMN
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 DECIMAL_COMMA = re.compile(rb'(?:^|[;\s"])-?\d*,\d+(?:[;\s"]|$)')
 """Number with a comma between blanks or semicolons, which separate the columns."""
-
-
 EMPTY_ROW = re.compile(rb"(?m)^\t+\r?$")  # Row of a table whose cells are separated by tabs
 
 

@@ -46,7 +46,7 @@ def confusion_table(confusion: Counts, space: LabelSpace) -> str:
     for i in true:
         total = int(matrix[i].sum())
         cells = "".join(_cell(i, j, int(matrix[i, j]), total, space) for j in predicted)
-        name = f"{text_of(space.names[i])}"
+        name = text_of(space.names[i])
         rows.append(f"<tr><th scope=row>{name}</th>{cells}<td>{total:,}</td></tr>")
     head = f"<tr><th>truth \\ label</th>{heads}<th scope=col>points</th></tr>"
     hint = (
@@ -93,14 +93,12 @@ def cells_of(rows: Sequence[ScanRow], openable: Sequence[str]) -> dict[str, list
     number_of = {name: number for number, name in enumerate(openable)}
     most = _with_most(rows)
     shown = _with_most([row for row in rows if row.file.name in number_of])
-    return {
-        f"{true},{label}": [
-            number_of[shown[cell].file.name] if cell in shown else -1,
-            row.file.name,
-        ]
-        for cell, row in sorted(most.items())
-        for true, label in [cell]
-    }
+    scans: dict[str, list[object]] = {}
+    for cell, row in sorted(most.items()):
+        true, label = cell
+        number = number_of[shown[cell].file.name] if cell in shown else -1
+        scans[f"{true},{label}"] = [number, row.file.name]
+    return scans
 
 
 def _with_most(rows: Sequence[ScanRow]) -> dict[tuple[int, int], ScanRow]:

@@ -98,7 +98,8 @@ class ScanRow:
     @classmethod
     def read(cls, file: ScanFile, reader: ScanComparison) -> tuple[Self, ScanCounts | None]:
         """Read the results of a scan and, if it has labels, count its points."""
-        out, space = reader.out, reader.space
+        out = reader.out
+        space = reader.space
         path_of = partial(output_path, out, file.sequence, stem=file.stem)
         points = 0
         class_points = np.zeros(space.class_count, np.int64)
