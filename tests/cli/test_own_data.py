@@ -15,9 +15,11 @@ from edited_clouds import write_ply
 from salsanext_cli import label_space, read_labels, read_scan, write_labels
 from salsanext_cli.cli.after_pick import commands_after_pick, lines_after_pick, scale_text
 from salsanext_cli.cli.picked_labels import PickedLabels
-from salsanext_cli.labelling.picked_data_set import UncertaintyScale
+from salsanext_cli.labelling.picked_data_set import PickedScan, UncertaintyScale
+from salsanext_cli.parallel.run import Outcome
 from salsanext_cli.results.paths import output_path
 from salsanext_cli.stages import submit as stage
+from salsanext_cli.stages.pick import Picking
 
 
 def test_a_topic_of_a_recording_is_named(run, tmp_path):
@@ -143,10 +145,18 @@ def test_the_scale_of_the_uncertainties_is_that_of_the_scans_and_the_classes():
     assert "0.0012 to 0.0100 nats, median 0.0025" in text
     assert f"{math.log(20):.2f}" in text
     labels = PickedLabels(Path("new/predicted"), (), None, None)
-    for most, is_printed in ((0.01, True), (0.00123, False)):
+    outcome = Outcome(skipped=0, done=1, failures=())
+    for most, distance, printed in (
+        (0.01, 0.5, {"uncertainty", "distance"}),
+        (0.01, None, {"uncertainty"}),
+        (0.00123, 0.5, set()),
+    ):
         scale = UncertaintyScale(0.00123, 0.00123, most, class_count=20)
-        lines = [*lines_after_pick(Path("new"), scale, labels, None, ())]
-        assert any("nats" in line for line in lines) == is_printed
+        picked = PickedScan(1, "08", "000000", 0.0025, distance, None, "most uncertain")
+        picking = Picking((picked,), 1, outcome, [], scale)
+        lines = [*lines_after_pick(Path("new"), picking, labels, None, ())]
+        subjects = {line.split(" ")[0].strip(":") for line in lines}
+        assert subjects & {"uncertainty", "distance"} == printed
 
 
 def test_after_pick_the_training_uses_its_labelled_data_sets_and_weights():
