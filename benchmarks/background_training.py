@@ -20,7 +20,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import torch
-from default_weights import remove_class_weights
+from finish_weights import remove_class_weights
 from gpu_train import DESCRIPTION, real_sources, training_data
 from scene_pool import KINDS, ScenePool
 

@@ -19,57 +19,35 @@ import math
 import signal
 import subprocess
 import sys
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
-from itertools import groupby
 from pathlib import Path
 
 import numpy as np
-import torch
 from commands import link
-from corruption_models import LEVELS
-from corruptions import SEVERITIES, write_data_set
+from finish_weights import (
+    add_error_models,
+    add_int8,
+    add_temperatures,
+    published_card,
+    remove_class_weights,
+)
 
 from salsanext_cli.classes.label_space import label_space
-from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.fitting.label_scan import prepared_for
-from salsanext_cli.fitting.scan_sample import ScanSample
-from salsanext_cli.fitting.sensor_fit import fit_scans
 from salsanext_cli.formats import read_scan
-from salsanext_cli.network.card import WeightsCard, scan_digest
-from salsanext_cli.network.segmentation import SegmentationNetwork
-from salsanext_cli.network.weights import read_weights, save_weights, save_with_card
-from salsanext_cli.option_fields import ScanSelection
-from salsanext_cli.parallel.network_task import network_pipeline
+from salsanext_cli.network.card import scan_digest
+from salsanext_cli.network.weights import read_weights, save_weights
 from salsanext_cli.results.paths import ScanFile, find_scans
-from salsanext_cli.results.selection import data_set_label_space, evenly_spaced
-from salsanext_cli.stages.tune import tune
-from salsanext_cli.training.cross_validation import folds
 from salsanext_cli.training.data.augment import rotate
-from salsanext_cli.training.data.class_counts import class_shares
 from salsanext_cli.training.data.sources import labelled_split
-from salsanext_cli.training.tuning.error import FOLDS, JudgedPoints, cross_validated, judge_job
-from salsanext_cli.training.tuning.int8 import int8_inputs
-from salsanext_cli.training.tuning.scan_choice import labelled_scans
-from salsanext_cli.training.tuning.scans import read_labelled_image
 
 DRIVES = ("001", "002")
 HELD_OUT = 10
 """Last scans of PandaSet, which are validated and which the temperature is fitted on too."""
-VERSION = 5
-"""Version of the weights that this script writes; raise it for each file that is published."""
 STREETS_PER_VALIDATED = 4
 """Validation scans of the streets for each that every validation scores: ten of forty."""
 SECTORS = 8
 """Sectors of 46° that fill a circle."""
-POINTS_OF_SCAN = 10_000
-"""Points of each validation scan that the model of errors is fitted to."""
-CORRUPTIONS = 5
-"""Copies of each validation sequence in bad conditions that the model of errors is fitted to."""
-RANGED = 16
-"""Training scans of each data set that the ranges for int8 are fitted to."""
 SCANS_OF_STREET = 8
 SIMULATED = "scenes simulated"
 """Figure of a training on a GPU: streets, each of as many scans."""
@@ -185,112 +163,15 @@ def finish(
 ) -> None:
     """Write the last weights of a run in float16, without class weights, with a temperature.
 
-    The temperature is the geometric mean of those fitted on the validation scans of the data sets.
     The weights know the sectors of the circles that they were trained on.
     """
     module, card = read_weights(run / "last.safetensors")
     remove_class_weights(module, card, run / "class_counts.json")
     digests = {scan_digest(read_scan(file.path, card.sensor)) for file in sectors}
-    card = replace(
-        card,
-        description=description,
-        temperature=1.0,
-        error=None,  # What the training inherited is fitted anew.
-        accuracy=None,
-        trained_on=card.trained_on | digests,
-        version=VERSION,
-    )
+    card = replace(published_card(card, description), trained_on=card.trained_on | digests)
     half = target.with_name("half.safetensors")
     save_weights(half, module, card, half=True)
-    temperatures = []
-    for dataset in datasets:
-        tuned = half.with_name(f"{dataset.name}.safetensors")
-        network = NetworkSettings(half, device="cpu")
-        found = tune("temperature", dataset, tuned, settings=network, overwrite=True)
-        temperatures.append(found["after"]["temperature"])
-        print(f"temperature of {dataset.name}: {temperatures[-1]:.3f}", flush=True)
-    temperature = float(np.exp(np.mean(np.log(temperatures))))
-    save_with_card(half, target, replace(card, temperature=temperature))
-
-
-def remove_class_weights(module: SegmentationNetwork, card: WeightsCard, counts: Path) -> None:
-    """Add to the logits what takes back the class weights of the loss.
-
-    A loss weighted by f^-a, f being the share of a class, makes the softmax that of a world where
-    every class is f^-a times as frequent; a·log f added to the logits takes that back. `counts` is
-    the file of the points of each class in training.
-    """
-    points = json.loads(counts.read_text())["points"]
-    of_classes = np.array([points[name] for name in card.space.names])
-    shares = class_shares(of_classes, card.space.scored)
-    exponents = np.where(shares > 0, card.recipe["class_weight"], 0)
-    added = exponents * np.log(np.where(shares > 0, shares, 1))
-    state = module.state_dict()
-    state["logits.bias"] += torch.from_numpy(added.astype(np.float32))
-    module.load_state_dict(state)
-
-
-def corrupted_copies(dataset: Path, files: Sequence[ScanFile], folder: Path) -> list[ScanFile]:
-    """Write `CORRUPTIONS` copies of each sequence, each in other bad conditions, and list them."""
-    space = data_set_label_space(dataset) or label_space()
-    conditions = [(kind, severity) for kind in LEVELS for severity in SEVERITIES]
-    copies: list[ScanFile] = []
-    for sequence, members in groupby(files, lambda file: file.sequence):
-        scans = list(members)
-        rng = np.random.default_rng(zlib.crc32(f"{dataset.name}/{sequence}".encode()))
-        for number in rng.choice(len(conditions), CORRUPTIONS, replace=False):
-            kind, severity = conditions[number]
-            root = folder / f"{dataset.name} {kind} {severity}"
-            write_data_set(root, space, scans, kind, severity, 0)
-            copies += find_scans(root, [sequence])
-    return copies
-
-
-def add_error(weights: Path, datasets: Sequence[Path]) -> None:
-    """Add a model of errors on the validation scans, each sequence with its sensor fitted.
-
-    Corrupted copies of them are among the scans that it is fitted to, so that it has seen scans
-    that the network labels badly. It is without the height, so that it holds for sensors that are
-    mounted otherwise.
-    """
-    settings = NetworkSettings(weights, device="cpu")
-    network = settings.load()
-    judged: dict[ScanFile, JudgedPoints] = {}
-    parts: list[list[ScanFile]] = [[] for _ in range(FOLDS)]
-    for dataset in datasets:
-        scans, space = labelled_scans(dataset, ScanSelection(split="valid"), network.card)
-        fold_of = {file.sequence: n for n, fold in enumerate(folds(scans, FOLDS)) for file in fold}
-        scans += corrupted_copies(dataset, scans, weights.with_name("corrupted"))
-        for (_, sequence), members in groupby(
-            scans, lambda file: (file.path.parents[3], file.sequence)
-        ):
-            files = list(members)
-            own = fit_scans(settings, network, ScanSample(files, network.sensor))
-            read = partial(read_labelled_image, network=own, space=space)
-            points = network_pipeline(judge_job(own, read, POINTS_OF_SCAN), own).results(files)
-            judged |= zip(files, points, strict=True)
-            parts[fold_of[sequence]] += files
-    model = cross_validated(judged, parts)
-    roots = {dataset.name for dataset in datasets}
-    parents = {(file.path.parents[3].name, file.sequence) for file in judged}
-    names = sorted(f"{root}/{sequence}" for root, sequence in parents if root in roots)
-    own = {"sequences": names, "fitted_to": "simulated scans only, most in bad conditions"}
-    model = replace(model, scores={**model.scores, **own})
-    print("errors:", model.scores, flush=True)
-    save_with_card(weights, weights, replace(network.card, error=model))
-
-
-def add_int8(weights: Path, datasets: Sequence[Path]) -> None:
-    """Add the ranges for int8, fitted to scans of each data set that was trained on."""
-    settings = NetworkSettings(weights, device="cpu")
-    network, inputs = settings.load(), []
-    for dataset in datasets:
-        files = labelled_split(dataset, None, "train")[1]
-        for file in evenly_spaced(files, RANGED):
-            fitted = fit_scans(settings, network, ScanSample([file], network.sensor))
-            inputs.append(prepared_for(fitted, file).input)
-    card = replace(network.card, int8=int8_inputs(network.module, inputs))
-    save_with_card(weights, weights, card)
+    add_temperatures(half, target, datasets)
 
 
 def simulated_scans(run: Path) -> int:
@@ -339,7 +220,7 @@ def main() -> None:
         aachen=AACHEN.format(sectors=len(sectors)) if sectors else "",
     )
     finish(run, (streets, real), out / "default.safetensors", description, sectors)
-    add_error(out / "default.safetensors", (streets, sensors))
+    add_error_models(out / "default.safetensors", (streets, sensors))
     add_int8(out / "default.safetensors", (streets, sensors, real))
 
 

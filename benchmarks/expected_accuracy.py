@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Line from the mean confidence of a run to its accuracy, written into the card of weights.
 
-It is fitted to sequences of simulated scans that the weights never saw, and judged on data sets of
-real ones. `predict` then says how many labels it expects to be right.
+There is a line for each width of the weights. It is fitted to sequences of simulated scans that
+the weights never saw, and judged on data sets of real ones. `predict` then says how many labels it
+expects to be right.
 
 Run: python benchmarks/expected_accuracy.py folder/ WEIGHTS WEIGHTS_OUT --fit DATASET…
      --judge NAME=DATASET[,CLASSES.yaml,LABELS.yaml]…
@@ -16,17 +17,19 @@ import numpy as np
 from commands import salsanext
 
 from salsanext_cli.files.reading import present
+from salsanext_cli.measures.expected_accuracy import DEVIATIONS
 from salsanext_cli.network.card import AccuracyLine, read_card
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.results.paths import find_scans, output_path
 
 
-def measured(dataset: str, out: Path, weights: Path) -> dict[str, tuple[float, float]]:
+def measured(dataset: str, out: Path, weights: Path, width: int) -> dict[str, tuple[float, float]]:
     """Return mean confidence and accuracy of each sequence of a labelled data set."""
     path, *spaces = dataset.split(",")
     merged = ["--classes", spaces[0]] if spaces else []
     labels = ["--label-space", spaces[1]] if spaces else []
-    salsanext("predict", path, out, "--weights", weights, "--probabilities", *merged)
+    network = ("--weights", weights, "--width", width)
+    salsanext("predict", path, out, *network, "--probabilities", *merged)
     found = {}
     for sequence in sorted({file.sequence for file in find_scans(Path(path))}):
         files = [file for file in find_scans(Path(path)) if file.sequence == sequence]
@@ -45,6 +48,36 @@ def logit(share: np.ndarray) -> np.ndarray:
     return np.log(share / (1 - share))
 
 
+def line_at(
+    weights: Path, width: int, folder: Path, fit: list[str], judge: list[str]
+) -> AccuracyLine:
+    """Return the line of images of a width, and print how it is judged."""
+    pairs = [
+        pair
+        for number, dataset in enumerate(fit)
+        for pair in measured(dataset, folder / f"fit{number}-{width}", weights, width).values()
+    ]
+    slope, offset = np.polyfit(*logit(np.array(pairs)).T, 1)
+    print(f"\n{width} columns\n")
+    print("| set | mean confidence % | expected % | right % |\n|---|---|---|---|")
+    misses = []
+    for each in judge:
+        name, dataset = each.split("=", 1)
+        out = folder / f"{name}-{width}"
+        for sequence, pair in measured(dataset, out, weights, width).items():
+            confidence, accuracy = pair
+            expected = 1 / (1 + np.exp(-slope * logit(np.float64(confidence)) - offset))
+            misses.append(expected - accuracy)
+            shares = " | ".join(f"{100 * share:.1f}" for share in (confidence, expected, accuracy))
+            print(f"| {name} {sequence} | {shares} |")
+    deviation = float(np.sqrt(np.mean(np.square(misses))))
+    near = sum(abs(miss) <= 0.05 for miss in misses)
+    inside = sum(abs(miss) <= DEVIATIONS * deviation for miss in misses)
+    print(f"\n{near} of {len(misses)} within 5 points, {inside} inside the interval of a run;")
+    print(f"root mean square {100 * deviation:.1f}", flush=True)
+    return AccuracyLine(*(round(float(value), 4) for value in (slope, offset, deviation)))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("folder", type=Path)
@@ -53,29 +86,10 @@ def main() -> None:
     parser.add_argument("--fit", nargs="+", required=True)
     parser.add_argument("--judge", nargs="+", required=True)
     given = parser.parse_args()
-    fitted = np.array(
-        [
-            pair
-            for number, dataset in enumerate(given.fit)
-            for pair in measured(dataset, given.folder / f"fit{number}", given.weights).values()
-        ]
-    )
-    slope, offset = np.polyfit(*logit(fitted).T, 1)
-    print("| set | mean confidence % | expected % | right % |\n|---|---|---|---|")
-    misses = []
-    for each in given.judge:
-        name, dataset = each.split("=", 1)
-        for sequence, pair in measured(dataset, given.folder / name, given.weights).items():
-            confidence, accuracy = pair
-            expected = 1 / (1 + np.exp(-slope * logit(np.float64(confidence)) - offset))
-            misses.append(expected - accuracy)
-            shares = " | ".join(f"{100 * share:.1f}" for share in (confidence, expected, accuracy))
-            print(f"| {name} {sequence} | {shares} |")
-    deviation = float(np.sqrt(np.mean(np.square(misses))))
-    near = sum(abs(miss) <= 0.05 for miss in misses)
-    print(f"\n{near} of {len(misses)} within 5 points, root mean square {100 * deviation:.1f}")
-    line = AccuracyLine(*(round(float(value), 4) for value in (slope, offset, deviation)))
-    card = replace(read_card(given.weights), accuracy=line)
+    card = read_card(given.weights)
+    for width in card.trained_widths:
+        line = line_at(given.weights, width, given.folder, given.fit, given.judge)
+        card = replace(card.at_width(width), accuracy=line)
     save_with_card(given.weights, given.target, card)
 
 

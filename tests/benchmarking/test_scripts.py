@@ -16,9 +16,7 @@ import speed
 import speed_product as product
 from command_line import called
 from corruption_models import LEVELS
-from scans import IN_BYTES, SMALL, make_scan, salsanext_of, write_bin, write_sequence
-from shallow import SHALLOW
-from tiny_network import TinyNetwork
+from scans import IN_BYTES, SMALL, make_scan, write_bin, write_sequence
 
 from salsanext_cli import (
     RangeImage,
@@ -30,16 +28,11 @@ from salsanext_cli import (
     read_scan,
 )
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.network.card import AccuracyLine, WeightsCard, read_card
-from salsanext_cli.network.error_model import ErrorModel
-from salsanext_cli.network.registry import build
-from salsanext_cli.network.weights import save_weights
 from salsanext_cli.results.selection import data_set_label_space
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.training.data.other_sensors import HOLE_SHARES, hole_cells
 from salsanext_cli.training.data.sources import labelled_split
 from salsanext_cli.uncertainty.aleatoric import aleatoric
-from salsanext_cli.uncertainty.error_features import FEATURES
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 TINY = "fov_up = 3.0\nfov_down = -25.0\nheight = 16\nwidth = 64\n"
@@ -211,55 +204,6 @@ def test_streets_are_validated_with_real_scans_that_nothing_is_trained_on(tmp_pa
     both, own = map(data_set_label_space, (tmp_path / "validated", real))
     ids = np.array(list(own.learning_map), np.uint32)
     np.testing.assert_array_equal(both.to_train(ids), own.to_train(ids))
-
-
-def test_default_weights_have_a_version_and_inherit_nothing(tmp_path, tiny_training, monkeypatch):
-    script = runpy.run_path(str(BENCHMARKS / "default_weights.py"))
-
-    def tune(part, dataset, target, *, settings, overwrite):
-        # The temperature is fitted to the weights without what they inherited.
-        assert read_card(settings.path).inherited() == ""
-        return {"after": {"temperature": 1.5}}
-
-    monkeypatch.setitem(script["finish"].__globals__, "tune", tune)
-    card = WeightsCard({"name": "salsanext", "class_count": 20}, label_space(), SMALL)
-    mark = "weights of before"
-    layers = [(np.ones((len(FEATURES), 1), "f4"), np.zeros(1, "f4"))]
-    line = AccuracyLine(1.0, 0.0, 0.1, inherited_from=mark)
-    card = replace(card, recipe={"class_weight": 0.5}, accuracy=line)
-    (tmp_path / "run").mkdir()
-    error = ErrorModel(FEATURES, layers, {"inherited_from": mark}, temperature=2.0)
-    card = replace(card, error=error, version=4)
-    save_weights(tmp_path / "run/last.safetensors", TinyNetwork(), card)
-    points = dict.fromkeys(label_space().names, 10)
-    (tmp_path / "run/class_counts.json").write_text(json.dumps({"points": points}))
-    script["finish"](tmp_path / "run", [tmp_path / "data"], tmp_path / "default.safetensors", "")
-    finished = read_card(tmp_path / "default.safetensors")
-    assert finished.version == script["VERSION"] == 5
-    assert (finished.error, finished.accuracy, finished.temperature) == (None, None, 1.5)
-
-
-@pytest.mark.slow
-def test_default_weights_get_an_error_model_of_all_sequences_and_int8_ranges(tmp_path, monkeypatch):
-    script = runpy.run_path(str(BENCHMARKS / "default_weights.py"))
-    monkeypatch.setitem(script["add_error"].__globals__, "CORRUPTIONS", 1)
-    weights, datasets = tmp_path / "w.safetensors", [tmp_path / "a", tmp_path / "b"]
-    card = WeightsCard({"name": "salsanext", "class_count": 20}, label_space(), SMALL)
-    space = label_space().to_dict() | {"split": {"train": ["00"], "valid": ["08", "09"]}}
-    for dataset in datasets:
-        for number in ("00", "08", "09"):
-            write_sequence(dataset / "sequences" / number, ["0"], seed=int(number))
-        (dataset / "labels.yaml").write_text(json.dumps(space))
-    monkeypatch.setattr("salsanext_cli.training.tuning.error.MIN_STEPS", 10)
-    monkeypatch.setattr("salsanext_cli.training.tuning.error.EPOCHS", 1)
-    with salsanext_of(**SHALLOW):
-        save_weights(weights, build(card.architecture), card)
-        script["add_error"](weights, datasets)
-        script["add_int8"](weights, datasets)
-    card = read_card(weights)
-    assert card.error.scores["sequences"] == ["a/08", "a/09", "b/08", "b/09"]
-    assert card.error.scores["points"] > 4 * 1000
-    assert card.int8
 
 
 @pytest.mark.parametrize("name", ["pandaset", "aachen"])
