@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Commands on results: fuse, filter, evaluate and export them."""
 
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -18,6 +19,7 @@ from salsanext_cli.results.uncertainty_kinds import COLOUR_HELP
 if TYPE_CHECKING:
     from rich.console import Group
 
+    from salsanext_cli.measures.score_limits import MissedLimit
     from salsanext_cli.stages.evaluate import Evaluation
 
 
@@ -95,8 +97,13 @@ def evaluate(
     *,
     by_distance: bool = option("Also evaluate by distance from the sensor.", default=False),
     fail_under: str | None = option(
-        "Exit with status 1 if a score is below its limit in %, such as mean_iou=40,accuracy=80; "
-        "mean_iou is that of the classes present.",
+        "Exit with status 1 if a score is below its limit in %, such as "
+        "mean_iou=40,iou.person=20; mean_iou is that of the classes present.",
+        metavar="LIMITS",
+    ),
+    fail_over: str | None = option(
+        "Exit with status 1 if a score is above its limit in %, such as ece=2, or if more labels "
+        "are wrong than `tune risk` guarantees: guarantee.",
         metavar="LIMITS",
     ),
     query: ResultQuery,
@@ -109,15 +116,17 @@ def evaluate(
 
     Example: salsanext eval --split valid
     """
-    from salsanext_cli.measures.score_limits import limits_of, scores_below
+    from salsanext_cli.measures import score_limits
     from salsanext_cli.results.result_folder import ResultFolder
     from salsanext_cli.stages.evaluate import evaluate as stage
     from salsanext_cli.stages.evaluate import part_of
 
-    limits = limits_of(fail_under)
+    limits = score_limits.limits_of(fail_under, score_limits.FAIL_UNDER)
+    limits += score_limits.limits_of(fail_over, score_limits.FAIL_OVER)
     folder = ResultFolder(out, query.dataset)
     unlimited = replace(query.selection, limit=None)
     chosen, space = folder.predicted(unlimited, query.label_space, query.classes)
+    score_limits.require_classes(limits, space)
     part = part_of(folder, chosen, query.selection)
     files = chosen[: query.selection.limit]
     with over_scans("eval", running, output.quiet) as run:
@@ -125,16 +134,30 @@ def evaluate(
         evaluation = stage(
             files, out, space, run, part, by_distance=by_distance, settings=settings, labels=labels
         )
-    below = scores_below(limits, evaluation.scores)
-    limited = {} if fail_under is None else {"below": [low.name for low in below]}
-    output.result(evaluation.to_dict() | limited, _evaluation_tables(evaluation))
+    missed = evaluation.missed_limits(limits)
+    names = _names_of_missed(missed, fail_under, fail_over)
+    output.result(evaluation.to_dict() | names, _evaluation_tables(evaluation))
     summary.print_failures(evaluation.failures)
     missing = evaluation.missing
     scans = f"{counted(evaluation.counts.scans, 'scan')}{summary.skipped_text(missing)}"
     output.print(f"eval: {scans} → {evaluation.folder}/scores.txt, eval.json, eval_*.png")
-    for low in below:
-        console.print_line(f"error: {low.text}")
-    summary.leave(evaluation.failures, missing, failed=bool(below))
+    for limit in missed:
+        console.print_line(f"error: {limit.text}")
+    summary.leave(evaluation.failures, missing, failed=bool(missed))
+
+
+def _names_of_missed(
+    missed: "Sequence[MissedLimit]", fail_under: str | None, fail_over: str | None
+) -> dict[str, list[str]]:
+    """Return the names of the missed limits of each option that was given, as keys of JSON."""
+    from salsanext_cli.measures.score_limits import FAIL_OVER, FAIL_UNDER
+
+    names = {}
+    if fail_under is not None:
+        names["below"] = [limit.name for limit in missed if limit.option == FAIL_UNDER]
+    if fail_over is not None:
+        names["above"] = [limit.name for limit in missed if limit.option == FAIL_OVER]
+    return names
 
 
 def _evaluation_tables(evaluation: "Evaluation") -> "Group":

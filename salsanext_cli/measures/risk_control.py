@@ -235,10 +235,18 @@ class RiskBoundCheck:
     @property
     def warning(self) -> str:
         """Warning if the losses are larger than the guarantee allows, else an empty text."""
-        is_exceeded = self.mean > self.at_most
-        if self.confidence is not None:
-            is_exceeded = self.above / self.units > round(1 - self.confidence, 9)
-        return RISK_BOUND_EXCEEDED if is_exceeded else ""
+        return RISK_BOUND_EXCEEDED if self.measured > self.limit else ""
+
+    @property
+    def measured(self) -> float:
+        """Mean loss, or share of scans or drives with a larger loss than `at_most`, 0…1."""
+        return self.mean if self.confidence is None else self.above / self.units
+
+    @property
+    def limit(self) -> float:
+        """Largest value of `measured` that the guarantee allows, 0…1."""
+        # 1 - 0.9 is less than 0.1 by the last digit.
+        return self.at_most if self.confidence is None else round(1 - self.confidence, 9)
 
     @property
     def sentence(self) -> str:

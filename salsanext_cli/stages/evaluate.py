@@ -22,6 +22,12 @@ from salsanext_cli.measures.scan_counts import (
     SeparateCounts,
 )
 from salsanext_cli.measures.scan_summary import OTHER_SCANS, TUNE_AGAIN, guarantee_of_run
+from salsanext_cli.measures.score_limits import (
+    MissedLimit,
+    ScoreLimit,
+    missed_limits,
+    score_values,
+)
 from salsanext_cli.measures.scores import Scores, band_rows, scores
 from salsanext_cli.measures.uncertainty_evaluation import UncertaintyEvaluation
 from salsanext_cli.option_fields import ScanSelection
@@ -80,6 +86,22 @@ class Evaluation:
         if self.comparison.trained_on.missing:
             return UNKNOWN_TRAINING_SCANS
         return ON_TRAINING_SCANS if self.counts.trained_on else ""
+
+    @property
+    def guarantee_doubt(self) -> str:
+        """Why the scans do not test the guarantee of the run, in words; else empty."""
+        if self.counts.calibrated:
+            return "the threshold was chosen on some of these scans"
+        if self.comparison.chosen_on.missing:
+            return "the record of the scans that the threshold was chosen on is missing"
+        if self.guarantee and self.guarantee.are_others:
+            return f"the guarantee does not cover these scans ({OTHER_SCANS})"
+        return ""
+
+    def missed_limits(self, limits: Sequence[ScoreLimit]) -> list[MissedLimit]:
+        """Return the limits that the scores do not keep to."""
+        values = score_values(self.scores, self.uncertainty, self.accepted)
+        return missed_limits(limits, values, self.guarantee, self.guarantee_doubt)
 
     def warnings(self) -> Iterator[str]:
         """Yield reasons to doubt the scores or the guarantee, in words."""

@@ -321,17 +321,6 @@ def test_a_temperature_is_printed_and_stored(run, data, weights, tmp_path, monke
     assert f"{read_card(target).temperature:.4g}" in run("models", target).stdout
 
 
-def test_eval_fails_below_a_limit(run, tmp_path):
-    world = World(tmp_path)
-    world.add("000000", [ROAD, ROAD], [ROAD, CAR])
-    command = ("eval", world.out, "--dataset", world.dataset, "--json")
-    assert "below" not in only_json(run(*command, status=0))
-    reached = only_json(run(*command, "--fail-under", "accuracy=50", status=0))
-    assert reached["below"] == []
-    low = only_json(run(*command, "--fail-under", "accuracy=51,mean_iou=50", status=1))
-    assert low["below"] == ["accuracy"]
-
-
 def test_results_beside_their_scans_are_announced(run, weights, tmp_path):
     write_bin(tmp_path / "drive/0.bin", make_scan())
     words = ("--weights", weights)
