@@ -178,7 +178,7 @@ class AcceptedLabels:
         """Coverage, risk, the worst scan and missed people."""
         of_all = f"{self.wrong / max(self.points, 1):.1%} of all"
         yield (
-            f"accepted: {self.coverage:.1%} of {self.points:,} points, "
+            f"accepted, all scans together: {self.coverage:.1%} of {self.points:,} points, "
             f"{self.risk:.1%} of these are wrong ({of_all})"
         )
         name, points, accepted, wrong = self.worst
@@ -253,7 +253,8 @@ class RiskBoundCheck:
         """Guarantee and measured losses in words."""
         measured = f"{self.above} of {counted(self.units, self.unit)}"
         if self.confidence is None:
-            measured = f"{100 * self.mean:.1f} % on average over {counted(self.units, self.unit)}"
+            mean = f"{100 * self.mean:.1f} % on average over {counted(self.units, self.unit)}"
+            measured = f"{mean}, each {self.unit} counting the same"
         bound = _bound(self.at_most, self.confidence, self.unit)
         guaranteed = f"guaranteed for {self.scope}: {bound}"
         if self.are_others:
@@ -273,7 +274,10 @@ def guarantee(risk: RiskThreshold) -> str:
 
 def _scope(risk: RiskThreshold) -> str:
     """Return the scans that a guarantee covers in words."""
-    chosen = f"was chosen on ({counted(risk.scans, 'scan')} of {first_few(risk.sequences)})"
+    sequences = first_few(risk.sequences)
+    if risk.data_set:
+        sequences = f"{risk.data_set}: {sequences}"
+    chosen = f"was chosen on ({counted(risk.scans, 'scan')} of {sequences})"
     if risk.unit == "drive":
         return f"drives like those that the threshold {chosen}"
     return f"scans drawn in the same way from the drives that the threshold {chosen}, not others"

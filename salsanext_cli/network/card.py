@@ -90,6 +90,7 @@ class RiskThreshold:
     settings: Json = field(default_factory=dict)  # As `labels_depend_on` returns them
     views: tuple[FittedView, ...] = ()  # Fields of view of the sensors
     population: tuple[LabelTraits, ...] = ()  # Of each unit; empty in files of early versions
+    data_set: str | None = None  # Name of its folder; None in files of early versions
 
     def __post_init__(self) -> None:
         if not all(map(math.isfinite, (self.threshold, self.at_most))):

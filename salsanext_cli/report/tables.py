@@ -65,9 +65,9 @@ def score_table(result: Scores, title: str = "") -> Table:
         rows.append((c.name, *map(percent, (iou, c.precision, c.recall)), f"{c.points:,}"))
     present = sum(c.points > 0 for c in result.classes)
     totals = [
-        ("accuracy", percent(result.accuracy), "", "", f"{result.points:,}"),
-        ("accuracy, official", percent(result.accuracy_official)),
-        ("mean IoU, official", percent(result.iou_mean_official)),
+        ("accuracy, all labelled points", percent(result.accuracy), "", "", f"{result.points:,}"),
+        ("accuracy, predicted (official)", percent(result.accuracy_official)),
+        (f"mean IoU, all {len(result.classes)} (official)", percent(result.iou_mean_official)),
         (f"mean IoU, {present} classes present", percent(result.iou_mean_present)),
     ]
     frequent = sum(c.points >= FREQUENT_POINTS for c in result.classes)
@@ -107,7 +107,7 @@ def _calibration_table(softmax: CalibrationScores | None, error: RankingScores |
         rows.append(("error", "", "", percent(error.ece, 2), "", *counts))
         mean, wrong = percent(error.mean), percent(error.wrong / max(error.points, 1))
         caption = f"error: probability that a label is wrong; mean {mean} %, wrong {wrong} %"
-    errors = ("ECE %", "ECE per\nscan %")
+    errors = ("ECE %,\nall points", "ECE %, mean\nof scans")
     headings = ("calibration", "NLL,\nnats", "Brier", *errors, "scans", "points")
     return table_of(headings, rows, caption=caption)
 

@@ -234,6 +234,8 @@ def test_a_guarantee_states_its_scope():
         "in the same way from the drives that the threshold was chosen on (20 scans of 00, 08), "
         "not others"
     )
+    named = guarantee(replace(RISK, data_set="semantickitti"))
+    assert "(20 scans of semantickitti: 00, 08)" in named
     assert "with 90 % confidence, at most 10 % of scans" in guarantee(replace(RISK, confidence=0.9))
     of_drives = guarantee(replace(RISK, unit="drive"))
     assert "for drives like those that the threshold was chosen on (20 scans" in of_drives

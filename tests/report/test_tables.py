@@ -55,9 +55,9 @@ def test_a_row_per_class_then_the_means():
         ["car [red]", "50.0", "100.0", "50.0", "2,000"],
         ["road", "100.0", "100.0", "100.0", "1,000"],
         ["tree", "–", "–", "–", "0"],
-        ["accuracy", "66.7", "", "", "3,000"],
-        ["accuracy, official", "100.0", "", "", ""],
-        ["mean IoU, official", "50.0", "", "", ""],
+        ["accuracy, all labelled points", "66.7", "", "", "3,000"],
+        ["accuracy, predicted (official)", "100.0", "", "", ""],
+        ["mean IoU, all 3 (official)", "50.0", "", "", ""],
         ["mean IoU, 2 classes present", "75.0", "", "", ""],
     ]
 

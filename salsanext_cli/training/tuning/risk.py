@@ -34,6 +34,7 @@ from salsanext_cli.network.card import LabelTraits, RiskThreshold, scan_digest
 from salsanext_cli.option_fields import KnnParameters
 from salsanext_cli.parallel.job import Steps
 from salsanext_cli.results.paths import ScanFile
+from salsanext_cli.results.selection import data_set_of
 from salsanext_cli.sensors.sensor import FittedView
 from salsanext_cli.training.tuning.risk_level import FewUnits, RiskLevel, require_scans
 from salsanext_cli.training.tuning.scans import NOT_SCORED, Tuned, TuningScans
@@ -141,6 +142,7 @@ def fit_risk(scans: TuningScans, at_most: float, confidence: float | None = None
         settings=labels_depend_on(scans.settings, scans.network),
         views=tuple(map(FittedView.of, network.sensor.members)),
         population=_population(judged, unit),
+        data_set=(data_set_of(scans.files[0]) or scans.source).resolve().name,
     )
     others = _held_out(shares, sequences, units, level)
     confusion = _confusion_of_accepted(counts, bins)
