@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, ParamSpec, cast
 
 import typer
 
-from salsanext_cli.cli.interruption import end_line, interruptible
+from salsanext_cli.cli.interruption import NO_HALF_FILES, end_line, interruptible, stating
 from salsanext_cli.cli.wrong_values import usage_error
 from salsanext_cli.errors import HINT, NOTICE, SalsanextError, UsageError, escaped, printable
 from salsanext_cli.option_fields import option, option_group
@@ -151,10 +151,51 @@ def progress(label: str, quiet: bool, unit: str = "scans") -> Iterator["Progress
         yield Lines(label, unit)
 
 
+@dataclasses.dataclass(slots=True, eq=False)
+class Written:
+    """Progress of a body that writes the results of each unit, or all of them at its end."""
+
+    unit: str  # Plural, such as "scans"
+    at_end: bool
+    show: "Progress | None"  # Shows the progress, if anything does
+    done: int = 0  # Number of finished units, and of all
+    total: int = 0
+
+    def __call__(self, done: int, total: int) -> None:
+        """Note and show the number of finished units and of all."""
+        self.done, self.total = done, total
+        if self.show:
+            self.show(done, total)
+
+    def finished(self) -> str:
+        """State what is finished, in words."""
+        if self.at_end:
+            return f"nothing is finished; {NO_HALF_FILES}"
+        if not self.done:
+            return f"no {self.unit[:-1]} is finished in this run"
+        return f"{self.done} of {self.total} {self.unit} are processed; {NO_HALF_FILES}"
+
+
 @contextmanager
-def over_scans(label: str, options: "RunOptions", quiet: bool) -> Iterator["RunOptions"]:
-    """Show the progress of a run over scans, which takes the options of the context."""
-    with progress(label, quiet) as bar:
+def writing(
+    label: str, quiet: bool, unit: str = "scans", *, at_end: bool = False
+) -> Iterator["Progress"]:
+    """Show the progress of the body, and state what is finished if it is interrupted."""
+    with progress(label, quiet, unit) as bar:
+        written = Written(unit, at_end, bar)
+        with stating(written.finished):
+            yield written
+
+
+@contextmanager
+def over_scans(
+    label: str, options: "RunOptions", quiet: bool, *, at_end: bool = False
+) -> Iterator["RunOptions"]:
+    """Show the progress of a run over scans, which takes the options of the context.
+
+    `at_end`: whether it writes its results at the end, and not those of each scan.
+    """
+    with writing(label, quiet, at_end=at_end) as bar:
         yield dataclasses.replace(options, progress=bar)
 
 

@@ -6,13 +6,14 @@ from __future__ import annotations
 import os
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
 WORDS: dict[int, str] = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
-INTACT = "everything finished so far is intact"
+NO_HALF_FILES = "no file is incomplete"
 ARRIVED: list[int] = []  # Number of the first signal, if any
 BUSY: list[bool] = []  # Not empty while a command runs
+PROGRESS: list[Callable[[], str]] = []  # The last one states what is finished, in words
 REPEATED_S = 1.0  # `timeout` sends one signal twice: to a process and to its group
 
 
@@ -48,12 +49,22 @@ def handle_signals() -> None:
 def interruptible() -> Iterator[None]:
     """Raise `KeyboardInterrupt` after a body with a signal, even if a library has caught it."""
     BUSY.append(True)
+    PROGRESS.clear()
     try:
         yield
     finally:
         BUSY.clear()
         if ARRIVED:
             raise KeyboardInterrupt from None
+
+
+@contextmanager
+def stating(finished: Callable[[], str]) -> Iterator[None]:
+    """State what is finished by a function if the body is interrupted."""
+    PROGRESS.append(finished)
+    yield
+    # After an exception it stays, since the line about the interruption needs it.
+    PROGRESS.remove(finished)
 
 
 def require_uninterrupted() -> None:
@@ -65,4 +76,5 @@ def require_uninterrupted() -> None:
 def end_line() -> tuple[str, int]:
     """Return the line to print after an interruption, and the exit status."""
     number = ARRIVED[0] if ARRIVED else signal.SIGINT
-    return f"{WORDS[number]}: {INTACT}", 128 + number
+    finished = PROGRESS[-1]() if PROGRESS else NO_HALF_FILES
+    return f"{WORDS[number]}: {finished}", 128 + number

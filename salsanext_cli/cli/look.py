@@ -112,7 +112,7 @@ def report(
     from salsanext_cli.stages.report import report as stage
 
     out = _results_in(out)
-    with over_scans("report", running, output.quiet) as run:
+    with over_scans("report", running, output.quiet, at_end=True) as run:
         written = stage(
             out,
             page,
@@ -150,7 +150,7 @@ def view(
     from salsanext_cli.stages.report import view as stage
 
     out = _results_in(out)
-    with over_scans("view", running, output.quiet) as run:
+    with over_scans("view", running, output.quiet, at_end=True) as run:
         server = stage(out, port=port, query=query, options=run)
     summary.print_failures(server.failures)
     scans = f"{counted(server.scans, 'scan')}{summary.skipped_text(server.missing)}"

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from salsanext_cli.cli import arguments, console, summary
-from salsanext_cli.cli.console import over_scans, print_line, progress
+from salsanext_cli.cli.console import over_scans, print_line, writing
 from salsanext_cli.cli.expansion import Shown
 from salsanext_cli.engines.settings import with_names
 from salsanext_cli.errors import UsageError, counted, printable, with_hint
@@ -53,7 +53,7 @@ def inspect(
     named = with_names(usual, columns, intensity_field).resized(height, width)
     # The size and the normalisation are for weights that are still to be trained.
     images = height is not None or width is not None
-    with over_scans("inspect", running, output.quiet) as run:
+    with over_scans("inspect", running, output.quiet, at_end=True) as run:
         survey = stage(
             arguments.source(scans, dataset, topic),
             sensor=named,
@@ -192,7 +192,7 @@ def import_labels(
     from salsanext_cli.sensors.sensor import sensor
     from salsanext_cli.stages.import_labels import import_labels as stage
 
-    with progress("import-labels", output.quiet) as bar:
+    with writing("import-labels", output.quiet) as bar:
         made = stage(
             *(edited, dataset),
             scalar=scalar,
@@ -239,7 +239,7 @@ def synth(
     """
     from salsanext_cli.stages.synth import synthesise
 
-    with progress("synth", output.quiet, unit="sequences") as on_progress:
+    with writing("synth", output.quiet, unit="sequences") as on_progress:
         written = synthesise(
             out, **asdict(scenes), jobs=jobs, overwrite=overwrite, progress=on_progress
         )
@@ -266,7 +266,7 @@ def submit(
     """
     from salsanext_cli.stages.submit import submit as stage
 
-    with progress("submit", output.quiet, unit="files") as on_progress:
+    with writing("submit", output.quiet, unit="files", at_end=True) as on_progress:
         made = stage(
             out,
             target,

@@ -129,7 +129,7 @@ def evaluate(
     score_limits.require_classes(limits, space)
     part = part_of(folder, chosen, query.selection)
     files = chosen[: query.selection.limit]
-    with over_scans("eval", running, output.quiet) as run:
+    with over_scans("eval", running, output.quiet, at_end=True) as run:
         settings, labels = folder.provenance(query.selection), query.label_space
         evaluation = stage(
             files, out, space, run, part, by_distance=by_distance, settings=settings, labels=labels

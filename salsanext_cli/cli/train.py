@@ -4,13 +4,14 @@
 import shlex
 from collections.abc import Iterable
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from salsanext_cli.cli import arguments, console
 from salsanext_cli.cli.completion import completer
 from salsanext_cli.cli.console import progress
-from salsanext_cli.cli.interruption import require_uninterrupted
+from salsanext_cli.cli.interruption import require_uninterrupted, stating
 from salsanext_cli.engines.settings import weights_file
 from salsanext_cli.errors import counted
 from salsanext_cli.option_fields import argument, network_option, option_group
@@ -87,10 +88,12 @@ def train(
     """
     from salsanext_cli.stages.train import train as stage
     from salsanext_cli.training.distributed import group_of_environment
+    from salsanext_cli.training.run_folder import resumption
 
     if not group_of_environment().is_main:
         output = console.Output(quiet=True)
-    with progress("train", output.quiet, unit="steps") as bar:
+    resumed = partial(resumption, run)
+    with progress("train", output.quiet, unit="steps") as bar, stating(resumed):
         done = stage(
             dataset,
             run,

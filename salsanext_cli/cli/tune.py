@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from salsanext_cli.cli import arguments, console
-from salsanext_cli.cli.console import guarded, progress
+from salsanext_cli.cli.console import guarded, writing
 from salsanext_cli.cli.expansion import Default, Shown, Without, expanded
 from salsanext_cli.cli.help import Command, Group
 from salsanext_cli.engines.settings import NetworkSettings
@@ -185,7 +185,7 @@ def _tuned(
     """Fit a part of the weights; return the result as plain data."""
     from salsanext_cli.stages.tune import tune
 
-    with progress(f"tune {part}", output.quiet) as bar:
+    with writing(f"tune {part}", output.quiet, at_end=True) as bar:
         numbers |= {"selection": fit.selection, "overwrite": fit.overwrite, "progress": bar}
         tuned = tune(part, source, target, settings=fit.settings, **numbers)
     return tuned | {"weights": str(target)}

@@ -133,7 +133,8 @@ def _require_kind(name: str, typed: str, option: str) -> None:
     kind = SCORE_KINDS.get(head)
     if kind is None:
         names = [known for known, other in SCORE_KINDS.items() if other.option == option]
-        hint = did_you_mean(head, names)
+        alike = [known for known in names if bool(SCORE_KINDS[known].member) == bool(member)]
+        hint = did_you_mean(head, alike)
         raise UsageError(option, f"no score is called {name!r}", ", ".join(names), hint)
     if bool(member) != bool(kind.member):
         example = "person" if kind.member == "class" else "error"

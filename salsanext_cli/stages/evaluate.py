@@ -22,12 +22,7 @@ from salsanext_cli.measures.scan_counts import (
     SeparateCounts,
 )
 from salsanext_cli.measures.scan_summary import OTHER_SCANS, TUNE_AGAIN, guarantee_of_run
-from salsanext_cli.measures.score_limits import (
-    MissedLimit,
-    ScoreLimit,
-    missed_limits,
-    score_values,
-)
+from salsanext_cli.measures.score_limits import MissedLimit, ScoreLimit, missed_limits, score_values
 from salsanext_cli.measures.scores import Scores, band_rows, scores
 from salsanext_cli.measures.uncertainty_evaluation import UncertaintyEvaluation
 from salsanext_cli.option_fields import ScanSelection

@@ -96,6 +96,13 @@ def fold_folder(run: Path, number: int) -> Path:
     return run / FOLDS / str(number)
 
 
+def resumption(run: Path) -> str:
+    """State, in words, from where the training in a folder would resume."""
+    if any((folder / CHECKPOINT).exists() for folder in _folders(run)):
+        return "the same command resumes from the last checkpoint"
+    return "no checkpoint is written yet, so the same command starts again"
+
+
 def recorded_settings(run: Path) -> TrainingSettings | None:
     """Return the settings of the training in a folder, None without one."""
     manifest = Manifest(run)

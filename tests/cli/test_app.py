@@ -225,7 +225,7 @@ def test_an_error_has_a_line_for_its_hint_and_a_status_and_a_bug_its_traceback()
         (
             *(KeyboardInterrupt(), ["--json"], 130),
             '{"schema": 2, "error": "interrupted", "hint": "", "code": "interrupted"}\n',
-            "interrupted: everything finished so far is intact\n",
+            "interrupted: no file is incomplete\n",
         ),
     ):
         result = invoke(raising(error), *flags)

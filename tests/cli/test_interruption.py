@@ -8,8 +8,8 @@ from command_line import python
 
 SIGNALS = pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 LINES = {
-    signal.SIGINT: "interrupted: everything finished so far is intact\n",
-    signal.SIGTERM: "terminated: everything finished so far is intact\n",
+    signal.SIGINT: "interrupted: no file is incomplete\n",
+    signal.SIGTERM: "terminated: no file is incomplete\n",
 }
 COMMAND = """
 import os, signal, sys, time, typer
@@ -92,6 +92,33 @@ def test_an_ignored_signal_stays_ignored():
     ignoring = COMMAND.replace("signal.default_int_handler", "signal.SIG_IGN")
     ended = python(ignoring.replace("BODY", "os.kill(os.getpid(), 2); print('done')"))
     assert (ended.stdout, ended.stderr, ended.returncode) == ("done\n", "", 0)
+
+
+@pytest.mark.parametrize(
+    ("body", "line"),
+    [
+        ("writing('predict', True)", "no scan is finished in this run"),
+        ("writing('predict', False)", "3 of 8 scans are processed; no file is incomplete"),
+        ("writing('synth', True, 'sequences')", "3 of 8 sequences are processed; no file is in"),
+        ("writing('eval', True, at_end=True)", "nothing is finished; no file is incomplete"),
+    ],
+)
+def test_the_line_states_what_is_finished(body, line):
+    steps = "" if "no scan" in line else "bar(3, 8);"
+    work = f"""
+    from salsanext_cli.cli.console import writing
+    with {body} as bar: {steps} send(2)"""
+    ended = python(COMMAND.replace("BODY", work))
+    assert ended.stderr.startswith(f"interrupted: {line}")
+    assert ended.returncode == 130
+
+
+def test_what_was_finished_before_is_not_stated_again():
+    work = """
+    from salsanext_cli.cli.console import writing
+    with writing('predict', True) as bar: bar(3, 8)
+    send(2)"""
+    interrupted(work, signal.SIGINT)
 
 
 @SIGNALS

@@ -41,6 +41,7 @@ from salsanext_cli.training.distributed import SINGLE_PROCESS
 from salsanext_cli.training.fit import Training
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.recipe import Recipe, recipe
+from salsanext_cli.training.run_folder import resumption
 from salsanext_cli.training.setup import Setup
 from salsanext_cli.training.validation import validate
 
@@ -112,6 +113,13 @@ def test_a_run_folder_holds_weights_log_and_recipe(dataset, tmp_path):
     assert card.scores["miou"] == result.best_miou
     # A finished training has nothing left to do.
     assert go(dataset, run, progress=no_step) == result
+
+
+def test_an_interrupted_training_states_from_where_it_resumes(dataset, tmp_path):
+    run = tmp_path / "run"
+    assert "starts again" in resumption(run)
+    go(dataset, run, recipe=TINY.with_changes(epochs=1))
+    assert "resumes from the last checkpoint" in resumption(run)
 
 
 def test_a_training_at_several_widths_scores_each_and_is_for_the_first(dataset, tmp_path):
