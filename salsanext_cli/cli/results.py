@@ -67,7 +67,9 @@ class PointChoice:
         parse=partial(names_in, option="--keep", example="car,person"),
         metavar="CLASSES",
     )
-    max_error: float | None = option("Drop points whose probability of error is above this.")
+    max_error: float | None = option(
+        "Drop points whose probability of error is above this, and points without one."
+    )
 
 
 def filter_command(

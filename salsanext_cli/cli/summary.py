@@ -66,9 +66,14 @@ def _rejection_lines(outcome: Outcome, limit: float | str | None) -> Iterable[st
             reason = f"probability of error above {limit:g}"
         before = f"; {outcome.skipped} done already not counted" if outcome.skipped else ""
         yield f"{counted(rejected, 'point')}{share} rejected: {reason}{before}"
-    if outcome.accepted_points and outcome.done:
-        points, accepted = outcome.accepted_points
-        yield f"{accepted:,} of {counted(points, 'point')} remain"
+    filtered = outcome.filtered_points
+    if filtered and outcome.done:
+        without_error = ""
+        if filtered.without_error:
+            cause = "on the housing or the vehicle, not measured, or outside the image"
+            number = counted(filtered.without_error, "point")
+            without_error = f"; {number} dropped without a probability of error ({cause})"
+        yield f"{filtered.remaining:,} of {counted(filtered.points, 'point')} remain{without_error}"
 
 
 def _as_data(outcome: Outcome) -> dict[str, Any]:
@@ -86,8 +91,11 @@ def _as_data(outcome: Outcome) -> dict[str, Any]:
         data["rejected_points"] = outcome.rejected_points
         if outcome.summary:
             data["rejected_share"] = round(outcome.summary.rejected_share, 4)
-    if outcome.accepted_points:
-        data["points"], data["accepted_points"] = outcome.accepted_points
+    if filtered := outcome.filtered_points:
+        data["points"] = filtered.points
+        data["accepted_points"] = filtered.remaining
+        data["accepted_without_label"] = filtered.rejected
+        data["points_without_error"] = filtered.without_error
     if summary := outcome.summary:
         from salsanext_cli.files.json_files import plain
         from salsanext_cli.sensors.sensor import NOISE

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from salsanext_cli.errors import SalsanextError, WorkersLost, first_few, with_hint
+from salsanext_cli.measures.filtered_points import FilteredPoints
 from salsanext_cli.measures.scan_summary import RunSummary
 from salsanext_cli.parallel.job import Attempt, Task
 from salsanext_cli.parallel.pipeline import Report, opened
@@ -64,8 +65,8 @@ class Outcome:
         Summary of the scans.
     rejected_points : int, optional
         Number of points that were left unlabelled because of their uncertainty.
-    accepted_points : (int, int), optional
-        Number of points of the scans, and of points that passed a filter.
+    filtered_points : FilteredPoints, optional
+        Number of points that passed a filter.
     """
 
     skipped: int
@@ -75,7 +76,7 @@ class Outcome:
     seconds: float = 0.0
     summary: RunSummary | None = None
     rejected_points: int | None = None
-    accepted_points: tuple[int, int] | None = None
+    filtered_points: FilteredPoints | None = None
 
 
 def run_over_scans(

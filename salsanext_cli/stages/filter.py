@@ -9,17 +9,18 @@ from pathlib import Path
 
 import numpy as np
 
-from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.classes.merging import MOVABLE, named_classes
-from salsanext_cli.errors import UsageError, counted, first_few
+from salsanext_cli.errors import UsageError, counted, first_few, with_hint
 from salsanext_cli.files.reading import filled, present
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.recordings import recording_of
 from salsanext_cli.formats.subsets import subsets_of
 from salsanext_cli.geometry.projection import measured_ranges, without_ego
+from salsanext_cli.measures.filtered_points import FilteredPoints
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
-from salsanext_cli.records import Mask
+from salsanext_cli.records import Mask, Scan
 from salsanext_cli.results.layouts import SCAN_FOLDER
 from salsanext_cli.results.manifest import (
     StageRecord,
@@ -40,8 +41,6 @@ from salsanext_cli.results.recorded_origins import sensor_of_result
 from salsanext_cli.results.result_folder import ChosenResults, ResultFolder, read_kind
 from salsanext_cli.sensors.sensor import Sensor
 
-Count = tuple[str, int, int]  # Name of a scan, number of its points, and of the remaining ones
-
 log = logging.getLogger(__name__)
 
 
@@ -53,6 +52,24 @@ class FilterSettings(StageSettings):
     classes: tuple[str, ...]  # Classes whose points remain
     # Whether your own vehicle and points without a measurement go too
     measured_only: bool | None = None
+    # Whether points without a probability of error go too, which remained in earlier versions
+    with_error_only: bool | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FilteredScan:
+    """Mask (N,) of the remaining points of a scan, and their number."""
+
+    remains: Mask
+    counts: FilteredPoints
+
+
+@dataclass(frozen=True, slots=True)
+class WrittenScan:
+    """Name of a filtered scan, and the number of its points."""
+
+    name: str
+    counts: FilteredPoints
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,8 +88,8 @@ class PointFilter:
         """Return the path of the remaining points of a scan."""
         return self.owned.root / "sequences" / file.sequence / SCAN_FOLDER / file.path.name
 
-    def mask(self, file: ScanFile) -> Mask:
-        """Return the mask (N,) of the remaining points of a scan."""
+    def filtered(self, file: ScanFile) -> FilteredScan:
+        """Choose the remaining points of a scan."""
         path = output_path(self.results.root, file.sequence, "predictions", file.stem)
         if not present(path):
             raise self.results.missing_column("label", file)
@@ -82,31 +99,55 @@ class PointFilter:
         train = self.space.to_train(labels, source=path)
         remains = self.selected[train]
         if scan is not None:
-            sensor = sensor_of_result(self.results.root, file, scan, self.sensor)
-            remains &= measured_ranges(without_ego(scan, sensor).points)[1]
+            remains &= self._measured(file, scan)
+        without_error = 0
         if settings.max_error is not None:
             errors = output_path(self.results.root, file.sequence, ERROR, file.stem)
             if not present(errors):
                 raise self.results.missing_column("error", file)
-            remains &= ~(read_kind(errors, "error", len(train)) > settings.max_error)
-        return remains
+            error = read_kind(errors, "error", len(train))
+            without_error = int(np.count_nonzero(remains & np.isnan(error)))
+            remains &= error <= settings.max_error
+        rejected = int(np.count_nonzero(remains & self._rejected(file, train)))
+        remaining = int(np.count_nonzero(remains))
+        counts = FilteredPoints(len(train), remaining, rejected, without_error)
+        return FilteredScan(remains, counts)
+
+    def _measured(self, file: ScanFile, scan: Scan) -> Mask:
+        """Return the mask (N,) of the points with a measurement outside the vehicle."""
+        sensor = sensor_of_result(self.results.root, file, scan, self.sensor)
+        return measured_ranges(without_ego(scan, sensor).points)[1]
+
+    def _rejected(self, file: ScanFile, labels: TrainIds) -> Mask:
+        """Return the mask (N,) of the points whose label `predict --reject` rejected."""
+        settings = self.results.settings_of("predictions")
+        none = np.zeros(len(labels), bool)
+        if settings is None or settings.reject is None:
+            return none
+        kind = settings.reject_by or "error"
+        path = output_path(self.results.root, file.sequence, f"uncertainty/{kind}", file.stem)
+        if not present(path):
+            return none
+        uncertainty = read_kind(path, kind, len(labels))
+        return (labels == 0) & (uncertainty > np.float32(settings.reject))
 
     def is_done(self, file: ScanFile) -> bool:
         """Return whether the remaining points of a scan are written."""
         path = self.path(file)
         return filled(path) and path not in self.foreign
 
-    def write(self, file: ScanFile) -> Count:
-        """Write the points; return the name of the scan and its points before and after."""
-        mask, path = self.mask(file), self.path(file)
-        content = subsets_of(file.path, self.sensor.columns)(mask)
-        if mask.any():
+    def write(self, file: ScanFile) -> WrittenScan:
+        """Write the remaining points of a scan, if there are any."""
+        filtered = self.filtered(file)
+        path = self.path(file)
+        content = subsets_of(file.path, self.sensor.columns)(filtered.remains)
+        if filtered.counts.remaining:
             if path in self.foreign:
                 raise foreign_file(path)
             self.owned.write(path, content)
         elif present(path):
             self.owned.remove_written([path])
-        return file.name, len(mask), int(mask.sum())
+        return WrittenScan(file.name, filtered.counts)
 
 
 def filter_scans(
@@ -130,7 +171,7 @@ def filter_scans(
     drop, keep : collection of str
         Classes as of `named_classes` that are removed, or that alone remain.
     max_error : float, optional
-        Largest probability of error of the remaining points.
+        Largest probability of error of the remaining points; points without one are dropped.
     query, options
         Choice of scans, data set and classes; workers, and what to do with existing results.
 
@@ -139,7 +180,7 @@ def filter_scans(
     Outcome
     """
     task, chosen = _point_filter(out, folder, drop, keep, max_error, query)
-    counts = list[Count]()
+    written = list[WrittenScan]()
     with ExitStack() as stack:
         with task.owned.locked_records():
             _begin(task.owned, task.settings, options.overwrite)
@@ -147,12 +188,24 @@ def filter_scans(
         paths = map(task.path, chosen.scans)
         task = replace(task, foreign=frozenset(task.owned.foreign_files(paths)))
         outcome = run_over_scans(
-            task.write, chosen.scans, options, is_done=task.is_done, on_result=counts.append
+            task.write, chosen.scans, options, is_done=task.is_done, on_result=written.append
         )
-    total = sum(count for _, count, _ in counts), sum(left for *_, left in counts)
-    if empty := sorted(name for name, _, left in counts if not left):
+    total = sum((scan.counts for scan in written), FilteredPoints())
+    if empty := sorted(scan.name for scan in written if not scan.counts.remaining):
         log.warning("no point remains of %s: %s", counted(len(empty), "scan"), first_few(empty))
-    return replace(outcome, missing=chosen.missing, accepted_points=total)
+    if drop and total.rejected:
+        log.warning("%s", _words_of_rejected(total.rejected, drop, task.space))
+    return replace(outcome, missing=chosen.missing, filtered_points=total)
+
+
+def _words_of_rejected(count: int, drop: Collection[str], space: LabelSpace) -> str:
+    """Return the warning about remaining points whose label was rejected."""
+    points = (
+        "1 point remains although its" if count == 1 else f"{count:,} points remain although their"
+    )
+    names = ",".join(dict.fromkeys([*drop, space.names[0]]))
+    problem = f"{points} class is unknown: `predict --reject` rejected the label"
+    return with_hint(problem, f"to drop them too: --drop {names} --overwrite")
 
 
 def _point_filter(
@@ -183,6 +236,7 @@ def _point_filter(
         classes=tuple(np.array(space.names)[selected].tolist()),
         measured_only=MOVABLE in drop or None,
         max_error=max_error,
+        with_error_only=True if max_error is not None else None,
         label_space=space,
         origins=results.origins(PREDICTION_STAGES),
     )

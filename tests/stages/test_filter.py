@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: MIT
+import re
 import shutil
 from dataclasses import replace
 from functools import partial
@@ -10,8 +11,10 @@ from evaluated import World
 from scans import files_below, make_scan, refused, write_array, write_bin
 
 from salsanext_cli import LabelSpace, Scan, label_space, sensor, write_labels
+from salsanext_cli.cli.summary import _as_data, _rejection_lines
 from salsanext_cli.errors import NoInputError, OutputError, UsageError
 from salsanext_cli.geometry.scan_traits import traits_of
+from salsanext_cli.measures.filtered_points import FilteredPoints
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.parallel.run_options import Shard
 from salsanext_cli.results.manifest import Manifest, StageRecord
@@ -67,7 +70,8 @@ def remaining(tmp_path, stem="000000"):
 def test_classes_are_fine_coarse_or_movable(apply, tmp_path, options, expected):
     outcome = apply(**options)
     assert remaining(tmp_path) == expected
-    assert outcome.accepted_points == (11, len(expected) + 4 * ("keep" not in options))
+    counts = outcome.filtered_points
+    assert (counts.points, counts.remaining) == (11, len(expected) + 4 * ("keep" not in options))
 
 
 def test_moving_points_go_with_vehicle_housing_and_no_measurements(apply, world, tmp_path):
@@ -100,10 +104,63 @@ def test_moving_points_go_by_the_sensor_that_was_fitted_to_the_scan(apply, world
 
 
 def test_points_above_an_error_go(apply, world, tmp_path):
-    world.put("uncertainty/error", "000000", [0, 0.1, 0.2, np.nan, 1, 0, 0])
+    world.put("uncertainty/error", "000000", [0, 0.1, 0.2, 0.05, 1, 0, 0])
     outcome = apply(max_error=0.1, drop=["car"])
     assert remaining(tmp_path) == [1, 3, 5, 6]
     assert [failure.scan.stem for failure in outcome.failures] == ["000001"]
+
+
+def test_points_without_an_error_go_and_are_counted(apply, world, tmp_path):
+    """The car without an error goes because of its class."""
+    world.put("uncertainty/error", "000000", [np.nan, 0.1, np.nan, np.nan, 1, 0, np.nan])
+    world.put("uncertainty/error", "000001", [0, np.nan, 0.5, 0])
+    outcome = apply(max_error=0.1, drop=["car"])
+    assert remaining(tmp_path) == [1, 5]
+    assert remaining(tmp_path, "000001") == [0, 3]
+    assert outcome.filtered_points == FilteredPoints(11, 4, without_error=4)
+    printed = " ".join(_rejection_lines(outcome, None))
+    assert "4 of 11 points remain; 4 points dropped without" in printed
+    data = _as_data(outcome)
+    assert (data["accepted_points"], data["points_without_error"]) == (4, 4)
+
+
+def test_a_folder_that_has_points_without_an_error_is_not_continued(apply, world, tmp_path):
+    world.put("uncertainty/error", "000000", [0] * 7)
+    world.put("uncertainty/error", "000001", [0] * 4)
+    assert apply(max_error=0.1).done == 2
+    target = tmp_path / "to"
+    record = Manifest(target).record("filter")
+    earlier = {k: value for k, value in record.settings.items() if k != "with_error_only"}
+    assert earlier != record.settings
+    Manifest(target).write(replace(record, settings=earlier))
+    refused(OutputError, target / "filter.json", apply, max_error=0.1)
+
+
+@pytest.mark.parametrize("kind", ["error", "least_confidence"])
+def test_remaining_points_whose_label_was_rejected_are_counted(
+    apply, world, tmp_path, caplog, kind
+):
+    """Points 2 and 6 of the first scan were rejected; point 5 never had a label."""
+    predicted = output_path(world.out, "08", "predictions", "000000")
+    write_labels(predicted, np.uint32([CAR, TRUCK, 0, RIDER, ROAD, 0, 0]))
+    world.put(f"uncertainty/{kind}", "000000", [0, 0.1, 0.6, 0.5, 0, np.nan, 1])
+    world.put(f"uncertainty/{kind}", "000001", [0.9, 0, 0, 0])
+    settings = {"label_space": SPACE.to_dict(), "sensor": sensor("hdl64").to_dict(), "reject": 0.5}
+    if kind != "error":
+        settings["reject_by"] = kind
+    Manifest(world.out).write(StageRecord("predict", settings, ("predictions",)))
+    outcome = apply(drop=["vehicle"])
+    assert remaining(tmp_path) == [2, 3, 4, 5, 6]
+    assert outcome.filtered_points == FilteredPoints(11, 9, rejected=2)
+    assert _as_data(outcome)["accepted_without_label"] == 2
+    (hint,) = re.findall(r"--drop (\S+) --overwrite", caplog.text)
+    caplog.clear()
+    outcome = apply(drop=hint.split(","), options=RunOptions(overwrite=True))
+    assert remaining(tmp_path) == [3, 4]
+    assert outcome.filtered_points.rejected == 0
+    assert not caplog.text
+    apply(keep=["unlabeled", "road"], options=RunOptions(overwrite=True))
+    assert not caplog.text, "the points were asked for"
 
 
 def test_masks_of_an_earlier_version_are_replaced_only_if_wanted(apply, tmp_path):
