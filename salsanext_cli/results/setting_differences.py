@@ -9,28 +9,40 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import first_few, shortened
 
 OPTIONS = {
+    "aleatoric": "--aleatoric",
     "engine": "--engine",
     "knn.cutoff": "--knn-cutoff",
     "knn.k": "--knn-k",
     "knn.sigma": "--knn-sigma",
     "knn.window": "--knn-window",
+    "label_space": "--classes",
+    "max_error": "--max-error",
+    "objects": "--objects",
     "precision": "--precision",
     "reject": "--reject",
+    "samples": "--samples",
+    "seed": "--seed",
     "sensor.columns": "--columns",
+    "sensor.ego_box": "--ego",
     "sensor.intensity_field": "--intensity-field",
+    "sensor.intensity_quantiles": "--intensity",
     "sensor.min_range": "--min-range",
     "sensor.name": "--sensor",
     "sensor.width": "--width",
     "weights": "--weights",
 }
 """Option that sets a recorded setting."""
+DERIVED = ("accuracy", "guarantee", "inherited", "reject_by", "temperature", "trained_on")
+"""Settings that follow from options and weights: they are named only if nothing else differs."""
 
 
 def differences(recorded: Mapping[str, object], settings: Mapping[str, object]) -> str:
-    """Describe how recorded settings differ from others; empty if they do not."""
+    """Describe how recorded settings differ from others, options first; empty if they do not."""
     before, after = dict(_flat(recorded)), dict(_flat(settings))
     changed = sorted(k for k in before.keys() | after if before.get(k) != after.get(k))
-    return first_few([_difference(k, before.get(k), after.get(k)) for k in changed])
+    causes = [key for key in changed if key.partition(".")[0] not in DERIVED] or changed
+    ordered = sorted(causes, key=lambda key: (key not in OPTIONS, key))
+    return first_few([_difference(k, before.get(k), after.get(k)) for k in ordered])
 
 
 def _difference(key: str, before: Any, after: Any) -> str:

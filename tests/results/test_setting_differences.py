@@ -23,6 +23,25 @@ def test_a_difference_names_the_option_that_sets_it(before, after, option):
     assert differences(before, before) == ""
 
 
+def test_an_option_comes_before_what_follows_from_it():
+    """`--reject` removes the line of the estimated accuracy, whose keys come before it."""
+    accuracy = {"slope": 1.1, "offset": 0.2, "deviation": 0.03}
+    before = {"accuracy": accuracy, "temperature": 1.4, "weights_version": 5}
+    after = {"reject": 0.1, "temperature": 1.4, "weights_version": 5}
+    assert differences(before, after) == "reject was not set and is 0.1 (--reject)"
+    assert differences(after, before) == "reject was 0.1 and is not set (--reject)"
+    text = differences(before, after | {"seed": 1, "colours": ["error"], "weights_version": 6})
+    names = [part.split()[0] for part in text.split(", ")]
+    assert names[:2] == ["reject", "seed"]
+    assert "colours" in names[2]
+
+
+def test_a_difference_is_never_empty():
+    """Settings without an option still differ, although they follow from something else."""
+    assert "temperature" in differences({"temperature": 1.4}, {"temperature": 1.5})
+    assert "accuracy.slope" in differences({"accuracy": {"slope": 1.0}}, {})
+
+
 def test_a_box_is_written_as_it_is_typed():
     box = {"sensor": {"ego_box": [-2.0, -1.0, -2.0, 1.0, 1.0, 0.0]}}
     assert "no box and is -2,-1,-2,1,1,0" in differences({"sensor": {"ego_box": []}}, box)
