@@ -25,6 +25,7 @@ from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.results.layouts import SCAN_FOLDER
 from salsanext_cli.results.manifest import Manifest, ScanSource
+from salsanext_cli.results.merged_labels import are_merged, unmerged_error_hint
 from salsanext_cli.results.moved_scans import scans_in, scans_of_renamed
 from salsanext_cli.results.paths import (
     PREDICTION_STAGES,
@@ -309,7 +310,10 @@ class ResultFolder(Manifest):
             return NoInputError(file.path, "has no labels", f"the file {file.label_path}")
         made_by = UNCERTAINTY[column].made_by if column in UNCERTAINTY else PREDICT
         expected = f"the file {self._path(file, column)}"
-        return NoInputError(file.path, f"has no {column}", expected, self.command(made_by, file))
+        hint = self.command(made_by, file)
+        if column == "error" and are_merged(self.label_space(), self.weights("predictions")):
+            hint = unmerged_error_hint(self.root, self.command("{scans}", file))
+        return NoInputError(file.path, f"has no {column}", expected, hint)
 
     def command(self, template: str, *files: ScanFile) -> str:
         """Return a hint with a command that makes results in this folder, of these scans if any."""

@@ -3,6 +3,7 @@
 
 import base64
 import re
+import shlex
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -46,6 +47,26 @@ def sentence_share(result) -> str:
     """Return the share of doubtful points in the sentence of a decision."""
     (share,) = re.findall(r"([\d.]+) % of the points with a label have", result.stderr)
     return share
+
+
+@pytest.mark.parametrize(
+    "command", ["filter OUT TARGET --max-error 0.5", "picture OUT --colour error"]
+)
+def test_the_hint_about_the_error_of_merged_classes_works(
+    housed, ranged_weights, tmp_path, monkeypatch, command
+):
+    """An error of merged classes cannot be computed: it is that of another run."""
+    given = ("--weights", ranged_weights, "--engine", "torch")
+    out = tmp_path / "merged"
+    called("predict", housed.data, out, *given, "--classes", "coarse")
+    places = {"OUT": out, "TARGET": tmp_path / "target"}
+    failed = called(*(places.get(word, word) for word in command.split()), status=1)
+    (line,) = (line for line in failed.stderr.splitlines() if line.startswith("hint: "))
+    (run,) = re.findall(r"`salsanext (.*?)`", line)
+    places["OUT"] = shlex.split(line.rpartition("give ")[2])[0]
+    monkeypatch.chdir(tmp_path)
+    called(*shlex.split(run), *given)
+    called(*(places.get(word, word) for word in command.split()))
 
 
 def test_a_run_that_rejects_and_the_report_state_one_share(housed, ranged_weights, tmp_path):
