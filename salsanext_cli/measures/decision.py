@@ -204,5 +204,9 @@ def _numbers(evidence: Evidence) -> list[str]:
 
 def _warnings(evidence: Evidence, codes: list[str]) -> str:
     """Return how many scans have each code."""
+    if evidence.scans == 1:
+        return (
+            f"the scan has the {'warnings' if len(codes) > 1 else 'warning'} {' and '.join(codes)}"
+        )
     counts = [f"{evidence.warned[code]:,} with {code}" for code in codes]
     return f"of {counted(evidence.scans, 'scan')}, {', '.join(counts)}"

@@ -5,16 +5,15 @@ from dataclasses import replace
 from pathlib import Path
 
 from salsanext_cli.errors import NoInputError
-from salsanext_cli.results.paths import ScanFile, find_scans, of_sequences
+from salsanext_cli.results.paths import ScanFile, find_scans, of_sequences, scans_at_top
 
 
 def scans_in(folder: Path, sequence: str) -> list[ScanFile]:
     """Return the scans in a folder of a sequence, which may have several in some layouts."""
     try:
-        scans = find_scans(folder, unique=False)
+        scans = scans_at_top(folder)
     except NoInputError:
         return []  # They were moved.
-    scans = [scan for scan in scans if scan.path.parent == folder]
     of_sequence = [scan for scan in scans if scan.sequence == sequence]
     # Older versions named the sequences of some layouts otherwise.
     return of_sequence or [replace(scan, sequence=sequence) for scan in scans]

@@ -152,6 +152,19 @@ def find_scans(
     return scans
 
 
+def scans_at_top(folder: Path) -> list[ScanFile]:
+    """Return the scans that lie in a folder or a topic itself, sorted.
+
+    Unlike `find_scans`, it neither looks for scans below nor prints a line about them.
+    """
+    if recording_of(folder):
+        return [scan for scan in find_scans(folder, unique=False) if scan.path.parent == folder]
+    try:
+        return sorted(_scans_in(folder))
+    except OSError as error:
+        raise NoInputError(folder, reason(error), "a folder of scans") from error
+
+
 def _absolute(path: Path) -> Path:
     """Make a path absolute without following links, unless it contains ``..``."""
     # Path.resolve() fails at a link to itself, which the reader of that scan refuses.

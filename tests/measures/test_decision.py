@@ -55,6 +55,17 @@ def test_worse_numbers_never_lead_to_a_better_decision(accuracy, doubtful, class
     assert ORDER.index(verdict(worse).decision) >= ORDER.index(result.decision)
 
 
+def test_the_reason_of_one_scan_counts_no_scans():
+    one = replace(FINE, scans=1, measured=0.95)
+    assert verdict(replace(one, warned={"height": 1})).reason.endswith(
+        "the scan has the warning height"
+    )
+    both = verdict(replace(one, warned={"height": 1, "sparse": 1})).reason
+    assert both.endswith("the scan has the warnings height and sparse")
+    several = verdict(replace(one, scans=3, warned={"height": 2})).reason
+    assert several.endswith("of 3 scans, 2 with height")
+
+
 def test_coarse_classes_are_not_advised_for_coarse_labels():
     coarse = replace(FINE, class_count=8, measured=0.8)
     assert verdict(coarse).decision is Decision.LABEL_TEN

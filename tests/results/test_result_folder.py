@@ -3,11 +3,11 @@
 
 import numpy as np
 import pytest
-from scans import SMALL, make_scan, refused, write_array, write_sequence
+from scans import SMALL, make_scan, refused, write_array, write_bin, write_sequence
 from world import begin_and_end
 
 from salsanext_cli import Scan, label_space
-from salsanext_cli.errors import FormatError, LabelError, NoInputError, OutputError
+from salsanext_cli.errors import NOTICE, FormatError, LabelError, NoInputError, OutputError
 from salsanext_cli.formats.kitti import write_labels
 from salsanext_cli.formats.ply import write_ply
 from salsanext_cli.option_fields import ScanSelection
@@ -91,6 +91,19 @@ def test_refined_labels_are_of_the_scans_of_predict(world):
     assert knn_refine_scans(world.out).done == 1
     scans = find_scans(world.data, ["08"])
     assert names(ResultFolder(world.out).missing_predictions(scans)) == (["08/000000"], 1)
+
+
+def test_folders_beside_the_scan_of_a_result_are_not_named(world, tmp_path, caplog):
+    """Only the scans of the results matter, whatever else lies in their folder."""
+    scan = tmp_path / "scans/0.bin"
+    write_bin(scan, make_scan())
+    ask(world, find_scans(scan))
+    write_labels(world.out / "sequences/scans/predictions/0.label", np.zeros(1500, np.uint32))
+    write_bin(tmp_path / "scans/other/velodyne/1.bin", make_scan())
+    with caplog.at_level(NOTICE):
+        (file,) = ResultFolder(world.out).scans()
+    assert file.path == scan
+    assert caplog.messages == []
 
 
 def test_a_table_that_was_named_is_a_scan_beside_clouds(world, tmp_path):

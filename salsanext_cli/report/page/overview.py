@@ -39,7 +39,8 @@ def overview(run: RunResults, compared: Comparison | None) -> str:
 
 def _tiles(run: RunResults, compared: Comparison | None, evidence: Evidence) -> Iterator[Tile]:
     points = sum(row.points for row in run.rows)
-    yield Tile(f"{len(run.rows):,}", f"scans, {counted(points, 'point')}")
+    scans = "scan" if len(run.rows) == 1 else "scans"
+    yield Tile(f"{len(run.rows):,}", f"{scans}, {counted(points, 'point')}")
     if compared:
         yield from _score_tiles(compared)
     yield from _estimate_tiles(run, evidence.expected)
