@@ -60,6 +60,18 @@ def test_the_warnings_are_those_of_each_decision():
     assert "more than half of the scans" in SECTION
 
 
+def test_every_warning_about_a_scan_is_in_the_table_or_in_the_sentence_after_it():
+    page = PAGE.parents[1] / "reference/warnings.md"
+    known = set(re.findall(r"^\| `([a-z-]+)` \|", page.read_text("utf-8"), re.MULTILINE))
+    deciding = {code for codes in CODES.values() for code in codes}
+    (others,) = re.findall(
+        r"Other warnings do not change the decision: (.*?)\.\n", SECTION, re.DOTALL
+    )
+    named = set(re.findall(r"`([a-z-]+)`", others)) - {"fuse"}
+    assert named == known - deciding
+    assert deciding < known
+
+
 def test_the_gains_quoted_are_those_of_the_trials():
     text = " ".join(SECTION.split())
     many = GainRange(tuple(trial for trial in TRIALS if trial.before >= MANY_RIGHT))

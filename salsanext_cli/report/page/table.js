@@ -125,7 +125,7 @@ class ScanTable {
   }
 
   save() {
-    const text = `# scans tagged in a page of salsanext; for: salsanext pick SCANS to-label/ --from ${LIST_NAME}\n${this.list().join("\n")}\n`;
+    const text = `# scans tagged in a page of salsanext; for: salsanext pick SCANS tagged/ --from ${LIST_NAME}\n${this.list().join("\n")}\n`;
     const link = document.createElement("a");
     link.href = URL.createObjectURL(new Blob([text], { type: "text/plain" }));
     link.download = LIST_NAME;
