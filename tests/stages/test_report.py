@@ -2,6 +2,7 @@
 import json
 import re
 import shutil
+from datetime import datetime
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -20,6 +21,13 @@ from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.stages.report import read_run, report
 
 PERSON = 30
+DAYS = {
+    "sequences/08/predictions/000000.label": (2020, 1, 2),
+    "sequences/08/uncertainty/error/000000.npy": (2021, 3, 4),
+    "sequences/08/pictures/000000.png": (2022, 5, 6),
+    "report.html": (2022, 5, 7),
+}
+"""Files that a list of written files names, and the days of their writing."""
 TRUTH, PREDICTED = [CAR, ROAD, ROAD, MOVING_CAR], [CAR, CAR, ROAD, CAR]
 
 
@@ -68,6 +76,19 @@ def made(world, space=None, **options):
     assert result.page == world.out / "report.html"
     assert result.to_dict()["bytes"] == result.page.stat().st_size
     return result, Page(result.page)
+
+
+def test_the_date_is_that_at_which_results_were_written(world):
+    """Copies have other times; results of another program have no known date."""
+    _, page = made(world)
+    assert "results of" not in page.text
+    (listing,) = (world.out / ".salsanext.files").iterdir()
+    noon_ns = {name: int(datetime(*day, 12).timestamp() * 1e9) for name, day in DAYS.items()}
+    lines = [f"{name}\t28\t{time_ns}\n" for name, time_ns in noon_ns.items()]
+    lines.append(listing.read_text())
+    listing.write_text("".join(lines))
+    _, page = made(world)
+    assert page.text.count("results of 2021-03-04") == 1
 
 
 def test_scores_are_the_same_as_in_eval(world):

@@ -35,7 +35,8 @@ from salsanext_cli.report.page.run_results import UNCERTAIN, Comparison, RunResu
 from salsanext_cli.report.plots import PICTURES, uncertainty_pictures
 from salsanext_cli.report.tables import percent
 from salsanext_cli.results.layouts import SCAN_FOLDER
-from salsanext_cli.results.paths import PREDICTION_STAGES, find_outputs
+from salsanext_cli.results.owned_folder import OwnedFolder
+from salsanext_cli.results.paths import find_outputs
 from salsanext_cli.version import __version__
 
 PARTS = (
@@ -65,6 +66,7 @@ LIVE_WORDS = {
 OUTCOME_COLOURS = {"not judged": NOT_JUDGED, "right": (125, 133, 145), "wrong": WRONG}
 """Colours of points by outcome, which differ more than those of pictures."""
 DARKEST_STEP = 48  # First step, of 255, of the colour map: lower ones are hard to see
+DATED = (("predictions",), ("uncertainty",))  # Folders, in those of sequences, that date a page
 LONG_FACT = 120  # Longer settings are folded after their first sentence
 
 
@@ -168,10 +170,19 @@ def _source(run: RunResults) -> str:
 
 
 def _day_of_results(out: Path) -> str:
-    """Return the day when the last record of results was written; empty without records."""
-    records = [out / f"{stage}.json" for stage in PREDICTION_STAGES]
-    times = [path.stat().st_mtime for path in records if path.exists()]
-    return datetime.fromtimestamp(max(times), UTC).date().isoformat() if times else ""
+    """Return the day when the last result was written, by the list of written files.
+
+    Empty without such a list. A copy of a folder has the list; its files may have other times.
+    """
+    times_ns = [
+        time_ns
+        for path, states in OwnedFolder(out).states().items()
+        if path.relative_to(out).parts[2:3] in DATED
+        for _, time_ns in states
+    ]
+    if not times_ns:
+        return ""
+    return datetime.fromtimestamp(max(times_ns) / 1e9, UTC).astimezone().date().isoformat()
 
 
 def _fact(name: str, fact: str) -> str:
