@@ -3,15 +3,18 @@
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from salsanext_cli.cli import arguments, console, summary
 from salsanext_cli.cli.console import over_scans, print_line, writing
 from salsanext_cli.cli.expansion import Shown
-from salsanext_cli.engines.settings import with_names
+from salsanext_cli.engines.settings import AUTO, with_names
 from salsanext_cli.errors import UsageError, counted, printable, with_hint
 from salsanext_cli.option_fields import ScanSelection, argument, option, option_group
 from salsanext_cli.results.query import named_label_space
+
+if TYPE_CHECKING:
+    from salsanext_cli.sensors.sensor import Sensor
 
 PICKED = 10  # Number of scans that `pick` picks by default
 
@@ -42,15 +45,14 @@ def inspect(
     Example: salsanext inspect my/scans
     """
     from salsanext_cli.fitting.field_of_view import view_text
-    from salsanext_cli.network.card import default_weights, read_card
     from salsanext_cli.report.tables import survey_tables
-    from salsanext_cli.sensors.sensor import sensor as find_sensor
+    from salsanext_cli.sensors.stated_fields import stated_fields
     from salsanext_cli.stages.inspect import inspect as stage
     from salsanext_cli.stages.inspect import write_sensor
 
-    as_predict = sensor is None and fit is None
-    usual = read_card(default_weights()).sensor if as_predict else find_sensor(sensor or "hdl64")
-    named = with_names(usual, columns, intensity_field).resized(height, width)
+    sensor = None if sensor == AUTO else sensor
+    start = _start_of_fit(sensor, is_written=fit is not None)
+    named = with_names(start, columns, intensity_field).resized(height, width)
     # The size and the normalisation are for weights that are still to be trained.
     images = height is not None or width is not None
     with over_scans("inspect", running, output.quiet, at_end=True) as run:
@@ -62,7 +64,8 @@ def inspect(
             options=run,
             fit=fit is not None,
             images=images,
-            as_predict=as_predict,
+            as_predict=fit is None and _is_fitted(sensor),
+            fit_mounting=not stated_fields(sensor or AUTO).mounting,
         )
     if fit is not None:
         fitted = survey.fitted_sensor(fit.stem, images=images)
@@ -72,6 +75,27 @@ def inspect(
     output.result(survey.to_dict(), tables)
     summary.print_failures(survey.failures)
     summary.leave(survey.failures, failed=strict and bool(survey.warnings))
+
+
+def _start_of_fit(named: str | None, *, is_written: bool) -> "Sensor":
+    """Return the sensor that `inspect` takes or fits: that of the weights unless it is named.
+
+    `is_written`: whether it is for a sensor file, which begins with the HDL-64.
+    """
+    from salsanext_cli.network.card import default_weights, read_card
+    from salsanext_cli.sensors.sensor import presets, sensor
+
+    if named is None and not is_written:
+        return read_card(default_weights()).sensor
+    return sensor(named or "hdl64", presets()["hdl64"])
+
+
+def _is_fitted(named: str | None) -> bool:
+    """Return whether `inspect` fits the field of view: of no sensor, or of a file without one."""
+    from salsanext_cli.sensors.sensor import presets
+    from salsanext_cli.sensors.stated_fields import stated_fields
+
+    return named is None or (named not in presets() and not stated_fields(named).view)
 
 
 def convert(

@@ -47,7 +47,13 @@ def project(
     sensor = settings.named_sensor() or settings.trained_sensor()
     with over_scans("project", running, output.quiet) as run:
         outcome = project_scans(
-            source, out, sensor=sensor, fit=settings.fits_view, selection=selection, options=run
+            source,
+            out,
+            sensor=sensor,
+            fit=settings.fits_view,
+            fit_mounting=settings.fits_mounting,
+            selection=selection,
+            options=run,
         )
     named = None if settings.sensor == AUTO else settings.sensor
     given = {"--weights": settings.weights, "--sensor": named}

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from salsanext_cli.classes.label_space import LabelSpace
     from salsanext_cli.engines.network import Network
     from salsanext_cli.sensors.sensor import Sensor
+    from salsanext_cli.sensors.stated_fields import StatedFields
 
 AUTO = "auto"
 MIN_WIDTH = 16  # Columns; a fourth downsampling of the network leaves one
@@ -83,7 +84,7 @@ class NetworkSettings:
         default=AUTO,
         typed=Literal["auto", "match", "raw", "none"],
     )
-    # Whether to fit field of view and mounting to the scans; None: unless `sensor` defines them
+    # Whether to fit field of view and mounting to the scans; None: what `sensor` does not state
     fit: bool | None = None
     sha256: str | None = None  # Of the weights file when the run began; other files are refused
     classes: "LabelSpace | None" = None  # As `load_network` takes them
@@ -96,9 +97,22 @@ class NetworkSettings:
     @property
     def fits_view(self) -> bool:
         """Whether to fit the field of view to the scans."""
-        from salsanext_cli.sensors.sensor import presets
+        return not self._stated.view if self.fit is None else self.fit
 
-        return self.sensor in (None, AUTO, *presets()) if self.fit is None else self.fit
+    @property
+    def fits_mounting(self) -> bool:
+        """Whether to fit the direction up and the position of the sensor to the scans."""
+        return self.fits_view and (self.fit is not None or not self._stated.mounting)
+
+    @property
+    def _stated(self) -> "StatedFields":
+        """What the requested sensor states, so that no fit changes it."""
+        from salsanext_cli.sensors.stated_fields import StatedFields, stated_fields
+
+        named = self.sensor or AUTO
+        if isinstance(named, str):
+            return stated_fields(named)
+        return StatedFields(view=True, mounting=True)
 
     def trained_sensor(self) -> "Sensor":
         """Return the sensor that the weights were trained with."""

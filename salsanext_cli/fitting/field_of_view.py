@@ -107,14 +107,27 @@ EDGE_DEG, BEYOND_DEG = 60.0, 5.0
 MIN_VIEW_POINTS = 1000
 
 
-def fit_view(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
+def fit_view(scans: Sequence[Scan], sensor: Sensor, *, mounting: bool = True) -> Sensor:
     """Return the sensor of weights, fitted to scans that differ much from it.
 
     `fit_mounting` and `fit_ego` fit the mounting and the vehicle. The field of view changes if more
     than `MAX_SHARE_OUTSIDE` of all points lie outside. Size and normalisation of the range images
     stay.
+
+    Parameters
+    ----------
+    scans : sequence of Scan
+        Some scans of the sensor.
+    sensor : Sensor
+        Sensor of weights, or one of which only the field of view is unknown.
+    mounting : bool
+        Whether to fit the mounting too; else that of the sensor and its name stay.
+
+    Returns
+    -------
+    Sensor
     """
-    sensor = fit_ego(scans, fit_mounting(scans, sensor))
+    sensor = fit_ego(scans, fit_mounting(scans, sensor) if mounting else sensor)
     sines = np.concatenate([np.empty(0), *(_sines(scan, sensor) for scan in scans)])
     if share_outside(sines, sensor) <= MAX_SHARE_OUTSIDE or len(sines) < MIN_VIEW_POINTS:
         return sensor
@@ -123,7 +136,8 @@ def fit_view(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
     beyond = max(upper, -lower) > EDGE_DEG or max(lower, -upper) > BEYOND_DEG
     if beyond or upper - lower < MIN_VIEW_DEG:
         return sensor
-    return replace(sensor, name=FITTED_NAME, fov_up=round(upper, 2), fov_down=round(lower, 2))
+    name = FITTED_NAME if mounting else sensor.name
+    return replace(sensor, name=name, fov_up=round(upper, 2), fov_down=round(lower, 2))
 
 
 def _sines(scan: Scan, sensor: Sensor) -> Double:

@@ -20,7 +20,7 @@ from salsanext_cli.geometry.ground import (
 from salsanext_cli.geometry.projection import few_points, in_sensor_frame, upright_rotation
 from salsanext_cli.geometry.sensor_place import SensorPlace, find_place, origin_in_file
 from salsanext_cli.records import Scan
-from salsanext_cli.sensors.sensor import FITTED_NAME, ORIGIN, Sensor
+from salsanext_cli.sensors.sensor import FITTED_NAME, ORIGIN, UP, Sensor
 
 MIN_SHARE_OF_GROUND = 0.15  # Least share of near points on a ground that is not doubted
 HINT_DIGITS = 2  # Digits of an origin in a hint, in metres
@@ -110,13 +110,16 @@ def _may_be_upside_down(sample: Scan, ground: Ground | None) -> bool:
 def _elsewhere(place: SensorPlace, sensor: Sensor) -> PlaceProblem:
     """Return the problem of a sensor whose place in its supposed frame is known."""
     origin = origin_in_file(place.position, sensor, HINT_DIGITS)
-    remedy = f"origin = {list(origin)}"
     rotation = upright_rotation(np.asarray(sensor.up))
     up = (rotation.T @ place.up).round(HINT_DIGITS) + 0.0
-    if place.up[UPWARDS] < 0:
-        remedy = f"up = {up.tolist()} and {remedy}"
+    there = replace(sensor, origin=origin, up=tuple(up.tolist()))
     x, y, z = place.position
     side = ", upside down" if place.up[UPWARDS] < 0 else ""
     problem = f"the points are seen from ({x:.1f}, {y:.1f}, {z:.1f}) m{side}, not from the origin"
-    there = replace(sensor, origin=origin, up=tuple(up.tolist()))
-    return PlaceProblem(problem, remedy, there)
+    return PlaceProblem(problem, lines_of_place(there), there)
+
+
+def lines_of_place(sensor: Sensor) -> str:
+    """Return the lines of a sensor file that state the mounting of a sensor."""
+    origin = f"`origin = {list(sensor.origin)}`"
+    return origin if sensor.up == UP else f"`up = {list(sensor.up)}` and {origin}"

@@ -21,6 +21,7 @@ from salsanext_cli.fitting.place_checks import (
     HINT_DIGITS,
     MIN_SHARE_OF_GROUND,
     PlaceProblem,
+    lines_of_place,
     place_problem,
     shows_beams,
 )
@@ -80,7 +81,9 @@ ALONE = f"expect wrong labels; if the other scans are of another sensor or mount
 IN_MAP = "expect wrong labels: correct its pose, or `salsanext predict` this scan alone"
 COLUMNS = "name the columns of files without names: --columns x,y,z,intensity"
 TRAIN = "expect worse labels, or `salsanext train` weights on such scans"
-SET_ORIGIN = "expect worse labels, or write the position of the sensor as `origin` in a sensor file"
+SET_ORIGIN = (
+    "expect worse labels, or write the position of the sensor as `origin` into a file for --sensor"
+)
 
 
 def check_image(channels: Float, sensor: Sensor, trained: Sensor) -> ScanCheck:
@@ -263,8 +266,9 @@ def _ground_findings(ground: Ground | None, sensor: Sensor, fit: str) -> Iterato
 def _raised(ground: Ground, sensor: Sensor) -> str:
     """Return the hint to place a sensor at the usual height above its ground."""
     position = np.array([0, 0, USUAL_HEIGHT_M - ground.height])
-    origin = list(origin_in_file(position, sensor, HINT_DIGITS))
-    return f"{SET_ORIGIN}, such as {origin} for {USUAL_HEIGHT_M:g} m above the ground"
+    raised = replace(sensor, origin=origin_in_file(position, sensor, HINT_DIGITS))
+    place = f"{lines_of_place(raised)} ({USUAL_HEIGHT_M:g} m above the ground)"
+    return f"expect worse labels, or write {place} into a file for --sensor"
 
 
 def _place_findings(misplaced: PlaceProblem | None, sensor: Sensor, fit: str) -> Iterator[Finding]:

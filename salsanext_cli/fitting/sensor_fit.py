@@ -13,7 +13,7 @@ from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE, UsageError, counted
 from salsanext_cli.files.json_files import as_json
-from salsanext_cli.fitting.field_of_view import fit_ego, fit_view, view_text
+from salsanext_cli.fitting.field_of_view import MIN_SCANS, fit_ego, fit_view, view_text
 from salsanext_cli.fitting.scan_sample import OriginsOf, Scans, ScanSample
 from salsanext_cli.fitting.sensor_groups import SensorGroup, sensor_groups
 from salsanext_cli.geometry.network_input import (
@@ -26,7 +26,7 @@ from salsanext_cli.geometry.network_input import (
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.results.manifest import Manifest, StageSettings
 from salsanext_cli.results.paths import ScanFile, find_scans
-from salsanext_cli.sensors.sensor import FittedView, Sensor
+from salsanext_cli.sensors.sensor import FIELD_OF_VIEW, FittedView, Sensor
 
 log = logging.getLogger(__name__)
 
@@ -134,7 +134,7 @@ def _fit_of_network(
     """Return the sensor of a network, fitted to the view and then to the images of scans."""
     sensor = network.sensor
     if sample.image_of is None:
-        fit = partial(_fitted_view, view=settings.fits_view)
+        fit = partial(_fitted_view, view=settings.fits_view, mounting=settings.fits_mounting)
         sensor = _by_sensor(fit, sample, sensor, earlier)
     elif sensor.others:
         _announce_members(sample, sensor)
@@ -242,31 +242,46 @@ def _joined(members: Sequence[Sensor]) -> Sensor:
 
 
 def fitted_view(
-    scans: Scans, sensor: Sensor, earlier: Sensor | None = None, *, view: bool = True
+    scans: Scans,
+    sensor: Sensor,
+    earlier: Sensor | None = None,
+    *,
+    view: bool = True,
+    mounting: bool = True,
 ) -> Sensor:
     """Return the sensor fitted to a sample of scans by `fit_view`, and log the fit.
 
-    Without `view`, `fit_ego` fits it. The fit for `earlier` results in the same folder stays.
+    Without `view`, `fit_ego` fits it; without `mounting`, that of the sensor stays. The fit for
+    `earlier` results in the same folder stays.
     """
-    fit = partial(_fitted_view, view=view)
+    fit = partial(_fitted_view, view=view, mounting=mounting)
     return _joined(_by_sensor(fit, ScanSample(scans, sensor), sensor, earlier).members)
 
 
 def _fitted_view(
-    sample: ScanSample, sensor: Sensor, earlier: Sensor | None, *, view: bool
+    sample: ScanSample, sensor: Sensor, earlier: Sensor | None, *, view: bool, mounting: bool
 ) -> Sensor:
     """Do what `fitted_view` does for the scans of one sensor."""
     unknown = [name for name in EGO if getattr(sensor, name) is None]
     if not (view or unknown):
         return sensor
     if earlier is not None:
-        of_view = [*(field.name for field in fields(FittedView)), "registered"]
+        of_view: tuple[str, ...] = FIELD_OF_VIEW
+        if mounting:
+            of_view = (*(field.name for field in fields(FittedView)), "registered")
         names = [*(of_view if view else ()), *unknown]
         return replace(sensor, **{name: getattr(earlier, name) for name in names})
-    fitted = fit_view(sample.scans, sensor) if view else fit_ego(sample.scans, sensor)
+    scans = sample.scans
+    fitted = fit_view(scans, sensor, mounting=mounting) if view else fit_ego(scans, sensor)
     if replace(fitted, **{name: getattr(sensor, name) for name in EGO}) != sensor:
-        count = counted(len(sample.scans), "scan")
+        count = counted(len(scans), "scan")
         log.log(NOTICE, "sensor fitted to %s: %s", count, view_text(fitted))
+    if sensor.ego_box is None and 0 < len(scans) < MIN_SCANS and not fitted.registered:
+        count = counted(len(scans), "scan")
+        text = (
+            "own vehicle not searched for in %s: that needs %d of one drive, or --ego with its box"
+        )
+        log.log(NOTICE, text, count, MIN_SCANS)
     return fitted
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
 import tomllib
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import MISSING, asdict, dataclass, fields, replace
@@ -34,6 +35,7 @@ SEMANTIC_KITTI_STDS = (12.32, 11.47, 6.91, 0.86, 0.16)
 NO_VIEW = ("name", *NOISE, "intensity_quantiles", "row_gaps", "traits")
 OF_IMAGES = ("height", "width", "means", "stds")
 """Size and normalisation of range images, which belong to a network."""
+FIELD_OF_VIEW = ("fov_up", "fov_down")
 OF_DEVICE = ("name", "intensity_scale", *NOISE)  # Fields of a built-in sensor for any images
 UP = (0.0, 0.0, 1.0)  # Direction of the z axis, away from the ground
 ORIGIN = (0.0, 0.0, 0.0)
@@ -163,6 +165,10 @@ class Sensor:
         refuse_unknown(data, cls, source)
         if missing := [f.name for f in fields(cls) if f.default is MISSING and f.name not in data]:
             hint = "estimate them with `salsanext inspect SCANS --fit FILE.toml`"
+            if isinstance(source, Path) and data.keys().isdisjoint(FIELD_OF_VIEW):
+                file = shlex.quote(str(source))
+                command = f"salsanext inspect SCANS --sensor {file} --fit NEW.toml"
+                hint = f"run `{command}`, then use NEW.toml"
             expected = "a sensor with fov_up, fov_down, height, width"
             raise UsageError(source, f"lacks {', '.join(missing)}", expected, hint)
         values: dict[str, Any] = {
@@ -289,7 +295,8 @@ def sensor(name_or_file: str | Path, base: Sensor | None = None) -> Sensor:
     name_or_file : str or Path
         Name of a preset, or TOML file with the keys of a sensor.
     base : Sensor, optional
-        Sensor whose size and normalisation are the defaults of a file; that of the HDL-64 if None.
+        Sensor whose size and normalisation are the defaults of a file, and also its field of view
+        and noise if the file states no edge; None for the size and normalisation of the HDL-64.
 
     Returns
     -------
@@ -305,5 +312,7 @@ def sensor(name_or_file: str | Path, base: Sensor | None = None) -> Sensor:
     path = Path(name_or_file)
     data = read_toml(path, "sensor", presets() if base is None else ("auto", *presets()))
     known = (base or presets()["hdl64"]).to_dict()
-    images = {key: known[key] for key in OF_IMAGES}
-    return Sensor.from_dict({"name": path.stem, **images, **data}, path)
+    defaults = {key: known[key] for key in OF_IMAGES}
+    if base is not None and data.keys().isdisjoint(FIELD_OF_VIEW):
+        defaults |= {key: known[key] for key in (*FIELD_OF_VIEW, *NOISE) if key in known}
+    return Sensor.from_dict({"name": path.stem, **defaults, **data}, path)

@@ -79,6 +79,7 @@ def inspect(
     fit: bool = False,
     images: bool = True,
     as_predict: bool = False,
+    fit_mounting: bool = True,
 ) -> Inspection:
     """Survey and check scans, and fit a sensor to them.
 
@@ -99,6 +100,8 @@ def inspect(
         normalised by the scans.
     as_predict : bool
         Whether to judge scans by the sensor that `predict` fits to them, or by several.
+    fit_mounting : bool
+        Whether a fit estimates the mounting too; else that of the sensor stays.
 
     Returns
     -------
@@ -112,21 +115,29 @@ def inspect(
     scans, files = select_scans(source, selection, space), find_scans(source)
     hint = ALONE if fit else FIT
     if fit:
-        usual = read_card(default_weights()).sensor
-        plain = replace(sensor, fov_up=usual.fov_up, fov_down=usual.fov_down)
-        sensor = fitted_view(files, plain)
-        if sensor.others:
-            problem = f"has scans of {len(sensor.members)} sensors"
-            raise NoInputError(source, problem, "scans of one sensor", APART)
+        sensor = _fitted_sensor(source, files, sensor, mounting=fit_mounting)
         # This pass fits the field of view that scans are checked against.
         if images and (first := _inspect(scans, sensor, space, options)).total.pixels:
             sensor = _with_field_of_view(sensor, first.total)
     elif as_predict:
-        sensor = fitted_view(files, sensor)
+        sensor = fitted_view(files, sensor, mounting=fit_mounting)
         hint = ALONE
     elif len(sensor_groups(ScanSample(files, sensor).scans, sensor)) > 1:
         hint = APART
     return _inspect(scans, sensor, space, options, hint)
+
+
+def _fitted_sensor(
+    source: Path, files: list[ScanFile], sensor: Sensor, *, mounting: bool
+) -> Sensor:
+    """Return the sensor fitted to scans as `predict` does; refuse scans of several sensors."""
+    usual = read_card(default_weights()).sensor
+    plain = replace(sensor, fov_up=usual.fov_up, fov_down=usual.fov_down)
+    fitted = fitted_view(files, plain, mounting=mounting)
+    if fitted.others:
+        problem = f"has scans of {len(fitted.members)} sensors"
+        raise NoInputError(source, problem, "scans of one sensor", APART)
+    return fitted
 
 
 def _inspect(

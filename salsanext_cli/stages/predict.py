@@ -341,7 +341,9 @@ def predict_range_images(
     """
     network = settings.load()
     projected = projected_sensor(folder)
-    fitted = fitted_view([], network.sensor, projected, view=settings.fits_view)
+    fitted = fitted_view(
+        [], network.sensor, projected, view=settings.fits_view, mounting=settings.fits_mounting
+    )
     network = network.for_sensor(sensor_of_images(folder, projected, fitted))
     listed = with_outputs(ResultFolder(folder).scans(), folder, "range")
     scans = choose(listed, selection, space_of(listed, network.card.space), folder)

@@ -60,6 +60,7 @@ def project_scans(
     *,
     sensor: Sensor,
     fit: bool = False,
+    fit_mounting: bool = True,
     selection: ScanSelection = ScanSelection(),
     options: RunOptions = RunOptions(),
 ) -> Outcome:
@@ -75,6 +76,8 @@ def project_scans(
         Sensor of the range images.
     fit : bool
         Whether to fit the field of view and the mounting to the scans.
+    fit_mounting : bool
+        Whether to fit the mounting with the field of view; else that of the sensor stays.
     selection, options
         Choice of scans; workers, and what to do with existing results.
 
@@ -85,7 +88,8 @@ def project_scans(
     listed = with_recorded_names(scans_of(source), out)
     scans = choose(listed, selection, space_of(listed), source)
     recorded = None if options.overwrite else Manifest(out).settings("project")
-    sensor = fitted_view(listed, sensor, recorded.sensor if recorded else None, view=fit)
+    earlier = recorded.sensor if recorded else None
+    sensor = fitted_view(listed, sensor, earlier, view=fit, mounting=fit_mounting)
     settings = StageSettings(sensor=sensor)
     summary = RunSummary(sensor, scans=scans)
     folders = (*FOLDERS, *folders_of_origins(out, "project", sensor))

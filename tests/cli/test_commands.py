@@ -111,6 +111,7 @@ def test_messages_go_to_stderr(predict, weights, tmp_path):
     assert first.stdout == ""
     lines = [re.sub(r"[\d.]+ m?s\b", "T", line) for line in first.stderr.splitlines()]
     lines = [line for line in lines if not line.startswith(("warning", "hint"))]
+    assert lines.pop(0).startswith("own vehicle not searched for in 2 scans: ")
     assert lines[1] == f"predict: 2 scans in T, T per scan → {out}"
     assert lines[2].startswith("image: 16×128, ")
     assert re.fullmatch(r"largest classes: (\S+ \d+\.\d %(, |$)){5}", lines[3])

@@ -111,7 +111,7 @@ def test_an_odd_scan_of_a_run_needs_a_separate_run(of, degrees):
 def test_an_origin_in_a_sensor_file_corrects_the_height():
     odd = moved(shift=(0, 0, 1.2))
     found = fit_view([odd], TRAINED)
-    assert "`origin`" in hints(odd, found)["height"]
+    assert "`origin = [" in hints(odd, found)["height"]
     assert "height" not in codes(odd, replace(found, origin=(0.0, 0.0, 1.2)))
     image, expected = project(odd, replace(SMALL, origin=(0.0, 0.0, 1.2))), project(STREET, SMALL)
     assert (image.pixel_of_point == expected.pixel_of_point).mean() > 0.99

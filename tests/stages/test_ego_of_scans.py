@@ -45,6 +45,22 @@ def test_the_housing_is_unlabelled_with_a_note(housed):
     assert "nearer than 1 m" in result.stderr
 
 
+@pytest.mark.parametrize(
+    ("count", "options", "is_said"), [(4, "", True), (5, "", False), (4, "--ego none", False)]
+)
+def test_a_search_for_the_vehicle_that_needs_more_scans_is_said(
+    housed, tmp_path, count, options, is_said
+):
+    scan = next(housed.data.rglob("*.bin"))
+    for number in range(count):
+        (tmp_path / "few").mkdir(exist_ok=True)
+        shutil.copy(scan, tmp_path / f"few/{number}.bin")
+    result = typed(housed, f"predict '{tmp_path / 'few'}' OUT {options}")
+    said = [line for line in result.stderr.splitlines() if "not searched for" in line]
+    assert len(said) == is_said
+    assert all(f"in {count} scans" in line and "--ego" in line for line in said)
+
+
 def test_a_sensor_file_keeps_its_minimum_range(housed, tmp_path):
     (tmp_path / "own.toml").write_text(replace(SMALL, min_range=0.1).to_toml())
     result = typed(housed, f"predict DATA OUT --sensor '{tmp_path / 'own.toml'}'")
