@@ -14,6 +14,7 @@ import torch
 
 from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.engines.loading import network_of_module
+from salsanext_cli.engines.memory import memory_of
 from salsanext_cli.errors import NOTICE, UsageError, counted
 from salsanext_cli.fitting.label_scan import prepared_for
 from salsanext_cli.labelling.label_records import require_labels
@@ -29,6 +30,7 @@ from salsanext_cli.stages.synth import SynthSettings, synthesise
 from salsanext_cli.synthesis.lidar import RIGS
 from salsanext_cli.training.cross_validation import Expectation
 from salsanext_cli.training.data.class_counts import ClassCounts, class_counts
+from salsanext_cli.training.data.dataset import SamplingPlan
 from salsanext_cli.training.data.sources import (
     Source,
     further_source,
@@ -55,6 +57,7 @@ from salsanext_cli.training.run_folder import (
     training_settings,
 )
 from salsanext_cli.training.setup import Setup, inheriting, initial_network
+from salsanext_cli.training.step_memory import StepMemory
 from salsanext_cli.training.tuning.int8 import int8_inputs
 
 MAX_LOADERS = 8  # Largest default number of processes that prepare samples for a GPU
@@ -113,7 +116,8 @@ class NewTraining:
         record_start(run, settings, overwrite=self.overwrite)
         random = "random weights (--weights default: those of the package)"
         if not (run / CHECKPOINT).exists():
-            log.log(NOTICE, "training from %s", self.start.name if self.start else random)
+            begun = self.start.name if self.start else random
+            log.log(NOTICE, "training from %s; the first step begins", begun)
         return [replace(scored, files=validated), *sources], counts
 
     def setup(
@@ -128,6 +132,8 @@ class NewTraining:
         """Return the setup of the training, and the scans for validation."""
         recipe, start, divisible = self.recipe, self.start, self.recipe.folds > 0
         dataset, *also = self.roots
+        if group.is_main:
+            log.log(NOTICE, "device: %s; processes that prepare samples: %d", device, self.jobs)
         classes, training, validation = group.on_main(
             lambda: scans_to_train_on(dataset, space, divisible=divisible)
         )
@@ -135,6 +141,9 @@ class NewTraining:
             known = None if self.overwrite else group.on_main(partial(recorded_precision, self.run))
             recipe = replace(recipe, precision=known or common_precision(device, group))
         initial, card = initial_network(start, classes, recipe, sensor)
+        if group.is_main:
+            _announce_images(recipe, card.sensor, len(training), len(validation))
+        _require_memory(recipe, card.sensor, group, device)
         further = group.on_main(lambda: [further_source(p, classes, card.sensor) for p in also])
         given = [Source(files, classes, card.sensor) for files in (training, validation)] + further
         settings = training_settings(recipe, given, start)
@@ -242,6 +251,28 @@ def _workers(jobs: int | None, kind: str) -> int:
     workers_here = int(os.environ.get("LOCAL_WORLD_SIZE", 1))
     usual = 1 if kind == "cpu" else max(1, min(MAX_LOADERS, cores() // workers_here))
     return usual if jobs is None else worker_count(jobs)
+
+
+def _announce_images(recipe: Recipe, seen: Sensor, training: int, validation: int) -> None:
+    """Log the numbers of scans, and the images and steps of an epoch."""
+    steps = SamplingPlan([training], recipe).steps_per_epoch
+    columns = recipe.crop_width or seen.width
+    scans = f"{counted(training, 'scan')} for training, {validation:,} for validation"
+    images = (
+        f"{steps * recipe.batch:,} images of {seen.height}×{columns} in {counted(steps, 'step')}"
+    )
+    log.log(NOTICE, "%s; an epoch has %s", scans, images)
+
+
+def _require_memory(
+    recipe: Recipe, seen: Sensor, group: ProcessGroup, device: torch.device
+) -> None:
+    """Refuse or warn of a step that needs more memory than the device has."""
+    sharing = int(os.environ.get("LOCAL_WORLD_SIZE", 1)) if device.type == "cpu" else 1
+    step = StepMemory.of(recipe, seen, device.type, group.size, sharing)
+    memory = memory_of(str(device))
+    if step and memory:
+        group.on_main(partial(step.require_fits, memory))
 
 
 def _require_batch(samples: int, group: ProcessGroup) -> None:

@@ -16,6 +16,7 @@ from shallow import SHALLOW
 from tiny_network import TinyNetwork
 
 from salsanext_cli import LabelSpace, label_space, load_network, project, read_scan, write_labels
+from salsanext_cli.engines.memory import Memory
 from salsanext_cli.errors import (
     NOTICE,
     LabelError,
@@ -113,6 +114,27 @@ def test_a_run_folder_holds_weights_log_and_recipe(dataset, tmp_path):
     assert card.scores["miou"] == result.best_miou
     # A finished training has nothing left to do.
     assert go(dataset, run, progress=no_step) == result
+
+
+def test_the_beginning_states_device_scans_and_images(dataset, tmp_path, caplog):
+    caplog.set_level(NOTICE)
+    go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1))
+    lines = [text for text in caplog.messages if not text.startswith("field of view")]
+    assert lines[0].startswith("device: cpu")
+    assert "3 scans for training, 2 for validation; an epoch has 4 images of 16×32" in lines[1]
+    assert lines[2].startswith("reading 5 scans")
+    assert lines[3].endswith("the first step begins")
+
+
+def test_a_step_that_needs_more_than_the_machine_has_is_refused(dataset, tmp_path, monkeypatch):
+    memory = Memory(12 * 10**6, 12 * 10**6)
+    monkeypatch.setattr("salsanext_cli.stages.train.memory_of", lambda device: memory)
+    run = tmp_path / "run"
+    error = refused(TrainingError, "memory", dataset, run)
+    assert error.hint.startswith("use --set accumulate=2 ")
+    assert not (run / "train.json").exists()
+    fitting = TINY.with_changes(accumulate=2, epochs=1)
+    go(dataset, run, recipe=fitting)
 
 
 def test_an_interrupted_training_states_from_where_it_resumes(dataset, tmp_path):
@@ -352,7 +374,7 @@ def test_training_starts_from_given_weights(dataset, tmp_path, caplog):
     save_weights(weights, TinyNetwork(), other)
     caplog.set_level(NOTICE)
     renewed = go(dataset, tmp_path / "other", recipe=still, weights=weights, sensor=None)
-    assert caplog.messages[0] == "weights of 19 of 20 classes reused; at random: car"
+    assert "weights of 19 of 20 classes reused; at random: car" in caplog.messages
     old, new = (load_file(path)["logits.weight"] for path in (weights, renewed.last))
     others = [index for index, name in enumerate(space.names) if name != "car"]
     torch.testing.assert_close(new[others], old[others])

@@ -3,7 +3,9 @@
 
 import hashlib
 import json
-from collections.abc import Sequence
+import logging
+import time
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
@@ -15,7 +17,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from salsanext_cli.errors import TrainingError, counted
+from salsanext_cli.errors import NOTICE, TrainingError, counted
 from salsanext_cli.files.json_files import MALFORMED, decoded, encode_json, read_json
 from salsanext_cli.files.reading import identity
 from salsanext_cli.fitting.scan_checks import check_scan
@@ -29,7 +31,12 @@ from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.training.data.sources import Source, read_labelled
 
 Counts = npt.NDArray[np.int64]
+Counted = tuple[Counts, ScanSummary, str]
+"""Points of a scan by class, the result of its checks, and its digest."""
+NOTE_INTERVAL_S = 30.0  # Between two lines about the number of scans that have been read
 RARE_SHARE = 0.01  # Share of scored training points below which a class is rare
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,7 +53,7 @@ def count_classes(source: Source, jobs: int = 1) -> tuple[Counts, list[ScanSumma
     # Without fitted sensors, the network learns from unchanged intensities.
     plain = replace(source.sensor, intensity_quantiles=())
 
-    def count(file: ScanFile) -> tuple[Counts, ScanSummary, str]:
+    def count(file: ScanFile) -> Counted:
         seen, trained = plain, plain
         if source.fitted:
             seen, trained = source.sensor_of(file), source.sensor
@@ -56,10 +63,20 @@ def count_classes(source: Source, jobs: int = 1) -> tuple[Counts, list[ScanSumma
         return counts, ScanSummary(file, check), scan_digest(scan)
 
     # Threads suffice, since reading and counting release the interpreter's lock.
-    run = joblib.Parallel(jobs, backend="threading")
-    results = run(joblib.delayed(count)(file) for file in source.files)
+    run = joblib.Parallel(jobs, backend="threading", return_as="generator")
+    results = [*_noted(run(joblib.delayed(count)(file) for file in source.files), source.files)]
     counts = np.array([r[0] for r in results], np.int64).reshape(-1, source.space.class_count)
     return counts, [r[1] for r in results], [r[2] for r in results]
+
+
+def _noted(results: Iterable[Counted], files: Sequence[ScanFile]) -> Iterator[Counted]:
+    """Yield the results of scans, and log from time to time how many there are."""
+    noted = time.monotonic()
+    for done, result in enumerate(results, 1):
+        yield result
+        if time.monotonic() - noted > NOTE_INTERVAL_S:
+            noted = time.monotonic()
+            log.log(NOTICE, "%s of %s read", f"{done:,}", counted(len(files), "scan"))
 
 
 def class_shares(counts: Counts, scored: Mask) -> Double:
@@ -100,6 +117,8 @@ def class_counts(
     if cached := _cached(path, digest, files, space.names):
         log_recorded(cached.warnings)
         return cached
+    total = counted(len(files) + len(validation.files), "scan")
+    log.log(NOTICE, "reading %s, to check them and to count their classes", total)
     of_validation, summaries, _ = count_classes(validation, jobs)
     members = {*validated}
     is_validated = [file in members for file in validation.files]

@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: MIT
+"""Memory of this machine or GPU: all that a process may use, and what is available now."""
+
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+MEMINFO = Path("/proc/meminfo")
+GROUPS_OF_PROCESS = Path("/proc/self/cgroup")
+CGROUP = Path("/sys/fs/cgroup")
+
+
+@dataclass(frozen=True, slots=True)
+class GroupFiles:
+    """Files of a control group: its limit, its use, and the key of what it could free."""
+
+    limit: str
+    use: str
+    cache: str
+
+
+VERSION_1 = GroupFiles("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file")
+VERSION_2 = GroupFiles("memory.max", "memory.current", "inactive_file")
+
+
+@dataclass(frozen=True, slots=True)
+class Memory:
+    """Memory of a device, in bytes."""
+
+    total: int  # What a process can have at most
+    available: int  # What is free, or can be freed, now
+
+
+def memory_of(device: str) -> Memory | None:
+    """Return the memory of a device; None if it is unknown, as for a CPU outside Linux.
+
+    A limit of the control group, as containers and clusters set it, counts as the memory of the
+    machine.
+    """
+    if device.startswith("cuda"):
+        import torch
+
+        available, total = torch.cuda.mem_get_info(device)
+        return Memory(total, available)
+    if device != "cpu" or sys.platform != "linux" or not MEMINFO.exists():
+        return None
+    lines = (line.split() for line in MEMINFO.read_text("utf-8").splitlines())
+    sizes = {words[0]: 1024 * int(words[1]) for words in lines if len(words) > 1}
+    if not {"MemTotal:", "MemAvailable:"} <= sizes.keys():
+        return None
+    return _limited(Memory(sizes["MemTotal:"], sizes["MemAvailable:"]))
+
+
+def _limited(machine: Memory) -> Memory:
+    """Return the memory of a machine, or the lowest limit of the groups of this process."""
+    total, available = machine.total, machine.available
+    for folder, files in _groups():
+        limit, used = _number(folder / files.limit), _number(folder / files.use)
+        if limit is not None and used is not None:
+            used -= _cache(folder / "memory.stat", files.cache)
+            total, available = min(total, limit), min(available, max(limit - used, 0))
+    return Memory(total, available)
+
+
+def _groups() -> Iterator[tuple[Path, GroupFiles]]:
+    """Yield the folders of the control groups of this process, up to the highest group."""
+    try:
+        lines = GROUPS_OF_PROCESS.read_text("utf-8").splitlines()
+    except OSError:
+        return
+    for line in lines:
+        _, controllers, name = line.split(":", 2)
+        if "memory" in controllers.split(","):
+            root, files = CGROUP / "memory", VERSION_1
+        elif not controllers:
+            root, files = CGROUP, VERSION_2
+        else:
+            continue
+        folder = root / name.lstrip("/")
+        while folder != root and ".." not in folder.parts:
+            yield folder, files
+            folder = folder.parent
+        yield root, files
+
+
+def _number(path: Path) -> int | None:
+    """Return the number in a file; None without one, also for the word "max"."""
+    try:
+        text = path.read_text("utf-8").strip()
+    except OSError:
+        return None
+    return int(text) if text.isdecimal() else None
+
+
+def _cache(path: Path, key: str) -> int:
+    """Return the bytes of cached files that the system can free, 0 if they are unknown."""
+    try:
+        rows = (line.split() for line in path.read_text("utf-8").splitlines())
+        return next(int(value) for name, value in rows if name == key)
+    except (OSError, ValueError, StopIteration):
+        return 0

@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: MIT
+"""Memory of the machine, and the limit of a control group, from the files of Linux."""
+
+import sys
+
+import pytest
+
+from salsanext_cli.engines import memory
+from salsanext_cli.engines.memory import Memory, memory_of
+
+MEMINFO = "MemTotal:       1000 kB\nMemFree: 10 kB\nMemAvailable:    600 kB\nHugePages_Total: 0\n"
+
+
+@pytest.fixture
+def system(tmp_path, monkeypatch):
+    """Return a function that writes a file of the system; there are 1000 KiB, 600 of them free."""
+
+    def write(name, text):
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+
+    write("meminfo", MEMINFO)
+    monkeypatch.setattr(memory, "MEMINFO", tmp_path / "meminfo")
+    monkeypatch.setattr(memory, "GROUPS_OF_PROCESS", tmp_path / "groups")
+    monkeypatch.setattr(memory, "CGROUP", tmp_path / "cgroup")
+    monkeypatch.setattr(sys, "platform", "linux")
+    return write
+
+
+def kib(total, available):
+    return Memory(1024 * total, 1024 * available)
+
+
+def test_without_a_limit_it_is_the_memory_of_the_machine(system):
+    assert memory_of("cpu") == kib(1000, 600)
+    system("groups", "0::/job\n")
+    assert memory_of("cpu") == kib(1000, 600)
+    system("cgroup/job/memory.max", "max\n")
+    system("cgroup/job/memory.current", "1024\n")
+    assert memory_of("cpu") == kib(1000, 600)
+
+
+@pytest.mark.parametrize(
+    ("groups", "folder", "files"),
+    [
+        ("0::/\n", "", memory.VERSION_2),
+        ("0::/job_1/task_0\n", "job_1", memory.VERSION_2),  # The limit is that of the job
+        ("0::/../elsewhere\n", "", memory.VERSION_2),
+        ("5:cpu:/a\n4:memory:/docker/x\n0::/\n", "memory/docker/x", memory.VERSION_1),
+        ("4:memory:/docker/x\n", "memory", memory.VERSION_1),  # A container sees its group as root
+    ],
+)
+def test_a_control_group_limits_it_and_its_cached_files_are_free(system, groups, folder, files):
+    system("groups", groups)
+    system(f"cgroup/{folder}/{files.limit}", str(1024 * 500))
+    system(f"cgroup/{folder}/{files.use}", str(1024 * 400))
+    assert memory_of("cpu") == kib(500, 100)
+    system(f"cgroup/{folder}/memory.stat", f"anon 5\n{files.cache} {1024 * 50}\n")
+    assert memory_of("cpu") == kib(500, 150)
+    # A limit above the memory of the machine limits nothing.
+    system(f"cgroup/{folder}/{files.limit}", str(2**60))
+    assert memory_of("cpu") == kib(1000, 600)
+
+
+def test_it_is_unknown_elsewhere(system, monkeypatch):
+    monkeypatch.setattr(sys, "platform", "darwin")
+    assert memory_of("cpu") is None
+    monkeypatch.setattr(sys, "platform", "linux")
+    system("meminfo", "MemTotal: 5 kB\n")
+    assert memory_of("cpu") is None
