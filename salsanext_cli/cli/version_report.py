@@ -4,7 +4,7 @@
 import platform
 import re
 from collections.abc import Iterator
-from importlib.metadata import PackageNotFoundError, requires, version
+from importlib.metadata import requires
 
 from salsanext_cli.version import __version__
 
@@ -17,27 +17,24 @@ NOT_LISTED = {"dev", "docs"}
 def version_lines() -> Iterator[str]:
     """Yield a line for each package, the device, the instructions of the CPU, and the extras."""
     from salsanext_cli.engines.device import choose_device, flags
+    from salsanext_cli.engines.machine import processor_name, version_of
 
     yield f"salsanext {__version__}"
     yield f"Python {platform.python_version()} on {platform.platform()}"
     for name in PACKAGES:
-        yield f"{name} {_version_of(name) or 'is not installed'}"
+        yield f"{name} {version_of(name) or 'is not installed'}"
     yield f"device: {choose_device('auto')}"
+    yield f"CPU: {processor_name()}"
     yield f"instructions: {', '.join(name for name in INSTRUCTIONS if name in flags()) or 'others'}"
     yield f"extras: {', '.join(_installed_extras()) or 'none'}"
 
 
-def _version_of(package: str) -> str | None:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return None
-
-
 def _installed_extras() -> list[str]:
     """Return the extras of which every package is installed."""
+    from salsanext_cli.engines.machine import version_of
+
     packages: dict[str, list[str]] = {}
-    for text in (requires("salsanext") if _version_of("salsanext") else None) or ():
+    for text in (requires("salsanext") if version_of("salsanext") else None) or ():
         if (match := EXTRA.match(text)) and match["extra"] not in NOT_LISTED:
             packages.setdefault(match["extra"], []).append(match["package"])
-    return [extra for extra, names in packages.items() if all(map(_version_of, names))]
+    return [extra for extra, names in packages.items() if all(map(version_of, names))]

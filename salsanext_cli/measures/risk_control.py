@@ -119,13 +119,18 @@ def likely_thresholds(losses: Ratios, at_most: float, confidence: float | None, 
 
 
 def enough_drives(drives: int, at_most: float, confidence: float | None) -> bool:
-    """Return whether the drive, and not the scan, is the unit of a guarantee.
+    """Return whether the drive, and not the scan, is the unit of a guarantee."""
+    return drives >= needed_drives(at_most, confidence)
+
+
+def needed_drives(at_most: float, confidence: float | None) -> int:
+    """Return the number of drives from which on the drive is the unit of a guarantee.
 
     On average, twice the least number is needed: with fewer drives, more than half of the level is
     set aside for the new drive, and few points are accepted.
     """
     least = useful_scans if confidence is None else needed_scans
-    return drives >= least(at_most, confidence)
+    return least(at_most, confidence)
 
 
 @dataclass(frozen=True, slots=True)

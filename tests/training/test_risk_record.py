@@ -5,6 +5,7 @@ import hashlib
 import json
 import re
 from datetime import UTC, datetime, timedelta
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ from salsanext_cli.measures.risk_control import needed_scans, useful_scans
 from salsanext_cli.network.card import read_card, scan_digest
 from salsanext_cli.report.tables import needed_scans_table
 
+PAGE_OF_JSON = Path(__file__).parents[2] / "docs/reference/json.md"
 PAGE = Path(__file__).parents[2] / "docs/concepts/guarantee.md"
 
 
@@ -36,6 +38,17 @@ def test_the_record_states_what_the_threshold_is_based_on(world, tmp_path):
     assert digests.keys() == {"00/000000", "08/000000", "08/000001"}
     assert digests["08/000001"] == scan_digest(read_scan(world.scan("08", "000001")))
     assert {part["sequence"] for part in content["check"]["held_out_sequences"]} == {"00", "08"}
+    assert content["computed_by"] == {
+        "device": "cpu",
+        "engine": "torch",
+        "precision": world.network.precision,
+    }
+    assert content["versions"]["torch"] == version("torch")
+    assert content["versions"]["salsanext"] == content["version"]
+    assert content["machine"]["gpu"] is None
+    assert content["machine"]["cpu"]
+    documented = PAGE_OF_JSON.read_text("utf-8").partition("## The record of tune risk")[2]
+    assert {key for key in content if f"`{key}`" not in documented} == set()
     # An archived record is not replaced, and the refusal comes before the work.
     other = tmp_path / "other.safetensors"
     refused = called(

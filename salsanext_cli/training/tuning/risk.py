@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.engines.backend import PixelPrediction
+from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import LabelError, TrainingError, first_few, with_hint
 from salsanext_cli.files.json_files import plain
 from salsanext_cli.fitting.label_scan import PreparedScan, labelled, prepared_for
@@ -28,7 +29,9 @@ from salsanext_cli.measures.risk_control import (
     held_thresholds,
     likely_thresholds,
     means_of_units,
+    needed_drives,
 )
+from salsanext_cli.measures.scan_warnings import ScanWarning, log_recorded
 from salsanext_cli.measures.scores import Counts, Ratios
 from salsanext_cli.network.card import LabelTraits, RiskThreshold, scan_digest
 from salsanext_cli.option_fields import KnnParameters
@@ -36,6 +39,7 @@ from salsanext_cli.parallel.job import Steps
 from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.results.selection import data_set_of
 from salsanext_cli.sensors.sensor import FittedView
+from salsanext_cli.training.tuning.consecutive import consecutive_warning
 from salsanext_cli.training.tuning.risk_level import FewUnits, RiskLevel, require_scans
 from salsanext_cli.training.tuning.scans import NOT_SCORED, Tuned, TuningScans
 from salsanext_cli.uncertainty.error_features import error_probability, knows_error
@@ -157,6 +161,8 @@ def fit_risk(scans: TuningScans, at_most: float, confidence: float | None = None
         "of_scans": [[accepted / n, wrong / n] for n, accepted, wrong in of_scans.values()],
         "sentences": [*labels.sentences, *_sentences(others)],
         "few": None,
+        "computed_by": _computed_by(network),
+        "warnings": plain(_warnings(scans.files, unit, level)),
     }
     if few:
         report["few"] = _report_of_few(few, judged, losses, labels)
@@ -219,6 +225,22 @@ def _report_of_few(
     by_useful = accepted / sum(scan.points for scan in judged)
     few.warn_after(labels.coverage, by_useful)
     return {"left": few.left, "useful": few.useful, "accepted_by_useful": by_useful}
+
+
+def _computed_by(network: Network) -> dict[str, str]:
+    """Return device, library and number type of the labels."""
+    backend = network.backend
+    return {"device": backend.device, "engine": backend.library, "precision": backend.precision}
+
+
+def _warnings(files: Sequence[ScanFile], unit: str, level: RiskLevel) -> list[ScanWarning]:
+    """Log and return reasons to doubt the guarantee of scans."""
+    if unit == "drive":
+        return []
+    warning = consecutive_warning(files, needed_drives(*level))
+    warnings = [warning] if warning else []
+    log_recorded(warnings)
+    return warnings
 
 
 def _warn_of_held_out(others: Sequence[HeldOutSequence], level: RiskLevel, unit: str) -> None:

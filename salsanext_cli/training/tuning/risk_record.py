@@ -6,10 +6,14 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from salsanext_cli.engines.machine import machine, versions
 from salsanext_cli.files.json_files import write_json
 from salsanext_cli.files.reading import fingerprint
 from salsanext_cli.network.card import parted
 from salsanext_cli.version import __version__
+
+PACKAGES = ("torch", "openvino", "numpy", "numba")
+"""Packages whose version may change a label."""
 
 
 def write_risk_record(
@@ -41,11 +45,15 @@ def write_risk_record(
         **{key: tuned[key] for key in ("kind", "threshold", "at_most", "confidence", "unit")},
         "weights": {"path": str(weights), "sha256": fingerprint(weights)},
         "weights_with_threshold": {"path": str(target), "sha256": fingerprint(target)},
+        "computed_by": tuned["computed_by"],
+        "versions": {"salsanext": __version__} | versions(PACKAGES),
+        "machine": machine(tuned["computed_by"]["device"]),
         "settings": tuned["settings"],
         "views": tuned["views"],
         "data_set": str(source.resolve()),
         "scans": scans,
         "accepted": tuned["accepted"],
+        "warnings": tuned["warnings"],
         "check": {"held_out_sequences": tuned["held_out"]},
     }
     write_json(path, record)
