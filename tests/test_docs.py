@@ -406,6 +406,18 @@ def test_the_checks_of_words_find_what_they_look_for():
     assert not BANNED.search("The recipe is called")
 
 
+def test_the_commands_for_a_wheel_install_the_file_in_the_folder(tmp_path):
+    """`python` only repeats its arguments; nothing is installed or activated."""
+    section = text_of("docs/start/install.md").partition("## Install it from a wheel file")[2]
+    commands = BLOCK.search(section)[2].replace("source ", ": ")
+    stand_ins = 'python3() { :; }\npython() { printf "%s\\n" "${@: -1}"; }\n'
+    (extras,) = re.findall(r"`(python -m pip install [^`]*\[[^`]*)`", section)
+    (tmp_path / "salsanext-9.9.9-py3-none-any.whl").touch()
+    installed = guide.run(f"{stand_ins}{commands}{extras}\n", tmp_path).splitlines()
+    file = "./salsanext-9.9.9-py3-none-any.whl"
+    assert installed[-2:] == [file, f"{file}[fuse,ros]"]
+
+
 def test_every_make_target_mentioned_exists():
     targets = set(re.findall(r"^([a-z-]+):", text_of("Makefile"), re.MULTILINE))
     for page in PAGES:

@@ -205,7 +205,8 @@ def _words_of_rejected(count: int, drop: Collection[str], space: LabelSpace) -> 
     )
     names = ",".join(dict.fromkeys([*drop, space.names[0]]))
     problem = f"{points} class is unknown: `predict --reject` rejected the label"
-    return with_hint(problem, f"to drop them too: --drop {names} --overwrite")
+    also = "to drop them by their class, filter results of `predict` without --reject"
+    return with_hint(problem, f"to drop them too: --drop {names} --overwrite; {also}")
 
 
 def _point_filter(

@@ -123,6 +123,7 @@ const cssOf = entries => entries.map(({ rgb }) => (255 * 2 ** 24 + rgb[2] * 6553
   result.rows = [scans()];
   for (const name of ["mean entropy", "scan", "scan"]) { heading(name).click(); result.rows.push(scans()); }
   result.sorted = document.querySelector("#table th[aria-sort]").textContent;
+  result.columns = [...document.querySelectorAll("#table th")].map(cell => cell.textContent);
   result.pictures = [...document.querySelectorAll("#table img")].map(image => image.naturalWidth);
   const tagged = document.querySelector("#table tr[data-scan='08/000000'] input");
   result.nothing = byId("save").disabled;

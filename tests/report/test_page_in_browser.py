@@ -159,12 +159,15 @@ def test_the_page_draws_and_its_controls_work(world, tmp_path):
     assert result["rows"] == [rising, rising[::-1], rising, rising[::-1]]
     assert result["sorted"] == "scan"
     assert result["pictures"] == [96, 96]
+    assert result["columns"][:3] == ["tag", "from above, by class", "scan"]
     saved, disabled, tags = result["tags"]
     assert result["nothing"]
     assert not disabled
     assert tags == ["08/000000", "08/000001"]
     assert result["untagged"] == ["08/000001"]
     assert [line for line in saved.splitlines() if not line.startswith("#")] == tags
+    # The folder of `pick --count` may exist.
+    assert "salsanext pick SCANS tagged/ --from tagged.txt" in saved
     assert result["opened"][0] == "08/000001"
     assert result["opened"][1].startswith("08/000001 · mean entropy 0.5")
     assert result["fetched"] == 0

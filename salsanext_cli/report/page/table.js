@@ -12,7 +12,7 @@ class ScanTable {
     const share = scans.kind === "error" || scans.kind === "least_confidence";
     this.columns = [
       { name: "tag", value: place => +this.tags.has(scans.names[place]), down: true },
-      { name: "from above", picture: true },
+      { name: scans.shares ? "from above, by class" : "from above", picture: true },
       { name: "scan", value: place => place, text: place => scans.names[place] },
       scans.uncertainty && { name: `mean ${title(scans.kind)}`, ...number(scans.uncertainty, share ? percentOf : value => Number.isNaN(value) ? "–" : value.toPrecision(3)) },
       scans.doubtful && { name: "error above 10 %, of points with a label", ...number(scans.doubtful, percentOf) },
