@@ -60,7 +60,7 @@ def test_the_warnings_are_those_of_each_decision():
     assert "more than half of the scans" in SECTION
 
 
-def test_every_warning_about_a_scan_is_in_the_table_or_in_the_sentence_after_it():
+def test_every_warning_is_in_the_table_or_in_the_sentence_after_it():
     page = PAGE.parents[1] / "reference/warnings.md"
     known = set(re.findall(r"^\| `([a-z-]+)` \|", page.read_text("utf-8"), re.MULTILINE))
     deciding = {code for codes in CODES.values() for code in codes}
