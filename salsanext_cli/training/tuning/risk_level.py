@@ -53,7 +53,7 @@ def require_scans(source: Path, count: int, level: RiskLevel) -> None:
         option = "a lower --confidence"
     problem = f"{counted(count, 'scan')} cannot guarantee less than {best}"
     hint = f"add scans of other drives, or use {option}"
-    raise TrainingError(source, problem, f"{missing} more scans", hint)
+    raise TrainingError(source, problem, counted(missing, "more scan"), hint)
 
 
 @dataclass(frozen=True, slots=True)
