@@ -63,6 +63,11 @@ def test_a_control_group_limits_it_and_its_cached_files_are_free(system, groups,
     assert memory_of("cpu") == kib(1000, 600)
 
 
+def test_that_of_a_gpu_is_stated_by_its_driver(monkeypatch):
+    monkeypatch.setattr("torch.cuda.mem_get_info", lambda device: {"cuda:1": (3, 8)}[device])
+    assert memory_of("cuda:1") == Memory(total=8, available=3)
+
+
 def test_it_is_unknown_elsewhere(system, monkeypatch):
     monkeypatch.setattr(sys, "platform", "darwin")
     assert memory_of("cpu") is None
