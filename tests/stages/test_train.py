@@ -35,6 +35,7 @@ from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.paths import find_scans
 from salsanext_cli.stages.train import train
 from salsanext_cli.training import fit, learner
+from salsanext_cli.training.data import class_counts
 from salsanext_cli.training.data.class_counts import class_weights
 from salsanext_cli.training.data.dataset import Samples
 from salsanext_cli.training.data.sources import Source
@@ -124,6 +125,16 @@ def test_the_beginning_states_device_scans_and_images(dataset, tmp_path, caplog)
     assert "3 scans for training, 2 for validation; an epoch has 4 images of 16×32" in lines[1]
     assert lines[2].startswith("reading 5 scans")
     assert lines[3].endswith("the first step begins")
+
+
+def test_reading_many_scans_is_reported_from_time_to_time(dataset, tmp_path, monkeypatch, caplog):
+    caplog.set_level(NOTICE)
+    clock = iter(range(0, 10**6, 20))
+    monkeypatch.setattr(class_counts, "time", SimpleNamespace(monotonic=lambda: next(clock)))
+    go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1))
+    # Every scan takes 20 seconds: two validation scans, then three of training.
+    lines = [text for text in caplog.messages if text.endswith(" read")]
+    assert lines == ["2 of 2 scans read", "2 of 3 scans read"]
 
 
 def test_a_step_that_needs_more_than_the_machine_has_is_refused(dataset, tmp_path, monkeypatch):
