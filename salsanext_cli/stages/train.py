@@ -132,8 +132,6 @@ class NewTraining:
         """Return the setup of the training, and the scans for validation."""
         recipe, start, divisible = self.recipe, self.start, self.recipe.folds > 0
         dataset, *also = self.roots
-        if group.is_main:
-            log.log(NOTICE, "device: %s; processes that prepare samples: %d", device, self.jobs)
         classes, training, validation = group.on_main(
             lambda: scans_to_train_on(dataset, space, divisible=divisible)
         )
@@ -142,6 +140,7 @@ class NewTraining:
             recipe = replace(recipe, precision=known or common_precision(device, group))
         initial, card = initial_network(start, classes, recipe, sensor)
         if group.is_main:
+            log.log(NOTICE, "device: %s; processes that prepare samples: %d", device, self.jobs)
             _announce_images(recipe, card.sensor, len(training), len(validation))
         _require_memory(recipe, card.sensor, group, device)
         further = group.on_main(lambda: [further_source(p, classes, card.sensor) for p in also])
