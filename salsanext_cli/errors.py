@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 
 NOTICE = 25  # Log level of messages for every user that are not warnings
 MAX_NAMES_SHOWN = 3  # Files or scans that a message names
+LIKE = 0.6  # Least likeness of two words, as `difflib` measures it, of which one may mean the other
 SHOWN_CHARACTERS = 100  # Longest text of a wrong value in an error
 UNDECODED = {code: f"\\x{code & 0xFF:02x}" for code in range(0xDC80, 0xDD00)}
 """Escapes of the bytes in file names that are not text, as Python decodes them."""
@@ -55,13 +56,16 @@ def first_few(names: Sequence[object]) -> str:
     return f"{shown} and {more} more" if more > 0 else shown
 
 
-def nearest(word: str, words: Iterable[str]) -> str:
-    """Return the word that was probably meant, also by its initials; empty if none is near."""
+def nearest(word: str, words: Iterable[str], likeness: float = LIKE) -> str:
+    """Return the word that was probably meant, also by its initials; empty if none is near.
+
+    `likeness`: least likeness of the word, from 0 to 1 for an equal one.
+    """
     from difflib import get_close_matches  # Only errors need it
 
     by_name = {known.lower(): known for known in words}
     typed = word.strip().lower()
-    if close := get_close_matches(typed, by_name, 1):
+    if close := get_close_matches(typed, by_name, 1, likeness):
         return by_name[close[0]]
     for name, known in by_name.items():
         initials = "".join(part[:1] for part in name.replace("-", "_").split("_"))

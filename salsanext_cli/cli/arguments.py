@@ -10,7 +10,7 @@ import typer
 
 from salsanext_cli.cli.expansion import Default, Without
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import UsageError, notice_once
+from salsanext_cli.errors import UsageError, did_you_mean, notice_once
 from salsanext_cli.formats import RECORDING_SUFFIXES, SCAN_SUFFIXES
 from salsanext_cli.option_fields import argument, network_option, option, selection_option
 from salsanext_cli.parallel.run_options import RunOptions, running_option
@@ -153,15 +153,25 @@ def in_topic(source: Path, topic: str | None) -> Path:
     return source / topic.strip("/")
 
 
-def share(option: str, text: str | None) -> float | None:
-    """Return a share, 0…1, that is typed as ``5%`` or ``0.05``."""
+def share(option: str, text: str | None, word: str = "") -> float | None:
+    """Return a share, 0…1, that is typed as ``5%`` or ``0.05``.
+
+    `word`: what the option takes besides a share, for the error.
+    """
     if text is None:
         return None
     number = text.removesuffix("%")
     try:
         value = float(number)
     except ValueError:
-        raise UsageError(option, f"{text!r} is not a share", "5% or 0.05, for example") from None
+        problem = f"{text!r} is not a share"
+        expected = "5% or 0.05, for example"
+        hint = ""
+        if word:
+            problem = f"{problem} and not {word}"
+            expected = f"a share such as 5% or 0.05, or {word}"
+            hint = did_you_mean(text, [word])
+        raise UsageError(option, problem, expected, hint) from None
     typed = value / 100 if text.endswith("%") else value
     if typed > 1:
         hint = f"did you mean {number}%?" if 1 < value <= 100 else ""

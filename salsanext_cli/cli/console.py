@@ -216,7 +216,7 @@ class Lines:
             return
         self.last = now
         seconds = (now - self.start) / (done - self.before)
-        left = f"{seconds * (total - done) / 60:.0f} min left"
+        left = f"{duration_text(seconds * (total - done))} left"
         rate = rate_text(1 / seconds, self.unit)
         print_line(f"{self.label}: {done}/{total} {self.unit}, {rate}, {left}")
 

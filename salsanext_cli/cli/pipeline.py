@@ -99,15 +99,19 @@ class Extras:
     @property
     def threshold(self) -> float | Literal["risk"] | None:
         """Largest probability of error of an accepted point, as `predict_scans` takes it."""
-        return "risk" if self.reject == "risk" else arguments.share("--reject", self.reject)
+        if self.reject == "risk":
+            return "risk"
+        return arguments.share("--reject", self.reject, word="risk")
 
     def require_fusable(self, source: Path | list[Path], out: Path, running: RunOptions) -> None:
         """Refuse scans and options that cannot be fused."""
         from salsanext_cli.stages.fuse import require_fusable
 
-        if self.objects or self.reject is not None:
+        is_given = {"--objects": self.objects, "--reject": self.reject is not None}
+        if given := [name for name in is_given if is_given[name]]:
             hint = "run `predict` a second time without --fuse"
-            raise UsageError("--fuse", "given with --objects or --reject", "one of them", hint)
+            problem = f"was given with {' and '.join(given)}"
+            raise UsageError("--fuse", problem, "--fuse alone", hint)
         require_fusable(source, out, running)
 
 

@@ -7,6 +7,9 @@ from typing import Any
 
 from salsanext_cli.errors import UsageError, nearest, shortened
 
+LIKE_OPTION = 0.75  # Least likeness of the name of an option that may be meant
+SAME_PURPOSE = {"--limit": "--subset", "--subset": "--limit"}
+"""Option of other commands, and the one for the same purpose; no command has both."""
 NUMBERS = {"N": "a whole number", "NUMBER": "a number"}
 """What is expected, by the word for a value in the help."""
 
@@ -26,6 +29,9 @@ def usage_error(raised: Any, arguments: Sequence[str]) -> UsageError:
     UsageError
     """
     path = getattr(raised.ctx, "command_path", "salsanext")
+    if unknown := getattr(raised, "option_name", ""):
+        offered = [name for known in raised.ctx.command.params for name in known.opts]
+        return _unknown_option(unknown, offered, path)
     parameter: Any = getattr(raised, "param", None)
     value = None if parameter is None else _value(parameter, arguments)
     expected = "" if parameter is None else _expected(parameter)
@@ -38,6 +44,17 @@ def usage_error(raised: Any, arguments: Sequence[str]) -> UsageError:
     message = raised.format_message().rstrip(".")
     problem = message[:1].lower() + message[1:]
     return UsageError(path, problem, hint=f"see {path} --help")
+
+
+def _unknown_option(name: str, offered: Sequence[str], path: str) -> UsageError:
+    """Return the error about an option that a command does not offer."""
+    likely = SAME_PURPOSE.get(name, "")
+    if likely not in offered:
+        # The dashes of all options are alike.
+        words = {option.removeprefix("--"): option for option in offered if option[:2] == "--"}
+        likely = words.get(nearest(name.removeprefix("--"), words, LIKE_OPTION), "")
+    hint = f"did you mean {likely}?" if likely else f"see {path} --help"
+    return UsageError(path, f"no such option: {name}", hint=hint)
 
 
 def _value(parameter: Any, arguments: Sequence[str]) -> str | None:

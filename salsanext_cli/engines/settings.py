@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from salsanext_cli.errors import NOTICE, UsageError, quoted
+from salsanext_cli.network.weights_names import DEFAULT_NAME
 from salsanext_cli.option_fields import network_option, option_group
 
 if TYPE_CHECKING:
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
 AUTO = "auto"
 MIN_WIDTH = 16  # Columns; a fourth downsampling of the network leaves one
-DEFAULT_WEIGHTS = Path("default")  # Of the package; a file of that name needs an absolute path
+DEFAULT_WEIGHTS = Path(DEFAULT_NAME)
 
 log = logging.getLogger(__name__)
 

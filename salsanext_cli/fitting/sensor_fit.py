@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from functools import cache, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -316,6 +317,19 @@ def labels_depend_on(settings: NetworkSettings, network: Network) -> dict[str, o
         "--sensor": {key: value for key, value in view.items() if key != "columns"},
     }
     return dict(as_json(options))
+
+
+def as_typed(option: str, value: Any) -> str:
+    """Return a value of `labels_depend_on` as it is typed for its option."""
+    if option == "--ego" and not value:
+        return "auto" if value is None else "none"
+    if option == "--ego":
+        return ",".join(f"{number:g}" for number in value)
+    if option == "--intensity":
+        return str(value or "raw")
+    if value is None:
+        return "the default"
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def is_other_view(view: FittedView, sensor: Sensor) -> bool:

@@ -22,6 +22,7 @@ from salsanext_cli.files.json_files import Json, decoded, plain
 from salsanext_cli.files.reading import fingerprint, is_folder, present, reading, refusing_damage
 from salsanext_cli.network.error_model import ErrorModel, valid_temperature
 from salsanext_cli.network.int8_inputs import Int8Input
+from salsanext_cli.network.weights_names import hint_for_missing
 from salsanext_cli.records import Scan
 from salsanext_cli.sensors.sensor import FittedView, Sensor
 from salsanext_cli.version import __version__
@@ -33,12 +34,6 @@ OF_ERROR = re.compile(r"The error is fitted to ([^.]*)\. ?")
 """Sentence on the error model in the description of older files, such as the default weights."""
 INHERITED = "inherited_from"  # Key of an error model: names the weights that it was fitted to
 ONNX_SUFFIX = ".onnx"
-PAPER_NETWORKS = ("rangenet53", "salsanet", "salsanext-v1")
-"""First letters of the networks in `examples/paper_networks`, which earlier versions had."""
-PAPER_NETWORKS_HINT = (
-    "run `pip install examples/paper_networks` in a clone, and train its networks: "
-    "`salsanext train DATASET RUN --set architecture=NAME`"
-)
 DIGITS = 24  # Of a digest: two of 20 000 scans agree by chance once in 10¹¹ cases
 
 
@@ -384,8 +379,7 @@ def read_card(path: Path) -> WeightsCard:
     except FormatError as error:
         problem, hint = error.problem, "copy it again"
         if not present(path):
-            is_network = str(path).startswith(PAPER_NETWORKS)
-            problem, hint = "no such file", PAPER_NETWORKS_HINT if is_network else "check the name"
+            problem, hint = "no such file", hint_for_missing(path)
         elif is_folder(path):
             problem, hint = "is a folder", "name the file in it"
         elif path.suffix != WEIGHTS_SUFFIX:

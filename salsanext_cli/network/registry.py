@@ -7,9 +7,9 @@ from typing import Any
 
 from salsanext_cli.errors import UsageError, error_text, shortened
 from salsanext_cli.files.plug_ins import DISTRIBUTION, PlugIn, load_plug_ins
-from salsanext_cli.network.card import PAPER_NETWORKS, PAPER_NETWORKS_HINT
 from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.segmentation import SegmentationNetwork
+from salsanext_cli.network.weights_names import PAPER_NETWORKS, PAPER_NETWORKS_HINT
 
 NUMBERS = frozenset({"class_count", "dropout"})  # Of a network, in a weights file
 ARCHITECTURES: dict[str, Callable[..., SegmentationNetwork]] = {"salsanext": SalsaNext}

@@ -28,6 +28,7 @@ from salsanext_cli.fitting.label_scan import (
 )
 from salsanext_cli.fitting.scan_checks import ScanCheck, check_image
 from salsanext_cli.fitting.sensor_fit import (
+    as_typed,
     fitted_view,
     labels_depend_on,
     network_of_run,
@@ -270,8 +271,8 @@ def _chosen_threshold(
         name = changed[0]
         problem = "the guarantee of `--reject risk` does not cover other labels"
         if name in current and name != "--sensor":
-            now = current[name]
-            problem = f"the threshold was chosen with {tuned.get(name)}, this run has {now}"
+            before, now = (as_typed(name, of_run.get(name)) for of_run in (tuned, current))
+            problem = f"the threshold was chosen with {before}, this run has {now}"
         hint = "use the option as for `tune risk`, or run `tune risk` again"
         raise UsageError(name, problem, hint=hint)
     log.log(NOTICE, "--reject risk: %s", guarantee(risk))

@@ -183,7 +183,7 @@ def test_a_wrong_command_line_is_status_two_and_one_object_of_json(run, line, wo
     assert (result.exit_code, error["schema"], error["code"]) == (2, 2, "usage")
     for word in words:
         assert word in error["error"]
-    assert error["hint"].endswith("--help")
+    assert error["hint"].endswith(("--help", "--overwrite?"))
     assert result.stderr == f"error: {error['error']}\nhint: {error['hint']}\n"
     result = run(*line.split())
     assert (result.exit_code, result.stdout) == (2, "")
@@ -274,9 +274,11 @@ def test_a_log_file_gets_a_line_from_time_to_time(monkeypatch, capsys):
         now += 3.0
         lines(done, 1000)
     err = capsys.readouterr().err.splitlines()
-    assert err[0] == "predict: 910/1000 scans, 3.0 s/scan, 4 min left"
+    assert err[0] == "predict: 910/1000 scans, 3.0 s/scan, 4 min 30 s left"
     assert len(err) == 9
     assert not any("1000/1000" in line for line in err)
+    # Less than a minute is no 0 minutes.
+    assert err[-1] == "predict: 990/1000 scans, 3.0 s/scan, 30.0 s left"
 
 
 def test_a_warning_has_a_line_for_its_hint_and_no_other(capsys):

@@ -136,15 +136,59 @@ def test_a_removed_option_is_an_error_that_names_what_to_use(run, line):
         ("train a b --recipe finetun", "recipe finetun", "finetune?"),
         ("train a b --set lr=1", "--set lr=1", "learning_rate?"),
         ("export-ply a --colour epistem", "--colour", "epistemic?"),
+        ("predict a b --reject rsk", "--reject", "risk?"),
+        ("predict a b --weights defualt", "defualt", "default?"),
+        ("predict a b --subset 1", "salsanext predict", "--limit?"),
+        ("predict a b --overwrit", "salsanext predict", "--overwrite?"),
+        ("predict a b --set foo=1", "salsanext predict", "--help"),
+        ("predict a b -z", "salsanext predict", "--help"),
     ],
 )
 def test_a_wrong_value_is_answered_by_the_likely_one(run, line, subject_of_error, meant):
-    result = run(*line.split(), "--json", status=2)
+    result = run(*line.split(), "--json")
     error = only_json(result)
+    assert result.exit_code == (1 if error["code"] == "weights" else 2)
     assert error["error"].split(": ")[0] == subject_of_error
     assert error["hint"].endswith(meant)
+    assert "Possible options" not in error["error"]
     assert "Input should" not in error["error"]
     assert "Value error" not in error["error"]
+
+
+def test_the_likely_weights_are_those_beside_a_wrong_name(run, tmp_path):
+    weights = write_weights(tmp_path / "street.safetensors", sensor=SMALL)
+    for name, hint in (
+        ("stret.safetensors", f"did you mean {weights}?"),
+        ("default", "check the name"),
+    ):
+        error = only_json(
+            run("predict", "a", "b", "--weights", tmp_path / name, "--json", status=1)
+        )
+        assert (error["code"], error["hint"]) == ("weights", hint)
+
+
+def test_a_word_that_is_no_share_is_answered_by_what_the_option_takes():
+    with refused(UsageError, "--reject") as caught:
+        share("--reject", "rsk", word="risk")
+    assert caught.value.expected.endswith("or risk")
+    with refused(UsageError, "--at-most") as caught:
+        share("--at-most", "rsk")
+    assert "risk" not in caught.value.expected + caught.value.hint
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        ("--objects", {"--objects"}),
+        ("--reject risk", {"--reject"}),
+        ("--reject 0.1 --objects", {"--objects", "--reject"}),
+    ],
+)
+def test_fuse_names_the_options_that_it_was_given_with(run, data, tmp_path, options, named):
+    words = ("predict", data, tmp_path / "out", "--fuse", *options.split(), "--json")
+    error = only_json(run(*words, status=2))
+    assert error["error"].startswith("--fuse: ")
+    assert {*re.findall(r"--(?!fuse)\w+", error["error"])} == named
 
 
 def test_a_share_above_one_is_answered_by_the_percentage(run):

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Stage `tune risk`, and what `predict --reject risk` and `eval` make of its threshold."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from world import World
 from salsanext_cli import label_space, read_labels, write_labels
 from salsanext_cli.errors import TrainingError, UsageError, WeightsError
 from salsanext_cli.files.json_files import plain
+from salsanext_cli.fitting.sensor_fit import as_typed
 from salsanext_cli.measures.risk_control import RISK_BOUND_EXCEEDED
 from salsanext_cli.measures.scan_summary import OTHER_SCANS
 from salsanext_cli.network.card import AccuracyLine, LabelTraits, read_card
@@ -191,13 +193,33 @@ def test_a_void_threshold_is_refused(unsure_is_wrong: World, target, tmp_path) -
     runs["--classes"] = {"settings": coarse}
     runs["--knn-…"] = {"settings": network, "knn": KnnParameters(k=3)}
     for option, options in runs.items():
-        refused(UsageError, option, predict_scans, world.data, world.out, reject="risk", **options)
+        with refused(UsageError, option) as caught:
+            predict_scans(world.data, world.out, reject="risk", **options)
+        assert not {"None", "[]", "''"} & {*re.split("[ ,]+", caught.value.problem)}
     assert not world.out.exists()
     # Another error or another temperature is another uncertainty.
     for part in ("error", "temperature"):
         other = tmp_path / f"{part}.safetensors"
         world.tune(part, other, settings=network)
         assert not read_card(other).risk
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "typed"),
+    [
+        ("--ego", None, "auto"),
+        ("--ego", [], "none"),
+        ("--ego", [-1.5, -1.0, -2.0, 2.0, 1.0, 0.5], "-1.5,-1,-2,2,1,0.5"),
+        ("--intensity", "", "raw"),
+        ("--intensity", "match", "match"),
+        ("--min-range", None, "the default"),
+        ("--min-range", 2.0, "2"),
+        ("--precision", "int8", "int8"),
+        ("--width", 512, "512"),
+    ],
+)
+def test_settings_are_named_as_they_are_typed(option, value, typed) -> None:
+    assert as_typed(option, value) == typed
 
 
 def test_a_run_estimates_its_accuracy(world: World, tmp_path) -> None:
