@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
-from typing import TYPE_CHECKING, ParamSpec, cast
+from typing import TYPE_CHECKING, ParamSpec, TextIO, cast
 
 import typer
 
@@ -70,10 +70,20 @@ class Output:
         if self.json:
             _print_json({**data, "seconds": round(self.seconds, 3)})
         elif tables is not None:
-            from rich.console import Console
+            _print_tables(tables, sys.stdout)
 
-            width = None if sys.stdout.isatty() else FILE_WIDTH_COLUMNS
-            Console(file=sys.stdout, highlight=False, width=width).print(tables)
+    def explain(self, tables: "RenderableType") -> None:
+        """Print tables that explain an error on stderr, unless the command is quiet."""
+        if not self.quiet:
+            _print_tables(tables, sys.stderr)
+
+
+def _print_tables(tables: "RenderableType", file: TextIO) -> None:
+    """Print tables as wide as the terminal, or as `FILE_WIDTH_COLUMNS`."""
+    from rich.console import Console
+
+    width = None if file.isatty() else FILE_WIDTH_COLUMNS
+    Console(file=file, highlight=False, width=width).print(tables)
 
 
 class StderrHandler(logging.Handler):

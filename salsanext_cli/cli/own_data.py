@@ -14,6 +14,7 @@ from salsanext_cli.option_fields import ScanSelection, argument, option, option_
 from salsanext_cli.results.query import named_label_space
 
 if TYPE_CHECKING:
+    from salsanext_cli.cli.picked_labels import PickedLabels
     from salsanext_cli.sensors.sensor import Sensor
 
 PICKED = 10  # Number of scans that `pick` picks by default
@@ -71,7 +72,8 @@ def inspect(
         fitted = survey.fitted_sensor(fit.stem, images=images)
         write_sensor(fit, fitted, images=images, overwrite=running.overwrite)
         output.print(f"inspect: sensor, {view_text(fitted)} → {fit}")
-    tables = survey_tables(survey.sequences, survey.total, survey.space, survey.sensor)
+    sensor_of_images = None if fit is None else survey.sensor
+    tables = survey_tables(survey.sequences, survey.total, survey.space, sensor_of_images)
     output.result(survey.to_dict(), tables)
     summary.print_failures(survey.failures)
     summary.leave(survey.failures, failed=strict and bool(survey.warnings))
@@ -172,17 +174,23 @@ def pick(
     if picked:
         with over_scans("predict", running, output.quiet) as run:
             labels = label_picked_scans(out, settings, run)
-    result = picking.to_dict() | {"out": str(out), "predicted": labels and str(labels.folder)}
-    decision = labels.verdict.decision if labels and labels.verdict else None
-    output.result(result | {"decision": decision}, picked_table(picked) if picked else None)
-    summary.print_failures(outcome.failures)
+    failures = (*outcome.failures, *(labels.failures if labels else ()))
+    result = picking.to_dict() | {"out": str(out)} | _labels_as_data(labels)
+    result["failures"] = [failure.to_dict() for failure in failures]
+    output.result(result, picked_table(picked) if picked else None)
+    summary.print_failures(failures)
     chosen = f"{len(picked):,} of {counted(picking.scans, 'scan')}"
     output.print(f"pick: {chosen}{summary.others_text(outcome)} → {out}")
     if labels is not None:
         for line in lines_after_pick(out, picking, labels, settings.weights, labelled or ()):
             output.print(line)
-    failures = (*outcome.failures, *(labels.failures if labels else ()))
     summary.leave(failures, failed=strict and bool(picking.warnings))
+
+
+def _labels_as_data(labels: "PickedLabels | None") -> dict[str, object]:
+    """Return plain data about the labels of picked scans for JSON."""
+    decision = labels.verdict.decision if labels and labels.verdict else None
+    return {"predicted": labels and str(labels.folder), "decision": decision}
 
 
 def import_labels(

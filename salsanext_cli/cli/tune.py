@@ -106,21 +106,26 @@ def tune_risk(
 
     from salsanext_cli.files.atomic import require_target
     from salsanext_cli.report.tables import accepted_table, needed_scans_table
+    from salsanext_cli.training.tuning.risk_level import TooFewScansError
     from salsanext_cli.training.tuning.risk_record import write_risk_record
 
     if record:
         require_target(record, fit.overwrite, ".json")
-    numbers = {
+    numbers: dict[str, Any] = {
         "at_most": arguments.share("--at-most", at_most),
         "confidence": arguments.share("--confidence", confidence),
     }
-    tuned = _tuned("risk", dataset, target, fit, output, **numbers)
+    try:
+        tuned = _tuned("risk", dataset, target, fit, output, **numbers)
+    except TooFewScansError:
+        output.explain(needed_scans_table(**numbers))
+        raise
     if record:
         paths = {"source": dataset, "weights": fit.settings.path, "target": target}
         write_risk_record(record, tuned, **paths)
     sentences = (Text(sentence) for sentence in tuned["sentences"])
-    tables = accepted_table(tuned["accepted"]["classes"]), needed_scans_table(tuned["at_most"])
-    output.result(tuned, Group(*tables, *sentences))
+    accepted = accepted_table(tuned["accepted"]["classes"])
+    output.result(tuned, Group(accepted, needed_scans_table(**numbers), *sentences))
     _end(output, f"tune risk: {tuned['guarantee']} → {target}", target, "--reject risk ")
 
 

@@ -157,16 +157,19 @@ def accepted_table(classes: Mapping[str, tuple[int, int]]) -> Table:
     return table_of(("labelled as", "accepted points", "wrong %"), rows, title="Accepted labels")
 
 
-def needed_scans_table(at_most: float) -> Table:
-    """Return a table of the least numbers of scans and drives for a limit, and for usual ones."""
+def needed_scans_table(at_most: float, confidence: float | None = None) -> Table:
+    """Return a table of the least numbers of scans and drives for a level, and for usual ones.
+
+    `at_most`, `confidence`: limit of the share of wrong points, and confidence, 0…1.
+    """
     rows = []
     for limit in sorted({at_most, *USUAL_LIMITS}, reverse=True):
         scans = needed_scans(limit, None)
         drives = useful_scans(limit, None)
         rows.append((f"{100 * limit:.3g} % on average", str(scans), str(drives)))
-    for confidence in USUAL_CONFIDENCES:
-        units = str(needed_scans(at_most, confidence))
-        rows.append((f"any limit, --confidence {100 * confidence:g}%", units, units))
+    for share in sorted({*USUAL_CONFIDENCES, *([confidence] if confidence else [])}):
+        units = str(needed_scans(at_most, share))
+        rows.append((f"any limit, --confidence {100 * share:.4g}%", units, units))
     columns = ("limit", "scans, for the same drives", "drives, for other drives")
     return table_of(columns, rows, title="Least numbers")
 
@@ -181,9 +184,12 @@ def rate_table(rates: Sequence[float], objectives: Sequence[float], best: float)
 
 
 def survey_tables(
-    sequences: Mapping[str, Survey], total: Survey, space: LabelSpace, sensor: Sensor
+    sequences: Mapping[str, Survey], total: Survey, space: LabelSpace, sensor: Sensor | None = None
 ) -> Group:
-    """Return tables of the sequences, the channels and, with labels, the classes."""
+    """Return tables of the sequences and, with labels, the classes.
+
+    `sensor`: sensor of range images whose channels get a table.
+    """
     surveys = dict(sequences) | ({"all": total} if len(sequences) > 1 else {})
     counts, measured = [], []
     for name, survey in surveys.items():
@@ -193,18 +199,23 @@ def survey_tables(
         largest = (f"{survey.farthest:.1f}", f"{survey.brightest:.3g}")
         measured.append((name, *largest, f"{up:+.2f}° to {down:+.2f}°"))
     headings = ("sequence", "scans", "labelled", "points per scan", "invalid points")
-    title = f"Range images of {sensor.name}, {sensor.height}×{sensor.width}"
-    channels = (
-        (name, f"{mean:.3f}", f"{std:.3f}")
-        for name, mean, std in zip(CHANNELS, total.means, total.stds, strict=True)
-    )
+    channels = [_channel_table(total, sensor)] if sensor else []
     classes = [_class_table(total, space)] if total.classes else []
     return Group(
         table_of(headings, counts, title="Scans"),
         table_of(("sequence", "farthest, m", "brightest", "field of view"), measured),
-        table_of(("channel", "mean", "standard deviation"), channels, title=title),
+        *channels,
         *classes,
     )
+
+
+def _channel_table(total: Survey, sensor: Sensor) -> Table:
+    title = f"Range images of {sensor.name}, {sensor.height}×{sensor.width}"
+    rows = (
+        (name, f"{mean:.3f}", f"{std:.3f}")
+        for name, mean, std in zip(CHANNELS, total.means, total.stds, strict=True)
+    )
+    return table_of(("channel", "mean", "standard deviation"), rows, title=title)
 
 
 def _class_table(total: Survey, space: LabelSpace) -> Table:

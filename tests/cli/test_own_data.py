@@ -3,6 +3,7 @@
 
 import json
 import math
+import re
 import shlex
 import shutil
 from pathlib import Path
@@ -20,6 +21,7 @@ from salsanext_cli.parallel.run import Outcome
 from salsanext_cli.results.paths import output_path
 from salsanext_cli.stages import submit as stage
 from salsanext_cli.stages.pick import Picking
+from salsanext_cli.stages.predict import predict_scans
 
 
 def test_a_topic_of_a_recording_is_named(run, tmp_path):
@@ -64,6 +66,32 @@ def test_pick_names_the_next_commands_and_the_scans_that_failed(run, data, tmp_p
     assert result["predicted"] == str(tmp_path / "out/predicted")
     assert [failure["code"] for failure in result["failures"]] == ["format"]
     assert f"error: {broken}: " in picked.stderr
+
+
+def test_pick_prints_the_failures_of_the_labels_of_picked_scans(
+    run, data, tmp_path, weights, monkeypatch
+):
+    """A picked scan that is damaged before it is labelled."""
+    out = tmp_path / "to-label"
+    broken = out / "sequences/08/velodyne/000000.bin"
+
+    def after_damage(*arguments, **options):
+        broken.write_bytes(b"x")
+        return predict_scans(*arguments, **options)
+
+    monkeypatch.setattr("salsanext_cli.cli.picked_labels.predict_scans", after_damage)
+    picked = run("pick", data, out, "--weights", weights, "--json", status=1)
+    failures = only_json(picked)["failures"]
+    assert [(failure["scan"], failure["code"]) for failure in failures] == [(str(broken), "format")]
+    assert f"error: {broken}: " in picked.stderr
+
+
+def test_inspect_names_range_images_only_with_a_fit(run, data, tmp_path):
+    plain = run("inspect", data, status=0)
+    assert "Scans" in plain.stdout
+    assert "Range images" not in plain.stdout
+    fitted = run("inspect", data, "--fit", tmp_path / "mine.toml", "--width", 128, status=0)
+    assert re.search(r"Range images of .*, 64×128", fitted.stdout)
 
 
 def test_pick_takes_the_scans_of_a_list_instead_of_a_number(run, data, tmp_path, weights):

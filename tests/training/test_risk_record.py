@@ -81,3 +81,24 @@ def test_the_printed_table_has_the_limit_that_was_asked_for(at_most, count):
     cells = [cell.plain for cell in table.columns[0].cells]
     assert len(cells) == count
     assert f"{100 * at_most:.3g} % on average" in cells
+
+
+@pytest.mark.parametrize(("confidence", "count"), [(0.9, 3), (0.85, 4)])
+def test_the_printed_table_has_the_confidence_that_was_asked_for(confidence, count):
+    table = needed_scans_table(0.1, confidence)
+    columns = [[cell.plain for cell in column.cells] for column in table.columns]
+    rows = [row for row in zip(*columns, strict=True) if "--confidence" in row[0]]
+    assert len(rows) == count
+    # All n scans are within the limit with chance p^n: the least n makes it at most 1 - p.
+    scans = next(n for n in range(1, 1000) if confidence**n <= 1 - confidence)
+    assert (f"any limit, --confidence {100 * confidence:g}%", str(scans), str(scans)) in rows
+
+
+def test_a_refusal_of_too_few_scans_shows_how_many_are_needed(world, tmp_path):
+    words = ("tune", "risk", world.data, tmp_path / "safe.safetensors", "--at-most", "2%")
+    refusal = called(*words, "--weights", world.network.weights, status=1)
+    assert "2 % on average" in refusal.stderr
+    assert refusal.stderr.index("Least numbers") < refusal.stderr.index("error: ")
+    assert refusal.stdout == ""
+    quiet = called(*words, "--weights", world.network.weights, "--quiet", status=1)
+    assert subject(quiet) == str(world.data)

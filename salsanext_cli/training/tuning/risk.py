@@ -40,7 +40,12 @@ from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.results.selection import data_set_of
 from salsanext_cli.sensors.sensor import FittedView
 from salsanext_cli.training.tuning.consecutive import consecutive_warning
-from salsanext_cli.training.tuning.risk_level import FewUnits, RiskLevel, require_scans
+from salsanext_cli.training.tuning.risk_level import (
+    FewUnits,
+    RiskLevel,
+    TooFewScansError,
+    require_scans,
+)
 from salsanext_cli.training.tuning.scans import NOT_SCORED, Tuned, TuningScans
 from salsanext_cli.uncertainty.error_features import error_probability, knows_error
 
@@ -203,8 +208,9 @@ def _population(judged: Sequence[JudgedScan], unit: str) -> tuple[LabelTraits, .
 def _no_threshold(source: Path, kind: str, few: FewUnits | None, level: RiskLevel) -> TrainingError:
     """Return the error about a level that every threshold exceeds."""
     problem = f"no threshold of {kind} accepts a point within {100 * level.at_most:.3g} %"
-    hint = few.hint if few else "use a higher --at-most, or better weights"
-    return TrainingError(source, problem, hint=hint)
+    if few:
+        return TooFewScansError(source, problem, hint=few.hint)
+    return TrainingError(source, problem, hint="use a higher --at-most, or better weights")
 
 
 def _few_units(files: Sequence[ScanFile], unit: str, level: RiskLevel) -> FewUnits | None:

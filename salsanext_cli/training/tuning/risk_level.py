@@ -18,6 +18,10 @@ from salsanext_cli.measures.risk_control import (
 log = logging.getLogger(__name__)
 
 
+class TooFewScansError(TrainingError):
+    """A level cannot be guaranteed by so few scans or drives."""
+
+
 class RiskLevel(NamedTuple):
     """Limit of the share of accepted and wrong points."""
 
@@ -53,7 +57,7 @@ def require_scans(source: Path, count: int, level: RiskLevel) -> None:
         option = "a lower --confidence"
     problem = f"{counted(count, 'scan')} cannot guarantee less than {best}"
     hint = f"add scans of other drives, or use {option}"
-    raise TrainingError(source, problem, counted(missing, "more scan"), hint)
+    raise TooFewScansError(source, problem, counted(missing, "more scan"), hint)
 
 
 @dataclass(frozen=True, slots=True)
