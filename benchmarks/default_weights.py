@@ -54,7 +54,7 @@ SIMULATED = "scenes simulated"
 STREETS = ("--valid", "5", "--scans", SCANS_OF_STREET, "--spacing", "10", "--jobs", "2")
 
 DESCRIPTION = (
-    "Trained on simulated streets and sensors and on two drives of PandaSet: {simulated} scans "
+    "Trained on simulated scenes and sensors and on {drives}: {simulated} scans "
     "of `salsanext synth`, half with an HDL-64 and half with random sensors, {real} of PandaSet "
     "(Hesai and Scale AI, CC BY 4.0).{aachen} See model-card.md; not for use on real roads."
 )
@@ -217,6 +217,7 @@ def main() -> None:
     description = DESCRIPTION.format(
         simulated=simulated_scans(run) if given.run else 2 * given.streets * SCANS_OF_STREET,
         real=len(scans),
+        drives="two drives of PandaSet and one in Aachen" if sectors else "two drives of PandaSet",
         aachen=AACHEN.format(sectors=len(sectors)) if sectors else "",
     )
     finish(run, (streets, real), out / "default.safetensors", description, sectors)

@@ -104,8 +104,9 @@ def evaluate(
         metavar="LIMITS",
     ),
     fail_over: str | None = option(
-        "Exit with status 1 if a score is above its limit in %, such as ece=2, or if more labels "
-        "are wrong than `tune risk` guarantees: guarantee.",
+        "Exit with status 1 if a score is above its limit in %, such as ece=2. guarantee has the "
+        "limit of `tune risk`: it is the share of the points of known classes that are accepted "
+        "and wrong, on average over the scans or drives.",
         metavar="LIMITS",
     ),
     query: ResultQuery,

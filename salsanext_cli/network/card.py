@@ -202,7 +202,10 @@ class WeightsCard:
 
     def of_other_width(self) -> str:
         """Name the parts that were fitted to images of the default width instead; "" for none."""
-        default, names = self.trained_widths[0], ("temperature", "error model", "expected accuracy")
+        default, names = (
+            self.trained_widths[0],
+            ("temperature", "error model", "estimated accuracy"),
+        )
         if self.sensor.width == default:
             return ""
         used, others = self.parts.to_dict(), self.substitutes.to_dict()
@@ -225,7 +228,7 @@ class WeightsCard:
         """Name the parts that were fitted to the initial weights of the training; "" for none."""
         parts = {
             "error model": self.error and self.error.scores.get(INHERITED),
-            "expected accuracy": self.accuracy and self.accuracy.inherited_from,
+            "estimated accuracy": self.accuracy and self.accuracy.inherited_from,
         }
         origins = {part: shortened(name) for part, name in parts.items() if name}
         names = " and ".join(dict.fromkeys(origins.values()))

@@ -86,7 +86,7 @@ def initial_network(
 
 
 def inheriting(card: WeightsCard, weights: Path) -> WeightsCard:
-    """Return a card with error model and expected accuracy of the initial weights, marked."""
+    """Return a card with error model and estimated accuracy of the initial weights, marked."""
     initial = read_card(weights)
     error, name = initial.error, initial.named(weights)
     fits = initial.space.fits(card.space) and (error is None or error.features == FEATURES)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Error model and expected accuracy of weights that were trained from others without folds."""
+"""Error model and estimated accuracy of weights that were trained from others without folds."""
 
 import json
 import shutil
@@ -33,7 +33,7 @@ ONCE = Recipe(epochs=1, batch=2, crop_width=32, learning_rate=1e-3, average=0.5)
 
 @pytest.fixture
 def start(tmp_path: Path, tiny_training: None) -> Path:
-    """Weights with a version, an error model and a line of the expected accuracy."""
+    """Weights with a version, an error model and a line of the estimated accuracy."""
     path = tmp_path / "start.safetensors"
     card = WeightsCard({"name": "salsanext", "class_count": 20}, label_space(), SMALL, version=5)
     card = replace(card, temperature=1.3, error=MODEL, accuracy=LINE)
@@ -75,7 +75,7 @@ def test_validated_weights_inherit_both_at_another_temperature(data, start, tmp_
     card = read_card(result.best)
     assert card.version is None
     assert card.recipe["initial"] == name
-    parts = f"error model and expected accuracy of {name}"
+    parts = f"error model and estimated accuracy of {name}"
     assert card.inherited() == parts
     assert [text for text in caplog.messages if text.startswith("inherited: ")] == [
         f"inherited: {parts}; fit a model with `salsanext tune error`"
@@ -151,7 +151,7 @@ def heirs(world: World) -> World:
 @pytest.mark.usefixtures("in_few_steps")
 def test_a_run_names_once_inherited_parts_of_its_weights(heirs, tmp_path, caplog):
     caplog.set_level(NOTICE)
-    world, both = heirs, "error model and expected accuracy of city (SHA-256 abc)"
+    world, both = heirs, "error model and estimated accuracy of city (SHA-256 abc)"
     predict_scans(world.data, world.out, settings=world.network, extras=(ERROR,))
     assert [text for text in caplog.messages if "city" in text] == [
         f"{both}; not fitted to these weights: run `salsanext tune error`"
@@ -166,12 +166,12 @@ def test_a_run_names_once_inherited_parts_of_its_weights(heirs, tmp_path, caplog
     # A fitted model is no longer inherited; the line still is.
     tuned = tmp_path / "tuned.safetensors"
     world.tune("error", tuned)
-    assert read_card(tuned).inherited() == "expected accuracy of city (SHA-256 abc)"
+    assert read_card(tuned).inherited() == "estimated accuracy of city (SHA-256 abc)"
     caplog.clear()
     settings = replace(world.network, weights=tuned)
     predict_scans(world.data, tmp_path / "tuned", settings=settings, extras=(ERROR,))
     assert [text for text in caplog.messages if "city" in text] == [
-        "expected accuracy of city (SHA-256 abc); not fitted to these weights"
+        "estimated accuracy of city (SHA-256 abc); not fitted to these weights"
     ]
 
 

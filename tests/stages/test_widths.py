@@ -99,7 +99,7 @@ def test_parts_are_fitted_for_the_width_and_others_stay(mixed, target, caplog):
 def test_parts_of_another_width_are_named(mixed, caplog):
     caplog.set_level(logging.INFO)
     at(mixed, 32).predict()
-    expected = f"temperature, expected accuracy of images of {WIDE} columns"
+    expected = f"temperature, estimated accuracy of images of {WIDE} columns"
     assert f"{expected}; not fitted to images of 32 columns" in caplog.text
     assert Manifest(mixed.out).settings("predict").inherited == expected
     assert read_card(mixed.network.path).at_width(NARROW).of_other_width() == ""

@@ -88,13 +88,13 @@ def fit_temperature(scans: TuningScans) -> Tuned:
 
 
 def with_temperature(card: WeightsCard, temperature: float, logits: Tensor) -> WeightsCard:
-    """Return a card with another temperature, and the same expected accuracy of logits (N, C)."""
+    """Return a card with another temperature, and the same estimated accuracy of logits (N, C)."""
     error, accuracy = card.error, card.accuracy
     if error:
         # Its features are those at the old temperature.
         error = replace(error, temperature=error.temperature or card.temperature)
     if accuracy and len(logits):
-        # The labels do not change, so neither does their expected accuracy.
+        # The labels do not change, so neither does their estimated accuracy.
         old, new = (
             (logits.double() / t).softmax(dim=1).amax(dim=1).mean().logit(1e-6).item()
             for t in (card.temperature, temperature)
