@@ -12,8 +12,8 @@ from salsanext_cli.network.card import AccuracyLine
 
 DEVIATIONS = 3.5
 """Half the width of the interval, in deviations of the line. With 2.0, the interval held for seven
-of eleven further drives. 3.5 deviations of the default weights (2.9 points) are about twice the root
-mean square error on 14 excerpts of drives (5.0 points)."""
+of eleven further drives. For the default weights, whose deviation is 2.9 points, 3.5 deviations are
+about twice the root mean square error on 14 excerpts of drives, which is 5.0 points."""
 OF_RUN = ("mixed-sensors",)
 """Warnings that concern every scan of a run: the fit to its scans suits none of the sensors."""
 WITHHELD_FOR = (
