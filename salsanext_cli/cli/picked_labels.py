@@ -77,7 +77,7 @@ def label_picked_scans(
         class_count=summary.space.class_count,
         expected=expected,
         doubtful=doubtful_share(out),
-        warned={warning.code: len(warning.scans) for warning in summary.warnings()},
+        warned={warning.code: warning.scans for warning in summary.warnings()},
     )
     accuracy = expected.accuracy if expected else None
     return PickedLabels(out, outcome.failures, accuracy, verdict(evidence))

@@ -4,17 +4,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
 from salsanext_cli.errors import counted
-from salsanext_cli.measures.expected_accuracy import ExpectedAccuracy
+from salsanext_cli.measures.expected_accuracy import OF_RUN, ExpectedAccuracy
 
 DOUBTFUL = 0.1
 """A point is doubtful if its label is wrong with a greater probability."""
 FEW_CLASSES = 10  # Label spaces of at most so many classes, class 0 included, are coarse already
-MOST = 0.5  # A warning decides if more than this share of the scans has it
+MOST = 0.5  # Warnings decide if more than this share of the scans has one of them
 
 
 class Decision(StrEnum):
@@ -96,6 +96,7 @@ CODES = {
     Decision.CORRECT: CORRECTED_FOR,
     Decision.LABEL_TEN: LABELLED_FOR,
 }
+"""Warnings by the decision that they lead to, the gravest first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,10 +107,10 @@ class Evidence:
     class_count: int  # Number of classes of the labels, class 0 included
     expected: ExpectedAccuracy | None = None  # Estimate without labels
     measured: float | None = None  # Measured share of right labels, 0…1
-    # Share of the points with a label, 0…1, whose error is above `DOUBTFUL`; also labels that were
-    # rejected since count. None if the error was not computed
+    # Share of the points with a label, 0…1, whose error is above `DOUBTFUL`; None if the error was
+    # not computed, or if labels were rejected
     doubtful: float | None = None
-    warned: Mapping[str, int] = field(default_factory=dict)  # Number of scans by code
+    warned: Mapping[str, Collection[str]] = field(default_factory=dict)  # Names of scans by code
 
     @property
     def accuracy(self) -> float | None:
@@ -117,6 +118,17 @@ class Evidence:
         if self.measured is not None:
             return self.measured
         return self.expected.accuracy if self.expected else None
+
+    @property
+    def deciding(self) -> dict[str, Collection[str]]:
+        """Names of the scans by code of the warnings of `CODES`, the gravest first."""
+        codes = [code for group in CODES.values() for code in group]
+        return {code: self.warned[code] for code in codes if self.warned.get(code)}
+
+    @property
+    def unlike(self) -> set[str]:
+        """Names of the scans with any of these warnings."""
+        return {name for names in self.deciding.values() for name in names}
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,26 +162,31 @@ def verdict(evidence: Evidence) -> Verdict | None:
     Verdict or None
         None if neither accuracy nor error is known and no warning decides.
     """
-    codes = _deciding_codes(evidence)
-    for decision in (Decision.UNSUITED, Decision.CORRECT):
-        if codes[decision]:
-            return Verdict(decision, _warnings(evidence, codes[decision]))
-    reasons = [*_numbers(evidence)]
-    unlike = codes[Decision.LABEL_TEN]
-    if unlike:
-        reasons.append(_warnings(evidence, unlike))
+    by_warnings = _decision_by_warnings(evidence)
+    if by_warnings in (Decision.UNSUITED, Decision.CORRECT):
+        return Verdict(by_warnings, _warnings(evidence, by_warnings))
+    reasons = _numbers(evidence)
+    if by_warnings is not None:
+        reasons.append(_warnings(evidence, by_warnings))
+    elif reasons and evidence.unlike:
+        reasons.append(_exceptions(evidence))
     if not reasons:
         return None
-    best = Decision.LABEL_TEN if unlike else Decision.USE
+    is_known = evidence.accuracy is not None and by_warnings is None
+    best = Decision.USE if is_known else Decision.LABEL_TEN
     return Verdict(_level(evidence, best), ", and ".join(reasons))
 
 
-def _deciding_codes(evidence: Evidence) -> dict[Decision, list[str]]:
-    """Return the codes that most of the scans have, by what they lead to."""
-    return {
-        decision: [code for code in codes if evidence.warned.get(code, 0) > MOST * evidence.scans]
-        for decision, codes in CODES.items()
-    }
+def _decision_by_warnings(evidence: Evidence) -> Decision | None:
+    """Return the gravest decision that the warnings of most scans, or graver ones, lead to."""
+    warned: set[str] = set()
+    for decision, codes in CODES.items():
+        for code in codes:
+            warned.update(evidence.warned.get(code, ()))
+        concerns_all = any(evidence.warned.get(code) for code in codes if code in OF_RUN)
+        if concerns_all or len(warned) > MOST * evidence.scans:
+            return decision
+    return None
 
 
 def _level(evidence: Evidence, best: Decision) -> Decision:
@@ -187,7 +204,7 @@ def _level(evidence: Evidence, best: Decision) -> Decision:
 
 
 def _numbers(evidence: Evidence) -> list[str]:
-    """Return accuracy and share of doubtful points in words."""
+    """Return accuracy and share of doubtful points in words; empty if neither is known."""
     words = []
     expected = evidence.expected
     if evidence.measured is not None:
@@ -195,18 +212,39 @@ def _numbers(evidence: Evidence) -> list[str]:
     elif expected and expected.interval:
         low = math.floor(100 * expected.interval[0])
         high = math.ceil(100 * expected.interval[1])
-        words.append(f"the estimated accuracy is {low} to {high} %")
+        covered = f" of {counted(expected.scans, 'scan')}" if expected.withheld else ""
+        words.append(f"the estimated accuracy{covered} is {low} to {high} %")
+    elif expected or evidence.doubtful is not None:
+        words.append("the accuracy is unknown")
     if evidence.doubtful is not None:
         doubtful = f"{100 * evidence.doubtful:.1f} % of the points with a label"
         words.append(f"{doubtful} have a probability of error above {100 * DOUBTFUL:.0f} %")
     return words
 
 
-def _warnings(evidence: Evidence, codes: list[str]) -> str:
-    """Return how many scans have each code."""
+def _warnings(evidence: Evidence, decision: Decision) -> str:
+    """Return how many scans have each code that leads to a decision, or to a graver one."""
+    order = list(CODES)
+    deciding = order[: order.index(decision) + 1]
+    counts = {
+        code: len(evidence.warned[code])
+        for level in deciding
+        for code in CODES[level]
+        if evidence.warned.get(code)
+    }
     if evidence.scans == 1:
-        return (
-            f"the scan has the {'warnings' if len(codes) > 1 else 'warning'} {' and '.join(codes)}"
-        )
-    counts = [f"{evidence.warned[code]:,} with {code}" for code in codes]
-    return f"of {counted(evidence.scans, 'scan')}, {', '.join(counts)}"
+        noun = "warnings" if len(counts) > 1 else "warning"
+        return f"the scan has the {noun} {' and '.join(counts)}"
+    return f"of {counted(evidence.scans, 'scan')}, {_counts_in_words(counts)}"
+
+
+def _exceptions(evidence: Evidence) -> str:
+    """Return the number of scans whose warnings do not decide, and their codes."""
+    scans = counted(evidence.scans, "scan")
+    counts = {code: len(names) for code, names in evidence.deciding.items()}
+    return f"this may not hold for {len(evidence.unlike)} of {scans}: {_counts_in_words(counts)}"
+
+
+def _counts_in_words(counts: Mapping[str, int]) -> str:
+    """Return numbers of scans by code in words."""
+    return ", ".join(f"{number:,} with {code}" for code, number in counts.items())

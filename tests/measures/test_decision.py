@@ -8,11 +8,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from salsanext_cli.measures.decision import CODES, LEVELS, Decision, Evidence, verdict
-from salsanext_cli.measures.expected_accuracy import WITHHELD_FOR, ExpectedAccuracy
+from salsanext_cli.measures.expected_accuracy import OF_RUN, WITHHELD_FOR, ExpectedAccuracy
 
 FINE = Evidence(scans=10, class_count=20)
 ORDER = [level.decision for level in LEVELS]
 SHARES = st.none() | st.floats(0, 1)
+
+
+def names(count: int, first: int = 0) -> list[str]:
+    """Return names of scans."""
+    return [f"00/{number:06}" for number in range(first, first + count)]
 
 
 def estimate(accuracy: float) -> ExpectedAccuracy:
@@ -31,7 +36,7 @@ def estimate(accuracy: float) -> ExpectedAccuracy:
         (0.6, 0.7, Decision.LABEL_TEN),
         (0.59, 0.1, Decision.LABEL_FORTY),
         (0.9, 0.71, Decision.LABEL_FORTY),
-        (None, 0.2, Decision.USE),
+        (None, 0.2, Decision.LABEL_TEN),
         (0.8, None, Decision.COARSE),
     ],
 )
@@ -57,12 +62,12 @@ def test_worse_numbers_never_lead_to_a_better_decision(accuracy, doubtful, class
 
 def test_the_reason_of_one_scan_counts_no_scans():
     one = replace(FINE, scans=1, measured=0.95)
-    assert verdict(replace(one, warned={"height": 1})).reason.endswith(
+    assert verdict(replace(one, warned={"height": names(1)})).reason.endswith(
         "the scan has the warning height"
     )
-    both = verdict(replace(one, warned={"height": 1, "sparse": 1})).reason
+    both = verdict(replace(one, warned={"height": names(1), "sparse": names(1)})).reason
     assert both.endswith("the scan has the warnings height and sparse")
-    several = verdict(replace(one, scans=3, warned={"height": 2})).reason
+    several = verdict(replace(one, scans=3, warned={"height": names(2)})).reason
     assert several.endswith("of 3 scans, 2 with height")
 
 
@@ -82,14 +87,55 @@ def test_the_measured_accuracy_replaces_the_estimate():
 def test_a_warning_decides_if_most_scans_have_it(decision, codes):
     for code in codes:
         good = replace(FINE, measured=0.95)
-        assert verdict(replace(good, warned={code: 6})).decision is decision
-        assert verdict(replace(good, warned={code: 5})).decision is Decision.USE
+        assert verdict(replace(good, warned={code: names(6)})).decision is decision
+        half = verdict(replace(good, warned={code: names(5)}))
+        if code in OF_RUN:
+            assert half.decision is decision
+            continue
+        assert half.decision is Decision.USE
+        assert half.reason.endswith(f"this may not hold for 5 of 10 scans: 5 with {code}")
+
+
+def test_scans_with_any_warning_are_counted_once():
+    numbers = replace(FINE, expected=ExpectedAccuracy(None, None, 0, {}), doubtful=0.2)
+    halves = {"noisy": names(5), "near-returns": names(5, first=5)}
+    result = verdict(replace(numbers, warned=halves))
+    assert result.decision is Decision.LABEL_TEN
+    assert result.reason.endswith("of 10 scans, 5 with near-returns, 5 with noisy")
+    same = {"noisy": names(5), "near-returns": names(5)}
+    assert verdict(replace(FINE, measured=0.95, warned=same)).decision is Decision.USE
+
+
+def test_a_graver_warning_counts_for_the_milder_decision():
+    warned = {"noisy": names(2), "tilted": names(2, first=2), "indoor": names(2, first=4)}
+    good = replace(FINE, measured=0.95)
+    result = verdict(replace(good, warned=warned))
+    assert result.decision is Decision.LABEL_TEN
+    assert result.reason.endswith("of 10 scans, 2 with indoor, 2 with tilted, 2 with noisy")
+    more = warned | {"tilted": names(4)}
+    assert verdict(replace(good, warned=more)).decision is Decision.CORRECT
+
+
+@pytest.mark.parametrize("doubtful", [None, 0.0, 0.2])
+def test_labels_of_unknown_accuracy_are_never_used_as_they_are(doubtful):
+    withheld = ExpectedAccuracy(None, None, 0, {"mixed-sensors": 3})
+    result = verdict(replace(FINE, expected=withheld, doubtful=doubtful))
+    assert result.decision is Decision.LABEL_TEN
+    assert "the accuracy is unknown" in result.reason
+
+
+def test_an_estimate_of_half_of_the_scans_names_both_halves():
+    half = replace(estimate(0.95), scans=5, withheld={"units": 5})
+    evidence = replace(FINE, expected=half, doubtful=0.2, warned={"units": names(5)})
+    sentence = verdict(evidence).sentence
+    assert "the estimated accuracy of 5 scans is 85 to 100 %" in sentence
+    assert "5 of 10 scans: 5 with units" in sentence
 
 
 def test_warnings_do_not_improve_a_decision():
-    bad = replace(FINE, measured=0.3, warned={"sparse": 10})
+    bad = replace(FINE, measured=0.3, warned={"sparse": names(10)})
     assert verdict(bad).decision is Decision.LABEL_FORTY
-    both = replace(bad, warned={"sparse": 10, "tilted": 10, "indoor": 10})
+    both = replace(bad, warned={"sparse": names(10), "tilted": names(10), "indoor": names(10)})
     assert verdict(both).decision is Decision.UNSUITED
 
 
@@ -97,11 +143,11 @@ def test_every_code_that_withholds_the_estimate_leads_to_one_decision():
     codes = [code for group in CODES.values() for code in group]
     assert sorted(codes) == sorted(WITHHELD_FOR)
     for code in WITHHELD_FOR:
-        assert verdict(replace(FINE, warned={code: 10})).decision is not Decision.USE
+        assert verdict(replace(FINE, warned={code: names(10)})).decision is not Decision.USE
 
 
 def test_the_sentence_has_the_numbers():
-    evidence = replace(FINE, expected=estimate(0.8), doubtful=0.42, warned={"sparse": 7})
+    evidence = replace(FINE, expected=estimate(0.8), doubtful=0.42, warned={"sparse": names(7)})
     sentence = verdict(evidence).sentence
     assert all(text in sentence for text in ("70 to 90 %", "42.0 %", "10 %", "7 with sparse"))
     assert verdict(evidence).command.endswith("--count 10")

@@ -144,11 +144,19 @@ def test_rejected_points_have_a_tile_and_withhold_the_estimate(world):
     Manifest(world.out).write(StageRecord("predict", settings, ("predictions",)))
     world.put("uncertainty/error", "000000", [0.3, 0.31, 0.9, np.nan])
     world.put("uncertainty/error", "000001", [0.0] * 4)
-    _, page = made(world)
+    result, page = made(world)
     tiles = dict(re.findall("<div><b>([^<]*)</b>([^<]*)</div>", page.source))
     # Two of the seven points with a label.
     assert tiles["28.6 %"] == "of the points with a label rejected: error above 0.3"
     assert "withheld" in tiles
+    # The errors of all labels do not describe the accepted ones.
+    assert result.to_dict()["decision"] is None
+    assert 'class="decision"' not in page.source
+    assert "No decision" in page.text
+    tilted = {f"08/{stem}": [("tilted", "leans", "level it")] for stem in ("000000", "000001")}
+    OwnedFolder(world.out, "predict").record_findings(tilted, set(tilted))
+    result, _ = made(world)
+    assert result.to_dict()["decision"]["decision"] == "correct"
 
 
 def test_a_page_has_a_bounded_number_of_thumbnails(world, monkeypatch):

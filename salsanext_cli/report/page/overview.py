@@ -17,6 +17,10 @@ from salsanext_cli.report.tables import percent
 from salsanext_cli.results.manifest import Manifest
 
 WITHHELD = "withheld"
+NO_DECISION = (
+    "No decision about the labels: some were rejected, and a decision judges all. "
+    "The report of a run without --reject has one."
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +38,7 @@ def overview(run: RunResults, compared: Comparison | None) -> str:
         f"<div><b>{text_of(tile.value)}</b>{text_of(tile.meaning)}</div>"
         for tile in _tiles(run, compared, evidence)
     )
-    return f'<div class="tiles">{tiles}</div>\n{_decision(evidence)}{_sentences(compared)}'
+    return f'<div class="tiles">{tiles}</div>\n{_decision(run, evidence)}{_sentences(compared)}'
 
 
 def _tiles(run: RunResults, compared: Comparison | None, evidence: Evidence) -> Iterator[Tile]:
@@ -108,18 +112,18 @@ def _rejection(run: RunResults) -> str:
 def _warning_tile(run: RunResults, evidence: Evidence) -> Tile:
     """Return the number of scans with warnings, and with each code."""
     warned = sum(bool(codes) for codes in run.codes.values())
-    counts = sorted(evidence.warned.items(), key=lambda item: (-item[1], item[0]))
-    codes = ", ".join(f"{code} {number:,}" for code, number in counts)
+    counts = sorted(evidence.warned.items(), key=lambda item: (-len(item[1]), item[0]))
+    codes = ", ".join(f"{code} {len(names):,}" for code, names in counts)
     return Tile(
         f"{warned:,}", f"{'scan' if warned == 1 else 'scans'} with warnings{codes and f': {codes}'}"
     )
 
 
-def _decision(evidence: Evidence) -> str:
+def _decision(run: RunResults, evidence: Evidence) -> str:
     """Return the decision and the command that follows from it, as HTML; empty if unknown."""
     decided = verdict(evidence)
     if decided is None:
-        return ""
+        return f'<p class="sentence">{NO_DECISION}</p>' if run.reader.rejects else ""
     advice = text_of(ADVICE[decided.decision])
     command = f" <code>{text_of(decided.command)}</code>" if decided.command else ""
     reason = text_of(decided.reason)

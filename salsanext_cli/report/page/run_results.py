@@ -6,7 +6,6 @@ from __future__ import annotations
 import csv
 import math
 import random
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -200,15 +199,23 @@ class RunResults:
         return expected_accuracy(settings.accuracy, confidences, warnings)
 
     def evidence(self) -> Evidence:
-        """Return the numbers that decide what to do with the labels."""
+        """Return the numbers that decide what to do with the labels.
+
+        After labels were rejected, only warnings decide: the numbers of all labels do not describe
+        the accepted ones.
+        """
         expected = self.expected_accuracy()
+        warned: dict[str, list[str]] = {}
+        for name, codes in self.codes.items():
+            for code in codes:
+                warned.setdefault(code, []).append(name)
         return Evidence(
             scans=len(self.rows),
             class_count=self.reader.space.class_count,
             expected=expected,
             measured=self._measured_accuracy(expected),
-            doubtful=self.errors.doubtful_share,
-            warned=Counter(code for codes in self.codes.values() for code in codes),
+            doubtful=None if self.reader.rejects else self.errors.doubtful_share,
+            warned=warned,
         )
 
     def _measured_accuracy(self, expected: ExpectedAccuracy | None) -> float | None:
