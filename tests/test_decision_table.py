@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 
 from salsanext_cli.measures.decision import CODES, DOUBTFUL, LEVELS, MOST, Decision
-from salsanext_cli.measures.label_gains import MANY_RIGHT, TRIALS, GainRange
+from salsanext_cli.measures.label_gains import gains_of_trials
 
 PAGE = Path(__file__).parents[1] / "docs/tutorials/own-sensor.md"
 SECTION = PAGE.read_text("utf-8").partition("## 6. Use, label, or stop\n")[2]
@@ -74,11 +74,17 @@ def test_every_warning_is_in_the_table_or_in_the_sentence_after_it():
 
 def test_the_gains_quoted_are_those_of_the_trials():
     text = " ".join(SECTION.split())
-    many = GainRange(tuple(trial for trial in TRIALS if trial.before >= MANY_RIGHT))
-    few = GainRange(tuple(trial for trial in TRIALS if trial.before < MANY_RIGHT))
-    quoted = (
-        f"gained {many.worst:.1f} to {many.best:.1f} points of accuracy (median {many.usual:.1f})"
-    )
-    assert quoted in text
-    assert f"scans gained {few.worst:.0f} to {few.best:.0f} points" in text
-    assert (len(many.trials), len(few.trials)) == (9, 3)
+    many, few = gains_of_trials(None)
+    for gains in (many, few):
+        scans = [trial.scans for trial in gains.trials]
+        assert f"{min(scans)} to {max(scans)} labelled scans" in text
+        quoted = f"{gains.worst:.1f} to {gains.best:.1f} points"
+        assert quoted in text
+        assert f"(median {gains.usual:.1f})" in text
+    assert {trial.version for trial in many.trials} == {5}
+    assert {trial.version for trial in few.trials} == {0, 2}
+    same = sum(trial.same_drive for trial in few.trials)
+    assert (len(many.trials), len(few.trials), same) == (4, 7, 3)
+    assert "Four trials of weights version 5" in text
+    assert "Seven trials of versions 0 and 2" in text
+    assert "Three of these seven scored the drive" in text
