@@ -49,6 +49,15 @@ def counted(count: int, noun: str) -> str:
     return f"{count:,} {noun}{'' if count == 1 else 's'}"
 
 
+def percentage(share: float, decimals: int = 1, *, figures: int | None = None) -> str:
+    """Return a share, 0…1, in percent, such as "72.7 %".
+
+    `figures`: number of significant figures, instead of decimals.
+    """
+    number = 100 * share
+    return f"{number:.{decimals}f} %" if figures is None else f"{number:.{figures}g} %"
+
+
 def first_few(names: Sequence[object]) -> str:
     """Return the first names and the number of further ones."""
     more = len(names) - MAX_NAMES_SHOWN

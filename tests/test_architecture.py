@@ -10,6 +10,7 @@ from pathlib import Path
 
 import salsanext_cli
 from salsanext_cli.cli.app import COMMANDS
+from salsanext_cli.errors import percentage
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = Path(salsanext_cli.__file__).parent
@@ -135,6 +136,20 @@ def test_rooms_files_and_functions_are_small():
 
 LONGEST_FUNCTION = 60
 """Lines of a function, with its signature and its docstring."""
+
+
+def test_percentages_of_messages_have_one_form():
+    """Python's format "%" has no space before the sign; `percentage` has."""
+    specs = [
+        f"{module.relative_to(PACKAGE)}:{node.lineno}"
+        for module in MODULES
+        for node in ast.walk(tree_of(module))
+        if isinstance(node, ast.FormattedValue) and node.format_spec
+        if ast.unparse(node.format_spec).rstrip("'\"").endswith("%")
+    ]
+    assert specs == []
+    assert [percentage(0.7266), percentage(0.7266, 0)] == ["72.7 %", "73 %"]
+    assert [percentage(share, figures=2) for share in (0.001234, 0.05)] == ["0.12 %", "5 %"]
 
 
 def test_stages_are_commands():

@@ -19,7 +19,14 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
-from salsanext_cli.errors import LabelError, UsageError, did_you_mean, first_few, shortened
+from salsanext_cli.errors import (
+    LabelError,
+    UsageError,
+    did_you_mean,
+    first_few,
+    percentage,
+    shortened,
+)
 from salsanext_cli.files.plug_ins import PlugIn, load_plug_ins
 from salsanext_cli.files.yaml_toml import read_yaml
 
@@ -150,7 +157,9 @@ class LabelSpace:
         counts = self.unknown_ids(raw)
         ids = first_few([f"{i} ({counts[i]}×)" for i in sorted(counts, key=lambda i: -counts[i])])
         of_labelled = sum(counts.values()) / np.count_nonzero(self._train_of_raw[raw & 0xFFFF])
-        problem = f"has unknown label ids {ids}: {100 * of_labelled:.0f} % of the labelled points"
+        problem = (
+            f"has unknown label ids {ids}: {percentage(of_labelled, 0)} of the labelled points"
+        )
         hint = "set the label space of this data with --label-space"
         if (raw & 0xFFFF).max() < self.class_count:
             problem += f"; they are probably train ids, since none is above {self.class_count - 1}"

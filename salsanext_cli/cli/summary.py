@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import typer
 
 from salsanext_cli.cli.console import DONE, FAILED, Output, duration_text, print_line
-from salsanext_cli.errors import MAX_NAMES_SHOWN, counted, first_few, with_hint
+from salsanext_cli.errors import MAX_NAMES_SHOWN, counted, first_few, percentage, with_hint
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -60,7 +60,7 @@ def _rejection_lines(outcome: Outcome, limit: float | str | None) -> Iterable[st
     if (rejected := outcome.rejected_points) is not None:
         share = ""
         if outcome.summary and outcome.summary.judged_points:
-            share = f" ({100 * outcome.summary.rejected_share:.1f} % of the points with a label)"
+            share = f" ({percentage(outcome.summary.rejected_share)} of the points with a label)"
         reason = "above the threshold of `tune risk`"
         if limit != "risk":
             reason = f"probability of error above {limit:g}"
@@ -123,11 +123,11 @@ def _lines(summary: RunSummary | None, following: str | None) -> Iterable[str]:
         yield from (f"image: {text}" for text in dict.fromkeys(images))
         if (share := summary.unlabelled_share) >= LEAST_SHOWN:
             causes = "; ".join(_causes(summary, ego_text(sensor)))
-            yield f"unlabelled: {100 * share:.1f} % of all points{causes and f' ({causes})'}"
+            yield f"unlabelled: {percentage(share)} of all points{causes and f' ({causes})'}"
         if expected := summary.expected_accuracy():
             yield expected.text
         if largest := summary.largest_classes():
-            shares = ", ".join(f"{name} {100 * share:.1f} %" for name, share in largest.items())
+            shares = ", ".join(f"{name} {percentage(share)}" for name, share in largest.items())
             yield f"largest classes: {shares}"
     if following is not None:
         yield f"next: {following}"
@@ -136,12 +136,12 @@ def _lines(summary: RunSummary | None, following: str | None) -> Iterable[str]:
 def _causes(summary: RunSummary, region: str) -> Iterable[str]:
     """Yield why points are unlabelled, with shares of all points; `region`: of the vehicle."""
     if (unmeasured := summary.unmeasured_share) >= LEAST_SHOWN:
-        yield f"{100 * unmeasured:.1f} % without a measurement"
+        yield f"{percentage(unmeasured)} without a measurement"
     if (ego := summary.ego_share) >= LEAST_SHOWN:
         where = "" if summary.sensor.others else f", {region}"
-        yield f"{100 * ego:.1f} % on the sensor's housing and vehicle{where}"
+        yield f"{percentage(ego)} on the sensor's housing and vehicle{where}"
     if (rejected := summary.rejected_share_of_all) >= LEAST_SHOWN:
-        yield f"{100 * rejected:.1f} % rejected"
+        yield f"{percentage(rejected)} rejected"
 
 
 def next_command(

@@ -13,7 +13,7 @@ from salsanext_cli.cli.completion import completer
 from salsanext_cli.cli.console import progress
 from salsanext_cli.cli.interruption import require_uninterrupted, stating
 from salsanext_cli.engines.settings import weights_file
-from salsanext_cli.errors import counted
+from salsanext_cli.errors import counted, percentage
 from salsanext_cli.option_fields import argument, network_option, option_group
 from salsanext_cli.results.query import named_label_space
 
@@ -118,10 +118,10 @@ def train(
 def _score_text(done: "TrainResult") -> str:
     if (e := done.expected) is None:
         miou = done.best_miou
-        return "not scored" if miou is None else f"best validation mIoU {100 * miou:.1f} %"
+        return "not scored" if miou is None else f"best validation mIoU {percentage(miou)}"
     texts = ", ".join(
         f"{name} {100 * mean:.1f}{'' if spread is None else f' ± {100 * spread:.1f}'} %"
-        f"{'' if before is None else f' (before {100 * before:.1f} %)'}"
+        f"{'' if before is None else f' (before {percentage(before)})'}"
         for name, mean, spread, before in (
             ("mIoU", e.miou, e.miou_spread, e.miou_before),
             ("accuracy", e.accuracy, e.accuracy_spread, e.accuracy_before),
@@ -139,7 +139,7 @@ def _show(report: "StepReport", bar: "Progress | None", output: console.Output) 
         bar(report.step, report.steps)
     if report.row is not None:
         scores = (("mIoU", report.row.get("miou")), ("accuracy", report.row.get("accuracy")))
-        texts = [f", {name} {100 * value:.1f} %" for name, value in scores if value is not None]
+        texts = [f", {name} {percentage(value)}" for name, value in scores if value is not None]
         fold = f"fold {report.fold}, " if report.fold else ""
         epoch = f"{fold}epoch {report.epoch}/{report.epochs}"
         output.print(f"{epoch}: loss {report.row['loss']:.3f}{''.join(texts)}")

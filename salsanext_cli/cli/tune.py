@@ -12,7 +12,7 @@ from salsanext_cli.cli.console import guarded, writing
 from salsanext_cli.cli.expansion import Default, Shown, Without, expanded
 from salsanext_cli.cli.help import Command, Group
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import counted
+from salsanext_cli.errors import counted, percentage
 from salsanext_cli.option_fields import ScanSelection, argument, option, option_group
 from salsanext_cli.parallel.run_options import running_option
 
@@ -68,9 +68,11 @@ def tune_error(
     tuned = _tuned("error", dataset, target, fit, output)
     output.result(tuned, error_table(tuned) if tuned["folds"] else None)
     points = f"{tuned['points']:,} points of {counted(tuned['scans'], 'scan')}"
-    points += f", {100 * tuned['wrong']:.1f} % wrong"
+    points += f", {percentage(tuned['wrong'])} wrong"
     if several := tuned["several"]:
-        points += f" ({several:.1%} of all points skipped: labels of several merged classes)"
+        points += (
+            f" ({percentage(several)} of all points skipped: labels of several merged classes)"
+        )
     _end(output, f"tune error: {points} → {target}", target, "--error ")
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.errors import FormatError, counted
+from salsanext_cli.errors import FormatError, counted, percentage
 from salsanext_cli.fitting.finding import Finding
 from salsanext_cli.fitting.place_checks import (
     HINT_DIGITS,
@@ -222,7 +222,7 @@ def _unit_findings(ranges: Double, measured: float) -> Iterator[Finding]:
     if far < MIN_FAR_M:
         yield Finding("indoor", f"99% of the points lie within {far:.0f} m, as in a room", TRAIN)
     if measured < MIN_MEASURED:
-        problem = f"{1 - measured:.0%} of the points are not measurements"
+        problem = f"{percentage(1 - measured, 0)} of the points are not measurements"
         yield Finding(
             "not-measured", problem, f"they stay unlabelled; if they should not, {COLUMNS}"
         )
@@ -232,19 +232,23 @@ def _view_findings(scan: Scan, sines: Float, sensor: Sensor, fit: str) -> Iterat
     outside = share_outside(sines, sensor)
     if outside > MAX_SHARE_OUTSIDE:
         view = f"{sensor.name}, {sensor.fov_up:+g}° to {sensor.fov_down:+g}°"
-        problem = f"{outside:.0%} of the points lie outside the field of view of {view}"
+        problem = f"{percentage(outside, 0)} of the points lie outside the field of view of {view}"
         yield Finding("out-of-view", problem, fit)
     turns = np.arctan2(scan.points[:, 1], scan.points[:, 0]) / (2 * np.pi) + 0.5
     around = float((np.bincount((turns * SECTORS).astype(int) % SECTORS) > 0).sum()) / SECTORS
     if around < MIN_SECTORS:
         code = "part-of-circle" if around >= FEW_SECTORS else "few-directions"
-        yield Finding(code, f"has points in {around:.0%} of the directions around", TRAIN)
+        yield Finding(
+            code, f"has points in {percentage(around, 0)} of the directions around", TRAIN
+        )
     downwards = sensor.fov_up - np.degrees(np.arcsin(sines))
     rows = (downwards * (sensor.height / (sensor.fov_up - sensor.fov_down))).astype(int)
     per_row = np.bincount(rows.clip(0, sensor.height - 1), minlength=sensor.height)
     occupied = float((per_row > FEW_OF_ROW * per_row.mean()).mean())
     if occupied < MIN_ROWS and outside <= MAX_SHARE_OUTSIDE:
-        problem = f"has points in {occupied:.0%} of the {sensor.height} rows of the image"
+        problem = (
+            f"has points in {percentage(occupied, 0)} of the {sensor.height} rows of the image"
+        )
         yield Finding("sparse", problem, TRAIN)
 
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from salsanext_cli.errors import percentage
 from salsanext_cli.fitting.finding import Finding
 from salsanext_cli.fitting.scan_structure import structure_of
 from salsanext_cli.geometry.beam_origin import sharpness
@@ -48,10 +49,12 @@ def structure_findings(scan: Scan, sensor: Sensor) -> Iterator[Finding]:
     # Noise also lets points float and hides others; fog hides points, too. In several scans at
     # once, the vehicles that carried the sensor float.
     if structure.roughness > MAX_ROUGHNESS:
-        problem = f"neighbouring ranges differ by {structure.roughness:.1%}, as by noise"
+        problem = f"neighbouring ranges differ by {percentage(structure.roughness)}, as by noise"
         yield Finding("noisy", f"{problem} or in dense fog", CLEAN)
     elif structure.in_air > MAX_IN_AIR and structure.hidden <= MAX_HIDDEN_IN_FOG:
-        problem = f"{structure.in_air:.1%} of the points float near the sensor, as in fog or snow"
+        problem = (
+            f"{percentage(structure.in_air)} of the points float near the sensor, as in fog or snow"
+        )
         yield Finding("near-returns", problem, CLEAN)
     else:
         yield from _accumulated_findings(structure.hidden, scan.notes.split)
@@ -76,7 +79,7 @@ def accumulated_from_file(scan: Scan, sensor: Sensor) -> Iterator[Finding]:
 def _accumulated_findings(hidden: float, split: FieldSplit | None) -> Iterator[Finding]:
     several_sensors = split is not None and split.kind == "sensor"
     if hidden > MAX_HIDDEN:
-        problem = f"{hidden:.1%} of the points lie more than a metre behind others"
+        problem = f"{percentage(hidden)} of the points lie more than a metre behind others"
         origin = "sensors" if several_sensors else "scans"
         yield Finding(ACCUMULATED, f"{problem}, as in several {origin} at once", _remedy(split))
     elif split is not None and several_sensors:
@@ -106,5 +109,5 @@ def depth_image_findings(points: Float, no_intensity: str) -> Iterator[Finding]:
     sectors = np.unique((turns * SECTORS).astype(np.intp) % SECTORS)
     share = len(sectors) / SECTORS
     if share < MAX_SECTORS and sharpness(points.astype(np.float64), np.zeros(3)) < MIN_SHARPNESS:
-        problem = f"no intensities, no rows, and {share:.0%} of the directions around"
+        problem = f"no intensities, no rows, and {percentage(share, 0)} of the directions around"
         yield Finding("depth-image", f"has {problem}, as a depth image", LIDAR)

@@ -4,7 +4,7 @@
 from collections.abc import Iterator
 from shlex import quote
 
-from salsanext_cli.errors import first_few
+from salsanext_cli.errors import first_few, percentage
 from salsanext_cli.fitting.finding import Finding
 from salsanext_cli.geometry.network_input import BRIGHT, INTENSITY_FACTOR, NO_INTENSITY
 from salsanext_cli.sensors.sensor import OF_IMAGES, Sensor
@@ -94,6 +94,6 @@ def _scale_findings(bright: float, sensor: Sensor, trained: Sensor) -> Iterator[
         comparison = "where 0 to 1 is usual"
     if not is_doubtful:
         return
-    problem = f"{BRIGHT:.0%} of the intensities are below {bright:.3g}, {comparison}"
+    problem = f"{percentage(BRIGHT, 0)} of the intensities are below {bright:.3g}, {comparison}"
     hint = MATCH_OR_SET_SCALE if trained.intensity_quantiles else SET_SCALE
     yield Finding("intensity-scale", problem, APART if matched else hint)

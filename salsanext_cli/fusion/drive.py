@@ -10,7 +10,7 @@ from typing import Self
 
 import numpy as np
 
-from salsanext_cli.errors import NOTICE, FormatError, OutputError, SalsanextError
+from salsanext_cli.errors import NOTICE, FormatError, OutputError, SalsanextError, percentage
 from salsanext_cli.files.json_files import read_json
 from salsanext_cli.files.reading import present, refusing_damage
 from salsanext_cli.formats import read_scan
@@ -75,7 +75,7 @@ class Drive:
         parts, misfit = fitting_parts(poses, read)
         if misfit > MAX_MISFIT:
             folder = files[0].path.parent
-            problem = f"has {misfit:.0%} scans that do not fit the others"
+            problem = f"has {percentage(misfit, 0)} scans that do not fit the others"
             hint = f"move the scans to their sensor, and give its poses in {POSES}"
             raise FormatError(folder, problem, "scans in the frame of one map", hint)
         return cls(poses, parts)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.errors import FormatError
+from salsanext_cli.errors import FormatError, percentage
 from salsanext_cli.fusion.poses import CALIBRATION, Points, Poses
 from salsanext_cli.records import Double
 
@@ -144,7 +144,9 @@ def require_fitting(path: Path, poses: Poses, read: ReadPoints) -> Parts:
     if misfit > MAX_MISFIT:
         hint = f"add the {CALIBRATION} of poses of a camera, or remove the file to compute poses"
         expected = "poses from each scan to the world, in metres"
-        raise FormatError(path, f"does not fit {misfit:.0%} of the scans", expected, hint)
+        raise FormatError(
+            path, f"does not fit {percentage(misfit, 0)} of the scans", expected, hint
+        )
     if 2 * len(np.unique(parts)) > len(poses) + 1:
         _require_metres(path, poses, read)
     return parts

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.errors import UsageError
+from salsanext_cli.errors import UsageError, percentage
 from salsanext_cli.geometry.projection import measured_ranges, sample_places
 from salsanext_cli.records import MAX_INTENSITY, Float
 from salsanext_cli.sensors.sensor import INTENSITY_LEVELS, Sensor
@@ -130,11 +130,12 @@ def why_no_intensity(points: Float, intensity: Float) -> str:
         return ""
     unusable = 1 - usable.sum() / measured.sum()
     if unusable > MAX_UNUSABLE:
-        return f"{unusable:.0%} of the points have no intensity: NaN or above {MAX_INTENSITY:g}"
+        limit = f"NaN or above {MAX_INTENSITY:g}"
+        return f"{percentage(unusable, 0)} of the points have no intensity: {limit}"
     values, ranges = intensity[usable], ranges[usable]
     equal = np.unique(values, return_counts=True)[1].max() / len(values)
     if equal > MAX_EQUAL:
-        return f"no intensity: {equal:.0%} of the points have the same value"
+        return f"no intensity: {percentage(equal, 0)} of the points have the same value"
     if len(values) < MIN_INTENSITY_POINTS:
         return ""
     x, y, z = points[usable].T

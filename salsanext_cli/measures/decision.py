@@ -8,7 +8,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from salsanext_cli.errors import counted
+from salsanext_cli.errors import counted, percentage
 from salsanext_cli.measures.expected_accuracy import OF_RUN, ExpectedAccuracy
 
 DOUBTFUL = 0.1
@@ -208,7 +208,7 @@ def _numbers(evidence: Evidence) -> list[str]:
     words = []
     expected = evidence.expected
     if evidence.measured is not None:
-        words.append(f"{100 * evidence.measured:.1f} % of the labelled points are right")
+        words.append(f"{percentage(evidence.measured)} of the labelled points are right")
     elif expected and expected.interval:
         low = math.floor(100 * expected.interval[0])
         high = math.ceil(100 * expected.interval[1])
@@ -217,8 +217,8 @@ def _numbers(evidence: Evidence) -> list[str]:
     elif expected or evidence.doubtful is not None:
         words.append("the accuracy is unknown")
     if evidence.doubtful is not None:
-        doubtful = f"{100 * evidence.doubtful:.1f} % of the points with a label"
-        words.append(f"{doubtful} have a probability of error above {100 * DOUBTFUL:.0f} %")
+        doubtful = f"{percentage(evidence.doubtful)} of the points with a label"
+        words.append(f"{doubtful} have a probability of error above {percentage(DOUBTFUL, 0)}")
     return words
 
 

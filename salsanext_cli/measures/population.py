@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from salsanext_cli.errors import percentage
 from salsanext_cli.measures.scores import Counts
 from salsanext_cli.network.card import LabelTraits
 from salsanext_cli.records import Double, Float
@@ -40,7 +41,7 @@ class PopulationDifference:
     def __str__(self) -> str:
         """State both means in per cent."""
         subject = "mean uncertainty" if self.trait == "uncertainty" else f"share of {self.trait}"
-        return f"{subject} {self.now:.1%} instead of {self.before:.1%}"
+        return f"{subject} {percentage(self.now)} instead of {percentage(self.before)}"
 
 
 def label_traits(unit: str, class_points: Counts, uncertainty: Float) -> LabelTraits:

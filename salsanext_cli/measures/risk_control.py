@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.errors import counted, first_few
+from salsanext_cli.errors import counted, first_few, percentage
 from salsanext_cli.measures.scores import Counts, Ratios, scored_rows
 from salsanext_cli.network.card import RiskThreshold
 
@@ -181,14 +181,14 @@ class AcceptedLabels:
     @property
     def sentences(self) -> Iterator[str]:
         """Coverage, risk, the worst scan and missed people."""
-        of_all = f"{self.wrong / max(self.points, 1):.1%} of all"
+        of_all = f"{percentage(self.wrong / max(self.points, 1))} of all"
         yield (
-            f"accepted, all scans together: {self.coverage:.1%} of {self.points:,} points, "
-            f"{self.risk:.1%} of these are wrong ({of_all})"
+            f"accepted, all scans together: {percentage(self.coverage)} of {self.points:,} points, "
+            f"{percentage(self.risk)} of these are wrong ({of_all})"
         )
         name, points, accepted, wrong = self.worst
-        of_accepted = f"{wrong / max(accepted, 1):.1%} of the {accepted:,} accepted"
-        loss = f"{wrong / max(points, 1):.1%} of its points are accepted and wrong"
+        of_accepted = f"{percentage(wrong / max(accepted, 1))} of the {accepted:,} accepted"
+        loss = f"{percentage(wrong / max(points, 1))} of its points are accepted and wrong"
         yield f"worst scan: {name}, {loss} ({of_accepted})"
         if self.people:
             missed = f"{self.missed_people:,} of {self.people:,} points of people"
@@ -258,7 +258,7 @@ class RiskBoundCheck:
         """Guarantee and measured losses in words."""
         measured = f"{self.above} of {counted(self.units, self.unit)}"
         if self.confidence is None:
-            mean = f"{100 * self.mean:.1f} % on average over {counted(self.units, self.unit)}"
+            mean = f"{percentage(self.mean)} on average over {counted(self.units, self.unit)}"
             measured = f"{mean}, each {self.unit} counting the same"
         bound = _bound(self.at_most, self.confidence, self.unit)
         guaranteed = f"guaranteed for {self.scope}: {bound}"
@@ -267,7 +267,7 @@ class RiskBoundCheck:
                 "not guaranteed, because the scans are unlike those that the threshold was chosen "
                 f"on: {bound}"
             )
-        worst = f"{100 * self.worst:.1f} % in the worst {self.unit}"
+        worst = f"{percentage(self.worst)} in the worst {self.unit}"
         return f"{guaranteed}; measured: {measured}, {worst}"
 
 
@@ -289,13 +289,14 @@ def _scope(risk: RiskThreshold) -> str:
 
 
 def _bound(at_most: float, confidence: float | None, unit: str) -> str:
-    level = f"{100 * at_most:.3g} %"
+    level = percentage(at_most, figures=3)
     if confidence is None:
         return (
             f"on average over new {unit}s and over choices of the labelled ones, at most {level} "
             "of the points of known classes are accepted and wrong"
         )
+    others = percentage(1 - confidence, figures=3)
     return (
-        f"with {100 * confidence:.3g} % confidence, at most {100 - 100 * confidence:.3g} % of "
-        f"{unit}s have more than {level} of their points of known classes accepted and wrong"
+        f"with {percentage(confidence, figures=3)} confidence, at most {others} of {unit}s have "
+        f"more than {level} of their points of known classes accepted and wrong"
     )

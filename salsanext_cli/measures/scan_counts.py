@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace, RawIds, TrainIds
 from salsanext_cli.classes.merging import ClassMerging
-from salsanext_cli.errors import LabelError, counted, first_few, with_hint
+from salsanext_cli.errors import LabelError, counted, first_few, percentage, with_hint
 from salsanext_cli.files.reading import present
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
@@ -130,9 +130,8 @@ class ScanCounts:
         matrix = accepted(matrix) if self.accepted else matrix
         points, right = int(matrix.sum()), int(np.trace(matrix))
         if points >= MIN_JUDGED and right < MIN_ACCURACY * points:
-            agreement = (
-                f"labels and predictions agree on {right / points:.1%} of the labelled points"
-            )
+            labelled = f"{percentage(right / points)} of the labelled points"
+            agreement = f"labels and predictions agree on {labelled}"
             yield with_hint(agreement, "check --label-space and the settings of the sensor")
 
 

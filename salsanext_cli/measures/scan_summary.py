@@ -16,7 +16,7 @@ import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.engines.network import Network
-from salsanext_cli.errors import SalsanextError, counted, first_few
+from salsanext_cli.errors import SalsanextError, counted, first_few, percentage
 from salsanext_cli.files.reading import present
 from salsanext_cli.fitting.finding import Finding
 from salsanext_cli.fitting.label_scan import LabelledScan
@@ -130,7 +130,9 @@ def _label_findings(points: Counts, confidence: float, space: LabelSpace) -> Ite
         total, largest = int(points[1:].sum()), int(points[1:].argmax()) + 1
         most = MAX_SHARE_OF_FEW if few else MAX_SHARE
         if total >= MIN_TRAIT_POINTS and points[largest] > most * total:
-            share = f"{points[largest] / total:.0%} of the points are {space.names[largest]}"
+            share = (
+                f"{percentage(points[largest] / total, 0)} of the points are {space.names[largest]}"
+            )
             yield Finding("one-class", share, LOOK)
     if confidence < (MIN_OF_FEW if few else MIN_CONFIDENCE):
         mean = f"the labels have a mean probability of {confidence:.2f}"

@@ -12,6 +12,7 @@ from typing import Self
 
 import numpy as np
 
+from salsanext_cli.errors import percentage
 from salsanext_cli.files.json_files import plain
 from salsanext_cli.measures.calibration import (
     CalibrationScores,
@@ -160,7 +161,7 @@ class AcceptedPoints:
         unit = UNCERTAINTY[kind].unit if kind in UNCERTAINTY else ""
         below = f"{kind} below {self.threshold:.4g} {unit}".rstrip()
         # 99.96 % is not 100 %.
-        accepted = f"the {min(100 * self.coverage, 99.9):.3g} % of points with {below}"
+        accepted = f"the {percentage(min(self.coverage, 0.999), figures=3)} of points with {below}"
         risk = _percent(self.risk)
         if self.risk < self.risk_of_all and risk != of_all:
             return f"accept {accepted}: {risk} of them are wrong instead of {of_all}"
@@ -199,7 +200,7 @@ def _between(highest: float, others: float) -> float:
 
 
 def _percent(share: float) -> str:
-    return f"{100 * share:.1f} %" if share >= 0.01 else f"{100 * share:.2g} %"
+    return percentage(share) if share >= 0.01 else percentage(share, figures=2)
 
 
 @dataclass(frozen=True, slots=True)

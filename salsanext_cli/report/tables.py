@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.errors import counted, first_few, printable
+from salsanext_cli.errors import counted, first_few, percentage, printable
 from salsanext_cli.labelling.label_records import ImportedScan, LabelImport
 from salsanext_cli.measures.calibration import CalibrationScores
 from salsanext_cli.measures.risk_control import needed_scans, useful_scans
@@ -166,7 +166,7 @@ def needed_scans_table(at_most: float, confidence: float | None = None) -> Table
     for limit in sorted({at_most, *USUAL_LIMITS}, reverse=True):
         scans = needed_scans(limit, None)
         drives = useful_scans(limit, None)
-        rows.append((f"{100 * limit:.3g} % on average", str(scans), str(drives)))
+        rows.append((f"{percentage(limit, figures=3)} on average", str(scans), str(drives)))
     for share in sorted({*USUAL_CONFIDENCES, *([confidence] if confidence else [])}):
         units = str(needed_scans(at_most, share))
         rows.append((f"any limit, --confidence {100 * share:.4g}%", units, units))
@@ -247,7 +247,7 @@ def imported_lines(made: LabelImport, dataset: Path) -> Iterator[str]:
     others = f", {counted(failed, 'file')} failed" if failed else ""
     yield f"import-labels: {counted(len(made.scans), 'scan')}{others} → {dataset}"
     if shares := made.largest_classes():
-        named = ", ".join(f"{name} {100 * share:.1f} %" for name, share in shares.items())
+        named = ", ".join(f"{name} {percentage(share)}" for name, share in shares.items())
         yield f"largest classes: {named}"
     if made.unedited:
         files = f"{counted(len(made.unedited), 'file')}: {first_few(made.unedited)}"

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace, RawIds
-from salsanext_cli.errors import NoInputError, OutputError, counted, first_few
+from salsanext_cli.errors import NoInputError, OutputError, counted, first_few, percentage
 from salsanext_cli.files.reading import is_folder, present
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
@@ -101,7 +101,7 @@ class ScanResults:
         wrong = self.wrong(space)
         judged = wrong[~np.isnan(wrong)]
         coverage, risk = len(judged) / max(known.sum(), 1), judged.sum() / max(len(judged), 1)
-        return f"coverage {100 * coverage:.1f} %, risk {100 * risk:.1f} %"
+        return f"coverage {percentage(coverage)}, risk {percentage(risk)}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.engines.graphs import LOGITS
 from salsanext_cli.engines.loading import network_of_module
 from salsanext_cli.engines.network import Network
-from salsanext_cli.errors import NOTICE, WeightsError, first_few
+from salsanext_cli.errors import NOTICE, WeightsError, first_few, percentage
 from salsanext_cli.network.card import INHERITED, WeightsCard, read_card
 from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.network.registry import build, described
@@ -200,7 +200,8 @@ class Setup:
             return None
         miou, accuracy = self._scores_before([part for _, part in parts])
         if expected.miou <= miou:
-            change = f"mean IoU {expected.miou:.1%} on held-out scans, {miou:.1%} before"
+            after = f"{percentage(expected.miou)} on held-out scans"
+            change = f"mean IoU {after}, {percentage(miou)} before"
             log.warning("training did not improve the weights: %s; label more locations", change)
         return replace(expected, miou_before=miou, accuracy_before=accuracy)
 

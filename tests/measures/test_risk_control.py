@@ -199,8 +199,8 @@ def test_accepted_labels_are_counted():
     assert list(labels.classes.items()) == [("person", (2, 1)), ("car", (1, 0)), ("road", (2, 1))]
     assert labels.worst == ("a/0", 20, 4, 2)
     first = next(labels.sentences)
-    assert "71.4%" in first
-    assert "40.0%" in first
+    assert "71.4 %" in first
+    assert "40.0 %" in first
 
 
 RISK = RiskThreshold("error", 0.25, 0.05, None, 20, ("00", "08"))

@@ -58,7 +58,7 @@ def test_labels_of_low_probability_are_doubted():
 
 
 def test_hints_about_labels_name_the_folder_of_the_run(caplog):
-    finding = Finding("one-class", "80% of the points are road", LOOK)
+    finding = Finding("one-class", "80 % of the points are road", LOOK)
     for out, hint in ((None, LOOK), (Path("my out"), f"{LOOK}: `salsanext report 'my out'`")):
         summary = RunSummary(SMALL, SPACE, out=out)
         summary.add_finding(FILE.name, finding)
@@ -233,7 +233,7 @@ def test_a_distance_band_begins_where_the_previous_one_ends(distance, band):
 
 
 @pytest.mark.parametrize(
-    ("right", "wrong", "share"), [(300, 9800, "3.0%"), (2100, 8000, ""), (1, 900, "")]
+    ("right", "wrong", "share"), [(300, 9800, "3.0 %"), (2100, 8000, ""), (1, 900, "")]
 )
 def test_labels_that_hardly_agree_with_predictions_are_doubted(right, wrong, share):
     counts = ScanCounts.none(SPACE, by_distance=False)

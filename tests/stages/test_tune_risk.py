@@ -138,7 +138,7 @@ def test_a_guarantee_that_does_not_hold_warns(unsure_is_wrong: World, target, ca
     ("numbers", "expected"),
     [
         ({"at_most": 0.05}, ("25 %", "16 more", "--at-most 50%")),
-        ({"at_most": 0.05, "confidence": 0.9}, ("54% of scans", "19 more", "--confidence")),
+        ({"at_most": 0.05, "confidence": 0.9}, ("54 % of scans", "19 more", "--confidence")),
     ],
 )
 def test_too_few_scans_for_a_guarantee_are_refused(world: World, target, numbers, expected) -> None:
@@ -259,8 +259,8 @@ def test_few_scans_say_what_the_bound_leaves_and_what_more_would_accept(
     assert few["useful"] == 6
     accepted = tuned["accepted"]["accepted"] / tuned["accepted"]["points"]
     assert accepted < few["accepted_by_useful"]
-    assert f"{accepted:.1%}" in after
-    assert f"{few['accepted_by_useful']:.0%}" in after
+    assert f"{100 * accepted:.1f} %" in after
+    assert f"{100 * few['accepted_by_useful']:.0f} %" in after
     # With a level that leaves the same room, the same threshold is chosen.
     level = (3 * 11 / 60 + 1) / 4
     shares = world.tune("risk", target, at_most=level, overwrite=True)["accepted"]

@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from salsanext_cli.errors import counted
+from salsanext_cli.errors import counted, percentage
 from salsanext_cli.measures.decision import ADVICE, DOUBTFUL, Evidence, verdict
 from salsanext_cli.measures.expected_accuracy import ExpectedAccuracy
 from salsanext_cli.report.page.elements import text_of
@@ -52,7 +52,7 @@ def _tiles(run: RunResults, compared: Comparison | None, evidence: Evidence) -> 
     mean = errors.mean
     doubtful = errors.doubtful_share
     if mean is not None and doubtful is not None:
-        above = f"{percent(doubtful, 1, ' %')} of them above {100 * DOUBTFUL:.0f} %"
+        above = f"{percent(doubtful, 1, ' %')} of them above {percentage(DOUBTFUL, 0)}"
         points_of_errors = f"{counted(errors.points, 'point')} with a label"
         meaning = f"mean probability of error of {points_of_errors}, {above}"
         yield Tile(percent(mean, 1, " %"), meaning)

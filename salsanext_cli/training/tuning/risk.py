@@ -14,7 +14,7 @@ import numpy.typing as npt
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.engines.backend import PixelPrediction
 from salsanext_cli.engines.network import Network
-from salsanext_cli.errors import LabelError, TrainingError, first_few, with_hint
+from salsanext_cli.errors import LabelError, TrainingError, first_few, percentage, with_hint
 from salsanext_cli.files.json_files import plain
 from salsanext_cli.fitting.label_scan import PreparedScan, labelled, prepared_for
 from salsanext_cli.fitting.sensor_fit import labels_depend_on
@@ -172,7 +172,7 @@ def fit_risk(scans: TuningScans, at_most: float, confidence: float | None = None
     if few:
         report["few"] = _report_of_few(few, judged, losses, labels)
     elif labels.coverage < LEAST_COVERAGE:
-        text = f"the threshold accepts only {labels.coverage:.1%} of the points"
+        text = f"the threshold accepts only {percentage(labels.coverage)} of the points"
         log.warning("%s", with_hint(text, "use a higher --at-most, or scans of more drives"))
     _warn_of_held_out(others, level, unit)
     return replace(network.card, risk=risk), report
@@ -207,7 +207,8 @@ def _population(judged: Sequence[JudgedScan], unit: str) -> tuple[LabelTraits, .
 
 def _no_threshold(source: Path, kind: str, few: FewUnits | None, level: RiskLevel) -> TrainingError:
     """Return the error about a level that every threshold exceeds."""
-    problem = f"no threshold of {kind} accepts a point within {100 * level.at_most:.3g} %"
+    limit = percentage(level.at_most, figures=3)
+    problem = f"no threshold of {kind} accepts a point within {limit}"
     if few:
         return TooFewScansError(source, problem, hint=few.hint)
     return TrainingError(source, problem, hint="use a higher --at-most, or better weights")
@@ -273,9 +274,11 @@ def _sentences(others: Sequence[HeldOutSequence]) -> Iterator[str]:
     """Yield sentences about held-out sequences."""
     worst = sorted(others, key=lambda part: -part.loss)[:MAX_LISTED]
     for part in worst:
-        shares = f"{part.accepted:.1%} accepted, {part.loss:.1%} of all points accepted and wrong"
-        of_worst = f", {part.worst:.1%} in the worst scan" if part.scans > 1 else ""
-        yield f"{part.sequence} with the threshold chosen on the others: {shares}{of_worst}"
+        wrong = f"{percentage(part.loss)} of all points accepted and wrong"
+        accepted = f"{percentage(part.accepted)} accepted"
+        of_worst = f", {percentage(part.worst)} in the worst scan" if part.scans > 1 else ""
+        shares = f"{accepted}, {wrong}{of_worst}"
+        yield f"{part.sequence} with the threshold chosen on the others: {shares}"
     if more := len(others) - len(worst):
         noun = "sequence" if more == 1 else "sequences"
         yield f"{more} more {noun} with a smaller share of wrong points"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from salsanext_cli.errors import TrainingError, UsageError, counted, with_hint
+from salsanext_cli.errors import TrainingError, UsageError, counted, percentage, with_hint
 from salsanext_cli.measures.risk_control import (
     allowed_scans,
     needed_scans,
@@ -53,7 +53,8 @@ def require_scans(source: Path, count: int, level: RiskLevel) -> None:
         option = f"--at-most {useful:g}%, which leaves half of it for wrong points"
     else:
         exceed = 1 - (1 - confidence) ** (1 / max(count, 1))  # Clopper and Pearson's bound
-        best = f"{exceed:.0%} of scans above the level, with {100 * confidence:.4g} % confidence"
+        best = f"{percentage(exceed, 0)} of scans above the level, "
+        best += f"with {percentage(confidence, figures=4)} confidence"
         option = "a lower --confidence"
     problem = f"{counted(count, 'scan')} cannot guarantee less than {best}"
     hint = f"add scans of other drives, or use {option}"
@@ -84,19 +85,19 @@ class FewUnits:
         """Warn of the room that the bound leaves, before a scan is read."""
         units = counted(self.count, self.unit)
         more = counted(self.useful, self.unit)
-        useful = 100 * _left(self.useful, self.level)
-        limit = f"{100 * self.level.at_most:.3g} %"
+        useful = percentage(_left(self.useful, self.level), figures=3)
+        limit = percentage(self.level.at_most, figures=3)
         if self.level.confidence is not None:
             text = f"{units}: none of them may exceed {limit}; with {more} one may"
         elif self.left < 0.0005:
             text = (
                 f"{units}: the threshold accepts only labels below the first wrong one; with "
-                f"{more} {useful:.3g} % of the points may be accepted and wrong"
+                f"{more} {useful} of the points may be accepted and wrong"
             )
         else:
             text = (
-                f"{units}: {100 * self.left:.2g} % of the points of these may be accepted and "
-                f"wrong, not {limit}; with {more} {useful:.3g} %"
+                f"{units}: {percentage(self.left, figures=2)} of the points of these may be "
+                f"accepted and wrong, not {limit}; with {more} {useful}"
             )
         log.warning("%s", with_hint(text, self.hint))
 
@@ -105,8 +106,8 @@ class FewUnits:
         units = counted(self.count, self.unit)
         more = counted(self.useful, self.unit)
         text = (
-            f"{units}: the threshold accepts {accepted:.1%} of the points; {more} like these would "
-            f"accept about {accepted_by_useful:.0%}"
+            f"{units}: the threshold accepts {percentage(accepted)} of the points; {more} like "
+            f"these would accept about {percentage(accepted_by_useful, 0)}"
         )
         log.warning("%s", with_hint(text, self.hint))
 
