@@ -104,9 +104,10 @@ def evaluate(
         metavar="LIMITS",
     ),
     fail_over: str | None = option(
-        "Exit with status 1 if a score is above its limit in %, such as ece=2. guarantee has the "
-        "limit of `tune risk`: it is the share of the points of known classes that are accepted "
-        "and wrong, on average over the scans or drives.",
+        "Exit with status 1 if a score is above its limit in %, such as ece=2. guarantee takes the "
+        "limit of `tune risk`: the points of known classes that are accepted and wrong must not "
+        "exceed it on average over the scans or drives. After `tune risk --confidence`, the share "
+        "of scans or drives that exceed it is limited instead.",
         metavar="LIMITS",
     ),
     query: ResultQuery,
