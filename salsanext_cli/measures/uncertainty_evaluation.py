@@ -7,7 +7,7 @@ Functions of counts take the numbers of right and of wrong points in bins of asc
 
 import logging
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -151,17 +151,19 @@ class AcceptedPoints:
     threshold: float = math.nan
     coverage: float = math.nan  # Share of the points below the threshold, exact
     risk: float = math.nan  # Share of the accepted points that is wrong, exact
+    of_accepted: bool = False  # Whether the run rejected labels, and the points are the accepted
 
     @property
     def sentence(self) -> str:
         """Suggested threshold in words."""
         kind, of_all = self.kind, _percent(self.risk_of_all)
+        noun = "accepted points" if self.of_accepted else "points"
         if math.isnan(self.threshold):
-            return f"no threshold of {kind} helps: {of_all} of {self.points:,} points are wrong"
+            return f"no threshold of {kind} helps: {of_all} of {self.points:,} {noun} are wrong"
         unit = UNCERTAINTY[kind].unit if kind in UNCERTAINTY else ""
         below = f"{kind} below {self.threshold:.4g} {unit}".rstrip()
         # 99.96 % is not 100 %.
-        accepted = f"the {percentage(min(self.coverage, 0.999), figures=3)} of points with {below}"
+        accepted = f"the {percentage(min(self.coverage, 0.999), figures=3)} of {noun} with {below}"
         risk = _percent(self.risk)
         if self.risk < self.risk_of_all and risk != of_all:
             return f"accept {accepted}: {risk} of them are wrong instead of {of_all}"
@@ -244,6 +246,8 @@ class UncertaintyEvaluation:
             ),
             None,
         )
+        if accepted and counts.accepted:
+            accepted = replace(accepted, of_accepted=True)
         return cls(softmax, kinds, accepted)
 
     def to_json(self) -> dict[str, object]:

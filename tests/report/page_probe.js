@@ -124,6 +124,9 @@ const cssOf = entries => entries.map(({ rgb }) => (255 * 2 ** 24 + rgb[2] * 6553
   for (const name of ["mean entropy", "scan", "scan"]) { heading(name).click(); result.rows.push(scans()); }
   result.sorted = document.querySelector("#table th[aria-sort]").textContent;
   result.columns = [...document.querySelectorAll("#table th")].map(cell => cell.textContent);
+  result.plots = [...document.querySelectorAll(".plots figure")].map(figure => figure.offsetWidth);
+  result.links = [...document.querySelectorAll("nav a")].map(link =>
+    [link.textContent, document.querySelector(`${link.getAttribute("href")} h2`).textContent]);
   result.pictures = [...document.querySelectorAll("#table img")].map(image => image.naturalWidth);
   const tagged = document.querySelector("#table tr[data-scan='08/000000'] input");
   result.nothing = byId("save").disabled;

@@ -159,6 +159,12 @@ def test_the_page_draws_and_its_controls_work(world, tmp_path):
     assert result["rows"] == [rising, rising[::-1], rising, rising[::-1]]
     assert result["sorted"] == "scan"
     assert result["pictures"] == [96, 96]
+    # A plot is as wide as its pixels allow, also if it is alone.
+    (width,) = result["plots"]
+    assert 500 <= width <= 620
+    links = [link for link, _ in result["links"]]
+    assert links == [heading for _, heading in result["links"]]
+    assert len(set(links)) == len(links) == 4
     assert result["columns"][:3] == ["tag", "from above, by class", "scan"]
     saved, disabled, tags = result["tags"]
     assert result["nothing"]

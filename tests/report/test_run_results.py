@@ -21,6 +21,7 @@ from salsanext_cli.measures.expected_accuracy import ExpectedAccuracy
 from salsanext_cli.measures.scan_counts import ScanCounts
 from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.report.page.clouds import NO_VALUE, encode_cloud, scales_of
+from salsanext_cli.report.page.drive_data import drive_data
 from salsanext_cli.report.page.recorded_warnings import codes_by_scan, warnings_of_run
 from salsanext_cli.report.page.run_results import RunResults, ShownScan, read_boxes
 from salsanext_cli.report.page.scan_row import PointErrors, ScanRow
@@ -59,11 +60,32 @@ def test_most_uncertain_most_wrong_and_worst_class_are_chosen():
     run = run_of(rows=rows, space=SPACE)
     chosen = run.notable_scans()
     assert chosen["00/1"] == "most uncertain (mean entropy 0.9)"
-    assert chosen["00/4"] == "most wrong (30.0 % of the points with a label)"
+    assert chosen["00/4"] == "most wrong (30.0 % of the labelled points)"
     assert chosen["00/3"] == "worst class: 4 points of car wrong"
     assert sorted(chosen.values())[0] == "at random"
     assert len(chosen) == 4
     assert chosen == run.notable_scans()
+    rejecting = replace(run, reader=replace(run.reader, rejects=True))
+    wrong = rejecting.notable_scans()["00/4"]
+    assert wrong == "most wrong (30.0 % of the accepted points with a true class)"
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ("error", "mean probability of error 18.6 %"),
+        ("least_confidence", "mean 1 − confidence 18.6 %"),
+        ("disagreement", "mean disagreement 18.6 %"),
+        ("entropy", "mean entropy 0.186"),
+        ("mutual_information", "mean mutual information 0.186"),
+    ],
+)
+def test_a_mean_uncertainty_has_one_title_and_shares_are_percentages(kind, words):
+    run = run_of(rows=[row("1", **{kind: 0.1862})], space=SPACE)
+    assert run.leading_kind == kind
+    assert run.notable_scans()["00/1"] == f"most uncertain ({words})"
+    numbers = drive_data(run, np.ones((1, 3), int), ["00/1"], {})
+    assert numbers["is_share"] == words.endswith("%")
 
 
 def test_scans_are_named_by_sequence_and_stem_or_by_the_stem_alone():

@@ -48,7 +48,9 @@ def test_the_report_has_coverage_and_risk(world, query):
     numbers = found.to_dict()
     assert (numbers["coverage"], numbers["risk"]) == (4 / 16, 1 / 4)
     assert (numbers["accuracy"], numbers["iou_mean_present"]) == (None, None)
-    assert found.shown["08/0"].startswith("most wrong (33.3 % of the points with a label)")
+    assert found.shown["08/0"].startswith(
+        "most wrong (33.3 % of the accepted points with a true class)"
+    )
     page = found.page.read_text()
     assert "<b>25.0 %</b>coverage: accepted of 16 labelled points, 2 scans" in page
     assert "<b>25.0 %</b>risk" in page
@@ -60,6 +62,17 @@ def test_the_report_has_coverage_and_risk(world, query):
     assert scores.accuracy == 3 / 16, "rejected points are wrong"
     assert scores.accuracy_official == pytest.approx(3 / 4), "rejected points do not count"
     assert (rejection["points"], rejection["accepted"], rejection["wrong"]) == (16, 4, 1)
+
+
+def test_a_threshold_of_a_run_that_rejected_labels_names_the_accepted_points(world, query):
+    for stem in ("0", "1"):
+        world.put("uncertainty/error", stem, np.linspace(0.1, 0.4, 10))
+    found = report(world.out, query=query)
+    accepted = found.compared.uncertainty.accepted
+    assert accepted.of_accepted
+    assert accepted.points == 4
+    assert " % of accepted points with " in accepted.sentence
+    assert evaluate(find_scans(world.dataset), world.out, SPACE).uncertainty.accepted == accepted
 
 
 def test_the_served_page_does_not_judge_rejected_points(world, query):

@@ -148,6 +148,8 @@ def test_rejected_points_have_a_tile_and_withhold_the_estimate(world):
     tiles = dict(re.findall("<div><b>([^<]*)</b>([^<]*)</div>", page.source))
     # Two of the seven points with a label.
     assert tiles["28.6 %"] == "of the points with a label rejected: error above 0.3"
+    words = "of 7 points with a label (rejected ones included), 42.9 % of them above 10 %"
+    assert any(tile.endswith(words) for tile in tiles.values())
     assert "withheld" in tiles
     # The errors of all labels do not describe the accepted ones.
     assert result.to_dict()["decision"] is None
@@ -217,7 +219,7 @@ def test_uncertainty_alone_is_shown(world):
     result, page = made(world)
     assert len(result.run.rows) == 1
     assert "No stage has predicted labels" in page.text
-    assert result.shown == {"08/000001": "most uncertain (mean error 0.5)"}
+    assert result.shown == {"08/000001": "most uncertain (mean probability of error 50.0 %)"}
 
 
 def test_a_page_fetches_nothing(world):

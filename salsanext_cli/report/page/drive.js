@@ -8,7 +8,7 @@ class DriveView {
   // scans: { count, names, sequences, shown: index in the page or -1, marked: whether worth a look, shares: (count × classes), uncertainty, wrong, kind }
   constructor(canvas, caption, scans, classes, open) {
     Object.assign(this, { canvas, caption, scans, classes, open, at: Math.max(0, scans.shown.findIndex(i => i >= 0)) });
-    this.isShare = scans.kind === "error" || scans.kind === "least_confidence";  // as the share of wrong points is
+    this.isShare = scans.is_share;  // as the share of wrong points is
     new ResizeObserver(() => this.draw()).observe(canvas);
     canvas.addEventListener("pointermove", event => this.point(this.place(event.offsetX)));
     canvas.addEventListener("click", event => this.choose(this.nearest(this.place(event.offsetX), event.offsetX)));
@@ -43,7 +43,7 @@ class DriveView {
     this.draw();
     const { names, uncertainty, wrong, kind } = this.scans;
     const value = (values, text) => values && !Number.isNaN(values[place]) ? text(values[place]) : "";
-    this.caption.textContent = names[place] + value(uncertainty, v => ` · mean ${title(kind)} ${v.toPrecision(3)}`)
+    this.caption.textContent = names[place] + value(uncertainty, v => ` · mean ${title(kind)} ${this.isShare ? percentOf(v) : v.toPrecision(3)}`)
       + value(wrong, v => ` · ${(100 * v).toFixed(1)} % of the ${JUDGED} wrong`) + ` · ${this.largest(place)}`;
   }
 

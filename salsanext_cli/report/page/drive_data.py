@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from salsanext_cli.measures.scores import Counts
 from salsanext_cli.report.page.clouds import base64_of
+from salsanext_cli.report.page.mean_uncertainty import is_share
 from salsanext_cli.report.page.run_results import RunResults
 
 
@@ -47,6 +48,8 @@ def drive_data(
         "sequences": [row.file.sequence for row in rows],
         "shown": [places.get(row.file.name, -1) for row in rows],
         "kind": kind,
+        "is_share": is_share(kind),
+        "judged": run.judged_points,
         "points": points.tolist(),
         "codes": [codes[row.file.name] for row in rows],
         "thumbnails": [thumbnails.get(row.file.name, "") for row in rows],

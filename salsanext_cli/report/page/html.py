@@ -30,6 +30,7 @@ from salsanext_cli.report.page.clouds import NO_VALUE, Scale, encode_cloud
 from salsanext_cli.report.page.confusions import cells_of, confusion_list, confusion_table
 from salsanext_cli.report.page.drive_data import drive_data
 from salsanext_cli.report.page.elements import bar, listed, script_data, text_of
+from salsanext_cli.report.page.mean_uncertainty import TITLES
 from salsanext_cli.report.page.overview import overview
 from salsanext_cli.report.page.run_results import UNCERTAIN, Comparison, RunResults, ShownScan
 from salsanext_cli.report.plots import PICTURES, uncertainty_pictures
@@ -133,7 +134,7 @@ def html_of(
         warnings=listed("Warnings", '<ul class="warnings">', "</ul>", warnings),
         shares=_shares(class_points.sum(axis=0), compared, space, colours),
         plots=comparison,
-        plots_link='<a href="#plots">Comparison</a>' if comparison else "",
+        plots_link='<a href="#plots">Comparison with labels</a>' if comparison else "",
         data="".join(blocks),
         **(LIVE_WORDS if served else FILE_WORDS),
         **{name.replace(".", "_"): _part(name) for name in PARTS},
@@ -148,6 +149,7 @@ def _data(
     return {
         "boxes": bool(find_outputs(run.reader.out, "objects")),
         "uncertain": list(UNCERTAIN),
+        "titles": TITLES,
         "shown": [{"name": name, "reason": reason} for name, reason in offered.items()],
         "drive": drive_data(run, class_points, names, thumbnails),
         "cells": cells_of(run.rows, names) if run.counts else {},

@@ -53,7 +53,8 @@ def _tiles(run: RunResults, compared: Comparison | None, evidence: Evidence) -> 
     doubtful = errors.doubtful_share
     if mean is not None and doubtful is not None:
         above = f"{percent(doubtful, 1, ' %')} of them above {percentage(DOUBTFUL, 0)}"
-        points_of_errors = f"{counted(errors.points, 'point')} with a label"
+        included = " (rejected ones included)" if run.reader.rejects else ""
+        points_of_errors = f"{counted(errors.points, 'point')} with a label{included}"
         meaning = f"mean probability of error of {points_of_errors}, {above}"
         yield Tile(percent(mean, 1, " %"), meaning)
     rejected = _rejection(run)

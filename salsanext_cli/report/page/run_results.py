@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.errors import counted
+from salsanext_cli.errors import counted, percentage
 from salsanext_cli.files.reading import present, reading, refusing_damage
 from salsanext_cli.geometry.objects import BOX
 from salsanext_cli.measures.decision import Evidence
@@ -26,6 +26,7 @@ from salsanext_cli.measures.scan_counts import SOFTMAX, ScanComparison, ScanCoun
 from salsanext_cli.measures.scan_summary import guarantee_of_run
 from salsanext_cli.measures.scores import Scores, accepted, scores
 from salsanext_cli.measures.uncertainty_evaluation import UncertaintyEvaluation
+from salsanext_cli.report.page.mean_uncertainty import mean_in_words
 from salsanext_cli.report.page.recorded_facts import recorded_facts
 from salsanext_cli.report.page.recorded_warnings import codes_by_scan, warnings_of_run
 from salsanext_cli.report.page.scan_row import PointErrors, ScanRow
@@ -140,6 +141,11 @@ class RunResults:
             yield f"{counted(len(self.missing.scans), 'scan')} without results skipped"
 
     @property
+    def judged_points(self) -> str:
+        """The points that are right or wrong, in words."""
+        return "accepted points with a true class" if self.reader.rejects else "labelled points"
+
+    @property
     def leading_kind(self) -> str | None:
         """First of `LEADING_KINDS` that some scan has, None without any."""
         known = set[str]().union(*(row.uncertainty for row in self.rows))
@@ -156,10 +162,11 @@ class RunResults:
 
         if kind := self.leading_kind:
             means = [row.uncertainty.get(kind, math.nan) for row in rows]
-            words = f"most uncertain (mean {kind.replace('_', ' ')}"
-            add_largest(means, lambda value: f"{words} {value:.3g})")
-        wrong, of_points = [row.wrong for row in rows], "% of the points with a label"
-        add_largest(wrong, lambda share: f"most wrong ({100 * share:.1f} {of_points})")
+            add_largest(means, lambda mean: f"most uncertain ({mean_in_words(kind, mean)})")
+        wrong = [row.wrong for row in rows]
+        add_largest(
+            wrong, lambda share: f"most wrong ({percentage(share)} of the {self.judged_points})"
+        )
         confusions = np.stack([row.confusion for row in rows])
         classes = [c for c in scores(confusions.sum(axis=0), self.reader.space).classes if c.points]
         if classes:

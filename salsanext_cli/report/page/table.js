@@ -9,13 +9,12 @@ class ScanTable {
   constructor(box, scans, classes, { open, changed }) {
     Object.assign(this, { box, scans, classes, open, changed, tags: new Set(), rows: ROWS_AT_ONCE });
     const number = (values, text) => ({ value: place => values[place], text: place => text(values[place]), down: true });
-    const share = scans.kind === "error" || scans.kind === "least_confidence";
     this.columns = [
       { name: "tag", value: place => +this.tags.has(scans.names[place]), down: true },
       { name: scans.shares ? "from above, by class" : "from above", picture: true },
       { name: "scan", value: place => place, text: place => scans.names[place] },
-      scans.uncertainty && { name: `mean ${title(scans.kind)}`, ...number(scans.uncertainty, share ? percentOf : value => Number.isNaN(value) ? "–" : value.toPrecision(3)) },
-      scans.doubtful && { name: "error above 10 %, of points with a label", ...number(scans.doubtful, percentOf) },
+      scans.uncertainty && { name: `mean ${title(scans.kind)}`, ...number(scans.uncertainty, scans.is_share ? percentOf : value => Number.isNaN(value) ? "–" : value.toPrecision(3)) },
+      scans.doubtful && { name: `error above 10 %, of points with a label${scans.rejected ? ", rejected ones included" : ""}`, ...number(scans.doubtful, percentOf) },
       scans.wrong && { name: `wrong, of the ${JUDGED}`, ...number(scans.wrong, percentOf) },
       scans.rejected && { name: "rejected, of points with a label", ...number(scans.rejected, percentOf) },
       scans.codes.some(codes => codes.length) && { name: "warnings", value: place => scans.codes[place].length, text: place => scans.codes[place].join(", "), down: true },
