@@ -3,10 +3,12 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Callable
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -14,6 +16,8 @@ import typer
 from typer.testing import CliRunner, Result
 
 from salsanext_cli.cli.app import app
+
+PAGE_OF_JSON = Path(__file__).parents[1] / "docs/reference/json.md"
 
 
 def called(*words: object, status: int | None = 0) -> Result:
@@ -46,11 +50,30 @@ def parsed(name: str) -> Any:
     return command
 
 
+@cache
+def documented_keys(stage: str) -> frozenset[str]:
+    """Return the keys that the page on JSON lists for a stage; no stage: for an error."""
+    head, *rest = re.split(r"^## (.+)\n", PAGE_OF_JSON.read_text("utf-8"), flags=re.MULTILINE)
+    sections = dict(zip(rest[::2], rest[1::2], strict=True))
+    of_scans = sections["Commands on scans"]
+    row = re.search(rf"^\| `{stage}` \|(.*)$", sections["Other commands"], re.MULTILINE)
+    if not stage:
+        text = sections["Errors"]
+    elif f"`{stage}`" in of_scans.partition("\n\n|")[0]:
+        text = of_scans
+    elif row:
+        text = row[1] + (sections["eval"] if "the keys of `eval`" in row[1] else "")
+    else:
+        text = sections[stage]
+    return frozenset(re.findall(r"[`\"](\w+)[`\"]", head + text))
+
+
 def only_json(result: Result) -> dict[str, Any]:
-    """Return the one JSON object on stdout."""
+    """Return the one JSON object on stdout; fail if the page on JSON does not list its keys."""
     assert result.stdout.count("\n") == 1, result.stdout
     data = json.loads(result.stdout, parse_constant=pytest.fail)
     assert isinstance(data, dict)
+    assert {*data} - documented_keys(data.get("stage", "")) == set()
     # Strict readers refuse halves of characters.
     json.dumps(data, ensure_ascii=False).encode("utf-8")
     return data

@@ -251,10 +251,10 @@ class UncertaintyEvaluation:
         return cls(softmax, kinds, accepted)
 
     def to_json(self) -> dict[str, object]:
-        """Return plain data for JSON, without absent parts; null stands for NaN."""
+        """Return plain data for JSON; null stands for NaN and for absent parts."""
         accepted = self.accepted
         kinds = {kind: asdict(scores) for kind, scores in self.kinds.items()}
-        parts = {
+        return {
             "calibration": self.calibration and plain(self.calibration),
             "uncertainty": {
                 kind: {name: plain(value) for name, value in scores.items() if value is not None}
@@ -262,4 +262,3 @@ class UncertaintyEvaluation:
             },
             "accepted": accepted and plain(accepted) | {"sentence": accepted.sentence},
         }
-        return {name: part for name, part in parts.items() if part}

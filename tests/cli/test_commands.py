@@ -16,8 +16,6 @@ from scans import SMALL, labels_below, make_scan, write_array, write_bin, write_
 from salsanext_cli.network.card import read_card
 from salsanext_cli.results.paths import output_path
 
-ROOT = Path(__file__).parents[2]
-
 
 @pytest.fixture
 def predict(run, data, weights):
@@ -35,17 +33,6 @@ def results(predict, tmp_path):
     out = tmp_path / "out"
     assert predict(out).exit_code == 0
     return out
-
-
-def undocumented(result, stage):
-    """Return the keys of a result that the page on JSON does not list for its stage."""
-    (path,) = (ROOT / "docs").rglob("json.md")
-    head, *rest = re.split(r"^## (.+)\n", path.read_text("utf-8"), flags=re.MULTILINE)
-    sections = dict(zip(rest[::2], rest[1::2], strict=True))
-    of_scans = sections["Commands on scans"]
-    row = re.search(rf"^\| `{stage}` \|(.*)$", sections["Other commands"], re.MULTILINE)
-    text = of_scans if f"`{stage}`" in of_scans else row[1] if row else sections[stage]
-    return set(result) - {*re.findall(r"`(\w+)`", head + text)}
 
 
 def test_every_stage_in_turn_each_with_one_object_of_json(run, data, weights, tmp_path):
@@ -66,7 +53,6 @@ def test_every_stage_in_turn_each_with_one_object_of_json(run, data, weights, tm
         result = run(*arguments, "--json", status=0)
         printed = only_json(result)
         assert (printed["schema"], printed["stage"]) == (2, arguments[0])
-        assert undocumented(printed, arguments[0]) == set()
     assert len(labels_below(out)) == 2
     assert labels_below(out) == labels_below(steps)
     refused = run("predict", steps, tmp_path / "objects", "--objects", *network)
