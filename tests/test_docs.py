@@ -7,6 +7,7 @@ import pydoc
 import re
 import runpy
 import shlex
+import shutil
 import sys
 import threading
 import tomllib
@@ -21,7 +22,7 @@ import prepared
 import pytest
 import refresh
 import yaml
-from command_line import every_command, parsed, root
+from command_line import called, every_command, parsed, root
 from pictures import pipeline
 from scans import SMALL, make_scan, write_array, write_bin, write_sequence
 
@@ -30,7 +31,7 @@ from salsanext_cli import LabelSpace, Sensor, label_space, load_network, project
 from salsanext_cli.cli.app import COMMANDS
 from salsanext_cli.formats import SCAN_SUFFIXES
 from salsanext_cli.network.card import default_weights
-from salsanext_cli.results.paths import SUFFIX_OF_FOLDER
+from salsanext_cli.results.paths import SUFFIX_OF_FOLDER, find_scans
 from salsanext_cli.sensors import sensor as sensors
 from salsanext_cli.stages import predict as stage
 from salsanext_cli.stages.export_onnx import export_onnx
@@ -344,6 +345,34 @@ def test_every_page_is_in_the_navigation_the_version_in_the_changelog_the_readme
     assert listed == {str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md")}
     assert f"## [{salsanext_cli.__version__}]" in text_of("CHANGELOG.md")
     assert len(text_of("README.md").splitlines()) <= 120
+
+
+@pytest.mark.parametrize("name", ["README.md", "docs/start/install.md", "docs/start/first-scan.md"])
+def test_a_first_installation_begins_with_a_clone_and_a_virtual_environment(name):
+    """Systems such as Debian and Ubuntu refuse to install packages outside of one."""
+    lines = [line for body in blocks(ROOT / name, "sh") for line in body.splitlines()]
+    (installs, *_) = (
+        n for n, line in enumerate(lines) if re.search(r"make demo|install \.$", line)
+    )
+    assert any(line.startswith("git clone ") for line in lines[:installs])
+    for body in blocks(ROOT / name, "sh"):
+        if "python -m pip install" in body:
+            made = body.index("python3 -m venv .venv\nsource .venv/bin/activate\n")
+            assert made < body.index("python -m pip install")
+
+
+def test_the_simulated_drive_of_the_tutorial_has_the_name_of_its_later_steps(tmp_path, monkeypatch):
+    page = DOCS / "tutorials/own-sensor.md"
+    simulate, copy = blocks(page, "sh")[0].splitlines()
+    monkeypatch.chdir(tmp_path)
+    words = shlex.split(simulate.replace("--scans 10", "--scans 1"))
+    called(*words[1:], "--jobs", "1")
+    program, option, source, target = shlex.split(copy)
+    assert (program, option) == ("cp", "-r")
+    shutil.copytree(source, target)
+    (later,) = (body for body in blocks(page, "python") if "predictions" in body)
+    (sequence,) = {scan.sequence for scan in find_scans(Path("drive"))}
+    assert f"sequences/{sequence}/predictions" in later
 
 
 @pytest.mark.parametrize("page", guide.PAGES, ids=lambda page: page.name + "-" + page.parent.name)
