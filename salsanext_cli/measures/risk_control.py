@@ -208,6 +208,7 @@ class RiskBoundCheck:
     worst: float
     scope: str = ""  # Scans that the guarantee covers, in words
     are_others: bool = False  # Whether the scans are evidently not such; False proves nothing
+    incomparable: str = ""  # Why no comparison could show that they are not such
 
     @classmethod
     def of_scans(
@@ -266,6 +267,11 @@ class RiskBoundCheck:
             guaranteed = (
                 "not guaranteed, because the scans are unlike those that the threshold was chosen "
                 f"on: {bound}"
+            )
+        elif self.incomparable:
+            guaranteed = (
+                "these scans cannot be compared with those that the threshold was chosen on "
+                f"({self.incomparable}); only for {self.scope}: {bound}"
             )
         worst = f"{percentage(self.worst)} in the worst {self.unit}"
         return f"{guaranteed}; measured: {measured}, {worst}"

@@ -16,22 +16,24 @@ import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.engines.network import Network
-from salsanext_cli.errors import SalsanextError, counted, first_few, percentage
+from salsanext_cli.errors import NOTICE, SalsanextError, counted, first_few, percentage
 from salsanext_cli.files.reading import present
 from salsanext_cli.fitting.finding import Finding
 from salsanext_cli.fitting.label_scan import LabelledScan
 from salsanext_cli.fitting.scan_checks import UNCHECKED, ScanCheck
-from salsanext_cli.fitting.sensor_fit import is_other_view
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.projection import measured_ranges
+from salsanext_cli.geometry.scan_measures import measures_of
 from salsanext_cli.geometry.scan_traits import MIN_TRAIT_POINTS, ScanTraits
 from salsanext_cli.measures.expected_accuracy import ExpectedAccuracy, expected_accuracy
 from salsanext_cli.measures.mixed_sensors import mixed_sensors
-from salsanext_cli.measures.population import label_traits, of_units, population_difference
+from salsanext_cli.measures.population import unit_traits
 from salsanext_cli.measures.risk_control import RiskBoundCheck
 from salsanext_cli.measures.scan_warnings import LOOK, ScanWarning, hint_in, log_finding, log_text
 from salsanext_cli.measures.scores import Counts
-from salsanext_cli.network.card import AccuracyLine, LabelTraits, RiskThreshold
+from salsanext_cli.measures.threshold_scans import ScanComparison, why_incomparable
+from salsanext_cli.network.card import AccuracyLine, RiskThreshold
+from salsanext_cli.network.unit_traits import UnitTraits
 from salsanext_cli.records import Float, Mask
 from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.results.output_run import OutputRun
@@ -52,8 +54,7 @@ USUAL = "check the sensor and its settings"
 MAX_COMPARED = 5000  # Most scans that are compared with those of a threshold
 OTHER_SCANS = "other-scans"
 """Code of the warning that the guarantee of a threshold does not cover the scans of a run."""
-UNLIKE = "the scans differ from those that the threshold was chosen on"
-OTHER_VIEW = f"{UNLIKE}: another field of view"
+NOT_COMPARED = "the scans cannot be compared with those that the threshold was chosen on"
 TUNE_AGAIN = "choose the threshold with `salsanext tune risk` on labelled scans like these"
 log = logging.getLogger(__name__)
 
@@ -70,7 +71,7 @@ class ScanSummary:
     rejected_points: int = 0  # Number of points rejected by their error
     unmeasured_points: int = 0  # Number of points without a measurement
     confidence: float = math.nan  # Mean of the largest probabilities of the points
-    traits: LabelTraits | None = None  # Of the labels before any was rejected
+    traits: UnitTraits | None = None  # Of the scan and its labels, if a threshold rejects some
 
     @classmethod
     def of_labels(
@@ -117,10 +118,29 @@ class ScanSummary:
             return replace(self, rejected_points=count, judged_points=judged)
         points = self.class_points - np.bincount(labels[rejected], minlength=len(self.class_points))
         points[0] += count
-        traits = label_traits(self.file.name, self.class_points, uncertainty)
-        return replace(
-            self, class_points=points, judged_points=judged, rejected_points=count, traits=traits
-        )
+        return replace(self, class_points=points, judged_points=judged, rejected_points=count)
+
+    def with_traits(self, scan: LabelledScan, uncertainty: Float) -> ScanSummary:
+        """Add the traits that `predict` compares with those of a threshold.
+
+        Parameters
+        ----------
+        scan : LabelledScan
+            The scan before any label is rejected.
+        uncertainty : ndarray of float32 (N,)
+            Uncertainty that the threshold limits, 0…1, NaN for points without a pixel.
+
+        Returns
+        -------
+        ScanSummary
+        """
+        if self.class_points is None:
+            return self
+        measures = measures_of(scan.scan, scan.image, scan.sensor)
+        codes = [finding.code for finding in self.check.findings]
+        name = self.file.name
+        traits = unit_traits(name, self.class_points, uncertainty, measures, codes)
+        return replace(self, traits=traits)
 
 
 def _label_findings(points: Counts, confidence: float, space: LabelSpace) -> Iterator[Finding]:
@@ -163,8 +183,8 @@ class RunSummary:
     ego_points: int = 0  # Number of these on the housing of the sensor or its vehicle
     # Mean of the largest probabilities of the points, 0…1, by name of the scan
     confidences: dict[str, float] = field(default_factory=dict)
-    # Traits of the labels by name of the scan, of at most `MAX_COMPARED` scans
-    label_traits: dict[str, LabelTraits] = field(default_factory=dict)
+    # Traits of the scans and their labels by name of the scan, of at most `MAX_COMPARED` scans
+    unit_traits: dict[str, UnitTraits] = field(default_factory=dict)
     # Names of scans of earlier runs whose results are in the folder, by code of their warnings
     earlier_warnings: dict[str, list[str]] = field(default_factory=dict)
     out: Path | None = None  # Folder of the results, for hints
@@ -207,8 +227,8 @@ class RunSummary:
             self.confidences[scan.file.name] = scan.confidence
         for finding in scan.check.findings:
             self.add_finding(scan.file.name, finding)
-        if scan.traits is not None and len(self.label_traits) < MAX_COMPARED:
-            self.label_traits[scan.file.name] = scan.traits
+        if scan.traits is not None and len(self.unit_traits) < MAX_COMPARED:
+            self.unit_traits[scan.file.name] = scan.traits
         if scan.check.traits is not None:
             self.traits[scan.file] = scan.check.traits
         if scan.class_points is not None:
@@ -238,28 +258,18 @@ class RunSummary:
     def _compare_with_threshold(self) -> None:
         """Warn if the scans are evidently not like those that the threshold was chosen on."""
         risk = self.threshold
-        # Workers finish in any order, and the comparison draws from the scans in theirs.
-        traits = dict(sorted(self.label_traits.items()))
         if risk is None or self.space is None or not self.names or OTHER_SCANS in self.findings:
             return
-        sensors = self.sensor.members
-        other_view = any(
-            all(is_other_view(view, sensor) for view in risk.views) for sensor in sensors
-        )
-        problem = OTHER_VIEW if risk.views and other_view else ""
-        if not problem and traits:
-            now = tuple(traits.values())
-            if risk.unit == "drive":
-                now = of_units(now, [name.rpartition("/")[0] for name in traits])
-            names = self.space.names[1:]
-            difference = population_difference(risk.population, now, names)
-            problem = f"{UNLIKE}: {difference}" if difference else ""
-        if problem:
+        classes = self.space.names[1:]
+        compared = ScanComparison(self.scans, self.sensor, self.unit_traits, classes)
+        if problem := compared.difference(risk):
             finding = Finding(OTHER_SCANS, problem, TUNE_AGAIN)
             first, *others = sorted(self.names)
             self.add_finding(first, finding)
             self.findings[OTHER_SCANS] += [(name, finding) for name in others]
-        self.label_traits.clear()
+        elif self.unit_traits and (reason := why_incomparable(risk, compared.units(risk))):
+            log.log(NOTICE, "%s (%s)", NOT_COMPARED, reason)
+        self.unit_traits.clear()
 
     def finished(self) -> RunSummary:
         """Compare the scans, log the number of further warnings, and return the summary."""
@@ -366,7 +376,10 @@ def guarantee_of_run(
     findings = OwnedFolder(out, "predict").findings()
     codes = {code for name in losses for code, *_ in findings.get(name, ())}
     threshold = Manifest(out).guarantee(space)
-    return RiskBoundCheck.of_scans(threshold, losses, are_others=OTHER_SCANS in codes)
+    check = RiskBoundCheck.of_scans(threshold, losses, are_others=OTHER_SCANS in codes)
+    if check is None or threshold is None:
+        return None
+    return replace(check, incomparable=why_incomparable(threshold, check.units))
 
 
 def largest_classes(space: LabelSpace, points: Counts) -> dict[str, float]:

@@ -22,6 +22,7 @@ from salsanext_cli.files.json_files import Json, decoded, plain
 from salsanext_cli.files.reading import fingerprint, is_folder, present, reading, refusing_damage
 from salsanext_cli.network.error_model import ErrorModel, valid_temperature
 from salsanext_cli.network.int8_inputs import Int8Input
+from salsanext_cli.network.unit_traits import UnitTraits
 from salsanext_cli.network.weights_names import hint_for_missing
 from salsanext_cli.records import Scan
 from salsanext_cli.sensors.sensor import FittedView, Sensor
@@ -56,16 +57,6 @@ def parted(text: object) -> list[str]:
     return [text[i : i + DIGITS] for i in range(0, len(text), DIGITS)]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LabelTraits:
-    """Traits of the predicted labels of a scan or drive, which need no truth."""
-
-    unit: str  # Name of the scan or drive
-    uncertainty: float  # Mean of the uncertainty that the threshold limits, 0…1
-    # Share of the labelled points by predicted class, from train id 1 on, 0…1
-    class_shares: tuple[float, ...]
-
-
 @dataclass(frozen=True, slots=True)
 class RiskThreshold:
     """Threshold above which `predict --reject risk` rejects a label, and its guarantee.
@@ -84,7 +75,7 @@ class RiskThreshold:
     digests: str = ""  # Joined digests of the scans
     settings: Json = field(default_factory=dict)  # As `labels_depend_on` returns them
     views: tuple[FittedView, ...] = ()  # Fields of view of the sensors
-    population: tuple[LabelTraits, ...] = ()  # Of each unit; empty in files of early versions
+    population: tuple[UnitTraits, ...] = ()  # Of each unit; empty in files of early versions
     data_set: str | None = None  # Name of its folder; None in files of early versions
 
     def __post_init__(self) -> None:

@@ -91,6 +91,9 @@ class Evaluation:
             return "the record of the scans that the threshold was chosen on is missing"
         if self.guarantee and self.guarantee.are_others:
             return f"the guarantee does not cover these scans ({OTHER_SCANS})"
+        if self.guarantee and self.guarantee.incomparable:
+            reason = self.guarantee.incomparable
+            return f"the scans cannot be compared with those of the threshold ({reason})"
         return ""
 
     def missed_limits(self, limits: Sequence[ScoreLimit]) -> list[MissedLimit]:

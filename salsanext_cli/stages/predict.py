@@ -142,6 +142,8 @@ class PredictJob:
         summary = replace(summary, confidence=confidence)
         if self.reject:
             rejected = values[self.reject.kind] > np.float32(self.reject.threshold)
+            if self.reject.risk:
+                summary = summary.with_traits(scan, values[self.reject.kind])
             summary = summary.without_rejected(rejected, scan.labels, values[self.reject.kind])
             scan = replace(scan, labels=np.where(rejected, np.uint8(0), scan.labels))
         raw = space.to_raw(scan.labels)

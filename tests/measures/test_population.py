@@ -3,14 +3,24 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from salsanext_cli.measures.population import LIKELY, label_traits, of_units, population_difference
-from salsanext_cli.network.card import LabelTraits
+from salsanext_cli.geometry.scan_measures import MEASURES
+from salsanext_cli.measures.population import (
+    LIKELY,
+    are_comparable,
+    new_codes,
+    of_units,
+    population_difference,
+    unit_traits,
+    upper_tail,
+)
+from salsanext_cli.network.unit_traits import UnitTraits
 
 NAMES = ("car", "road", "building")
 
@@ -20,7 +30,7 @@ def units(rng, count, uncertainty, shares, concentration=60.0):
     drawn = rng.dirichlet(concentration * np.array(shares), count)
     spread = rng.normal(uncertainty, 0.02, count).clip(0.01, 0.99)
     return [
-        LabelTraits(unit=str(i), uncertainty=float(c), class_shares=tuple(map(float, row)))
+        UnitTraits(unit=str(i), uncertainty=float(c), class_shares=tuple(map(float, row)))
         for i, (c, row) in enumerate(zip(spread, drawn, strict=True))
     ]
 
@@ -56,7 +66,7 @@ def test_the_trait_that_differs_most_is_named(uncertainty, shares, trait):
 def test_the_chance_is_that_of_all_divisions():
     # All 10 divisions of five units into three and two; only one is as extreme as that observed.
     values = [0.5, 0.51, 0.52, 0.9, 0.91]
-    drawn = [LabelTraits(unit=str(c), uncertainty=c, class_shares=(1.0,)) for c in values]
+    drawn = [UnitTraits(unit=str(c), uncertainty=c, class_shares=(1.0,)) for c in values]
     assert population_difference(drawn[:3], drawn[3:], ("road",)) is None
     logits = np.log(np.array(values) / (1 - np.array(values)))
     gaps = [
@@ -72,24 +82,77 @@ def test_no_chance_is_below_that_of_one_division(before, now):
     rng = np.random.default_rng(4)
     usual = units(rng, before, 0.9, (0.2, 0.5, 0.3))
     others = units(rng, now, 0.3, (0.9, 0.05, 0.05))
-    difference = population_difference(usual, others, NAMES)
     one = 1 / math.comb(before + now, now)
-    assert difference is None or difference.chance >= one
-    assert one <= LIKELY or difference is None
+    assert are_comparable(before, now) == (one <= LIKELY)
+    difference = population_difference(usual, others, NAMES)
+    if are_comparable(before, now):
+        assert difference is None or difference.chance >= one
 
 
-def test_too_few_scans_show_no_difference():
+@pytest.mark.parametrize("count", [8, 24])
+def test_a_single_unit_differs_only_beyond_a_prediction_interval(count):
     rng = np.random.default_rng(3)
-    before = units(rng, 20, 0.9, (0.2, 0.5, 0.3))
-    assert population_difference(before, units(rng, 1, 0.3, (0.9, 0.05, 0.05)), NAMES) is None
-    assert population_difference((), before, NAMES) is None
-    assert population_difference(before, (), NAMES) is None
+    differs = 0
+    for _ in range(200):
+        drawn = units(rng, count + 1, 0.8, (0.2, 0.5, 0.3))
+        differs += population_difference(drawn[:count], drawn[count:], NAMES) is not None
+    # Shares are not normally distributed; two of 200 would be likely with a chance of 1 %.
+    assert differs == 0
+    usual = units(rng, count, 0.8, (0.2, 0.5, 0.3))
+    others = units(rng, 1, 0.8, (0.01, 0.01, 0.98), 500.0)
+    assert not are_comparable(count, 1)
+    assert population_difference(usual, others, NAMES).trait in ("road", "building")
+
+
+def test_no_units_show_no_difference():
+    drawn = units(np.random.default_rng(3), 20, 0.9, (0.2, 0.5, 0.3))
+    assert population_difference((), drawn, NAMES) is None
+    assert population_difference(drawn, (), NAMES) is None
+    assert population_difference(drawn[:1], drawn[1:2], NAMES) is None
+
+
+@pytest.mark.parametrize(("value", "degrees"), [(0, 3), (2, 1), (6.9, 23), (4, 8)])
+def test_the_tail_is_that_of_the_distribution_of_student(value, degrees):
+    scipy = pytest.importorskip("scipy.stats")
+    assert upper_tail(value, degrees) == pytest.approx(scipy.t.sf(value, degrees), rel=1e-5)
+
+
+def with_measures(drawn, rng, **changed):
+    """Add measures that vary by 1 % around usual ones, some of which are changed."""
+    usual = np.array([changed.get(measure.name, 2.0) for measure in MEASURES])
+    scatter = rng.normal(1, 0.01, (len(drawn), len(MEASURES)))
+    rows = zip(drawn, usual * scatter, strict=True)
+    return [replace(unit, measures=tuple(map(float, row))) for unit, row in rows]
+
+
+@pytest.mark.parametrize("count", [1, 4])
+def test_another_sensor_is_told_apart_where_classes_are_alike(count):
+    rng = np.random.default_rng(5)
+    drawn = units(rng, 24 + count, 0.8, (0.2, 0.5, 0.3))
+    before, now = with_measures(drawn[:24], rng), drawn[24:]
+    other = with_measures(now, rng, **{"highest elevation": 12.0})
+    difference = population_difference(before, other, NAMES)
+    assert difference.trait == "highest elevation"
+    assert str(difference).startswith("highest elevation 1")
+    assert population_difference(before, with_measures(now, rng), NAMES) is None
+    # A threshold of an early version has no measures, so that only labels are compared.
+    assert population_difference(drawn[:24], other, NAMES) is None
+
+
+def test_a_code_that_most_new_units_have_tells_them_apart():
+    drawn = units(np.random.default_rng(6), 6, 0.8, (0.2, 0.5, 0.3))
+    before = [replace(unit, codes=("sparse",)) for unit in drawn[:1]] + drawn[1:3]
+    seen = [replace(unit, codes=("part-of-circle", "sparse")) for unit in drawn[3:5]]
+    assert new_codes(before, [*seen, drawn[5]]) == ("part-of-circle",)
+    assert new_codes(before, [seen[0], drawn[5]]) == ()
+    (drive,) = of_units([*seen, drawn[5]], ["a"] * 3)
+    assert drive.codes == ("part-of-circle", "sparse")
 
 
 @given(st.lists(st.integers(0, 1000), min_size=4, max_size=4), st.floats(0, 1))
 def test_shares_are_those_of_the_labelled_points(points, uncertainty):
     values = np.array([uncertainty, np.nan, uncertainty], np.float32)
-    traits = label_traits("00/000000", np.array(points), values)
+    traits = unit_traits("00/000000", np.array(points), values)
     total = sum(points[1:])
     expected = [count / total if total else 0 for count in points[1:]]
     assert traits.class_shares == pytest.approx(expected, abs=1e-4)
@@ -98,7 +161,7 @@ def test_shares_are_those_of_the_labelled_points(points, uncertainty):
 
 def test_drives_have_the_mean_of_their_scans():
     scans = [
-        LabelTraits(unit=str(i), uncertainty=c, class_shares=(c, 1 - c))
+        UnitTraits(unit=str(i), uncertainty=c, class_shares=(c, 1 - c))
         for i, c in enumerate((0.2, 0.4, 0.9))
     ]
     drives = of_units(scans, ["b", "b", "a"])

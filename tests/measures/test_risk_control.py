@@ -239,3 +239,12 @@ def test_a_guarantee_states_its_scope():
     assert "with 90 % confidence, at most 10 % of scans" in guarantee(replace(RISK, confidence=0.9))
     of_drives = guarantee(replace(RISK, unit="drive"))
     assert "for drives like those that the threshold was chosen on (20 scans" in of_drives
+
+
+def test_scans_that_cannot_be_compared_are_not_called_guaranteed():
+    check = RiskBoundCheck.of_scans(RISK, SCANS)
+    assert check.sentence.startswith("guaranteed for scans ")
+    assert "guaranteed" not in replace(check, incomparable="1 drive").sentence
+    # Evidence that they are others says more.
+    others = replace(check, incomparable="1 drive", are_others=True)
+    assert others.sentence.startswith("not guaranteed")

@@ -18,10 +18,12 @@ from salsanext_cli.fitting.finding import Finding
 from salsanext_cli.fitting.scan_checks import ScanCheck, check_scan
 from salsanext_cli.geometry.scan_traits import groups_of
 from salsanext_cli.measures.mixed_sensors import mixed_sensors
+from salsanext_cli.measures.population import unit_traits
 from salsanext_cli.measures.scan_counts import ScanCounts, band_of_point
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.measures.scan_warnings import LOOK
-from salsanext_cli.network.card import LabelTraits, RiskThreshold
+from salsanext_cli.network.card import RiskThreshold
+from salsanext_cli.network.unit_traits import UnitTraits
 from salsanext_cli.results.paths import ScanFile
 
 SPACE = label_space()
@@ -74,7 +76,8 @@ def test_rejected_labels_do_not_make_one_class_large():
     summary = ScanSummary.of_labels(FILE, labels, SPACE)
     rejected = labels == 9
     uncertainty = rejected.astype(np.float32)
-    rest = summary.without_rejected(rejected, labels, uncertainty)
+    traits = unit_traits(FILE.name, summary.class_points, uncertainty)
+    rest = replace(summary, traits=traits).without_rejected(rejected, labels, uncertainty)
     assert rest.traits.uncertainty == 0.5
     assert sorted(rest.traits.class_shares)[-2:] == [0.5, 0.5]
     assert rest.check.findings == ()
@@ -254,16 +257,16 @@ def test_the_share_of_the_vehicle_is_one_of_points():
 
 def test_the_order_of_workers_does_not_change_the_comparison_with_a_threshold(monkeypatch):
     compared = []
-    target = "salsanext_cli.measures.scan_summary.population_difference"
+    target = "salsanext_cli.measures.threshold_scans.population_difference"
     monkeypatch.setattr(target, lambda _, now, __: compared.append(now))
     traits = {
-        f"08/{i:06}": LabelTraits(unit=str(i), uncertainty=i / 10, class_shares=())
-        for i in range(5)
+        f"08/{i:06}": UnitTraits(unit=str(i), uncertainty=i / 10, class_shares=()) for i in range(5)
     }
-    risk = RiskThreshold("error", 0.2, 0.1, None, 12, ("00",))
+    population = tuple(traits.values())
+    risk = RiskThreshold("error", 0.2, 0.1, None, 12, ("00",), population=population)
     for names in (list(traits), list(traits)[::-1]):
         summary = RunSummary(SMALL, SPACE, threshold=risk)
-        summary.label_traits = {name: traits[name] for name in names}
+        summary.unit_traits = {name: traits[name] for name in names}
         summary.names = set(names)
         summary.compare_scans()
     assert compared == [tuple(traits.values())] * 2

@@ -14,8 +14,10 @@ from salsanext_cli.errors import TrainingError, UsageError, WeightsError
 from salsanext_cli.files.json_files import plain
 from salsanext_cli.fitting.sensor_fit import as_typed
 from salsanext_cli.measures.risk_control import RISK_BOUND_EXCEEDED
-from salsanext_cli.measures.scan_summary import OTHER_SCANS
-from salsanext_cli.network.card import AccuracyLine, LabelTraits, read_card
+from salsanext_cli.measures.scan_summary import NOT_COMPARED, OTHER_SCANS
+from salsanext_cli.measures.threshold_scans import EARLY
+from salsanext_cli.network.card import AccuracyLine, read_card
+from salsanext_cli.network.unit_traits import UnitTraits
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.option_fields import KnnParameters, ScanSelection
 from salsanext_cli.results.manifest import Manifest
@@ -76,6 +78,8 @@ def test_the_threshold_holds_the_guarantee(unsure_is_wrong: World, target, caplo
     numbers = {"units": 3, "above": sum(loss > 0.3 for loss in losses), "at_most": 0.3}
     numbers |= {"mean": pytest.approx(np.mean(losses)), "worst": pytest.approx(max(losses))}
     numbers |= {"confidence": None, "unit": "scan", "are_others": False}
+    # Three scans and three others have 20 divisions.
+    numbers |= {"incomparable": "3 scans"}
     numbers["scope"] = tuned["guarantee"].partition(", for ")[2]
     assert judged.to_dict()["rejection"]["guarantee"] == numbers
     page = report(world.out).page.read_text("utf-8")
@@ -300,7 +304,7 @@ def test_scans_with_other_classes_are_not_covered(unsure_is_wrong: World, target
     # The population of another place: one class covers most of it, as in no scan of the world.
     shares = (0.0,) * 18 + (1.0,)
     elsewhere = tuple(
-        LabelTraits(unit=str(number), uncertainty=0.001, class_shares=shares)
+        UnitTraits(unit=str(number), uncertainty=0.001, class_shares=shares)
         for number in range(400)
     )
     save_with_card(target, target, replace(card, risk=replace(card.risk, population=elsewhere)))
@@ -315,3 +319,44 @@ def test_scans_with_other_classes_are_not_covered(unsure_is_wrong: World, target
     save_with_card(target, target, replace(card, risk=replace(card.risk, population=())))
     predict_scans(world.data, world.out.with_name("early"), settings=network, reject="risk")
     assert OTHER_SCANS not in caplog.text
+
+
+def test_scans_of_other_drives_are_not_those_of_the_threshold(
+    unsure_is_wrong: World, target, caplog
+) -> None:
+    world = unsure_is_wrong
+    world.tune("risk", target, at_most=0.3)
+    card, network = read_card(target), replace(world.network, weights=target)
+    changes = {"data-set": {"data_set": "another"}, "drive": {"sequences": ("00",)}}
+    for name, change in changes.items():
+        caplog.clear()
+        save_with_card(target, target, replace(card, risk=replace(card.risk, **change)))
+        out = world.out.with_name(name)
+        predict_scans(world.data, out, settings=network, reject="risk")
+        assert OTHER_SCANS in caplog.text
+        check = evaluate(find_scans(world.data), out, label_space()).guarantee
+        assert "not guaranteed" in check.sentence
+
+
+def test_too_few_scans_to_compare_are_not_called_guaranteed(
+    unsure_is_wrong: World, target, caplog
+) -> None:
+    world = unsure_is_wrong
+    caplog.set_level("INFO")
+    tuned = world.tune("risk", target, at_most=0.3)
+    assert all(unit["measures"] for unit in tuned["population"])
+    network = replace(world.network, weights=target)
+    predict_scans(world.data, world.out, settings=network, reject="risk")
+    judged = evaluate(find_scans(world.data), world.out, label_space())
+    assert "guaranteed" not in judged.guarantee.sentence
+    assert "3 scans" in judged.guarantee.sentence
+    assert f"{NOT_COMPARED} (3 scans)" in caplog.text
+    # The line of a threshold of an early version says that the sensor was not compared.
+    card = read_card(target)
+    early = tuple(replace(unit, measures=()) for unit in card.risk.population)
+    save_with_card(target, target, replace(card, risk=replace(card.risk, population=early)))
+    out = world.out.with_name("early")
+    predict_scans(world.data, out, settings=network, reject="risk")
+    check = evaluate(find_scans(world.data), out, label_space()).guarantee
+    assert "guaranteed" not in check.sentence
+    assert check.incomparable == EARLY

@@ -21,7 +21,7 @@ from salsanext_cli.fitting.sensor_fit import labels_depend_on
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.measures.histograms import UNCERTAINTY_BINS, bin_of, highest_of_bins
-from salsanext_cli.measures.population import label_traits, of_units
+from salsanext_cli.measures.population import of_units
 from salsanext_cli.measures.risk_control import (
     AcceptedLabels,
     enough_drives,
@@ -31,9 +31,11 @@ from salsanext_cli.measures.risk_control import (
     means_of_units,
     needed_drives,
 )
+from salsanext_cli.measures.scan_summary import ScanSummary
 from salsanext_cli.measures.scan_warnings import ScanWarning, log_recorded
 from salsanext_cli.measures.scores import Counts, Ratios
-from salsanext_cli.network.card import LabelTraits, RiskThreshold, scan_digest
+from salsanext_cli.network.card import RiskThreshold, scan_digest
+from salsanext_cli.network.unit_traits import UnitTraits
 from salsanext_cli.option_fields import KnnParameters
 from salsanext_cli.parallel.job import Steps
 from salsanext_cli.results.paths import ScanFile
@@ -64,7 +66,7 @@ class JudgedScan:
     points: int
     # Accepted points, and accepted wrong ones, up to each bin, (2, B)
     below: npt.NDArray[np.int32]
-    traits: LabelTraits  # Of all labels, also where the truth is not scored
+    traits: UnitTraits | None  # Of all labels, also where the truth is not scored
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +100,8 @@ def judged_scan(
     Add its points to `counts` (C, C, B + 1) by truth, label and bin, the last one for no label.
     """
     file, image, network = scan.projected.file, scan.projected.image, scan.network
-    labels = labelled(scan, pixels, KnnParameters()).labels
+    of_scan = labelled(scan, pixels, KnnParameters())
+    labels = of_scan.labels
     truth = space.to_train(read_labels(file.label_path, len(labels)), source=file.label_path)
     scored = space.scored[truth]
     if not scored.any():
@@ -106,8 +109,7 @@ def judged_scan(
     values = points_from_pixels(1 - pixels.confidence, image.pixel_of_point, np.nan)
     if pixels.softmax is not None:
         values = error_probability(network, image, pixels.softmax, labels)
-    points = np.bincount(labels, minlength=space.class_count)
-    traits = label_traits(file.name, points, values)
+    traits = ScanSummary.of_scan(of_scan, network.space).with_traits(of_scan, values).traits
     bins = np.where(np.isnan(values) | (labels == 0), UNCERTAINTY_BINS, bin_of(values))
     truth, labels, bins = truth[scored], labels[scored], bins[scored]
     np.add.at(counts, (truth, labels, bins), 1)
@@ -197,9 +199,9 @@ def _confusion_of_accepted(counts: Counts, bins: int) -> Counts:
     return confusion
 
 
-def _population(judged: Sequence[JudgedScan], unit: str) -> tuple[LabelTraits, ...]:
-    """Return the traits of the labels of each scan or drive."""
-    traits = [scan.traits for scan in judged]
+def _population(judged: Sequence[JudgedScan], unit: str) -> tuple[UnitTraits, ...]:
+    """Return the traits of each scan or drive."""
+    traits = [scan.traits for scan in judged if scan.traits]
     if unit == "scan":
         return tuple(traits)
     return of_units(traits, [scan.file.sequence for scan in judged])
