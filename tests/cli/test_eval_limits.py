@@ -1,17 +1,24 @@
 # SPDX-License-Identifier: MIT
 """Exit status of `eval` with limits on scores and on the guarantee of a run."""
 
+from dataclasses import replace
+
 import pytest
 from command_line import only_json, subject
 from evaluated import CAR, ROAD, SPACE, World
 
 from salsanext_cli import sensor
 from salsanext_cli.files.json_files import plain
+from salsanext_cli.geometry.scan_measures import MEASURES
 from salsanext_cli.network.card import RiskThreshold
+from salsanext_cli.network.unit_traits import UnitTraits
 from salsanext_cli.results.manifest import Manifest, StageRecord
 
 NONE = 0
-RISK = RiskThreshold("least_confidence", 0.25, 0.2, None, 20, ("a", "b"))
+UNIT = UnitTraits(
+    unit="a/0", uncertainty=0.1, class_shares=(0.5, 0.5), measures=(1.0,) * len(MEASURES)
+)
+RISK = RiskThreshold("least_confidence", 0.25, 0.2, None, 99, ("a", "b"), population=(UNIT,) * 99)
 
 
 @pytest.fixture
@@ -68,4 +75,11 @@ def test_a_kept_guarantee_passes_and_an_absent_one_fails(world, evaluated):
     kept = evaluated("--fail-over", "guarantee,risk=34", status=0)
     assert only_json(kept)["above"] == []
     record(world, reject=0.25)
+    assert only_json(evaluated("--fail-over", "guarantee", status=1))["above"] == ["guarantee"]
+
+
+@pytest.mark.parametrize("population", [(UNIT,) * 98, (replace(UNIT, measures=()),) * 99, ()])
+def test_a_guarantee_that_cannot_be_compared_is_missed(world, evaluated, population):
+    kept = replace(RISK, at_most=0.25, population=population)
+    record(world, reject=0.25, guarantee=plain(kept))
     assert only_json(evaluated("--fail-over", "guarantee", status=1))["above"] == ["guarantee"]
