@@ -14,7 +14,13 @@ from typing import TYPE_CHECKING, ParamSpec, TextIO, cast
 
 import typer
 
-from salsanext_cli.cli.interruption import NO_HALF_FILES, end_line, interruptible, stating
+from salsanext_cli.cli.interruption import (
+    NO_HALF_FILES,
+    end_line,
+    interruptible,
+    keep_exit_status,
+    stating,
+)
 from salsanext_cli.cli.wrong_values import usage_error
 from salsanext_cli.errors import HINT, NOTICE, SalsanextError, UsageError, escaped, printable
 from salsanext_cli.option_fields import option, option_group
@@ -109,6 +115,7 @@ def guarded(command: Callable[Parameters, None]) -> Callable[Parameters, None]:
                 _print_error(error, json=bool(kwargs.get("json")))
             raise typer.Exit(WRONG_USE if isinstance(error, UsageError) else FAILED) from None
         except KeyboardInterrupt:
+            keep_exit_status()
             line, status = end_line()
             print_line(line)
             if kwargs.get("json"):

@@ -73,6 +73,15 @@ def require_uninterrupted() -> None:
         raise KeyboardInterrupt
 
 
+def keep_exit_status() -> None:
+    """Let ``python -m`` end with its exit status although a signal arrived during `exec`.
+
+    Libraries create classes by `exec`. If it ends with `KeyboardInterrupt`, Python notes that and
+    ends itself with SIGINT, even if the error was caught. The next `exec` removes the note.
+    """
+    exec("")  # noqa: S102 - the text is empty
+
+
 def end_line() -> tuple[str, int]:
     """Return the line to print after an interruption, and the exit status."""
     number = ARRIVED[0] if ARRIVED else signal.SIGINT

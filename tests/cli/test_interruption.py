@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Signals during a command: one line and the exit status for the first, an end at the next."""
 
+import os
 import signal
+import subprocess
+import sys
 
 import pytest
 from command_line import python
@@ -51,6 +54,23 @@ def interrupted(body: str, number: signal.Signals) -> None:
 def test_a_signal_during_a_command_or_while_commands_are_imported(number):
     interrupted(f"send({number:d})", number)
     ended = python(IMPORT.replace("NUMBER", f"{number:d}"))
+    assert (ended.stdout, ended.stderr, ended.returncode) == ("", LINES[number], 128 + number)
+
+
+@SIGNALS
+def test_a_signal_while_a_library_makes_a_class(number, tmp_path):
+    """Classes are made by `exec`, after whose interruption ``python -m`` would end with SIGINT."""
+    body = f'exec("send({number:d})", globals())'
+    (tmp_path / "trial.py").write_text(COMMAND.replace("BODY", body))
+    paths = os.pathsep.join((str(tmp_path), *sys.path))
+    ended = subprocess.run(
+        [sys.executable, "-m", "trial"],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+        env={**os.environ, "PYTHONPATH": paths},
+    )
     assert (ended.stdout, ended.stderr, ended.returncode) == ("", LINES[number], 128 + number)
 
 
