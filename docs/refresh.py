@@ -23,9 +23,10 @@ from pathlib import Path
 
 import guide
 from measurements import MEASURES
-from pictures import PICTURES, example, ranking, sampling
+from pictures import OF_PAGE, PICTURES, example, ranking, sampling
 from prepared import prepared_folder
 
+import salsanext_cli.report.page
 from salsanext_cli.network.card import default_weights
 
 CAPTURED = (
@@ -38,7 +39,9 @@ CAPTURED = (
 )
 """Pages whose commands are run, each in a folder of its own."""
 DRAWN = guide.DOCS / "pictures.json"
-"""SHA-256 of the weights that each picture was drawn with."""
+"""SHA-256 of the weights that each picture was drawn with, and of the page that it shows."""
+PAGE = Path(salsanext_cli.report.page.__file__).parent
+"""Files of the page of `report`."""
 MEASURED = MEASURES | {
     "pictures": example.measured,
     "ranking": ranking.measured,
@@ -91,15 +94,31 @@ def pictures(data: Path, names: list[str]) -> None:
     """Draw pictures, and note the weights that they show."""
     for name in names or PICTURES:
         PICTURES[name](data, guide.DOCS / "images" / name)
-        drawn = weights_of_pictures() | {name: digest_of_weights()}
+        drawn = recorded_pictures() | {name: digests_of_picture(name)}
         DRAWN.write_text(json.dumps(drawn, indent=1, sort_keys=True) + "\n", "utf-8")
         print(name, flush=True)
 
 
-def weights_of_pictures() -> dict[str, str]:
-    """Return the SHA-256 of the weights that each picture was drawn with."""
-    drawn: dict[str, str] = json.loads(DRAWN.read_text("utf-8")) if DRAWN.exists() else {}
+def recorded_pictures() -> dict[str, dict[str, str]]:
+    """Return the digests that each picture was drawn with, as `digests_of_picture`."""
+    drawn: dict[str, dict[str, str]] = json.loads(DRAWN.read_text("utf-8"))
     return drawn
+
+
+def digests_of_picture(name: str) -> dict[str, str]:
+    """Return the present SHA-256 of what a picture depends on: the weights, and the page."""
+    digests = {"weights": digest_of_weights()}
+    return digests | {"page": digest_of_page(PAGE)} if name in OF_PAGE else digests
+
+
+def digest_of_page(folder: Path) -> str:
+    """Return the joined SHA-256 of the source files of the page, by name."""
+    digest = hashlib.sha256()
+    for path in sorted(folder.iterdir()):
+        if path.is_file():
+            digest.update(f"{path.name}\n".encode())
+            digest.update(hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()
 
 
 def digest_of_weights() -> str:

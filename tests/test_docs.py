@@ -397,10 +397,22 @@ def test_every_picture_is_shown_and_can_be_drawn_again():
     files = {path for path in (DOCS / "images").rglob("*") if path.is_file()}
     assert files <= shown
     assert {DOCS / "images" / name for name in refresh.PICTURES} == files
-    weights = refresh.digest_of_weights()
-    drawn = refresh.weights_of_pictures()
-    old = [name for name in refresh.PICTURES if drawn.get(name) != weights]
+    drawn = refresh.recorded_pictures()
+    old = [name for name in refresh.PICTURES if drawn.get(name) != refresh.digests_of_picture(name)]
     assert not old, f"run docs/refresh.py pictures {' '.join(old)}"
+
+
+def test_a_picture_of_the_page_depends_on_each_of_its_files(tmp_path):
+    assert {"weights", "page"} == refresh.digests_of_picture("report.webp").keys()
+    assert {"weights"} == refresh.digests_of_picture("demo.gif").keys()
+    (tmp_path / "page.css").write_text("a")
+    digests = [refresh.digest_of_page(tmp_path)]
+    for name, text in (("page.css", "b"), ("page.js", ""), ("table.js", "")):
+        (tmp_path / name).write_text(text)
+        digests.append(refresh.digest_of_page(tmp_path))
+    (tmp_path / "__pycache__").mkdir()
+    assert refresh.digest_of_page(tmp_path) == digests[-1]
+    assert len(set(digests)) == len(digests)
 
 
 @pytest.mark.parametrize("page", CHECKED, ids=lambda page: page.name + "-" + page.parent.name)

@@ -6,6 +6,8 @@ from pathlib import Path
 
 from pictures import concepts, drive, guarantee, pages, pipeline, ranges, ranking, sampling, sensors
 
+OF_PAGE = ("report.webp", "report-scan.webp", "report-without-labels.webp")
+"""Pictures that show the page of `report`."""
 PICTURES: dict[str, Callable[[Path, Path], None]] = {
     "demo.gif": drive.draw,
     "pipeline.svg": pipeline.draw,

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import subprocess
 import tempfile
@@ -42,14 +43,15 @@ def report_without_labels(data: Path, picture: Path) -> None:
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary, "data/example")  # The page shows these names.
         folder.mkdir(parents=True)
-        predicted_drive(data, folder)
+        predicted_drive(data, folder, "--error")
         salsanext("report", folder / "out")
         screenshot(folder / "out/report.html", picture, ("run", "scans"), height=1900)
 
 
 def demonstration(folder: Path) -> Path:
     """Run the demonstration in a folder; return its page, the live example of the site."""
-    salsanext("demo", folder / "demo")
+    with contextlib.chdir(folder):  # The page shows a command with relative paths.
+        salsanext("demo", "demo")
     return folder / "demo/out/report.html"
 
 

@@ -96,6 +96,11 @@ class NetworkSettings:
         return weights_file(self.weights)
 
     @property
+    def named_path(self) -> Path | None:
+        """The weights file that the user named; None for the default weights."""
+        return self.path if self.weights else None
+
+    @property
     def fits_view(self) -> bool:
         """Whether to fit the field of view to the scans."""
         return not self._stated.view if self.fit is None else self.fit

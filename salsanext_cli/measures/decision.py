@@ -4,9 +4,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+import shlex
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from pathlib import Path
 
 from salsanext_cli.errors import counted, percentage
 from salsanext_cli.measures.expected_accuracy import OF_RUN, ExpectedAccuracy
@@ -37,11 +39,11 @@ ADVICE = {
     Decision.UNSUITED: "Do not use these labels",
 }
 COMMANDS = {
-    Decision.COARSE: "salsanext predict SCANS coarse/ --classes coarse",
-    Decision.LABEL_TEN: "salsanext pick SCANS to-label/ --count 10",
-    Decision.LABEL_FORTY: "salsanext pick SCANS to-label/ --count 40",
+    Decision.COARSE: ("predict", "coarse/", "--classes", "coarse"),
+    Decision.LABEL_TEN: ("pick", "to-label/", "--count", "10"),
+    Decision.LABEL_FORTY: ("pick", "to-label/", "--count", "40"),
 }
-"""Command that does what the advice says."""
+"""Stage, folder and options that do what the advice says."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,10 +145,20 @@ class Verdict:
         """Advice and reason."""
         return f"{ADVICE[self.decision]}: {self.reason}."
 
-    @property
-    def command(self) -> str:
-        """Command that does what the advice says; empty if there is none."""
-        return COMMANDS.get(self.decision, "")
+    def command(self, scans: Path, options: Sequence[str]) -> str:
+        """Return the command that does what the advice says; empty if there is none.
+
+        Parameters
+        ----------
+        scans : Path
+            Folder of the scans.
+        options : sequence of str
+            Words that choose scans in the folder, and the weights.
+        """
+        if self.decision not in COMMANDS:
+            return ""
+        stage, target, *others = COMMANDS[self.decision]
+        return shlex.join(["salsanext", stage, str(scans), target, *others, *options])
 
 
 def verdict(evidence: Evidence) -> Verdict | None:

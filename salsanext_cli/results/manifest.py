@@ -93,6 +93,7 @@ class StageRecord:
     scans: Mapping[str, ScanSource] = field(default_factory=dict)
     # Files of other settings or origin that were not removed, as paths below the folder
     foreign: tuple[str, ...] = ()
+    weights_file: str = ""  # Absolute path that the last run was given; empty for the default
     version: str = __version__
 
     def __post_init__(self) -> None:
@@ -101,7 +102,7 @@ class StageRecord:
 
     def to_dict(self) -> dict[str, object]:
         """Return the content of the record's file, long values last."""
-        names = ("stage", "version", "writes", "settings", "scans", "foreign")
+        names = ("stage", "version", "writes", "settings", "scans", "foreign", "weights_file")
         content = {name: plain(getattr(self, name)) for name in names}
         return {name: value for name, value in content.items() if value or name == "settings"}
 

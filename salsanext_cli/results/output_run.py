@@ -179,16 +179,24 @@ def output_run(
     *,
     overwrite: bool,
     record_scans: bool = True,
+    weights: Path | None = None,
 ) -> Iterator[OutputRun]:
     """Record the run of a stage in `OUT/<stage>.json`, or refuse to mix it with other results.
 
     Runs with the same settings may share the folder; runs with other settings must wait.
-    `record_scans`: False for a stage that works on the scans of an earlier one.
+    `record_scans`: False for a stage that works on the scans of an earlier one. `weights`: file
+    that the user named, whose path is recorded.
     """
     # Contradicting scans are an error before a folder is created.
     sources = _scan_sources(out, scans) if record_scans else {}
     run = OutputRun(out, stage, folders=tuple(folders), overwrite=overwrite)
-    wanted = StageRecord(stage, settings_json(settings), tuple(sorted(run.folders)), sources)
+    wanted = StageRecord(
+        stage,
+        settings_json(settings),
+        tuple(sorted(run.folders)),
+        sources,
+        weights_file=str(weights.absolute()) if weights else "",
+    )
     with ExitStack() as stack:
         with run.locked_records():
             recorded = run.claim(wanted)

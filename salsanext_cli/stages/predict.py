@@ -46,6 +46,7 @@ from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.parallel.run_origins import OriginsOfRun
 from salsanext_cli.records import Float
+from salsanext_cli.results.manifest import StageSettings
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.paths import (
     ERROR,
@@ -210,26 +211,34 @@ def predict_scans(
     network = fit(origins_of=origins.of_sample)
     rejection = None if reject is None else _rejection(reject, settings, network, knn)
     extras = _possible_extras(extras, rejection, network)
-    accuracy = None if rejection else network.card.accuracy
-    recorded = replace(
-        settings_of_network(network),
-        temperature=network.card.temperature,
-        knn=knn,
-        accuracy=accuracy,
-        objects="objects" in extras or None,
-        **(rejection.recorded if rejection else {}),
-    )
+    recorded = _recorded_settings(network, knn, extras, rejection)
     threshold = rejection.risk if rejection else None
-    summary = RunSummary.of_network(network, scans, accuracy, threshold)
+    summary = RunSummary.of_network(network, scans, recorded.accuracy, threshold)
     folders = (*extras, LEAST_CONFIDENCE, "predictions")
     folders = (*folders_of_origins(out, "predict", network.sensor), *folders)
-    run = output_run(out, "predict", recorded, folders, scans, overwrite=overwrite)
+    run = output_run(
+        out, "predict", recorded, folders, scans, overwrite=overwrite, weights=settings.named_path
+    )
     with run as output, summary.recorded_in(output, scans):
         by_poses = origins.of_results(output, scans, network.sensor)
         job = partial(PredictJob, knn=knn, output=output, reject=rejection, origins=by_poses)
         task = NetworkTask(job, resolved_for(settings, network, scans), network, batch)
         outcome = run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)
     return replace(outcome, rejected_points=summary.rejected_points if rejection else None)
+
+
+def _recorded_settings(
+    network: Network, knn: KnnParameters, extras: tuple[str, ...], rejection: LabelRejection | None
+) -> StageSettings:
+    """Return the settings to record; the accuracy of accepted labels cannot be estimated."""
+    return replace(
+        settings_of_network(network),
+        temperature=network.card.temperature,
+        knn=knn,
+        accuracy=None if rejection else network.card.accuracy,
+        objects="objects" in extras or None,
+        **(rejection.recorded if rejection else {}),
+    )
 
 
 def _possible_extras(
@@ -365,7 +374,9 @@ def predict_range_images(
     recorded = settings_of_network(network)
     folders = ("pixel_labels",)
     summary = RunSummary(network.sensor, trained=network.card.sensor)
-    run = output_run(out, "predict", recorded, folders, scans, overwrite=overwrite)
+    run = output_run(
+        out, "predict", recorded, folders, scans, overwrite=overwrite, weights=settings.named_path
+    )
     with run as output, summary.recorded_in(output, scans):
         job = partial(PredictImageJob, folder=folder, output=output)
         task = NetworkTask(job, settings.resolved(network), network)

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Decision about the labels of a run: its limits, and the warnings that decide."""
 
+import shlex
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -150,7 +152,12 @@ def test_the_sentence_has_the_numbers():
     evidence = replace(FINE, expected=estimate(0.8), doubtful=0.42, warned={"sparse": names(7)})
     sentence = verdict(evidence).sentence
     assert all(text in sentence for text in ("70 to 90 %", "42.0 %", "10 %", "7 with sparse"))
-    assert verdict(evidence).command.endswith("--count 10")
+    command = verdict(evidence).command(Path("my drive"), ["--weights", "mine.safetensors"])
+    assert shlex.split(command) == [
+        *("salsanext", "pick", "my drive", "to-label/"),
+        *("--count", "10", "--weights", "mine.safetensors"),
+    ]
+    assert verdict(replace(FINE, measured=0.95)).command(Path("drive"), []) == ""
 
 
 @pytest.mark.parametrize("level", [level for level in LEVELS if level.most_doubtful < 1])

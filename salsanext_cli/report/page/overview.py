@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from salsanext_cli.errors import counted, percentage
 from salsanext_cli.measures.decision import ADVICE, DOUBTFUL, Evidence, verdict
 from salsanext_cli.measures.expected_accuracy import ExpectedAccuracy
+from salsanext_cli.report.page.decision_command import decision_command
 from salsanext_cli.report.page.elements import text_of
 from salsanext_cli.report.page.run_results import Comparison, RunResults
 from salsanext_cli.report.page.scan_row import Rejection
@@ -126,7 +127,8 @@ def _decision(run: RunResults, evidence: Evidence) -> str:
     if decided is None:
         return f'<p class="sentence">{NO_DECISION}</p>' if run.reader.rejects else ""
     advice = text_of(ADVICE[decided.decision])
-    command = f" <code>{text_of(decided.command)}</code>" if decided.command else ""
+    words = decision_command(run, decided)
+    command = f" <code>{text_of(words)}</code>" if words else ""
     reason = text_of(decided.reason)
     return f'<p class="decision"><b>{advice}</b>: {reason}.{command}</p>'
 
