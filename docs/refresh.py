@@ -14,6 +14,7 @@
 from __future__ import annotations
 
 import argparse
+import ast
 import datetime
 import hashlib
 import json
@@ -112,13 +113,33 @@ def digests_of_picture(name: str) -> dict[str, str]:
 
 
 def digest_of_page(folder: Path) -> str:
-    """Return the joined SHA-256 of the source files of the page, by name."""
+    """Return the joined SHA-256 of the source files of the page, by name.
+
+    Of modules, imports do not count: they change where modules are moved, and the page does not.
+    """
     digest = hashlib.sha256()
     for path in sorted(folder.iterdir()):
         if path.is_file():
+            source = path.read_text("utf-8")
+            shown = without_imports(source) if path.suffix == ".py" else source
             digest.update(f"{path.name}\n".encode())
-            digest.update(hashlib.sha256(path.read_bytes()).digest())
+            digest.update(hashlib.sha256(shown.encode()).digest())
     return digest.hexdigest()
+
+
+class WithoutImports(ast.NodeTransformer):
+    """Removal of imports at any place of a module."""
+
+    def visit_Import(self, node: ast.Import) -> None:
+        """Remove an import."""
+
+    def visit_ImportFrom(self, node: ast.ImportFrom) -> None:
+        """Remove an import."""
+
+
+def without_imports(source: str) -> str:
+    """Return the code of a module without its imports and comments."""
+    return ast.unparse(WithoutImports().visit(ast.parse(source)))
 
 
 def digest_of_weights() -> str:

@@ -410,6 +410,12 @@ def test_a_picture_of_the_page_depends_on_each_of_its_files(tmp_path):
     for name, text in (("page.css", "b"), ("page.js", ""), ("table.js", "")):
         (tmp_path / name).write_text(text)
         digests.append(refresh.digest_of_page(tmp_path))
+    (tmp_path / "html.py").write_text("import os\n\nTITLE = 1\n")
+    digests.append(refresh.digest_of_page(tmp_path))
+    (tmp_path / "html.py").write_text("from elsewhere import os  # moved\n\nTITLE = 1\n")
+    assert refresh.digest_of_page(tmp_path) == digests[-1]
+    (tmp_path / "html.py").write_text("import os\n\nTITLE = 2\n")
+    digests.append(refresh.digest_of_page(tmp_path))
     (tmp_path / "__pycache__").mkdir()
     assert refresh.digest_of_page(tmp_path) == digests[-1]
     assert len(set(digests)) == len(digests)
