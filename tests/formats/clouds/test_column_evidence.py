@@ -15,6 +15,7 @@ from salsanext_cli.formats.evidence.column_measures import COUNTS
 from salsanext_cli.formats.evidence.plane_evidence import are_planes
 
 
+@pytest.mark.slow
 @pytest.mark.real
 def test_no_real_scan_in_another_order_is_refused(real_data):
     for path in real_scans(real_data)[::4]:
@@ -109,6 +110,7 @@ def test_a_multiple_of_the_columns_which_halves_the_points_is_noticed(names):
             assert evidence.evident_count(values, expected) == count, expected
 
 
+@pytest.mark.slow
 @pytest.mark.real
 def test_a_multiple_of_the_columns_of_a_real_scan_is_noticed(real_data):
     for path in real_scans(real_data)[::4]:
@@ -193,6 +195,7 @@ def test_columns_beside_one_point_are_no_second_point(tmp_path):
     require_wide_records_are_read(tmp_path / "s.bin", scan(beams=[*range(-25, 7)]))
 
 
+@pytest.mark.slow
 @pytest.mark.real
 def test_columns_beside_a_real_point_are_no_second_point(real_data, tmp_path):
     for path in real_scans(real_data)[::8]:
