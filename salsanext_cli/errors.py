@@ -55,7 +55,10 @@ def percentage(share: float, decimals: int = 1, *, figures: int | None = None) -
     `figures`: number of significant figures, instead of decimals.
     """
     number = 100 * share
-    return f"{number:.{decimals}f} %" if figures is None else f"{number:.{figures}g} %"
+    if figures is None:
+        return f"{number:.{decimals}f} %"
+    rounded = float(f"{number:.{figures}g}")
+    return f"{rounded:g} %"  # Without an exponent, which 100 with two figures would have
 
 
 def first_few(names: Sequence[object]) -> str:

@@ -149,7 +149,9 @@ def test_percentages_of_messages_have_one_form():
     ]
     assert specs == []
     assert [percentage(0.7266), percentage(0.7266, 0)] == ["72.7 %", "73 %"]
-    assert [percentage(share, figures=2) for share in (0.001234, 0.05)] == ["0.12 %", "5 %"]
+    shares = (0.001234, 0.05, 1.0)
+    texts = ["0.12 %", "5 %", "100 %"]
+    assert [percentage(share, figures=2) for share in shares] == texts
 
 
 def test_stages_are_commands():

@@ -54,7 +54,8 @@ def memory_of(device: str) -> Memory | None:
 
 def _limited(machine: Memory) -> Memory:
     """Return the memory of a machine, or the lowest limit of the groups of this process."""
-    total, available = machine.total, machine.available
+    total = machine.total
+    available = machine.available
     for folder, files in _groups():
         limit, used = _number(folder / files.limit), _number(folder / files.use)
         if limit is not None and used is not None:
@@ -72,9 +73,11 @@ def _groups() -> Iterator[tuple[Path, GroupFiles]]:
     for line in lines:
         _, controllers, name = line.split(":", 2)
         if "memory" in controllers.split(","):
-            root, files = CGROUP / "memory", VERSION_1
+            root = CGROUP / "memory"
+            files = VERSION_1
         elif not controllers:
-            root, files = CGROUP, VERSION_2
+            root = CGROUP
+            files = VERSION_2
         else:
             continue
         folder = root / name.lstrip("/")

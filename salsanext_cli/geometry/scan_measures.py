@@ -127,7 +127,8 @@ def _change_of_intensity(intensity: Float, seen: Mask) -> float:
 def _noise_of_ranges(ranges: Float, seen: Mask) -> float:
     """Return the median second difference of ranges (H, W), lower half, as a share of them."""
     lower = len(ranges) // 2
-    ranges, seen = ranges[lower:], seen[lower:]
+    ranges = ranges[lower:]
+    seen = seen[lower:]
     triples = seen[:, 2:] & seen[:, 1:-1] & seen[:, :-2]
     if not triples.any():
         return 0.0
