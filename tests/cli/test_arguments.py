@@ -137,7 +137,7 @@ def test_a_removed_option_is_an_error_that_names_what_to_use(run, line):
         ("train a b --set lr=1", "--set lr=1", "learning_rate?"),
         ("export-ply a --colour epistem", "--colour", "epistemic?"),
         ("predict a b --reject rsk", "--reject", "risk?"),
-        ("predict a b --weights defualt", "defualt", "default?"),
+        ("predict a b --weights defaults", "defaults", "default?"),
         ("predict a b --subset 1", "salsanext predict", "--limit?"),
         ("predict a b --overwrit", "salsanext predict", "--overwrite?"),
         ("predict a b --set foo=1", "salsanext predict", "--help"),

@@ -79,7 +79,7 @@ def test_other_limits_are_refused(option, text):
         (FAIL_UNDER, "ece=2", "use --fail-over ece=2"),
         (FAIL_OVER, "iou.person=2", "use --fail-under iou.person=2"),
         (FAIL_UNDER, "guarantee", "use --fail-over guarantee"),
-        (FAIL_OVER, "aurc.eror=5", "did you mean error?"),
+        (FAIL_OVER, "aurc.errors=5", "did you mean error?"),
     ],
 )
 def test_the_hint_about_a_wrong_limit_can_be_typed(option, text, hint):
