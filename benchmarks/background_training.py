@@ -24,12 +24,12 @@ from finish_weights import remove_class_weights
 from gpu_train import DESCRIPTION, real_sources, training_data
 from scene_pool import KINDS, ScenePool
 
-from salsanext_cli.classes.label_space import label_space
-from salsanext_cli.engines.loading import network_of_module
-from salsanext_cli.engines.settings import weights_file
-from salsanext_cli.files.json_files import Json, read_json, write_json
-from salsanext_cli.network.card import WeightsCard, read_card
-from salsanext_cli.network.weights import save_weights
+from salsanext_cli.core.classes.label_space import label_space
+from salsanext_cli.core.network.card import WeightsCard, read_card
+from salsanext_cli.io.files.json_files import Json, read_json, write_json
+from salsanext_cli.io.weights.loading import network_of_module
+from salsanext_cli.io.weights.weights import save_weights
+from salsanext_cli.runs.network_settings import weights_file
 from salsanext_cli.training.checkpoint import load_checkpoint
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.fit import StepReport, Training

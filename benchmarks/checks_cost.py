@@ -22,13 +22,13 @@ from unittest.mock import patch
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.engines.network import Network
-from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import counted
-from salsanext_cli.fitting import label_scan, sensor_fit
-from salsanext_cli.fitting.scan_checks import UNCHECKED
-from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.stages import predict
+from salsanext_cli.commands.stages import predict
+from salsanext_cli.core.checks.scan_checks import UNCHECKED
+from salsanext_cli.core.engines.network import Network
+from salsanext_cli.core.errors import counted
+from salsanext_cli.runs.fit import label_scan, sensor_fit
+from salsanext_cli.runs.loop.run import RunOptions
+from salsanext_cli.runs.network_settings import NetworkSettings
 
 WITH, WITHOUT = "with checks", "without"
 Times = npt.NDArray[np.float64]

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from salsanext_cli import label_space
-from salsanext_cli.results.paths import ScanFile
-from salsanext_cli.results.selection import data_set_label_space
+from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.results.selection import data_set_label_space
 
 
 def salsanext(*words: object) -> dict[str, Any]:

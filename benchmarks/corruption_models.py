@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli import Scan
-from salsanext_cli.classes.label_space import RawIds
+from salsanext_cli.core.classes.label_space import RawIds
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]

@@ -33,11 +33,11 @@ from finish_weights import (
     remove_class_weights,
 )
 
-from salsanext_cli.classes.label_space import label_space
-from salsanext_cli.formats import read_scan
-from salsanext_cli.network.card import scan_digest
-from salsanext_cli.network.weights import read_weights, save_weights
-from salsanext_cli.results.paths import ScanFile, find_scans
+from salsanext_cli.core.classes.label_space import label_space
+from salsanext_cli.core.network.card import scan_digest
+from salsanext_cli.io.formats import read_scan
+from salsanext_cli.io.weights.weights import read_weights, save_weights
+from salsanext_cli.runs.results.paths import ScanFile, find_scans
 from salsanext_cli.training.data.augment import rotate
 from salsanext_cli.training.data.sources import labelled_split
 

@@ -17,12 +17,12 @@ import numpy as np
 import numpy.typing as npt
 
 import salsanext_cli as sn
-from salsanext_cli.engines.network import Network
-from salsanext_cli.fitting.scan_checks import check_scan
-from salsanext_cli.fitting.sensor_fit import fit_network
-from salsanext_cli.geometry.scan_traits import sensor_of
-from salsanext_cli.measures.expected_accuracy import WITHHELD_FOR
-from salsanext_cli.results.paths import ScanFile, find_scans
+from salsanext_cli.core.checks.scan_checks import check_scan
+from salsanext_cli.core.engines.network import Network
+from salsanext_cli.core.geometry.scan_traits import sensor_of
+from salsanext_cli.core.measures.expected_accuracy import WITHHELD_FOR
+from salsanext_cli.runs.fit.sensor_fit import fit_network
+from salsanext_cli.runs.results.paths import ScanFile, find_scans
 
 SEED, MAX_HEIGHT_M, MAX_LEAN_DEG, UPSIDE_DOWN = 777, 3.0, 3.0, 1 / 3
 METRES = (0.0, 1.0, 5.0, 20.0, 30.0, 100.0, 500.0)

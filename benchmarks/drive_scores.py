@@ -18,16 +18,16 @@ from typing import Any
 
 import numpy as np
 
-from salsanext_cli.engines.network import Network
-from salsanext_cli.engines.settings import NetworkSettings, weights_file
-from salsanext_cli.fitting.label_scan import LabelledScan, labelled, prepared_for
-from salsanext_cli.fitting.scan_sample import ScanSample
-from salsanext_cli.fitting.sensor_fit import fit_scans
-from salsanext_cli.formats.kitti import read_labels
-from salsanext_cli.measures.scores import Counts, confusion_matrix, scores
-from salsanext_cli.option_fields import KnnParameters
-from salsanext_cli.results.paths import ScanFile, find_scans
-from salsanext_cli.results.selection import data_set_label_space
+from salsanext_cli.core.engines.network import Network
+from salsanext_cli.core.measures.scores import Counts, confusion_matrix, scores
+from salsanext_cli.io.formats.kitti import read_labels
+from salsanext_cli.runs.fit.label_scan import LabelledScan, labelled, prepared_for
+from salsanext_cli.runs.fit.scan_sample import ScanSample
+from salsanext_cli.runs.fit.sensor_fit import fit_scans
+from salsanext_cli.runs.network_settings import NetworkSettings, weights_file
+from salsanext_cli.runs.option_fields import KnnParameters
+from salsanext_cli.runs.results.paths import ScanFile, find_scans
+from salsanext_cli.runs.results.selection import data_set_label_space
 
 CLASSES = "person,bicyclist,truck"
 

@@ -23,9 +23,9 @@ import torch
 from speed_hardware import seconds_of
 
 import salsanext_cli as sn
-from salsanext_cli.compiled import thread_count
-from salsanext_cli.engines.device import bfloat16_instructions
-from salsanext_cli.engines.network import Network
+from salsanext_cli.core.compiled import thread_count
+from salsanext_cli.core.engines.device import bfloat16_instructions
+from salsanext_cli.core.engines.network import Network
 
 KINDS = ("float32", "bfloat16") if bfloat16_instructions() else ("float32",)
 Engine = Callable[[np.ndarray], np.ndarray]

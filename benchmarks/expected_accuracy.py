@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 from commands import salsanext
 
-from salsanext_cli.files.reading import present
-from salsanext_cli.measures.expected_accuracy import DEVIATIONS
-from salsanext_cli.network.card import AccuracyLine, read_card
-from salsanext_cli.network.weights import save_with_card
-from salsanext_cli.results.paths import find_scans, output_path
+from salsanext_cli.core.measures.expected_accuracy import DEVIATIONS
+from salsanext_cli.core.network.card import AccuracyLine, read_card
+from salsanext_cli.io.files.reading import present
+from salsanext_cli.io.weights.weights import save_with_card
+from salsanext_cli.runs.results.paths import find_scans, output_path
 
 
 def measured(dataset: str, out: Path, weights: Path, width: int) -> dict[str, tuple[float, float]]:

@@ -22,21 +22,21 @@ import torch
 from corruption_models import LEVELS
 from corruptions import SEVERITIES, write_data_set
 
-from salsanext_cli.classes.label_space import label_space
-from salsanext_cli.engines.network import Network
-from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.fitting.label_scan import prepared_for
-from salsanext_cli.fitting.scan_sample import ScanSample
-from salsanext_cli.fitting.sensor_fit import fit_scans
-from salsanext_cli.network.card import WeightsCard, read_card
-from salsanext_cli.network.error_model import ErrorModel
-from salsanext_cli.network.segmentation import SegmentationNetwork
-from salsanext_cli.network.weights import read_weights, save_weights, save_with_card
-from salsanext_cli.option_fields import ScanSelection
-from salsanext_cli.parallel.network_task import network_pipeline
-from salsanext_cli.results.paths import ScanFile, find_scans
-from salsanext_cli.results.selection import data_set_label_space, evenly_spaced
-from salsanext_cli.stages.tune import tune
+from salsanext_cli.commands.stages.tune import tune
+from salsanext_cli.core.classes.label_space import label_space
+from salsanext_cli.core.engines.network import Network
+from salsanext_cli.core.network.card import WeightsCard, read_card
+from salsanext_cli.core.network.error_model import ErrorModel
+from salsanext_cli.core.network.segmentation import SegmentationNetwork
+from salsanext_cli.io.weights.weights import read_weights, save_weights, save_with_card
+from salsanext_cli.runs.fit.label_scan import prepared_for
+from salsanext_cli.runs.fit.scan_sample import ScanSample
+from salsanext_cli.runs.fit.sensor_fit import fit_scans
+from salsanext_cli.runs.loop.network_task import network_pipeline
+from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.option_fields import ScanSelection
+from salsanext_cli.runs.results.paths import ScanFile, find_scans
+from salsanext_cli.runs.results.selection import data_set_label_space, evenly_spaced
 from salsanext_cli.training.cross_validation import folds
 from salsanext_cli.training.data.class_counts import class_shares
 from salsanext_cli.training.data.sources import labelled_split

@@ -14,7 +14,7 @@ from typing import Any
 
 import torch
 
-from salsanext_cli.files.json_files import write_json
+from salsanext_cli.io.files.json_files import write_json
 
 UTILISATION_INTERVAL_S = 0.2
 WARM_UP = {"cpu": 1, "cuda": 3}  # Calls before those that are timed

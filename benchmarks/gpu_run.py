@@ -106,9 +106,9 @@ def work(given: argparse.Namespace) -> int:
     """Do one part in this process; return the exit status."""
     from gpu_measures import Figures, machine  # Only here: the whole run needs no torch
 
-    from salsanext_cli.engines.device import choose_device
-    from salsanext_cli.network.card import default_weights
-    from salsanext_cli.parallel.pool import end_with_parent
+    from salsanext_cli.core.engines.device import choose_device
+    from salsanext_cli.core.network.card import default_weights
+    from salsanext_cli.runs.loop.pool import end_with_parent
 
     end_with_parent(given.parent)
     figures = Figures(given.figures, choose_device(given.device), given.deadline)

@@ -15,13 +15,13 @@ import torch
 from gpu_measures import Figures, utilisation
 from scene_pool import KINDS, SPACING_M, write_scene
 
-from salsanext_cli.engines.device import choose_precision
-from salsanext_cli.engines.loading import load_network
-from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.network.card import read_card
-from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.sensors.sensor import Sensor
-from salsanext_cli.stages.predict import predict_scans
+from salsanext_cli.commands.stages.predict import predict_scans
+from salsanext_cli.core.engines.device import choose_precision
+from salsanext_cli.core.network.card import read_card
+from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.io.weights.loading import load_network
+from salsanext_cli.runs.loop.run import RunOptions
+from salsanext_cli.runs.network_settings import NetworkSettings
 
 PARTS = {"network": 20, "predict": 10, "projection": 20, "knn": 20, "uncertainty": 1}
 """Timed calls of each part of the method."""

@@ -25,17 +25,17 @@ from gpu_training import STEPS, gpu_recipe, small_weights
 from pack import unpack
 from scene_pool import KINDS, VALIDATION, ScenePool
 
-from salsanext_cli.classes.label_space import label_space
-from salsanext_cli.engines.loading import network_of_module
-from salsanext_cli.errors import TrainingError
-from salsanext_cli.files.atomic import write_bytes
-from salsanext_cli.files.json_files import write_json
-from salsanext_cli.files.reading import fingerprint
-from salsanext_cli.network.card import WeightsCard, read_card
-from salsanext_cli.network.segmentation import SegmentationNetwork
-from salsanext_cli.network.weights import save_weights
-from salsanext_cli.results.paths import ScanFile, find_scans
-from salsanext_cli.sensors.sensor import Sensor
+from salsanext_cli.core.classes.label_space import label_space
+from salsanext_cli.core.errors import TrainingError
+from salsanext_cli.core.network.card import WeightsCard, read_card
+from salsanext_cli.core.network.segmentation import SegmentationNetwork
+from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.io.files.atomic import write_bytes
+from salsanext_cli.io.files.json_files import write_json
+from salsanext_cli.io.files.reading import fingerprint
+from salsanext_cli.io.weights.loading import network_of_module
+from salsanext_cli.io.weights.weights import save_weights
+from salsanext_cli.runs.results.paths import ScanFile, find_scans
 from salsanext_cli.training.data.class_counts import class_counts, class_weights, rare_classes
 from salsanext_cli.training.data.dataset import Batch, Samples, batches
 from salsanext_cli.training.data.sources import Source, fitted_source

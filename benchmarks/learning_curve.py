@@ -18,7 +18,7 @@ import numpy as np
 from commands import link_data_set, mean_and_spread, salsanext, scored
 from matplotlib.figure import Figure
 
-from salsanext_cli.results.paths import find_scans
+from salsanext_cli.runs.results.paths import find_scans
 from salsanext_cli.training.cross_validation import folds
 
 WAYS = {"default": "fine-tuned default weights", "random": "random weights, trained alike"}

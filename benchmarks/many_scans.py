@@ -14,10 +14,10 @@ from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
-from salsanext_cli.parallel.run import RunOptions, run_over_scans
-from salsanext_cli.parallel.run_options import Shard
-from salsanext_cli.results.output_run import OutputRun, output_run
-from salsanext_cli.results.paths import ScanFile, find_scans, output_path
+from salsanext_cli.runs.loop.run import RunOptions, run_over_scans
+from salsanext_cli.runs.loop.run_options import Shard
+from salsanext_cli.runs.results.output_run import OutputRun, output_run
+from salsanext_cli.runs.results.paths import ScanFile, find_scans, output_path
 
 Result = TypeVar("Result")
 SCANS_PER_SEQUENCE = 1000

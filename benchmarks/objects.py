@@ -19,10 +19,10 @@ import numpy as np
 from panoptic import count_segments, panoptic_quality
 
 from salsanext_cli import label_space, project, read_labels, read_scan, sensor
-from salsanext_cli.geometry.objects import MIN_OBJECT_POINTS, find_objects
-from salsanext_cli.records import Scan
-from salsanext_cli.results.paths import find_scans, output_path
-from salsanext_cli.results.result_folder import ResultFolder
+from salsanext_cli.core.geometry.objects import MIN_OBJECT_POINTS, find_objects
+from salsanext_cli.core.records import Scan
+from salsanext_cli.runs.results.paths import find_scans, output_path
+from salsanext_cli.runs.results.result_folder import ResultFolder
 
 EPS_M = (0.3, 0.5, 0.8, 1.2)
 CORE_POINTS = 5

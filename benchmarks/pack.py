@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.errors import FormatError, LabelError, NoInputError, UsageError
-from salsanext_cli.files.atomic import write_bytes
-from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.kitti import encode_bin, encode_labels, read_labels
-from salsanext_cli.records import Scan
-from salsanext_cli.results.paths import find_scans
+from salsanext_cli.core.errors import FormatError, LabelError, NoInputError, UsageError
+from salsanext_cli.core.records import Scan
+from salsanext_cli.io.files.atomic import write_bytes
+from salsanext_cli.io.formats import read_scan
+from salsanext_cli.io.formats.kitti import encode_bin, encode_labels, read_labels
+from salsanext_cli.runs.results.paths import find_scans
 
 STEPS_PER_M = 128
 MAX_COORDINATE_M = 255.0

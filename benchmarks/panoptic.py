@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from salsanext_cli.classes.label_space import LabelSpace, RawIds, TrainIds
-from salsanext_cli.measures.scores import EPSILON, Ratios
-from salsanext_cli.records import Mask
+from salsanext_cli.core.classes.label_space import LabelSpace, RawIds, TrainIds
+from salsanext_cli.core.measures.scores import EPSILON, Ratios
+from salsanext_cli.core.records import Mask
 
 MIN_SEGMENT_POINTS = 50
 LABEL_BITS = 32

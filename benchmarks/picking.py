@@ -16,7 +16,7 @@ from pathlib import Path
 
 from commands import link_data_set, mean_and_spread, salsanext, scored
 
-from salsanext_cli.results.paths import find_scans
+from salsanext_cli.runs.results.paths import find_scans
 
 
 def score(root: Path, given: argparse.Namespace, *how: object, seed: int) -> tuple[float, float]:

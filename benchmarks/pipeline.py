@@ -14,12 +14,12 @@ import tempfile
 import time
 from pathlib import Path
 
-from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.formats import read_scan
-from salsanext_cli.geometry.projection import project
-from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.results.paths import find_scans
-from salsanext_cli.stages.predict import predict_scans
+from salsanext_cli.commands.stages.predict import predict_scans
+from salsanext_cli.core.geometry.projection import project
+from salsanext_cli.io.formats import read_scan
+from salsanext_cli.runs.loop.run import RunOptions
+from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.results.paths import find_scans
 
 LEFT_OUT = 3
 

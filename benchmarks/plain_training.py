@@ -11,9 +11,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.results.paths import ScanFile
-from salsanext_cli.sensors.sensor import Sensor
+from salsanext_cli.core.classes.label_space import LabelSpace
+from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.training.recipe import Recipe
 
 

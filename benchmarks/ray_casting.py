@@ -8,7 +8,7 @@ fast. Only numba and numpy are needed.
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.compiled import compiled
+from salsanext_cli.core.compiled import compiled
 from salsanext_cli.synthesis.lidar import Scene
 from salsanext_cli.synthesis.mesh import Array, Mesh
 

@@ -25,14 +25,14 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 from ray_casting import RayScene
 
-from salsanext_cli.classes.label_space import label_space
-from salsanext_cli.engines.settings import weights_file
-from salsanext_cli.files.atomic import write_bytes
-from salsanext_cli.formats.kitti import encode_bin, encode_labels
-from salsanext_cli.network.card import read_card
-from salsanext_cli.parallel.pool import end_with_parent
-from salsanext_cli.results.paths import ScanFile, find_scans
-from salsanext_cli.sensors.sensor import Sensor
+from salsanext_cli.core.classes.label_space import label_space
+from salsanext_cli.core.network.card import read_card
+from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.io.files.atomic import write_bytes
+from salsanext_cli.io.formats.kitti import encode_bin, encode_labels
+from salsanext_cli.runs.loop.pool import end_with_parent
+from salsanext_cli.runs.network_settings import weights_file
+from salsanext_cli.runs.results.paths import ScanFile, find_scans
 from salsanext_cli.synthesis.drive import record
 from salsanext_cli.synthesis.lidar import RIGS
 from salsanext_cli.training.data.sources import Source, fitted_source

@@ -10,10 +10,10 @@ from typing import Any
 import torch
 from torch.utils.flop_counter import FlopCounterMode
 
-from salsanext_cli.engines.device import bfloat16_instructions
-from salsanext_cli.network.registry import build
-from salsanext_cli.records import CHANNELS
-from salsanext_cli.sensors.sensor import Sensor
+from salsanext_cli.core.engines.device import bfloat16_instructions
+from salsanext_cli.core.network.registry import build
+from salsanext_cli.core.records import CHANNELS
+from salsanext_cli.core.sensors.sensor import Sensor
 
 MATRIX_ROWS = {"cpu": 2048, "cuda": 8192}
 COPY_BYTES = {"cpu": 1 << 27, "cuda": 1 << 30}  # more than any cache holds

@@ -9,10 +9,10 @@ import numpy as np
 from speed_hardware import describe
 
 import salsanext_cli as sn
-from salsanext_cli.geometry.projection import points_from_pixels
-from salsanext_cli.measures.scores import confusion_matrix
-from salsanext_cli.results.paths import ScanFile
-from salsanext_cli.uncertainty.method import UncertaintyMethod
+from salsanext_cli.core.geometry.projection import points_from_pixels
+from salsanext_cli.core.measures.scores import confusion_matrix
+from salsanext_cli.core.uncertainty.method import UncertaintyMethod
+from salsanext_cli.runs.results.paths import ScanFile
 
 
 def predict(path: Path, out: Path, network: sn.Network) -> None:

@@ -15,8 +15,8 @@ from typing import Any
 import torch
 from speed_hardware import seconds_of
 
-from salsanext_cli.errors import SalsanextError
-from salsanext_cli.parallel.pool import end_with_parent
+from salsanext_cli.core.errors import SalsanextError
+from salsanext_cli.runs.loop.pool import end_with_parent
 
 REPETITIONS = {"projection": 20, "network": 5, "knn": 20, "predict": 5, "confusion": 20}
 """Calls of a part, of which the median counts; one if not listed."""

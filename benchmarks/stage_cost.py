@@ -18,17 +18,17 @@ from pathlib import Path
 import numba
 import torch
 
-from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.option_fields import ScanSelection
-from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.results.result_folder import ResultFolder
-from salsanext_cli.stages.evaluate import evaluate
-from salsanext_cli.stages.export_ply import export_ply
-from salsanext_cli.stages.knn_refine import knn_refine_scans
-from salsanext_cli.stages.predict import predict_range_images, predict_scans
-from salsanext_cli.stages.project import project_scans
-from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.uncertainty.method import UncertaintyMethod
+from salsanext_cli.commands.stages.evaluate import evaluate
+from salsanext_cli.commands.stages.export_ply import export_ply
+from salsanext_cli.commands.stages.knn_refine import knn_refine_scans
+from salsanext_cli.commands.stages.predict import predict_range_images, predict_scans
+from salsanext_cli.commands.stages.project import project_scans
+from salsanext_cli.commands.stages.uncertainty import uncertainty
+from salsanext_cli.core.uncertainty.method import UncertaintyMethod
+from salsanext_cli.runs.loop.run import RunOptions
+from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.option_fields import ScanSelection
+from salsanext_cli.runs.results.result_folder import ResultFolder
 
 
 def used() -> tuple[float, int, int]:

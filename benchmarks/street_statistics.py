@@ -30,16 +30,16 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli import label_space, read_labels, read_scan, sensor
-from salsanext_cli.classes.label_space import LabelSpace, TrainIds
-from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.fitting.scan_sample import ScanSample
-from salsanext_cli.fitting.sensor_fit import fitted_view
-from salsanext_cli.geometry.network_input import intensity_quantiles, match_intensity
-from salsanext_cli.geometry.projection import project
-from salsanext_cli.records import Float
-from salsanext_cli.results.paths import ScanFile, find_scans
-from salsanext_cli.results.selection import evenly_spaced, space_of
-from salsanext_cli.sensors.sensor import Sensor
+from salsanext_cli.core.classes.label_space import LabelSpace, TrainIds
+from salsanext_cli.core.geometry.network_input import intensity_quantiles, match_intensity
+from salsanext_cli.core.geometry.projection import project
+from salsanext_cli.core.records import Float
+from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.runs.fit.scan_sample import ScanSample
+from salsanext_cli.runs.fit.sensor_fit import fitted_view
+from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.results.paths import ScanFile, find_scans
+from salsanext_cli.runs.results.selection import evenly_spaced, space_of
 
 Mask = npt.NDArray[np.bool_]
 GROUND = ("road", "parking", "sidewalk", "other-ground", "terrain")

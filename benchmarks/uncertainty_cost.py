@@ -13,8 +13,8 @@ import time
 from collections.abc import Callable
 
 import salsanext_cli as sn
-from salsanext_cli.uncertainty.aleatoric import aleatoric, noise_variance
-from salsanext_cli.uncertainty.monte_carlo import sample
+from salsanext_cli.core.uncertainty.aleatoric import aleatoric, noise_variance
+from salsanext_cli.core.uncertainty.monte_carlo import sample
 
 
 def seconds(work: Callable[[], object]) -> float:

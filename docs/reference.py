@@ -10,8 +10,8 @@ from typing import Any
 
 import typer
 
-from salsanext_cli.cli.app import COMMANDS, app
-from salsanext_cli.cli.help import by_panel, default_text, synopsis, usage
+from salsanext_cli.commands.line.app import COMMANDS, app
+from salsanext_cli.commands.line.help import by_panel, default_text, synopsis, usage
 
 PAGE = Path(__file__).with_name("cli.md")
 PANELS = ("Options", "Selection", "Network", "Running", "Output")

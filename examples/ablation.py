@@ -18,14 +18,14 @@ import torch
 from paper_networks.figures import costs, paper_figures
 
 import salsanext_cli as sn
-from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.network.registry import build
-from salsanext_cli.option_fields import KnnParameters, ScanSelection
-from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.results.result_folder import ResultFolder
-from salsanext_cli.stages.evaluate import evaluate
-from salsanext_cli.stages.predict import predict_scans
-from salsanext_cli.stages.train import train
+from salsanext_cli.commands.stages.evaluate import evaluate
+from salsanext_cli.commands.stages.predict import predict_scans
+from salsanext_cli.commands.stages.train import train
+from salsanext_cli.core.network.registry import build
+from salsanext_cli.runs.loop.run import RunOptions
+from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.option_fields import KnnParameters, ScanSelection
+from salsanext_cli.runs.results.result_folder import ResultFolder
 from salsanext_cli.training.recipe import recipe
 
 LADDER = {

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 import salsanext_cli as sn
-from salsanext_cli.fusion.drive import Drive
-from salsanext_cli.results.paths import find_scans
+from salsanext_cli.runs.drives.drive import Drive
+from salsanext_cli.runs.results.paths import find_scans
 
 
 def points_of_scan(scan: Path, labels: Path, pose: Any, space: sn.LabelSpace) -> dict[str, Any]:

@@ -14,14 +14,14 @@ from pathlib import Path
 import numpy as np
 
 import salsanext_cli as sn
-from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.measures.scores import confusion_matrix, scores
-from salsanext_cli.results.paths import find_scans, output_path
-from salsanext_cli.stages.import_labels import import_labels
-from salsanext_cli.stages.pick import pick
-from salsanext_cli.stages.predict import predict_scans
-from salsanext_cli.stages.synth import synthesise
-from salsanext_cli.stages.train import train
+from salsanext_cli.commands.stages.import_labels import import_labels
+from salsanext_cli.commands.stages.pick import pick
+from salsanext_cli.commands.stages.predict import predict_scans
+from salsanext_cli.commands.stages.synth import synthesise
+from salsanext_cli.commands.stages.train import train
+from salsanext_cli.core.measures.scores import confusion_matrix, scores
+from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.results.paths import find_scans, output_path
 from salsanext_cli.training.recipe import recipe
 
 SEED = 5

@@ -7,10 +7,10 @@ Run: python examples/own_sensor.py my/scans out/ [weights.safetensors]
 import sys
 from pathlib import Path
 
-from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.sensors.sensor import sensor
-from salsanext_cli.stages.inspect import inspect, write_sensor
-from salsanext_cli.stages.predict import predict_scans
+from salsanext_cli.commands.stages.inspect import inspect, write_sensor
+from salsanext_cli.commands.stages.predict import predict_scans
+from salsanext_cli.core.sensors.sensor import sensor
+from salsanext_cli.runs.network_settings import NetworkSettings
 
 HEIGHT, WIDTH = 32, 512
 

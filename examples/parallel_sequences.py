@@ -12,10 +12,10 @@ from pathlib import Path
 
 import joblib
 
-from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.option_fields import ScanSelection
-from salsanext_cli.results.paths import find_scans
-from salsanext_cli.stages.predict import predict_scans
+from salsanext_cli.commands.stages.predict import predict_scans
+from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.option_fields import ScanSelection
+from salsanext_cli.runs.results.paths import find_scans
 
 
 def label_sequence(dataset: Path, out: Path, weights: Path | None, sequence: str) -> str:

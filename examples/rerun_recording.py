@@ -13,8 +13,8 @@ import matplotlib
 import numpy as np
 
 import salsanext_cli as sn
-from salsanext_cli.results.query import ResultQuery
-from salsanext_cli.results.result_folder import ResultFolder
+from salsanext_cli.runs.results.query import ResultQuery
+from salsanext_cli.runs.results.result_folder import ResultFolder
 
 
 def main(out: str, recording: str) -> None:

@@ -20,10 +20,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
 import salsanext_cli as sn
-from salsanext_cli.engines.network import Network
-from salsanext_cli.records import RangeImage
-from salsanext_cli.uncertainty.aleatoric import COPIES, aleatoric, noise_variance, noisy_copies
-from salsanext_cli.uncertainty.monte_carlo import sample
+from salsanext_cli.core.engines.network import Network
+from salsanext_cli.core.records import RangeImage
+from salsanext_cli.core.uncertainty.aleatoric import COPIES, aleatoric, noise_variance, noisy_copies
+from salsanext_cli.core.uncertainty.monte_carlo import sample
 
 Values = npt.NDArray[np.floating]
 PASSES = (2, 3, 5, 10, 20, 30, 50, 100)

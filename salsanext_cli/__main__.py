@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Entry point of ``salsanext`` and ``python -m salsanext_cli``."""
 
-from salsanext_cli.cli.interruption import handle_signals
+from salsanext_cli.commands.line.interruption import handle_signals
 
 ADVICE = "free some memory, allow more, or use fewer --jobs"
 
@@ -10,11 +10,11 @@ def main() -> None:
     """Run the command line."""
     handle_signals()
     try:
-        from salsanext_cli.cli.app import main as run
+        from salsanext_cli.commands.line.app import main as run
 
         run()
     except Exception as error:
-        from salsanext_cli.errors import error_text, out_of_memory
+        from salsanext_cli.core.errors import error_text, out_of_memory
 
         if not out_of_memory(error):
             raise

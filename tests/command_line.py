@@ -15,7 +15,7 @@ import pytest
 import typer
 from typer.testing import CliRunner, Result
 
-from salsanext_cli.cli.app import app
+from salsanext_cli.commands.line.app import app
 
 PAGE_OF_JSON = Path(__file__).parents[1] / "docs/reference/json.md"
 

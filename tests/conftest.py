@@ -55,7 +55,7 @@ def workers_in_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let workers be copies of the task in this process, which has the patches of the test."""
     from works import attempts_in_process
 
-    monkeypatch.setattr("salsanext_cli.parallel.pool.attempts_of_workers", attempts_in_process)
+    monkeypatch.setattr("salsanext_cli.runs.loop.pool.attempts_of_workers", attempts_in_process)
 
 
 @pytest.fixture(scope="session")
@@ -100,8 +100,8 @@ def narrow_weights(tmp_path: Path) -> Iterator[Path]:
 @pytest.fixture
 def narrow_default(narrow_weights: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return such weights, which are also those that are taken if none are named."""
-    from salsanext_cli.engines import loading
-    from salsanext_cli.network import card
+    from salsanext_cli.core.network import card
+    from salsanext_cli.io.weights import loading
 
     for module in (card, loading):
         monkeypatch.setattr(module, "default_weights", lambda: narrow_weights)
@@ -119,7 +119,7 @@ def world(tmp_path: Path, weights: Path) -> "World":
 @pytest.fixture
 def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Keep what is compiled below the folder of the test."""
-    from salsanext_cli.files import user_cache
+    from salsanext_cli.io.files import user_cache
 
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setattr(user_cache, "_warnings", [])
@@ -130,8 +130,8 @@ def undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
     """Draw nothing of scans and evaluations, which takes tenths of a second, unless `drawn`."""
     if request.node.get_closest_marker("drawn"):
         return
+    from salsanext_cli.commands.stages import picture
     from salsanext_cli.report import plots
-    from salsanext_cli.stages import picture
 
     monkeypatch.setattr(picture, "picture_of_results", lambda *_, **__: b"picture")
     for name in ("confusion_picture", "reliability_diagram", "risk_coverage"):
@@ -143,6 +143,6 @@ def tiny_training(monkeypatch: pytest.MonkeyPatch) -> None:
     """Train a tiny network."""
     from tiny_network import TinyNetwork
 
-    from salsanext_cli.network.registry import ARCHITECTURES
+    from salsanext_cli.core.network.registry import ARCHITECTURES
 
     monkeypatch.setitem(ARCHITECTURES, "salsanext", TinyNetwork)

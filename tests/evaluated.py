@@ -7,15 +7,15 @@ import numpy as np
 from scans import SMALL, write_array, write_bin
 
 from salsanext_cli import LabelSpace, Scan, label_space, write_labels
-from salsanext_cli.measures.calibration import SCAN_BINS, CalibrationScores, reliability
-from salsanext_cli.measures.histograms import confidence_histogram, uncertainty_histogram
-from salsanext_cli.measures.scan_counts import SOFTMAX, ScanComparison, ScanCounts
-from salsanext_cli.measures.uncertainty_evaluation import RankingScores, UncertaintyEvaluation
-from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.commands.stages.evaluate import evaluate
+from salsanext_cli.core.measures.calibration import SCAN_BINS, CalibrationScores, reliability
+from salsanext_cli.core.measures.histograms import confidence_histogram, uncertainty_histogram
+from salsanext_cli.core.measures.uncertainty_evaluation import RankingScores, UncertaintyEvaluation
 from salsanext_cli.report.page.run_results import RunResults
-from salsanext_cli.results.paths import find_scans, output_path
-from salsanext_cli.results.selection import MissingResults
-from salsanext_cli.stages.evaluate import evaluate
+from salsanext_cli.runs.loop.run import RunOptions
+from salsanext_cli.runs.results.paths import find_scans, output_path
+from salsanext_cli.runs.results.selection import MissingResults
+from salsanext_cli.runs.summary.comparison import SOFTMAX, ScanComparison, ScanCounts
 
 SPACE = label_space()
 CAR, ROAD, MOVING_CAR, UNKNOWN = 10, 40, 252, 77

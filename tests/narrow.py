@@ -9,9 +9,9 @@ import pytest
 from scans import salsanext_of, write_weights
 from world import Stored, World
 
-from salsanext_cli.engines import loading
-from salsanext_cli.files.reading import fingerprint
-from salsanext_cli.network.segmentation import SegmentationNetwork
+from salsanext_cli.core.network.segmentation import SegmentationNetwork
+from salsanext_cli.io.files.reading import fingerprint
+from salsanext_cli.io.weights import loading
 
 NARROW = {"context_width": 8, "widths": (8, 16, 32, 32, 32), "decoder_widths": (32, 32, 16, 16)}
 """Few channels: a network of full size would take most of the time of a test."""

@@ -16,15 +16,15 @@ import torch
 from torch import nn
 
 from salsanext_cli import LabelSpace, Scan, Sensor, label_space, read_scan, write_labels
-from salsanext_cli.errors import SalsanextError
-from salsanext_cli.files.atomic import write_bytes
-from salsanext_cli.formats.kitti import encode_bin
-from salsanext_cli.formats.ply import write_ply
-from salsanext_cli.network.card import WeightsCard
-from salsanext_cli.network.registry import ARCHITECTURES, build
-from salsanext_cli.network.salsanext import SalsaNext
-from salsanext_cli.network.weights import save_weights
-from salsanext_cli.results.owned_folder import FILE_LISTS
+from salsanext_cli.core.errors import SalsanextError
+from salsanext_cli.core.network.card import WeightsCard
+from salsanext_cli.core.network.registry import ARCHITECTURES, build
+from salsanext_cli.core.network.salsanext import SalsaNext
+from salsanext_cli.io.files.atomic import write_bytes
+from salsanext_cli.io.formats.kitti import encode_bin
+from salsanext_cli.io.formats.ply import write_ply
+from salsanext_cli.io.weights.weights import save_weights
+from salsanext_cli.runs.results.owned_folder import FILE_LISTS
 
 SMALL = Sensor(
     "small",

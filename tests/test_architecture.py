@@ -9,8 +9,8 @@ from graphlib import TopologicalSorter
 from pathlib import Path
 
 import salsanext_cli
-from salsanext_cli.cli.app import COMMANDS
-from salsanext_cli.errors import percentage
+from salsanext_cli.commands.line.app import COMMANDS
+from salsanext_cli.core.errors import percentage
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = Path(salsanext_cli.__file__).parent

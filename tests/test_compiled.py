@@ -13,9 +13,9 @@ import numba
 import pytest
 
 import salsanext_cli
-from salsanext_cli.compiled import compiled, parallel_for
-from salsanext_cli.files import user_cache
-from salsanext_cli.files.user_cache import cache_folder
+from salsanext_cli.core.compiled import compiled, parallel_for
+from salsanext_cli.io.files import user_cache
+from salsanext_cli.io.files.user_cache import cache_folder
 
 
 @pytest.fixture
@@ -75,7 +75,7 @@ def test_a_damaged_cache_is_one_warning_and_repaired(kernel, tmp_path, caplog, d
 
 def test_machine_code_of_another_source_or_version_is_not_used(kernel, tmp_path, monkeypatch):
     assert kernel()(2) == 4
-    for place in ("numba", "salsanext_cli.compiled"):
+    for place in ("numba", "salsanext_cli.core.compiled"):
         with monkeypatch.context() as patch:
             patch.setattr(f"{place}.__version__", "0.0.1")
             other = kernel()
@@ -101,7 +101,7 @@ def test_processes_that_write_at_once(kernel, tmp_path):
     """They compile two signatures in different orders; afterwards both can be loaded."""
     code = (
         "import sys; from small_kernel import twice\n"
-        "from salsanext_cli.compiled import compiled\n"
+        "from salsanext_cli.core.compiled import compiled\n"
         "kernel, values = compiled(twice), [2, 1.5][:: int(sys.argv[1])]\n"
         "assert [repr(kernel(x)) for x in values] == [repr(2 * x) for x in values]\n"
         "print(sum(kernel.stats.cache_hits.values()))"
@@ -129,7 +129,7 @@ def test_kernels_work_without_a_cache(kernel, tmp_path, monkeypatch, caplog):
 
 def test_an_error_of_any_thread_is_raised_after_all_are_done(monkeypatch):
     together, arrived, done = threading.Barrier(3, timeout=10), iter(range(3)), []
-    monkeypatch.setattr("salsanext_cli.compiled.thread_count", lambda: 3)
+    monkeypatch.setattr("salsanext_cli.core.compiled.thread_count", lambda: 3)
 
     def work(_):
         together.wait()

@@ -4,8 +4,8 @@
 import re
 from pathlib import Path
 
-from salsanext_cli.measures.decision import CODES, DOUBTFUL, LEVELS, MOST, Decision
-from salsanext_cli.measures.label_gains import gains_of_trials
+from salsanext_cli.core.measures.decision import CODES, DOUBTFUL, LEVELS, MOST, Decision
+from salsanext_cli.core.measures.label_gains import gains_of_trials
 
 PAGE = Path(__file__).parents[1] / "docs/tutorials/own-sensor.md"
 SECTION = PAGE.read_text("utf-8").partition("## 6. Use, label, or stop\n")[2]

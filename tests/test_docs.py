@@ -28,13 +28,13 @@ from scans import SMALL, make_scan, write_array, write_bin, write_sequence
 
 import salsanext_cli
 from salsanext_cli import LabelSpace, Sensor, label_space, load_network, project, read_scan
-from salsanext_cli.cli.app import COMMANDS
-from salsanext_cli.formats import SCAN_SUFFIXES
-from salsanext_cli.network.card import default_weights
-from salsanext_cli.results.paths import SUFFIX_OF_FOLDER, find_scans
-from salsanext_cli.sensors import sensor as sensors
-from salsanext_cli.stages import predict as stage
-from salsanext_cli.stages.export_onnx import export_onnx
+from salsanext_cli.commands.line.app import COMMANDS
+from salsanext_cli.commands.stages import predict as stage
+from salsanext_cli.commands.stages.export_onnx import export_onnx
+from salsanext_cli.core.network.card import default_weights
+from salsanext_cli.core.sensors import sensor as sensors
+from salsanext_cli.io.formats import SCAN_SUFFIXES
+from salsanext_cli.runs.results.paths import SUFFIX_OF_FOLDER, find_scans
 from salsanext_cli.training import recipe
 from salsanext_cli.training.recipe import Recipe
 

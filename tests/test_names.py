@@ -19,8 +19,12 @@ PRIVATE = re.compile("promis|guess|anew|_own_?$")
 """Words that the documentation has a standard term for."""
 PUBLIC = [
     *(f"salsanext_cli.{home}" for home in salsanext_cli._HOMES),
-    *(f"salsanext_cli.stages.{path.stem}" for path in PACKAGE.glob("stages/[a-z]*.py")),
-    *("salsanext_cli.parallel.job", "salsanext_cli.parallel.run", "salsanext_cli.engines.backend"),
+    *(f"salsanext_cli.commands.stages.{path.stem}" for path in PACKAGE.glob("stages/[a-z]*.py")),
+    *(
+        "salsanext_cli.runs.loop.job",
+        "salsanext_cli.runs.loop.run",
+        "salsanext_cli.core.engines.backend",
+    ),
 ]
 
 

@@ -11,7 +11,7 @@ from pictures.rendering import BACKGROUND, Camera, rendered
 from PIL import Image
 
 from salsanext_cli import label_space
-from salsanext_cli.records import RangeImage
+from salsanext_cli.core.records import RangeImage
 from salsanext_cli.report.colours import FIXED_SCALES, screen_colours, value_colours
 
 IMAGES = Path(__file__).parents[1] / "docs/images"

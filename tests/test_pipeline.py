@@ -23,19 +23,19 @@ from salsanext_cli import (
     read_scan,
     sensor,
 )
-from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.geometry.projection import points_from_pixels
-from salsanext_cli.network.card import default_weights
-from salsanext_cli.option_fields import ScanSelection
-from salsanext_cli.results.paths import find_scans
-from salsanext_cli.stages.import_weights import import_weights
-from salsanext_cli.stages.knn_refine import knn_refine_scans
-from salsanext_cli.stages.predict import predict_range_images, predict_scans
-from salsanext_cli.stages.project import project_scans
-from salsanext_cli.stages.synth import synthesise
+from salsanext_cli.commands.stages.import_weights import import_weights
+from salsanext_cli.commands.stages.knn_refine import knn_refine_scans
+from salsanext_cli.commands.stages.predict import predict_range_images, predict_scans
+from salsanext_cli.commands.stages.project import project_scans
+from salsanext_cli.commands.stages.synth import synthesise
+from salsanext_cli.core.geometry.projection import points_from_pixels
+from salsanext_cli.core.network.card import default_weights
+from salsanext_cli.core.uncertainty.error_features import error_probability, knows_error
+from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.option_fields import ScanSelection
+from salsanext_cli.runs.results.paths import find_scans
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.tuning.error import error_scores
-from salsanext_cli.uncertainty.error_features import error_probability, knows_error
 
 THREE_LINES = (
     "salsanext predict seq/velodyne out/",

@@ -16,13 +16,13 @@ from command_line import called, only_json
 from scans import SMALL, labels_below, lively, make_scan, refused, write_bin
 
 from salsanext_cli import Scan, label_space, load_network, read_scan
-from salsanext_cli.classes.label_space import plugged_label_spaces
-from salsanext_cli.errors import FormatError, UsageError, WeightsError, warn_once
-from salsanext_cli.formats import plugged_formats
-from salsanext_cli.formats.kitti import read_labels
-from salsanext_cli.network.card import WeightsCard
-from salsanext_cli.network.registry import build, described, plugged_networks
-from salsanext_cli.network.weights import read_weights, save_weights
+from salsanext_cli.core.classes.label_space import plugged_label_spaces
+from salsanext_cli.core.errors import FormatError, UsageError, WeightsError, warn_once
+from salsanext_cli.core.network.card import WeightsCard
+from salsanext_cli.core.network.registry import build, described, plugged_networks
+from salsanext_cli.io.formats import plugged_formats
+from salsanext_cli.io.formats.kitti import read_labels
+from salsanext_cli.io.weights.weights import read_weights, save_weights
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.setup import initial_network
 
@@ -228,7 +228,7 @@ def test_a_training_begins_with_a_network_of_a_plug_in(tmp_path):
     assert again.space.movable.tolist() == [False, False, True]
 
 
-GOOD = "from salsanext_cli.formats import Format\nFORMAT = Format(('.odd',), print)\n"
+GOOD = "from salsanext_cli.io.formats import Format\nFORMAT = Format(('.odd',), print)\n"
 ODD_FORMAT = "odd_plug_in:FORMAT"
 ODD = {"formats": {"odd": ODD_FORMAT}}
 MISTAKES: dict[str, tuple[str, dict[str, dict[str, str]], str]] = {
@@ -299,8 +299,6 @@ def test_a_run_without_need_of_plug_ins_imports_none(tmp_path, monkeypatch, capl
 
 
 def test_the_table_of_formats_needs_neither_numpy_nor_readers():
-    code = (
-        "import salsanext_cli.formats, sys; print({'numpy', 'importlib.metadata'} & {*sys.modules})"
-    )
+    code = "import salsanext_cli.io.formats, sys; print({'numpy', 'importlib.metadata'} & {*sys.modules})"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()"

@@ -17,11 +17,11 @@ from command_line import called, python
 from scans import SMALL, labels_below, make_scan, write_bin, write_weights
 
 import salsanext_cli as sn
-from salsanext_cli.cli.console import Output
-from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import FormatError, OutputError, SalsanextError, escaped, printable
-from salsanext_cli.sensors.sensor import INTENSITY_LEVELS
-from salsanext_cli.stages.predict import predict_scans
+from salsanext_cli.commands.line.console import Output
+from salsanext_cli.commands.stages.predict import predict_scans
+from salsanext_cli.core.errors import FormatError, OutputError, SalsanextError, escaped, printable
+from salsanext_cli.core.sensors.sensor import INTENSITY_LEVELS
+from salsanext_cli.runs.network_settings import NetworkSettings
 
 NAMES = [name for name in sn.__all__ if not name.startswith("__")]
 HEAVY = ("torch", "numpy", "numba", "open3d", "matplotlib", "typer", "rich", "yaml", "plyfile")
@@ -54,7 +54,9 @@ def test_names_are_those_of_type_checkers_and_modules_and_others_are_errors():
 def test_importing_imports_nothing_heavy():
     """And the table of formats neither numpy nor readers."""
     code = f"import sys, salsanext_cli; print([n for n in {HEAVY!r} if n in sys.modules])\n"
-    code += "import salsanext_cli.formats; print({'numpy', 'importlib.metadata'} & {*sys.modules})"
+    code += (
+        "import salsanext_cli.io.formats; print({'numpy', 'importlib.metadata'} & {*sys.modules})"
+    )
     assert python(code).stdout == "[]\nset()\n"
 
 

@@ -4,8 +4,8 @@
 import torch
 from torch import Tensor, nn
 
-from salsanext_cli.network.dropout import ChannelDropout
-from salsanext_cli.network.segmentation import SegmentationNetwork
+from salsanext_cli.core.network.dropout import ChannelDropout
+from salsanext_cli.core.network.segmentation import SegmentationNetwork
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.recipe import Recipe
 

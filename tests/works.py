@@ -11,14 +11,14 @@ from typing import Any
 
 import torch
 
-from salsanext_cli.compiled import thread_count
-from salsanext_cli.errors import FormatError
-from salsanext_cli.files.atomic import MARK, sweep, writing
-from salsanext_cli.parallel.job import Attempt, Task
-from salsanext_cli.parallel.pipeline import opened
-from salsanext_cli.parallel.pool import chunks
-from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
-from salsanext_cli.results.paths import ScanFile
+from salsanext_cli.core.compiled import thread_count
+from salsanext_cli.core.errors import FormatError
+from salsanext_cli.io.files.atomic import MARK, sweep, writing
+from salsanext_cli.runs.loop.job import Attempt, Task
+from salsanext_cli.runs.loop.pipeline import opened
+from salsanext_cli.runs.loop.pool import chunks
+from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
+from salsanext_cli.runs.results.paths import ScanFile
 
 
 class Write:

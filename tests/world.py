@@ -11,13 +11,13 @@ import numpy as np
 from scans import write_sequence
 
 from salsanext_cli import read_labels, write_labels
-from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.files.json_files import record_of
-from salsanext_cli.option_fields import ScanSelection
-from salsanext_cli.results.manifest import StageSettings
-from salsanext_cli.results.output_run import OutputRun, output_run
-from salsanext_cli.results.paths import SUFFIX_OF_FOLDER, ScanFile
-from salsanext_cli.stages.predict import predict_scans
+from salsanext_cli.commands.stages.predict import predict_scans
+from salsanext_cli.io.files.json_files import record_of
+from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.option_fields import ScanSelection
+from salsanext_cli.runs.results.manifest import StageSettings
+from salsanext_cli.runs.results.output_run import OutputRun, output_run
+from salsanext_cli.runs.results.paths import SUFFIX_OF_FOLDER, ScanFile
 
 EVERY = ScanSelection(sequences=("00", "08"))
 
@@ -54,7 +54,7 @@ class World:
 
     def tune(self, part: str, target: Path, **changes: Any) -> dict[str, Any]:
         """Tune a part of the weights on every scan."""
-        from salsanext_cli.stages.tune import tune  # it takes torch
+        from salsanext_cli.commands.stages.tune import tune  # it takes torch
 
         given = {"settings": self.network, "selection": EVERY, **changes}
         return tune(part, self.data, target, **given)

@@ -6,9 +6,9 @@ from typing import Any
 
 from rich.table import Table
 
-from salsanext_cli.errors import counted, first_few
-from salsanext_cli.measures.risk_control import guarantee
-from salsanext_cli.network.card import INHERITED, DescribedWeights
+from salsanext_cli.core.errors import counted, first_few
+from salsanext_cli.core.measures.risk_control import guarantee
+from salsanext_cli.core.network.card import INHERITED, DescribedWeights
 from salsanext_cli.report.tables import ABSENT, percent, table_of
 
 Json = Mapping[str, Any]

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.classes.label_space import LabelSpace, label_space
-from salsanext_cli.errors import SalsanextError, UsageError, did_you_mean
-from salsanext_cli.results.paths import COLOURS, ScanFile
-from salsanext_cli.results.result_folder import ResultFolder, scalar_columns
-from salsanext_cli.sensors.sensor import Sensor
+from salsanext_cli.core.classes.label_space import LabelSpace, label_space
+from salsanext_cli.core.errors import SalsanextError, UsageError, did_you_mean
+from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.runs.results.paths import COLOURS, ScanFile
+from salsanext_cli.runs.results.result_folder import ResultFolder, scalar_columns
 
 Colours = npt.NDArray[np.uint8]
 Values = npt.NDArray[np.float64]

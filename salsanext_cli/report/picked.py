@@ -13,17 +13,17 @@ import numpy as np
 import numpy.typing as npt
 from rich.table import Table
 
-from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.errors import counted
-from salsanext_cli.fitting.label_scan import LabelledScan
-from salsanext_cli.formats.ply import encode_ply
-from salsanext_cli.geometry.projection import points_from_pixels
-from salsanext_cli.labelling.picked_data_set import PickedScan
-from salsanext_cli.labelling.scan_choice import Choice
-from salsanext_cli.records import Float
+from salsanext_cli.core.classes.label_space import LabelSpace
+from salsanext_cli.core.errors import counted
+from salsanext_cli.core.geometry.projection import points_from_pixels
+from salsanext_cli.core.measures.scan_choice import Choice
+from salsanext_cli.core.records import Float
+from salsanext_cli.io.formats.ply import encode_ply
 from salsanext_cli.report.tables import ABSENT, table_of
-from salsanext_cli.results.paths import ScanFile
-from salsanext_cli.uncertainty.scan_description import ScanDescription
+from salsanext_cli.runs.fit.label_scan import LabelledScan
+from salsanext_cli.runs.labelling.picked_data_set import PickedScan
+from salsanext_cli.runs.labelling.scan_description import ScanDescription
+from salsanext_cli.runs.results.paths import ScanFile
 
 
 def picked_cloud(labelled: LabelledScan, uncertainty: Float, space: LabelSpace) -> bytes:

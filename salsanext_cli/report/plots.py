@@ -8,18 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.measures.calibration import Reliability
-from salsanext_cli.measures.scores import Counts, ratio, scored_rows
-from salsanext_cli.measures.uncertainty_evaluation import (
+from salsanext_cli.core.classes.label_space import LabelSpace
+from salsanext_cli.core.measures.calibration import Reliability
+from salsanext_cli.core.measures.scores import Counts, ratio, scored_rows
+from salsanext_cli.core.measures.uncertainty_evaluation import (
     COVERAGE,
     RankingScores,
     UncertaintyEvaluation,
 )
+from salsanext_cli.core.uncertainty.kinds import RED, SKY, UNCERTAINTY
 from salsanext_cli.report import canvas
 from salsanext_cli.report.canvas import DARK
 from salsanext_cli.report.tables import percent
-from salsanext_cli.results.uncertainty_kinds import RED, SKY, UNCERTAINTY
 
 PICTURES = {
     "eval_confusion.png": "Confusion matrix",

@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.errors import counted, printable
-from salsanext_cli.geometry.projection import in_sensor_frame, pixels_from_points, project
-from salsanext_cli.records import Float
+from salsanext_cli.core.classes.label_space import LabelSpace
+from salsanext_cli.core.errors import counted, printable
+from salsanext_cli.core.geometry.projection import in_sensor_frame, pixels_from_points, project
+from salsanext_cli.core.records import Float
+from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.uncertainty.kinds import UNCERTAINTY
 from salsanext_cli.report import canvas
 from salsanext_cli.report.canvas import MARGIN_PX
 from salsanext_cli.report.colours import (
@@ -26,9 +28,7 @@ from salsanext_cli.report.colours import (
     legend_of,
     map_on_dark,
 )
-from salsanext_cli.results.result_folder import ScanResults, scalar_columns
-from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
-from salsanext_cli.sensors.sensor import Sensor
+from salsanext_cli.runs.results.result_folder import ScanResults, scalar_columns
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,16 +10,16 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.errors import counted, first_few, percentage, printable
-from salsanext_cli.labelling.label_records import ImportedScan, LabelImport
-from salsanext_cli.measures.calibration import CalibrationScores
-from salsanext_cli.measures.risk_control import needed_scans, useful_scans
-from salsanext_cli.measures.scores import FREQUENT_POINTS, Scores, band_rows
-from salsanext_cli.measures.survey import Survey
-from salsanext_cli.measures.uncertainty_evaluation import RankingScores, UncertaintyEvaluation
-from salsanext_cli.records import CHANNELS
-from salsanext_cli.sensors.sensor import Sensor
+from salsanext_cli.core.classes.label_space import LabelSpace
+from salsanext_cli.core.errors import counted, first_few, percentage, printable
+from salsanext_cli.core.measures.calibration import CalibrationScores
+from salsanext_cli.core.measures.risk_control import needed_scans, useful_scans
+from salsanext_cli.core.measures.scores import FREQUENT_POINTS, Scores, band_rows
+from salsanext_cli.core.measures.survey import Survey
+from salsanext_cli.core.measures.uncertainty_evaluation import RankingScores, UncertaintyEvaluation
+from salsanext_cli.core.records import CHANNELS
+from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.runs.labelling.label_records import ImportedScan, LabelImport
 
 ABSENT = "–"
 USUAL_LIMITS = (0.05, 0.1, 0.2)

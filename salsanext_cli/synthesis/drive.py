@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from salsanext_cli.classes.label_space import RawIds
-from salsanext_cli.records import Scan
+from salsanext_cli.core.classes.label_space import RawIds
+from salsanext_cli.core.records import Scan
 from salsanext_cli.synthesis.lidar import Rig, RigMaker, Scene, hdl64_rig, measure
 from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, merge, rotation
 from salsanext_cli.synthesis.presets import Numbers, style_of

@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.classes.label_space import RawIds
-from salsanext_cli.files.optional_packages import import_open3d
-from salsanext_cli.records import Mask
+from salsanext_cli.core.classes.label_space import RawIds
+from salsanext_cli.core.optional_packages import import_open3d
+from salsanext_cli.core.records import Mask
 from salsanext_cli.synthesis.mesh import Array, Mesh, Rng
 from salsanext_cli.synthesis.presets import HDL64, OPTICS, TUFTED, VEHICLE_OUTLINES_DEG, Numbers
 from salsanext_cli.synthesis.presets import RANDOM_SENSOR as BOUNDS

@@ -17,8 +17,8 @@ import safetensors.torch
 import torch
 from torch import Tensor, nn
 
-from salsanext_cli.errors import TrainingError, error_text
-from salsanext_cli.results.owned_folder import OwnedFolder
+from salsanext_cli.core.errors import TrainingError, error_text
+from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.run_folder import Row
 

@@ -19,8 +19,8 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
-from salsanext_cli.engines.device import choose_device
-from salsanext_cli.errors import SalsanextError, UsageError, error_text
+from salsanext_cli.core.engines.device import choose_device
+from salsanext_cli.core.errors import SalsanextError, UsageError, error_text
 
 TIMEOUT = timedelta(minutes=15)  # Longest time that a collective takes
 POLL_S = 0.1  # Time between two queries of the store

@@ -13,11 +13,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from salsanext_cli.engines.loading import network_of_module
-from salsanext_cli.errors import NOTICE, TrainingError
-from salsanext_cli.network.card import WeightsCard
-from salsanext_cli.network.weights import encode_weights
-from salsanext_cli.results.owned_folder import OwnedFolder
+from salsanext_cli.core.errors import NOTICE, TrainingError
+from salsanext_cli.core.network.card import WeightsCard
+from salsanext_cli.io.weights.loading import network_of_module
+from salsanext_cli.io.weights.weights import encode_weights
+from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
 from salsanext_cli.training.data.dataset import Batch, Samples, batches
 from salsanext_cli.training.data.sources import Source

@@ -11,9 +11,9 @@ from torch import Tensor, nn
 from torch.optim import SGD, AdamW, Optimizer
 from torch.optim.swa_utils import get_ema_multi_avg_fn
 
-from salsanext_cli.engines.device import PRECISIONS, bfloat16_instructions
-from salsanext_cli.engines.torch_backend import keep_ends_in_float32, set_up_cuda
-from salsanext_cli.network.segmentation import SegmentationNetwork
+from salsanext_cli.core.engines.device import PRECISIONS, bfloat16_instructions
+from salsanext_cli.core.engines.torch_backend import keep_ends_in_float32, set_up_cuda
+from salsanext_cli.core.network.segmentation import SegmentationNetwork
 from salsanext_cli.training.data.targets import ClassSets
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup, data_parallel
 from salsanext_cli.training.losses import SegmentationLoss

@@ -10,9 +10,9 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Self
 
-from salsanext_cli.errors import UsageError, shortened
-from salsanext_cli.files.reading import present
-from salsanext_cli.files.yaml_toml import read_toml, refuse_unknown
+from salsanext_cli.core.errors import UsageError, shortened
+from salsanext_cli.io.files.reading import present
+from salsanext_cli.io.files.yaml_toml import read_toml, refuse_unknown
 
 BUILT_IN = resources.files("salsanext_cli").joinpath("presets/recipes")
 MAX_INTEGER = 2**53  # Beyond it, floats are not exact

@@ -8,20 +8,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.errors import OutputError
-from salsanext_cli.files.atomic import require_writable
-from salsanext_cli.files.json_files import record_of
-from salsanext_cli.files.reading import fingerprint
-from salsanext_cli.results.manifest import (
+from salsanext_cli.core.classes.label_space import LabelSpace
+from salsanext_cli.core.errors import OutputError
+from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.io.files.atomic import require_writable
+from salsanext_cli.io.files.json_files import record_of
+from salsanext_cli.io.files.reading import fingerprint
+from salsanext_cli.runs.results.manifest import (
     Manifest,
     StageRecord,
     require_same_settings,
     settings_json,
 )
-from salsanext_cli.results.owned_folder import OwnedFolder
-from salsanext_cli.results.paths import ScanFile
-from salsanext_cli.sensors.sensor import Sensor
+from salsanext_cli.runs.results.owned_folder import OwnedFolder
+from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.recipe import Recipe
 

@@ -12,19 +12,20 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.engines.graphs import LOGITS
-from salsanext_cli.engines.loading import network_of_module
-from salsanext_cli.engines.network import Network
-from salsanext_cli.errors import NOTICE, WeightsError, first_few, percentage
-from salsanext_cli.network.card import INHERITED, WeightsCard, read_card
-from salsanext_cli.network.error_model import ErrorModel
-from salsanext_cli.network.registry import build, described
-from salsanext_cli.network.segmentation import SegmentationNetwork
-from salsanext_cli.network.weights import read_weights
-from salsanext_cli.parallel.network_task import network_pipeline
-from salsanext_cli.results.paths import ScanFile
-from salsanext_cli.sensors.sensor import Sensor, sensor
+from salsanext_cli.core.classes.label_space import LabelSpace
+from salsanext_cli.core.engines.graphs import LOGITS
+from salsanext_cli.core.engines.network import Network
+from salsanext_cli.core.errors import NOTICE, WeightsError, first_few, percentage
+from salsanext_cli.core.network.card import INHERITED, WeightsCard, read_card
+from salsanext_cli.core.network.error_model import ErrorModel
+from salsanext_cli.core.network.registry import build, described
+from salsanext_cli.core.network.segmentation import SegmentationNetwork
+from salsanext_cli.core.sensors.sensor import Sensor, sensor
+from salsanext_cli.core.uncertainty.error_features import FEATURES
+from salsanext_cli.io.weights.loading import network_of_module
+from salsanext_cli.io.weights.weights import read_weights
+from salsanext_cli.runs.loop.network_task import network_pipeline
+from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.training import run_folder
 from salsanext_cli.training.cross_validation import Expectation, Parts, expectation, held_out
 from salsanext_cli.training.data.class_counts import ClassCounts, class_weights, rare_classes
@@ -46,7 +47,6 @@ from salsanext_cli.training.tuning.error import (
 )
 from salsanext_cli.training.tuning.scans import LabelledImage, read_labelled_image
 from salsanext_cli.training.validation import validate
-from salsanext_cli.uncertainty.error_features import FEATURES
 
 DEFAULT_SENSOR = "hdl64"  # Sensor of a training from random weights, unless another is given
 

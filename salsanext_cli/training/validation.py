@@ -8,18 +8,18 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from salsanext_cli.classes.label_space import TrainIds
-from salsanext_cli.engines.network import Network
-from salsanext_cli.geometry.knn import knn_refine
-from salsanext_cli.geometry.projection import project
-from salsanext_cli.geometry.scan_traits import sensor_of
-from salsanext_cli.measures.scores import Counts, confusion_matrix, scores
-from salsanext_cli.network.card import WeightsCard
-from salsanext_cli.network.error_model import TEMPERATURES
-from salsanext_cli.parallel.job import Steps
-from salsanext_cli.parallel.network_task import network_pipeline
-from salsanext_cli.records import Float, RangeImage
-from salsanext_cli.results.paths import ScanFile
+from salsanext_cli.core.classes.label_space import TrainIds
+from salsanext_cli.core.engines.network import Network
+from salsanext_cli.core.geometry.knn import knn_refine
+from salsanext_cli.core.geometry.projection import project
+from salsanext_cli.core.geometry.scan_traits import sensor_of
+from salsanext_cli.core.measures.scores import Counts, confusion_matrix, scores
+from salsanext_cli.core.network.card import WeightsCard
+from salsanext_cli.core.network.error_model import TEMPERATURES
+from salsanext_cli.core.records import Float, RangeImage
+from salsanext_cli.runs.loop.job import Steps
+from salsanext_cli.runs.loop.network_task import network_pipeline
+from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.training.data.sources import Source, read_labelled
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
 from salsanext_cli.training.run_folder import Row

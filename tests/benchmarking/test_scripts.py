@@ -27,12 +27,12 @@ from salsanext_cli import (
     read_labels,
     read_scan,
 )
-from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.results.selection import data_set_label_space
-from salsanext_cli.stages.predict import predict_scans
+from salsanext_cli.commands.stages.predict import predict_scans
+from salsanext_cli.core.uncertainty.aleatoric import aleatoric
+from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.results.selection import data_set_label_space
 from salsanext_cli.training.data.other_sensors import HOLE_SHARES, hole_cells
 from salsanext_cli.training.data.sources import labelled_split
-from salsanext_cli.uncertainty.aleatoric import aleatoric
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 TINY = "fov_up = 3.0\nfov_down = -25.0\nheight = 16\nwidth = 64\n"

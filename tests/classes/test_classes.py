@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scans import refused
 
-from salsanext_cli.classes.label_space import LabelSpace, label_space
-from salsanext_cli.classes.merging import ClassMerging, contradiction
-from salsanext_cli.errors import LabelError, UsageError
+from salsanext_cli.core.classes.label_space import LabelSpace, label_space
+from salsanext_cli.core.classes.merging import ClassMerging, contradiction
+from salsanext_cli.core.errors import LabelError, UsageError
 
 NAMES = (
     "unlabeled car bicycle motorcycle truck other-vehicle person bicyclist motorcyclist road"

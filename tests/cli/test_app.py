@@ -17,9 +17,9 @@ from typer.testing import CliRunner
 
 from salsanext_cli import __version__
 from salsanext_cli.__main__ import main
-from salsanext_cli.cli import console, help, removed
-from salsanext_cli.cli.app import COMMANDS
-from salsanext_cli.errors import FormatError, UsageError, with_hint
+from salsanext_cli.commands.line import console, help, removed
+from salsanext_cli.commands.line.app import COMMANDS
+from salsanext_cli.core.errors import FormatError, UsageError, with_hint
 
 ROOT = Path(__file__).parents[2]
 HEAVY = ("torch", "open3d", "numba", "matplotlib", "numpy", "scipy", "pandas", "joblib", "rich")
@@ -101,10 +101,10 @@ def test_memory_that_runs_out_is_an_error(monkeypatch, raised):
             raise SystemError("error return without exception set")  # noqa: B904
 
     monkeypatch.setattr("salsanext_cli.__main__.handle_signals", lambda: None)
-    monkeypatch.setattr("salsanext_cli.cli.app.main", fail)
+    monkeypatch.setattr("salsanext_cli.commands.line.app.main", fail)
     with pytest.raises(SystemExit, match=r"^error: memory ran out: "):
         main()
-    monkeypatch.setattr("salsanext_cli.cli.app.main", lambda: 1 // 0)
+    monkeypatch.setattr("salsanext_cli.commands.line.app.main", lambda: 1 // 0)
     with pytest.raises(ZeroDivisionError):
         main()
 
@@ -132,7 +132,7 @@ def test_help_imports_nothing_heavy():
     done = python(
         "import sys\n"
         "sys.argv = ['salsanext', 'predict', '--help']\n"
-        "from salsanext_cli.cli.app import main\n"
+        "from salsanext_cli.commands.line.app import main\n"
         "try:\n    main()\nexcept SystemExit as leaving:\n    assert not leaving.code\n"
         f"print('HEAVY', [name for name in {HEAVY!r} if name in sys.modules])\n"
     )
@@ -148,7 +148,7 @@ def test_a_second_predict_imports_no_library_that_it_does_not_compute_with(tmp_p
         words = ["predict", str(tmp_path / "data"), str(out), "-q", "--error", "--device", "cpu"]
         ended = python(
             "import sys\n"
-            "from salsanext_cli.cli.app import main\n"
+            "from salsanext_cli.commands.line.app import main\n"
             f"sys.argv = ['salsanext', *{words!r}]\n"
             "try:\n    main()\n"
             "except SystemExit as leaving:\n    assert not leaving.code\n"
@@ -161,7 +161,7 @@ def test_a_second_predict_imports_no_library_that_it_does_not_compute_with(tmp_p
 
 
 def test_characters_outside_the_encoding_of_stdout_are_replaced():
-    code = "from salsanext_cli.cli import app; app.app = lambda: print('1 \\xb1 2'); app.main()"
+    code = "from salsanext_cli.commands.line import app; app.app = lambda: print('1 \\xb1 2'); app.main()"
     ended = python(code, LC_ALL="C", PYTHONCOERCECLOCALE="0", PYTHONUTF8="0")
     assert (ended.returncode, ended.stdout) == (0, "1 ? 2\n"), ended.stderr
 

@@ -13,14 +13,14 @@ from command_line import only_json, parsed
 from scans import SMALL, labels_below, refused, write_weights
 from typer.testing import CliRunner
 
-from salsanext_cli.cli.app import app
-from salsanext_cli.cli.arguments import share
-from salsanext_cli.cli.expansion import Default, Shown, Without, expanded
-from salsanext_cli.engines.settings import NetworkSettings, weights_file
-from salsanext_cli.errors import UsageError
-from salsanext_cli.formats import RECORDING_SUFFIXES, SCAN_SUFFIXES
-from salsanext_cli.network.card import default_weights
-from salsanext_cli.option_fields import KnnParameters, ScanSelection
+from salsanext_cli.commands.line.app import app
+from salsanext_cli.commands.line.arguments import share
+from salsanext_cli.commands.line.expansion import Default, Shown, Without, expanded
+from salsanext_cli.core.errors import UsageError
+from salsanext_cli.core.network.card import default_weights
+from salsanext_cli.io.formats import RECORDING_SUFFIXES, SCAN_SUFFIXES
+from salsanext_cli.runs.network_settings import NetworkSettings, weights_file
+from salsanext_cli.runs.option_fields import KnnParameters, ScanSelection
 
 
 def test_a_group_is_expanded_filled_and_handed_over():

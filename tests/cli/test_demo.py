@@ -7,7 +7,7 @@ import pytest
 from evaluated import CAR, ROAD, World
 
 from salsanext_cli import read_labels
-from salsanext_cli.stages.demo import Demonstration
+from salsanext_cli.commands.stages.demo import Demonstration
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -24,7 +24,7 @@ def world(tmp_path, monkeypatch):
     def demo(*_, **__):
         return Demonstration(world.evaluate(), (), world.out / "report.html", ())
 
-    monkeypatch.setattr("salsanext_cli.stages.demo.demo", demo)
+    monkeypatch.setattr("salsanext_cli.commands.stages.demo.demo", demo)
     return world
 
 

@@ -12,7 +12,7 @@ from command_line import called, only_json
 from scans import files_below, make_scan, write_bin
 
 from salsanext_cli import read_labels
-from salsanext_cli.records import Scan
+from salsanext_cli.core.records import Scan
 
 NETWORK = ("--device", "cpu", "--engine", "torch", "--json")
 MANY_POINTS = 3_000_000

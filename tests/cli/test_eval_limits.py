@@ -8,11 +8,11 @@ from command_line import only_json, subject
 from evaluated import CAR, ROAD, SPACE, World
 
 from salsanext_cli import sensor
-from salsanext_cli.files.json_files import plain
-from salsanext_cli.geometry.scan_measures import MEASURES
-from salsanext_cli.network.card import RiskThreshold
-from salsanext_cli.network.unit_traits import UnitTraits
-from salsanext_cli.results.manifest import Manifest, StageRecord
+from salsanext_cli.core.geometry.scan_measures import MEASURES
+from salsanext_cli.core.network.card import RiskThreshold
+from salsanext_cli.core.network.unit_traits import UnitTraits
+from salsanext_cli.io.files.json_files import plain
+from salsanext_cli.runs.results.manifest import Manifest, StageRecord
 
 NONE = 0
 UNIT = UnitTraits(

@@ -9,7 +9,7 @@ from command_line import only_json, subject
 from scans import make_scan
 
 from salsanext_cli import write_ply
-from salsanext_cli.results.result_folder import ResultFolder
+from salsanext_cli.runs.results.result_folder import ResultFolder
 
 
 @pytest.fixture

@@ -16,9 +16,9 @@ LINES = {
 }
 COMMAND = """
 import os, signal, sys, time, typer
-from salsanext_cli.cli.console import guarded
-from salsanext_cli.cli.interruption import handle_signals
-from salsanext_cli.errors import MissingDependency
+from salsanext_cli.commands.line.console import guarded
+from salsanext_cli.commands.line.interruption import handle_signals
+from salsanext_cli.core.errors import MissingDependency
 signal.signal(signal.SIGINT, signal.default_int_handler)
 handle_signals()
 def send(number, process=None):
@@ -34,7 +34,7 @@ IMPORT = """
 import os, signal, sys
 class Finder:
     def find_spec(self, name, *_):
-        if name == "salsanext_cli.cli.own_data":
+        if name == "salsanext_cli.commands.line.own_data":
             os.kill(os.getpid(), NUMBER)
 sys.meta_path.insert(0, Finder())
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -126,7 +126,7 @@ def test_an_ignored_signal_stays_ignored():
 def test_the_line_states_what_is_finished(body, line):
     steps = "" if "no scan" in line else "bar(3, 8);"
     work = f"""
-    from salsanext_cli.cli.console import writing
+    from salsanext_cli.commands.line.console import writing
     with {body} as bar: {steps} send(2)"""
     ended = python(COMMAND.replace("BODY", work))
     assert ended.stderr.startswith(f"interrupted: {line}")
@@ -135,7 +135,7 @@ def test_the_line_states_what_is_finished(body, line):
 
 def test_what_was_finished_before_is_not_stated_again():
     work = """
-    from salsanext_cli.cli.console import writing
+    from salsanext_cli.commands.line.console import writing
     with writing('predict', True) as bar: bar(3, 8)
     send(2)"""
     interrupted(work, signal.SIGINT)
@@ -146,7 +146,7 @@ def test_a_signal_that_python_drops_ends_a_training_at_its_next_step(number):
     """Python ignores errors in callbacks of weak references."""
     body = f"""
     import weakref
-    from salsanext_cli.cli.interruption import require_uninterrupted
+    from salsanext_cli.commands.line.interruption import require_uninterrupted
     class Thing: pass
     thing = Thing()
     reference = weakref.ref(thing, lambda _: os.kill(os.getpid(), {number:d}))

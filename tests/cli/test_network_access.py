@@ -9,7 +9,7 @@ from command_line import python
 from scans import SMALL, write_sequence
 
 import salsanext_cli
-from salsanext_cli.compiled import kernel_folder
+from salsanext_cli.core.compiled import kernel_folder
 
 LISTENER = """
 import os, socket, sys
@@ -28,7 +28,7 @@ sys.addaudithook(note)
 """Module that Python imports first in every process of a run; it audits sockets."""
 COMMANDS = """
 import sys
-from salsanext_cli.cli.app import main
+from salsanext_cli.commands.line.app import main
 
 for line in {lines!r}:
     sys.argv = ["salsanext", *line]

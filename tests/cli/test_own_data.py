@@ -14,14 +14,14 @@ from command_line import only_json, subject
 from edited_clouds import write_ply
 
 from salsanext_cli import label_space, read_labels, read_scan, write_labels
-from salsanext_cli.cli.after_pick import commands_after_pick, lines_after_pick, scale_text
-from salsanext_cli.cli.picked_labels import PickedLabels
-from salsanext_cli.labelling.picked_data_set import PickedScan, UncertaintyScale
-from salsanext_cli.parallel.run import Outcome
-from salsanext_cli.results.paths import output_path
-from salsanext_cli.stages import submit as stage
-from salsanext_cli.stages.pick import Picking
-from salsanext_cli.stages.predict import predict_scans
+from salsanext_cli.commands.line.after_pick import commands_after_pick, lines_after_pick, scale_text
+from salsanext_cli.commands.line.picked_labels import PickedLabels
+from salsanext_cli.commands.stages import submit as stage
+from salsanext_cli.commands.stages.pick import Picking
+from salsanext_cli.commands.stages.predict import predict_scans
+from salsanext_cli.runs.labelling.picked_data_set import PickedScan, UncertaintyScale
+from salsanext_cli.runs.loop.run import Outcome
+from salsanext_cli.runs.results.paths import output_path
 
 
 def test_a_topic_of_a_recording_is_named(run, tmp_path):
@@ -79,7 +79,7 @@ def test_pick_prints_the_failures_of_the_labels_of_picked_scans(
         broken.write_bytes(b"x")
         return predict_scans(*arguments, **options)
 
-    monkeypatch.setattr("salsanext_cli.cli.picked_labels.predict_scans", after_damage)
+    monkeypatch.setattr("salsanext_cli.commands.line.picked_labels.predict_scans", after_damage)
     picked = run("pick", data, out, "--weights", weights, "--json", status=1)
     failures = only_json(picked)["failures"]
     assert [(failure["scan"], failure["code"]) for failure in failures] == [(str(broken), "format")]

@@ -8,18 +8,18 @@ import pytest
 from scans import write_array, write_sequence
 
 from salsanext_cli import read_labels, write_labels
-from salsanext_cli.cli.picked_labels import doubtful_share, label_picked_scans
-from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.results.paths import find_scans
-from salsanext_cli.results.query import ResultQuery
-from salsanext_cli.stages.pick import pick
-from salsanext_cli.stages.report import read_run
+from salsanext_cli.commands.line.picked_labels import doubtful_share, label_picked_scans
+from salsanext_cli.commands.stages.pick import pick
+from salsanext_cli.commands.stages.report import read_run
+from salsanext_cli.runs.loop.run import RunOptions
+from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.results.query import ResultQuery
 
 
 @pytest.fixture
 def to_label(world, monkeypatch):
     """Return a data set with pre-labels of two scans of a drive, and the world."""
-    monkeypatch.setattr("salsanext_cli.stages.pick.SAMPLES", 2)
+    monkeypatch.setattr("salsanext_cli.commands.stages.pick.SAMPLES", 2)
     write_sequence(world.data / "sequences/08", ["000000", "000001", "000002"], labels=False)
     pick(world.data, world.out, count=2, settings=world.network)
     return world

@@ -13,21 +13,21 @@ from evaluated import CAR, ROAD, World
 from scans import SMALL, make_scan, write_bin, write_sequence
 
 from salsanext_cli import label_space
-from salsanext_cli.cli.pipeline import MANY_SCANS, _advice
-from salsanext_cli.cli.summary import (
+from salsanext_cli.commands.line.pipeline import MANY_SCANS, _advice
+from salsanext_cli.commands.line.summary import (
     _as_data,
     _lines,
     _rejection_lines,
     next_command,
     print_failures,
 )
-from salsanext_cli.engines import device
-from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.formats.kitti import write_labels
-from salsanext_cli.measures.scan_summary import RunSummary
-from salsanext_cli.parallel.run import Failure, Outcome
-from salsanext_cli.results.manifest import Manifest, StageSettings
-from salsanext_cli.results.paths import ScanFile, find_scans
+from salsanext_cli.core.engines import device
+from salsanext_cli.io.formats.kitti import write_labels
+from salsanext_cli.runs.loop.run import Failure, Outcome
+from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.results.manifest import Manifest, StageSettings
+from salsanext_cli.runs.results.paths import ScanFile, find_scans
+from salsanext_cli.runs.summary.scan_summary import RunSummary
 
 
 def test_the_next_commands_lead_from_scans_to_scores(run, data, weights, tmp_path):

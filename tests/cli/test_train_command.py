@@ -5,9 +5,9 @@ import pytest
 from command_line import only_json, subject
 from scans import SMALL, write_sequence
 
-from salsanext_cli.cli import arguments
-from salsanext_cli.engines.device import bfloat16_instructions
-from salsanext_cli.network.card import read_card
+from salsanext_cli.commands.line import arguments
+from salsanext_cli.core.engines.device import bfloat16_instructions
+from salsanext_cli.core.network.card import read_card
 from salsanext_cli.training.recipe import recipe
 
 

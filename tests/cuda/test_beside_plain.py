@@ -9,7 +9,7 @@ from devices import on_both
 from scans import SMALL, make_scan
 
 from salsanext_cli import load_network, project
-from salsanext_cli.uncertainty.aleatoric import aleatoric
+from salsanext_cli.core.uncertainty.aleatoric import aleatoric
 
 
 @on_both("float32")

@@ -22,16 +22,16 @@ from tiny_network import CLASS_WEIGHTS, batch, learner
 from torch import Tensor
 
 from salsanext_cli import RangeImage, load_network, project
-from salsanext_cli.engines.batches import BatchSize
-from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.network.dropout import random_masks, sampling
-from salsanext_cli.network.weights import read_weights
-from salsanext_cli.records import Float
-from salsanext_cli.stages.predict import predict_scans
-from salsanext_cli.stages.train import train
+from salsanext_cli.commands.stages.predict import predict_scans
+from salsanext_cli.commands.stages.train import train
+from salsanext_cli.core.engines.batches import BatchSize
+from salsanext_cli.core.network.dropout import random_masks, sampling
+from salsanext_cli.core.records import Float
+from salsanext_cli.core.uncertainty.monte_carlo import pass_seed, sample
+from salsanext_cli.io.weights.weights import read_weights
+from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
 from salsanext_cli.training.recipe import Recipe
-from salsanext_cli.uncertainty.monte_carlo import pass_seed, sample
 
 STEPS = 5
 """Of an epoch."""

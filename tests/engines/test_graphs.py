@@ -20,28 +20,28 @@ from tiny_network import TinyNetwork
 from torch import nn
 
 from salsanext_cli import label_space, project, sample
-from salsanext_cli.engines import device
-from salsanext_cli.engines.device import (
+from salsanext_cli.core.engines import device
+from salsanext_cli.core.engines.device import (
     bfloat16_instructions,
     choose_device,
     choose_engine,
     choose_precision,
 )
-from salsanext_cli.engines.graphs import (
+from salsanext_cli.core.engines.graphs import (
     GRAPH_VERSION,
     Graph,
     compiled_graph,
     converted,
     partly_float32,
 )
-from salsanext_cli.engines.network import Network
-from salsanext_cli.engines.openvino_backend import OpenVinoBackend
-from salsanext_cli.engines.torch_backend import in_precision
-from salsanext_cli.errors import MissingDependency, UsageError, warn_once
-from salsanext_cli.network.card import WeightsCard
-from salsanext_cli.network.salsanext import SalsaNext
-from salsanext_cli.uncertainty.aleatoric import aleatoric
-from salsanext_cli.uncertainty.scan_description import pixel_features
+from salsanext_cli.core.engines.network import Network
+from salsanext_cli.core.engines.openvino_backend import OpenVinoBackend
+from salsanext_cli.core.engines.torch_backend import in_precision
+from salsanext_cli.core.errors import MissingDependency, UsageError, warn_once
+from salsanext_cli.core.network.card import WeightsCard
+from salsanext_cli.core.network.salsanext import SalsaNext
+from salsanext_cli.core.uncertainty.aleatoric import aleatoric
+from salsanext_cli.runs.labelling.scan_description import pixel_features
 
 
 @pytest.fixture
@@ -262,7 +262,7 @@ def test_nothing_is_made_again_where_memory_runs_out(monkeypatch):
     def refuse():
         raise AssertionError("made again")
 
-    monkeypatch.setattr("salsanext_cli.engines.graphs.openvino_core", FullCore)
+    monkeypatch.setattr("salsanext_cli.core.engines.graphs.openvino_core", FullCore)
     with pytest.raises(RuntimeError, match="can't alloc"):
         compiled_graph(refuse, "test")
     reasons.pop(0)
@@ -275,7 +275,7 @@ def test_signals_are_handled_after_the_last_graph_is_gone():
     """OpenVINO gives a thread a stack for its handlers, and must not take it back."""
     program = """
 import gc, os, signal, threading, torch
-from salsanext_cli.engines.graphs import Graph, compiled_graph, converted
+from salsanext_cli.core.engines.graphs import Graph, compiled_graph, converted
 signal.signal(signal.SIGUSR1, lambda *_: print("handled"))
 part = torch.nn.Conv2d(5, 3, 1), lambda module, image: module(image), [torch.zeros(1, 5, 8, 8)]
 made = [Graph(compiled_graph(lambda: converted(*part), "test"))]

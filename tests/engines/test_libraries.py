@@ -12,15 +12,15 @@ from scans import SMALL
 from tiny_network import TinyNetwork
 
 from salsanext_cli import label_space
-from salsanext_cli.engines.backend import PixelPrediction
-from salsanext_cli.engines.torch_backend import (
+from salsanext_cli.core.engines.backend import PixelPrediction
+from salsanext_cli.core.engines.torch_backend import (
     Float32Convolution,
     TorchBackend,
     keep_ends_in_float32,
     set_up_cuda,
 )
-from salsanext_cli.errors import out_of_memory
-from salsanext_cli.network.card import WeightsCard
+from salsanext_cli.core.errors import out_of_memory
+from salsanext_cli.core.network.card import WeightsCard
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([(1, 1, 1), (2, 3, 5), (20, 4, 33)]))

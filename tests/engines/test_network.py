@@ -13,12 +13,12 @@ from scans import SMALL, make_scan, refused, write_weights
 from shallow import shallow, weights  # noqa: F401
 
 from salsanext_cli import Scan, label_space, load_network, project, sample
-from salsanext_cli.classes.merging import ClassMerging
-from salsanext_cli.engines.loading import load_network, with_dropout
-from salsanext_cli.errors import UsageError, WeightsError
-from salsanext_cli.geometry.network_input import normalise
-from salsanext_cli.network.dropout import dropouts, random_masks, sampling
-from salsanext_cli.uncertainty.monte_carlo import pass_seed
+from salsanext_cli.core.classes.merging import ClassMerging
+from salsanext_cli.core.errors import UsageError, WeightsError
+from salsanext_cli.core.geometry.network_input import normalise
+from salsanext_cli.core.network.dropout import dropouts, random_masks, sampling
+from salsanext_cli.core.uncertainty.monte_carlo import pass_seed
+from salsanext_cli.io.weights.loading import load_network, with_dropout
 
 
 @pytest.fixture(scope="module")

@@ -16,9 +16,9 @@ import filelock
 import pytest
 from scans import refused
 
-from salsanext_cli.errors import OutputError, warn_once
-from salsanext_cli.files.atomic import append_line, write_bytes, writing
-from salsanext_cli.files.locks import locked
+from salsanext_cli.core.errors import OutputError, warn_once
+from salsanext_cli.io.files.atomic import append_line, write_bytes, writing
+from salsanext_cli.io.files.locks import locked
 
 
 def test_file_appears_whole_and_parents_are_made(tmp_path: Path) -> None:
@@ -106,7 +106,7 @@ def test_a_file_or_line_that_does_not_fit_on_the_disk_is_an_error(tmp_path):
         append_line(tmp_path / "x", b"2" * 600)
 
 
-HOLD = "import sys; from pathlib import Path; from salsanext_cli.files.locks import locked\n"
+HOLD = "import sys; from pathlib import Path; from salsanext_cli.io.files.locks import locked\n"
 HOLD += "with locked(Path(sys.argv[1])): print('held', flush=True); sys.stdin.readline()"
 
 

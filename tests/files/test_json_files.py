@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from salsanext_cli.errors import OutputError
-from salsanext_cli.files.json_files import as_json, decoded, plain, read_record, write_json
+from salsanext_cli.core.errors import OutputError
+from salsanext_cli.io.files.json_files import as_json, decoded, plain, read_record, write_json
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from salsanext_cli.errors import MissingDependency
-from salsanext_cli.files import optional_packages
-from salsanext_cli.files.optional_packages import extra_command, import_extra
+from salsanext_cli.core import optional_packages
+from salsanext_cli.core.errors import MissingDependency
+from salsanext_cli.core.optional_packages import extra_command, import_extra
 
 
 def installed_from(monkeypatch, record: object) -> None:

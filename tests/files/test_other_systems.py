@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 from scans import refused
 
-from salsanext_cli.errors import OutputError
-from salsanext_cli.files.atomic import write_bytes
-from salsanext_cli.files.locks import locked
-from salsanext_cli.parallel.pool import signals_blocked
+from salsanext_cli.core.errors import OutputError
+from salsanext_cli.io.files.atomic import write_bytes
+from salsanext_cli.io.files.locks import locked
+from salsanext_cli.runs.loop.pool import signals_blocked
 
 
 def refuse(*_: object, **__: object) -> None:

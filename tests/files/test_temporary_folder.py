@@ -6,12 +6,12 @@ import subprocess
 import sys
 import time
 
-from salsanext_cli.files.locks import LOCK, PREFIX, STALE_AFTER_S, temporary_folder
+from salsanext_cli.io.files.locks import LOCK, PREFIX, STALE_AFTER_S, temporary_folder
 
 KILLED = """
 import os, sys
 from pathlib import Path
-from salsanext_cli.files.locks import temporary_folder
+from salsanext_cli.io.files.locks import temporary_folder
 with temporary_folder(Path(sys.argv[1])) as folder:
     (folder / "half").write_text("x")
     os.kill(os.getpid(), 9)

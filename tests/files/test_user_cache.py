@@ -3,8 +3,8 @@ import os
 
 import pytest
 
-from salsanext_cli.files import user_cache
-from salsanext_cli.files.user_cache import cached
+from salsanext_cli.io.files import user_cache
+from salsanext_cli.io.files.user_cache import cached
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 

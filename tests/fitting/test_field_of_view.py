@@ -12,14 +12,14 @@ from hypothesis.extra import numpy as arrays
 from scans import SMALL, make_scan
 
 from salsanext_cli import Scan, project, read_labels, read_scan
-from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.fitting import scan_sample, sensor_fit
-from salsanext_cli.fitting.field_of_view import MIN_RANGE_M, SHOWN, fit_ego, fit_view
-from salsanext_cli.fitting.scan_checks import check_scan, share_outside
-from salsanext_cli.fitting.scan_sample import MAX_SCANS, ScanSample
-from salsanext_cli.geometry.projection import ego_points, upright_rotation, without_ego
-from salsanext_cli.results.paths import find_scans
-from salsanext_cli.results.selection import evenly_spaced
+from salsanext_cli.core.checks.scan_checks import check_scan, share_outside
+from salsanext_cli.core.fitting.field_of_view import MIN_RANGE_M, SHOWN, fit_ego, fit_view
+from salsanext_cli.core.geometry.projection import ego_points, upright_rotation, without_ego
+from salsanext_cli.runs.fit import scan_sample, sensor_fit
+from salsanext_cli.runs.fit.scan_sample import MAX_SCANS, ScanSample
+from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.results.selection import evenly_spaced
 
 SCANS = [make_scan(3000, seed) for seed in range(3)]
 

@@ -11,13 +11,13 @@ from scans import SMALL
 from street_scans import HEIGHT, moved, street
 
 from salsanext_cli import Scan, project
-from salsanext_cli.fitting.field_of_view import fit_view
-from salsanext_cli.fitting.mounting_fit import fit_mounting
-from salsanext_cli.geometry import beam_origin
-from salsanext_cli.geometry.beam_origin import find_origin
-from salsanext_cli.geometry.ground import find_ground
-from salsanext_cli.geometry.projection import in_sensor_frame, upright_rotation
-from salsanext_cli.geometry.sensor_place import USUAL_HEIGHT_M
+from salsanext_cli.core.fitting.field_of_view import fit_view
+from salsanext_cli.core.fitting.mounting_fit import fit_mounting
+from salsanext_cli.core.geometry import beam_origin
+from salsanext_cli.core.geometry.beam_origin import find_origin
+from salsanext_cli.core.geometry.ground import find_ground
+from salsanext_cli.core.geometry.projection import in_sensor_frame, upright_rotation
+from salsanext_cli.core.geometry.sensor_place import USUAL_HEIGHT_M
 
 PLACES = [(1.3, 0, 1.9), (-1.1, 0.4, 0.9)]
 

@@ -9,14 +9,14 @@ from scans import SMALL
 from street_scans import HEIGHT, moved, street
 
 from salsanext_cli import Scan, read_scan
-from salsanext_cli.fitting import mounting_fit
-from salsanext_cli.fitting.field_of_view import fit_view
-from salsanext_cli.fitting.mounting_fit import fit_mounting
-from salsanext_cli.fitting.scan_checks import check_scan
-from salsanext_cli.geometry.beam_origin import PROVING_SHARPNESS, sharpness_at_origin
-from salsanext_cli.geometry.evenness import is_out_of_place
-from salsanext_cli.geometry.ground import ground_of
-from salsanext_cli.geometry.scan_traits import sensor_of
+from salsanext_cli.core.checks.scan_checks import check_scan
+from salsanext_cli.core.fitting import mounting_fit
+from salsanext_cli.core.fitting.field_of_view import fit_view
+from salsanext_cli.core.fitting.mounting_fit import fit_mounting
+from salsanext_cli.core.geometry.beam_origin import PROVING_SHARPNESS, sharpness_at_origin
+from salsanext_cli.core.geometry.evenness import is_out_of_place
+from salsanext_cli.core.geometry.ground import ground_of
+from salsanext_cli.core.geometry.scan_traits import sensor_of
 
 
 def square(seed: int = 0) -> Scan:

@@ -12,30 +12,34 @@ from scans import SMALL, labels_below, write_bin, write_weights
 from street_scans import HEIGHT, low_street, moved, street
 
 from salsanext_cli import Scan, read_scan
-from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import FormatError, UsageError
-from salsanext_cli.fitting.mounting_fit import fit_mounting
-from salsanext_cli.fitting.scan_checks import check_scan
-from salsanext_cli.fitting.sensor_fit import fitted_view
-from salsanext_cli.fusion.drive import Drive, points_of_drive
-from salsanext_cli.fusion.pose_origins import OriginsByPoses, _agreeing_positions, origins_by_poses
-from salsanext_cli.fusion.poses import encode_poses
-from salsanext_cli.geometry import scan_traits
-from salsanext_cli.geometry.scan_traits import sensor_of
-from salsanext_cli.measures.expected_accuracy import WITHHELD_FOR
-from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.results.manifest import Manifest
-from salsanext_cli.results.paths import ORIGINS, find_scans, output_path
-from salsanext_cli.results.recorded_origins import recorded_origin
-from salsanext_cli.results.result_folder import ResultFolder
-from salsanext_cli.sensors.sensor import INTENSITY_LEVELS, Sensor
-from salsanext_cli.stages.fuse import fuse_results
-from salsanext_cli.stages.knn_refine import knn_refine_scans
-from salsanext_cli.stages.picture import picture
-from salsanext_cli.stages.predict import predict_range_images, predict_scans
-from salsanext_cli.stages.project import project_scans
-from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.uncertainty.method import UncertaintyMethod
+from salsanext_cli.commands.stages.fuse import fuse_results
+from salsanext_cli.commands.stages.knn_refine import knn_refine_scans
+from salsanext_cli.commands.stages.picture import picture
+from salsanext_cli.commands.stages.predict import predict_range_images, predict_scans
+from salsanext_cli.commands.stages.project import project_scans
+from salsanext_cli.commands.stages.uncertainty import uncertainty
+from salsanext_cli.core.checks.scan_checks import check_scan
+from salsanext_cli.core.errors import FormatError, UsageError
+from salsanext_cli.core.fitting.mounting_fit import fit_mounting
+from salsanext_cli.core.geometry import scan_traits
+from salsanext_cli.core.geometry.scan_traits import sensor_of
+from salsanext_cli.core.measures.expected_accuracy import WITHHELD_FOR
+from salsanext_cli.core.sensors.sensor import INTENSITY_LEVELS, Sensor
+from salsanext_cli.core.uncertainty.method import UncertaintyMethod
+from salsanext_cli.io.poses import encode_poses
+from salsanext_cli.runs.drives.drive import Drive, points_of_drive
+from salsanext_cli.runs.drives.pose_origins import (
+    OriginsByPoses,
+    _agreeing_positions,
+    origins_by_poses,
+)
+from salsanext_cli.runs.fit.sensor_fit import fitted_view
+from salsanext_cli.runs.loop.run import RunOptions
+from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.results.manifest import Manifest
+from salsanext_cli.runs.results.paths import ORIGINS, find_scans, output_path
+from salsanext_cli.runs.results.recorded_origins import recorded_origin
+from salsanext_cli.runs.results.result_folder import ResultFolder
 
 WAY = [(0, 0, 0), (7, 0, 0), (14, 0, 0), (21, 0, 0)]
 DOWN = np.diag([1.0, -1, -1])

@@ -9,17 +9,17 @@ import pytest
 from scans import SMALL, make_scan
 
 from salsanext_cli import Scan
-from salsanext_cli.fitting.field_of_view import fit_view
-from salsanext_cli.fitting.scan_checks import check_scan
-from salsanext_cli.fitting.scan_structure import structure_of
-from salsanext_cli.fitting.structure_checks import MAX_HIDDEN, MAX_IN_AIR
-from salsanext_cli.formats import read_scan
-from salsanext_cli.geometry.directions import COLUMNS, NEAREST_M, NO_CELL, ROWS, direction_grid
-from salsanext_cli.geometry.network_input import NO_INTENSITY
-from salsanext_cli.measures.expected_accuracy import WITHHELD_FOR, expected_accuracy
-from salsanext_cli.network.card import AccuracyLine, default_weights, read_card
-from salsanext_cli.records import FieldSplit, FileNotes
-from salsanext_cli.sensors.sensor import sensor
+from salsanext_cli.core.checks.scan_checks import check_scan
+from salsanext_cli.core.checks.scan_structure import structure_of
+from salsanext_cli.core.checks.structure_checks import MAX_HIDDEN, MAX_IN_AIR
+from salsanext_cli.core.fitting.field_of_view import fit_view
+from salsanext_cli.core.geometry.directions import COLUMNS, NEAREST_M, NO_CELL, ROWS, direction_grid
+from salsanext_cli.core.geometry.network_input import NO_INTENSITY
+from salsanext_cli.core.measures.expected_accuracy import WITHHELD_FOR, expected_accuracy
+from salsanext_cli.core.network.card import AccuracyLine, default_weights, read_card
+from salsanext_cli.core.records import FieldSplit, FileNotes
+from salsanext_cli.core.sensors.sensor import sensor
+from salsanext_cli.io.formats import read_scan
 
 HEIGHT_M, FARTHEST_M = 1.7, 60.0
 PILLARS = np.random.default_rng(1).uniform((-30, -30, 1), (60, 30, 3), (60, 3))

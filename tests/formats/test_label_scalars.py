@@ -8,8 +8,8 @@ import pytest
 from edited_clouds import WRITERS
 
 from salsanext_cli import label_space
-from salsanext_cli.errors import FormatError, LabelError, UsageError
-from salsanext_cli.formats.label_scalars import NO_VALUE, LabelIds, LabelledCloud, whole_numbers
+from salsanext_cli.core.errors import FormatError, LabelError, UsageError
+from salsanext_cli.io.formats.label_scalars import NO_VALUE, LabelIds, LabelledCloud, whole_numbers
 
 POINTS = np.random.default_rng(0).uniform(-30, 30, (40, 3))
 IDS = np.arange(40) % 3 * 40

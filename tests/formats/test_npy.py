@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scans import write_array
 
-from salsanext_cli.errors import FormatError
-from salsanext_cli.formats.npy import read_array, read_probabilities, read_uncertainty
-from salsanext_cli.results.output_run import encode_array
+from salsanext_cli.core.errors import FormatError
+from salsanext_cli.io.formats.npy import read_array, read_probabilities, read_uncertainty
+from salsanext_cli.runs.results.output_run import encode_array
 
 DTYPES = st.sampled_from([np.float32, np.float16, np.int32, np.uint8])
 

@@ -5,15 +5,15 @@ import numpy as np
 import pytest
 from scans import make_scan, refused
 
-from salsanext_cli.errors import FormatError
-from salsanext_cli.fusion.pose_checks import (
+from salsanext_cli.core.errors import FormatError
+from salsanext_cli.core.fusion.pose_checks import (
     best_reading,
     fitting_parts,
     overlap,
     require_fitting,
     upright_points,
 )
-from salsanext_cli.fusion.poses import encode_poses, pose_readings, read_fused_poses
+from salsanext_cli.io.poses import encode_poses, pose_readings, read_fused_poses
 
 CAMERA = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
 """From x forward, y left, z up to the camera's x right, y down, z forward."""

@@ -4,8 +4,8 @@ import pytest
 from test_poses import along, street
 
 from salsanext_cli import read_scan
-from salsanext_cli.fusion.poses import pose_readings
-from salsanext_cli.fusion.registration import register
+from salsanext_cli.core.fusion.registration import register
+from salsanext_cli.io.poses import pose_readings
 
 pytest.importorskip("small_gicp")
 WAY = along(0, 2, 4, 6, 8, 10)

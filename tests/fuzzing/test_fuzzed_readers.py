@@ -15,8 +15,8 @@ from mutations import damage
 from readers import READERS
 from tiny_network import TinyNetwork
 
-from salsanext_cli.errors import SalsanextError
-from salsanext_cli.network.registry import ARCHITECTURES
+from salsanext_cli.core.errors import SalsanextError
+from salsanext_cli.core.network.registry import ARCHITECTURES
 
 FEW_CASES = 12
 MANY_CASES = int(os.environ.get("FUZZ_CASES", "5000"))

@@ -9,9 +9,9 @@ from limits import bounded
 from scans import SMALL
 
 from salsanext_cli import label_space
-from salsanext_cli.errors import UsageError, WeightsError
-from salsanext_cli.network.card import WeightsCard
-from salsanext_cli.network.weights import read_weights
+from salsanext_cli.core.errors import UsageError, WeightsError
+from salsanext_cli.core.network.card import WeightsCard
+from salsanext_cli.io.weights.weights import read_weights
 
 SPACE = "labels: {0: a, 1: b}\nlearning_map: {0: 0, 1: 1}\nlearning_map_inv: {0: 0, 1: 1}\n"
 

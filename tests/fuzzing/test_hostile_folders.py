@@ -8,11 +8,11 @@ import pytest
 from scans import SMALL, files_below, write_sequence
 from world import begin_and_end
 
-from salsanext_cli.errors import OutputError
-from salsanext_cli.results.paths import find_scans
-from salsanext_cli.results.result_folder import ResultFolder
-from salsanext_cli.stages.project import project_scans
-from salsanext_cli.stages.synth import synthesise
+from salsanext_cli.commands.stages.project import project_scans
+from salsanext_cli.commands.stages.synth import synthesise
+from salsanext_cli.core.errors import OutputError
+from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.results.result_folder import ResultFolder
 
 LABELS = np.zeros(5, np.uint32)
 

@@ -9,7 +9,7 @@ from scans import SMALL
 from street_scans import moved, street
 
 from salsanext_cli import Scan
-from salsanext_cli.geometry.directions import NO_CELL, direction_grid
+from salsanext_cli.core.geometry.directions import NO_CELL, direction_grid
 
 
 @pytest.mark.parametrize("origin", [(0.0, 0.0, 0.0), (30.0, -20.0, 2.0)])

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from salsanext_cli import KnnParameters, RangeImage, knn_refine, project, sensor
-from salsanext_cli.errors import LabelError, UsageError
+from salsanext_cli.core.errors import LabelError, UsageError
 
 F = np.float32
 
@@ -125,7 +125,7 @@ def test_equals_the_slow_loop(problem):
 @pytest.mark.parametrize("cell", [1, 9])
 def test_many_points_on_any_number_of_threads(rings, cell, threads, monkeypatch):
     """Labels that change with every pixel, and labels in patches of 9 × 9."""
-    monkeypatch.setattr("salsanext_cli.compiled.MIN_SLICE_ITEMS", 100)
+    monkeypatch.setattr("salsanext_cli.core.compiled.MIN_SLICE_ITEMS", 100)
     monkeypatch.setitem(vars(numba.config), "NUMBA_NUM_THREADS", threads)
     image = project(rings, sensor("hdl64").resized(width=512))
     labels = np.random.default_rng(1).integers(0, 20, (64, 512), np.uint8)

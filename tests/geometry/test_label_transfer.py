@@ -5,7 +5,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from salsanext_cli.geometry.label_transfer import TOLERANCE_M, transfer_labels
+from salsanext_cli.core.geometry.label_transfer import TOLERANCE_M, transfer_labels
 
 
 def slow_transfer(points, cloud, labels):

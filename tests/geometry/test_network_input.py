@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from scans import SMALL, make_scan
 
 from salsanext_cli import Scan, Sensor, project, sensor
-from salsanext_cli.formats import SCAN_SUFFIXES, read_scan
-from salsanext_cli.geometry.network_input import (
+from salsanext_cli.core.geometry.network_input import (
     FILLED_ROWS,
     MAX_GAP,
     dependence,
@@ -26,7 +25,8 @@ from salsanext_cli.geometry.network_input import (
     why_no_intensity,
     with_filled_gaps,
 )
-from salsanext_cli.sensors.sensor import INTENSITY_LEVELS
+from salsanext_cli.core.sensors.sensor import INTENSITY_LEVELS
+from salsanext_cli.io.formats import SCAN_SUFFIXES, read_scan
 
 
 def test_closed_form_and_empty_pixels():

@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from salsanext_cli import Scan, label_space, project, read_labels, sensor
-from salsanext_cli.geometry import objects
-from salsanext_cli.geometry.objects import components, find_objects, fit_box, fit_boxes
-from salsanext_cli.records import RangeImage
+from salsanext_cli.core.geometry import objects
+from salsanext_cli.core.geometry.objects import components, find_objects, fit_box, fit_boxes
+from salsanext_cli.core.records import RangeImage
 
 THINGS = label_space().movable
 CAR, PERSON, ROAD = (label_space().names.index(name) for name in ("car", "person", "road"))

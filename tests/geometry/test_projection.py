@@ -12,7 +12,7 @@ from hypothesis.extra import numpy as arrays
 from scans import SMALL
 
 from salsanext_cli import Scan, Sensor, project, sensor
-from salsanext_cli.geometry.projection import arctan2, pixels_from_points, points_from_pixels
+from salsanext_cli.core.geometry.projection import arctan2, pixels_from_points, points_from_pixels
 
 F = np.float32
 FIELDS = ("channels", "pixel_of_point", "point_of_pixel", "point_range")
@@ -85,7 +85,7 @@ def test_equals_the_slow_loop(scan, drawn):
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
 def test_many_points_on_any_number_of_threads(rings, threads, monkeypatch):
-    monkeypatch.setattr("salsanext_cli.compiled.MIN_SLICE_ITEMS", 100)
+    monkeypatch.setattr("salsanext_cli.core.compiled.MIN_SLICE_ITEMS", 100)
     monkeypatch.setitem(vars(numba.config), "NUMBA_NUM_THREADS", threads)
     assert_same(project(rings, sensor("hdl64")), slow_project(rings, sensor("hdl64")))
 

@@ -9,8 +9,8 @@ import pytest
 from scans import SMALL
 
 from salsanext_cli import Scan
-from salsanext_cli.geometry.projection import project
-from salsanext_cli.geometry.scan_measures import MEASURES, compared_measures, measures_of
+from salsanext_cli.core.geometry.projection import project
+from salsanext_cli.core.geometry.scan_measures import MEASURES, compared_measures, measures_of
 
 
 def scan_of(turn, count=3000, intensities=20):

@@ -10,11 +10,11 @@ from scans import SMALL
 from street_scans import moved, street
 
 from salsanext_cli import Scan, read_scan
-from salsanext_cli.geometry.evenness import evenness, is_out_of_place
-from salsanext_cli.geometry.projection import in_sensor_frame
-from salsanext_cli.geometry.scan_traits import sensor_of
-from salsanext_cli.geometry.sensor_place import find_place
-from salsanext_cli.results.paths import find_scans
+from salsanext_cli.core.geometry.evenness import evenness, is_out_of_place
+from salsanext_cli.core.geometry.projection import in_sensor_frame
+from salsanext_cli.core.geometry.scan_traits import sensor_of
+from salsanext_cli.core.geometry.sensor_place import find_place
+from salsanext_cli.runs.results.paths import find_scans
 
 SIDES = {"z up": np.eye(3), "z down": np.diag([1.0, -1, -1])}
 PLACES = [(2, -4, 0.5), (-16, 12, 3), (300, 400, 1)]

@@ -68,11 +68,11 @@ def overwriting(folder: Path) -> Run:
     from scans import write_sequence, write_weights
     from tiny_network import TinyNetwork
 
-    from salsanext_cli.engines.settings import NetworkSettings
-    from salsanext_cli.network.registry import ARCHITECTURES
-    from salsanext_cli.option_fields import KnnParameters
-    from salsanext_cli.parallel.run import RunOptions
-    from salsanext_cli.stages.predict import predict_scans
+    from salsanext_cli.commands.stages.predict import predict_scans
+    from salsanext_cli.core.network.registry import ARCHITECTURES
+    from salsanext_cli.runs.loop.run import RunOptions
+    from salsanext_cli.runs.network_settings import NetworkSettings
+    from salsanext_cli.runs.option_fields import KnnParameters
 
     ARCHITECTURES["salsanext"] = TinyNetwork
     data = write_sequence(folder / "data/08", ["a", "b", "c"], count=3000)
@@ -96,10 +96,10 @@ def training(folder: Path) -> Run:
     from scans import SMALL, make_scan, write_sequence
     from tiny_network import TinyNetwork
 
-    from salsanext_cli.geometry.knn import knn_refine
-    from salsanext_cli.geometry.projection import project
-    from salsanext_cli.network.registry import ARCHITECTURES
-    from salsanext_cli.stages.train import train
+    from salsanext_cli.commands.stages.train import train
+    from salsanext_cli.core.geometry.knn import knn_refine
+    from salsanext_cli.core.geometry.projection import project
+    from salsanext_cli.core.network.registry import ARCHITECTURES
     from salsanext_cli.training import fit
     from salsanext_cli.training.recipe import Recipe
 
@@ -118,8 +118,8 @@ def training(folder: Path) -> Run:
 
 def scenes(folder: Path) -> Run:
     """Return runs of `synth` of two scenes of three points, which overwrite another data set."""
-    from salsanext_cli.records import Scan
-    from salsanext_cli.stages import synth
+    from salsanext_cli.commands.stages import synth
+    from salsanext_cli.core.records import Scan
     from salsanext_cli.synthesis.drive import Frame
 
     def record(seed: int, sequence: int, scans: int, *_: object) -> Iterator[Frame]:

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from scans import write_sequence
 
-from salsanext_cli.errors import LabelError, NoInputError, OutputError
-from salsanext_cli.formats.kitti import encode_labels
-from salsanext_cli.labelling import label_records
-from salsanext_cli.labelling.edited_files import find_edited, scan_of_edited
-from salsanext_cli.results.owned_folder import OwnedFolder
-from salsanext_cli.results.paths import ScanFile, find_scans
+from salsanext_cli.core.errors import LabelError, NoInputError, OutputError
+from salsanext_cli.io.formats.kitti import encode_labels
+from salsanext_cli.runs.labelling import label_records
+from salsanext_cli.runs.labelling.edited_files import find_edited, scan_of_edited
+from salsanext_cli.runs.results.owned_folder import OwnedFolder
+from salsanext_cli.runs.results.paths import ScanFile, find_scans
 
 PRE_LABEL = encode_labels(np.full(1500, 40, np.uint32))
 

@@ -4,9 +4,9 @@
 import pytest
 from scans import write_sequence
 
-from salsanext_cli.labelling.picked_data_set import PickedDataSet, PickSettings
-from salsanext_cli.results.manifest import StageSettings, settings_json
-from salsanext_cli.results.paths import find_scans
+from salsanext_cli.runs.labelling.picked_data_set import PickedDataSet, PickSettings
+from salsanext_cli.runs.results.manifest import StageSettings, settings_json
+from salsanext_cli.runs.results.paths import find_scans
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from salsanext_cli.labelling.scan_choice import choose_scans, standardised
+from salsanext_cli.core.measures.scan_choice import choose_scans, standardised
 
 
 def pool(scans: int, seed: int, features: int = 5) -> tuple[np.ndarray, np.ndarray]:

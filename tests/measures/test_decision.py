@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from salsanext_cli.measures.decision import CODES, LEVELS, Decision, Evidence, verdict
-from salsanext_cli.measures.expected_accuracy import OF_RUN, WITHHELD_FOR, ExpectedAccuracy
+from salsanext_cli.core.measures.decision import CODES, LEVELS, Decision, Evidence, verdict
+from salsanext_cli.core.measures.expected_accuracy import OF_RUN, WITHHELD_FOR, ExpectedAccuracy
 
 FINE = Evidence(scans=10, class_count=20)
 ORDER = [level.decision for level in LEVELS]

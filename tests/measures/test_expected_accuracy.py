@@ -11,8 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from salsanext_cli.measures.expected_accuracy import DEVIATIONS, WITHHELD_FOR, expected_accuracy
-from salsanext_cli.network.card import AccuracyLine, default_weights, read_card
+from salsanext_cli.core.measures.expected_accuracy import (
+    DEVIATIONS,
+    WITHHELD_FOR,
+    expected_accuracy,
+)
+from salsanext_cli.core.network.card import AccuracyLine, default_weights, read_card
 
 LINE = AccuracyLine(1.0, 0.0, 0.05)
 SAFETY = Path(__file__).parents[2] / "docs/experiments/guarantee.md"

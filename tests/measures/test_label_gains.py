@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from salsanext_cli.measures.label_gains import (
+from salsanext_cli.core.measures.label_gains import (
     FIVE,
     MANY_RIGHT,
     TRIALS,

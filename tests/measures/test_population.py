@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from salsanext_cli.geometry.scan_measures import MEASURES
-from salsanext_cli.measures.population import (
+from salsanext_cli.core.geometry.scan_measures import MEASURES
+from salsanext_cli.core.measures.population import (
     LIKELY,
     are_comparable,
     new_codes,
@@ -20,7 +20,7 @@ from salsanext_cli.measures.population import (
     unit_traits,
     upper_tail,
 )
-from salsanext_cli.network.unit_traits import UnitTraits
+from salsanext_cli.core.network.unit_traits import UnitTraits
 
 NAMES = ("car", "road", "building")
 

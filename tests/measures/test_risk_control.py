@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from salsanext_cli import label_space
-from salsanext_cli.measures.risk_control import (
+from salsanext_cli.core.measures.risk_control import (
     AcceptedLabels,
     RiskBoundCheck,
     allowed_scans,
@@ -19,8 +19,8 @@ from salsanext_cli.measures.risk_control import (
     means_of_units,
     needed_scans,
 )
-from salsanext_cli.measures.scores import confusion_matrix
-from salsanext_cli.network.card import RiskThreshold
+from salsanext_cli.core.measures.scores import confusion_matrix
+from salsanext_cli.core.network.card import RiskThreshold
 
 DRAWS = 2000
 

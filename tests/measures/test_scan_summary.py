@@ -14,17 +14,17 @@ from hypothesis import strategies as st
 from scans import SMALL
 
 from salsanext_cli import Scan, label_space
-from salsanext_cli.fitting.finding import Finding
-from salsanext_cli.fitting.scan_checks import ScanCheck, check_scan
-from salsanext_cli.geometry.scan_traits import groups_of
-from salsanext_cli.measures.mixed_sensors import mixed_sensors
-from salsanext_cli.measures.population import unit_traits
-from salsanext_cli.measures.scan_counts import ScanCounts, band_of_point
-from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
-from salsanext_cli.measures.scan_warnings import LOOK
-from salsanext_cli.network.card import RiskThreshold
-from salsanext_cli.network.unit_traits import UnitTraits
-from salsanext_cli.results.paths import ScanFile
+from salsanext_cli.core.checks.finding import Finding
+from salsanext_cli.core.checks.scan_checks import ScanCheck, check_scan
+from salsanext_cli.core.geometry.scan_traits import groups_of
+from salsanext_cli.core.measures.population import unit_traits
+from salsanext_cli.core.network.card import RiskThreshold
+from salsanext_cli.core.network.unit_traits import UnitTraits
+from salsanext_cli.runs.fit.mixed_sensors import mixed_sensors
+from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.summary.comparison import ScanCounts, band_of_point
+from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
+from salsanext_cli.runs.summary.scan_warnings import LOOK
 
 SPACE = label_space()
 FILE = ScanFile("08", "000000", Path("000000.bin"))
@@ -257,7 +257,7 @@ def test_the_share_of_the_vehicle_is_one_of_points():
 
 def test_the_order_of_workers_does_not_change_the_comparison_with_a_threshold(monkeypatch):
     compared = []
-    target = "salsanext_cli.measures.threshold_scans.population_difference"
+    target = "salsanext_cli.runs.summary.threshold_scans.population_difference"
     monkeypatch.setattr(target, lambda _, now, __: compared.append(now))
     traits = {
         f"08/{i:06}": UnitTraits(unit=str(i), uncertainty=i / 10, class_shares=()) for i in range(5)

@@ -9,9 +9,7 @@ import pytest
 from evaluated import SPACE, calibration_result, ranking_result
 from scans import refused
 
-from salsanext_cli.errors import UsageError
-from salsanext_cli.measures.risk_control import AcceptedLabels, RiskBoundCheck
-from salsanext_cli.measures.score_limits import (
+from salsanext_cli.commands.score_limits import (
     FAIL_OVER,
     FAIL_UNDER,
     SCORE_KINDS,
@@ -20,8 +18,10 @@ from salsanext_cli.measures.score_limits import (
     require_classes,
     score_values,
 )
-from salsanext_cli.measures.scores import confusion_matrix, scores
-from salsanext_cli.measures.uncertainty_evaluation import UncertaintyEvaluation
+from salsanext_cli.core.errors import UsageError
+from salsanext_cli.core.measures.risk_control import AcceptedLabels, RiskBoundCheck
+from salsanext_cli.core.measures.scores import confusion_matrix, scores
+from salsanext_cli.core.measures.uncertainty_evaluation import UncertaintyEvaluation
 
 CAR, PERSON, ROAD = (SPACE.names.index(name) for name in ("car", "person", "road"))
 TRUTH = np.array([CAR, CAR, PERSON, PERSON, PERSON, PERSON, ROAD, ROAD])

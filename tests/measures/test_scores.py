@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sklearn import metrics
 
-from salsanext_cli.measures.scores import confusion_matrix, scores
+from salsanext_cli.core.measures.scores import confusion_matrix, scores
 
 SPACE = small_space("unlabelled", "car", "on: road", "tree")
 PAIRS = st.lists(st.tuples(st.integers(0, 3), st.integers(0, 3)), max_size=60)

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scans import SMALL
 
-from salsanext_cli.geometry.scan_measures import MEASURES
-from salsanext_cli.measures.threshold_scans import EARLY, ScanComparison, why_incomparable
-from salsanext_cli.network.card import RiskThreshold
-from salsanext_cli.network.unit_traits import UnitTraits
-from salsanext_cli.results.paths import ScanFile
-from salsanext_cli.sensors.sensor import FittedView
+from salsanext_cli.core.geometry.scan_measures import MEASURES
+from salsanext_cli.core.network.card import RiskThreshold
+from salsanext_cli.core.network.unit_traits import UnitTraits
+from salsanext_cli.core.sensors.sensor import FittedView
+from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.summary.threshold_scans import EARLY, ScanComparison, why_incomparable
 
 CLASSES = ("car", "road")
 

@@ -14,9 +14,8 @@ from hypothesis import strategies as st
 from scipy.stats import entropy
 from sklearn.metrics import average_precision_score, brier_score_loss, log_loss, roc_auc_score
 
-from salsanext_cli.files.json_files import plain
-from salsanext_cli.measures.calibration import calibration_scores, reliability
-from salsanext_cli.measures.histograms import (
+from salsanext_cli.core.measures.calibration import calibration_scores, reliability
+from salsanext_cli.core.measures.histograms import (
     MIN_PROBABILITY,
     Histogram,
     confidence_histogram,
@@ -24,12 +23,13 @@ from salsanext_cli.measures.histograms import (
     softmax_entropy,
     uncertainty_histogram,
 )
-from salsanext_cli.measures.uncertainty_evaluation import (
+from salsanext_cli.core.measures.uncertainty_evaluation import (
     COVERAGE,
     accepted_points,
     ranking_scores,
     risk_coverage,
 )
+from salsanext_cli.io.files.json_files import plain
 
 LEVELS = (0.0, 2.0**-48, 1e-9, 2.0**-10, 0.3, 1.0, 1.0078125, 7.0, 255.0)
 """Uncertainties of different bins."""

@@ -19,15 +19,15 @@ from paper_networks.rangenet53 import RangeNet53
 from scans import SMALL, lively, make_scan, refused
 
 from salsanext_cli import label_space, project, sample
-from salsanext_cli.engines.network import Network
-from salsanext_cli.engines.torch_backend import TorchBackend
-from salsanext_cli.errors import UsageError, WeightsError
-from salsanext_cli.network.card import WeightsCard
-from salsanext_cli.network.dropout import dropouts, random_masks, sampling
-from salsanext_cli.network.published import our_name
-from salsanext_cli.network.registry import build, plugged_networks
-from salsanext_cli.network.salsanext import SalsaNext
-from salsanext_cli.network.weights import read_weights, save_weights
+from salsanext_cli.core.engines.network import Network
+from salsanext_cli.core.engines.torch_backend import TorchBackend
+from salsanext_cli.core.errors import UsageError, WeightsError
+from salsanext_cli.core.network.card import WeightsCard
+from salsanext_cli.core.network.dropout import dropouts, random_masks, sampling
+from salsanext_cli.core.network.registry import build, plugged_networks
+from salsanext_cli.core.network.salsanext import SalsaNext
+from salsanext_cli.io.weights.published import our_name
+from salsanext_cli.io.weights.weights import read_weights, save_weights
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.recipe import Recipe, recipe
 

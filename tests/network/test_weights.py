@@ -18,16 +18,16 @@ from scans import SMALL, lively, refused
 from shallow import shallow, weights  # noqa: F401
 
 from salsanext_cli import __version__, label_space, sensor
-from salsanext_cli.classes.label_space import label_space
-from salsanext_cli.errors import WeightsError
-from salsanext_cli.files.json_files import plain
-from salsanext_cli.network import tensor_digest
-from salsanext_cli.network.card import KEY, WeightsCard, read_card
-from salsanext_cli.network.error_model import ErrorModel, last_values
-from salsanext_cli.network.registry import build
-from salsanext_cli.network.weights import read_weights, save_weights, save_with_card
-from salsanext_cli.sensors.sensor import FittedView
-from salsanext_cli.stages.models import describe_weights
+from salsanext_cli.commands.stages.models import describe_weights
+from salsanext_cli.core.classes.label_space import label_space
+from salsanext_cli.core.errors import WeightsError
+from salsanext_cli.core.network.card import KEY, WeightsCard, read_card
+from salsanext_cli.core.network.error_model import ErrorModel, last_values
+from salsanext_cli.core.network.registry import build
+from salsanext_cli.core.sensors.sensor import FittedView
+from salsanext_cli.io.files.json_files import plain
+from salsanext_cli.io.weights import tensor_digest
+from salsanext_cli.io.weights.weights import read_weights, save_weights, save_with_card
 
 SPACE = label_space()
 CARD = WeightsCard(
@@ -285,7 +285,7 @@ def by_products(rows, given):
 @pytest.mark.parametrize("sizes", [(9, 16, 16, 1), (3, 1)])
 @pytest.mark.parametrize("count", [0, 1, 255, 257, 1300])
 def test_any_sizes_on_any_number_of_threads(count, sizes, threads, monkeypatch):
-    monkeypatch.setattr("salsanext_cli.compiled.MIN_SLICE_ITEMS", 100)
+    monkeypatch.setattr("salsanext_cli.core.compiled.MIN_SLICE_ITEMS", 100)
     rows = np.random.default_rng(count).normal(size=(count, sizes[0])).astype("f4")
     rows[count // 2 : count // 2 + 1, -1] = np.nan
     given = layers(*sizes)

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from salsanext_cli.engines.batches import BatchSize
-from salsanext_cli.errors import FormatError, SalsanextError
-from salsanext_cli.files.atomic import MARK
-from salsanext_cli.parallel.pipeline import Pipeline
-from salsanext_cli.results.paths import ScanFile
+from salsanext_cli.core.engines.batches import BatchSize
+from salsanext_cli.core.errors import FormatError, SalsanextError
+from salsanext_cli.io.files.atomic import MARK
+from salsanext_cli.runs.loop.pipeline import Pipeline
+from salsanext_cli.runs.results.paths import ScanFile
 
 FILES = [ScanFile("00", str(number), Path(f"{number}.bin")) for number in range(7)]
 STEMS = [file.stem for file in FILES]

@@ -9,14 +9,14 @@ from devices import threads
 from scans import files_below, write_sequence
 from works import Write, run, scans_of, threads_of_process
 
-from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import WorkersLost
-from salsanext_cli.parallel.finished_attempts import FinishedAttempts, append_attempt
-from salsanext_cli.parallel.job import Attempt
-from salsanext_cli.parallel.run import RunOptions, run_over_scans
-from salsanext_cli.stages.predict import predict_scans
-from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.uncertainty.method import UncertaintyMethod
+from salsanext_cli.commands.stages.predict import predict_scans
+from salsanext_cli.commands.stages.uncertainty import uncertainty
+from salsanext_cli.core.errors import WorkersLost
+from salsanext_cli.core.uncertainty.method import UncertaintyMethod
+from salsanext_cli.runs.loop.finished_attempts import FinishedAttempts, append_attempt
+from salsanext_cli.runs.loop.job import Attempt
+from salsanext_cli.runs.loop.run import RunOptions, run_over_scans
+from salsanext_cli.runs.network_settings import NetworkSettings
 
 
 def everything(data, out, weights, **options):

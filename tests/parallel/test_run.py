@@ -11,8 +11,8 @@ import pytest
 from scans import write_sequence
 from works import Write, run, scans_of
 
-from salsanext_cli.errors import FormatError
-from salsanext_cli.parallel.run import RunOptions, run_over_scans
+from salsanext_cli.core.errors import FormatError
+from salsanext_cli.runs.loop.run import RunOptions, run_over_scans
 
 LOCAL = pytest.mark.parametrize("options", [{}, {"jobs": 2}], ids=["1", "2"])
 
@@ -109,7 +109,7 @@ def test_an_interruption_leaves_whole_files_only(tmp_path, options):
 
 PEAK = """
 import resource, sys
-from salsanext_cli.cli.app import app
+from salsanext_cli.commands.line.app import app
 try:
     app(sys.argv[1:])
 except SystemExit as end:

@@ -12,11 +12,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from salsanext_cli.errors import UsageError
-from salsanext_cli.parallel.network_task import device_of_worker
-from salsanext_cli.parallel.pool import MAX_CHUNK_SCANS, MIN_CHUNKS_PER_WORKER, chunks
-from salsanext_cli.parallel.run_options import Shard, cores, worker_count
-from salsanext_cli.results.paths import ScanFile
+from salsanext_cli.core.errors import UsageError
+from salsanext_cli.runs.loop.network_task import device_of_worker
+from salsanext_cli.runs.loop.pool import MAX_CHUNK_SCANS, MIN_CHUNKS_PER_WORKER, chunks
+from salsanext_cli.runs.loop.run_options import Shard, cores, worker_count
+from salsanext_cli.runs.results.paths import ScanFile
 
 
 def test_jobs():
@@ -28,7 +28,7 @@ ASK = """
 import sys
 from multiprocessing import current_process
 from pathlib import Path
-from salsanext_cli.parallel import network_task
+from salsanext_cli.runs.loop import network_task
 current_process().name = "LokyProcess-1"
 network_task._folder_of_numbers = lambda: Path(sys.argv[1])
 print(*(network_task.device_of_worker(name, 2) for name in ("cuda", "auto")), flush=True)

@@ -17,11 +17,11 @@ from scans import SMALL, make_scan, write_bin
 from served import served
 
 from salsanext_cli import read_labels, write_labels
-from salsanext_cli.geometry.objects import BOX
-from salsanext_cli.results.manifest import Manifest, StageRecord
-from salsanext_cli.results.paths import output_path
-from salsanext_cli.results.query import ResultQuery
-from salsanext_cli.stages.report import report, view
+from salsanext_cli.commands.stages.report import report, view
+from salsanext_cli.core.geometry.objects import BOX
+from salsanext_cli.runs.results.manifest import Manifest, StageRecord
+from salsanext_cli.runs.results.paths import output_path
+from salsanext_cli.runs.results.query import ResultQuery
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs chromium: make test installs it")

@@ -14,21 +14,21 @@ from hypothesis import strategies as st
 from scans import SMALL, make_scan, refused
 
 from salsanext_cli import Scan, label_space, project
-from salsanext_cli.errors import FormatError, UsageError
-from salsanext_cli.files.reading import fingerprint
-from salsanext_cli.geometry.objects import BOX
-from salsanext_cli.measures.expected_accuracy import ExpectedAccuracy
-from salsanext_cli.measures.scan_counts import ScanCounts
-from salsanext_cli.network.card import default_weights, read_card
+from salsanext_cli.core.errors import FormatError, UsageError
+from salsanext_cli.core.geometry.objects import BOX
+from salsanext_cli.core.measures.expected_accuracy import ExpectedAccuracy
+from salsanext_cli.core.network.card import default_weights, read_card
+from salsanext_cli.io.files.reading import fingerprint
 from salsanext_cli.report.page.clouds import NO_VALUE, encode_cloud, scales_of
 from salsanext_cli.report.page.drive_data import drive_data
 from salsanext_cli.report.page.recorded_warnings import codes_by_scan, warnings_of_run
 from salsanext_cli.report.page.run_results import RunResults, ShownScan, read_boxes
 from salsanext_cli.report.page.scan_row import PointErrors, ScanRow
-from salsanext_cli.results.manifest import Manifest, StageRecord
-from salsanext_cli.results.owned_folder import OwnedFolder
-from salsanext_cli.results.paths import ScanFile
-from salsanext_cli.results.result_folder import ScanResults
+from salsanext_cli.runs.results.manifest import Manifest, StageRecord
+from salsanext_cli.runs.results.owned_folder import OwnedFolder
+from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.results.result_folder import ScanResults
+from salsanext_cli.runs.summary.comparison import ScanCounts
 
 SPACE = small_space("unlabeled", "car", "road")
 

@@ -9,13 +9,12 @@ from rich.console import Console, Group
 from scans import SMALL
 
 from salsanext_cli import label_space
-from salsanext_cli.labelling.label_records import ImportedScan
-from salsanext_cli.labelling.picked_data_set import PickedScan
-from salsanext_cli.measures.scores import confusion_matrix, scores
-from salsanext_cli.measures.survey import Survey
-from salsanext_cli.measures.uncertainty_evaluation import UncertaintyEvaluation
-from salsanext_cli.network.card import INHERITED
-from salsanext_cli.network.error_model import ErrorModel
+from salsanext_cli.commands.stages.models import describe_weights
+from salsanext_cli.core.measures.scores import confusion_matrix, scores
+from salsanext_cli.core.measures.survey import Survey
+from salsanext_cli.core.measures.uncertainty_evaluation import UncertaintyEvaluation
+from salsanext_cli.core.network.card import INHERITED
+from salsanext_cli.core.network.error_model import ErrorModel
 from salsanext_cli.report.card_table import card_table
 from salsanext_cli.report.picked import picked_table
 from salsanext_cli.report.tables import (
@@ -27,7 +26,8 @@ from salsanext_cli.report.tables import (
     survey_tables,
     uncertainty_tables,
 )
-from salsanext_cli.stages.models import describe_weights
+from salsanext_cli.runs.labelling.label_records import ImportedScan
+from salsanext_cli.runs.labelling.picked_data_set import PickedScan
 
 MANY = 430_123_456
 SPACE = small_space("none", "car [red]", "road", "tree")

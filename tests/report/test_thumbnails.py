@@ -11,11 +11,11 @@ from matplotlib.image import imread
 from scans import write_array, write_bin
 
 from salsanext_cli import Scan
+from salsanext_cli.commands.stages.report import read_run
 from salsanext_cli.report.colours import EMPTY, screen_colours
 from salsanext_cli.report.page.thumbnails import PNG, SIZE_PX, thumbnail
-from salsanext_cli.results.paths import output_path
-from salsanext_cli.results.query import ResultQuery
-from salsanext_cli.stages.report import read_run
+from salsanext_cli.runs.results.paths import output_path
+from salsanext_cli.runs.results.query import ResultQuery
 
 COLOURS = screen_colours(SPACE)
 

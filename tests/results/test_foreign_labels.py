@@ -3,14 +3,14 @@ import numpy as np
 import pytest
 
 from salsanext_cli import label_space
-from salsanext_cli.errors import NoInputError
-from salsanext_cli.formats.kitti import write_labels
-from salsanext_cli.results.foreign_labels import warn_of_foreign_labels
-from salsanext_cli.results.paths import find_scans
-from salsanext_cli.results.query import ResultQuery
-from salsanext_cli.stages.evaluate import evaluate
-from salsanext_cli.stages.picture import picture
-from salsanext_cli.stages.report import report
+from salsanext_cli.commands.stages.evaluate import evaluate
+from salsanext_cli.commands.stages.picture import picture
+from salsanext_cli.commands.stages.report import report
+from salsanext_cli.core.errors import NoInputError
+from salsanext_cli.io.formats.kitti import write_labels
+from salsanext_cli.runs.results.foreign_labels import warn_of_foreign_labels
+from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.results.query import ResultQuery
 
 CAR = 10
 OF_ANOTHER_SPACE = 24  # An id of nuScenes without a meaning in SemanticKITTI

@@ -10,12 +10,12 @@ import pytest
 from scans import make_empty, refused, write_sequence
 
 from salsanext_cli import read_scan
-from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import NOTICE, NoInputError, OutputError
-from salsanext_cli.results.paths import find_scans
-from salsanext_cli.results.result_folder import ResultFolder
-from salsanext_cli.results.selection import data_set_of
-from salsanext_cli.stages.predict import predict_scans
+from salsanext_cli.commands.stages.predict import predict_scans
+from salsanext_cli.core.errors import NOTICE, NoInputError, OutputError
+from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.results.result_folder import ResultFolder
+from salsanext_cli.runs.results.selection import data_set_of
 
 
 def found(source: Path) -> list[str]:

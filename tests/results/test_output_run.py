@@ -16,17 +16,17 @@ from scans import files_below, labels_below, refused, write_sequence, write_weig
 from world import begin_and_end
 
 from salsanext_cli import __version__, label_space, sensor
-from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import OutputError, WeightsError
-from salsanext_cli.files.atomic import STALE_AFTER_S
-from salsanext_cli.files.reading import fingerprint
-from salsanext_cli.option_fields import KnnParameters
-from salsanext_cli.parallel.network_task import NetworkTask
-from salsanext_cli.parallel.run import RunOptions, run_over_scans
-from salsanext_cli.results.manifest import Manifest, StageSettings
-from salsanext_cli.results.output_run import OutputRun, output_run
-from salsanext_cli.results.paths import ScanFile, find_scans
-from salsanext_cli.stages.predict import PredictJob, predict_scans
+from salsanext_cli.commands.stages.predict import PredictJob, predict_scans
+from salsanext_cli.core.errors import OutputError, WeightsError
+from salsanext_cli.io.files.atomic import STALE_AFTER_S
+from salsanext_cli.io.files.reading import fingerprint
+from salsanext_cli.runs.loop.network_task import NetworkTask
+from salsanext_cli.runs.loop.run import RunOptions, run_over_scans
+from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.option_fields import KnnParameters
+from salsanext_cli.runs.results.manifest import Manifest, StageSettings
+from salsanext_cli.runs.results.output_run import OutputRun, output_run
+from salsanext_cli.runs.results.paths import ScanFile, find_scans
 
 KNN = asdict(KnnParameters())
 SETTINGS = {"weights": "abc", "knn": KNN}

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from scans import refused
 
-from salsanext_cli.errors import OutputError
-from salsanext_cli.results.owned_folder import FILE_LISTS, OwnedFolder
+from salsanext_cli.core.errors import OutputError
+from salsanext_cli.runs.results.owned_folder import FILE_LISTS, OwnedFolder
 
 
 @pytest.fixture

@@ -10,12 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scans import refused, write_sequence
 
-from salsanext_cli.classes.label_space import LabelSpace, label_space
-from salsanext_cli.errors import NOTICE, NoInputError, OutputError, UsageError
-from salsanext_cli.labelling.edited_files import find_edited
-from salsanext_cli.option_fields import ScanSelection
-from salsanext_cli.results.paths import find_outputs, find_scans, output_path
-from salsanext_cli.results.selection import (
+from salsanext_cli.core.classes.label_space import LabelSpace, label_space
+from salsanext_cli.core.errors import NOTICE, NoInputError, OutputError, UsageError
+from salsanext_cli.runs.labelling.edited_files import find_edited
+from salsanext_cli.runs.option_fields import ScanSelection
+from salsanext_cli.runs.results.paths import find_outputs, find_scans, output_path
+from salsanext_cli.runs.results.selection import (
     choose,
     data_set_of,
     evenly_spaced,

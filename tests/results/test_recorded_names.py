@@ -5,11 +5,11 @@ import shutil
 
 from scans import write_sequence
 
-from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.results.paths import find_scans
-from salsanext_cli.results.recorded_names import with_recorded_names
-from salsanext_cli.results.result_folder import ResultFolder
-from salsanext_cli.stages.predict import predict_scans
+from salsanext_cli.commands.stages.predict import predict_scans
+from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.results.recorded_names import with_recorded_names
+from salsanext_cli.runs.results.result_folder import ResultFolder
 
 
 def test_sequences_of_older_versions_keep_their_names(weights, tmp_path, monkeypatch):
@@ -20,7 +20,7 @@ def test_sequences_of_older_versions_keep_their_names(weights, tmp_path, monkeyp
     out = tmp_path / "out"
     network = NetworkSettings(weights, "cpu", engine="torch")
     with monkeypatch.context() as patch:
-        patch.setattr("salsanext_cli.results.layouts.LAYOUTS", ())
+        patch.setattr("salsanext_cli.runs.results.layouts.LAYOUTS", ())
         predict_scans(folder, out, settings=network)
         assert (out / "sequences/data").is_dir()
     assert [scan.name for scan in find_scans(folder)] == ["drive/0"]

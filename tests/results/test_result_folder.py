@@ -7,15 +7,15 @@ from scans import SMALL, make_scan, refused, write_array, write_bin, write_seque
 from world import begin_and_end
 
 from salsanext_cli import Scan, label_space
-from salsanext_cli.errors import NOTICE, FormatError, LabelError, NoInputError, OutputError
-from salsanext_cli.formats.kitti import write_labels
-from salsanext_cli.formats.ply import write_ply
-from salsanext_cli.option_fields import ScanSelection
-from salsanext_cli.results.paths import find_scans
-from salsanext_cli.results.result_folder import ResultFolder, ScanResults, scalar_columns
-from salsanext_cli.stages.knn_refine import knn_refine_scans
-from salsanext_cli.stages.predict import predict_range_images, predict_scans
-from salsanext_cli.stages.project import project_scans
+from salsanext_cli.commands.stages.knn_refine import knn_refine_scans
+from salsanext_cli.commands.stages.predict import predict_range_images, predict_scans
+from salsanext_cli.commands.stages.project import project_scans
+from salsanext_cli.core.errors import NOTICE, FormatError, LabelError, NoInputError, OutputError
+from salsanext_cli.io.formats.kitti import write_labels
+from salsanext_cli.io.formats.ply import write_ply
+from salsanext_cli.runs.option_fields import ScanSelection
+from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.results.result_folder import ResultFolder, ScanResults, scalar_columns
 
 
 def ask(world, scans):

@@ -4,7 +4,7 @@
 import pytest
 
 from salsanext_cli import label_space
-from salsanext_cli.results.setting_differences import differences
+from salsanext_cli.runs.results.setting_differences import differences
 
 
 @pytest.mark.parametrize(

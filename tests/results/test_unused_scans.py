@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from scans import make_empty, refused
 
-from salsanext_cli.errors import NOTICE, NoInputError
-from salsanext_cli.results import scan_folders
-from salsanext_cli.results.paths import find_scans
+from salsanext_cli.core.errors import NOTICE, NoInputError
+from salsanext_cli.runs.results import scan_folders
+from salsanext_cli.runs.results.paths import find_scans
 
 
 def found(source: Path) -> list[str]:
@@ -98,8 +98,8 @@ def test_a_search_that_stopped_names_what_it_found(tmp_path, monkeypatch):
 
 
 def test_a_search_beside_tables_and_scans_that_stopped_says_so(tmp_path, monkeypatch, caplog):
-    monkeypatch.setattr("salsanext_cli.results.paths.MAX_ENTRIES_BESIDE_TABLES", 20)
-    monkeypatch.setattr("salsanext_cli.results.paths.MAX_ENTRIES_BESIDE_SCANS", 20)
+    monkeypatch.setattr("salsanext_cli.runs.results.paths.MAX_ENTRIES_BESIDE_TABLES", 20)
+    monkeypatch.setattr("salsanext_cli.runs.results.paths.MAX_ENTRIES_BESIDE_SCANS", 20)
     for root in ("tables", "only tables", "scans"):
         make_empty(tmp_path / root, *(f"trip/photos/{n}.jpg" for n in range(20)))
     make_empty(tmp_path / "tables", "1.csv", "drive/lidar/1.bin", "drive/lidar/poses.json")

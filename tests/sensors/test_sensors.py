@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from salsanext_cli.errors import UsageError
-from salsanext_cli.sensors.sensor import Sensor, presets, sensor
+from salsanext_cli.core.errors import UsageError
+from salsanext_cli.core.sensors.sensor import Sensor, presets, sensor
 
 VALID = Sensor("valid", fov_up=3, fov_down=-25, height=64, width=2048)
 

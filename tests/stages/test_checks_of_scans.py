@@ -9,14 +9,14 @@ import pytest
 from scans import SMALL, refused, write_bin, write_sequence
 
 from salsanext_cli import Scan, read_scan
-from salsanext_cli.errors import FormatError
-from salsanext_cli.files.json_files import plain
-from salsanext_cli.option_fields import ScanSelection
-from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.results.owned_folder import OwnedFolder
-from salsanext_cli.stages.inspect import inspect
-from salsanext_cli.stages.project import project_scans
-from salsanext_cli.stages.train import train
+from salsanext_cli.commands.stages.inspect import inspect
+from salsanext_cli.commands.stages.project import project_scans
+from salsanext_cli.commands.stages.train import train
+from salsanext_cli.core.errors import FormatError
+from salsanext_cli.io.files.json_files import plain
+from salsanext_cli.runs.loop.run import RunOptions
+from salsanext_cli.runs.option_fields import ScanSelection
+from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.training.data import class_counts as counting
 from salsanext_cli.training.recipe import Recipe
 

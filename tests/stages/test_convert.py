@@ -10,14 +10,14 @@ from bags import START, STEP, messages, structured, write_bag
 from scans import files_below, labels_below, refused
 
 from salsanext_cli import read_scan
-from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import NoInputError, OutputError, UsageError
-from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.results.paths import find_scans
-from salsanext_cli.results.result_folder import ResultFolder
-from salsanext_cli.stages.convert import convert
-from salsanext_cli.stages.export_ply import export_ply
-from salsanext_cli.stages.predict import predict_scans
+from salsanext_cli.commands.stages.convert import convert
+from salsanext_cli.commands.stages.export_ply import export_ply
+from salsanext_cli.commands.stages.predict import predict_scans
+from salsanext_cli.core.errors import NoInputError, OutputError, UsageError
+from salsanext_cli.runs.loop.run import RunOptions
+from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.results.result_folder import ResultFolder
 
 POINTS = [structured(seed=seed) for seed in range(5)]
 TIMES = [f"{START + n * STEP}" for n in range(5)]

@@ -10,8 +10,8 @@ import pytest
 from command_line import called
 from scans import write_sequence
 
-from salsanext_cli.results.owned_folder import OwnedFolder
-from salsanext_cli.stages.report import report
+from salsanext_cli.commands.stages.report import report
+from salsanext_cli.runs.results.owned_folder import OwnedFolder
 
 
 def words_of_command(out) -> list[str]:

@@ -9,12 +9,12 @@ import yaml
 from evaluated import CAR, MOVING_CAR, ROAD, SPACE, UNKNOWN, World
 from scans import files_below, refused
 
-from salsanext_cli.errors import LabelError, NoInputError, OutputError
-from salsanext_cli.option_fields import ScanSelection
-from salsanext_cli.results.owned_folder import OwnedFolder
-from salsanext_cli.results.paths import find_scans, output_path
-from salsanext_cli.results.result_folder import ResultFolder
-from salsanext_cli.stages.evaluate import evaluate, part_of
+from salsanext_cli.commands.stages.evaluate import evaluate, part_of
+from salsanext_cli.core.errors import LabelError, NoInputError, OutputError
+from salsanext_cli.runs.option_fields import ScanSelection
+from salsanext_cli.runs.results.owned_folder import OwnedFolder
+from salsanext_cli.runs.results.paths import find_scans, output_path
+from salsanext_cli.runs.results.result_folder import ResultFolder
 
 
 @pytest.fixture

@@ -8,15 +8,15 @@ import pytest
 from scans import SMALL, lively, refused
 
 from salsanext_cli import label_space
-from salsanext_cli.engines import onnx_export
-from salsanext_cli.engines.onnx_export import difference, exported, run
-from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import MissingDependency, WeightsError
-from salsanext_cli.network.card import WeightsCard, read_card
-from salsanext_cli.network.salsanext import SalsaNext
-from salsanext_cli.network.weights import read_weights, save_weights
-from salsanext_cli.sensors.sensor import INTENSITY_LEVELS
-from salsanext_cli.stages.export_onnx import export_onnx
+from salsanext_cli.commands.stages.export_onnx import export_onnx
+from salsanext_cli.core.errors import MissingDependency, WeightsError
+from salsanext_cli.core.network.card import WeightsCard, read_card
+from salsanext_cli.core.network.salsanext import SalsaNext
+from salsanext_cli.core.sensors.sensor import INTENSITY_LEVELS
+from salsanext_cli.io.weights import onnx_export
+from salsanext_cli.io.weights.onnx_export import difference, exported, run
+from salsanext_cli.io.weights.weights import read_weights, save_weights
+from salsanext_cli.runs.network_settings import NetworkSettings
 
 onnx = pytest.importorskip("onnx")
 pytest.importorskip("onnxruntime")

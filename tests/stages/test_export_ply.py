@@ -9,17 +9,17 @@ from scans import SMALL, files_below, refused, write_array, write_bin
 from world import Stored, begin_and_end
 
 from salsanext_cli import LabelSpace, Scan, label_space, read_labels, read_scan, write_labels
-from salsanext_cli.errors import LabelError, NoInputError, OutputError
-from salsanext_cli.option_fields import ScanSelection
-from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.commands.stages.export_ply import export_ply
+from salsanext_cli.commands.stages.predict import predict_scans
+from salsanext_cli.commands.stages.uncertainty import uncertainty
+from salsanext_cli.core.errors import LabelError, NoInputError, OutputError
+from salsanext_cli.core.uncertainty.method import UncertaintyMethod
 from salsanext_cli.report.colours import EMPTY, RIGHT, WRONG, map_colours
-from salsanext_cli.results.manifest import Manifest, StageRecord
-from salsanext_cli.results.query import ResultQuery
-from salsanext_cli.results.result_folder import ResultFolder
-from salsanext_cli.stages.export_ply import export_ply
-from salsanext_cli.stages.predict import predict_scans
-from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.uncertainty.method import UncertaintyMethod
+from salsanext_cli.runs.loop.run import RunOptions
+from salsanext_cli.runs.option_fields import ScanSelection
+from salsanext_cli.runs.results.manifest import Manifest, StageRecord
+from salsanext_cli.runs.results.query import ResultQuery
+from salsanext_cli.runs.results.result_folder import ResultFolder
 
 SPACE = label_space()
 OVERWRITE = RunOptions(overwrite=True)

@@ -11,17 +11,17 @@ from evaluated import World
 from scans import files_below, make_scan, refused, write_array, write_bin
 
 from salsanext_cli import LabelSpace, Scan, label_space, sensor, write_labels
-from salsanext_cli.cli.summary import _as_data, _rejection_lines
-from salsanext_cli.errors import NoInputError, OutputError, UsageError
-from salsanext_cli.geometry.scan_traits import traits_of
-from salsanext_cli.measures.filtered_points import FilteredPoints
-from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.parallel.run_options import Shard
-from salsanext_cli.results.manifest import Manifest, StageRecord
-from salsanext_cli.results.owned_folder import OwnedFolder
-from salsanext_cli.results.paths import output_path
-from salsanext_cli.results.query import ResultQuery
-from salsanext_cli.stages.filter import filter_scans, named_classes
+from salsanext_cli.commands.line.summary import _as_data, _rejection_lines
+from salsanext_cli.commands.stages.filter import filter_scans, named_classes
+from salsanext_cli.core.errors import NoInputError, OutputError, UsageError
+from salsanext_cli.core.geometry.scan_traits import traits_of
+from salsanext_cli.core.measures.filtered_points import FilteredPoints
+from salsanext_cli.runs.loop.run import RunOptions
+from salsanext_cli.runs.loop.run_options import Shard
+from salsanext_cli.runs.results.manifest import Manifest, StageRecord
+from salsanext_cli.runs.results.owned_folder import OwnedFolder
+from salsanext_cli.runs.results.paths import output_path
+from salsanext_cli.runs.results.query import ResultQuery
 
 SPACE = label_space()
 CAR, TRUCK, PERSON, RIDER, ROAD, TREE = 10, 18, 30, 31, 40, 70

@@ -13,9 +13,11 @@ from scans import files_below, refused, write_bin
 from typer.testing import CliRunner
 
 from salsanext_cli import KnnParameters, Scan, label_drive, label_space, read_labels, read_scan
-from salsanext_cli.cli.app import app
-from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import (
+from salsanext_cli.commands.line.app import app
+from salsanext_cli.commands.stages.evaluate import evaluate
+from salsanext_cli.commands.stages.fuse import fuse_results
+from salsanext_cli.commands.stages.predict import predict_scans
+from salsanext_cli.core.errors import (
     NOTICE,
     FormatError,
     NoInputError,
@@ -23,16 +25,14 @@ from salsanext_cli.errors import (
     SalsanextError,
     UsageError,
 )
-from salsanext_cli.fusion.poses import encode_poses, read_fused_poses
-from salsanext_cli.fusion.window import FusionWindow
-from salsanext_cli.option_fields import ScanSelection
-from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.results.owned_folder import OwnedFolder
-from salsanext_cli.results.query import ResultQuery
-from salsanext_cli.results.result_folder import ResultFolder
-from salsanext_cli.stages.evaluate import evaluate
-from salsanext_cli.stages.fuse import fuse_results
-from salsanext_cli.stages.predict import predict_scans
+from salsanext_cli.core.fusion.window import FusionWindow
+from salsanext_cli.io.poses import encode_poses, read_fused_poses
+from salsanext_cli.runs.loop.run import RunOptions
+from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.option_fields import ScanSelection
+from salsanext_cli.runs.results.owned_folder import OwnedFolder
+from salsanext_cli.runs.results.query import ResultQuery
+from salsanext_cli.runs.results.result_folder import ResultFolder
 
 SPACE = label_space()
 STEMS = ("000000", "000001", "000002")
@@ -398,7 +398,7 @@ def test_two_that_predict_and_fuse_one_folder_both_succeed(world, monkeypatch):
             if len(looks) == 2:
                 other.close()
 
-        monkeypatch.setattr("salsanext_cli.cli.pipeline.time.sleep", wait)
+        monkeypatch.setattr("salsanext_cli.commands.line.pipeline.time.sleep", wait)
         other.enter_context(OwnedFolder(world.out, "predict").open(shared=True))
         words = ["predict", folder, world.out, "--weights", world.network.weights, "--fuse"]
         result = CliRunner().invoke(app, [*map(str, words), "--engine", "torch"])

@@ -14,17 +14,17 @@ from tiny_network import TinyNetwork
 from world import World
 
 from salsanext_cli import LabelSpace, label_space, load_network, project, read_labels, read_scan
-from salsanext_cli.errors import NOTICE
-from salsanext_cli.files.reading import fingerprint
-from salsanext_cli.network.card import AccuracyLine, WeightsCard, read_card
-from salsanext_cli.network.error_model import ErrorModel
-from salsanext_cli.network.weights import save_weights, save_with_card
-from salsanext_cli.results.paths import ERROR, find_scans
-from salsanext_cli.stages.models import describe_weights
-from salsanext_cli.stages.predict import predict_scans
-from salsanext_cli.stages.train import TrainResult, train
+from salsanext_cli.commands.stages.models import describe_weights
+from salsanext_cli.commands.stages.predict import predict_scans
+from salsanext_cli.commands.stages.train import TrainResult, train
+from salsanext_cli.core.errors import NOTICE
+from salsanext_cli.core.network.card import AccuracyLine, WeightsCard, read_card
+from salsanext_cli.core.network.error_model import ErrorModel
+from salsanext_cli.core.uncertainty.error_features import FEATURES
+from salsanext_cli.io.files.reading import fingerprint
+from salsanext_cli.io.weights.weights import save_weights, save_with_card
+from salsanext_cli.runs.results.paths import ERROR, find_scans
 from salsanext_cli.training.recipe import Recipe
-from salsanext_cli.uncertainty.error_features import FEATURES
 
 MODEL = ErrorModel(FEATURES, [(np.full((9, 1), 0.1, "f4"), np.zeros(1, "f4"))], {"folds": 5})
 LINE = AccuracyLine(slope=1.25, offset=0.5, deviation=0.04)

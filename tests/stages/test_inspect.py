@@ -6,9 +6,9 @@ import pytest
 from scans import SMALL, make_scan, write_bin
 
 from salsanext_cli import Scan, project, read_scan, sensor
-from salsanext_cli.errors import NoInputError
-from salsanext_cli.fitting.field_of_view import fit_view
-from salsanext_cli.stages.inspect import inspect, write_sensor
+from salsanext_cli.commands.stages.inspect import inspect, write_sensor
+from salsanext_cli.core.errors import NoInputError
+from salsanext_cli.core.fitting.field_of_view import fit_view
 
 TILT = np.radians(6.5)
 

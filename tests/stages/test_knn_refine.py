@@ -6,15 +6,15 @@ import pytest
 from scans import SMALL, files_below, labels_below, refused, write_array, write_weights
 
 from salsanext_cli import KnnParameters, label_space
-from salsanext_cli.errors import NoInputError, OutputError
-from salsanext_cli.fitting.sensor_fit import labels_depend_on
-from salsanext_cli.network.card import RiskThreshold, read_card
-from salsanext_cli.network.weights import save_with_card
-from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.results.manifest import Manifest
-from salsanext_cli.stages.knn_refine import knn_refine_scans
-from salsanext_cli.stages.predict import predict_range_images, predict_scans
-from salsanext_cli.stages.project import project_scans
+from salsanext_cli.commands.stages.knn_refine import knn_refine_scans
+from salsanext_cli.commands.stages.predict import predict_range_images, predict_scans
+from salsanext_cli.commands.stages.project import project_scans
+from salsanext_cli.core.errors import NoInputError, OutputError
+from salsanext_cli.core.network.card import RiskThreshold, read_card
+from salsanext_cli.io.weights.weights import save_with_card
+from salsanext_cli.runs.fit.sensor_fit import labels_depend_on
+from salsanext_cli.runs.loop.run import RunOptions
+from salsanext_cli.runs.results.manifest import Manifest
 
 SPACE = label_space()
 

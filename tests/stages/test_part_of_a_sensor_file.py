@@ -10,12 +10,12 @@ from command_line import called, only_json
 from scans import SMALL, labels_below, refused, write_bin
 
 from salsanext_cli import Scan, read_scan, sensor
-from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import OutputError, UsageError
-from salsanext_cli.fitting.field_of_view import fit_view
-from salsanext_cli.results.manifest import Manifest
-from salsanext_cli.sensors.stated_fields import StatedFields, stated_fields
-from salsanext_cli.stages.predict import predict_scans
+from salsanext_cli.commands.stages.predict import predict_scans
+from salsanext_cli.core.errors import OutputError, UsageError
+from salsanext_cli.core.fitting.field_of_view import fit_view
+from salsanext_cli.io.stated_fields import StatedFields, stated_fields
+from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.results.manifest import Manifest
 
 HEIGHT = 1.7  # Of the sensor above the ground
 LIFTED = 1.0  # Distance of the sensor below the origin of its files, too far for a usual height

@@ -20,7 +20,9 @@ from salsanext_cli import (
     sample,
     write_labels,
 )
-from salsanext_cli.errors import (
+from salsanext_cli.commands.stages import pick as stage
+from salsanext_cli.commands.stages.pick import pick
+from salsanext_cli.core.errors import (
     NOTICE,
     FormatError,
     NoInputError,
@@ -28,15 +30,13 @@ from salsanext_cli.errors import (
     UsageError,
     WeightsError,
 )
-from salsanext_cli.labelling.scan_choice import choose_scans
-from salsanext_cli.option_fields import ScanSelection
-from salsanext_cli.parallel.pipeline import Pipeline
-from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.results.owned_folder import OwnedFolder
-from salsanext_cli.results.paths import find_scans
-from salsanext_cli.stages import pick as stage
-from salsanext_cli.stages.pick import pick
-from salsanext_cli.uncertainty.scan_description import DescribeJob
+from salsanext_cli.core.measures.scan_choice import choose_scans
+from salsanext_cli.runs.labelling.scan_description import DescribeJob
+from salsanext_cli.runs.loop.pipeline import Pipeline
+from salsanext_cli.runs.loop.run import RunOptions
+from salsanext_cli.runs.option_fields import ScanSelection
+from salsanext_cli.runs.results.owned_folder import OwnedFolder
+from salsanext_cli.runs.results.paths import find_scans
 
 PASSES = {"samples": 2, "seed": 0}
 
@@ -44,7 +44,7 @@ PASSES = {"samples": 2, "seed": 0}
 @pytest.fixture(autouse=True, scope="module")
 def few_samples():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("salsanext_cli.stages.pick.SAMPLES", PASSES["samples"])
+        patch.setattr("salsanext_cli.commands.stages.pick.SAMPLES", PASSES["samples"])
         yield
 
 

@@ -9,15 +9,15 @@ from PIL import Image
 from scans import files_below, refused, write_array
 
 from salsanext_cli import label_space
-from salsanext_cli.errors import OutputError
-from salsanext_cli.option_fields import KnnParameters, ScanSelection
-from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.commands.stages import picture as stage
+from salsanext_cli.commands.stages.picture import picture
+from salsanext_cli.commands.stages.predict import predict_scans
+from salsanext_cli.core.errors import OutputError
 from salsanext_cli.report import scan_pictures
 from salsanext_cli.report.colours import WRONG, screen_colours
-from salsanext_cli.results.query import ResultQuery
-from salsanext_cli.stages import picture as stage
-from salsanext_cli.stages.picture import picture
-from salsanext_cli.stages.predict import predict_scans
+from salsanext_cli.runs.loop.run import RunOptions
+from salsanext_cli.runs.option_fields import KnnParameters, ScanSelection
+from salsanext_cli.runs.results.query import ResultQuery
 
 pytestmark = pytest.mark.drawn
 OVERWRITE = RunOptions(overwrite=True)

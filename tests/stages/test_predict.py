@@ -22,17 +22,17 @@ from scans import (
 )
 
 from salsanext_cli import KnnParameters, LabelSpace, knn_refine, label_space, project, read_scan
-from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import OutputError, UsageError
-from salsanext_cli.fitting.label_scan import projected_sensor
-from salsanext_cli.formats.ply import write_ply
-from salsanext_cli.network.weights import read_weights, save_weights
-from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.records import Scan
-from salsanext_cli.sensors.sensor import sensor
-from salsanext_cli.stages.knn_refine import knn_refine_scans
-from salsanext_cli.stages.predict import predict_range_images, predict_scans
-from salsanext_cli.stages.project import project_scans
+from salsanext_cli.commands.stages.knn_refine import knn_refine_scans
+from salsanext_cli.commands.stages.predict import predict_range_images, predict_scans
+from salsanext_cli.commands.stages.project import project_scans
+from salsanext_cli.core.errors import OutputError, UsageError
+from salsanext_cli.core.records import Scan
+from salsanext_cli.core.sensors.sensor import sensor
+from salsanext_cli.io.formats.ply import write_ply
+from salsanext_cli.io.weights.weights import read_weights, save_weights
+from salsanext_cli.runs.fit.label_scan import projected_sensor
+from salsanext_cli.runs.loop.run import RunOptions
+from salsanext_cli.runs.network_settings import NetworkSettings
 
 
 def run(world, source=None, **options):
@@ -314,7 +314,7 @@ def test_the_files_hold_the_projection(world):
 
 
 def test_the_stage_imports_no_part_that_labelling_does_not_need():
-    done = python("import sys, salsanext_cli.stages.predict; print(*sys.modules)")
+    done = python("import sys, salsanext_cli.commands.stages.predict; print(*sys.modules)")
     names = done.stdout.split()
     own = {name.split(".")[1] for name in names if name.startswith("salsanext_cli.")}
     others = {"cli", "fusion", "labelling", "report", "synthesis", "training"}

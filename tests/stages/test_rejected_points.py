@@ -7,15 +7,15 @@ import pytest
 from evaluated import CAR, ROAD, SPACE, World
 
 from salsanext_cli import sensor
+from salsanext_cli.commands.stages import picture as pictures
+from salsanext_cli.commands.stages.evaluate import evaluate
+from salsanext_cli.commands.stages.export_ply import export_ply
+from salsanext_cli.commands.stages.picture import picture
+from salsanext_cli.commands.stages.report import report, view
 from salsanext_cli.report.scan_pictures import picture_of_results
-from salsanext_cli.results.manifest import Manifest, StageRecord
-from salsanext_cli.results.paths import find_scans
-from salsanext_cli.results.query import ResultQuery
-from salsanext_cli.stages import picture as pictures
-from salsanext_cli.stages.evaluate import evaluate
-from salsanext_cli.stages.export_ply import export_ply
-from salsanext_cli.stages.picture import picture
-from salsanext_cli.stages.report import report, view
+from salsanext_cli.runs.results.manifest import Manifest, StageRecord
+from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.results.query import ResultQuery
 
 NONE, TREE = 0, 70
 TRUTH = [CAR, CAR, ROAD, ROAD, ROAD, TREE, TREE, TREE, NONE, NONE]

@@ -12,13 +12,13 @@ from evaluated import CAR, MOVING_CAR, ROAD, SPACE, UNKNOWN, World
 from scans import SMALL, refused, write_array
 
 from salsanext_cli import label_space
-from salsanext_cli.errors import NoInputError, OutputError
-from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.results.manifest import Manifest, StageRecord
-from salsanext_cli.results.owned_folder import OwnedFolder
-from salsanext_cli.results.paths import output_path
-from salsanext_cli.results.query import ResultQuery
-from salsanext_cli.stages.report import read_run, report
+from salsanext_cli.commands.stages.report import read_run, report
+from salsanext_cli.core.errors import NoInputError, OutputError
+from salsanext_cli.runs.loop.run import RunOptions
+from salsanext_cli.runs.results.manifest import Manifest, StageRecord
+from salsanext_cli.runs.results.owned_folder import OwnedFolder
+from salsanext_cli.runs.results.paths import output_path
+from salsanext_cli.runs.results.query import ResultQuery
 
 PERSON = 30
 DAYS = {

@@ -8,8 +8,8 @@ import pytest
 from command_line import called, only_json
 from scans import make_scan, refused, write_bin, write_sequence
 
-from salsanext_cli.errors import OutputError
-from salsanext_cli.results.paths import find_scans, require_none_hidden
+from salsanext_cli.core.errors import OutputError
+from salsanext_cli.runs.results.paths import find_scans, require_none_hidden
 
 
 @pytest.fixture

@@ -9,25 +9,29 @@ from command_line import called, only_json
 from scans import SMALL, files_below, labels_below, make_scan, write_bin, write_weights
 
 from salsanext_cli import Scan, read_scan
-from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import NoInputError, UsageError
-from salsanext_cli.geometry.projection import in_sensor_frame, measured_ranges, upright_rotation
-from salsanext_cli.network.card import AccuracyLine, read_card
-from salsanext_cli.network.weights import save_with_card
-from salsanext_cli.option_fields import ScanSelection
-from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.parallel.run_options import Shard
-from salsanext_cli.results.manifest import Manifest
-from salsanext_cli.results.paths import find_scans
-from salsanext_cli.results.result_folder import ResultFolder
-from salsanext_cli.sensors.sensor import INTENSITY_LEVELS
-from salsanext_cli.stages.inspect import inspect
-from salsanext_cli.stages.knn_refine import knn_refine_scans
-from salsanext_cli.stages.predict import predict_range_images, predict_scans
-from salsanext_cli.stages.project import project_scans
-from salsanext_cli.stages.report import read_run
-from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.uncertainty.method import UncertaintyMethod
+from salsanext_cli.commands.stages.inspect import inspect
+from salsanext_cli.commands.stages.knn_refine import knn_refine_scans
+from salsanext_cli.commands.stages.predict import predict_range_images, predict_scans
+from salsanext_cli.commands.stages.project import project_scans
+from salsanext_cli.commands.stages.report import read_run
+from salsanext_cli.commands.stages.uncertainty import uncertainty
+from salsanext_cli.core.errors import NoInputError, UsageError
+from salsanext_cli.core.geometry.projection import (
+    in_sensor_frame,
+    measured_ranges,
+    upright_rotation,
+)
+from salsanext_cli.core.network.card import AccuracyLine, read_card
+from salsanext_cli.core.sensors.sensor import INTENSITY_LEVELS
+from salsanext_cli.core.uncertainty.method import UncertaintyMethod
+from salsanext_cli.io.weights.weights import save_with_card
+from salsanext_cli.runs.loop.run import RunOptions
+from salsanext_cli.runs.loop.run_options import Shard
+from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.option_fields import ScanSelection
+from salsanext_cli.runs.results.manifest import Manifest
+from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.results.result_folder import ResultFolder
 
 LEANING = upright_rotation(np.array([0.5, 0.0, 0.866]))
 TRAINED = replace(SMALL, intensity_quantiles=tuple(np.linspace(0, 1, INTENSITY_LEVELS) ** 2))
@@ -168,7 +172,7 @@ def test_no_accuracy_is_estimated_beside_scans_of_another_sensor(network, tmp_pa
 
 
 def test_a_sensor_file_of_scans_of_several_sensors_is_refused_before_the_survey(mixed, monkeypatch):
-    monkeypatch.setattr("salsanext_cli.stages.inspect.run_over_scans", None)
+    monkeypatch.setattr("salsanext_cli.commands.stages.inspect.run_over_scans", None)
     with pytest.raises(NoInputError, match="2 sensors") as caught:
         inspect(mixed, sensor=SMALL, fit=True)
     assert caught.value.subject == str(mixed)

@@ -16,18 +16,18 @@ from scans import (
 )
 
 from salsanext_cli import Scan, knn_refine, project, read_scan
-from salsanext_cli.errors import OutputError, UsageError
-from salsanext_cli.geometry.network_input import fill_rows, intensity_quantiles, row_gaps
-from salsanext_cli.option_fields import ScanSelection
-from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.parallel.run_options import Shard
-from salsanext_cli.results.manifest import Manifest
-from salsanext_cli.sensors.sensor import INTENSITY_LEVELS
-from salsanext_cli.stages.knn_refine import knn_refine_scans
-from salsanext_cli.stages.predict import predict_range_images, predict_scans
-from salsanext_cli.stages.project import project_scans
-from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.uncertainty.method import UncertaintyMethod
+from salsanext_cli.commands.stages.knn_refine import knn_refine_scans
+from salsanext_cli.commands.stages.predict import predict_range_images, predict_scans
+from salsanext_cli.commands.stages.project import project_scans
+from salsanext_cli.commands.stages.uncertainty import uncertainty
+from salsanext_cli.core.errors import OutputError, UsageError
+from salsanext_cli.core.geometry.network_input import fill_rows, intensity_quantiles, row_gaps
+from salsanext_cli.core.sensors.sensor import INTENSITY_LEVELS
+from salsanext_cli.core.uncertainty.method import UncertaintyMethod
+from salsanext_cli.runs.loop.run import RunOptions
+from salsanext_cli.runs.loop.run_options import Shard
+from salsanext_cli.runs.option_fields import ScanSelection
+from salsanext_cli.runs.results.manifest import Manifest
 
 TRAINED = tuple(np.linspace(0, 1, INTENSITY_LEVELS) ** 2)
 

@@ -14,11 +14,11 @@ from command_line import called, only_json
 from scans import HOUSING
 
 from salsanext_cli import read_labels
-from salsanext_cli.cli.picked_labels import doubtful_share
-from salsanext_cli.network.card import read_card
-from salsanext_cli.network.error_model import ErrorModel
-from salsanext_cli.network.weights import save_with_card
-from salsanext_cli.uncertainty.error_features import FEATURES
+from salsanext_cli.commands.line.picked_labels import doubtful_share
+from salsanext_cli.core.network.card import read_card
+from salsanext_cli.core.network.error_model import ErrorModel
+from salsanext_cli.core.uncertainty.error_features import FEATURES
+from salsanext_cli.io.weights.weights import save_with_card
 
 
 @pytest.fixture

@@ -11,23 +11,23 @@ import yaml
 from scans import SMALL, labels_below, refused, write_weights
 
 from salsanext_cli import LabelSpace, knn_refine, label_space, project, read_labels, read_scan
-from salsanext_cli.classes.merging import ClassMerging
-from salsanext_cli.errors import OutputError, UsageError
-from salsanext_cli.formats.kitti import write_labels
-from salsanext_cli.measures.histograms import confidence_histogram
-from salsanext_cli.measures.scores import confusion_matrix
-from salsanext_cli.option_fields import ScanSelection
-from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.results.query import ResultQuery
-from salsanext_cli.results.result_folder import ResultFolder
-from salsanext_cli.stages.evaluate import evaluate
-from salsanext_cli.stages.export_ply import export_ply
-from salsanext_cli.stages.knn_refine import knn_refine_scans
-from salsanext_cli.stages.picture import picture
-from salsanext_cli.stages.predict import predict_range_images, predict_scans
-from salsanext_cli.stages.project import project_scans
-from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.uncertainty.method import UncertaintyMethod
+from salsanext_cli.commands.stages.evaluate import evaluate
+from salsanext_cli.commands.stages.export_ply import export_ply
+from salsanext_cli.commands.stages.knn_refine import knn_refine_scans
+from salsanext_cli.commands.stages.picture import picture
+from salsanext_cli.commands.stages.predict import predict_range_images, predict_scans
+from salsanext_cli.commands.stages.project import project_scans
+from salsanext_cli.commands.stages.uncertainty import uncertainty
+from salsanext_cli.core.classes.merging import ClassMerging
+from salsanext_cli.core.errors import OutputError, UsageError
+from salsanext_cli.core.measures.histograms import confidence_histogram
+from salsanext_cli.core.measures.scores import confusion_matrix
+from salsanext_cli.core.uncertainty.method import UncertaintyMethod
+from salsanext_cli.io.formats.kitti import write_labels
+from salsanext_cli.runs.loop.run import RunOptions
+from salsanext_cli.runs.option_fields import ScanSelection
+from salsanext_cli.runs.results.query import ResultQuery
+from salsanext_cli.runs.results.result_folder import ResultFolder
 
 FULL, COARSE = label_space(), label_space("coarse")
 MERGING = ClassMerging.between(FULL, COARSE)

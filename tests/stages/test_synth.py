@@ -10,15 +10,15 @@ import pytest
 from scans import files_below, refused
 
 from salsanext_cli import Scan, __version__, label_space, read_labels
-from salsanext_cli.errors import MissingDependency, OutputError, UsageError
-from salsanext_cli.files.atomic import write_bytes
-from salsanext_cli.files.locks import locked
-from salsanext_cli.formats.kitti import read_bin
-from salsanext_cli.results.manifest import Manifest
-from salsanext_cli.results.owned_folder import OwnedFolder
-from salsanext_cli.results.paths import find_scans
-from salsanext_cli.stages import synth
-from salsanext_cli.stages.synth import synthesise
+from salsanext_cli.commands.stages import synth
+from salsanext_cli.commands.stages.synth import synthesise
+from salsanext_cli.core.errors import MissingDependency, OutputError, UsageError
+from salsanext_cli.io.files.atomic import write_bytes
+from salsanext_cli.io.files.locks import locked
+from salsanext_cli.io.formats.kitti import read_bin
+from salsanext_cli.runs.results.manifest import Manifest
+from salsanext_cli.runs.results.owned_folder import OwnedFolder
+from salsanext_cli.runs.results.paths import find_scans
 from salsanext_cli.synthesis.drive import Frame
 
 TINY = {"scans": 2, "spacing": 12.0, "seed": 3}

@@ -16,8 +16,9 @@ from shallow import SHALLOW
 from tiny_network import TinyNetwork
 
 from salsanext_cli import LabelSpace, label_space, load_network, project, read_scan, write_labels
-from salsanext_cli.engines.memory import Memory
-from salsanext_cli.errors import (
+from salsanext_cli.commands.stages.train import train
+from salsanext_cli.core.engines.memory import Memory
+from salsanext_cli.core.errors import (
     NOTICE,
     LabelError,
     NoInputError,
@@ -26,14 +27,13 @@ from salsanext_cli.errors import (
     UsageError,
     WeightsError,
 )
-from salsanext_cli.geometry.network_input import intensity_quantiles, row_gaps
-from salsanext_cli.network.card import WeightsCard, read_card
-from salsanext_cli.network.registry import ARCHITECTURES
-from salsanext_cli.network.salsanext import SalsaNext
-from salsanext_cli.network.weights import save_weights
-from salsanext_cli.results.owned_folder import OwnedFolder
-from salsanext_cli.results.paths import find_scans
-from salsanext_cli.stages.train import train
+from salsanext_cli.core.geometry.network_input import intensity_quantiles, row_gaps
+from salsanext_cli.core.network.card import WeightsCard, read_card
+from salsanext_cli.core.network.registry import ARCHITECTURES
+from salsanext_cli.core.network.salsanext import SalsaNext
+from salsanext_cli.io.weights.weights import save_weights
+from salsanext_cli.runs.results.owned_folder import OwnedFolder
+from salsanext_cli.runs.results.paths import find_scans
 from salsanext_cli.training import fit, learner
 from salsanext_cli.training.data import class_counts
 from salsanext_cli.training.data.class_counts import class_weights
@@ -139,7 +139,7 @@ def test_reading_many_scans_is_reported_from_time_to_time(dataset, tmp_path, mon
 
 def test_a_step_that_needs_more_than_the_machine_has_is_refused(dataset, tmp_path, monkeypatch):
     memory = Memory(12 * 10**6, 12 * 10**6)
-    monkeypatch.setattr("salsanext_cli.stages.train.memory_of", lambda device: memory)
+    monkeypatch.setattr("salsanext_cli.commands.stages.train.memory_of", lambda device: memory)
     run = tmp_path / "run"
     error = refused(TrainingError, "memory", dataset, run)
     assert error.hint.startswith("use --set accumulate=2 ")
@@ -460,7 +460,7 @@ def test_processes_that_prepare_samples(
         assert self.workers == expected
         raise Stopped
 
-    stage = sys.modules["salsanext_cli.stages.train"]
+    stage = sys.modules["salsanext_cli.commands.stages.train"]
     monkeypatch.setattr(stage, "cores", lambda: cores)
     monkeypatch.setattr(stage, "process_group", group)
     monkeypatch.setattr(stage, "class_counts", lambda *_: SimpleNamespace(warnings=[]))

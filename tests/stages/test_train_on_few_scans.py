@@ -15,24 +15,24 @@ from scans import SMALL, refused, write_sequence
 from tiny_network import TinyNetwork
 
 from salsanext_cli import label_space, read_labels, read_scan, write_labels
-from salsanext_cli.errors import NOTICE, LabelError, NoInputError
-from salsanext_cli.files.json_files import write_json
-from salsanext_cli.files.reading import fingerprint
-from salsanext_cli.labelling.label_records import pre_labelled_scans
-from salsanext_cli.network.card import WeightsCard, read_card, scan_digest
-from salsanext_cli.network.error_model import ErrorModel
-from salsanext_cli.network.registry import ARCHITECTURES
-from salsanext_cli.network.weights import read_weights, save_weights, save_with_card
-from salsanext_cli.results.paths import find_scans
-from salsanext_cli.stages import train as stage
-from salsanext_cli.stages.import_labels import import_labels
-from salsanext_cli.stages.synth import SynthSettings
-from salsanext_cli.stages.train import TrainResult, train
+from salsanext_cli.commands.stages import train as stage
+from salsanext_cli.commands.stages.import_labels import import_labels
+from salsanext_cli.commands.stages.synth import SynthSettings
+from salsanext_cli.commands.stages.train import TrainResult, train
+from salsanext_cli.core.errors import NOTICE, LabelError, NoInputError
+from salsanext_cli.core.network.card import WeightsCard, read_card, scan_digest
+from salsanext_cli.core.network.error_model import ErrorModel
+from salsanext_cli.core.network.registry import ARCHITECTURES
+from salsanext_cli.core.uncertainty.error_features import FEATURES
+from salsanext_cli.io.files.json_files import write_json
+from salsanext_cli.io.files.reading import fingerprint
+from salsanext_cli.io.weights.weights import read_weights, save_weights, save_with_card
+from salsanext_cli.runs.labelling.label_records import pre_labelled_scans
+from salsanext_cli.runs.results.paths import find_scans
 from salsanext_cli.training import setup
 from salsanext_cli.training.fit import StepReport
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.tuning import error
-from salsanext_cli.uncertainty.error_features import FEATURES
 
 FEW = Recipe(
     initial="default",

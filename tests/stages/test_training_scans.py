@@ -12,21 +12,21 @@ from scans import refused, write_bin
 from world import World
 
 from salsanext_cli import label_space, read_labels, read_scan
-from salsanext_cli.errors import OutputError
-from salsanext_cli.measures.scores import confusion_matrix
-from salsanext_cli.network.card import read_card, scan_digest
-from salsanext_cli.network.weights import save_with_card
-from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.results.digest_files import with_files
-from salsanext_cli.results.manifest import Manifest
-from salsanext_cli.results.paths import find_scans
-from salsanext_cli.results.scan_folders import scan_names
-from salsanext_cli.stages.evaluate import Evaluation, evaluate
-from salsanext_cli.stages.export_ply import export_ply
-from salsanext_cli.stages.knn_refine import knn_refine_scans
-from salsanext_cli.stages.predict import predict_scans
-from salsanext_cli.stages.report import read_run, report
-from salsanext_cli.stages.uncertainty import uncertainty
+from salsanext_cli.commands.stages.evaluate import Evaluation, evaluate
+from salsanext_cli.commands.stages.export_ply import export_ply
+from salsanext_cli.commands.stages.knn_refine import knn_refine_scans
+from salsanext_cli.commands.stages.predict import predict_scans
+from salsanext_cli.commands.stages.report import read_run, report
+from salsanext_cli.commands.stages.uncertainty import uncertainty
+from salsanext_cli.core.errors import OutputError
+from salsanext_cli.core.measures.scores import confusion_matrix
+from salsanext_cli.core.network.card import read_card, scan_digest
+from salsanext_cli.io.weights.weights import save_with_card
+from salsanext_cli.runs.loop.run import RunOptions
+from salsanext_cli.runs.results.digest_files import with_files
+from salsanext_cli.runs.results.manifest import Manifest
+from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.results.scan_folders import scan_names
 
 SPACE = label_space()
 EVERY = (("00", "000000"), ("08", "000000"), ("08", "000001"))

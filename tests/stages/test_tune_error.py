@@ -12,7 +12,11 @@ from scans import refused
 from world import World
 
 from salsanext_cli import label_space, project, read_labels, read_scan, write_labels
-from salsanext_cli.errors import (
+from salsanext_cli.commands.stages.evaluate import evaluate
+from salsanext_cli.commands.stages.models import describe_weights
+from salsanext_cli.commands.stages.predict import predict_scans
+from salsanext_cli.commands.stages.uncertainty import uncertainty
+from salsanext_cli.core.errors import (
     NOTICE,
     LabelError,
     OutputError,
@@ -20,20 +24,16 @@ from salsanext_cli.errors import (
     UsageError,
     WeightsError,
 )
-from salsanext_cli.measures.expected_accuracy import expected_accuracy
-from salsanext_cli.network.card import AccuracyLine, read_card
-from salsanext_cli.network.weights import save_with_card
-from salsanext_cli.option_fields import ScanSelection
-from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.results.paths import ERROR, find_scans, output_path
-from salsanext_cli.results.result_folder import ResultFolder
-from salsanext_cli.stages.evaluate import evaluate
-from salsanext_cli.stages.models import describe_weights
-from salsanext_cli.stages.predict import predict_scans
-from salsanext_cli.stages.uncertainty import uncertainty
+from salsanext_cli.core.measures.expected_accuracy import expected_accuracy
+from salsanext_cli.core.network.card import AccuracyLine, read_card
+from salsanext_cli.core.uncertainty.error_features import FEATURES
+from salsanext_cli.core.uncertainty.method import UncertaintyMethod
+from salsanext_cli.io.weights.weights import save_with_card
+from salsanext_cli.runs.loop.run import RunOptions
+from salsanext_cli.runs.option_fields import ScanSelection
+from salsanext_cli.runs.results.paths import ERROR, find_scans, output_path
+from salsanext_cli.runs.results.result_folder import ResultFolder
 from salsanext_cli.training.tuning import error
-from salsanext_cli.uncertainty.error_features import FEATURES
-from salsanext_cli.uncertainty.method import UncertaintyMethod
 
 ALL = ScanSelection()
 

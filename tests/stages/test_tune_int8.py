@@ -10,17 +10,17 @@ from scans import refused, write_weights
 from shallow import shallow  # noqa: F401
 from tiny_network import TinyNetwork
 
-from salsanext_cli.errors import FormatError, OutputError, WeightsError
-from salsanext_cli.network.card import RiskThreshold, read_card
-from salsanext_cli.network.registry import ARCHITECTURES
-from salsanext_cli.network.weights import save_with_card
-from salsanext_cli.results.manifest import Manifest
-from salsanext_cli.stages.predict import predict_range_images, predict_scans
-from salsanext_cli.stages.project import project_scans
-from salsanext_cli.stages.tune import tune_int8
-from salsanext_cli.stages.uncertainty import uncertainty
+from salsanext_cli.commands.stages.predict import predict_range_images, predict_scans
+from salsanext_cli.commands.stages.project import project_scans
+from salsanext_cli.commands.stages.tune import tune_int8
+from salsanext_cli.commands.stages.uncertainty import uncertainty
+from salsanext_cli.core.errors import FormatError, OutputError, WeightsError
+from salsanext_cli.core.network.card import RiskThreshold, read_card
+from salsanext_cli.core.network.registry import ARCHITECTURES
+from salsanext_cli.core.uncertainty.method import UncertaintyMethod
+from salsanext_cli.io.weights.weights import save_with_card
+from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.training.tuning.int8 import int8_layers
-from salsanext_cli.uncertainty.method import UncertaintyMethod
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 

@@ -10,23 +10,23 @@ from scans import refused
 from world import World
 
 from salsanext_cli import label_space, read_labels, write_labels
-from salsanext_cli.errors import TrainingError, UsageError, WeightsError
-from salsanext_cli.files.json_files import plain
-from salsanext_cli.fitting.sensor_fit import as_typed
-from salsanext_cli.measures.risk_control import RISK_BOUND_EXCEEDED
-from salsanext_cli.measures.scan_summary import NOT_COMPARED, OTHER_SCANS
-from salsanext_cli.measures.threshold_scans import EARLY
-from salsanext_cli.network.card import AccuracyLine, read_card
-from salsanext_cli.network.unit_traits import UnitTraits
-from salsanext_cli.network.weights import save_with_card
-from salsanext_cli.option_fields import KnnParameters, ScanSelection
-from salsanext_cli.results.manifest import Manifest
-from salsanext_cli.results.paths import LEAST_CONFIDENCE, find_scans
-from salsanext_cli.results.result_folder import ResultFolder
-from salsanext_cli.stages.evaluate import evaluate
-from salsanext_cli.stages.models import describe_weights
-from salsanext_cli.stages.predict import predict_scans
-from salsanext_cli.stages.report import read_run, report
+from salsanext_cli.commands.stages.evaluate import evaluate
+from salsanext_cli.commands.stages.models import describe_weights
+from salsanext_cli.commands.stages.predict import predict_scans
+from salsanext_cli.commands.stages.report import read_run, report
+from salsanext_cli.core.errors import TrainingError, UsageError, WeightsError
+from salsanext_cli.core.measures.risk_control import RISK_BOUND_EXCEEDED
+from salsanext_cli.core.network.card import AccuracyLine, read_card
+from salsanext_cli.core.network.unit_traits import UnitTraits
+from salsanext_cli.io.files.json_files import plain
+from salsanext_cli.io.weights.weights import save_with_card
+from salsanext_cli.runs.fit.sensor_fit import as_typed
+from salsanext_cli.runs.option_fields import KnnParameters, ScanSelection
+from salsanext_cli.runs.results.manifest import Manifest
+from salsanext_cli.runs.results.paths import LEAST_CONFIDENCE, find_scans
+from salsanext_cli.runs.results.result_folder import ResultFolder
+from salsanext_cli.runs.summary.scan_summary import NOT_COMPARED, OTHER_SCANS
+from salsanext_cli.runs.summary.threshold_scans import EARLY
 from salsanext_cli.training.tuning.risk import _held_out
 from salsanext_cli.training.tuning.risk_level import FewUnits, RiskLevel
 

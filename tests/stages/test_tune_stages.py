@@ -22,8 +22,8 @@ from salsanext_cli import (
     sample,
     write_labels,
 )
-from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import (
+from salsanext_cli.commands.stages.tune import tune
+from salsanext_cli.core.errors import (
     LabelError,
     NoInputError,
     OutputError,
@@ -31,15 +31,15 @@ from salsanext_cli.errors import (
     UsageError,
     WeightsError,
 )
-from salsanext_cli.network.card import read_card, scan_digest
-from salsanext_cli.network.dropout import dropouts
-from salsanext_cli.network.weights import read_weights, save_weights, save_with_card
-from salsanext_cli.option_fields import ScanSelection
-from salsanext_cli.stages.tune import tune
+from salsanext_cli.core.network.card import read_card, scan_digest
+from salsanext_cli.core.network.dropout import dropouts
+from salsanext_cli.core.uncertainty.aleatoric import aleatoric
+from salsanext_cli.core.uncertainty.monte_carlo import scan_seed
+from salsanext_cli.io.weights.weights import read_weights, save_weights, save_with_card
+from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.option_fields import ScanSelection
 from salsanext_cli.training.tuning.dropout_rate import MIN_VARIANCE
 from salsanext_cli.training.tuning.temperature import best_temperature, negative_log_likelihood
-from salsanext_cli.uncertainty.aleatoric import aleatoric
-from salsanext_cli.uncertainty.monte_carlo import scan_seed
 
 SPACE = label_space()
 LABELS = "sequences/08/labels"
@@ -150,7 +150,7 @@ def test_refusing_needs_no_torch(tmp_path, words):
     ended = python(
         f"""
 import sys
-from salsanext_cli.cli.app import app
+from salsanext_cli.commands.line.app import app
 try:
     app({command!r})
 except SystemExit as end:

@@ -7,19 +7,19 @@ import pytest
 from scans import SMALL, files_below, labels_below, replace_points, write_weights
 
 from salsanext_cli import knn_refine, label_space, project, read_scan, sample
-from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import OutputError, UsageError, WeightsError
-from salsanext_cli.files.reading import fingerprint
-from salsanext_cli.option_fields import ScanSelection
-from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.results.result_folder import ResultFolder
-from salsanext_cli.stages.knn_refine import knn_refine_scans
-from salsanext_cli.stages.predict import predict_range_images, predict_scans
-from salsanext_cli.stages.project import project_scans
-from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.uncertainty.aleatoric import aleatoric, noise_variance
-from salsanext_cli.uncertainty.method import UncertaintyMethod
-from salsanext_cli.uncertainty.monte_carlo import scan_seed
+from salsanext_cli.commands.stages.knn_refine import knn_refine_scans
+from salsanext_cli.commands.stages.predict import predict_range_images, predict_scans
+from salsanext_cli.commands.stages.project import project_scans
+from salsanext_cli.commands.stages.uncertainty import uncertainty
+from salsanext_cli.core.errors import OutputError, UsageError, WeightsError
+from salsanext_cli.core.uncertainty.aleatoric import aleatoric, noise_variance
+from salsanext_cli.core.uncertainty.method import UncertaintyMethod
+from salsanext_cli.core.uncertainty.monte_carlo import scan_seed
+from salsanext_cli.io.files.reading import fingerprint
+from salsanext_cli.runs.loop.run import RunOptions
+from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.option_fields import ScanSelection
+from salsanext_cli.runs.results.result_folder import ResultFolder
 
 KINDS = UncertaintyMethod().kinds
 NAN, INF = float("nan"), float("inf")

@@ -14,11 +14,11 @@ from evaluated import CAR, ROAD, SPACE, World
 from scans import SMALL, refused
 from served import served
 
-from salsanext_cli.errors import UsageError
+from salsanext_cli.commands.stages.report import report, view
+from salsanext_cli.core.errors import UsageError
 from salsanext_cli.report.page.server import _Handler
-from salsanext_cli.results.manifest import Manifest, StageRecord
-from salsanext_cli.results.query import ResultQuery
-from salsanext_cli.stages.report import report, view
+from salsanext_cli.runs.results.manifest import Manifest, StageRecord
+from salsanext_cli.runs.results.query import ResultQuery
 
 
 @pytest.fixture

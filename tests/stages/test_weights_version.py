@@ -9,17 +9,17 @@ import pytest
 from evaluated import run_of
 from world import World
 
-from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import NOTICE
-from salsanext_cli.files.reading import fingerprint
-from salsanext_cli.network.card import read_card
-from salsanext_cli.network.weights import save_with_card
+from salsanext_cli.commands.stages.import_weights import import_weights
+from salsanext_cli.commands.stages.models import describe_weights
+from salsanext_cli.commands.stages.predict import predict_scans
+from salsanext_cli.commands.stages.tune import tune
+from salsanext_cli.core.errors import NOTICE
+from salsanext_cli.core.network.card import read_card
+from salsanext_cli.io.files.reading import fingerprint
+from salsanext_cli.io.weights.weights import save_with_card
 from salsanext_cli.report.card_table import card_table
 from salsanext_cli.report.page import recorded_facts
-from salsanext_cli.stages.import_weights import import_weights
-from salsanext_cli.stages.models import describe_weights
-from salsanext_cli.stages.predict import predict_scans
-from salsanext_cli.stages.tune import tune
+from salsanext_cli.runs.network_settings import NetworkSettings
 
 TRAINED = "Trained on simulated scenes: 7 scans. Not for real roads."
 

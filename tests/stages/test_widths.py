@@ -11,19 +11,19 @@ from scans import SMALL, refused, write_bin
 from world import World
 
 from salsanext_cli import Scan, load_network, project, read_scan
-from salsanext_cli.errors import OutputError, UsageError, WeightsError
-from salsanext_cli.fitting.label_scan import projected_sensor
-from salsanext_cli.fitting.scan_sample import ScanSample
-from salsanext_cli.fitting.sensor_fit import fit_scans
-from salsanext_cli.geometry.knn import knn_refine
-from salsanext_cli.geometry.network_input import column_gaps
-from salsanext_cli.network.card import AccuracyLine, FittedParts, read_card
-from salsanext_cli.network.weights import save_with_card
-from salsanext_cli.results.manifest import Manifest
-from salsanext_cli.results.paths import find_scans
-from salsanext_cli.stages.predict import predict_range_images, predict_scans
-from salsanext_cli.stages.project import project_scans
-from salsanext_cli.stages.uncertainty import uncertainty
+from salsanext_cli.commands.stages.predict import predict_range_images, predict_scans
+from salsanext_cli.commands.stages.project import project_scans
+from salsanext_cli.commands.stages.uncertainty import uncertainty
+from salsanext_cli.core.errors import OutputError, UsageError, WeightsError
+from salsanext_cli.core.geometry.knn import knn_refine
+from salsanext_cli.core.geometry.network_input import column_gaps
+from salsanext_cli.core.network.card import AccuracyLine, FittedParts, read_card
+from salsanext_cli.io.weights.weights import save_with_card
+from salsanext_cli.runs.fit.label_scan import projected_sensor
+from salsanext_cli.runs.fit.scan_sample import ScanSample
+from salsanext_cli.runs.fit.sensor_fit import fit_scans
+from salsanext_cli.runs.results.manifest import Manifest
+from salsanext_cli.runs.results.paths import find_scans
 
 WIDE, NARROW, UNTRAINED = 128, 64, 96
 

@@ -11,7 +11,7 @@ from fuzzing.limits import bounded
 from scans import refused
 from tiny_network import TinyNetwork
 
-from salsanext_cli.errors import TrainingError
+from salsanext_cli.core.errors import TrainingError
 from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.recipe import Recipe

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from salsanext_cli.results.paths import ScanFile
+from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.training.tuning.consecutive import CONSECUTIVE, consecutive_warning, stretches
 
 PAGE = Path(__file__).parents[2] / "docs/reference/warnings.md"

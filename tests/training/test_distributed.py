@@ -18,7 +18,7 @@ from torch.distributed import is_gloo_available
 from two_workers import CASES, batch, learner, share, stepped
 
 import salsanext_cli
-from salsanext_cli.errors import TrainingError, UsageError
+from salsanext_cli.core.errors import TrainingError, UsageError
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup, process_group
 from salsanext_cli.training.fit import Training
 

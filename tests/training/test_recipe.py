@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from scans import refused
 
-from salsanext_cli.errors import UsageError
+from salsanext_cli.core.errors import UsageError
 from salsanext_cli.training.recipe import Recipe, presets, read_overrides, recipe
 
 

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 from command_line import called, subject
 
-from salsanext_cli.formats import read_scan
-from salsanext_cli.measures.risk_control import needed_scans, useful_scans
-from salsanext_cli.network.card import read_card, scan_digest
+from salsanext_cli.core.measures.risk_control import needed_scans, useful_scans
+from salsanext_cli.core.network.card import read_card, scan_digest
+from salsanext_cli.io.formats import read_scan
 from salsanext_cli.report.tables import needed_scans_table
 
 PAGE_OF_JSON = Path(__file__).parents[2] / "docs/reference/json.md"

@@ -5,9 +5,9 @@ import re
 
 import pytest
 
-from salsanext_cli.engines.memory import Memory
-from salsanext_cli.errors import TrainingError
-from salsanext_cli.sensors.sensor import sensor
+from salsanext_cli.core.engines.memory import Memory
+from salsanext_cli.core.errors import TrainingError
+from salsanext_cli.core.sensors.sensor import sensor
 from salsanext_cli.training.recipe import read_overrides, recipe
 from salsanext_cli.training.step_memory import BYTES_PER_PIXEL, StepMemory
 

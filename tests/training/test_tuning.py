@@ -11,12 +11,12 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from salsanext_cli.results.paths import ScanFile
+from salsanext_cli.core.uncertainty.error_features import FEATURES
+from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.training.cross_validation import expectation, folds
 from salsanext_cli.training.tuning.dropout_rate import RATES
 from salsanext_cli.training.tuning.error import JudgedPoints, fit_error
 from salsanext_cli.training.tuning.temperature import best_temperature, negative_log_likelihood
-from salsanext_cli.uncertainty.error_features import FEATURES
 
 CONFIDENCE = FEATURES.index("probability of the label")
 HEIGHT = FEATURES.index("height above the sensor")

@@ -10,7 +10,7 @@ import torch
 from tiny_network import TinyNetwork
 from torch import Tensor, nn
 
-from salsanext_cli.errors import TrainingError
+from salsanext_cli.core.errors import TrainingError
 from salsanext_cli.training.distributed import ProcessGroup, process_group
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.recipe import Recipe

@@ -16,9 +16,9 @@ from scipy.special import expit
 from scipy.stats import norm
 from torch import nn
 
-from salsanext_cli.network.dropout import ChannelDropout
-from salsanext_cli.network.salsanext import Unit, average_pooling
-from salsanext_cli.uncertainty.adf import (
+from salsanext_cli.core.network.dropout import ChannelDropout
+from salsanext_cli.core.network.salsanext import Unit, average_pooling
+from salsanext_cli.core.uncertainty.adf import (
     MAX_DEVIATIONS,
     Gaussian,
     leaky_relu_moments,

@@ -9,9 +9,9 @@ import pytest
 from scans import SMALL, refused
 from shallow import slow_on_openvino
 
-from salsanext_cli.errors import UsageError
-from salsanext_cli.geometry.network_input import noise_of, normalise
-from salsanext_cli.uncertainty.aleatoric import (
+from salsanext_cli.core.errors import UsageError
+from salsanext_cli.core.geometry.network_input import noise_of, normalise
+from salsanext_cli.core.uncertainty.aleatoric import (
     COPIES,
     aleatoric,
     input_variance,

@@ -11,12 +11,12 @@ from scans import SMALL, make_scan
 from shallow import slow_on_openvino
 
 from salsanext_cli import load_network, project, sample
-from salsanext_cli.engines.batches import BatchSize
-from salsanext_cli.engines.torch_backend import TorchBackend
-from salsanext_cli.geometry.network_input import normalise
-from salsanext_cli.network.dropout import ChannelDropout, random_masks, sampling
-from salsanext_cli.uncertainty.aleatoric import aleatoric, noise_variance
-from salsanext_cli.uncertainty.monte_carlo import pass_seed
+from salsanext_cli.core.engines.batches import BatchSize
+from salsanext_cli.core.engines.torch_backend import TorchBackend
+from salsanext_cli.core.geometry.network_input import normalise
+from salsanext_cli.core.network.dropout import ChannelDropout, random_masks, sampling
+from salsanext_cli.core.uncertainty.aleatoric import aleatoric, noise_variance
+from salsanext_cli.core.uncertainty.monte_carlo import pass_seed
 
 SAMPLES = 4
 

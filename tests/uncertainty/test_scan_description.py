@@ -12,11 +12,11 @@ from scans import SMALL, make_scan, write_bin, write_sequence
 from scipy.special import softmax
 
 from salsanext_cli import Scan, load_network, project, read_scan, sample
-from salsanext_cli.errors import FormatError
-from salsanext_cli.parallel.pipeline import Pipeline
-from salsanext_cli.results.paths import ScanFile
-from salsanext_cli.uncertainty.error_features import FEATURES, error_features
-from salsanext_cli.uncertainty.scan_description import DescribeJob, pixel_features
+from salsanext_cli.core.errors import FormatError
+from salsanext_cli.core.uncertainty.error_features import FEATURES, error_features
+from salsanext_cli.runs.labelling.scan_description import DescribeJob, pixel_features
+from salsanext_cli.runs.loop.pipeline import Pipeline
+from salsanext_cli.runs.results.paths import ScanFile
 
 PASSES = {"samples": 3, "seed": 4}
 
@@ -86,7 +86,7 @@ def test_a_scan_without_a_measurement(weights, tmp_path):
 )
 def test_features_are_those_of_a_slow_loop(count, width, block, threads, monkeypatch):
     """Large blocks of pixels are alike, so that regions are; of many points some are compared."""
-    monkeypatch.setattr("salsanext_cli.compiled.MIN_SLICE_ITEMS", 100)
+    monkeypatch.setattr("salsanext_cli.core.compiled.MIN_SLICE_ITEMS", 100)
     monkeypatch.setitem(vars(numba.config), "NUMBA_NUM_THREADS", threads)
     random = np.random.default_rng(count + block)
     points = random.normal(size=(count, 3)).astype("f4") * np.float32([8, 8, 0.7])

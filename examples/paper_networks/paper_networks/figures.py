@@ -11,8 +11,8 @@ from pathlib import Path
 import torch
 from torch.utils.flop_counter import FlopCounterMode
 
-from salsanext_cli.network.segmentation import SegmentationNetwork
-from salsanext_cli.records import CHANNELS
+from salsanext_cli.core.network.segmentation import SegmentationNetwork
+from salsanext_cli.core.records import CHANNELS
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,8 +14,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from salsanext_cli.network.dropout import ChannelDropout
-from salsanext_cli.network.salsanext import (
+from salsanext_cli.core.network.dropout import ChannelDropout
+from salsanext_cli.core.network.salsanext import (
     SLOPE,
     ContextBlock,
     DilatedStack,
@@ -24,8 +24,8 @@ from salsanext_cli.network.salsanext import (
     average_pooling,
     shortcut,
 )
-from salsanext_cli.network.segmentation import SegmentationNetwork
-from salsanext_cli.records import CHANNELS
+from salsanext_cli.core.network.segmentation import SegmentationNetwork
+from salsanext_cli.core.records import CHANNELS
 
 Stack = Callable[[int, int], nn.Module]
 """Factory of a size-preserving part of a block, from its numbers of channels in and out."""

@@ -3,9 +3,9 @@
 
 from torch import Tensor, nn
 
-from salsanext_cli.network.dropout import ChannelDropout
-from salsanext_cli.network.segmentation import SegmentationNetwork
-from salsanext_cli.records import CHANNELS
+from salsanext_cli.core.network.dropout import ChannelDropout
+from salsanext_cli.core.network.segmentation import SegmentationNetwork
+from salsanext_cli.core.records import CHANNELS
 
 SLOPE, MOMENTUM = 0.1, 0.01
 """Slope of LeakyReLU below 0, and momentum of batch norm, as its authors have them."""

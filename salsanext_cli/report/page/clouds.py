@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.geometry.projection import project
-from salsanext_cli.records import Float
+from salsanext_cli.core.classes.label_space import LabelSpace
+from salsanext_cli.core.geometry.projection import project
+from salsanext_cli.core.records import Float
+from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.report.colours import FIXED_SCALES, value_range
 from salsanext_cli.report.page.run_results import ShownScan
 from salsanext_cli.report.scan_pictures import UNITS
-from salsanext_cli.results.result_folder import ScanResults
-from salsanext_cli.sensors.sensor import Sensor
+from salsanext_cli.runs.results.result_folder import ScanResults
 
 MAX_POINTS = 200_000  # Most points of a scan in a page; larger scans are thinned evenly
 FARTHEST_M = 1e4  # Farther points are skipped: they would make 16 bits too coarse

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.errors import counted
-from salsanext_cli.measures.scores import Counts, largest_confusions, scored_rows
+from salsanext_cli.core.classes.label_space import LabelSpace
+from salsanext_cli.core.errors import counted
+from salsanext_cli.core.measures.scores import Counts, largest_confusions, scored_rows
 from salsanext_cli.report.page.elements import listed, text_of
 from salsanext_cli.report.page.scan_row import ScanRow
 from salsanext_cli.report.tables import percent

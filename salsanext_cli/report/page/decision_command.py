@@ -6,13 +6,13 @@ from __future__ import annotations
 from contextlib import suppress
 from pathlib import Path
 
-from salsanext_cli.errors import SalsanextError
-from salsanext_cli.files.reading import fingerprint
-from salsanext_cli.measures.decision import Verdict
-from salsanext_cli.network.card import default_weights
+from salsanext_cli.core.errors import SalsanextError
+from salsanext_cli.core.measures.decision import Verdict
+from salsanext_cli.core.network.card import default_weights
+from salsanext_cli.io.files.reading import fingerprint
 from salsanext_cli.report.page.run_results import RunResults
-from salsanext_cli.results.manifest import Manifest
-from salsanext_cli.results.selection import data_set_of
+from salsanext_cli.runs.results.manifest import Manifest
+from salsanext_cli.runs.results.selection import data_set_of
 
 UNKNOWN_SCANS = Path("SCANS")
 UNKNOWN_WEIGHTS = "WEIGHTS"

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.measures.scores import Counts
+from salsanext_cli.core.measures.scores import Counts
 from salsanext_cli.report.page.clouds import base64_of
 from salsanext_cli.report.page.mean_uncertainty import is_share
 from salsanext_cli.report.page.run_results import RunResults

@@ -7,7 +7,7 @@ import json
 from collections.abc import Sequence
 from html import escape
 
-from salsanext_cli.errors import printable
+from salsanext_cli.core.errors import printable
 
 
 def text_of(text: object) -> str:

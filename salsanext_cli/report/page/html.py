@@ -14,10 +14,9 @@ from string import Template
 
 import numpy as np
 
-from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.errors import counted, escaped
-from salsanext_cli.measures.scan_counts import ScanCounts
-from salsanext_cli.measures.scores import Counts
+from salsanext_cli.core.classes.label_space import LabelSpace
+from salsanext_cli.core.errors import counted, escaped
+from salsanext_cli.core.measures.scores import Counts
 from salsanext_cli.report.colours import (
     COLOUR_MAP,
     NOT_JUDGED,
@@ -35,9 +34,10 @@ from salsanext_cli.report.page.overview import overview
 from salsanext_cli.report.page.run_results import UNCERTAIN, Comparison, RunResults, ShownScan
 from salsanext_cli.report.plots import PICTURES, uncertainty_pictures
 from salsanext_cli.report.tables import percent
-from salsanext_cli.results.layouts import SCAN_FOLDER
-from salsanext_cli.results.owned_folder import OwnedFolder
-from salsanext_cli.results.paths import find_outputs
+from salsanext_cli.runs.results.layouts import SCAN_FOLDER
+from salsanext_cli.runs.results.owned_folder import OwnedFolder
+from salsanext_cli.runs.results.paths import find_outputs
+from salsanext_cli.runs.summary.comparison import ScanCounts
 from salsanext_cli.version import __version__
 
 PARTS = (

@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from salsanext_cli.errors import percentage
-from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
+from salsanext_cli.core.errors import percentage
+from salsanext_cli.core.uncertainty.kinds import UNCERTAINTY
 
 TITLES = {"error": "probability of error", "least_confidence": "1 − confidence"}
 """Titles that differ from the name of the kind."""

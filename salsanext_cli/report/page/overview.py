@@ -7,15 +7,15 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from salsanext_cli.errors import counted, percentage
-from salsanext_cli.measures.decision import ADVICE, DOUBTFUL, Evidence, verdict
-from salsanext_cli.measures.expected_accuracy import ExpectedAccuracy
+from salsanext_cli.core.errors import counted, percentage
+from salsanext_cli.core.measures.decision import ADVICE, DOUBTFUL, Evidence, verdict
+from salsanext_cli.core.measures.expected_accuracy import ExpectedAccuracy
 from salsanext_cli.report.page.decision_command import decision_command
 from salsanext_cli.report.page.elements import text_of
 from salsanext_cli.report.page.run_results import Comparison, RunResults
 from salsanext_cli.report.page.scan_row import Rejection
 from salsanext_cli.report.tables import percent
-from salsanext_cli.results.manifest import Manifest
+from salsanext_cli.runs.results.manifest import Manifest
 
 WITHHELD = "withheld"
 NO_DECISION = (

@@ -8,14 +8,14 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
-from salsanext_cli.errors import SalsanextError, shortened
-from salsanext_cli.files.reading import fingerprint
-from salsanext_cli.fitting.field_of_view import view_text
-from salsanext_cli.measures.risk_control import guarantee
-from salsanext_cli.network.card import default_weights, read_card
-from salsanext_cli.results.manifest import Manifest, StageSettings
-from salsanext_cli.results.paths import ERROR
-from salsanext_cli.sensors.sensor import Sensor
+from salsanext_cli.core.errors import SalsanextError, shortened
+from salsanext_cli.core.fitting.field_of_view import view_text
+from salsanext_cli.core.measures.risk_control import guarantee
+from salsanext_cli.core.network.card import default_weights, read_card
+from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.io.files.reading import fingerprint
+from salsanext_cli.runs.results.manifest import Manifest, StageSettings
+from salsanext_cli.runs.results.paths import ERROR
 
 SHOWN_DIGITS = 12  # Hexadecimal digits of a SHA-256 on the page
 

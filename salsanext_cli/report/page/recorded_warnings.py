@@ -6,9 +6,9 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 
-from salsanext_cli.errors import counted, first_few
-from salsanext_cli.results.owned_folder import OwnedFolder, Texts
-from salsanext_cli.results.paths import PREDICTION_STAGES, ScanFile
+from salsanext_cli.core.errors import counted, first_few
+from salsanext_cli.runs.results.owned_folder import OwnedFolder, Texts
+from salsanext_cli.runs.results.paths import PREDICTION_STAGES, ScanFile
 
 CHECKED_STAGES = ("project", *PREDICTION_STAGES)  # Stages that record warnings about scans
 

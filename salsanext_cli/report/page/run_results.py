@@ -14,29 +14,29 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.errors import counted, percentage
-from salsanext_cli.files.reading import present, reading, refusing_damage
-from salsanext_cli.geometry.objects import BOX
-from salsanext_cli.measures.decision import Evidence
-from salsanext_cli.measures.expected_accuracy import ExpectedAccuracy, expected_accuracy
-from salsanext_cli.measures.histograms import lack_of_confidence
-from salsanext_cli.measures.risk_control import AcceptedLabels, RiskBoundCheck
-from salsanext_cli.measures.scan_counts import SOFTMAX, ScanComparison, ScanCounts, read_softmax
-from salsanext_cli.measures.scan_summary import guarantee_of_run
-from salsanext_cli.measures.scores import Scores, accepted, scores
-from salsanext_cli.measures.uncertainty_evaluation import UncertaintyEvaluation
+from salsanext_cli.core.classes.label_space import LabelSpace
+from salsanext_cli.core.errors import counted, percentage
+from salsanext_cli.core.geometry.objects import BOX
+from salsanext_cli.core.measures.decision import Evidence
+from salsanext_cli.core.measures.expected_accuracy import ExpectedAccuracy, expected_accuracy
+from salsanext_cli.core.measures.histograms import lack_of_confidence
+from salsanext_cli.core.measures.risk_control import AcceptedLabels, RiskBoundCheck
+from salsanext_cli.core.measures.scores import Scores, accepted, scores
+from salsanext_cli.core.measures.uncertainty_evaluation import UncertaintyEvaluation
+from salsanext_cli.core.uncertainty.kinds import MEANT_BY_UNCERTAINTY, UNCERTAINTY
+from salsanext_cli.io.files.reading import present, reading, refusing_damage
 from salsanext_cli.report.page.mean_uncertainty import mean_in_words
 from salsanext_cli.report.page.recorded_facts import recorded_facts
 from salsanext_cli.report.page.recorded_warnings import codes_by_scan, warnings_of_run
 from salsanext_cli.report.page.scan_row import PointErrors, ScanRow
-from salsanext_cli.results.manifest import Manifest
-from salsanext_cli.results.named_scans import named_scans
-from salsanext_cli.results.owned_folder import OwnedFolder
-from salsanext_cli.results.paths import find_outputs, output_path
-from salsanext_cli.results.result_folder import ResultFolder, ScanResults
-from salsanext_cli.results.selection import MissingResults
-from salsanext_cli.results.uncertainty_kinds import MEANT_BY_UNCERTAINTY, UNCERTAINTY
+from salsanext_cli.runs.results.manifest import Manifest
+from salsanext_cli.runs.results.named_scans import named_scans
+from salsanext_cli.runs.results.owned_folder import OwnedFolder
+from salsanext_cli.runs.results.paths import find_outputs, output_path
+from salsanext_cli.runs.results.result_folder import ResultFolder, ScanResults
+from salsanext_cli.runs.results.selection import MissingResults
+from salsanext_cli.runs.summary.comparison import SOFTMAX, ScanComparison, ScanCounts, read_softmax
+from salsanext_cli.runs.summary.scan_summary import guarantee_of_run
 
 LEADING_KINDS = ("error", "entropy", *UNCERTAINTY)
 """Kinds of uncertainty, the best indicator of an uncertain scan first."""

@@ -11,16 +11,16 @@ from typing import Self
 
 import numpy as np
 
-from salsanext_cli.files.reading import present
-from salsanext_cli.formats.kitti import read_labels
-from salsanext_cli.measures.decision import DOUBTFUL
-from salsanext_cli.measures.scan_counts import ScanComparison, ScanCounts
-from salsanext_cli.measures.scores import Counts, accepted, scored_rows
-from salsanext_cli.records import Float
-from salsanext_cli.results.manifest import Manifest
-from salsanext_cli.results.paths import ScanFile, output_path
-from salsanext_cli.results.result_folder import read_kind
-from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
+from salsanext_cli.core.measures.decision import DOUBTFUL
+from salsanext_cli.core.measures.scores import Counts, accepted, scored_rows
+from salsanext_cli.core.records import Float
+from salsanext_cli.core.uncertainty.kinds import UNCERTAINTY
+from salsanext_cli.io.files.reading import present
+from salsanext_cli.io.formats.kitti import read_labels
+from salsanext_cli.runs.results.manifest import Manifest
+from salsanext_cli.runs.results.paths import ScanFile, output_path
+from salsanext_cli.runs.results.result_folder import read_kind
+from salsanext_cli.runs.summary.comparison import ScanComparison, ScanCounts
 
 
 @dataclass(frozen=True, slots=True)

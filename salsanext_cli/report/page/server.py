@@ -14,7 +14,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 from urllib.parse import urlsplit
 
-from salsanext_cli.errors import SalsanextError, UsageError
+from salsanext_cli.core.errors import SalsanextError, UsageError
 
 LOOPBACK = "127.0.0.1"
 TIMEOUT_S = 10.0  # Longest wait for a client to send or take bytes

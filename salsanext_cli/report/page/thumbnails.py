@@ -10,15 +10,15 @@ from io import BytesIO
 
 import numpy as np
 
-from salsanext_cli.geometry.projection import in_sensor_frame
-from salsanext_cli.measures.scan_counts import ScanComparison
-from salsanext_cli.records import Double, Float
+from salsanext_cli.core.geometry.projection import in_sensor_frame
+from salsanext_cli.core.records import Double, Float
 from salsanext_cli.report.colours import Colours, value_colours, value_range
 from salsanext_cli.report.page.run_results import RunResults
 from salsanext_cli.report.page.scan_row import ScanRow
 from salsanext_cli.report.scan_pictures import raster
-from salsanext_cli.results.paths import ScanFile
-from salsanext_cli.results.result_folder import ResultFolder
+from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.results.result_folder import ResultFolder
+from salsanext_cli.runs.summary.comparison import ScanComparison
 
 MAX_THUMBNAILS = 100  # Most thumbnails of a page, each of about 5 kB
 MAX_POINTS = 20_000  # About so many points are drawn, evenly spaced

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.records import Mask
+from salsanext_cli.core.records import Mask
 from salsanext_cli.synthesis import presets
 from salsanext_cli.synthesis.mesh import Array
 from salsanext_cli.synthesis.presets import Numbers

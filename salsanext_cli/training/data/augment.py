@@ -13,9 +13,9 @@ from typing import Self
 
 import numpy as np
 
-from salsanext_cli.classes.label_space import TrainIds
-from salsanext_cli.records import Double, Float, Indices, Mask, Scan
-from salsanext_cli.sensors.sensor import Sensor
+from salsanext_cli.core.classes.label_space import TrainIds
+from salsanext_cli.core.records import Double, Float, Indices, Mask, Scan
+from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.training.recipe import Recipe
 
 LabelledScan = tuple[Scan, TrainIds]  # A scan and the train ids of its points, (N,) uint8

@@ -17,17 +17,17 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from salsanext_cli.errors import NOTICE, TrainingError, counted
-from salsanext_cli.files.json_files import MALFORMED, decoded, encode_json, read_json
-from salsanext_cli.files.reading import identity
-from salsanext_cli.fitting.scan_checks import check_scan
-from salsanext_cli.geometry.scan_traits import sensor_of
-from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
-from salsanext_cli.measures.scan_warnings import ScanWarning, log_recorded
-from salsanext_cli.network.card import parted, scan_digest
-from salsanext_cli.records import Double, Mask
-from salsanext_cli.results.owned_folder import OwnedFolder
-from salsanext_cli.results.paths import ScanFile
+from salsanext_cli.core.checks.scan_checks import check_scan
+from salsanext_cli.core.errors import NOTICE, TrainingError, counted
+from salsanext_cli.core.geometry.scan_traits import sensor_of
+from salsanext_cli.core.network.card import parted, scan_digest
+from salsanext_cli.core.records import Double, Mask
+from salsanext_cli.io.files.json_files import MALFORMED, decoded, encode_json, read_json
+from salsanext_cli.io.files.reading import identity
+from salsanext_cli.runs.results.owned_folder import OwnedFolder
+from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
+from salsanext_cli.runs.summary.scan_warnings import ScanWarning, log_recorded
 from salsanext_cli.training.data.sources import Source, read_labelled
 
 Counts = npt.NDArray[np.int64]

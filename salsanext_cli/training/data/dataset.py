@@ -15,9 +15,9 @@ import numpy as np
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, default_collate
 
-from salsanext_cli.classes.label_space import TrainIds
-from salsanext_cli.errors import SalsanextError
-from salsanext_cli.geometry.network_input import (
+from salsanext_cli.core.classes.label_space import TrainIds
+from salsanext_cli.core.errors import SalsanextError
+from salsanext_cli.core.geometry.network_input import (
     NO_INTENSITY,
     bright_intensity,
     match_intensity,
@@ -25,10 +25,10 @@ from salsanext_cli.geometry.network_input import (
     row_gaps,
     with_filled_gaps,
 )
-from salsanext_cli.geometry.projection import pixels_from_points, project
-from salsanext_cli.records import Float, Mask
-from salsanext_cli.results.paths import ScanFile
-from salsanext_cli.sensors.sensor import ORIGIN, UP, Sensor
+from salsanext_cli.core.geometry.projection import pixels_from_points, project
+from salsanext_cli.core.records import Float, Mask
+from salsanext_cli.core.sensors.sensor import ORIGIN, UP, Sensor
+from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.training.data import augment, other_sensors
 from salsanext_cli.training.data.augment import LabelledScan
 from salsanext_cli.training.data.sources import Source

@@ -12,9 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from salsanext_cli.geometry.projection import measured_ranges
-from salsanext_cli.records import Float, Indices, Scan
-from salsanext_cli.sensors.sensor import Sensor
+from salsanext_cli.core.geometry.projection import measured_ranges
+from salsanext_cli.core.records import Float, Indices, Scan
+from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.training.data.augment import shift
 
 Rng = np.random.Generator

@@ -10,22 +10,22 @@ from pathlib import Path
 import joblib
 import numpy as np
 
-from salsanext_cli.classes.label_space import LabelSpace, label_space
-from salsanext_cli.classes.merging import ClassMerging, is_merged
-from salsanext_cli.errors import NOTICE, LabelError, NoInputError, counted, first_few
-from salsanext_cli.fitting.field_of_view import fit_view
-from salsanext_cli.fitting.scan_sample import ScanSample
-from salsanext_cli.fitting.sensor_fit import with_image_statistics
-from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.kitti import read_labels
-from salsanext_cli.geometry.network_input import on_other_scale
-from salsanext_cli.geometry.projection import ego_points, in_sensor_frame, project
-from salsanext_cli.geometry.scan_traits import sensor_of
-from salsanext_cli.labelling.label_records import pre_labelled_scans
-from salsanext_cli.records import Float
-from salsanext_cli.results.paths import ScanFile, find_scans
-from salsanext_cli.results.selection import data_set_label_space, log_unused, with_splits
-from salsanext_cli.sensors.sensor import Sensor
+from salsanext_cli.core.classes.label_space import LabelSpace, label_space
+from salsanext_cli.core.classes.merging import ClassMerging, is_merged
+from salsanext_cli.core.errors import NOTICE, LabelError, NoInputError, counted, first_few
+from salsanext_cli.core.fitting.field_of_view import fit_view
+from salsanext_cli.core.geometry.network_input import on_other_scale
+from salsanext_cli.core.geometry.projection import ego_points, in_sensor_frame, project
+from salsanext_cli.core.geometry.scan_traits import sensor_of
+from salsanext_cli.core.records import Float
+from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.io.formats import read_scan
+from salsanext_cli.io.formats.kitti import read_labels
+from salsanext_cli.runs.fit.scan_sample import ScanSample
+from salsanext_cli.runs.fit.sensor_fit import with_image_statistics
+from salsanext_cli.runs.labelling.label_records import pre_labelled_scans
+from salsanext_cli.runs.results.paths import ScanFile, find_scans
+from salsanext_cli.runs.results.selection import data_set_label_space, log_unused, with_splits
 from salsanext_cli.training.data.augment import LabelledScan
 from salsanext_cli.training.data.targets import ClassSets, to_targets
 

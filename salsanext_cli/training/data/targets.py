@@ -8,9 +8,15 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from salsanext_cli.classes.label_space import RAW_ID_COUNT, UNKNOWN, LabelSpace, RawIds, TrainIds
-from salsanext_cli.errors import UsageError
-from salsanext_cli.records import Mask
+from salsanext_cli.core.classes.label_space import (
+    RAW_ID_COUNT,
+    UNKNOWN,
+    LabelSpace,
+    RawIds,
+    TrainIds,
+)
+from salsanext_cli.core.errors import UsageError
+from salsanext_cli.core.records import Mask
 
 ClassSets = tuple[tuple[int, ...], ...]  # Sets of train ids, each in rising order
 

@@ -4,9 +4,9 @@
 import re
 from collections.abc import Sequence
 
-from salsanext_cli.errors import counted
-from salsanext_cli.measures.scan_warnings import ScanWarning
-from salsanext_cli.results.paths import ScanFile
+from salsanext_cli.core.errors import counted
+from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.summary.scan_warnings import ScanWarning
 
 CONSECUTIVE = "consecutive"
 """Code of the warning."""

@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.engines.loading import with_dropout
-from salsanext_cli.errors import TrainingError
-from salsanext_cli.geometry.network_input import noise_of
-from salsanext_cli.network.dropout import dropouts
-from salsanext_cli.parallel.job import Steps
-from salsanext_cli.records import Double, Float
-from salsanext_cli.results.paths import ScanFile
+from salsanext_cli.core.errors import TrainingError
+from salsanext_cli.core.geometry.network_input import noise_of
+from salsanext_cli.core.network.dropout import dropouts
+from salsanext_cli.core.records import Double, Float
+from salsanext_cli.core.uncertainty.aleatoric import aleatoric
+from salsanext_cli.core.uncertainty.monte_carlo import require_sampling, sample, scan_seed
+from salsanext_cli.io.weights.loading import with_dropout
+from salsanext_cli.runs.loop.job import Steps
+from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.training.cross_validation import held_out
 from salsanext_cli.training.tuning.scans import LabelledImage, Tuned, TuningScans
-from salsanext_cli.uncertainty.aleatoric import aleatoric
-from salsanext_cli.uncertainty.monte_carlo import require_sampling, sample, scan_seed
 
 MIN_VARIANCE = 1e-4
 """(1 % of probability)²: a few certain and wrong points must not outweigh all others."""

@@ -12,21 +12,21 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
-from salsanext_cli.engines.backend import PixelPrediction
-from salsanext_cli.engines.network import Network
-from salsanext_cli.errors import TrainingError, counted, first_few
-from salsanext_cli.geometry.knn import knn_refine
-from salsanext_cli.measures.calibration import reliability
-from salsanext_cli.measures.histograms import error_histogram, uncertainty_histogram
-from salsanext_cli.measures.uncertainty_evaluation import accepted_points, ranking_scores
-from salsanext_cli.network.error_model import ErrorModel
-from salsanext_cli.parallel.job import Steps
-from salsanext_cli.records import Float, Mask
-from salsanext_cli.results.paths import ScanFile
+from salsanext_cli.core.engines.backend import PixelPrediction
+from salsanext_cli.core.engines.network import Network
+from salsanext_cli.core.errors import TrainingError, counted, first_few
+from salsanext_cli.core.geometry.knn import knn_refine
+from salsanext_cli.core.measures.calibration import reliability
+from salsanext_cli.core.measures.histograms import error_histogram, uncertainty_histogram
+from salsanext_cli.core.measures.uncertainty_evaluation import accepted_points, ranking_scores
+from salsanext_cli.core.network.error_model import ErrorModel
+from salsanext_cli.core.records import Float, Mask
+from salsanext_cli.core.uncertainty.error_features import FEATURES, features_of, knows_error
+from salsanext_cli.core.uncertainty.monte_carlo import scan_seed
+from salsanext_cli.runs.loop.job import Steps
+from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.training.cross_validation import held_out
 from salsanext_cli.training.tuning.scans import LabelledImage, Tuned, TuningScans
-from salsanext_cli.uncertainty.error_features import FEATURES, features_of, knows_error
-from salsanext_cli.uncertainty.monte_carlo import scan_seed
 
 MAX_POINTS = 1_000_000  # Largest number of points of all scans, 37 MB
 MAX_POINTS_OF_SCAN = 20_000  # More points of one scan add little, since they are much alike

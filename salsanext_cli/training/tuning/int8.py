@@ -8,10 +8,10 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from salsanext_cli.engines.graphs import LOGITS
-from salsanext_cli.network.int8_inputs import Int8Input
-from salsanext_cli.network.segmentation import SegmentationNetwork
-from salsanext_cli.records import CHANNELS, Float
+from salsanext_cli.core.engines.graphs import LOGITS
+from salsanext_cli.core.network.int8_inputs import Int8Input
+from salsanext_cli.core.network.segmentation import SegmentationNetwork
+from salsanext_cli.core.records import CHANNELS, Float
 
 OUTLIERS = 1e-4  # Share of the values of a channel beyond each end of its range
 MAX_PIXELS = 32768  # Pixels of a channel that are compared

@@ -11,18 +11,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.engines.backend import PixelPrediction
-from salsanext_cli.engines.network import Network
-from salsanext_cli.errors import LabelError, TrainingError, first_few, percentage, with_hint
-from salsanext_cli.files.json_files import plain
-from salsanext_cli.fitting.label_scan import PreparedScan, labelled, prepared_for
-from salsanext_cli.fitting.sensor_fit import labels_depend_on
-from salsanext_cli.formats.kitti import read_labels
-from salsanext_cli.geometry.projection import points_from_pixels
-from salsanext_cli.measures.histograms import UNCERTAINTY_BINS, bin_of, highest_of_bins
-from salsanext_cli.measures.population import of_units
-from salsanext_cli.measures.risk_control import (
+from salsanext_cli.core.classes.label_space import LabelSpace
+from salsanext_cli.core.engines.backend import PixelPrediction
+from salsanext_cli.core.engines.network import Network
+from salsanext_cli.core.errors import LabelError, TrainingError, first_few, percentage, with_hint
+from salsanext_cli.core.geometry.projection import points_from_pixels
+from salsanext_cli.core.measures.histograms import UNCERTAINTY_BINS, bin_of, highest_of_bins
+from salsanext_cli.core.measures.population import of_units
+from salsanext_cli.core.measures.risk_control import (
     AcceptedLabels,
     enough_drives,
     guarantee,
@@ -31,16 +27,21 @@ from salsanext_cli.measures.risk_control import (
     means_of_units,
     needed_drives,
 )
-from salsanext_cli.measures.scan_summary import ScanSummary
-from salsanext_cli.measures.scan_warnings import ScanWarning, log_recorded
-from salsanext_cli.measures.scores import Counts, Ratios
-from salsanext_cli.network.card import RiskThreshold, scan_digest
-from salsanext_cli.network.unit_traits import UnitTraits
-from salsanext_cli.option_fields import KnnParameters
-from salsanext_cli.parallel.job import Steps
-from salsanext_cli.results.paths import ScanFile
-from salsanext_cli.results.selection import data_set_of
-from salsanext_cli.sensors.sensor import FittedView
+from salsanext_cli.core.measures.scores import Counts, Ratios
+from salsanext_cli.core.network.card import RiskThreshold, scan_digest
+from salsanext_cli.core.network.unit_traits import UnitTraits
+from salsanext_cli.core.sensors.sensor import FittedView
+from salsanext_cli.core.uncertainty.error_features import error_probability, knows_error
+from salsanext_cli.io.files.json_files import plain
+from salsanext_cli.io.formats.kitti import read_labels
+from salsanext_cli.runs.fit.label_scan import PreparedScan, labelled, prepared_for
+from salsanext_cli.runs.fit.sensor_fit import labels_depend_on
+from salsanext_cli.runs.loop.job import Steps
+from salsanext_cli.runs.option_fields import KnnParameters
+from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.results.selection import data_set_of
+from salsanext_cli.runs.summary.scan_summary import ScanSummary
+from salsanext_cli.runs.summary.scan_warnings import ScanWarning, log_recorded
 from salsanext_cli.training.tuning.consecutive import consecutive_warning
 from salsanext_cli.training.tuning.risk_level import (
     FewUnits,
@@ -49,7 +50,6 @@ from salsanext_cli.training.tuning.risk_level import (
     require_scans,
 )
 from salsanext_cli.training.tuning.scans import NOT_SCORED, Tuned, TuningScans
-from salsanext_cli.uncertainty.error_features import error_probability, knows_error
 
 LEAST_COVERAGE = 0.25  # Share of accepted points below which a threshold is of little use
 MAX_LISTED = 5  # Held-out sequences that are listed, the worst ones

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from salsanext_cli.errors import TrainingError, UsageError, counted, percentage, with_hint
-from salsanext_cli.measures.risk_control import (
+from salsanext_cli.core.errors import TrainingError, UsageError, counted, percentage, with_hint
+from salsanext_cli.core.measures.risk_control import (
     allowed_scans,
     needed_scans,
     share_left,

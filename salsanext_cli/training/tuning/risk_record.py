@@ -6,10 +6,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from salsanext_cli.engines.machine import machine, versions
-from salsanext_cli.files.json_files import write_json
-from salsanext_cli.files.reading import fingerprint
-from salsanext_cli.network.card import parted
+from salsanext_cli.core.engines.machine import machine, versions
+from salsanext_cli.core.network.card import parted
+from salsanext_cli.io.files.json_files import write_json
+from salsanext_cli.io.files.reading import fingerprint
 from salsanext_cli.version import __version__
 
 PACKAGES = ("torch", "openvino", "numpy", "numba")

@@ -6,16 +6,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.engines.network import Network
-from salsanext_cli.errors import LabelError, NoInputError, TrainingError, counted, first_few
-from salsanext_cli.files.reading import present
-from salsanext_cli.formats import read_scan
-from salsanext_cli.labelling.label_records import require_labels
-from salsanext_cli.network.card import WeightsCard, scan_digest
-from salsanext_cli.option_fields import ScanSelection
-from salsanext_cli.results.paths import ScanFile
-from salsanext_cli.results.selection import (
+from salsanext_cli.core.classes.label_space import LabelSpace
+from salsanext_cli.core.engines.network import Network
+from salsanext_cli.core.errors import LabelError, NoInputError, TrainingError, counted, first_few
+from salsanext_cli.core.network.card import WeightsCard, scan_digest
+from salsanext_cli.io.files.reading import present
+from salsanext_cli.io.formats import read_scan
+from salsanext_cli.runs.labelling.label_records import require_labels
+from salsanext_cli.runs.option_fields import ScanSelection
+from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.results.selection import (
     choose,
     data_set_of,
     evenly_spaced,

@@ -9,19 +9,19 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from salsanext_cli.classes.label_space import LabelSpace, TrainIds
-from salsanext_cli.engines.network import Network
-from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import LabelError
-from salsanext_cli.fitting.scan_sample import ScanSample
-from salsanext_cli.fitting.sensor_fit import fit_scans
-from salsanext_cli.geometry.projection import project
-from salsanext_cli.geometry.scan_traits import sensor_of
-from salsanext_cli.network.card import WeightsCard
-from salsanext_cli.parallel.job import Computed, Prepared, ScanJob
-from salsanext_cli.parallel.network_task import network_pipeline
-from salsanext_cli.records import Float, Indices, RangeImage
-from salsanext_cli.results.paths import ScanFile, find_scans
+from salsanext_cli.core.classes.label_space import LabelSpace, TrainIds
+from salsanext_cli.core.engines.network import Network
+from salsanext_cli.core.errors import LabelError
+from salsanext_cli.core.geometry.projection import project
+from salsanext_cli.core.geometry.scan_traits import sensor_of
+from salsanext_cli.core.network.card import WeightsCard
+from salsanext_cli.core.records import Float, Indices, RangeImage
+from salsanext_cli.runs.fit.scan_sample import ScanSample
+from salsanext_cli.runs.fit.sensor_fit import fit_scans
+from salsanext_cli.runs.loop.job import Computed, Prepared, ScanJob
+from salsanext_cli.runs.loop.network_task import network_pipeline
+from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.results.paths import ScanFile, find_scans
 from salsanext_cli.training.data.sources import read_labelled
 from salsanext_cli.training.data.targets import class_sets
 

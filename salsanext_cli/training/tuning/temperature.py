@@ -12,17 +12,17 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from salsanext_cli.errors import NOTICE, TrainingError, WeightsError
-from salsanext_cli.measures.calibration import reliability
-from salsanext_cli.measures.histograms import confidence_histogram
-from salsanext_cli.network.card import WeightsCard
-from salsanext_cli.network.error_model import TEMPERATURES
-from salsanext_cli.parallel.job import Steps
-from salsanext_cli.records import Float
-from salsanext_cli.results.paths import ScanFile
+from salsanext_cli.core.errors import NOTICE, TrainingError, WeightsError
+from salsanext_cli.core.measures.calibration import reliability
+from salsanext_cli.core.measures.histograms import confidence_histogram
+from salsanext_cli.core.network.card import WeightsCard
+from salsanext_cli.core.network.error_model import TEMPERATURES
+from salsanext_cli.core.records import Float
+from salsanext_cli.core.uncertainty.monte_carlo import scan_seed
+from salsanext_cli.runs.loop.job import Steps
+from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.training.cross_validation import held_out
 from salsanext_cli.training.tuning.scans import LabelledImage, Tuned, TuningScans
-from salsanext_cli.uncertainty.monte_carlo import scan_seed
 
 MAX_LOGITS = 4_000_000  # 32 MB in float64: 200 000 points with 20 classes
 SEED = 0  # Seed of the choice of points

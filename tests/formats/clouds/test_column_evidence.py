@@ -8,11 +8,11 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scans import real_columns, real_scans
 
-from salsanext_cli.errors import FormatError
-from salsanext_cli.formats import kitti
-from salsanext_cli.formats.evidence import column_evidence as evidence
-from salsanext_cli.formats.evidence.column_measures import COUNTS
-from salsanext_cli.formats.evidence.plane_evidence import are_planes
+from salsanext_cli.core.errors import FormatError
+from salsanext_cli.io.formats import kitti
+from salsanext_cli.io.formats.evidence import column_evidence as evidence
+from salsanext_cli.io.formats.evidence.column_measures import COUNTS
+from salsanext_cli.io.formats.evidence.plane_evidence import are_planes
 
 
 @pytest.mark.slow

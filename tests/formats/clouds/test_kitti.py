@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scans import make_scan, real_columns, real_scans
 
-from salsanext_cli.errors import NOTICE, FormatError, LabelError, notice_once
-from salsanext_cli.files.reading import read_values
-from salsanext_cli.formats import kitti
+from salsanext_cli.core.errors import NOTICE, FormatError, LabelError, notice_once
+from salsanext_cli.io.files.reading import read_values
+from salsanext_cli.io.formats import kitti
 
 
 @pytest.mark.parametrize("count", [40, 41, 42, 43])

@@ -12,8 +12,8 @@ from hypothesis.extra import numpy as hnp
 from scans import SMALL, named_by_hint
 
 from salsanext_cli import read_scan
-from salsanext_cli.errors import FormatError
-from salsanext_cli.formats.subsets import subsets_of
+from salsanext_cli.core.errors import FormatError
+from salsanext_cli.io.formats.subsets import subsets_of
 
 TABLE = np.array([[1, -2, 3, 51], [4, 5, -6, 255]], np.float32)
 

@@ -11,12 +11,12 @@ import pytest
 from scans import SMALL, make_scan
 
 from salsanext_cli import read_scan
-from salsanext_cli.errors import NOTICE, FormatError, notice_once
-from salsanext_cli.fitting.scan_checks import check_scan
-from salsanext_cli.formats.kitti import read_bin
-from salsanext_cli.formats.npy import read_integers
-from salsanext_cli.formats.pcd import pcd_columns
-from salsanext_cli.formats.subsets import subsets_of
+from salsanext_cli.core.checks.scan_checks import check_scan
+from salsanext_cli.core.errors import NOTICE, FormatError, notice_once
+from salsanext_cli.io.formats.kitti import read_bin
+from salsanext_cli.io.formats.npy import read_integers
+from salsanext_cli.io.formats.pcd import pcd_columns
+from salsanext_cli.io.formats.subsets import subsets_of
 
 SCAN = make_scan(300)
 TABLE = np.column_stack([SCAN.points, SCAN.intensity])

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scans import IN_BYTES, refused
 
-from salsanext_cli.errors import FormatError, MissingDependency
-from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.subsets import subsets_of
+from salsanext_cli.core.errors import FormatError, MissingDependency
+from salsanext_cli.io.formats import read_scan
+from salsanext_cli.io.formats.subsets import subsets_of
 
 
 def header(fields="x:F4 y:F4 z:F4 intensity:F4", points=2, data="binary"):

@@ -11,7 +11,7 @@ from hypothesis.extra import numpy as hnp
 from scans import IN_BYTES, refused
 
 from salsanext_cli import read_scan, write_ply
-from salsanext_cli.errors import FormatError, MissingDependency
+from salsanext_cli.core.errors import FormatError, MissingDependency
 
 SCALARS = ["?", "u1", "i1", "u2", "i2", "u4", "i4", "i8", "f2", "f4", "f8"]
 

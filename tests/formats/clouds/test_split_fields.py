@@ -2,9 +2,9 @@
 import numpy as np
 import pytest
 
-from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.split_fields import split_field
-from salsanext_cli.records import FieldSplit
+from salsanext_cli.core.records import FieldSplit
+from salsanext_cli.io.formats import read_scan
+from salsanext_cli.io.formats.split_fields import split_field
 
 N = 6000
 TWO, TEN = np.arange(N) % 2, np.arange(N) % 10

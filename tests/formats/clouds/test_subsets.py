@@ -10,9 +10,9 @@ import pytest
 from scans import make_scan, refused
 
 from salsanext_cli import read_scan
-from salsanext_cli.errors import FormatError, LabelError
-from salsanext_cli.formats import SCAN_SUFFIXES, format_of, scan_suffix
-from salsanext_cli.formats.subsets import subsets_of
+from salsanext_cli.core.errors import FormatError, LabelError
+from salsanext_cli.io.formats import SCAN_SUFFIXES, format_of, scan_suffix
+from salsanext_cli.io.formats.subsets import subsets_of
 
 SCAN = make_scan(60)
 KEEP = np.random.default_rng(0).random(60) < 0.5

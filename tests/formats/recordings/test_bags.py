@@ -27,10 +27,10 @@ from bags import (
 )
 
 from salsanext_cli import read_scan
-from salsanext_cli.errors import FormatError, MissingDependency, NoInputError, UsageError
-from salsanext_cli.files.optional_packages import extra_command
-from salsanext_cli.formats.cloud_messages import columns_of_fields
-from salsanext_cli.results.paths import find_scans
+from salsanext_cli.core.errors import FormatError, MissingDependency, NoInputError, UsageError
+from salsanext_cli.core.optional_packages import extra_command
+from salsanext_cli.io.formats.cloud_messages import columns_of_fields
+from salsanext_cli.runs.results.paths import find_scans
 
 POINTS = [structured(seed=seed) for seed in range(5)]
 TIMES = [f"{START + n * STEP}" for n in range(5)]
@@ -245,7 +245,7 @@ def test_packets_are_answered_with_a_hint(tmp_path, monkeypatch):
         find_scans(path)
     assert not caught.value.hint
     kinds = {"/velodyne_packets": "velodyne_msgs/msg/VelodyneScan"}
-    monkeypatch.setattr("salsanext_cli.formats.bags.Bag.topics", lambda bag: kinds)
+    monkeypatch.setattr("salsanext_cli.io.formats.bags.Bag.topics", lambda bag: kinds)
     with pytest.raises(NoInputError, match="VelodyneScan") as caught:
         find_scans(path)
     assert "driver" in caught.value.hint
@@ -275,14 +275,14 @@ def test_reported_bags_are_read(real_data, name):
 
 def test_the_package_that_is_missing_or_too_old_is_named(tmp_path, monkeypatch):
     path = write_bag(tmp_path, ".bag", messages(POINTS[:1]))
-    monkeypatch.setattr("salsanext_cli.files.optional_packages.version", lambda name: "0.9.23")
+    monkeypatch.setattr("salsanext_cli.core.optional_packages.version", lambda name: "0.9.23")
     with pytest.raises(MissingDependency, match=r"0\.9\.23 \(expected 0\.11\.7 or newer"):
         find_scans(path)
 
     def missing(name):
         raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
-    monkeypatch.setattr("salsanext_cli.files.optional_packages.import_module", missing)
+    monkeypatch.setattr("salsanext_cli.core.optional_packages.import_module", missing)
     with pytest.raises(MissingDependency, match="rosbags") as caught:
         find_scans(path)
     assert caught.value.hint == extra_command("ros")

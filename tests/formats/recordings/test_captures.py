@@ -9,10 +9,16 @@ import pytest
 from captures import START_NS, STEP_NS, Sent, vlp16, vlp16_points, write_capture
 
 from salsanext_cli import read_scan
-from salsanext_cli.errors import NOTICE, FormatError, MissingDependency, UsageError, notice_once
-from salsanext_cli.formats.captures import HESAI, LIVOX, OUSTER, ROBOSENSE, VELODYNE, maker_of
-from salsanext_cli.formats.packets import is_cut, udp_packets
-from salsanext_cli.results.paths import find_scans
+from salsanext_cli.core.errors import (
+    NOTICE,
+    FormatError,
+    MissingDependency,
+    UsageError,
+    notice_once,
+)
+from salsanext_cli.io.formats.captures import HESAI, LIVOX, OUSTER, ROBOSENSE, VELODYNE, maker_of
+from salsanext_cli.io.formats.packets import is_cut, udp_packets
+from salsanext_cli.runs.results.paths import find_scans
 
 PACKET_DEG = 12 * 0.4
 

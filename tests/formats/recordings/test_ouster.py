@@ -9,8 +9,8 @@ pytest.importorskip("ouster.sdk")
 from ouster_recordings import START, STEP, write_recording
 
 from salsanext_cli import read_scan
-from salsanext_cli.errors import FormatError, NoInputError, SalsanextError
-from salsanext_cli.results.paths import find_scans
+from salsanext_cli.core.errors import FormatError, NoInputError, SalsanextError
+from salsanext_cli.runs.results.paths import find_scans
 
 TIMES = [f"{START + n * STEP}" for n in range(4)]
 
@@ -62,7 +62,9 @@ def test_packets_without_metadata_are_refused(recording):
 
 
 def test_a_file_that_crashes_the_library_is_one_error(tmp_path, monkeypatch):
-    monkeypatch.setattr("salsanext_cli.formats.ouster.PROBE", "import os; os.kill(os.getpid(), 11)")
+    monkeypatch.setattr(
+        "salsanext_cli.io.formats.ouster.PROBE", "import os; os.kill(os.getpid(), 11)"
+    )
     path = tmp_path / "drive.osf"
     path.write_bytes(b"x")
     with pytest.raises(FormatError, match="crashes"):

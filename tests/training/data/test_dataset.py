@@ -8,11 +8,11 @@ from scans import SMALL, write_sequence
 from torch.utils.data import get_worker_info
 
 from salsanext_cli import label_space, project
-from salsanext_cli.compiled import thread_count
-from salsanext_cli.formats.kitti import read_bin, read_labels
-from salsanext_cli.geometry.network_input import normalise
-from salsanext_cli.network.card import scan_digest
-from salsanext_cli.results.paths import ScanFile, find_scans
+from salsanext_cli.core.compiled import thread_count
+from salsanext_cli.core.geometry.network_input import normalise
+from salsanext_cli.core.network.card import scan_digest
+from salsanext_cli.io.formats.kitti import read_bin, read_labels
+from salsanext_cli.runs.results.paths import ScanFile, find_scans
 from salsanext_cli.training.data.class_counts import class_shares, count_classes, rare_classes
 from salsanext_cli.training.data.dataset import Sample, SampleKey, Samples, SamplingPlan, batches
 from salsanext_cli.training.data.sources import Source, read_labelled

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scans import refused
 
 from salsanext_cli import LabelSpace, label_space
-from salsanext_cli.errors import LabelError, UsageError
+from salsanext_cli.core.errors import LabelError, UsageError
 from salsanext_cli.training.data.targets import class_sets, to_targets
 from salsanext_cli.training.losses import SegmentationLoss, lovasz_softmax
 

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Commands: stages, their options, and what they print."""

@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: MIT
+"""Command line: all commands, in the order in which the help lists them."""
+
+import sys
+from collections.abc import Callable
+from inspect import signature
+from io import TextIOWrapper
+from typing import Annotated
+
+import typer
+
+from salsanext_cli.commands.line import look, models, own_data, pipeline, results
+from salsanext_cli.commands.line.console import guarded
+from salsanext_cli.commands.line.expansion import expanded
+from salsanext_cli.commands.line.help import Command, Group
+from salsanext_cli.commands.line.train import train
+from salsanext_cli.commands.line.tune import tune
+from salsanext_cli.core.errors import UsageError
+from salsanext_cli.version import __version__
+
+COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
+    "Start": {
+        "demo": look.demo,
+        "predict": pipeline.predict,
+        "report": look.report,
+        "view": look.view,
+        "inspect": own_data.inspect,
+    },
+    "Improve": {
+        "fuse": results.fuse,
+        "pick": own_data.pick,
+        "import-labels": own_data.import_labels,
+        "train": train,
+    },
+    "Trust": {"eval": results.evaluate, "uncertainty": pipeline.uncertainty, "tune": tune},
+    "Data": {
+        "convert": own_data.convert,
+        "export-ply": results.export_ply,
+        "picture": look.picture,
+        "filter": results.filter_command,
+        "synth": own_data.synth,
+        "submit": own_data.submit,
+    },
+    "Advanced": {
+        "project": pipeline.project,
+        "knn-refine": pipeline.knn_refine,
+        "models": models.models,
+        "import-weights": models.import_weights,
+        "export-onnx": models.export_onnx,
+    },
+}
+
+
+class Sections(Group):
+    """Group of all commands."""
+
+    sections = {section: [*commands] for section, commands in COMMANDS.items()}  # noqa: RUF012
+
+
+app = typer.Typer(
+    name="salsanext",
+    cls=Sections,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
+
+
+@app.callback(invoke_without_command=True)
+@guarded
+def salsanext(
+    context: typer.Context,
+    version: Annotated[
+        bool, typer.Option("--version", "-V", help="Print the version; see --verbose.")
+    ] = False,
+    verbose: Annotated[
+        bool,
+        typer.Option("--verbose", help="With --version: also packages, device, CPU and extras."),
+    ] = False,
+) -> None:
+    """Predict a class and an uncertainty for every point of a LiDAR scan."""
+    if version:
+        from salsanext_cli.commands.line.version_report import version_lines
+
+        typer.echo("\n".join(version_lines()) if verbose else f"salsanext {__version__}")
+        raise typer.Exit
+    if verbose:
+        hint = "put it after the command, or add --version"
+        raise UsageError("--verbose", "is given before the command", hint=hint)
+    if context.invoked_subcommand is None:
+        raise UsageError("salsanext", "no command", hint="run `salsanext --help`")
+
+
+for commands in COMMANDS.values():
+    for name, command in commands.items():
+        if isinstance(command, typer.Typer):
+            app.add_typer(command, name=name)
+        else:
+            # All but the first of several sources are no parameters.
+            several = {"allow_extra_args": "context" in signature(command).parameters}
+            app.command(name, cls=Command, context_settings=several)(guarded(expanded(command)))
+
+
+def main() -> None:
+    """Run the command line."""
+    if isinstance(sys.stdout, TextIOWrapper):
+        # By Python's default, strict and in the C locale surrogateescape, a character outside the
+        # encoding is an error. The user may have set something else.
+        errors, is_utf8 = sys.stdout.errors, sys.stdout.encoding.lower() == "utf-8"
+        if errors == "strict" or (errors == "surrogateescape" and not is_utf8):
+            sys.stdout.reconfigure(errors="replace")
+    app()

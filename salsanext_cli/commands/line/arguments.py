@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: MIT
+"""Arguments and options of more than one command: scans, sensors and networks."""
+
+from dataclasses import fields
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from salsanext_cli.commands.line.expansion import Default, Without
+from salsanext_cli.core.errors import UsageError, did_you_mean, notice_once
+from salsanext_cli.io.formats import RECORDING_SUFFIXES, SCAN_SUFFIXES
+from salsanext_cli.runs.loop.run_options import RunOptions, running_option
+from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.option_fields import argument, network_option, option, selection_option
+from salsanext_cli.runs.results.query import DATASET_VARIABLE, ResultQuery
+
+if TYPE_CHECKING:
+    from salsanext_cli.core.sensors.sensor import Sensor
+
+OUT_VARIABLE = "SALSANEXT_OUT"
+SCANS_HELP = "Scan file, folder of scans, sequence folder, data set or recording."
+FORMATS = f"{' '.join(SCAN_SUFFIXES)}; of recordings: {' '.join(RECORDING_SUFFIXES)}"
+SUBSET = {"names": ("--subset",), "help": "Only N scans, evenly spaced over the data."}
+DEFAULT_SCANS = "the data set or sequence in the current folder"
+
+
+def _shared(name: str, group: type[Any] = ResultQuery, **changes: Any) -> Any:
+    """Return one option of a group as typed, for commands that take no other; change arguments."""
+    (field,) = (field for field in fields(group) if field.name == name)
+    shown = {"default": field.default, **field.metadata["option"], **changes}
+    text, panel = shown.pop("help"), shown.pop("rich_help_panel")
+    return option(text, *field.metadata["names"], panel=panel, **shown)
+
+
+SCANS = argument(SCANS_HELP, metavar="SCANS", show_default=DEFAULT_SCANS)
+SEVERAL_SCANS = argument(
+    f"{SCANS_HELP} Several may be given. Formats of scans: {FORMATS}.",
+    metavar="SCANS...",
+    show_default=DEFAULT_SCANS,
+)
+labelled_argument = partial(
+    argument,
+    "Labelled data set in the layout of SemanticKITTI.",
+    metavar="DATASET",
+    envvar=DATASET_VARIABLE,
+)
+NEW_DATASET = argument("Root of the data set to write.", default=..., metavar="DATASET")
+folder_argument = partial(argument, default=Path("out"), metavar="OUT", envvar=OUT_VARIABLE)
+OUT = folder_argument("Folder to write results to.")
+RESULTS = folder_argument("Folder with the results of earlier commands.")
+WEIGHTS_OUT = argument("Weights file to write (.safetensors).", default=..., metavar="WEIGHTS_OUT")
+SCALE = option(
+    "Values at the ends of the colour map, for a single --colour.",
+    metavar="LOW HIGH",
+    show_default="the range of most values; fixed for error",
+)
+TOPIC = selection_option("Topic in a recording with several topics.")
+DATASET = selection_option(
+    "Data set in the layout of SemanticKITTI.",
+    envvar=DATASET_VARIABLE,
+    show_default="the current folder",
+)
+DATASET_OF_RESULTS = _shared("dataset")
+LABEL_SPACE = _shared("label_space")
+CLASSES = _shared("classes")
+DEVICE = _shared("device", NetworkSettings)
+Network = Annotated[NetworkSettings, Default(precision="auto")]
+sensor_option = partial(network_option, "Sensor of the scans.", metavar="NAME|FILE")
+SENSOR = sensor_option(show_default="hdl64")
+columns_option = partial(_shared, "columns", NetworkSettings)
+COLUMNS = columns_option()
+INTENSITY_FIELD = _shared("intensity_field", NetworkSettings)
+jobs_option = partial(_shared, "jobs", RunOptions)
+JOBS = jobs_option()
+OVERWRITE = _shared("overwrite", RunOptions)
+STRICT = running_option("Exit with status 1 after a warning about a scan.", default=False)
+Unsharded = Annotated[RunOptions, Without({"shard"})]
+Reading = Annotated[RunOptions, Without({"shard", "overwrite"})]
+"""For results over all scans, which several runs cannot share."""
+
+
+def sensor(name: str | None) -> "Sensor | None":
+    """Look up a sensor; return None for no name."""
+    from salsanext_cli.core.sensors.sensor import sensor as find
+
+    return None if name is None else find(name)
+
+
+def source(scans: Path | None, dataset: Path | None, topic: str | None) -> Path:
+    """Return the source of the scans: SCANS, or the data set or sequence in the current folder."""
+    is_here = any(Path(name).is_dir() for name in ("sequences", "velodyne"))
+    if scans is None and dataset is None and not is_here:
+        problem = "not given, and the current folder is neither a data set nor a sequence"
+        expected = SCANS_HELP[0].lower() + SCANS_HELP[1:-1]
+        raise UsageError("SCANS", problem, expected, "give . for the scans in this folder")
+    return in_topic(scans or dataset or Path(), topic)
+
+
+def sources(
+    context: typer.Context, scans: Path | None, out: Path, dataset: Path | None, topic: str | None
+) -> tuple[Path | list[Path], Path]:
+    """Return the sources of the scans, and OUT, which is the last argument of several."""
+    from salsanext_cli.io.files.reading import is_folder, present
+    from salsanext_cli.runs.results.paths import require_none_hidden
+
+    words = [*([scans] if scans else []), out, *map(Path, context.args)]
+    several, out = words[:-1], words[-1]
+    if present(out) and not is_folder(out):
+        hint = "give OUT last: salsanext predict a.bin b.bin out/"
+        raise UsageError("OUT", f"{out} is a file", "a folder for the results", hint)
+    if len(several) < 2:
+        single = source(scans, dataset, topic)
+        folders = single.resolve(), out.resolve()
+        # Results may lie in the folder of their scans.
+        is_apart = out not in (single, *single.parents) and not any(
+            a.is_relative_to(b) for a, b in (folders, folders[::-1])
+        )
+        if scans is not None and is_apart:
+            require_none_hidden(out)
+        if scans is not None:
+            _notice_shared_folder(single, out)
+        return single, out
+    if topic is not None:
+        raise UsageError("--topic", f"{len(several)} sources were given", "one recording")
+    require_none_hidden(out)
+    return several, out
+
+
+def _notice_shared_folder(source: Path, out: Path) -> None:
+    """Print a notice if the results are written into the folder of the scans."""
+    from salsanext_cli.io.files.reading import is_folder
+    from salsanext_cli.runs.fit.label_scan import projected_sensor
+
+    folders = source.resolve(), out.resolve()
+    is_data_set = is_folder(source / "sequences")
+    is_inside = folders[1].is_relative_to(folders[0]) and not is_data_set
+    is_same = folders[0] == folders[1] and projected_sensor(source) is None
+    if is_same or (is_inside and folders[0] != folders[1]):
+        where = "the folder of the scans" if is_same else "inside the folder of the scans"
+        notice_once(f"{out}: is {where}, which gets the results, too; give OUT to separate them")
+
+
+def in_topic(source: Path, topic: str | None) -> Path:
+    """Return the path of a topic in a recording, or of the recording itself."""
+    if topic is None:
+        return source
+    from salsanext_cli.io.formats.recordings import is_recording
+
+    if not is_recording(source):
+        raise UsageError("--topic", f"{source} is not a recording", "a recording as SCANS")
+    return source / topic.strip("/")
+
+
+def share(option: str, text: str | None, word: str = "") -> float | None:
+    """Return a share, 0…1, that is typed as ``5%`` or ``0.05``.
+
+    `word`: what the option takes besides a share, for the error.
+    """
+    if text is None:
+        return None
+    number = text.removesuffix("%")
+    try:
+        value = float(number)
+    except ValueError:
+        problem = f"{text!r} is not a share"
+        expected = "5% or 0.05, for example"
+        hint = ""
+        if word:
+            problem = f"{problem} and not {word}"
+            expected = f"a share such as 5% or 0.05, or {word}"
+            hint = did_you_mean(text, [word])
+        raise UsageError(option, problem, expected, hint) from None
+    typed = value / 100 if text.endswith("%") else value
+    if typed > 1:
+        hint = f"did you mean {number}%?" if 1 < value <= 100 else ""
+        raise UsageError(option, f"{text} is {100 * typed:g} %", "a share of at most 100%", hint)
+    return typed

@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: MIT
+"""Commands that show results: pictures, pages, and the demonstration."""
+
+import os
+import shlex
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from salsanext_cli.commands.line import arguments, console, summary
+from salsanext_cli.commands.line.console import over_scans, progress
+from salsanext_cli.commands.line.expansion import Without
+from salsanext_cli.commands.line.interruption import ARRIVED
+from salsanext_cli.core.errors import counted
+from salsanext_cli.core.uncertainty.kinds import COLOUR_HELP
+from salsanext_cli.runs.loop.run_options import RunOptions
+from salsanext_cli.runs.network_settings import AUTO, NetworkSettings
+from salsanext_cli.runs.option_fields import argument, names_in, option
+from salsanext_cli.runs.results.query import ResultQuery, named_label_space
+
+
+def picture(
+    out: Path = arguments.RESULTS,
+    *,
+    colour: list[str] | None = option(
+        f"{COLOUR_HELP}; may be given several times.",
+        "--colour",
+        "--color",
+        show_default="all that are available",
+    ),
+    scale: tuple[float, float] | None = arguments.SCALE,
+    query: ResultQuery,
+    running: RunOptions,
+    output: console.Output,
+) -> None:
+    """Draw scans and their results, from above and as range images, as PNG.
+
+    Example: salsanext picture out/ --colour label --colour uncertainty
+    """
+    from salsanext_cli.commands.stages.picture import picture as stage
+
+    with over_scans("picture", running, output.quiet) as run:
+        outcome = stage(out, colours=colour or (), scale=scale, query=query, options=run)
+    summary.finish("picture", outcome, out, output)
+
+
+def demo(
+    folder: Path = argument("Folder to write to.", default=Path("demo"), metavar="FOLDER"),
+    *,
+    scans: int = option("Number of scans of the simulated drive.", default=4),
+    samples: int = option("Monte-Carlo passes per scan.", default=8),
+    classes: str | None = arguments.CLASSES,
+    device: str = arguments.DEVICE,
+    jobs: int = arguments.JOBS,
+    overwrite: bool = arguments.OVERWRITE,
+    output: console.Output,
+) -> None:
+    """Run the whole pipeline on a simulated drive and list the results.
+
+    Example: salsanext demo demo/
+    """
+    from salsanext_cli.commands.stages.demo import demo as stage
+    from salsanext_cli.report.tables import score_table
+
+    space = named_label_space(classes)
+    demonstration = stage(
+        folder,
+        scans=scans,
+        samples=samples,
+        settings=NetworkSettings(device=device, precision=AUTO, classes=space),
+        options=RunOptions(jobs=jobs, overwrite=overwrite),
+        bars=lambda step: progress(step, output.quiet),
+    )
+    evaluation, page = demonstration.evaluation, demonstration.page
+    paths = {"pictures": [*map(str, demonstration.pictures)], "page": str(page)}
+    tables = score_table(evaluation.scores)
+    output.result(evaluation.to_dict() | {"stage": "demo"} | paths, tables)
+    failures = (*demonstration.failures, *evaluation.failures)
+    summary.print_failures(failures)
+    results = folder / "out/sequences/00"
+    output.print(f"scans: {folder / 'data'}; results: {results}")
+    output.print(f"point clouds for CloudCompare, MeshLab or Open3D: {results}/ply/*.ply")
+    output.print(f"one page with all results, for any browser: {page}")
+    summary.leave(failures, evaluation.missing)
+
+
+def report(
+    out: Path = arguments.RESULTS,
+    *,
+    scans: str | None = option(
+        "Scans to show in 3-D, such as 08/000000,08/000010.",
+        metavar="NAMES",
+        show_default="up to four notable scans",
+    ),
+    page: Path | None = option(
+        "File to write (.html).",
+        "--output",
+        "-o",
+        metavar="FILE",
+        show_default="report.html, in the folder OUT",
+    ),
+    opened: bool = option("Open the page in the browser.", "--open", default=False),
+    query: ResultQuery,
+    running: Annotated[RunOptions, Without({"shard"})],
+    output: console.Output,
+) -> None:
+    """Write a page for any browser: numbers, plots, and scans in 3-D.
+
+    Example: salsanext report out/
+    """
+    from salsanext_cli.commands.stages.report import report as stage
+
+    out = _results_in(out)
+    with over_scans("report", running, output.quiet, at_end=True) as run:
+        written = stage(
+            out,
+            page,
+            scans=names_in(scans, "--scans", "08/000000,08/000010"),
+            query=query,
+            options=run,
+        )
+    missing = written.run.missing
+    output.result(written.to_dict())
+    summary.print_failures(written.failures)
+    for name, reason in written.shown.items():
+        output.print(f"  {name}: {reason}")
+    if decided := written.verdict:
+        output.print(decided.sentence)
+    count = f"{counted(len(written.run.rows), 'scan')}{summary.skipped_text(missing)}"
+    megabytes = written.page.stat().st_size / 1e6
+    output.print(f"report: {count} → {written.page} ({megabytes:.1f} MB)")
+    if opened and typer.launch(written.page.absolute().as_uri()) != 0:
+        output.print(f"report: no browser could be started; open {written.page} yourself")
+    summary.leave(written.failures, missing)
+
+
+def view(
+    out: Path = arguments.RESULTS,
+    *,
+    port: int = option("Port on this machine; 0: any free port.", default=8765, min=0, max=65535),
+    query: ResultQuery,
+    running: arguments.Reading,
+    output: console.Output,
+) -> None:
+    """Show all scans of a run in the browser, until Ctrl-C.
+
+    Example: salsanext view out/
+    """
+    from salsanext_cli.commands.stages.report import view as stage
+
+    out = _results_in(out)
+    with over_scans("view", running, output.quiet, at_end=True) as run:
+        server = stage(out, port=port, query=query, options=run)
+    summary.print_failures(server.failures)
+    scans = f"{counted(server.scans, 'scan')}{summary.skipped_text(server.missing)}"
+    output.print(f"view: {scans}, until Ctrl-C at")
+    if forwarding := _forwarding(server.server_port, os.environ.get("SSH_CONNECTION", "")):
+        output.print(f"first forward the port, on your local machine: {forwarding}")
+    try:
+        with server:
+            output.result(server.to_dict(), server.url)
+            server.serve_forever()
+    except KeyboardInterrupt:
+        ARRIVED.clear()
+        output.print("view: ended")
+    summary.leave(server.failures, server.missing)
+
+
+def _results_in(folder: Path) -> Path:
+    """Return a folder of results; in a data set of `pick`, that of the picked scans."""
+    from salsanext_cli.runs.labelling.label_records import PICKED
+    from salsanext_cli.runs.labelling.picked_data_set import PREDICTED
+
+    predicted = folder / PREDICTED
+    return predicted if (folder / PICKED).is_file() and predicted.is_dir() else folder
+
+
+def _forwarding(port: int, connection: str) -> str:
+    """Return the command that forwards a port over SSH; empty without an SSH connection."""
+    match connection.split():
+        case [_, _, host, ssh_port]:
+            user = f"{name}@" if (name := os.environ.get("USER")) else ""
+            other_port = ["-p", ssh_port] if ssh_port != "22" else []
+            forwarded = f"{port}:127.0.0.1:{port}"
+            return shlex.join(["ssh", "-N", "-L", forwarded, *other_port, user + host])
+    return ""

@@ -1,0 +1,312 @@
+# SPDX-License-Identifier: MIT
+"""Commands on your own data: inspect, convert, pick, import labels, simulate, submit."""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from salsanext_cli.commands.line import arguments, console, summary
+from salsanext_cli.commands.line.console import over_scans, print_line, writing
+from salsanext_cli.commands.line.expansion import Shown
+from salsanext_cli.core.errors import UsageError, counted, printable, with_hint
+from salsanext_cli.runs.network_settings import AUTO, with_names
+from salsanext_cli.runs.option_fields import ScanSelection, argument, option, option_group
+from salsanext_cli.runs.results.query import named_label_space
+
+if TYPE_CHECKING:
+    from salsanext_cli.commands.line.picked_labels import PickedLabels
+    from salsanext_cli.core.sensors.sensor import Sensor
+
+PICKED = 10  # Number of scans that `pick` picks by default
+
+
+def inspect(
+    scans: Path | None = arguments.SCANS,
+    *,
+    fit: Path | None = option(
+        "Write a sensor file (.toml) with field of view and statistics of the scans."
+    ),
+    height: int | None = option("Rows of the range image of --fit."),
+    width: int | None = option("Columns of the range image of --fit."),
+    dataset: Path | None = arguments.DATASET,
+    selection: ScanSelection,
+    topic: str | None = arguments.TOPIC,
+    label_space: str | None = arguments.LABEL_SPACE,
+    sensor: str | None = arguments.sensor_option(
+        show_default="fitted to the scans, as `predict` does; of --fit, hdl64"
+    ),
+    columns: str | None = arguments.COLUMNS,
+    intensity_field: str | None = arguments.INTENSITY_FIELD,
+    running: arguments.Unsharded,
+    strict: bool = arguments.STRICT,
+    output: console.Output,
+) -> None:
+    """Summarise scans: points, field of view, labels, warnings; fit a sensor file to them.
+
+    Example: salsanext inspect my/scans
+    """
+    from salsanext_cli.commands.stages.inspect import inspect as stage
+    from salsanext_cli.commands.stages.inspect import write_sensor
+    from salsanext_cli.core.fitting.field_of_view import view_text
+    from salsanext_cli.io.stated_fields import stated_fields
+    from salsanext_cli.report.tables import survey_tables
+
+    sensor = None if sensor == AUTO else sensor
+    start = _start_of_fit(sensor, is_written=fit is not None)
+    named = with_names(start, columns, intensity_field).resized(height, width)
+    # The size and the normalisation are for weights that are still to be trained.
+    images = height is not None or width is not None
+    with over_scans("inspect", running, output.quiet, at_end=True) as run:
+        survey = stage(
+            arguments.source(scans, dataset, topic),
+            sensor=named,
+            space=named_label_space(label_space),
+            selection=selection,
+            options=run,
+            fit=fit is not None,
+            images=images,
+            as_predict=fit is None and _is_fitted(sensor),
+            fit_mounting=not stated_fields(sensor or AUTO).mounting,
+        )
+    if fit is not None:
+        fitted = survey.fitted_sensor(fit.stem, images=images)
+        write_sensor(fit, fitted, images=images, overwrite=running.overwrite)
+        output.print(f"inspect: sensor, {view_text(fitted)} → {fit}")
+    sensor_of_images = None if fit is None else survey.sensor
+    tables = survey_tables(survey.sequences, survey.total, survey.space, sensor_of_images)
+    output.result(survey.to_dict(), tables)
+    summary.print_failures(survey.failures)
+    summary.leave(survey.failures, failed=strict and bool(survey.warnings))
+
+
+def _start_of_fit(named: str | None, *, is_written: bool) -> "Sensor":
+    """Return the sensor that `inspect` takes or fits: that of the weights unless it is named.
+
+    `is_written`: whether it is for a sensor file, which begins with the HDL-64.
+    """
+    from salsanext_cli.core.network.card import default_weights, read_card
+    from salsanext_cli.core.sensors.sensor import presets, sensor
+
+    if named is None and not is_written:
+        return read_card(default_weights()).sensor
+    return sensor(named or "hdl64", presets()["hdl64"])
+
+
+def _is_fitted(named: str | None) -> bool:
+    """Return whether `inspect` fits the field of view: of no sensor, or of a file without one."""
+    from salsanext_cli.core.sensors.sensor import presets
+    from salsanext_cli.io.stated_fields import stated_fields
+
+    return named is None or (named not in presets() and not stated_fields(named).view)
+
+
+def convert(
+    recording: Path = argument(
+        "ROS bag (.bag, .mcap, .db3, a folder), or recording of Ouster or Velodyne (.pcap, .osf).",
+        default=...,
+        metavar="RECORDING",
+    ),
+    folder: Path = arguments.NEW_DATASET,
+    *,
+    topic: str | None = arguments.TOPIC,
+    every: int = option("Take only every Nth scan.", default=1),
+    limit: int | None = option("Only the first N scans."),
+    running: arguments.Unsharded,
+    output: console.Output,
+) -> None:
+    """Write the scans of a recording as `.bin` files, in the layout of SemanticKITTI.
+
+    Example: salsanext convert drive.bag drives/ --every 10
+    """
+    from salsanext_cli.commands.stages.convert import convert as stage
+
+    source = arguments.in_topic(recording, topic)
+    with over_scans("convert", running, output.quiet) as run:
+        outcome = stage(source, folder, every=every, limit=limit, options=run)
+    summary.finish("convert", outcome, folder, output)
+
+
+def pick(
+    scans: Path = argument(arguments.SCANS_HELP, default=..., metavar="SCANS"),
+    out: Path = arguments.NEW_DATASET,
+    *,
+    count: int | None = option("Number of scans to pick.", show_default=str(PICKED)),
+    names: Path | None = option(
+        "Pick the scans whose names this text file lists, one per line.", "--from", metavar="FILE"
+    ),
+    seed: int = option("Seed of the dropout masks.", default=0),
+    labelled: list[Path] | None = option(
+        "Data set of labelled scans, which the picked scans should differ from; may be given "
+        "several times."
+    ),
+    selection: Annotated[ScanSelection, Shown(limit=arguments.SUBSET)],
+    topic: str | None = arguments.TOPIC,
+    settings: arguments.Network,
+    running: arguments.Unsharded,
+    strict: bool = arguments.STRICT,
+    output: console.Output,
+) -> None:
+    """Pick the scans most worth labelling; write them as a data set with pre-labels to correct.
+
+    Example: salsanext pick my/drive to-label/ --count 10
+    """
+    from salsanext_cli.commands.line.after_pick import lines_after_pick
+    from salsanext_cli.commands.line.picked_labels import label_picked_scans
+    from salsanext_cli.commands.stages.pick import pick as stage
+    from salsanext_cli.report.picked import picked_table
+
+    if names and count is not None:
+        raise UsageError("--count", "chooses scans, and so does --from", "one of both")
+    with over_scans("pick", running, output.quiet) as run:
+        picking = stage(
+            arguments.in_topic(scans, topic),
+            out,
+            count=PICKED if count is None else count,
+            seed=seed,
+            labelled=labelled or (),
+            names=names,
+            settings=settings,
+            selection=selection,
+            options=run,
+        )
+    picked, outcome = picking.picked, picking.outcome
+    labels = None
+    if picked:
+        with over_scans("predict", running, output.quiet) as run:
+            labels = label_picked_scans(out, settings, run)
+    failures = (*outcome.failures, *(labels.failures if labels else ()))
+    result = picking.to_dict() | {"out": str(out)} | _labels_as_data(labels)
+    result["failures"] = [failure.to_dict() for failure in failures]
+    output.result(result, picked_table(picked) if picked else None)
+    summary.print_failures(failures)
+    chosen = f"{len(picked):,} of {counted(picking.scans, 'scan')}"
+    output.print(f"pick: {chosen}{summary.others_text(outcome)} → {out}")
+    if labels is not None:
+        for line in lines_after_pick(out, picking, labels, settings.weights, labelled or ()):
+            output.print(line)
+    summary.leave(failures, failed=strict and bool(picking.warnings))
+
+
+def _labels_as_data(labels: "PickedLabels | None") -> dict[str, object]:
+    """Return plain data about the labels of picked scans for JSON."""
+    decision = labels.verdict.decision if labels and labels.verdict else None
+    return {"predicted": labels and str(labels.folder), "decision": decision}
+
+
+def import_labels(
+    edited: Path = argument(
+        "Labelled point cloud (.ply, .pcd), .label or .npy file, or a folder of such files.",
+        default=...,
+        metavar="EDITED",
+    ),
+    dataset: Path = argument(
+        "Data set of `pick`, or folder of scans.", default=..., metavar="DATASET"
+    ),
+    *,
+    scalar: str | None = option(
+        "Scalar field with the labels.", show_default="label, class or similar"
+    ),
+    ids: Path | None = option(
+        "YAML file that maps the ids of the tool to class names or raw ids, such as 3: car.",
+        "--map",
+        show_default="raw ids of the label space",
+    ),
+    label_space: str | None = arguments.LABEL_SPACE,
+    columns: str | None = arguments.COLUMNS,
+    overwrite: bool = arguments.OVERWRITE,
+    output: console.Output,
+) -> None:
+    """Import the labels that a labelling tool wrote as the label files of a data set.
+
+    Example: salsanext import-labels edited/ to-label/
+    """
+    from salsanext_cli.commands.stages.import_labels import import_labels as stage
+    from salsanext_cli.core.sensors.sensor import sensor
+    from salsanext_cli.report.tables import imported_lines, imported_table
+
+    with writing("import-labels", output.quiet) as bar:
+        made = stage(
+            *(edited, dataset),
+            scalar=scalar,
+            ids=ids,
+            space=named_label_space(label_space),
+            sensor=with_names(sensor("hdl64"), columns),
+            overwrite=overwrite,
+            progress=bar,
+        )
+    output.result(made.to_dict(), imported_table(made.scans) if made.scans else None)
+    for failure in made.failures:
+        print_line(f"error: {with_hint(failure.reason, failure.hint)}")
+    for line in imported_lines(made, dataset):
+        output.print(printable(line))
+    summary.leave(made.failures)
+
+
+@option_group
+class Scenes:
+    """Numbers of the simulated scenes of `synth`."""
+
+    train: int = option("Number of sequences for training.", default=8)
+    valid: int = option("Number of sequences for validation.", default=2)
+    test: int = option("Number of sequences for testing.", default=0)
+    scans: int = option("Scans per sequence.", default=20)
+    spacing: float = option("Distance between two scans, in metres.", default=3.0)
+    sensor: Literal["hdl64", "random"] = option(
+        "An HDL-64E, or a random sensor for each sequence.", default="hdl64"
+    )
+    seed: int = option("Random seed; equal seeds give equal files.", default=0)
+
+
+def synth(
+    out: Path = arguments.NEW_DATASET,
+    *,
+    scenes: Scenes,
+    jobs: int = arguments.JOBS,
+    overwrite: bool = arguments.OVERWRITE,
+    output: console.Output,
+) -> None:
+    """Simulate labelled scans of streets, in the layout of SemanticKITTI.
+
+    Example: salsanext synth scenes/ --train 8 --valid 2 --scans 20
+    """
+    from salsanext_cli.commands.stages.synth import synthesise
+
+    with writing("synth", output.quiet, unit="sequences") as on_progress:
+        written = synthesise(
+            out, **asdict(scenes), jobs=jobs, overwrite=overwrite, progress=on_progress
+        )
+    output.result(written)
+    points = sum(written["points"].values())
+    output.print(f"synth: {counted(written['scans'], 'scan')}, {points:,} points → {out}")
+
+
+def submit(
+    out: Path = argument(
+        "Folder with the predictions of the test split.", default=..., metavar="OUT"
+    ),
+    target: Path = argument("File to write (.zip).", default=..., metavar="ZIP"),
+    *,
+    description: Path | None = option("Text file about the method, packed as description.txt."),
+    dataset: Path | None = arguments.DATASET_OF_RESULTS,
+    label_space: str | None = arguments.LABEL_SPACE,
+    overwrite: bool = arguments.OVERWRITE,
+    output: console.Output,
+) -> None:
+    """Check the predictions of the test split and pack them for the benchmark of SemanticKITTI.
+
+    Example: salsanext submit out/ submission.zip
+    """
+    from salsanext_cli.commands.stages.submit import submit as stage
+
+    with writing("submit", output.quiet, unit="files", at_end=True) as on_progress:
+        made = stage(
+            out,
+            target,
+            dataset=dataset,
+            space=named_label_space(label_space),
+            description=description,
+            overwrite=overwrite,
+            progress=on_progress,
+        )
+    output.result({"stage": "submit", **asdict(made), "zip": str(target)})
+    output.print(f"submit: {counted(made.scans, 'scan')} → {target}")

@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: MIT
+"""Commands on results: fuse, filter, evaluate and export them."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from salsanext_cli.commands.line import arguments, console, summary
+from salsanext_cli.commands.line.console import over_scans
+from salsanext_cli.commands.line.expansion import Without
+from salsanext_cli.core.errors import counted
+from salsanext_cli.core.uncertainty.kinds import COLOUR_HELP
+from salsanext_cli.runs.loop.run_options import RunOptions
+from salsanext_cli.runs.option_fields import FusionReach, argument, names_in, option, option_group
+from salsanext_cli.runs.results.query import ResultQuery
+
+if TYPE_CHECKING:
+    from rich.console import Group
+
+    from salsanext_cli.commands.score_limits import MissedLimit
+    from salsanext_cli.commands.stages.evaluate import Evaluation
+
+
+def fuse(
+    out: Path = arguments.RESULTS,
+    target: Path | None = argument(
+        "Folder to write the fused labels to.",
+        metavar="FUSED",
+        show_default="fused, in the folder OUT",
+    ),
+    *,
+    poses: Path | None = option(
+        "Poses of the scans of the sequence, from scan to world, in the format of KITTI or TUM.",
+        show_default="poses.txt of the sequence, else computed from the scans",
+    ),
+    reach: FusionReach,
+    query: Annotated[ResultQuery, Without({"label_space", "classes"})],
+    running: RunOptions,
+    output: console.Output,
+) -> None:
+    """Improve the labels of a drive: scans that overlap vote on each point.
+
+    Example: salsanext fuse out/
+    """
+    from salsanext_cli.commands.stages.fuse import FUSED, fuse_results
+
+    target = target or out / FUSED
+    with over_scans("fuse", running, output.quiet) as run:
+        outcome = fuse_results(out, target, poses=poses, reach=reach, query=query, options=run)
+    summary.finish("fuse", outcome, target, output, split=query.selection.split)
+
+
+@option_group
+class PointChoice:
+    """Choice of the points that `filter` writes."""
+
+    drop: tuple[str, ...] = option(
+        "Drop these classes, such as person,vehicle; moving: all movable classes, your own "
+        "vehicle, and points without a measurement.",
+        parse=partial(names_in, option="--drop", example="car,person"),
+        metavar="CLASSES",
+    )
+    keep: tuple[str, ...] = option(
+        "Write these classes only.",
+        parse=partial(names_in, option="--keep", example="car,person"),
+        metavar="CLASSES",
+    )
+    max_error: float | None = option(
+        "Drop points whose probability of error is above this, and points without one."
+    )
+
+
+def filter_command(
+    out: Path = argument(
+        "Folder with the results of earlier commands.", default=..., metavar="OUT"
+    ),
+    target: Path = argument("New folder to write the scans to.", default=..., metavar="TARGET"),
+    *,
+    points: PointChoice,
+    query: Annotated[ResultQuery, Without({"split", "label_space", "classes"})],
+    running: RunOptions,
+    output: console.Output,
+) -> None:
+    """Copy the scans without some points, chosen by class or by probability of error.
+
+    Example: salsanext filter out/ static/ --drop moving
+    """
+    from salsanext_cli.commands.stages.filter import filter_scans
+
+    with over_scans("filter", running, output.quiet) as run:
+        outcome = filter_scans(out, target, **asdict(points), query=query, options=run)
+    summary.finish("filter", outcome, target, output)
+
+
+def evaluate(
+    out: Path = arguments.RESULTS,
+    *,
+    by_distance: bool = option("Also evaluate by distance from the sensor.", default=False),
+    fail_under: str | None = option(
+        "Exit with status 1 if a score is below its limit in %, such as "
+        "mean_iou=40,iou.person=20; mean_iou is that of the classes present.",
+        metavar="LIMITS",
+    ),
+    fail_over: str | None = option(
+        "Exit with status 1 if a score is above its limit in %, such as ece=2. guarantee takes the "
+        "limit of `tune risk`: the points of known classes that are accepted and wrong must not "
+        "exceed it on average over the scans or drives. After `tune risk --confidence`, the share "
+        "of scans or drives that exceed it is limited instead.",
+        metavar="LIMITS",
+    ),
+    query: ResultQuery,
+    running: arguments.Reading,
+    output: console.Output,
+) -> None:
+    """Compare predictions with labels, as the official benchmark does.
+
+    Scans that the weights were trained on do not count, unless there are no others.
+
+    Example: salsanext eval --split valid
+    """
+    from salsanext_cli.commands import score_limits
+    from salsanext_cli.commands.stages.evaluate import evaluate as stage
+    from salsanext_cli.commands.stages.evaluate import part_of
+    from salsanext_cli.runs.results.result_folder import ResultFolder
+
+    limits = score_limits.limits_of(fail_under, score_limits.FAIL_UNDER)
+    limits += score_limits.limits_of(fail_over, score_limits.FAIL_OVER)
+    folder = ResultFolder(out, query.dataset)
+    unlimited = replace(query.selection, limit=None)
+    chosen, space = folder.predicted(unlimited, query.label_space, query.classes)
+    score_limits.require_classes(limits, space)
+    part = part_of(folder, chosen, query.selection)
+    files = chosen[: query.selection.limit]
+    with over_scans("eval", running, output.quiet, at_end=True) as run:
+        settings, labels = folder.provenance(query.selection), query.label_space
+        evaluation = stage(
+            files, out, space, run, part, by_distance=by_distance, settings=settings, labels=labels
+        )
+    missed = evaluation.missed_limits(limits)
+    names = _names_of_missed(missed, fail_under, fail_over)
+    output.result(evaluation.to_dict() | names, _evaluation_tables(evaluation))
+    summary.print_failures(evaluation.failures)
+    missing = evaluation.missing
+    scans = f"{counted(evaluation.counts.scans, 'scan')}{summary.skipped_text(missing)}"
+    output.print(f"eval: {scans} → {evaluation.folder}/scores.txt, eval.json, eval_*.png")
+    for limit in missed:
+        console.print_line(f"error: {limit.text}")
+    summary.leave(evaluation.failures, missing, failed=bool(missed))
+
+
+def _names_of_missed(
+    missed: "Sequence[MissedLimit]", fail_under: str | None, fail_over: str | None
+) -> dict[str, list[str]]:
+    """Return the names of the missed limits of each option that was given, as keys of JSON."""
+    from salsanext_cli.commands.score_limits import FAIL_OVER, FAIL_UNDER
+
+    names = {}
+    if fail_under is not None:
+        names["below"] = [limit.name for limit in missed if limit.option == FAIL_UNDER]
+    if fail_over is not None:
+        names["above"] = [limit.name for limit in missed if limit.option == FAIL_OVER]
+    return names
+
+
+def _evaluation_tables(evaluation: "Evaluation") -> "Group":
+    """Return the tables and sentences of an evaluation."""
+    from rich.console import Group
+    from rich.text import Text
+
+    from salsanext_cli.report import tables
+
+    uncertainty, accepted = evaluation.uncertainty, evaluation.accepted
+    parts: list[Any] = [tables.score_table(evaluation.scores, evaluation.doubt)]
+    parts += [tables.band_table(evaluation.by_distance)] if evaluation.by_distance else []
+    parts += tables.uncertainty_tables(uncertainty)
+    parts += [Text(uncertainty.accepted.sentence)] if uncertainty.accepted else []
+    if accepted:
+        threshold = evaluation.settings["reject"]
+        missed = (
+            f"Points rejected by `predict --reject` (threshold {threshold:.4g}) count as wrong in "
+            "accuracy and IoU, and do not count in the official accuracy."
+        )
+        guarantee = [evaluation.guarantee.sentence] if evaluation.guarantee else []
+        lines = [missed, *accepted.sentences, *guarantee]
+        parts += [tables.accepted_table(accepted.classes), Text("\n".join(lines))]
+    return Group(*parts)
+
+
+def export_ply(
+    out: Path = arguments.RESULTS,
+    *,
+    colour: str = option(f"{COLOUR_HELP}.", "--colour", "--color", default="label"),
+    scale: tuple[float, float] | None = arguments.SCALE,
+    query: ResultQuery,
+    running: RunOptions,
+    output: console.Output,
+) -> None:
+    """Write coloured point clouds that contain all values of every point.
+
+    Example: salsanext export-ply --colour uncertainty
+    """
+    from salsanext_cli.commands.stages.export_ply import export_ply as stage
+
+    with over_scans("export-ply", running, output.quiet) as run:
+        outcome = stage(out, colour=colour, scale=scale, query=query, options=run)
+    summary.finish("export-ply", outcome, out, output)

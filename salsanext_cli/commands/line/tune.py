@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: MIT
+"""`salsanext tune`: one command for each part of the weights that is fitted afterwards."""
+
+import shlex
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from salsanext_cli.commands.line import arguments, console
+from salsanext_cli.commands.line.console import guarded, writing
+from salsanext_cli.commands.line.expansion import Default, Shown, Without, expanded
+from salsanext_cli.commands.line.help import Command, Group
+from salsanext_cli.core.errors import counted, percentage
+from salsanext_cli.runs.loop.run_options import running_option
+from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.option_fields import ScanSelection, argument, option, option_group
+
+
+@option_group
+class Fit:
+    """Labelled scans, network and weights file of a fit."""
+
+    selection: ScanSelection = ScanSelection()
+    settings: NetworkSettings = NetworkSettings()
+    overwrite: bool = running_option("Replace existing results.", default=False)
+
+
+FitOptions = Annotated[
+    Fit,
+    Shown(split={"show_default": "valid, and the sequences of no split"}, limit=arguments.SUBSET),
+    Default(precision="auto"),
+]
+
+
+def tune_temperature(
+    dataset: Path = arguments.labelled_argument(default=...),
+    target: Path = arguments.WEIGHTS_OUT,
+    *,
+    fit: FitOptions,
+    output: console.Output,
+) -> None:
+    """Fit the temperature that calibrates the class probabilities, and write new weights.
+
+    Example: salsanext tune temperature scenes/ tuned.safetensors
+    """
+    from salsanext_cli.report.tables import temperature_table
+
+    tuned = _tuned("temperature", dataset, target, fit, output)
+    output.result(tuned, temperature_table(tuned))
+    points = f"{tuned['points']:,} points of {counted(tuned['scans'], 'scan')}"
+    _end(output, f"tune temperature: {points} → {target}", target)
+
+
+def tune_error(
+    dataset: Path = arguments.labelled_argument(default=...),
+    target: Path = arguments.WEIGHTS_OUT,
+    *,
+    fit: FitOptions,
+    output: console.Output,
+) -> None:
+    """Fit the estimate of the probability that a label is wrong, and write new weights.
+
+    Example: salsanext tune error scenes/ trusted.safetensors
+    """
+    from salsanext_cli.report.tables import error_table
+
+    tuned = _tuned("error", dataset, target, fit, output)
+    output.result(tuned, error_table(tuned) if tuned["folds"] else None)
+    points = f"{tuned['points']:,} points of {counted(tuned['scans'], 'scan')}"
+    points += f", {percentage(tuned['wrong'])} wrong"
+    if several := tuned["several"]:
+        points += (
+            f" ({percentage(several)} of all points skipped: labels of several merged classes)"
+        )
+    _end(output, f"tune error: {points} → {target}", target, "--error ")
+
+
+def tune_risk(
+    dataset: Path = arguments.labelled_argument(default=...),
+    target: Path = arguments.WEIGHTS_OUT,
+    *,
+    at_most: str = option(
+        "Limit on the share of the points of a scan that are accepted and wrong, such as 5%. "
+        "Without `--confidence` it limits the average over scans or drives.",
+        default=...,
+        metavar="SHARE",
+    ),
+    confidence: str | None = option(
+        "Instead of an average: with this confidence, at least this share of scans (or drives) "
+        "stays within the limit, such as 90%. The others may exceed it by any amount.",
+        metavar="SHARE",
+    ),
+    record: Path | None = option(
+        "Also write a dated record to archive: threshold, scans with digests, weights, settings "
+        "and check, as JSON.",
+        metavar="FILE",
+    ),
+    fit: FitOptions,
+    output: console.Output,
+) -> None:
+    """Choose the threshold of `predict --reject risk`, and write new weights.
+
+    Example: salsanext tune risk scenes/ safe.safetensors --at-most 5%
+    """
+    from rich.console import Group
+    from rich.text import Text
+
+    from salsanext_cli.io.files.atomic import require_target
+    from salsanext_cli.report.tables import accepted_table, needed_scans_table
+    from salsanext_cli.training.tuning.risk_level import TooFewScansError
+    from salsanext_cli.training.tuning.risk_record import write_risk_record
+
+    if record:
+        require_target(record, fit.overwrite, ".json")
+    numbers: dict[str, Any] = {
+        "at_most": arguments.share("--at-most", at_most),
+        "confidence": arguments.share("--confidence", confidence),
+    }
+    try:
+        tuned = _tuned("risk", dataset, target, fit, output, **numbers)
+    except TooFewScansError:
+        output.explain(needed_scans_table(**numbers))
+        raise
+    if record:
+        paths = {"source": dataset, "weights": fit.settings.path, "target": target}
+        write_risk_record(record, tuned, **paths)
+    sentences = (Text(sentence) for sentence in tuned["sentences"])
+    accepted = accepted_table(tuned["accepted"]["classes"])
+    output.result(tuned, Group(accepted, needed_scans_table(**numbers), *sentences))
+    _end(output, f"tune risk: {tuned['guarantee']} → {target}", target, "--reject risk ")
+
+
+def tune_dropout(
+    dataset: Path = arguments.labelled_argument(default=...),
+    target: Path = arguments.WEIGHTS_OUT,
+    *,
+    samples: int = option("Monte-Carlo passes per scan and rate.", default=30),
+    fit: Annotated[FitOptions, Default(limit=20)],
+    output: console.Output,
+) -> None:
+    """Find the best dropout rate for `uncertainty`, and write new weights.
+
+    Example: salsanext tune dropout scenes/ sampled.safetensors
+    """
+    from salsanext_cli.report.tables import rate_table
+
+    tuned = _tuned("dropout", dataset, target, fit, output, samples=samples)
+    best = tuned["best"]
+    output.result(tuned, rate_table(tuned["rates"], tuned["objectives"], best))
+    summary = f"tune dropout: {best:.4g}, was {tuned['before']:g} → {target}"
+    _end(output, summary, target, stage="uncertainty")
+
+
+def tune_int8(
+    scans: Path = argument(arguments.SCANS_HELP, default=..., metavar="SCANS"),
+    target: Path = arguments.WEIGHTS_OUT,
+    *,
+    fit: Annotated[
+        Fit,
+        Without({"device", "precision", "engine"}),
+        Shown(split={"show_default": "all scans"}, limit=arguments.SUBSET),
+        Default(limit=16),
+    ],
+    output: console.Output,
+) -> None:
+    """Fit the ranges of `predict --precision int8` to scans without labels; write new weights.
+
+    Example: salsanext tune int8 scenes/ fast.safetensors
+    """
+    from salsanext_cli.commands.stages.tune import tune_int8 as stage
+
+    tuned = stage(
+        scans, target, settings=fit.settings, selection=fit.selection, overwrite=fit.overwrite
+    )
+    output.result(tuned | {"weights": str(target)})
+    summary = f"tune int8: {counted(tuned['scans'], 'scan')} → {target}"
+    _end(output, summary, target, "--precision int8 ")
+
+
+def _end(
+    output: console.Output, summary: str, target: Path, option: str = "", stage: str = "predict"
+) -> None:
+    """Print the summary and the usual next command."""
+    output.print(summary)
+    output.print(f"next: salsanext {stage} SCANS OUT {option}--weights {shlex.quote(str(target))}")
+
+
+def _tuned(
+    part: str, source: Path, target: Path, fit: Fit, output: console.Output, **numbers: Any
+) -> dict[str, Any]:
+    """Fit a part of the weights; return the result as plain data."""
+    from salsanext_cli.commands.stages.tune import tune
+
+    with writing(f"tune {part}", output.quiet, at_end=True) as bar:
+        numbers |= {"selection": fit.selection, "overwrite": fit.overwrite, "progress": bar}
+        tuned = tune(part, source, target, settings=fit.settings, **numbers)
+    return tuned | {"weights": str(target)}
+
+
+tune = typer.Typer(
+    cls=Group,
+    rich_markup_mode=None,
+    help="Fit weights to scans: temperature, error model, risk threshold, dropout rate, int8.",
+)
+tune.command("error", cls=Command)(guarded(expanded(tune_error)))
+tune.command("risk", cls=Command)(guarded(expanded(tune_risk)))
+tune.command("temperature", cls=Command)(guarded(expanded(tune_temperature)))
+tune.command("dropout", cls=Command)(guarded(expanded(tune_dropout)))
+tune.command("int8", cls=Command)(guarded(expanded(tune_int8)))

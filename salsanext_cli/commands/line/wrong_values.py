@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: MIT
+"""Errors of typer about the command line, in the words of this program."""
+
+import os
+from collections.abc import Sequence
+from typing import Any
+
+from salsanext_cli.core.errors import UsageError, nearest, shortened
+
+LIKE_OPTION = 0.75  # Least likeness of the name of an option that may be meant
+SAME_PURPOSE = {"--limit": "--subset", "--subset": "--limit"}
+"""Option of other commands, and the one for the same purpose; no command has both."""
+NUMBERS = {"N": "a whole number", "NUMBER": "a number"}
+"""What is expected, by the word for a value in the help."""
+
+
+def usage_error(raised: Any, arguments: Sequence[str]) -> UsageError:
+    """Return the error for an error of typer about a command line.
+
+    Parameters
+    ----------
+    raised : Exception
+        Error of typer.
+    arguments : sequence of str
+        Words of the command line.
+
+    Returns
+    -------
+    UsageError
+    """
+    path = getattr(raised.ctx, "command_path", "salsanext")
+    if unknown := getattr(raised, "option_name", ""):
+        offered = [name for known in raised.ctx.command.params for name in known.opts]
+        return _unknown_option(unknown, offered, path)
+    parameter: Any = getattr(raised, "param", None)
+    value = None if parameter is None else _value(parameter, arguments)
+    expected = "" if parameter is None else _expected(parameter)
+    if value is not None and expected:
+        name = max(parameter.opts, key=len)
+        choices = str(parameter.metavar).split("|")
+        likely = nearest(value, choices) if len(choices) > 1 else None
+        hint = f"did you mean {name} {likely}?" if likely else f"see {path} --help"
+        return UsageError(name, f"is {shortened(value)}", expected, hint)
+    message = raised.format_message().rstrip(".")
+    problem = message[:1].lower() + message[1:]
+    return UsageError(path, problem, hint=f"see {path} --help")
+
+
+def _unknown_option(name: str, offered: Sequence[str], path: str) -> UsageError:
+    """Return the error about an option that a command does not offer."""
+    likely = SAME_PURPOSE.get(name, "")
+    if likely not in offered:
+        # The dashes of all options are alike.
+        words = {option.removeprefix("--"): option for option in offered if option[:2] == "--"}
+        likely = words.get(nearest(name.removeprefix("--"), words, LIKE_OPTION), "")
+    hint = f"did you mean {likely}?" if likely else f"see {path} --help"
+    return UsageError(path, f"no such option: {name}", hint=hint)
+
+
+def _value(parameter: Any, arguments: Sequence[str]) -> str | None:
+    """Return the value of an option as it was typed, or that of its variable."""
+    for place, word in reversed([*enumerate(arguments)]):
+        name, equals, value = word.partition("=")
+        if name not in parameter.opts:
+            continue
+        if equals:
+            return value
+        return arguments[place + 1] if place + 1 < len(arguments) else None
+    return os.environ.get(parameter.envvar) if isinstance(parameter.envvar, str) else None
+
+
+def _expected(parameter: Any) -> str:
+    """Return what the value of an option must be; empty if that is not known."""
+    least, most = getattr(parameter, "min", None), getattr(parameter, "max", None)
+    if least is not None and most is not None:
+        return f"{least} to {most}"
+    choices = str(parameter.metavar).split("|")
+    if len(choices) > 1 and all(choice.islower() for choice in choices):
+        return f"{', '.join(choices[:-1])} or {choices[-1]}"
+    return NUMBERS.get(str(parameter.metavar), "")

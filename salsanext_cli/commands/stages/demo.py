@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: MIT
+"""Whole pipeline on a simulated drive, from the scans to the page of the run."""
+
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from salsanext_cli.commands.stages.evaluate import Evaluation, evaluate
+from salsanext_cli.commands.stages.export_ply import export_ply
+from salsanext_cli.commands.stages.picture import picture
+from salsanext_cli.commands.stages.predict import predict_scans
+from salsanext_cli.commands.stages.report import report
+from salsanext_cli.commands.stages.synth import synthesise
+from salsanext_cli.commands.stages.uncertainty import uncertainty
+from salsanext_cli.core.uncertainty.error_features import knows_error
+from salsanext_cli.core.uncertainty.method import UncertaintyMethod
+from salsanext_cli.runs.loop.run import Failure, Progress, RunOptions
+from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.option_fields import ScanSelection
+from salsanext_cli.runs.results.paths import ERROR, find_outputs
+from salsanext_cli.runs.results.query import ResultQuery
+from salsanext_cli.runs.results.result_folder import ResultFolder
+
+# No scene of the training of the default weights has this seed.
+SCENE: dict[str, Any] = {"train": 0, "valid": 1, "seed": 2020, "spacing": 12.0}
+
+
+@dataclass(frozen=True, slots=True)
+class Demonstration:
+    """Results of the demonstration."""
+
+    evaluation: Evaluation  # Scores of the predictions
+    pictures: tuple[Path, ...]  # PNG files
+    page: Path  # Page of `report`
+    failures: tuple[Failure, ...]  # Scans that a stage could not process
+
+
+def demo(
+    folder: Path,
+    *,
+    scans: int,
+    samples: int,
+    settings: NetworkSettings,
+    options: RunOptions,
+    bars: Callable[[str], AbstractContextManager[Progress | None]],
+) -> Demonstration:
+    """Run every stage on a simulated drive, in ``data/`` and ``out/`` of a folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder to write to.
+    scans, samples : int
+        Number of scans of the drive, and of Monte-Carlo passes per scan.
+    settings, options : NetworkSettings and RunOptions
+        Network that predicts, and options of every stage.
+    bars : callable
+        Function from the name of a step to a context with its progress callback.
+
+    Returns
+    -------
+    Demonstration
+    """
+    data, out = folder / "data", folder / "out"
+    method, valid = UncertaintyMethod(samples=samples), ScanSelection(split="valid")
+
+    @contextmanager
+    def step(name: str) -> Iterator[RunOptions]:
+        with bars(name) as progress:
+            yield replace(options, progress=progress)
+
+    with step("synth") as run:
+        synthesise(data, scans=scans, **SCENE, overwrite=run.overwrite, progress=run.progress)
+    with step("predict") as run:
+        extras = (ERROR,) if knows_error(settings.load()) else ()
+        predicted = predict_scans(data, out, settings=settings, extras=extras, options=run)
+    with step("uncertainty") as run:
+        sampled = uncertainty(data, out, settings=settings, method=method, options=run)
+    with step("export-ply") as run:
+        exported = export_ply(out, colour="label", options=run)
+    with step("picture") as run:
+        pictured = picture(out, options=run)
+    failures = tuple(f for run in (predicted, sampled, exported, pictured) for f in run.failures)
+    files, space = ResultFolder(out).predicted(valid)
+    with step("eval") as run:
+        evaluation = evaluate(files, out, space, run, settings=ResultFolder(out).provenance(valid))
+    pictures = tuple(find_outputs(out, "pictures").values())
+    with step("report") as run:
+        page = report(out, query=ResultQuery(selection=valid), options=run).page
+    return Demonstration(evaluation, pictures, page, failures)

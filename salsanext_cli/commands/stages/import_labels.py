@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: MIT
+"""Stage `import-labels`: labels of a labelling tool to the label files of a data set."""
+
+import hashlib
+import logging
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+
+from salsanext_cli.core.classes.label_space import LabelSpace, RawIds
+from salsanext_cli.core.errors import (
+    LabelError,
+    NoInputError,
+    OutputError,
+    SalsanextError,
+    UsageError,
+    first_few,
+)
+from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.io.files.reading import is_folder
+from salsanext_cli.io.formats import read_scan
+from salsanext_cli.io.formats.kitti import encode_labels
+from salsanext_cli.io.formats.label_scalars import LabelIds
+from salsanext_cli.io.formats.recordings import recording_of
+from salsanext_cli.runs.labelling.edited_files import find_edited, read_edited, scan_of_edited
+from salsanext_cli.runs.labelling.label_records import (
+    ImportedScan,
+    LabelImport,
+    LabelRecords,
+    labels_root,
+    pre_labelled_scans,
+)
+from salsanext_cli.runs.loop.run_options import Progress
+from salsanext_cli.runs.results.paths import ScanFile, find_scans
+from salsanext_cli.runs.results.selection import data_set_label_space, space_of
+
+log = logging.getLogger(__name__)
+
+
+def import_labels(
+    edited: Path,
+    dataset: Path,
+    *,
+    scalar: str | None = None,
+    ids: Path | None = None,
+    space: LabelSpace | None = None,
+    sensor: Sensor | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> LabelImport:
+    """Write label files of the scans of a data set from files of a labelling tool.
+
+    Parameters
+    ----------
+    edited, dataset : Path
+        File of one scan or folder of such files, and data set of `pick` or folder of scans.
+    scalar : str, optional
+        Name of the scalar with the labels; by default the only one with a usual name.
+    ids : Path, optional
+        YAML file that maps the ids of the tool to class names or raw ids.
+    space : LabelSpace, optional
+        Classes of the labels; by default those of the data set.
+    sensor : Sensor, optional
+        Names of the columns of scan files without names.
+    overwrite : bool
+        Whether to replace labels that were changed or imported from another file.
+    progress : callable, optional
+        Function of the number of finished scans and of all.
+
+    Returns
+    -------
+    LabelImport
+    """
+    scans = find_scans(dataset)
+    space = _space_for(scans, space, dataset)
+    imported = LabelImport(space, class_points=np.zeros(space.class_count, np.int64))
+    of_scan = _files_by_scan(edited, scans, imported)
+    records = {root: LabelRecords(root) for root in sorted({*map(labels_root, of_scan)})}
+    meanings, is_named = LabelIds.of_space(space, ids), not is_folder(edited)
+    with ExitStack() as locks:
+        for record in records.values():
+            locks.enter_context(record.owned.open())
+        for done, (scan, paths) in enumerate(of_scan.items(), start=1):
+            try:
+                points, record = read_scan(scan.path, sensor).points, records[labels_root(scan)]
+                labels = {p: read_edited(p, scan, points, meanings, space, scalar) for p in paths}
+                _import_scan(scan, labels, record, imported, overwrite=overwrite, named=is_named)
+            except SalsanextError as error:
+                imported.fail(paths, error)
+            if progress:
+                progress(done, len(of_scan))
+    if imported.unedited and not imported.scans and not imported.failures:
+        hint = "save the corrected labels; to accept a pre-label, name its file"
+        raise NoInputError(edited, "contains only unchanged pre-labels", "edited labels", hint)
+    imported.unchanged = len(scans) - len(of_scan)
+    imported.pre_labelled = [scan.name for scan in pre_labelled_scans(scans)]
+    return imported
+
+
+def _space_for(scans: Sequence[ScanFile], space: LabelSpace | None, dataset: Path) -> LabelSpace:
+    """Return the label space of an import; refuse one that contradicts the data set."""
+    if recording_of(scans[0].path) is not None:
+        hint = f"run `salsanext convert {dataset} FOLDER` first"
+        raise NoInputError(dataset, "is a recording, which has no label files", "scans", hint)
+    known = space_of(scans)
+    if space is not None and data_set_label_space(labels_root(scans[0])) and not space.fits(known):
+        problem = f"{space.name} differs from labels.yaml of the data set in classes or ids"
+        hint = "map the ids of the tool with --map, or change labels.yaml"
+        raise UsageError("--label-space", problem, known.name, hint)
+    return space or known
+
+
+def _files_by_scan(
+    edited: Path, scans: Sequence[ScanFile], imported: LabelImport
+) -> dict[ScanFile, list[Path]]:
+    """Return the edited files by scan, in the order of the scans; other files are failures."""
+    files, of_scan = find_edited(edited), dict[ScanFile, list[Path]]()
+    if is_folder(edited):
+        in_place = {path for scan in scans for path in (scan.path, scan.label_path)}
+        files = [path for path in files if path not in in_place]
+        if not files:
+            problem = "contains only the labels of the data set itself"
+            raise NoInputError(edited, problem, "files of a labelling tool elsewhere")
+    for path in files:
+        try:
+            of_scan.setdefault(scan_of_edited(path, edited, scans), []).append(path)
+        except LabelError as error:
+            imported.fail([path], error)
+    return {scan: of_scan[scan] for scan in scans if scan in of_scan}
+
+
+def _import_scan(
+    scan: ScanFile,
+    labels: dict[Path, tuple[RawIds, ImportedScan]],
+    records: LabelRecords,
+    imported: LabelImport,
+    *,
+    overwrite: bool,
+    named: bool,
+) -> None:
+    """Write the labels of a scan from the only file that differs from its pre-label."""
+    contents = {path: encode_labels(raw) for path, (raw, _) in labels.items()}
+    unedited = [
+        path
+        for path, content in contents.items()
+        if records.is_pre_label(scan, hashlib.sha256(content).hexdigest())
+    ]
+    if named and unedited:
+        log.warning("%s: contains unchanged pre-labels", unedited[0])
+    elif unedited:
+        imported.unedited += map(str, unedited)
+        contents = {path: contents[path] for path in contents if path not in unedited}
+    if len(contents) > 1:
+        problem = f"has {len(contents)} edited files: {first_few([*contents])}"
+        hint = "merge them in the labelling tool, or move the other files"
+        raise LabelError(f"scan {scan.name}", problem, "one file", hint)
+    for path, content in contents.items():
+        in_place = path == scan.label_path
+        if not (overwrite or in_place or records.is_replaceable(scan, path)):
+            problem = "was changed, not written by salsanext, or imported from another file"
+            hint = "move older files or the labels away, or replace the labels with --overwrite"
+            raise OutputError(scan.label_path, problem, hint=hint)
+        raw, numbers = labels[path]
+        records.write(scan, content, numbers)
+        imported.scans.append(numbers)
+        train = imported.space.to_train(raw, strict=False)
+        imported.class_points += np.bincount(train, minlength=imported.space.class_count)

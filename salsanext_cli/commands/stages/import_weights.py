@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: MIT
+"""Stage `import-weights`: a published checkpoint, or weights of salsanext, as a weights file."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from salsanext_cli.core.classes.label_space import LabelSpace, label_space
+from salsanext_cli.core.errors import UsageError, WeightsError
+from salsanext_cli.core.network.card import WeightsCard, read_card
+from salsanext_cli.core.network.registry import build
+from salsanext_cli.core.sensors.sensor import Sensor, sensor
+from salsanext_cli.io.files.atomic import WEIGHTS_SUFFIX, require_target
+from salsanext_cli.io.weights.published import read_published
+from salsanext_cli.io.weights.weights import load_tensors, read_weights, save_weights
+
+DROPOUT = 0.2
+
+
+def import_weights(
+    source: Path,
+    target: Path,
+    *,
+    space: LabelSpace | None = None,
+    view: Sensor | None = None,
+    dropout: float | None = None,
+    description: str = "",
+    half: bool = False,
+    overwrite: bool = False,
+) -> WeightsCard:
+    """Write a weights file.
+
+    Parameters
+    ----------
+    source, target : Path
+        Checkpoint of ``torch.save`` or weights file of salsanext, and weights file to write.
+    space, dropout : optional
+        Classes and dropout rate of a checkpoint; default: SemanticKITTI's, and `DROPOUT`.
+    view : Sensor, optional
+        Sensor of the weights; default: the sensor of the source, for a checkpoint the HDL-64.
+    description : str
+        Description of the weights.
+    half, overwrite : bool
+        Store the tensors in float16; replace an existing target.
+
+    Returns
+    -------
+    WeightsCard
+        Card of the target.
+    """
+    require_target(target, overwrite)
+    if source.suffix == WEIGHTS_SUFFIX:
+        for option, value in {"--label-space": space, "--dropout": dropout}.items():
+            if value is not None:
+                problem = f"the weights file {source} contains this already"
+                raise UsageError(option, problem, "a published checkpoint", f"omit {option}")
+        module, card = read_weights(source)
+        described = description or card.description
+        if view:  # Nothing is known about other widths of its images.
+            card = replace(card, sensor=view, widths=(), of_widths={})
+        card = replace(card, description=described, version=None)
+    else:
+        space, tensors = space or label_space(), read_published(source)
+        outputs = tensors["logits.bias"].numel() if "logits.bias" in tensors else 0
+        if outputs != space.class_count:
+            expected = f"{space.class_count}, one per class of {space.name}"
+            hint = "give its label space with --label-space"
+            raise WeightsError(source, f"has {outputs} outputs", expected, hint)
+        rate = DROPOUT if dropout is None else dropout
+        architecture = {"name": "salsanext", "class_count": outputs, "dropout": rate}
+        module = build(architecture, source)
+        load_tensors(module, tensors, source)
+        described = description or f"Imported from the published checkpoint {source.name}."
+        card = WeightsCard(architecture, space, view or sensor("hdl64"), description=described)
+    save_weights(target, module, card, half=half)
+    return read_card(target)

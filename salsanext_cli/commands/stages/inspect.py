@@ -1,0 +1,216 @@
+# SPDX-License-Identifier: MIT
+"""Stage `inspect`: size, field of view and classes of scans; a sensor fitted to them."""
+
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+from salsanext_cli.core.checks.scan_checks import ALONE, FIT, check_scan
+from salsanext_cli.core.classes.label_space import LabelSpace
+from salsanext_cli.core.errors import NoInputError, counted
+from salsanext_cli.core.fitting.sensor_groups import sensor_groups
+from salsanext_cli.core.geometry.network_input import NO_INTENSITY
+from salsanext_cli.core.geometry.projection import measured_ranges, project, without_ego
+from salsanext_cli.core.geometry.scan_traits import sensor_of
+from salsanext_cli.core.measures.survey import Survey, survey
+from salsanext_cli.core.network.card import default_weights, read_card
+from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.io.files.atomic import require_absent, write_bytes
+from salsanext_cli.io.files.json_files import plain
+from salsanext_cli.io.files.reading import present
+from salsanext_cli.io.formats import read_scan
+from salsanext_cli.io.formats.kitti import read_labels
+from salsanext_cli.runs.fit.mixed_sensors import APART
+from salsanext_cli.runs.fit.scan_sample import ScanSample
+from salsanext_cli.runs.fit.sensor_fit import fitted_view
+from salsanext_cli.runs.loop.run import Failure, RunOptions, run_over_scans
+from salsanext_cli.runs.option_fields import ScanSelection
+from salsanext_cli.runs.results.paths import ScanFile, find_scans
+from salsanext_cli.runs.results.selection import select_scans, space_of
+from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
+from salsanext_cli.runs.summary.scan_warnings import ScanWarning
+
+MIN_POINTS_OF_FIT = 1000  # A fit skips one point in a thousand at either edge.
+MIN_FIELD_OF_VIEW_DEG = 1.0  # A planar scanner has less.
+
+
+@dataclass(frozen=True, slots=True)
+class Inspection:
+    """Result of inspecting scans."""
+
+    sequences: dict[str, Survey]  # By name
+    total: Survey  # Survey of all scans
+    sensor: Sensor  # Sensor of the range images
+    space: LabelSpace
+    failures: tuple[Failure, ...]  # Scans that are unreadable or not in metres
+    warnings: list[ScanWarning]  # Reasons to doubt scans
+
+    def to_dict(self) -> dict[str, object]:
+        """Return plain data for JSON."""
+        return {
+            "stage": "inspect",
+            "sensor": self.sensor.to_dict(),
+            "total": self.total.to_dict(),
+            "sequences": {name: survey.to_dict() for name, survey in self.sequences.items()},
+            "failures": [failure.to_dict() for failure in self.failures],
+            "warnings": plain(self.warnings),
+        }
+
+    def fitted_sensor(self, name: str, *, images: bool = True) -> Sensor:
+        """Return the fitted sensor with a name; `images` as for `inspect`."""
+        _require_fit(name, self.total)
+        if not images:
+            return replace(self.sensor, name=name)
+        return replace(
+            _with_field_of_view(self.sensor, self.total),
+            name=name,
+            means=tuple(round(mean, 4) for mean in self.total.means),
+            stds=tuple(round(std, 4) for std in self.total.stds),
+        )
+
+
+def inspect(
+    source: Path,
+    *,
+    sensor: Sensor,
+    space: LabelSpace | None = None,
+    selection: ScanSelection = ScanSelection(),
+    options: RunOptions = RunOptions(),
+    fit: bool = False,
+    images: bool = True,
+    as_predict: bool = False,
+    fit_mounting: bool = True,
+) -> Inspection:
+    """Survey and check scans, and fit a sensor to them.
+
+    Parameters
+    ----------
+    source : Path
+        Scans.
+    sensor : Sensor
+        Sensor of the range images.
+    space : LabelSpace, optional
+        Label space of the labels; by default that of the data set.
+    selection, options
+        Choice of scans; workers, and what to do with errors.
+    fit : bool
+        Whether to fit the sensor to the scans, as `predict` does.
+    images : bool
+        Whether the fit is for new weights: the field of view holds all points, and the images are
+        normalised by the scans.
+    as_predict : bool
+        Whether to judge scans by the sensor that `predict` fits to them, or by several.
+    fit_mounting : bool
+        Whether a fit estimates the mounting too; else that of the sensor stays.
+
+    Returns
+    -------
+    Inspection
+
+    Raises
+    ------
+    NoInputError
+        If there are no scans, or a fit is to scans of several sensors.
+    """
+    scans, files = select_scans(source, selection, space), find_scans(source)
+    hint = ALONE if fit else FIT
+    if fit:
+        sensor = _fitted_sensor(source, files, sensor, mounting=fit_mounting)
+        # This pass fits the field of view that scans are checked against.
+        if images and (first := _inspect(scans, sensor, space, options)).total.pixels:
+            sensor = _with_field_of_view(sensor, first.total)
+    elif as_predict:
+        sensor = fitted_view(files, sensor, mounting=fit_mounting)
+        hint = ALONE
+    elif len(sensor_groups(ScanSample(files, sensor).scans, sensor)) > 1:
+        hint = APART
+    return _inspect(scans, sensor, space, options, hint)
+
+
+def _fitted_sensor(
+    source: Path, files: list[ScanFile], sensor: Sensor, *, mounting: bool
+) -> Sensor:
+    """Return the sensor fitted to scans as `predict` does; refuse scans of several sensors."""
+    usual = read_card(default_weights()).sensor
+    plain = replace(sensor, fov_up=usual.fov_up, fov_down=usual.fov_down)
+    fitted = fitted_view(files, plain, mounting=mounting)
+    if fitted.others:
+        problem = f"has scans of {len(fitted.members)} sensors"
+        raise NoInputError(source, problem, "scans of one sensor", APART)
+    return fitted
+
+
+def _inspect(
+    scans: list[ScanFile],
+    sensor: Sensor,
+    space: LabelSpace | None,
+    options: RunOptions,
+    hint: str = "",
+) -> Inspection:
+    """Survey the scans; check them if there is a hint for findings that a fit may remove."""
+    sequences: dict[str, Survey] = {}
+    summary = RunSummary(sensor)
+
+    def add(result: tuple[Survey, ScanSummary]) -> None:
+        counts, scan = result
+        name = scan.file.sequence
+        sequences[name] = sequences.get(name, Survey()) + counts
+        if hint:
+            summary.add(scan)
+
+    task = partial(_inspect_scan, sensor=sensor, hint=hint)
+    outcome = run_over_scans(task, scans, options, on_result=add)
+    sequences = dict(sorted(sequences.items()))
+    total = sum(sequences.values(), start=Survey())
+    warnings, space = summary.finished().warnings(), space or space_of(scans)
+    return Inspection(sequences, total, sensor, space, outcome.failures, warnings)
+
+
+def _inspect_scan(file: ScanFile, sensor: Sensor, hint: str) -> tuple[Survey, ScanSummary]:
+    """Read, check, project and survey a scan."""
+    scan = read_scan(file.path, sensor)
+    sensor = sensor_of(scan, sensor)
+    # The scale of the intensity does not matter, since `predict` matches it.
+    matched = replace(sensor, intensity_quantiles=NO_INTENSITY)
+    check = check_scan(file.path, scan, matched, matched, hint)
+    raw = read_labels(file.label_path, len(scan)) if present(file.label_path) else None
+    counts = survey(without_ego(scan, sensor), project(scan, sensor), raw)
+    _, measured = measured_ranges(scan.points)
+    # Points on the vehicle have a measurement, although the survey does not use it.
+    counts.invalid = int(len(scan) - measured.sum())
+    return counts, ScanSummary(file, check)
+
+
+def _require_fit(name: str, total: Survey) -> None:
+    """Refuse to fit a sensor to scans that do not show its field of view."""
+    measured = total.points - total.invalid
+    up, down = total.field_of_view()
+    if measured < MIN_POINTS_OF_FIT or up - down < MIN_FIELD_OF_VIEW_DEG:
+        view = f"a field of view of {up - down:.2f}°, from {up:+.2f}° to {down:+.2f}°"
+        problem = f"scans have {counted(measured, 'point')} with a measurement and {view}"
+        expected = f"at least {MIN_POINTS_OF_FIT} points and {MIN_FIELD_OF_VIEW_DEG:g}°"
+        hint = "fit a sensor to whole scans of a 3D LiDAR, with z up and its origin at the sensor"
+        raise NoInputError(name, problem, expected, hint)
+
+
+def _with_field_of_view(sensor: Sensor, total: Survey) -> Sensor:
+    up, down = total.field_of_view()
+    return replace(sensor, fov_up=round(up, 2), fov_down=round(down, 2))
+
+
+def write_sensor(
+    path: Path, sensor: Sensor, *, images: bool = True, overwrite: bool = False
+) -> None:
+    """Write a sensor to a TOML file for `--sensor`.
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    sensor : Sensor
+        Sensor to write.
+    images, overwrite : bool
+        Whether to write the size and normalisation of the images too; to replace an existing file.
+    """
+    require_absent(path, overwrite)
+    write_bytes(path, sensor.to_toml(images=images).encode())

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: MIT
+"""Stage `knn-refine`: labels of pixels, assigned to points by neighbours."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+from salsanext_cli.core.classes.label_space import LabelSpace, TrainIds
+from salsanext_cli.core.errors import LabelError, NoInputError, OutputError, UsageError
+from salsanext_cli.core.geometry.knn import knn_refine
+from salsanext_cli.core.geometry.projection import project
+from salsanext_cli.core.records import RangeImage
+from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.io.formats import read_scan
+from salsanext_cli.io.formats.npy import read_array
+from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
+from salsanext_cli.runs.option_fields import KnnParameters, ScanSelection
+from salsanext_cli.runs.results.manifest import StageSettings
+from salsanext_cli.runs.results.output_run import OutputRun, output_run
+from salsanext_cli.runs.results.paths import ScanFile, find_scans, with_outputs
+from salsanext_cli.runs.results.recorded_origins import sensor_of_result
+from salsanext_cli.runs.results.result_folder import ResultFolder
+from salsanext_cli.runs.results.selection import choose, space_of
+from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
+
+
+class LabelledPixels(NamedTuple):
+    """Scan with the labels of its pixels."""
+
+    file: ScanFile
+    image: RangeImage
+    labels: TrainIds  # (H, W)
+
+
+@dataclass(frozen=True, slots=True)
+class RefineJob:
+    """Job that refines pixel labels by neighbours."""
+
+    space: LabelSpace
+    sensor: Sensor
+    knn: KnnParameters
+    output: OutputRun
+
+    def prepare(self, file: ScanFile) -> LabelledPixels:
+        """Read and project a scan, and read the labels of its pixels."""
+        self.output.require_replaceable(file)
+        scan = read_scan(file.path, self.sensor)
+        image = project(scan, sensor_of_result(self.output.root, file, scan, self.sensor))
+        path = self.output.path(file, "pixel_labels")
+        labels: TrainIds = read_array(path, "uint8", (self.sensor.height, self.sensor.width))
+        if (highest := labels.max()) >= self.space.class_count:
+            expected = f"0 to {self.space.class_count - 1}, the classes of {self.space.name}"
+            raise LabelError(path, f"has train ids up to {highest}", expected)
+        return LabelledPixels(file, image, labels)
+
+    def compute(self, scans: Sequence[LabelledPixels]) -> list[TrainIds]:
+        """Return the labels of the points of each scan, (N,) uint8."""
+        count = self.space.class_count
+        return [knn_refine(scan.image, scan.labels, count, self.knn) for scan in scans]
+
+    def finish(self, scan: LabelledPixels, refined: TrainIds) -> ScanSummary:
+        """Write the labels of the points."""
+        self.output.write_labels(scan.file, self.space.to_raw(refined))
+        return ScanSummary.of_labels(scan.file, refined, self.space)
+
+
+def knn_refine_scans(
+    out: Path,
+    *,
+    dataset: Path | None = None,
+    sensor: Sensor | None = None,
+    space: LabelSpace | None = None,
+    knn: KnnParameters = KnnParameters(),
+    selection: ScanSelection = ScanSelection(),
+    options: RunOptions = RunOptions(),
+) -> Outcome:
+    """Refine labels of pixels into `OUT/sequences/<seq>/predictions`.
+
+    Parameters
+    ----------
+    out : Path
+        Output folder, with the labels of pixels.
+    dataset : Path, optional
+        Scans; by default those of `out`.
+    sensor, space : optional
+        Sensor of the range images and label space; by default as recorded in `out`.
+    knn : KnnParameters
+        Neighbourhood.
+    selection, options
+        Choice of scans; workers, and what to do with existing results.
+
+    Returns
+    -------
+    Outcome
+    """
+    results = ResultFolder(out)
+    if results.rejected_above("pixel_labels") is not None:
+        problem, hint = "has labels of which some were rejected", "predict without --reject"
+        raise OutputError(out, problem, "all labels, since the vote restores rejected ones", hint)
+    scans = find_scans(dataset) if dataset else results.scans()
+    recorded = results.label_space("pixel_labels")
+    if recorded and space and not recorded.fits(space):
+        problem = f"{space.name}, but the pixel labels have the classes of {recorded.name}"
+        raise UsageError("--label-space", problem, hint="predict with --classes, or leave it out")
+    space = space or recorded or results.label_space() or space_of(scans)
+    scans = with_outputs(scans, out, "pixel_labels")
+    if not scans:
+        hint = f"run `salsanext predict SCANS {out} --pixel-labels` first"
+        raise NoInputError(out, "has no pixel labels", hint=hint)
+    scans = choose(scans, selection, space_of(scans, space), out)
+    sensor, origins = sensor or results.sensor(), results.origins(["predict"])
+    settings = StageSettings(label_space=space, sensor=sensor, knn=knn, origins=origins)
+    summary = RunSummary(sensor, space, scans)
+    wanted, overwrite = (out, "knn-refine", settings, ("predictions",), scans), options.overwrite
+    run = output_run(*wanted, overwrite=overwrite, record_scans=dataset is not None)
+    with run as output, summary.recorded_in(output, scans):
+        job = RefineJob(space, sensor, knn, output)
+        return run_over_scans(job, scans, options, is_done=output.is_done, summary=summary)

@@ -1,0 +1,303 @@
+# SPDX-License-Identifier: MIT
+"""Stage `pick`: a data set of the scans most worth labelling."""
+
+import hashlib
+import logging
+import statistics
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from salsanext_cli.core.classes.label_space import LabelSpace
+from salsanext_cli.core.engines.backend import PixelPrediction
+from salsanext_cli.core.engines.network import Network
+from salsanext_cli.core.errors import NOTICE, NoInputError, UsageError, counted
+from salsanext_cli.core.measures.scan_choice import choose_scans, require_choice
+from salsanext_cli.core.uncertainty.monte_carlo import Estimate, require_sampling
+from salsanext_cli.io.files.json_files import plain
+from salsanext_cli.io.formats.kitti import encode_labels
+from salsanext_cli.report.picked import picked_cloud, picked_csv, picked_scans, scans_of_list
+from salsanext_cli.runs.fit.label_scan import PreparedScan, labelled, prepared_for
+from salsanext_cli.runs.fit.scan_sample import ScanSample
+from salsanext_cli.runs.fit.sensor_fit import fit_scans, settings_of_network
+from salsanext_cli.runs.labelling.picked_data_set import (
+    CHOSEN,
+    NAMED,
+    STAGE,
+    TABLE,
+    PickedDataSet,
+    PickedScan,
+    PickRecord,
+    PickSettings,
+    UncertaintyScale,
+)
+from salsanext_cli.runs.labelling.scan_description import (
+    DescribeJob,
+    ScanDescription,
+    checked_sample,
+)
+from salsanext_cli.runs.loop.network_task import NetworkTask
+from salsanext_cli.runs.loop.run import Failure, Outcome, RunOptions, run_over_scans
+from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.option_fields import KnnParameters, ScanSelection
+from salsanext_cli.runs.results.manifest import settings_json
+from salsanext_cli.runs.results.named_scans import named_scans, read_names
+from salsanext_cli.runs.results.paths import ScanFile, find_scans
+from salsanext_cli.runs.results.selection import choose, evenly_spaced, scans_of, space_of
+from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
+from salsanext_cli.runs.summary.scan_warnings import ScanWarning, log_recorded
+
+SAMPLES = 8  # Passes of Monte-Carlo dropout, with the same masks for all scans
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Picking:
+    """Result of picking scans."""
+
+    picked: tuple[PickedScan, ...]  # The scan most worth labelling first
+    scans: int  # Number of scans to choose from
+    outcome: Outcome  # Of the picked scans, and failures of all scans
+    warnings: list[ScanWarning]  # Of all scans
+    scale: UncertaintyScale | None = None  # None without described scans
+
+    def to_dict(self) -> dict[str, object]:
+        """Return plain data for JSON."""
+        return {
+            "stage": STAGE,
+            "scans": self.scans,
+            "picked": plain(self.picked),
+            "scale": plain(self.scale),
+            "failures": plain(self.outcome.failures),
+            "warnings": plain(self.warnings),
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class PickJob:
+    """Job that writes picked scans, and coloured clouds with pre-labels."""
+
+    network: Network
+    seed: int
+    data_set: PickedDataSet
+
+    def prepare(self, file: ScanFile) -> PreparedScan:
+        """Read, check and project a scan."""
+        return prepared_for(self.network, file)
+
+    def compute(self, scans: Sequence[PreparedScan]) -> list[Estimate]:
+        """Sample each scan."""
+        return [checked_sample(p, network, SAMPLES, self.seed) for p, network, _ in scans]
+
+    def finish(self, scan: PreparedScan, estimate: Estimate) -> tuple[ScanFile, bytes]:
+        """Write the scan and its cloud; return the pre-labels by the mean softmax, encoded."""
+        file, space = scan.projected.file, scan.network.space
+        pre_labelled = labelled(scan, PixelPrediction.of(estimate.probabilities), KnnParameters())
+        self.data_set.write_points(file, scan.network.sensor)
+        cloud = picked_cloud(pre_labelled, estimate.uncertainty.mutual_information, space)
+        self.data_set.write_missing(self.data_set.paths(file.sequence, file.stem).cloud, cloud)
+        return file, encode_labels(space.to_raw(pre_labelled.labels))
+
+
+def pick(
+    source: Path,
+    out: Path,
+    *,
+    count: int = 10,
+    seed: int = 0,
+    settings: NetworkSettings = NetworkSettings(),
+    selection: ScanSelection = ScanSelection(),
+    options: RunOptions = RunOptions(),
+    labelled: Sequence[Path] = (),
+    names: Path | None = None,
+) -> Picking:
+    """Write a data set of the scans most worth labelling, in the layout of SemanticKITTI.
+
+    Parameters
+    ----------
+    source, out : Path
+        Scans to choose from, and folder of the data set.
+    count, seed : int
+        Number of scans to pick, and seed of the dropout masks.
+    settings, selection, options : NetworkSettings, ScanSelection, RunOptions
+        Network; subset of the scans, evenly spaced if limited; workers and overwriting.
+    labelled : sequence of Path
+        Data sets of labelled scans, which the picked ones are to differ from.
+    names : Path, optional
+        Text file with the names of the scans to pick, one per line, instead of `count` scans.
+
+    Returns
+    -------
+    Picking
+    """
+    require_choice(count, seed)
+    network = settings.for_sampling().load()
+    require_sampling(network, SAMPLES)
+    every, data_set = scans_of(source), PickedDataSet(out)
+    data_set.require_apart(every)
+    space = space_of(every, network.space)
+    scans = choose(every, replace(selection, limit=None), space, source)
+    scans = _candidates(scans, selection, labelled, names)
+    count = count if names is None else len(scans)
+    done = _done(scans, labelled, source)
+    with data_set.open():
+        network = fit_scans(settings, network, ScanSample(every, network.sensor))
+        labels = done if labelled else None
+        recorded = _settings(network, count, seed, scans, labels, is_list=names is not None)
+        record = data_set.earlier(recorded, overwrite=options.overwrite)
+        if record and data_set.is_complete(record):
+            log_recorded(record.warnings)
+            return _picking(record, scans)
+        resolved = settings.resolved(network)
+        if record is None:
+            record = _chosen(resolved, network, scans, recorded, done, options)
+            if not record.picked:
+                return _picking(record, scans)
+            data_set.begin(record)
+        write = partial(PickJob, seed=seed, data_set=data_set)
+        task = NetworkTask(write, resolved, network, batch=1)
+        space = space if space.fits(network.space) else space_of([], network.space)
+        outcome = _written(task, data_set, record, scans, options, space)
+    return replace(_picking(record, scans), outcome=outcome)
+
+
+def _settings(
+    network: Network,
+    count: int,
+    seed: int,
+    scans: Sequence[ScanFile],
+    done: set[ScanFile] | None,
+    *,
+    is_list: bool,
+) -> PickSettings:
+    """Return the settings of a choice among scans, some of which are labelled already."""
+    return PickSettings(
+        settings_of_network(network),
+        count,
+        seed,
+        scans=_digest(scans),
+        labelled=None if done is None else _digest(sorted(done)),
+        samples=SAMPLES,
+        strategy=NAMED if is_list else CHOSEN,
+    )
+
+
+def _done(scans: Sequence[ScanFile], labelled: Sequence[Path], source: Path) -> set[ScanFile]:
+    """Return the scans that the data sets of labelled scans contain; refuse if all are."""
+    known = {scan.name for path in labelled for scan in find_scans(path)}
+    done = {scan for scan in scans if scan.name in known}
+    if len(done) == len(scans):
+        raise NoInputError(source, "has only labelled scans", "others to pick")
+    return done
+
+
+def _candidates(
+    scans: Sequence[ScanFile],
+    selection: ScanSelection,
+    labelled: Sequence[Path],
+    names: Path | None,
+) -> list[ScanFile]:
+    """Return the scans of a list of names, else evenly spaced ones.
+
+    Options that choose scans too are refused beside a list.
+    """
+    if names is None:
+        return evenly_spaced(scans, selection.limit or 0)
+    for option, value in (("--subset", selection.limit), ("--labelled", labelled)):
+        if value:
+            raise UsageError(option, "chooses scans, and so does --from", "one of both")
+    return named_scans(read_names(names), scans, str(names))
+
+
+def _picking(record: PickRecord, scans: Sequence[ScanFile]) -> Picking:
+    """Return the result if every picked scan was written before."""
+    outcome = Outcome(len(record.picked), _failures(record, scans), 0)
+    return Picking(tuple(record.picked), len(scans), outcome, record.warnings, record.scale)
+
+
+def _digest(scans: Sequence[ScanFile]) -> str:
+    """Return the number of scans and a digest of their names and places."""
+    names = "\n".join(f"{scan.name} {scan.path}" for scan in scans)
+    digest = hashlib.sha256(names.encode("utf-8", "surrogateescape")).hexdigest()
+    return f"{len(scans)}, {digest[:16]}"
+
+
+def _chosen(
+    resolved: NetworkSettings,
+    network: Network,
+    scans: Sequence[ScanFile],
+    settings: PickSettings,
+    done: set[ScanFile],
+    options: RunOptions,
+) -> PickRecord:
+    """Describe scans; choose uncertain ones that differ from each other and from labelled ones."""
+    describe = partial(DescribeJob, samples=SAMPLES, seed=settings.seed)
+    task = NetworkTask(describe, resolved, network, batch=1)
+    summary = RunSummary(network.sensor, scans=scans)
+    of_scan: dict[ScanFile, ScanDescription] = {}
+
+    def add(scan: ScanDescription) -> None:
+        of_scan[scan.file] = scan
+        summary.add(ScanSummary(scan.file, scan.check))
+
+    failures = run_over_scans(task, scans, options, on_result=add).failures
+    described = [of_scan[scan] for scan in scans if scan in of_scan]
+    labelled = [index for index, scan in enumerate(described) if scan.file in done]
+    picked: list[PickedScan] = []
+    if unlabelled := len(described) - len(labelled):
+        if settings.count > unlabelled and settings.strategy == CHOSEN:
+            log.log(NOTICE, "all of only %s are picked", counted(unlabelled, "scan"))
+        if settings.strategy == NAMED:
+            picked = scans_of_list(described)
+        else:
+            features = np.stack([scan.features for scan in described])
+            uncertainty = [scan.uncertainty for scan in described]
+            choices = choose_scans(features, uncertainty, settings.count, labelled)
+            picked = picked_scans(choices, [scan.file for scan in described])
+    return PickRecord(
+        settings_json(settings),
+        picked,
+        [failure.to_dict() for failure in failures],
+        summary.finished().warnings(),
+        scale=_scale(described, network.space) if described else None,
+    )
+
+
+def _scale(described: Sequence[ScanDescription], space: LabelSpace) -> UncertaintyScale:
+    """Return the scale of the uncertainties of described scans."""
+    values = [scan.uncertainty for scan in described]
+    return UncertaintyScale(min(values), statistics.median(values), max(values), space.class_count)
+
+
+def _written(
+    task: NetworkTask,
+    data_set: PickedDataSet,
+    record: PickRecord,
+    scans: Sequence[ScanFile],
+    options: RunOptions,
+    space: LabelSpace,
+) -> Outcome:
+    """Write the missing files of a data set of picked scans."""
+    files, pre_labels = {scan.name: scan for scan in scans}, dict[ScanFile, bytes]()
+    picked = [files[scan.name] for scan in record.picked if scan.name in files]
+    outcome = run_over_scans(task, picked, options, on_result=lambda r: pre_labels.update([r]))
+    data_set.write_pre_labels(record, pre_labels)
+    data_set.write_label_space(space, record.picked)
+    data_set.write_missing(data_set.root / TABLE, picked_csv(record.picked))
+    if len(pre_labels) == len(record.picked):
+        # Existing files are not replaced, so incomplete poses would remain.
+        data_set.write_poses(pre_labels)
+    return replace(outcome, failures=(*_failures(record, scans), *outcome.failures))
+
+
+def _failures(record: PickRecord, scans: Sequence[ScanFile]) -> tuple[Failure, ...]:
+    """Return the scans that could not be read for the choice."""
+    files = {str(scan.path): scan for scan in scans}
+    known = (failure for failure in record.failures if failure["scan"] in files)
+    return tuple(
+        Failure(files[f["scan"]], f["reason"], f.get("hint", ""), f["code"]) for f in known
+    )

@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: MIT
+"""Stage `project`: scans to range images on disk."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.runs.fit.label_scan import ProjectedScan, project_scan
+from salsanext_cli.runs.fit.sensor_fit import fitted_view
+from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
+from salsanext_cli.runs.loop.run_origins import OriginsOfRun
+from salsanext_cli.runs.option_fields import ScanSelection
+from salsanext_cli.runs.results.manifest import Manifest, StageSettings
+from salsanext_cli.runs.results.output_run import OutputRun, output_run
+from salsanext_cli.runs.results.paths import ORIGINS, ScanFile
+from salsanext_cli.runs.results.recorded_names import with_recorded_names
+from salsanext_cli.runs.results.recorded_origins import (
+    Origins,
+    folders_of_origins,
+    origin_array,
+    origin_in_run,
+)
+from salsanext_cli.runs.results.selection import choose, scans_of, space_of
+from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
+
+FOLDERS = ("range", "pixels")
+
+
+@dataclass(frozen=True, slots=True)
+class ProjectJob:
+    """Job that projects scans and writes their range images, without a step on a device."""
+
+    sensor: Sensor
+    output: OutputRun
+    origins: Origins = field(default_factory=dict)  # Of registered scans with poses
+
+    def prepare(self, file: ScanFile) -> ProjectedScan:
+        """Read, check and project a scan whose results may be replaced."""
+        self.output.require_replaceable(file)
+        origin = origin_in_run(self.output, file, self.sensor, self.origins)
+        return project_scan(file, self.sensor, origin=origin)
+
+    def compute(self, scans: Sequence[ProjectedScan]) -> Sequence[None]:
+        """Return nothing for each scan."""
+        return [None] * len(scans)
+
+    def finish(self, scan: ProjectedScan, _: None) -> ScanSummary:
+        """Write the range image and the pixels of the points."""
+        if ORIGINS in self.output.folders:
+            self.output.write_array(scan.file, ORIGINS, origin_array(scan.origin))
+        self.output.write_array(scan.file, "range", scan.image.channels)
+        self.output.write_array(scan.file, "pixels", scan.image.pixel_of_point)
+        return ScanSummary(scan.file, scan.check)
+
+
+def project_scans(
+    source: Path | Sequence[Path],
+    out: Path,
+    *,
+    sensor: Sensor,
+    fit: bool = False,
+    fit_mounting: bool = True,
+    selection: ScanSelection = ScanSelection(),
+    options: RunOptions = RunOptions(),
+) -> Outcome:
+    """Project scans to `OUT/sequences/<seq>/range` and `pixels`.
+
+    Parameters
+    ----------
+    source : Path or sequence of Path
+        Scans.
+    out : Path
+        Output folder.
+    sensor : Sensor
+        Sensor of the range images.
+    fit : bool
+        Whether to fit the field of view and the mounting to the scans.
+    fit_mounting : bool
+        Whether to fit the mounting with the field of view; else that of the sensor stays.
+    selection, options
+        Choice of scans; workers, and what to do with existing results.
+
+    Returns
+    -------
+    Outcome
+    """
+    listed = with_recorded_names(scans_of(source), out)
+    scans = choose(listed, selection, space_of(listed), source)
+    recorded = None if options.overwrite else Manifest(out).settings("project")
+    earlier = recorded.sensor if recorded else None
+    sensor = fitted_view(listed, sensor, earlier, view=fit, mounting=fit_mounting)
+    settings = StageSettings(sensor=sensor)
+    summary = RunSummary(sensor, scans=scans)
+    folders = (*FOLDERS, *folders_of_origins(out, "project", sensor))
+    run = output_run(out, "project", settings, folders, scans, overwrite=options.overwrite)
+    with run as output, summary.recorded_in(output, scans):
+        origins = OriginsOfRun(out, "project", listed, options.overwrite)
+        job = ProjectJob(sensor, output, origins.of_results(output, scans, sensor))
+        return run_over_scans(job, scans, options, is_done=output.is_done, summary=summary)

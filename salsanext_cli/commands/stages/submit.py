@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: MIT
+"""Submission to SemanticKITTI's benchmark: predictions of the test split, checked and packed."""
+
+import logging
+import stat
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from itertools import count
+from pathlib import Path, PurePosixPath
+from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
+
+import numpy as np
+
+from salsanext_cli.core.classes.label_space import MOVING, RAW_ID_COUNT, LabelSpace, label_space
+from salsanext_cli.core.errors import (
+    LabelError,
+    NoInputError,
+    UsageError,
+    counted,
+    first_few,
+    with_hint,
+)
+from salsanext_cli.io.files.atomic import require_target, writing
+from salsanext_cli.io.files.reading import is_folder, present, reading, size_of
+from salsanext_cli.io.formats import read_scan, scan_suffix
+from salsanext_cli.io.formats.kitti import count_points, read_labels
+from salsanext_cli.runs.loop.run_options import Progress
+from salsanext_cli.runs.results.paths import ScanFile, find_outputs
+from salsanext_cli.runs.results.result_folder import ResultFolder
+from salsanext_cli.runs.results.selection import data_set_of, is_of_benchmark, unmerged, with_splits
+
+LEVEL = 6  # Of compression, so that every Python writes the same bytes
+SPLIT = "test"
+SCANS_OF_TEST = {
+    **{"11": 921, "12": 1061, "13": 3281, "14": 631, "15": 1901, "16": 1731},
+    **{"17": 491, "18": 1801, "19": 4981, "20": 831, "21": 2721},
+}
+"""Number of scans of each test sequence of SemanticKITTI, named 000000, 000001, …"""
+Predictions = dict[tuple[str, str], Path]  # Label files by sequence and stem
+
+log = logging.getLogger(__name__)
+
+
+def _write_zip(path: Path, members: Mapping[str, Path], advance: Callable[[], None]) -> None:
+    """Write a ZIP file of members by name, with an entry for each folder before its files."""
+    with writing(path, durable=True) as file, ZipFile(file, "w", ZIP_DEFLATED) as made:
+        folders: set[PurePosixPath] = set()
+        for name, member in members.items():
+            for parent in reversed(PurePosixPath(name).parents[:-1]):
+                if parent not in folders:
+                    folders.add(parent)
+                    made.mkdir(str(parent), 0o755)
+            with reading(member) as opened:
+                content = opened.read()
+            # The time and the mode of the file do not change the bytes.
+            entry = ZipInfo(name)
+            entry.external_attr = (stat.S_IFREG | 0o644) << 16
+            made.writestr(entry, content, ZIP_DEFLATED, LEVEL)
+            advance()
+
+
+@dataclass(frozen=True, slots=True)
+class Submission:
+    """Predictions that were checked and packed."""
+
+    scans: int  # Number of scans of the test split
+    lengths_checked: bool  # Whether the numbers of labels and points were compared for all scans
+
+
+def submit(
+    out: Path,
+    target: Path,
+    *,
+    dataset: Path | None = None,
+    space: LabelSpace | None = None,
+    description: Path | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> Submission:
+    """Check the predictions of the test split, and pack them for the benchmark if all are right.
+
+    Parameters
+    ----------
+    out : Path
+        Output folder with predictions.
+    target : Path
+        ZIP file to write.
+    dataset, space : optional
+        Data set with the scans, and label space of its labels, if not the recorded ones.
+    description : Path, optional
+        Text file about the method.
+    overwrite : bool, optional
+        Whether to replace an existing file.
+    progress : callable, optional
+        Function of the number of finished files and of all files.
+
+    Returns
+    -------
+    Submission
+    """
+    require_target(target, overwrite, ".zip")
+    files = find_outputs(out, "predictions")
+    if not files:
+        hint = f"run `salsanext predict DATASET {out} --split {SPLIT}` first"
+        raise NoInputError(out, "contains no predictions", hint=hint)
+    if description is not None and (is_folder(description) or not present(description)):
+        raise UsageError(f"--description {description}", "no such file", "a text file")
+    scans = _scans_at_hand(out, dataset, files)
+    space = _full_space(out, scans, space)
+    required = _required(space, scans, files)
+    if unseen := sorted({name for name, _ in required} - {scan.sequence for scan in scans}):
+        problem = f"no scans of sequence {first_few(unseen)}: numbers of labels not checked"
+        log.warning("%s", with_hint(problem, "give --dataset"))
+    clouds = {(scan.sequence, scan.stem): scan.path for scan in scans}
+    members = {} if description is None else {"description.txt": description}
+    total, steps = len(required), count(1)
+
+    def advance() -> None:
+        if progress:
+            progress(next(steps), 2 * total)
+
+    for name in required:
+        _check_labels(files[name], clouds.get(name), space)
+        members[files[name].relative_to(out).as_posix()] = files[name]
+        advance()
+    _write_zip(target, members, advance)
+    return Submission(total, lengths_checked=not unseen)
+
+
+def _full_space(out: Path, scans: Sequence[ScanFile], space: LabelSpace | None) -> LabelSpace:
+    """Return the label space of the predictions with its splits; refuse merged classes."""
+    root = data_set_of(scans[0]) if scans else None
+    space = with_splits(ResultFolder(out).compared_space(scans, space), root)
+    if full := unmerged(space, scans):
+        problem = f"has predictions in the merged classes of {space.name}"
+        expected = f"the classes of {full.name}"
+        raise LabelError(out, problem, expected, "predict without --classes")
+    return space
+
+
+def _scans_at_hand(out: Path, dataset: Path | None, files: Predictions) -> list[ScanFile]:
+    """Find the scans of the predictions, as far as they exist."""
+    scans: list[ScanFile] = []
+    for sequence in sorted({sequence for sequence, _ in files}):
+        with suppress(NoInputError):
+            scans += ResultFolder(out, dataset).scans(sequence)
+    if dataset is not None and not scans:
+        raise NoInputError(dataset, "has no scans of the predictions", "a folder with sequences/")
+    return scans
+
+
+def _required(
+    space: LabelSpace, scans: Sequence[ScanFile], files: Predictions
+) -> list[tuple[str, str]]:
+    """Return the sorted sequences and stems of the test split; refuse missing predictions."""
+    sequences = space.split(SPLIT)
+    if not sequences:
+        raise UsageError(f"label space {space.name}", f"has no sequences in split {SPLIT}")
+    official = is_of_benchmark(space) and space.fits(label_space())
+    at_hand = {(scan.sequence, scan.stem) for scan in scans}
+    required = []
+    for sequence in sorted(sequences):
+        here = {stem for name, stem in at_hand if name == sequence}
+        stems = here | {f"{n:06d}" for n in range(SCANS_OF_TEST.get(sequence, 0) * official)}
+        if not (at_hand or official):
+            stems = {stem for name, stem in files if name == sequence}
+        missing = sorted(stem for stem in stems if (sequence, stem) not in files)
+        if missing or not stems:
+            share = f"lacks {len(missing):,} of {counted(len(stems), 'prediction')}"
+            problem = (
+                f"{share}: {first_few(missing)}" if stems else "has neither predictions nor scans"
+            )
+            gone = len({*missing} - here) if here else 0
+            hint = f"complete the data set: it lacks {counted(gone, 'scan')}"
+            raise NoInputError(
+                f"sequence {sequence}", problem, "", hint if gone else "predict the sequence"
+            )
+        required += [(sequence, stem) for stem in sorted(stems)]
+    return required
+
+
+def _check_labels(path: Path, scan: Path | None, space: LabelSpace) -> None:
+    """Refuse labels that the benchmark does not accept."""
+    count = None
+    if scan:
+        count = count_points(scan) if scan_suffix(scan.name) == ".bin" else len(read_scan(scan))
+    raw = read_labels(path, count)
+    with reading(path) as file:
+        size = size_of(file)
+    if size != 4 * len(raw):
+        problem = f"has {counted(size // len(raw), 'byte')} per label"
+        raise LabelError(path, problem, "4, one uint32 per point", "write the labels as uint32")
+    ids = np.flatnonzero(np.bincount(raw & 0xFFFF, minlength=RAW_ID_COUNT)).tolist()
+    if unknown := [i for i in ids if i not in space.learning_map]:
+        hint = "write raw ids, not train ids, or give --label-space"
+        raise LabelError(path, f"has unknown ids {first_few(unknown)}", "", hint)
+    names = {i: space.labels.get(i, "") for i in ids}
+    if moving := [f"{i} {name}" for i, name in names.items() if name.startswith(MOVING)]:
+        problem = f"has ids of moving classes, {first_few(moving)}"
+        hint = "write the ids of the classes at rest, such as 10 instead of 252"
+        raise LabelError(path, problem, "classes of single scans", hint)

@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: MIT
+"""Stage `synth`: a data set of simulated scenes in SemanticKITTI's layout."""
+
+import math
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from salsanext_cli.core.classes.label_space import RawIds, label_space
+from salsanext_cli.core.errors import UsageError, counted
+from salsanext_cli.core.optional_packages import import_open3d
+from salsanext_cli.io.files.reading import filled
+from salsanext_cli.io.formats.kitti import encode_bin, encode_labels, read_labels
+from salsanext_cli.runs.loop.run import Progress, RunOptions, run_over_scans
+from salsanext_cli.runs.results.manifest import StageRecord, require_same_settings, settings_json
+from salsanext_cli.runs.results.owned_folder import OwnedFolder
+from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.synthesis.drive import record
+from salsanext_cli.synthesis.lidar import RIGS
+
+STAGE = "synth"
+LABEL_SPACE = "labels.yaml"
+MAX_DRIVE_M = 3000.0  # Longest drive of a sequence, whose scene is in memory
+SEQUENCE_FILES = ("poses.txt", "times.txt", "calib.txt")
+IDENTITY = "1 0 0 0 0 1 0 0 0 0 1 0"
+
+
+@dataclass(frozen=True, slots=True)
+class SynthSettings:
+    """Settings that determine a data set of simulated scenes."""
+
+    splits: dict[str, tuple[str, ...]]  # Names of the sequences by split
+    scans: int  # Number of scans of a sequence
+    seed: int
+    spacing: float  # Distance between scans in metres
+    sensor: str  # Name of one of `RIGS`
+
+    @classmethod
+    def of(
+        cls, counts: Mapping[str, int], scans: int, seed: int, spacing: float, sensor: str
+    ) -> "SynthSettings":
+        """Name the sequences by their number in each split."""
+        names = map("{:02d}".format, range(sum(counts.values())))
+        splits = {split: tuple(islice(names, count)) for split, count in counts.items()}
+        return cls(splits, scans, seed, spacing, sensor)
+
+    @property
+    def record(self) -> StageRecord:
+        """Record of the stage."""
+        return StageRecord(STAGE, settings_json(self))
+
+
+def synthesise(
+    out: Path,
+    *,
+    train: int = 8,
+    valid: int = 2,
+    test: int = 0,
+    scans: int = 20,
+    seed: int = 0,
+    spacing: float = 3.0,
+    sensor: str = "hdl64",
+    jobs: int = 1,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Write a data set of simulated scenes, or what is missing of it.
+
+    Parameters
+    ----------
+    out : Path
+        Folder of the data set.
+    train, valid, test : int
+        Numbers of sequences of the splits.
+    scans, seed, spacing, sensor
+        See `SynthSettings`; the same seed gives the same bytes.
+    jobs : int
+        Number of worker processes.
+    overwrite : bool
+        Whether to replace an earlier simulated data set.
+    progress : callable, optional
+        Called with the numbers of finished and of all sequences.
+
+    Returns
+    -------
+    dict
+        Number of all `scans`, names of sequences by split, and `points` by raw id.
+    """
+    counts = {"train": train, "valid": valid, "test": test}
+    options = RunOptions(jobs=jobs, on_error="stop", progress=progress)
+    _check({f"--{split}": count for split, count in counts.items()}, scans, seed, spacing, sensor)
+    settings = SynthSettings.of(counts, scans, seed, spacing, sensor)
+    names = [name for members in settings.splits.values() for name in members]
+    files = [path for name in names for path in _files(out / "sequences" / name, scans)]
+    files.append(out / LABEL_SPACE)
+    owned = OwnedFolder(out, STAGE)
+    owned.require_new()
+    if overwrite or not all(map(filled, files)):
+        import_open3d()
+    points: Counter[int] = Counter()
+    write = partial(_write_sequence, owned=owned, settings=settings)
+    sequences = [ScanFile(name, name, out / "sequences" / name) for name in names]
+    with owned.open():
+        _begin(owned, settings.record, files, overwrite)
+        run_over_scans(write, sequences, options, on_result=points.update)
+        space = replace(label_space("semantic-kitti"), splits=settings.splits)
+        text = yaml.safe_dump(space.to_dict(), sort_keys=False, allow_unicode=True)
+        owned.write_missing(out / LABEL_SPACE, text.encode())
+    made = {"scans": len(names) * scans, "splits": settings.splits}
+    return {"stage": STAGE, **made, "points": dict(sorted(points.items()))}
+
+
+def _check(sequences: dict[str, int], scans: int, seed: int, spacing: float, sensor: str) -> None:
+    least = {**dict.fromkeys(sequences, 0), "--scans": 1, "--seed": 0}
+    for name, count in {**sequences, "--scans": scans, "--seed": seed}.items():
+        if count < least[name]:
+            raise UsageError(name, str(count), f"a whole number of at least {least[name]}")
+    if sum(sequences.values()) == 0:
+        raise UsageError(", ".join(sequences), "no sequences", "at least one")
+    if not 0 < spacing < math.inf or spacing * (scans - 1) > MAX_DRIVE_M:
+        problem = f"{spacing} m between {counted(scans, 'scan')}"
+        expected = f"more than 0 m, and drives of up to {MAX_DRIVE_M:.0f} m"
+        raise UsageError("--spacing", problem, expected, "use more sequences with fewer scans")
+    if sensor not in RIGS:
+        raise UsageError("--sensor", sensor, f"one of {', '.join(RIGS)}")
+
+
+def _begin(owned: OwnedFolder, new: StageRecord, files: list[Path], overwrite: bool) -> None:
+    """Write the record, after removing an earlier data set that is to be replaced."""
+    out = owned.root
+    if (earlier := owned.manifest.record(STAGE)) and not overwrite:
+        before, now = dict(earlier.settings), dict(new.settings)
+        complete = all(map(filled, files))
+        if not complete:  # Versions may write other bytes.
+            before["version"], now["version"] = earlier.version, new.version
+        require_same_settings(owned.record_path, before, now)
+        if complete:
+            return
+    folders = {folder for path in files for folder in path.parents if out in folder.parents}
+    links = sorted(folder for folder in folders if folder.is_symlink())
+    owned.refuse_foreign([*links, *files])
+    # The record stays until it is replaced, so that a killed run can continue.
+    if overwrite:
+        owned.remove_written([path for path in owned.written() if _is_generated(path, out)])
+    owned.manifest.write(new)
+
+
+def _is_generated(path: Path, out: Path) -> bool:
+    """Return whether `synth` writes files at this path, unlike other stages."""
+    match path.relative_to(out).parts:
+        case (name,):
+            return name == LABEL_SPACE
+        case ("sequences", _, name):
+            return name in SEQUENCE_FILES
+        case ("sequences", _, folder, _):
+            return folder in ("velodyne", "labels")
+    return False
+
+
+def _files(sequence: Path, scans: int) -> list[Path]:
+    pairs = [path for index in range(scans) for path in _scan_files(sequence, index)]
+    return [*pairs, *(sequence / name for name in SEQUENCE_FILES)]
+
+
+def _scan_files(sequence: Path, index: int) -> tuple[Path, Path]:
+    stem = f"{index:06d}"
+    return sequence / "velodyne" / f"{stem}.bin", sequence / "labels" / f"{stem}.label"
+
+
+def _write_sequence(file: ScanFile, owned: OwnedFolder, settings: SynthSettings) -> Counter[int]:
+    """Write the missing files of a sequence; return the number of points by raw id."""
+    folder, scans, points = file.path, settings.scans, Counter[int]()
+    if all(map(filled, _files(folder, scans))):
+        for index in range(scans):
+            points += _points_of(read_labels(_scan_files(folder, index)[1]))
+        return points
+    poses, times, first = [], [], np.eye(4)
+    rig = RIGS[settings.sensor]
+    frames = record(settings.seed, int(file.sequence), scans, settings.spacing, rig)
+    for index, frame in enumerate(frames):
+        scan, labels = _scan_files(folder, index)
+        owned.write_missing(scan, encode_bin(frame.scan))
+        owned.write_missing(labels, encode_labels(frame.labels))
+        first = frame.pose if index == 0 else first
+        relative = np.linalg.inv(first) @ frame.pose
+        poses.append(" ".join(f"{value:.9e}" for value in relative[:3].ravel()))
+        times.append(f"{frame.time:.6e}")
+        points += _points_of(frame.labels)
+    calibration = [f"{key}: {IDENTITY}" for key in ("P0", "P1", "P2", "P3", "Tr")]
+    for name, lines in zip(SEQUENCE_FILES, (poses, times, calibration), strict=True):
+        owned.write_missing(folder / name, ("\n".join(lines) + "\n").encode())
+    return points
+
+
+def _points_of(labels: RawIds) -> Counter[int]:
+    raw, counts = np.unique(labels, return_counts=True)
+    return Counter(dict(zip(raw.tolist(), counts.tolist(), strict=True)))

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Reasons to doubt a scan, from its points alone."""

@@ -1,0 +1,287 @@
+# SPDX-License-Identifier: MIT
+"""Checks of scans, by a sample of their points: units, mounting, field of view, intensity, sensor.
+
+A certain mistake is an error of the scan. A reason to doubt the labels is a finding, which becomes
+a warning of the run. docs/reference/warnings.md explains the thresholds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.core.checks.finding import Finding
+from salsanext_cli.core.checks.place_checks import (
+    HINT_DIGITS,
+    MIN_SHARE_OF_GROUND,
+    PlaceProblem,
+    lines_of_place,
+    place_problem,
+    shows_beams,
+)
+from salsanext_cli.core.checks.structure_checks import (
+    ACCUMULATED,
+    accumulated_from_file,
+    depth_image_findings,
+    structure_findings,
+)
+from salsanext_cli.core.checks.training_checks import APART, training_findings
+from salsanext_cli.core.errors import FormatError, counted, percentage
+from salsanext_cli.core.geometry.ground import (
+    MAX_TILT_DEG,
+    TOLERANCE_M,
+    UPSIDE_DOWN_DEG,
+    Ground,
+    ground_of,
+)
+from salsanext_cli.core.geometry.projection import (
+    ego_points,
+    few_points,
+    in_sensor_frame,
+    measured_ranges,
+)
+from salsanext_cli.core.geometry.scan_traits import (
+    MIN_TRAIT_POINTS,
+    ScanTraits,
+    intensity_of,
+    sines_of,
+)
+from salsanext_cli.core.geometry.sensor_place import USUAL_HEIGHT_M, origin_in_file
+from salsanext_cli.core.records import Double, FileNotes, Float, Scan
+from salsanext_cli.core.sensors.sensor import FITTED_NAME, ORIGIN, UP, Sensor, presets
+
+
+@dataclass(frozen=True, slots=True)
+class ScanCheck:
+    """Result of a check: reasons to doubt the scan, and traits of its sensor."""
+
+    findings: tuple[Finding, ...] = ()
+    traits: ScanTraits | None = None  # None for fewer than `MIN_TRAIT_POINTS` measured points
+    points: int = 0  # Number of points of the scan; 0 unless `project_scan` counted them
+    ego_points: int = 0  # Number of these on the housing of the sensor or its vehicle
+
+
+UNCHECKED = ScanCheck()
+
+MAX_SHARE_OUTSIDE = 0.2  # Most points outside without a warning; a matching sensor has 0.07
+MEDIAN_RANGES_M = (0.3, 250.0)  # Possible median ranges of a scan in metres; real scans had 4 to 32
+USUAL_RANGES_M = (60.0, 300.0)
+"""Largest usual median range and 99 % quantile of ranges; real scans had up to 32 and 104."""
+MIN_FAR_M = 15.0  # Least usual 99 % quantile of ranges; roads had 27 m, a room and a hall 8 and 9
+MIN_MEASURED = 0.4  # Least usual share of measured points; organised clouds had 0.55 or more
+MIN_ROWS, FEW_OF_ROW = 0.35, 0.1
+"""Least usual share of rows with more than a tenth of the mean points; scans had 0.47 or more."""
+SECTORS = 64
+MIN_SECTORS = 0.6  # Least share of the directions around with a point; revolutions had 0.89 or more
+FEW_SECTORS = 0.1  # The same for a narrow field of view; solid-state sensors had 0.14 or more
+
+FIT = "`salsanext inspect SCANS --fit sensor.toml`, then --sensor sensor.toml"
+AUTO = "--sensor auto"
+ALONE = f"expect wrong labels; if the other scans are of another sensor or mounting, {APART}"
+IN_MAP = "expect wrong labels: correct its pose, or `salsanext predict` this scan alone"
+COLUMNS = "name the columns of files without names: --columns x,y,z,intensity"
+TRAIN = "expect worse labels, or `salsanext train` weights on such scans"
+SET_ORIGIN = (
+    "expect worse labels, or write the position of the sensor as `origin` into a file for --sensor"
+)
+
+
+def check_image(channels: Float, sensor: Sensor, trained: Sensor) -> ScanCheck:
+    """Compare a range image (5, H, W) with training; `project` checked its field of view."""
+    occupied = channels[:, channels[0] > 0]
+    if occupied.shape[1] < MIN_TRAIT_POINTS:
+        return UNCHECKED
+    reason, bright = intensity_of(occupied[1:4].T, occupied[4])
+    return ScanCheck(tuple(training_findings(bright, reason, sensor, trained)))
+
+
+def share_outside(sines: npt.NDArray[np.floating[Any]], sensor: Sensor) -> float:
+    """Return the share of sines of elevation (N,) outside the field of view, 0 without any."""
+    lowest, highest = np.sin(np.radians((sensor.fov_down, sensor.fov_up)))
+    outside = (sines < lowest) | (sines > highest)
+    return float(outside.mean()) if len(sines) else 0.0
+
+
+def check_scan(
+    path: Path, scan: Scan, sensor: Sensor, trained: Sensor | None = None, fit: str = ""
+) -> ScanCheck:
+    """Check a sample of the points of a scan that is projected for a sensor.
+
+    `path` is for errors. `trained` is the sensor of the weights, if the intensity
+    matters; without quantiles it stands for 0 to 1. `fit` is the hint if a fit may help.
+    """
+    sample = in_sensor_frame(few_points(scan), sensor)
+    ranges, is_measured = measured_ranges(sample.points)
+    if len(sample) < len(scan) and is_measured.sum() < MIN_TRAIT_POINTS:
+        sample = in_sensor_frame(scan, sensor)
+        ranges, is_measured = measured_ranges(sample.points)
+    _require_metres(path, len(scan), ranges[is_measured])
+    ego = ego_points(sample.points, sensor)
+    ego_share = len(ego) / max(len(sample), 1)
+    if len(ego):
+        sample = sample.take(np.delete(np.arange(len(sample)), ego))
+        ranges, is_measured = measured_ranges(sample.points)
+    count = int(is_measured.sum())
+    if count < MIN_TRAIT_POINTS:
+        problem = f"has {counted(count, 'point')} with a measurement, too few to check"
+        return ScanCheck((Finding("few-points", problem, "give whole scans"),))
+    measured = Scan(sample.points[is_measured], sample.intensity[is_measured])
+    measured_share = count / len(sample)
+    sines = sines_of(measured.points)
+    no_intensity, bright = intensity_of(measured.points, measured.intensity)
+    findings = [
+        *_file_findings(scan.notes),
+        *_unit_findings(ranges[is_measured], measured_share),
+        *_mounting_findings(scan, measured, sines, sensor, _fit_hint(sensor, trained, fit)),
+        *depth_image_findings(measured.points, no_intensity),
+    ]
+    if trained is not None:
+        findings += training_findings(bright, no_intensity, sensor, trained, scan.notes.fields)
+    per_point = len(scan) * (1 - ego_share) * measured_share / count
+    # The scans of one sensor are compared, also if each has its own origin.
+    fitted = replace(sensor, origin=ORIGIN) if sensor.registered else sensor
+    traits = ScanTraits.of(sines, bright, per_point, fitted)
+    return ScanCheck(tuple(findings), traits)
+
+
+def _fit_hint(sensor: Sensor, trained: Sensor | None, fit: str) -> str:
+    """Return the hint about a fit of the sensor, which is `fit` if that may help."""
+    if sensor.name not in (FITTED_NAME, *presets(), trained and trained.name):
+        return AUTO
+    if sensor.registered:  # A fit to all scans, or a position of all, does not help one of them.
+        return IN_MAP
+    return fit or (FIT if sensor is trained else ALONE)
+
+
+def _mounting_findings(
+    scan: Scan, measured: Scan, sines: Float, sensor: Sensor, fit: str
+) -> Iterator[Finding]:
+    """Yield doubts about field of view, position, ground and structure, in this order.
+
+    `measured` are measured points in the frame of the sensor, `sines` those of their elevations.
+    """
+    ground = ground_of(measured)
+    misplaced = place_problem(scan, measured, ground, sensor)
+    structure, misplaced = _structure_at_place(scan, sensor, misplaced)
+    is_moved = sensor.name == FITTED_NAME and sensor.origin != ORIGIN and not sensor.registered
+    if is_moved and not _accumulated(structure) and not shows_beams(scan, ground, sensor):
+        structure += accumulated_from_file(scan, sensor)
+    yield from _view_findings(measured, sines, sensor, fit)
+    yield from _place_findings(misplaced, sensor, fit)
+    if misplaced is None:
+        yield from _ground_findings(ground, sensor, fit)
+    yield from structure
+
+
+def _structure_at_place(
+    scan: Scan, sensor: Sensor, misplaced: PlaceProblem | None
+) -> tuple[list[Finding], PlaceProblem | None]:
+    """Return the signs in the structure of a scan, and what remains of the problem of its place."""
+    at_place = misplaced.sensor if misplaced and misplaced.sensor else sensor
+    structure = [*structure_findings(scan, at_place)]
+    if _accumulated(structure):
+        # Several positions have seen the points: no other one has seen all.
+        return structure, None
+    if misplaced is None or misplaced.sensor is not None:
+        return structure, misplaced
+    # Seen from elsewhere, any scan looks noisy. The position that was fitted to several scans in
+    # one is the one that sees the fewest of them behind others.
+    in_file = replace(sensor, origin=ORIGIN, up=UP)
+    return _accumulated(structure_findings(scan, in_file)), misplaced
+
+
+def _accumulated(findings: Iterable[Finding]) -> list[Finding]:
+    return [finding for finding in findings if finding.code == ACCUMULATED]
+
+
+def _file_findings(notes: FileNotes) -> Iterator[Finding]:
+    if notes.missing_points:
+        problem = f"lacks {counted(notes.missing_points, 'point')} of those in its header"
+        yield Finding("missing-points", problem, "the file may be cut off: copy it again")
+
+
+def _require_metres(path: Path, count: int, ranges: Double) -> None:
+    if count >= MIN_TRAIT_POINTS and not len(ranges):
+        problem = f"none of its {count} points is a measurement"
+        raise FormatError(path, problem, "finite coordinates around the sensor")
+    if len(ranges) < MIN_TRAIT_POINTS:
+        return
+    median = float(np.median(ranges))
+    least, most = MEDIAN_RANGES_M
+    if not least <= median <= most:
+        expected = "coordinates in metres, with the sensor at the origin"
+        hint = "convert other units; subtract the position of the sensor from map coordinates"
+        raise FormatError(path, f"has a median range of {median:.3g} m", expected, hint)
+
+
+def _unit_findings(ranges: Double, measured: float) -> Iterator[Finding]:
+    median, far = np.quantile(ranges, (0.5, 0.99))
+    if median > USUAL_RANGES_M[0] or far > USUAL_RANGES_M[1]:
+        problem = f"has a median range of {median:.0f} m, and 1% of the points beyond {far:.0f} m"
+        yield Finding("units", problem, f"convert them to metres, or {COLUMNS}")
+    if far < MIN_FAR_M:
+        yield Finding("indoor", f"99% of the points lie within {far:.0f} m, as in a room", TRAIN)
+    if measured < MIN_MEASURED:
+        problem = f"{percentage(1 - measured, 0)} of the points are not measurements"
+        yield Finding(
+            "not-measured", problem, f"they stay unlabelled; if they should not, {COLUMNS}"
+        )
+
+
+def _view_findings(scan: Scan, sines: Float, sensor: Sensor, fit: str) -> Iterator[Finding]:
+    outside = share_outside(sines, sensor)
+    if outside > MAX_SHARE_OUTSIDE:
+        view = f"{sensor.name}, {sensor.fov_up:+g}° to {sensor.fov_down:+g}°"
+        problem = f"{percentage(outside, 0)} of the points lie outside the field of view of {view}"
+        yield Finding("out-of-view", problem, fit)
+    turns = np.arctan2(scan.points[:, 1], scan.points[:, 0]) / (2 * np.pi) + 0.5
+    around = float((np.bincount((turns * SECTORS).astype(int) % SECTORS) > 0).sum()) / SECTORS
+    if around < MIN_SECTORS:
+        code = "part-of-circle" if around >= FEW_SECTORS else "few-directions"
+        yield Finding(
+            code, f"has points in {percentage(around, 0)} of the directions around", TRAIN
+        )
+    downwards = sensor.fov_up - np.degrees(np.arcsin(sines))
+    rows = (downwards * (sensor.height / (sensor.fov_up - sensor.fov_down))).astype(int)
+    per_row = np.bincount(rows.clip(0, sensor.height - 1), minlength=sensor.height)
+    occupied = float((per_row > FEW_OF_ROW * per_row.mean()).mean())
+    if occupied < MIN_ROWS and outside <= MAX_SHARE_OUTSIDE:
+        problem = (
+            f"has points in {percentage(occupied, 0)} of the {sensor.height} rows of the image"
+        )
+        yield Finding("sparse", problem, TRAIN)
+
+
+def _ground_findings(ground: Ground | None, sensor: Sensor, fit: str) -> Iterator[Finding]:
+    if ground is None or ground.share < MIN_SHARE_OF_GROUND:
+        return
+    if ground.tilt_deg > UPSIDE_DOWN_DEG:
+        yield Finding("upside-down", "the ground lies above the sensor", fit)
+    elif ground.tilt_deg > MAX_TILT_DEG:
+        yield Finding("tilted", f"the ground is tilted by {ground.tilt_deg:.0f}°", fit)
+    elif not ground.is_usual:
+        where = "above" if ground.height > 0 else "below"
+        on_it = abs(ground.height) < TOLERANCE_M
+        height = "on" if on_it else f"{abs(ground.height):.1f} m {where}"
+        hint = IN_MAP if sensor.registered else _raised(ground, sensor)
+        yield Finding("height", f"the origin of the points is {height} the ground", hint)
+
+
+def _raised(ground: Ground, sensor: Sensor) -> str:
+    """Return the hint to place a sensor at the usual height above its ground."""
+    position = np.array([0, 0, USUAL_HEIGHT_M - ground.height])
+    raised = replace(sensor, origin=origin_in_file(position, sensor, HINT_DIGITS))
+    place = f"{lines_of_place(raised)} ({USUAL_HEIGHT_M:g} m above the ground)"
+    return f"expect worse labels, or write {place} into a file for --sensor"
+
+
+def _place_findings(misplaced: PlaceProblem | None, sensor: Sensor, fit: str) -> Iterator[Finding]:
+    if misplaced is not None:
+        lines = f"{fit}, or write {misplaced.remedy} into a file for --sensor"
+        hint = lines if misplaced.remedy else SET_ORIGIN
+        yield Finding("out-of-place", misplaced.problem, IN_MAP if sensor.registered else hint)

@@ -1,0 +1,363 @@
+# SPDX-License-Identifier: MIT
+"""Label spaces: classes, their names, and the mapping of raw ids to train ids.
+
+Label files contain raw ids: uint32, the class in the low 16 bits, the instance in the high 16. The
+network predicts train ids: 0…C-1, where 0 is "unlabelled".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from importlib import resources
+from itertools import chain, islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import yaml
+
+from salsanext_cli.core.errors import (
+    LabelError,
+    UsageError,
+    did_you_mean,
+    first_few,
+    percentage,
+    shortened,
+)
+from salsanext_cli.core.plug_ins import PlugIn, load_plug_ins
+from salsanext_cli.io.files.yaml_toml import read_yaml
+
+TrainIds = npt.NDArray[np.uint8]
+RawIds = npt.NDArray[np.uint32]
+
+BUILT_IN = ("semantic-kitti", "coarse")
+RAW_ID_COUNT = 1 << 16
+UNKNOWN = 255  # Train id of unknown raw ids
+SHOWN_DIGITS = 20  # Longest text of an id in an error
+ALTERNATIVES = "learning_alternatives"
+KEYS = (
+    *("labels", "learning_map", "learning_map_inv", "learning_ignore", "color_map", "split"),
+    *(ALTERNATIVES, "movable"),
+)
+MAX_UNKNOWN_SHARE = 0.1
+"""Largest tolerated share of points with unknown ids; other data sets had 0.4 or more."""
+MOVING = "moving-"  # Start of the names of moving classes, which only multi-scan tasks distinguish
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LabelSpace:
+    """The classes of a data set.
+
+    Attributes
+    ----------
+    name : str
+        Name in messages and weights files.
+    labels : dict of int to str
+        Name of every raw id.
+    learning_map : dict of int to int
+        Train id of every raw id.
+    learning_map_inv : dict of int to int
+        Raw id that represents each train id, keys 0…C-1.
+    ignored : tuple of bool, length C
+        Whether training and evaluation ignore each train id.
+    colours : (C, 3) uint8
+        Red, green, blue of every train id.
+    splits : dict of str to tuple of str
+        Sequence names of every split.
+    alternatives : dict of int to tuple of int
+        Ambiguous raw ids: all train ids that a point may have. Only training uses them.
+    movable_ids : tuple of int, optional
+        Train ids of movable classes; None if the label space does not state them.
+    """
+
+    name: str
+    labels: dict[int, str]
+    learning_map: dict[int, int]
+    learning_map_inv: dict[int, int]
+    ignored: tuple[bool, ...]
+    colours: npt.NDArray[np.uint8]
+    splits: dict[str, tuple[str, ...]]
+    alternatives: dict[int, tuple[int, ...]] = field(default_factory=dict)
+    movable_ids: tuple[int, ...] | None = None
+    _train_of_raw: TrainIds = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        table = np.full(RAW_ID_COUNT, UNKNOWN, np.uint8)
+        # `to_raw` writes this id for unlabelled points; the map may not list it.
+        table[self.learning_map_inv[0]] = 0
+        table[list(self.learning_map)] = list(self.learning_map.values())
+        object.__setattr__(self, "_train_of_raw", table)
+
+    @property
+    def class_count(self) -> int:
+        """C, the number of train ids including 0."""
+        return len(self.learning_map_inv)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name of every train id."""
+        return tuple(self.labels[self.learning_map_inv[i]] for i in range(self.class_count))
+
+    @property
+    def scored(self) -> npt.NDArray[np.bool_]:
+        """Mask of the train ids that are not ignored, (C,) bool."""
+        return ~np.array(self.ignored)
+
+    @property
+    def movable(self) -> npt.NDArray[np.bool_]:
+        """Mask of the train ids of movable classes, (C,) bool.
+
+        If the label space does not state them, they are the classes of the movable raw ids of
+        SemanticKITTI, provided that most raw ids have its names; else there are none.
+        """
+        ids = self._usual_movable_ids() if self.movable_ids is None else self.movable_ids
+        return np.isin(np.arange(self.class_count), ids)
+
+    def _usual_movable_ids(self) -> tuple[int, ...]:
+        usual = _built_in(BUILT_IN[0])
+        same = [self.labels[i] == usual.labels[i] for i in self.labels.keys() & usual.labels]
+        movable = (usual.movable_ids or ()) if 2 * sum(same) > len(same) else ()
+        raw_ids = (i for i, train in usual.learning_map.items() if train in movable)
+        return tuple(sorted({self.learning_map.get(i, 0) for i in raw_ids} - {0}))
+
+    def require_movable(self, subject: str) -> None:
+        """Raise `UsageError` for an option that needs movable classes if there are none."""
+        if not self.movable.any():
+            problem = f"label space {self.name} has no movable classes"
+            hint = "state their train ids in its yaml file, as `movable: [1, 2]`, and predict"
+            raise UsageError(subject, problem, "at least one", f"{hint} with --classes FILE")
+
+    def unknown_ids(self, raw: RawIds) -> dict[int, int]:
+        """Return the number of points by unknown raw id, without instances."""
+        classes = (raw & 0xFFFF)[self._train_of_raw[raw & 0xFFFF] == UNKNOWN]
+        ids, counts = np.unique(classes, return_counts=True)
+        return {int(i): int(n) for i, n in zip(ids, counts, strict=True)}
+
+    def to_train(self, raw: RawIds, *, strict: bool = True, source: object = "labels") -> TrainIds:
+        """Map raw ids, uint32 of any shape, to train ids, uint8, without instances.
+
+        An unknown id raises `LabelError` if `strict`; else it becomes 0, as in the official
+        evaluator, and the caller reports `unknown_ids`. More than `MAX_UNKNOWN_SHARE` of the
+        labelled points always raise it: these are ids of another label space.
+        """
+        train: TrainIds = self._train_of_raw[raw & 0xFFFF]
+        unknown = train == UNKNOWN
+        if count := np.count_nonzero(unknown):
+            certain = count - 2 * count**0.5  # minus two standard errors of a small number
+            if strict or certain > MAX_UNKNOWN_SHARE * np.count_nonzero(train):
+                raise self._unknown(raw, source)
+            train[unknown] = 0
+        return train
+
+    def _unknown(self, raw: RawIds, source: object) -> LabelError:
+        """Return the error with the commonest unknown ids."""
+        counts = self.unknown_ids(raw)
+        ids = first_few([f"{i} ({counts[i]}×)" for i in sorted(counts, key=lambda i: -counts[i])])
+        of_labelled = sum(counts.values()) / np.count_nonzero(self._train_of_raw[raw & 0xFFFF])
+        problem = (
+            f"has unknown label ids {ids}: {percentage(of_labelled, 0)} of the labelled points"
+        )
+        hint = "set the label space of this data with --label-space"
+        if (raw & 0xFFFF).max() < self.class_count:
+            problem += f"; they are probably train ids, since none is above {self.class_count - 1}"
+            hint = f"write raw ids instead of train ids, or {hint}"
+        return LabelError(source, problem, f"raw ids of {self.name}", hint)
+
+    def to_raw(self, train: npt.NDArray[Any]) -> RawIds:
+        """Map train ids, integers of any shape, to their raw ids, uint32."""
+        table = np.array([self.learning_map_inv[i] for i in range(self.class_count)], np.uint32)
+        return table[train]
+
+    def split(self, name: str) -> tuple[str, ...]:
+        """Return the sequence names of a split; an unknown split raises `UsageError`."""
+        if name not in self.splits:
+            expected = f"one of {', '.join(self.splits) or 'none'}"
+            hint = did_you_mean(name, self.splits)
+            raise UsageError(f"split {name}", "no such split", expected, hint)
+        return self.splits[name]
+
+    def split_of(self, sequence: str) -> str | None:
+        """Return the split of a sequence; None without one."""
+        return next((name for name, members in self.splits.items() if sequence in members), None)
+
+    def fits(self, other: LabelSpace) -> bool:
+        """Return whether weights fit both: names and raw ids of the train ids are equal."""
+        same_ids = self.learning_map_inv == other.learning_map_inv
+        return same_ids and self.names == other.names
+
+    def differences(self, other: LabelSpace) -> list[str]:
+        """Return descriptions of the differences from another label space, classes first."""
+        tables = [
+            {
+                "train id": dict(enumerate(space.names)),
+                **space.to_dict(),
+                "name": {"": space.name},
+                "movable": dict(enumerate(space.movable.tolist())),
+            }
+            for space in (self, other)
+        ]
+        return [
+            f"{table} {key}: {first.get(key, 'none')} ≠ {second.get(key, 'none')}"
+            for table in dict.fromkeys(chain(*tables))
+            for first, second in [[entries.get(table, {}) for entries in tables]]
+            for key in sorted(first.keys() | second)
+            if first.get(key) != second.get(key)
+        ]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data in the form of SemanticKITTI's yaml, which `from_dict` accepts."""
+        raw_ids = [self.learning_map_inv[i] for i in range(self.class_count)]
+        alternatives = {i: list(several) for i, several in self.alternatives.items()}
+        is_stated = self.movable_ids not in (None, self._usual_movable_ids())
+        return {
+            "name": self.name,
+            "labels": self.labels,
+            "color_map": dict(zip(raw_ids, self.colours[:, ::-1].tolist(), strict=True)),
+            "learning_map": self.learning_map,
+            "learning_map_inv": self.learning_map_inv,
+            "learning_ignore": dict(enumerate(self.ignored)),
+            "split": {name: list(members) for name, members in self.splits.items()},
+            **({ALTERNATIVES: alternatives} if alternatives else {}),
+            **({"movable": list(self.movable_ids or ())} if is_stated else {}),
+        }
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any], source: object = "label space") -> LabelSpace:
+        """Build a label space from data in the form of SemanticKITTI's yaml."""
+        try:
+            labels = {int(i): str(name) for i, name in data["labels"].items()}
+            learning_map = {int(i): int(train) for i, train in data["learning_map"].items()}
+            inverse = {int(train): int(i) for train, i in data["learning_map_inv"].items()}
+            ignored = data.get("learning_ignore", {0: True})
+            ignore = {int(train): bool(flag) for train, flag in ignored.items()}
+            alternatives = {
+                int(i): tuple(sorted({int(train) for train in _list(several)}))
+                for i, several in data.get(ALTERNATIVES, {}).items()
+            }
+            stated = data.get("movable")
+            movable = None if stated is None else tuple(sorted({int(i) for i in _list(stated)}))
+            colours = {int(i): _colour(bgr) for i, bgr in data.get("color_map", {}).items()}
+            splits = {
+                str(name): tuple(
+                    f"{s:02d}" if isinstance(s, int) else str(s) for s in _list(members)
+                )
+                for name, members in data.get("split", {}).items()
+            }
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+            problem = f"is not a label space: {shortened(error)}"
+            raise UsageError(source, problem, f"keys {', '.join(KEYS)}") from error
+        if problem := _contradiction(labels, learning_map, inverse, alternatives, movable or ()):
+            raise UsageError(source, problem, "a consistent label space")
+        ids = range(len(inverse))
+        bgr = [colours.get(inverse[i], _spare_colour(i)) for i in ids]
+        return cls(
+            str(data.get("name", getattr(source, "stem", source))),
+            labels,
+            learning_map,
+            inverse,
+            tuple(ignore.get(i, i == 0) for i in ids),
+            np.array([colour[::-1] for colour in bgr], np.uint8),
+            splits,
+            alternatives,
+            movable,
+        )
+
+
+def _contradiction(
+    labels: dict[int, str],
+    learning_map: dict[int, int],
+    inverse: dict[int, int],
+    alternatives: dict[int, tuple[int, ...]],
+    movable: tuple[int, ...],
+) -> str:
+    """Return a description of an inconsistency, empty without one."""
+    if not inverse or sorted(inverse) != list(range(len(inverse))) or len(inverse) > UNKNOWN:
+        return f"has train ids {_some(inverse)}, not 0…C-1 with C ≤ {UNKNOWN}"
+    if bad := [i for i in (*learning_map, *labels) if not 0 <= i < RAW_ID_COUNT]:
+        return f"has raw ids {_some(bad)} beyond 16 bits"
+    if bad := sorted(set(learning_map.values()) - set(inverse)):
+        return f"has train ids {_some(bad)} in learning_map but not in learning_map_inv"
+    if bad := sorted(set(inverse.values()) - set(labels)):
+        return f"lacks names of raw ids {_some(bad)} in labels"
+    if bad := sorted({*chain(*alternatives.values())} - set(inverse)):
+        return f"has train ids {_some(bad)} in {ALTERNATIVES} but not in learning_map_inv"
+    if bad := sorted({*movable} - ({*inverse} - {0})):
+        return f"has train ids {_some(bad)} in movable, not 1…C-1"
+    if bad := [i for i, several in alternatives.items() if learning_map.get(i) not in several]:
+        return f"lacks the train ids of raw ids {_some(bad)} in their {ALTERNATIVES}"
+    return ""
+
+
+def _some(ids: Iterable[int]) -> str:
+    """Return a short text of ids of any number and size."""
+    return first_few([shortened(i, SHOWN_DIGITS) for i in sorted(ids)])
+
+
+def _list(members: object) -> list[Any]:
+    if not isinstance(members, list | tuple):
+        raise TypeError(f"{shortened(members)} is not a list")
+    return list(members)
+
+
+def _colour(channels: Any) -> list[int]:
+    """Return the three bytes of a colour; anything else raises `ValueError`."""
+    colour = [int(channel) for channel in islice(channels, 4)]
+    if len(colour) != 3 or not all(0 <= channel <= 255 for channel in colour):
+        raise ValueError(f"{shortened(channels)} is not a colour of 3 bytes")
+    return colour
+
+
+def _spare_colour(train_id: int) -> list[int]:
+    """Return a fixed blue, green, red for a class without a colour; unlabelled is black."""
+    return [0, 0, 0] if train_id == 0 else [(train_id * step) % 206 + 50 for step in (67, 109, 151)]
+
+
+@cache
+def _built_in(name: str) -> LabelSpace:
+    file = resources.files("salsanext_cli").joinpath(f"presets/label_spaces/{name}.yaml")
+    return LabelSpace.from_dict(yaml.safe_load(file.read_text("utf-8")), name)
+
+
+@cache
+def plugged_label_spaces() -> dict[str, PlugIn]:
+    """Return the label spaces of plug-ins by name."""
+    return load_plug_ins("label_spaces", BUILT_IN, LabelSpace)
+
+
+def label_space(name_or_file: str | Path = "semantic-kitti") -> LabelSpace:
+    """Return a label space by name or file.
+
+    Parameters
+    ----------
+    name_or_file : str or Path
+        Built-in label space, YAML file in the form of SemanticKITTI, or plug-in.
+
+    Returns
+    -------
+    LabelSpace
+
+    Raises
+    ------
+    UsageError
+        If there is no such name or file, or the file is invalid.
+    """
+    if str(name_or_file) in BUILT_IN:
+        return _built_in(str(name_or_file))
+    path = Path(name_or_file)
+    try:
+        data = read_yaml(path, "a yaml file in the form of SemanticKITTI")
+    except FileNotFoundError as error:
+        plug_ins = plugged_label_spaces()
+        if str(name_or_file) in plug_ins:
+            target: LabelSpace = plug_ins[str(name_or_file)].target
+            return target
+        names = ", ".join((*BUILT_IN, *map(str, plug_ins.values())))
+        hint = did_you_mean(str(path), (*BUILT_IN, *plug_ins))
+        raise UsageError(path, "no such file", f"a .yaml file or one of {names}", hint) from error
+    if not isinstance(data, dict):
+        expected = f"a mapping with the keys {', '.join(KEYS)}"
+        raise UsageError(path, f"contains a {type(data).__name__}", expected)
+    return LabelSpace.from_dict(data, path)

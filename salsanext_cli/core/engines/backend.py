@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: MIT
+"""Interface of the libraries that compute a network."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from salsanext_cli.core.classes.label_space import TrainIds
+from salsanext_cli.core.classes.merging import ClassMerging
+from salsanext_cli.core.compiled import argument, compiled, parallel_for_slices
+from salsanext_cli.core.engines.moments import Moments
+from salsanext_cli.core.errors import WeightsError
+from salsanext_cli.core.network.card import WeightsCard
+from salsanext_cli.core.records import Float
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from salsanext_cli.core.network.segmentation import SegmentationNetwork
+
+
+class PixelPrediction(NamedTuple):
+    """Prediction for the pixels of a range image.
+
+    Attributes
+    ----------
+    labels : (H, W) uint8
+        The likeliest class, the first of equal ones.
+    confidence : (H, W) float32
+        Its probability.
+    softmax : (C, H, W) float32, optional
+        Probabilities of all classes, if requested.
+    """
+
+    labels: TrainIds
+    confidence: Float
+    softmax: Float | None = None
+
+    @classmethod
+    def of(cls, softmax: Float, *, keep: bool = False) -> "PixelPrediction":
+        """Reduce a softmax (C, H, W) float32; `keep` puts a copy of it into the prediction."""
+        values = argument(softmax, np.float32).reshape(len(softmax), -1)
+        labels = np.zeros(values.shape[1], np.uint8)
+        confidence = np.empty(values.shape[1], np.float32)
+
+        def reduce(part: slice) -> None:
+            largest(values[:, part], labels[part], confidence[part])
+
+        parallel_for_slices(reduce, len(labels))
+        size = softmax.shape[1:]
+        copy = softmax.copy() if keep else None
+        return cls(labels.reshape(size), confidence.reshape(size), copy)
+
+
+@compiled
+def largest(softmax: Float, labels: TrainIds, confidence: Float) -> None:
+    """Write class and value of the largest value of each column; the labels are 0 before."""
+    confidence[:] = softmax[0]
+    for k in range(1, len(softmax)):
+        values = softmax[k]
+        for i in range(len(labels)):
+            # NaN wins, so that it can be detected.
+            larger = values[i] > confidence[i] or values[i] != values[i]
+            confidence[i] = values[i] if larger else confidence[i]
+            labels[i] = k if larger else labels[i]
+
+
+@dataclass(frozen=True, eq=False)
+class Backend(ABC):
+    """Weights on a device, in evaluation mode, computed by one library.
+
+    Images are inputs of the network, (1, 5, H, W) float32, normalised.
+
+    Attributes
+    ----------
+    load_module : callable
+        Returns the network in torch, float32, on the device; called when it is first needed.
+    card : WeightsCard
+        Metadata of the weights.
+    size : tuple of int
+        Height and width of the images.
+    device : str
+        ``"cpu"``, ``"cuda"``, ``"cuda:1"`` …
+    precision : {"float32", "bfloat16", "float16", "int8"}
+        Number type of most layers.
+    name, sha256 : str
+        Name of the weights file, for errors, and its digest; None for weights without a file.
+    code : str
+        Digest of the source of a plug-in's network.
+    """
+
+    library: ClassVar[str]
+
+    load_module: "Callable[[], SegmentationNetwork]"
+    card: WeightsCard
+    size: tuple[int, int]
+    device: str = "cpu"
+    precision: str = "float32"
+    name: str = "the weights"
+    sha256: str | None = None
+    code: str = ""
+
+    @cached_property
+    def module(self) -> "SegmentationNetwork":
+        """Network in torch: (B, 5, H, W) normalised range images to (B, C, H, W) logits."""
+        return self.load_module()
+
+    @abstractmethod
+    def predict(
+        self, images: Sequence[Float], temperature: float, *, softmax: bool = False
+    ) -> list[PixelPrediction]:
+        """Predict the pixels of images, their logits divided by a temperature."""
+
+    @abstractmethod
+    def logits(self, images: Sequence[Float]) -> list[Float]:
+        """Return the logits (C, H, W) float32 of images."""
+
+    @abstractmethod
+    def sample(
+        self, image: Float, seeds: Sequence[int], merging: ClassMerging | None = None
+    ) -> Moments:
+        """Return the moments of the softmax over dropout passes, one per seed of the masks."""
+
+    @abstractmethod
+    def spread(self, images: Iterable[Float], merging: ClassMerging | None = None) -> Moments:
+        """Return the moments of the softmax over images, without entropies."""
+
+    @abstractmethod
+    def run(
+        self, name: str, function: Callable[..., Any], *images: Float, exact: bool = False
+    ) -> "tuple[Tensor, ...]":
+        """Return ``function(module, *images)``, a tuple of tensors on the device.
+
+        The name identifies the function in the cache of graphs; `exact` computes in float32.
+        """
+
+    def require_finite(self, values: Float, source: object) -> None:
+        """Raise `WeightsError` with weights and scan if a result is not finite."""
+        if not np.isfinite(values).all():
+            problem = f"the logits of {source} are not finite"
+            raise WeightsError(self.name, problem, hint="use other weights")

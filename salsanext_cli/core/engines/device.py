@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: MIT
+"""Choice of device, engine and number type on this machine; torch is imported only if needed."""
+
+import logging
+import os
+import platform
+import sys
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from salsanext_cli.core.errors import MissingDependency, UsageError, counted, error_text, warn_once
+from salsanext_cli.core.optional_packages import OPENVINO_ERRORS, import_openvino
+
+PRECISIONS = ("auto", "float32", "bfloat16", "float16", "int8")
+ENGINES = ("auto", "openvino", "torch")
+MAX_BATCH_PIXELS = 16 * 64 * 2048  # Pixels in a batch of a GPU
+GPU_FILES = ("/dev/nvidiactl", "/dev/nvidia0", "/dev/nvhost-ctrl", "/dev/kfd", "/dev/dxg")
+"""Device files of Linux; without any of them torch finds no GPU."""
+CPUINFO = Path("/proc/cpuinfo")
+ISA_VARIABLES = ("ONEDNN_MAX_CPU_ISA", "DNNL_MAX_CPU_ISA")
+BFLOAT16_ISA = {
+    "amx_bf16": ("AMX", "ALL", "DEFAULT"),
+    "avx512_bf16": ("BF16", "FP16", "AMX", "AVX10", "ALL", "DEFAULT"),
+    "bf16": ("BF16", "FP16", "AMX", "AVX10", "ALL", "DEFAULT"),
+}
+"""x86 and ARM flags of bfloat16 multiplication, with the `ISA_VARIABLES` values that allow it."""
+
+log = logging.getLogger(__name__)
+
+
+def choose_device(name: str) -> str:
+    """Return the device of a name: ``"cpu"``, ``"cuda"`` …; ``"auto"`` is a GPU if there is one."""
+    without_gpu = sys.platform == "linux" and not any(Path(p).exists() for p in GPU_FILES)
+    if name == "cpu" or (name == "auto" and without_gpu):
+        return "cpu"
+    import torch
+
+    if name == "auto":
+        return "cuda" if torch.cuda.is_available() else "cpu"
+    try:
+        device = torch.device(name)
+    except RuntimeError as error:
+        raise UsageError("--device", f"unknown device {name}", "cpu, cuda or cuda:0 …") from error
+    if device.type == "cuda":
+        count = torch.cuda.device_count()
+        if (device.index or 0) >= count:
+            problem = f"no {name}, because torch finds {counted(count, 'GPU')}"
+            raise UsageError("--device", problem, hint="use --device cpu")
+    elif device.type != "cpu":
+        raise UsageError("--device", f"unsupported device {name}", "cpu or cuda")
+    return "cpu" if device.type == "cpu" else str(device)
+
+
+def choose_engine(name: str, device: str) -> str:
+    """Return the engine of a name; ``"auto"`` is OpenVINO on CPUs on which it starts."""
+    if name not in ENGINES:
+        raise UsageError("--engine", f"unknown engine {name}", ", ".join(ENGINES))
+    if device != "cpu":
+        if name == "openvino":
+            problem = f"OpenVINO does not compute on {device}"
+            raise UsageError("--engine", problem, hint="use --device cpu")
+        return "torch"
+    if name == "torch":
+        return name
+    if not (failure := _openvino_fails()):
+        return "openvino"
+    if name == "openvino":
+        hint = "install it again, or use --engine torch"
+        raise MissingDependency(name, failure, hint=hint)
+    warn_once(log, f"openvino: {failure}; computing with torch, which is slower")
+    return "torch"
+
+
+@cache
+def openvino_core() -> Any:
+    """Return the OpenVINO of this process."""
+    # It stays loaded: the CPU plugin installs a stack for signal handlers and frees it when it is
+    # unloaded, so that the next signal would end the process.
+    openvino = import_openvino()
+    # Called here, because two threads that call it first would deadlock.
+    openvino.Type.f32.to_dtype()
+    core = openvino.Core()
+    # Without this, the threads of all workers would be bound to the same cores.
+    core.set_property("CPU", {"ENABLE_CPU_PINNING": False})
+    return core
+
+
+@cache
+def _openvino_fails() -> str:
+    """Return why OpenVINO cannot compute on this CPU, empty if it can."""
+    try:
+        openvino_core().get_property("CPU", "FULL_DEVICE_NAME")
+    except MissingDependency as error:
+        return error.problem
+    except OPENVINO_ERRORS as error:
+        return f"does not start: {error_text(error)}"
+    return ""
+
+
+def choose_precision(name: str, device: str, engine: str = "openvino") -> str:
+    """Return the number type of a name on a device; ``"auto"`` is the fastest one."""
+    if name not in PRECISIONS:
+        raise UsageError("--precision", f"unknown precision {name}", ", ".join(PRECISIONS))
+    if name == "int8":
+        if (device, engine) != ("cpu", "openvino"):
+            problem = f"{engine} does not compute int8 on {device}"
+            hint = "use --device cpu and --engine openvino, or another precision"
+            raise UsageError("--precision", problem, hint=hint)
+        return name
+    if device == "cpu":
+        possible = ("float32", "bfloat16") if bfloat16_instructions() else ("float32",)
+        if name not in ("auto", *possible):
+            problem = f"this CPU does not compute {name}"
+            raise UsageError("--precision", problem, " or ".join((*possible, "int8")))
+        return possible[-1] if name == "auto" else name
+    if name != "auto":
+        return name
+    import torch
+
+    return "float16" if torch.cuda.get_device_capability(device) >= (7, 0) else "float32"
+
+
+@cache
+def flags() -> frozenset[str]:
+    """Return the flags of the processor; empty on other systems than Linux."""
+    text = CPUINFO.read_text("utf-8") if CPUINFO.exists() else ""
+    lines = [line for line in text.splitlines() if line.startswith(("flags", "Features"))]
+    return frozenset(lines[0].partition(":")[2].split() if lines else ())
+
+
+def bfloat16_instructions() -> list[str]:
+    """Return the flags of instructions that multiply bfloat16 and that the environment allows."""
+    limit = _isa_limit()
+    return [f for f in BFLOAT16_ISA if f in flags() and any(p in limit for p in BFLOAT16_ISA[f])]
+
+
+def _isa_limit() -> str:
+    """Return the instruction set to which the environment limits the libraries, else "ALL"."""
+    named = (os.environ.get(variable) for variable in ISA_VARIABLES)
+    return next(filter(None, named), "ALL").upper()
+
+
+def processor() -> str:
+    """Return a text that identifies the instructions available to compiled code."""
+    return f"{platform.machine()} {sorted(flags())} {_isa_limit()}"

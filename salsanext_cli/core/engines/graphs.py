@@ -1,0 +1,224 @@
+# SPDX-License-Identifier: MIT
+"""Parts of a network as OpenVINO graphs: traced once, perhaps in int8, compiled and stored.
+
+OpenVINO's front end converts the torch module in this process, without the command-line converter,
+which reports its use. A graph in the cache is loaded without torch.
+"""
+
+import hashlib
+import re
+import threading
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from io import BytesIO
+from typing import Any
+
+import numpy as np
+
+from salsanext_cli.core.engines.device import openvino_core, processor
+from salsanext_cli.core.errors import OutputError, WeightsError, error_text, out_of_memory
+from salsanext_cli.core.network.int8_inputs import LEVELS, Int8Input
+from salsanext_cli.core.records import CHANNELS, Float
+from salsanext_cli.io.files.locks import temporary_folder
+from salsanext_cli.io.files.user_cache import cached, store
+from salsanext_cli.version import __version__
+
+GRAPH_VERSION = 1  # Raise it when the network or the code that makes graphs changes
+HINTS = {"float32": "f32", "bfloat16": "bf16", "int8": "f32"}  # Of layers without ranges
+LOGITS = "logits"  # Name of the last convolution, in every architecture
+PRECISE = "precise_0"  # Mark of a layer that stays float32
+NO_LAYERS = ("Constant", "Parameter", "Result")
+OF_LOGITS = re.compile(rf"[./]{LOGITS}/")  # In the names of its layers
+ERFC = (
+    *(0.17087277, -0.82215223, 1.48851587, -1.13520398, 0.27886807),
+    *(-0.18628806, 0.09678418, 0.37409196, 1.00002368, -1.26551223),
+)
+"""ln(erfc(x)/t) + x² in t = 1/(1 + x/2), highest power first (Numerical Recipes, 1992, 6.2)."""
+PREFIX = "__module.module."  # Of the names of layers in a converted graph
+WEIGHT_LEVELS = 255  # Symmetric
+HEADROOM = 127 / 64
+"""Weights have integers up to 64. CPUs without VNNI add products in pairs and clip the sums to 16
+bits, which 2 · 255 · 64 does not exceed, so that all CPUs compute the same."""
+_COMPILING = threading.Lock()  # For one thread at a time, because tracing has global state
+
+
+class Graph:
+    """Compiled part of a network: float32 arrays in, float32 arrays out, reproducible bits."""
+
+    def __init__(self, compiled: Any) -> None:
+        self.compiled = compiled
+        self.request = compiled.create_infer_request()
+
+    def __call__(self, *inputs: Float, share: bool = False) -> list[Float]:
+        """Compute once; shared outputs are overwritten by the next call of this graph."""
+        numbered = dict(enumerate(inputs))
+        outputs = self.request.infer(numbered, share_inputs=True, share_outputs=share)
+        return list(outputs.values())
+
+    def in_parallel(self, calls: Sequence[Sequence[Float]]) -> list[list[Float]]:
+        """Compute several calls in parallel; return the outputs in their order."""
+        from openvino import AsyncInferQueue
+
+        outputs: list[list[Float]] = [[]] * len(calls)
+
+        def copy_outputs(request: Any, number: int) -> None:
+            outputs[number] = [tensor.data.copy() for tensor in request.output_tensors]
+
+        queue = AsyncInferQueue(self.compiled)
+        queue.set_callback(copy_outputs)
+        for number, inputs in enumerate(calls):
+            queue.start_async(dict(enumerate(inputs)), number, share_inputs=True)
+        queue.wait_all()
+        return outputs
+
+
+def compiled_graph(
+    make: Callable[[], Any],
+    key: object,
+    precision: str = "float32",
+    threads: int = 1,
+    streams: int = 1,
+) -> Any:
+    """Return a compiled model, from the cache if possible; else `make` returns the model.
+
+    The `repr` of `key` identifies the model. The layers of the range image and of the logits
+    compute in float32 in any precision. `threads` in all compute `streams` calls in parallel,
+    which do not change a bit.
+    """
+    import openvino
+
+    hints = {
+        "INFERENCE_PRECISION_HINT": HINTS[precision],
+        "INFERENCE_NUM_THREADS": threads,
+        "NUM_STREAMS": streams,
+    }
+    core = openvino_core()
+
+    def compile_model() -> bytes:
+        model = make()
+        if precision == "bfloat16":
+            model = partly_float32(core, model)
+        blob: BytesIO = core.compile_model(model, "CPU", hints).export_model()
+        return blob.getvalue()
+
+    made_by = (__version__, GRAPH_VERSION, openvino.__version__)
+    depends = repr((key, precision, *made_by, processor()))
+    name = f"graphs/{hashlib.sha256(depends.encode()).hexdigest()[:32]}.blob"
+    with _COMPILING:
+        content = cached(name, compile_model)
+        try:
+            return core.import_model(content, "CPU", hints)
+        except RuntimeError as error:
+            if out_of_memory(error):
+                raise
+            # Another build of the same version of OpenVINO compiled it.
+            return core.import_model(store(name, compile_model()), "CPU", hints)
+
+
+def converted(module: Any, function: Callable[..., Any], inputs: Sequence[Any]) -> Any:
+    """Return ``function(module, *inputs)`` as a graph for inputs of these shapes."""
+    import torch
+    from openvino.frontend import FrontEndManager
+    from openvino.frontend.pytorch import ConversionExtension
+    from openvino.frontend.pytorch.ts_decoder import TorchScriptPythonDecoder
+
+    class Function(torch.nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            self.module = module
+
+        def forward(self, *tensors: torch.Tensor) -> Any:
+            return function(self.module, *tensors)
+
+    with torch.inference_mode(), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Sizes become constants, as intended.
+        traced = torch.jit.trace(Function().eval(), tuple(inputs), check_trace=False)  # type: ignore[no-untyped-call]
+        front_end = FrontEndManager().load_by_framework("pytorch")
+        front_end.add_extension(ConversionExtension("aten::special_erfc", _erfc))
+        decoder = TorchScriptPythonDecoder(traced, example_input=tuple(inputs))
+        model = front_end.convert(front_end.load(decoder))
+    shapes = (list(tensor.shape) for tensor in inputs)
+    model.reshape(dict(zip(model.inputs, shapes, strict=True)))
+    return model
+
+
+def _erfc(node: Any) -> Any:
+    """Translate erfc of numbers ≥ 0, for which OpenVINO has no operation."""
+    from openvino import opset13 as ops
+
+    def number(value: float) -> Any:
+        return ops.constant(np.float32(value))
+
+    x = node.get_input(0)
+    t = ops.divide(number(1), ops.add(ops.multiply(x, number(0.5)), number(1)))
+    power = number(ERFC[0])
+    for coefficient in ERFC[1:]:
+        power = ops.add(ops.multiply(power, t), number(coefficient))
+    return ops.multiply(t, ops.exp(ops.subtract(power, ops.multiply(x, x)))).outputs()
+
+
+def partly_float32(core: Any, model: Any) -> Any:
+    """Return a model whose layers of the range image, of the logits and after them are float32."""
+    # Otherwise bfloat16 would round ranges to the metre. OpenVINO ignores the marks of a model in
+    # memory, so the model is written and read.
+    import openvino
+
+    after_logits = False
+    for node in model.get_ordered_ops():
+        if node.get_type_name() in ("Convolution", "GroupConvolution"):
+            is_logits = bool(OF_LOGITS.search(node.get_friendly_name()))
+            after_logits |= is_logits
+            channels = node.input(0).get_partial_shape()[1].get_length()
+            precise = is_logits or channels == len(CHANNELS)
+        else:
+            precise = after_logits and node.get_type_name() not in NO_LAYERS
+        if precise:
+            node.get_rt_info()[PRECISE] = ""
+    try:
+        with temporary_folder() as folder:
+            file = folder / "model.xml"
+            openvino.save_model(model, file, compress_to_fp16=False)
+            return core.read_model(file.read_bytes(), file.with_suffix(".bin").read_bytes())
+    except (OSError, RuntimeError) as error:
+        problem, hint = f"cannot store the network: {error_text(error)}", "free some space"
+        raise OutputError("folder for temporary files", problem, hint=hint) from error
+
+
+def quantised(model: Any, inputs: Mapping[str, Int8Input], source: object) -> Any:
+    """Quantise inputs and weights of the layers of a converted graph, and return the graph.
+
+    A layer of `inputs` that the graph does not have raises `WeightsError` with the source.
+    """
+    from openvino import opset13 as ops
+
+    def rounded(value: Any, limits: tuple[Float, Float], integers: tuple[Any, Any], n: int) -> Any:
+        ends = [ops.constant(np.asarray(end, np.float32)) for end in (*limits, *integers)]
+        return ops.fake_quantize(value, *ends, n).output(0)
+
+    bytes_of: dict[Any, Any] = {}  # Of a value, since several layers may have the same input
+    changed: set[str] = set()
+    for node in model.get_ordered_ops():
+        name = node.get_friendly_name().partition("/")[0].removeprefix(PREFIX)
+        if node.get_type_name() != "Convolution" or name not in inputs:
+            continue
+        layer, value = inputs[name], node.input(0).get_source_output()
+        weights = node.input(1).get_source_output().get_node().get_data()
+        if len(layer.shifts) != weights.shape[1]:
+            break
+        key = (value.get_node().get_friendly_name(), value.get_index(), layer)
+        steps, integers = layer.steps.reshape(1, -1, 1, 1), (-layer.zero, LEVELS - 1 - layer.zero)
+        if key not in bytes_of:
+            limits = (integers[0] * steps, integers[1] * steps)
+            bytes_of[key] = rounded(value, limits, integers, LEVELS)
+        scaled = weights * steps
+        most = HEADROOM * np.abs(scaled).max(axis=(1, 2, 3), keepdims=True)
+        most = np.maximum(most, np.finfo(np.float32).tiny)
+        limits = (-most, most)
+        node.input(0).replace_source_output(bytes_of[key])
+        weights = rounded(ops.constant(scaled), limits, limits, WEIGHT_LEVELS)
+        node.input(1).replace_source_output(weights)
+        changed.add(name)
+    if missing := sorted(inputs.keys() - changed):
+        problem = f"has int8 ranges of another network, such as of layer {missing[0]}"
+        raise WeightsError(source, problem, hint="fit them again with `salsanext tune int8`")
+    return model

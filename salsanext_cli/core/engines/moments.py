@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: MIT
+"""Sums of the softmax over passes or noisy copies, in float64 for an exact variance."""
+
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+
+from salsanext_cli.core.classes.merging import ClassMerging
+from salsanext_cli.core.compiled import argument, compiled, parallel_for_slices
+from salsanext_cli.core.records import Double, Float
+
+Values = TypeVar("Values", Float, Double)
+
+
+@dataclass(slots=True)
+class Moments:
+    """Sums (C, H, W) of the softmax and its squares, and (H, W) of its entropy in nats; float64."""
+
+    count: int
+    sum: Double
+    sum_of_squares: Double
+    sum_of_entropies: Double
+
+    def add(self, softmax: Float, nats: Float | None, merging: ClassMerging | None) -> None:
+        """Add a softmax (C, H, W) and optionally its entropy (H, W), both of unmerged classes."""
+        if merging is not None:
+            softmax = merging.add(softmax)
+            nats = None if nats is None else entropy(softmax)
+        self.count += 1
+        values: Float = argument(softmax, np.float32).reshape(-1)
+        total, squares = self.sum.reshape(-1), self.sum_of_squares.reshape(-1)
+        parallel_for_slices(lambda s: _add_up(values[s], total[s], squares[s]), len(values))
+        if nats is not None:
+            self.sum_of_entropies += nats
+
+    def mean(self) -> Double:
+        """Return the mean (C, H, W)."""
+        return self.sum / self.count
+
+    def variance(self) -> Double:
+        """Return the variance (C, H, W) of the population (paper III-C.2)."""
+        mean = self.mean()
+        return np.maximum(self.sum_of_squares / self.count - mean * mean, 0)
+
+
+@compiled
+def _add_up(values: Float, total: Double, squares: Double) -> None:
+    for i in range(len(values)):
+        value = np.float64(values[i])
+        total[i] += value
+        squares[i] += value * value
+
+
+def entropy(probabilities: Values) -> Values:
+    """Return the entropy over the first dimension in nats, (C, …) to (…) of the same type."""
+    # 0 · log 0 is 0: the logarithm of the smallest number makes it so.
+    logarithms = np.log(np.maximum(probabilities, np.finfo(probabilities.dtype).tiny))
+    # A softmax that was rounded to above 1 would have a negative entropy.
+    return np.maximum(-(probabilities * logarithms).sum(axis=0), 0)

@@ -1,0 +1,233 @@
+# SPDX-License-Identifier: MIT
+"""Backend that computes with torch, on GPUs and where OpenVINO does not run.
+
+In a shorter number type, the layers of the range image stay float32, because eight bits of a range
+are metres. So do the logits.
+"""
+
+import copy
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from salsanext_cli.core.classes.merging import ClassMerging
+from salsanext_cli.core.engines.backend import Backend, PixelPrediction
+from salsanext_cli.core.engines.batches import BatchSize
+from salsanext_cli.core.engines.device import MAX_BATCH_PIXELS
+from salsanext_cli.core.engines.graphs import LOGITS
+from salsanext_cli.core.engines.moments import Moments
+from salsanext_cli.core.network.dropout import random_masks, sampling
+from salsanext_cli.core.network.segmentation import SegmentationNetwork
+from salsanext_cli.core.records import CHANNELS, Float
+
+
+@cache
+def set_up_cuda() -> None:
+    """Let cuDNN compute reproducible bits in full float32, in this process."""
+    # Threads share these settings, so a context for each call would affect other threads.
+    torch.backends.cudnn.benchmark = False
+    torch.backends.cudnn.deterministic = True
+    torch.backends.cudnn.allow_tf32 = False
+    torch.backends.cuda.matmul.allow_tf32 = False
+
+
+@dataclass(frozen=True, eq=False)
+class TorchBackend(Backend):
+    """Weights as a torch module. Results are reduced on the device and copied to the host once."""
+
+    library: ClassVar[str] = "torch"
+
+    def __post_init__(self) -> None:
+        if self._on_gpu:
+            set_up_cuda()
+
+    @property
+    def _on_gpu(self) -> bool:
+        return self.device != "cpu"
+
+    @cached_property
+    def torch_module(self) -> SegmentationNetwork:
+        """Network in torch that computes in the precision; float32 in and out."""
+        if self.precision == "float32":
+            return self.module
+        return in_precision(self.module, getattr(torch, self.precision))
+
+    @cached_property
+    def _side_by_side(self) -> BatchSize:
+        """Number of passes or noisy copies of a scan in a batch."""
+        pixels = self.size[0] * self.size[1]
+        return BatchSize(max(1, MAX_BATCH_PIXELS // pixels) if self._on_gpu else 1, "passes")
+
+    @torch.inference_mode()
+    def predict(
+        self, images: Sequence[Float], temperature: float, *, softmax: bool = False
+    ) -> list[PixelPrediction]:
+        """Predict the pixels of images, their logits divided by a temperature."""
+        probabilities = (self.torch_module(self.tensor(images)) / temperature).softmax(dim=1)
+        confidence, labels = probabilities.max(dim=1)
+        reduced = (labels.to(torch.uint8), confidence)
+        arrays = self._to_host(*reduced, *([probabilities] if softmax else []))
+        return [PixelPrediction(*parts) for parts in zip(*arrays, strict=True)]
+
+    @torch.inference_mode()
+    def logits(self, images: Sequence[Float]) -> list[Float]:
+        """Return the logits (C, H, W) float32 of images."""
+        return [*self._to_host(self.torch_module(self.tensor(images)))[0]]
+
+    @torch.inference_mode()
+    def sample(
+        self, image: Float, seeds: Sequence[int], merging: ClassMerging | None = None
+    ) -> Moments:
+        """Return the moments of the softmax over dropout passes, one per seed of the masks."""
+        features = self.torch_module.padded_trunk(self.tensor([image]))
+
+        def passes(batch: Sequence[int]) -> tuple[Tensor, Tensor | None]:
+            with sampling(random_masks([torch.Generator().manual_seed(seed) for seed in batch])):
+                logits = self.torch_module.rest(
+                    *(f.expand(len(batch), -1, -1, -1) for f in features)
+                )
+            height, width = image.shape[-2:]
+            return softmax_and_entropy(logits.float()[..., :height, :width])
+
+        return self._moments(passes, seeds, merging)
+
+    @torch.inference_mode()
+    def spread(self, images: Iterable[Float], merging: ClassMerging | None = None) -> Moments:
+        """Return the moments of the softmax over images, without entropies."""
+
+        def copies(batch: Sequence[Float]) -> tuple[Tensor, Tensor | None]:
+            return self.torch_module(self.tensor(batch)).softmax(dim=1), None
+
+        return self._moments(copies, [*images], merging)
+
+    @torch.inference_mode()
+    def run(
+        self, name: str, function: Callable[..., Any], *images: Float, exact: bool = False
+    ) -> tuple[Tensor, ...]:
+        """Return ``function(module, *images)``, tensors on the device."""
+        module = self.module if exact else self.torch_module
+        outputs: tuple[Tensor, ...] = function(module, *(self.tensor([image]) for image in images))
+        return outputs
+
+    def tensor(self, images: Sequence[Float]) -> Tensor:
+        """Return images (1, 5, H, W) as a tensor (B, 5, H, W) on the device."""
+        batch = torch.from_numpy(np.concatenate(images))
+        batch = batch.pin_memory() if self._on_gpu else batch
+        return batch.to(self.device, memory_format=torch.channels_last, non_blocking=True)
+
+    def _to_host(self, *tensors: Tensor) -> list[Any]:
+        """Return tensors as arrays, copied together."""
+        hosts = [torch.empty(t.shape, dtype=t.dtype, pin_memory=self._on_gpu) for t in tensors]
+        for host, tensor in zip(hosts, tensors, strict=True):
+            host.copy_(tensor, non_blocking=True)
+        if self._on_gpu:
+            torch.cuda.current_stream(self.device).synchronize()
+        return [host.numpy() for host in hosts]
+
+    def _moments(
+        self,
+        compute: Callable[[Sequence[Any]], tuple[Tensor, Tensor | None]],
+        items: Sequence[Any],
+        merging: ClassMerging | None,
+    ) -> Moments:
+        """Add up the softmax of batches of items on the device, and copy the sums once."""
+
+        def add_up(batch: Sequence[Any]) -> list[Tensor]:
+            softmax, nats = compute(batch)
+            if merging is not None:
+                softmax = merged(softmax, merging)
+                nats = None if nats is None else torch.special.entr(softmax).sum(dim=1)
+            exact = softmax.double()
+            nats = exact.new_zeros(exact[:, 0].shape) if nats is None else nats.double()
+            return [values.sum(dim=0) for values in (exact, exact.square(), nats)]
+
+        batches = self._side_by_side.in_batches(add_up, items)
+        total = next(batches)
+        for sums in batches:
+            for tensor, more in zip(total, sums, strict=True):
+                tensor.add_(more)
+        return Moments(len(items), *self._to_host(*total))
+
+
+def merged(softmax: Tensor, merging: ClassMerging) -> Tensor:
+    """Add the probabilities of merged classes, (B, C, H, W) to (B, K, H, W)."""
+    result = softmax.new_zeros(len(softmax), merging.space.class_count, *softmax.shape[2:])
+    for target, of_class in zip(merging.targets, softmax.unbind(dim=1), strict=True):
+        result[:, target] += of_class
+    # Rounded sums may exceed 1.
+    return result.clamp_(max=1)
+
+
+def softmax_and_entropy(logits: Tensor) -> tuple[Tensor, Tensor]:
+    """Return softmax (B, C, H, W) and entropy (B, H, W), nats, of logits."""
+    softmax, logarithm = logits.softmax(dim=1), logits.log_softmax(dim=1)
+    return softmax, -(softmax * logarithm).sum(dim=1)
+
+
+def rest_with_factors(module: SegmentationNetwork, *inputs: Tensor) -> tuple[Tensor, Tensor]:
+    """Return softmax and entropy from features (B, C, H, W) and factors of channels (B, C)."""
+    factors = (tensor for tensor in inputs if tensor.dim() == 2)
+    with sampling(lambda *_: next(factors)):
+        return softmax_and_entropy(module.rest(*(f for f in inputs if f.dim() == 4)))
+
+
+@torch.inference_mode()
+def dropout_factors(module: SegmentationNetwork, features: Sequence[Tensor]) -> list[Tensor]:
+    """Return factors (1, C) of 1 for each dropout, in the order of computation."""
+    factors: list[Tensor] = []
+
+    def draw(channels: int, _: float) -> Tensor:
+        factors.append(torch.ones(1, channels))
+        return factors[-1]
+
+    with sampling(draw):
+        module.rest(*features)
+    return factors
+
+
+class Float32Convolution(nn.Conv2d):
+    """Float32 convolution from and into features of any type, also within autocast.
+
+    It shares weight and bias with another convolution.
+    """
+
+    def __init__(self, layer: nn.Conv2d, output: torch.dtype) -> None:
+        size = (layer.in_channels, layer.out_channels, layer.kernel_size)
+        geometry = (layer.stride, layer.padding, layer.dilation, layer.groups)
+        # On "meta" no weights are drawn: torch's global generator does not change.
+        super().__init__(*size, *geometry, device="meta")  # type: ignore[arg-type]
+        self.weight, self.bias, self.output = layer.weight, layer.bias, output
+        self.train(layer.training)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Map (B, in, H, W) of any type to (B, out, H, W) of `output`, within its range."""
+        with torch.autocast(x.device.type, enabled=False):
+            features: Tensor = super().forward(x.float())
+        if self.output == torch.float32:
+            return features
+        border = torch.finfo(self.output)
+        return features.clamp(border.min, border.max).to(self.output)
+
+
+def keep_ends_in_float32(module: nn.Module, hidden: torch.dtype = torch.float32) -> None:
+    """Compute the layers of the range image, into `hidden` features, and the logits in float32."""
+    for name, layer in [*module.named_modules()]:
+        if type(layer) is nn.Conv2d and (name == LOGITS or layer.in_channels == len(CHANNELS)):
+            parent, _, attribute = name.rpartition(".")
+            output = torch.float32 if name == LOGITS else hidden
+            setattr(module.get_submodule(parent), attribute, Float32Convolution(layer, output))
+
+
+def in_precision(module: SegmentationNetwork, dtype: torch.dtype) -> SegmentationNetwork:
+    """Return a copy of a network that computes in a shorter type, float32 in and out."""
+    short = copy.deepcopy(module).eval()
+    keep_ends_in_float32(short, dtype)
+    for layer in short.modules():
+        if not isinstance(layer, Float32Convolution) and not [*layer.children()]:
+            layer.to(dtype)
+    return short.to(memory_format=torch.channels_last)  # type: ignore[call-overload]

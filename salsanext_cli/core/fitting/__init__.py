@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Fits of a sensor to its scans."""

@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: MIT
+"""Evenness of the directions in which points lie, by which a position is judged.
+
+The beams of a rotating sensor leave it evenly in all directions. So the points of a scan are spread
+evenly over the directions from the sensor, and crowded, or one behind the other, from elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from salsanext_cli.core.geometry.projection import few_points, measured_ranges
+from salsanext_cli.core.records import MAX_RANGE_M, Double, Indices, Scan
+
+FEW_POINTS = 4096  # Points that show whether a scan is seen from a position
+MIN_POINTS = 1000  # Fewest points that show a position
+ROWS = 182  # Cells of one degree from straight down to straight up, with an offset
+VEHICLE_M = 3.0  # Nearer points may be the vehicle
+SECTORS = 64
+EMPTY = 0.25  # Share of the mean points below which a sector is empty
+ROUND = 0.6  # Least share of sectors with points of a sensor that turns; the others see a fan
+CROWDED = 3.0  # Most points of a sector, as a multiple of the mean, around a sensor that turns
+CROWDED_NEARBY = 1.65  # The same if the neighbourhood is not searched; scans had up to 2.1
+CROWDED_FAN = 2.2  # The same within a fan; solid-state sensors had 1.2 to 1.7
+NEARBY_M = 3.0  # Distance from the origin of the positions around it
+NEARBY_POSITIONS = 8
+GAIN_NEARBY = 1.02
+"""Least factor of the evenness nearby to that at the origin; correct scans had up to 1.01."""
+HIDDEN = 0.38  # Largest share of hidden points of a fan; real ones had up to 0.34
+HIDDEN_M = 1.0  # A point is hidden if it is so much farther than the nearest of its cell, and
+HIDDEN_SHARE = 0.05  # this share of its range besides
+FARTHEST_NEAR_M = 40.0  # Largest 1 % quantile of ranges; a sensor sees something nearby
+MIN_FAR_M = 15.0  # Least 99 % quantile of ranges outdoors
+
+
+@dataclass(frozen=True, slots=True)
+class Sectors:
+    """Numbers of points in the sectors around a position."""
+
+    occupied: float  # Share of the sectors that are not empty, 0…1
+    fullest: float  # Points of the fullest sector, as a multiple of the mean
+
+    @property
+    def is_fan(self) -> bool:
+        """Whether they cover only a part of the circle."""
+        return self.occupied < ROUND
+
+    @property
+    def is_crowded_fan(self) -> bool:
+        """Whether the fullest sector has more points than those of a solid-state sensor."""
+        return self.fullest * self.occupied > CROWDED_FAN
+
+
+def is_out_of_place(scan: Scan, *, nearby: bool = True) -> bool:
+    """Return whether the points of an upright scan seem to be seen from elsewhere than the origin.
+
+    The search around the origin is skipped without `nearby` if the directions are even enough.
+    """
+    points = measured_positions(few_points(scan, FEW_POINTS))
+    if not _are_outdoors(points):
+        return False
+    if np.quantile(_ranges(points), 0.01) > FARTHEST_NEAR_M:
+        return True
+    sectors = sectors_around(points)
+    if sectors.is_fan:
+        return sectors.is_crowded_fan or _hidden_share(points) > HIDDEN
+    if sectors.fullest > CROWDED:
+        return True
+    if not nearby and sectors.fullest < CROWDED_NEARBY:
+        return False
+    angles = np.arange(NEARBY_POSITIONS) * 2 * np.pi / NEARBY_POSITIONS
+    level = np.zeros(NEARBY_POSITIONS)
+    ring = NEARBY_M * np.stack([np.cos(angles), np.sin(angles), level], axis=1)
+    best = max(evenness(points, position) for position in ring)
+    return best > GAIN_NEARBY * evenness(points, np.zeros(3))
+
+
+def is_outdoors(scan: Scan) -> bool:
+    """Return whether a scan has enough points, and far ones."""
+    return _are_outdoors(measured_positions(few_points(scan, FEW_POINTS)))
+
+
+def is_fan(scan: Scan, *, even: bool = False) -> bool:
+    """Return whether the points of an upright scan cover only a part of the circle.
+
+    `even`: whether they must be spread over it as from the tip of the fan, at any height.
+    """
+    sectors = sectors_around(measured_positions(few_points(scan, FEW_POINTS)))
+    return sectors.is_fan and not (even and sectors.is_crowded_fan)
+
+
+def _are_outdoors(points: Double) -> bool:
+    return len(points) >= MIN_POINTS and bool(np.quantile(_ranges(points), 0.99) >= MIN_FAR_M)
+
+
+def _ranges(points: Double) -> Double:
+    return np.sqrt(np.einsum("nk,nk->n", points, points))
+
+
+def evenness(points: Double, position: Double, offsets: Sequence[float] = (0.0,)) -> float:
+    """Return how evenly points (N, 3) are spread over the directions from a position (3,), 0…1.
+
+    It is the share of farther points, divided by their mean number in the cell of a point. The mean
+    over cells that begin at several offsets, 0…1, has less noise.
+    """
+    around, upwards, ranges = _directions(points - position)
+    far = ranges > VEHICLE_M
+    around = around[far]
+    upwards = upwards[far]
+    shares = []
+    for offset in offsets:
+        cells = _cells(around + offset, upwards + offset)
+        counts = np.bincount(cells).astype(np.float64)
+        points_beside = max(float(counts @ counts), 1.0) / max(len(around), 1)
+        share_of_far = len(around) / max(len(points), 1)
+        shares.append(share_of_far / points_beside)
+    return float(np.mean(shares))
+
+
+def _directions(points: Double) -> tuple[Double, Double, Double]:
+    """Return azimuth and elevation, in degrees from 0, and range of each point (N, 3)."""
+    x, y, z = points.T
+    flat = np.hypot(x, y)
+    around = np.arctan2(y, x) * (180 / np.pi) + 180
+    upwards = np.arctan2(z, flat) * (180 / np.pi) + 90
+    return around, upwards, np.hypot(flat, z)
+
+
+def _cells(around: Double, upwards: Double) -> Indices:
+    """Return the cell of each direction (N,) in degrees from 0."""
+    return around.astype(np.intp) * ROWS + upwards.astype(np.intp)
+
+
+def _hidden_share(points: Double) -> float:
+    """Return the share of points (N, 3) far behind the nearest one of their direction, 0…1."""
+    around, upwards, ranges = _directions(points)
+    cells = _cells(around, upwards)
+    nearest = np.full(cells.max() + 1, np.inf)
+    np.minimum.at(nearest, cells, ranges)
+    limit = HIDDEN_M + (1 + HIDDEN_SHARE) * nearest[cells]
+    return float((ranges > limit).mean())
+
+
+def sectors_around(points: Double) -> Sectors:
+    """Count the points (N, 3) in the sectors around the origin."""
+    far = points[np.einsum("nk,nk->n", points, points) > VEHICLE_M**2]
+    around = (np.arctan2(far[:, 1], far[:, 0]) / (2 * np.pi) + 0.5) * SECTORS
+    counts = np.bincount(around.astype(np.intp) % SECTORS, minlength=SECTORS)
+    mean = max(len(far), 1) / SECTORS
+    occupied = float((counts > EMPTY * mean).mean())
+    return Sectors(occupied, float(counts.max() / mean))
+
+
+def measured_positions(scan: Scan) -> Double:
+    """Return the measured points (M, 3) of a scan, float64."""
+    measured = measured_ranges(scan.points, float(MAX_RANGE_M))[1]
+    positions: Double = scan.points[measured].astype(np.float64)
+    return positions

@@ -1,0 +1,230 @@
+# SPDX-License-Identifier: MIT
+"""Traits of a scan that depend on its sensor and hardly on the location."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.core.geometry.network_input import BRIGHT, why_no_intensity
+from salsanext_cli.core.geometry.projection import few_points, in_sensor_frame, measured_ranges
+from salsanext_cli.core.geometry.sensor_place import placed_sensor
+from salsanext_cli.core.records import MAX_INTENSITY, Double, Float, Indices, Scan
+from salsanext_cli.core.sensors.sensor import Sensor
+
+NODES_DEG = (-30.0, -20.0, -12.0, -6.0, -3.0)
+"""Elevations between which points are counted: below the sky, beams meet the ground everywhere."""
+NODES = len(NODES_DEG) - 1  # Number of elevations around which points are counted
+MIN_TRAIT_POINTS = 100  # Fewest points with a measurement that show traits
+MIN_SHARE = 0.02  # Smallest share of points around an elevation that counts
+DENSITY_FACTOR = 1.5
+"""Least factor between sensors; scans of one had up to 1.27, the most similar sensors 1.77."""
+POINTS_FACTOR = 4.0  # The same for all points, whose number depends on the sky
+BRIGHT_FACTOR = 8.0  # The same for intensities: one sensor had up to 5.7 (wet), scales 100 or more
+SHARES_FACTOR = 1.35
+"""The same for shares of points, which stay in cut or thinned scans; sensors had 1.4 or more."""
+FACTORS = (*[DENSITY_FACTOR] * NODES, POINTS_FACTOR, BRIGHT_FACTOR, *[SHARES_FACTOR] * NODES)
+DIGITS = 6
+
+
+@dataclass(frozen=True, slots=True)
+class ScanTraits:
+    """Traits of the sensor in one scan, estimated from a sample of its points.
+
+    A point between two nodes counts for both by its distance, so that a beam near a node makes no
+    difference.
+    """
+
+    below: tuple[float, ...]  # Number of points around each of `NODES_DEG` but the last
+    points: int  # Number of points with a measurement
+    bright: float  # Upper intensity; 0 if unknown
+    sensor: Sensor | None = None  # Sensor that was fitted to the scan
+
+    @classmethod
+    def of(
+        cls, sines: Float, bright: float, per_point: float, sensor: Sensor | None = None
+    ) -> ScanTraits:
+        """Return the traits of points with sines of elevation (M,), of `per_point` points each."""
+        elevations = np.degrees(np.arcsin(sines))
+        hats = np.eye(len(NODES_DEG))[:-1]
+        below = [np.interp(elevations, NODES_DEG, hat).sum() * per_point for hat in hats]
+        counts = tuple(round(float(count), 1) for count in below)
+        return cls(counts, round(len(sines) * per_point), round(bright, DIGITS), sensor)
+
+    @property
+    def compared(self) -> tuple[float, ...]:
+        """Numbers (T,) that differ between sensors."""
+        return *self.below, float(self.points), self.bright
+
+    def __str__(self) -> str:
+        """Describe the scan: ``92,677 points, intensities to 158``."""
+        return f"{self.points:,} points" + f", intensities to {self.bright:.3g}" * bool(self.bright)
+
+
+def sines_of(points: Float) -> Float:
+    """Return the sines of elevation of points (N, 3), (N,)."""
+    ranges = np.sqrt(np.einsum("nk,nk->n", points, points))
+    return (points[:, 2] / np.maximum(ranges, np.finfo(np.float32).tiny)).clip(-1, 1)
+
+
+def intensity_of(points: Float, intensity: Float) -> tuple[str, float]:
+    """Return why values (N,) of points (N, 3) are not intensities, or the upper intensity."""
+    finite = intensity[np.isfinite(intensity)]
+    if (reason := why_no_intensity(points, intensity)) or not len(finite):
+        return reason, 0.0
+    return "", float(np.quantile(finite, BRIGHT))
+
+
+def traits_of(scan: Scan) -> ScanTraits | None:
+    """Return the traits of a scan in the frame of its file, None for too few measured points."""
+    sample = few_points(scan)
+    per_point = len(scan) / max(len(sample), 1)
+    measured = np.flatnonzero(measured_ranges(sample.points)[1])
+    if len(measured) < MIN_TRAIT_POINTS:
+        return None
+    sample = sample.take(measured)
+    _, bright = intensity_of(sample.points, sample.intensity)
+    return ScanTraits.of(sines_of(sample.points), bright, per_point)
+
+
+def groups_of(traits: Sequence[ScanTraits]) -> list[int]:
+    """Return the number of the group of each scan, by sensor; 0 is the largest.
+
+    Two groups differ if a gap of one of `FACTORS` divides the scans sorted by that trait. Cut or
+    thinned scans, with the same shares of points, belong to one group.
+    """
+    group_of = np.zeros(len(traits), np.intp)
+    groups: list[int] = []
+    medians: list[tuple[float, ...]] = []
+    for number, members in enumerate(_divided(np.array([scan.compared for scan in traits]))):
+        medians.append(usual_traits([traits[i] for i in members]))
+        steps = np.abs(np.diff([_scaled([other, medians[-1]]) for other in medians], axis=1))
+        alike = int((steps[:, 0, NODES:] < 1).all(axis=1).argmax())
+        groups.append(groups[alike] if alike < number else number)
+        group_of[members] = groups[-1]
+    ranks = [group for group, _ in Counter(group_of.tolist()).most_common()]
+    return [ranks.index(group) for group in group_of.tolist()]
+
+
+def _divided(compared: Double) -> list[Indices]:
+    """Return the indices of the scans of each group without a gap, by their traits (F, T)."""
+    if not len(compared):
+        return []
+    values = _scaled(compared)[:, : NODES + 2]
+    order = values.argsort(axis=0, kind="stable")
+    gaps = np.diff(np.take_along_axis(values, order, axis=0), axis=0) > 1
+    keys = np.zeros(values.shape, np.intp)
+    np.put_along_axis(keys, order[1:], gaps.cumsum(axis=0), axis=0)
+    kinds = np.unique(keys, axis=0, return_inverse=True)[1].ravel()
+    groups: list[Indices] = [np.flatnonzero(kinds == kind) for kind in range(kinds.max() + 1)]
+    if len(groups) == 1:
+        return groups
+    # Smaller counts matter without the larger scans of other sensors.
+    return [group[part] for group in groups for part in _divided(compared[group])]
+
+
+def _scaled(compared: npt.ArrayLike) -> Double:
+    """Return traits (F, T) float64 of scans on scales where a step of 1 is one of `FACTORS`."""
+    below, points, bright = np.split(np.array(compared, np.float64), (NODES, NODES + 1), axis=1)
+    shares = np.maximum(below / points, MIN_SHARE)
+    below = np.maximum(below, MIN_SHARE * points.max())
+    # An unknown intensity divides no group.
+    bright[bright <= 0] = bright.min(where=bright > 0, initial=MAX_INTENSITY)
+    scaled: Double = np.log(np.hstack([below, points, bright, shares])) / np.log(FACTORS)
+    return scaled
+
+
+def usual_traits(traits: Sequence[ScanTraits]) -> tuple[float, ...]:
+    """Return the medians (T,) of the traits of scans."""
+    return tuple(np.median([scan.compared for scan in traits], axis=0).round(DIGITS).tolist())
+
+
+def kinds_of(scans: Sequence[Scan]) -> tuple[list[int], list[tuple[float, ...]]]:
+    """Return the group of each scan, as of `groups_of`, and the usual traits of each group."""
+    traits = {i: of_scan for i, scan in enumerate(scans) if (of_scan := traits_of(scan))}
+    kinds = np.zeros(len(scans), np.intp)
+    kinds[list(traits)] = groups_of(list(traits.values()))
+    count = kinds.max(initial=0) + 1
+    groups = [[traits[i] for i in traits if kinds[i] == kind] for kind in range(count)]
+    return kinds.tolist(), [usual_traits(group) for group in groups if group]
+
+
+def sensor_of(scan: Scan, sensor: Sensor, origin: tuple[float, ...] | None = None) -> Sensor:
+    """Return a fitted sensor as it saw a scan.
+
+    Parameters
+    ----------
+    scan : Scan
+        Scan in the frame of its file.
+    sensor : Sensor
+        Sensor that was fitted to such scans. Of several members, it is the one whose usual traits
+        are most like those of the scan.
+    origin : 3 floats, optional
+        Position of a sensor of registered scans in the frame of the file, in metres; by default it
+        is found from the points.
+
+    Returns
+    -------
+    Sensor
+        The member, whose origin is that of the scan if it is registered.
+    """
+    if not sensor.others:
+        return _as_it_saw(scan, sensor, origin)
+    return _likeliest_member(scan, sensor, origin).sensor
+
+
+def member_of(scan: Scan, sensor: Sensor, origin: tuple[float, ...] | None = None) -> int:
+    """Return the number of the member of a fitted sensor that saw a scan, as of `sensor_of`."""
+    return _likeliest_member(scan, sensor, origin).number if sensor.others else 0
+
+
+def origin_of_scan(
+    scan: Scan, sensor: Sensor, origin: tuple[float, ...] | None = None
+) -> tuple[float, ...] | None:
+    """Return the origin of a scan that its member and its projection depend on, in metres.
+
+    It is the one that is given, else that of the points; None unless scans of a member are
+    registered. `sensor_of` with it returns the same member now and in later stages.
+    """
+    if not sensor.has_registered or origin is not None:
+        return origin
+    return sensor_of(scan, sensor).origin
+
+
+@dataclass(frozen=True, slots=True)
+class _Member:
+    """Member of a fitted sensor as it saw a scan."""
+
+    number: int
+    sensor: Sensor
+
+
+def _as_it_saw(scan: Scan, member: Sensor, origin: tuple[float, ...] | None) -> Sensor:
+    """Return a member with the origin of a scan if its scans are registered to a map."""
+    if not member.registered:
+        return member
+    return placed_sensor(scan, member) if origin is None else replace(member, origin=origin)
+
+
+def _likeliest_member(scan: Scan, sensor: Sensor, origin: tuple[float, ...] | None) -> _Member:
+    """Return the member of a sensor whose usual traits are most like those of a scan.
+
+    The traits of registered scans are those in the frame of the sensor.
+    """
+    members = [_as_it_saw(scan, member, origin) for member in sensor.members]
+    in_file = traits_of(scan)
+    if in_file is None:
+        return _Member(0, members[0])
+    of_scan = [
+        (traits_of(in_sensor_frame(scan, member)) if member.registered else None) or in_file
+        for member in members
+    ]
+    of_members = [member.traits for member in sensor.members]
+    values = _scaled([*(traits.compared for traits in of_scan), *of_members])
+    differences = np.abs(values[: len(members)] - values[len(members) :]).sum(axis=1)
+    number = int(differences.argmin())
+    return _Member(number, members[number])

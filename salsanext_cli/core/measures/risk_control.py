@@ -1,0 +1,308 @@
+# SPDX-License-Identifier: MIT
+"""Threshold of an uncertainty chosen from labelled scans, with a guarantee about a new scan.
+
+The loss of a scan at a threshold is the share of its scored points that are accepted and wrong. It
+rises with the threshold. Scans, or drives if there are enough, are assumed to be exchangeable;
+points are not. Consecutive scans of a drive are not exchangeable with later ones. The loss of a
+drive is the mean of its scans. Arrays of losses are (n, T): scans or drives by rising threshold.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.core.classes.label_space import LabelSpace
+from salsanext_cli.core.errors import counted, first_few, percentage
+from salsanext_cli.core.measures.scores import Counts, Ratios, scored_rows
+from salsanext_cli.core.network.card import RiskThreshold
+
+PEOPLE = ("person", "bicyclist", "motorcyclist", "person-or-cycle")
+"""Classes whose points are of people."""
+RISK_BOUND_EXCEEDED = (
+    "the share of accepted and wrong points exceeds the limit of the guarantee: by chance, in the "
+    "choice of these scans or of those that the threshold was chosen on, or because location, "
+    "sensor or weather differ\nhint: choose the threshold with `salsanext tune risk` on more "
+    "labelled scans like these"
+)
+
+
+def means_of_units(losses: Ratios, units: npt.NDArray[Any]) -> Ratios:
+    """Return the mean of each unit, such as a drive, in sorted order: (n, …) to (U, …).
+
+    `units` (n,): name of the unit of each scan.
+    """
+    return np.stack([losses[units == unit].mean(axis=0) for unit in np.unique(units)])
+
+
+def held_thresholds(
+    losses: Ratios, at_most: float, confidence: float | None = None, scans: int | None = None
+) -> int:
+    """Return the number of thresholds that hold a level, `at_most`.
+
+    Without a confidence they bound the expected loss of a new scan: (Σ losses + 1) / (n + 1) ≤
+    level, conformal risk control (Angelopoulos et al. 2022, arXiv 2208.02814, eq. 4) of a loss of
+    at most 1. The expectation is also over the choice of the n scans. Otherwise, with this
+    confidence over that choice, at most a share 1 − confidence of all scans has a larger loss.
+    `scans`: the number n, if it is not that of the losses.
+    """
+    n = scans or len(losses)
+    if confidence is None:
+        return int(((n * losses.mean(axis=0) + 1) / (n + 1) <= at_most).sum())
+    return int(((losses > at_most).sum(axis=0) <= allowed_scans(n, confidence)).sum())
+
+
+def allowed_scans(scans: int, confidence: float) -> int:
+    """Return the number of bad scans among n that 1 − confidence still bounds; −1: n is too small.
+
+    It is the largest for which the bound of Clopper and Pearson (1934) is low enough.
+    """
+    bad = 0
+    while binomial(bad, scans, 1 - confidence) <= 1 - confidence:
+        bad += 1
+    return bad - 1
+
+
+def binomial(most: int, count: int, chance: float) -> float:
+    """Return the probability of at most `most` of `count` events, each of a chance in (0, 1]."""
+    if most >= count or chance >= 1:
+        return float(most >= count)
+    logs = (
+        math.lgamma(count + 1)
+        - math.lgamma(k + 1)
+        - math.lgamma(count - k + 1)
+        + k * math.log(chance)
+        + (count - k) * math.log1p(-chance)
+        for k in range(most + 1)
+    )
+    return math.fsum(map(math.exp, logs))
+
+
+def needed_scans(at_most: float, confidence: float | None) -> int:
+    """Return the least number of scans for which a threshold can hold a level."""
+    if confidence is None:
+        # Rounded, as 1 / 0.05 - 1 is more than 19 by the last digit.
+        return math.ceil(round(1 / at_most - 1, 9))
+    return math.ceil(round(math.log(1 - confidence) / math.log(confidence), 9))
+
+
+def share_left(scans: int, at_most: float) -> float:
+    """Return the largest mean of the losses of n scans that holds a level: ((n + 1) a − 1) / n.
+
+    The rest of the level is set aside for the new scan. Below 0, no threshold holds it.
+    """
+    return ((scans + 1) * at_most - 1) / scans
+
+
+def useful_scans(at_most: float, confidence: float | None) -> int:
+    """Return the least number of scans that leaves room for wrong labels.
+
+    On average it is half of the level; with a confidence, one scan may exceed it.
+    """
+    needed = needed_scans(at_most, confidence)
+    if confidence is None:
+        return 2 * needed
+    while allowed_scans(needed, confidence) < 1:
+        needed += 1
+    return needed
+
+
+def likely_thresholds(losses: Ratios, at_most: float, confidence: float | None, scans: int) -> int:
+    """Return the number of thresholds that so many scans would hold if their losses were these."""
+    if confidence is None:
+        return held_thresholds(losses, at_most, scans=scans)
+    above = (losses > at_most).mean(axis=0)
+    return int((above <= allowed_scans(scans, confidence) / scans).sum())
+
+
+def enough_drives(drives: int, at_most: float, confidence: float | None) -> bool:
+    """Return whether the drive, and not the scan, is the unit of a guarantee."""
+    return drives >= needed_drives(at_most, confidence)
+
+
+def needed_drives(at_most: float, confidence: float | None) -> int:
+    """Return the number of drives from which on the drive is the unit of a guarantee.
+
+    On average, twice the least number is needed: with fewer drives, more than half of the level is
+    set aside for the new drive, and few points are accepted.
+    """
+    least = useful_scans if confidence is None else needed_scans
+    return least(at_most, confidence)
+
+
+@dataclass(frozen=True, slots=True)
+class AcceptedLabels:
+    """Coverage and risk of the labels of a run that rejected some, over scored points."""
+
+    points: int
+    accepted: int  # Number of points with a label, and of wrong ones among them
+    wrong: int
+    people: int  # Number of points of people, and of those accepted as something else
+    missed_people: int
+    # Accepted and wrong points by predicted class, people first
+    classes: dict[str, tuple[int, int]]
+    # Name, points, accepted and wrong points of the scan with the largest share of wrong points
+    worst: tuple[str, int, int, int]
+
+    @classmethod
+    def of_confusion(
+        cls, confusion: Counts, space: LabelSpace, scans: Mapping[str, tuple[int, int, int]]
+    ) -> Self:
+        """Count the points whose predicted class is not 0; `scans`: as `worst`, by name."""
+        matrix = scored_rows(confusion, space)
+        accepted, right = matrix[:, 1:].sum(axis=0), matrix.diagonal()[1:]
+        rows = zip(space.names[1:], accepted.tolist(), (accepted - right).tolist(), strict=True)
+        classes = {name: (count, wrong) for name, count, wrong in rows if count}
+        people = np.isin(space.names, PEOPLE)
+        worst = max(scans, key=lambda name: scans[name][2] / max(scans[name][0], 1))
+        return cls(
+            points=int(matrix.sum()),
+            accepted=int(accepted.sum()),
+            wrong=int((accepted - right).sum()),
+            people=int(matrix[people].sum()),
+            missed_people=int(matrix[people][:, 1:][:, ~people[1:]].sum()),
+            classes=dict(sorted(classes.items(), key=lambda item: item[0] not in PEOPLE)),
+            worst=(worst, *scans[worst]),
+        )
+
+    @property
+    def coverage(self) -> float:
+        """Share of the points that is accepted, 0…1."""
+        return self.accepted / max(self.points, 1)
+
+    @property
+    def risk(self) -> float:
+        """Share of the accepted points that is wrong, 0…1."""
+        return self.wrong / max(self.accepted, 1)
+
+    @property
+    def sentences(self) -> Iterator[str]:
+        """Coverage, risk, the worst scan and missed people."""
+        of_all = f"{percentage(self.wrong / max(self.points, 1))} of all"
+        yield (
+            f"accepted, all scans together: {percentage(self.coverage)} of {self.points:,} points, "
+            f"{percentage(self.risk)} of these are wrong ({of_all})"
+        )
+        name, points, accepted, wrong = self.worst
+        of_accepted = f"{percentage(wrong / max(accepted, 1))} of the {accepted:,} accepted"
+        loss = f"{percentage(wrong / max(points, 1))} of its points are accepted and wrong"
+        yield f"worst scan: {name}, {loss} ({of_accepted})"
+        if self.people:
+            missed = f"{self.missed_people:,} of {self.people:,} points of people"
+            yield f"missed people: {missed} are accepted, but not as people"
+
+
+@dataclass(frozen=True, slots=True)
+class RiskBoundCheck:
+    """Guarantee about scans or drives, and their losses, which are shares of scored points."""
+
+    at_most: float
+    confidence: float | None  # None if the guarantee is about the mean loss
+    unit: str  # "scan" or "drive"
+    units: int  # Number of scans or drives, and of those with a larger loss
+    above: int
+    mean: float  # Mean and largest loss
+    worst: float
+    scope: str = ""  # Scans that the guarantee covers, in words
+    are_others: bool = False  # Whether the scans are evidently not such; False proves nothing
+    incomparable: str = ""  # Why no comparison could show that they are not such
+
+    @classmethod
+    def of_scans(
+        cls,
+        guaranteed: RiskThreshold | None,
+        scans: Mapping[str, tuple[int, int, int]],
+        *,
+        are_others: bool = False,
+    ) -> Self | None:
+        """Compare with scored, accepted and wrong points of scans by name; None without either."""
+        judged = {name: wrong / points for name, (points, _, wrong) in scans.items() if points}
+        if guaranteed is None or not judged:
+            return None
+        losses, unit = np.array([*judged.values()]), guaranteed.unit
+        if unit == "drive":
+            drives = np.array([name.rpartition("/")[0] for name in judged])
+            losses = means_of_units(losses, drives)
+        return cls(
+            at_most=guaranteed.at_most,
+            confidence=guaranteed.confidence,
+            unit=unit,
+            units=len(losses),
+            above=int((losses > guaranteed.at_most).sum()),
+            mean=float(losses.mean()),
+            worst=float(losses.max()),
+            scope=_scope(guaranteed),
+            are_others=are_others,
+        )
+
+    @property
+    def warning(self) -> str:
+        """Warning if the losses are larger than the guarantee allows, else an empty text."""
+        return RISK_BOUND_EXCEEDED if self.measured > self.limit else ""
+
+    @property
+    def measured(self) -> float:
+        """Mean loss, or share of scans or drives with a larger loss than `at_most`, 0…1."""
+        return self.mean if self.confidence is None else self.above / self.units
+
+    @property
+    def limit(self) -> float:
+        """Largest value of `measured` that the guarantee allows, 0…1."""
+        # 1 - 0.9 is less than 0.1 by the last digit.
+        return self.at_most if self.confidence is None else round(1 - self.confidence, 9)
+
+    @property
+    def sentence(self) -> str:
+        """Guarantee and measured losses in words."""
+        measured = f"{self.above} of {counted(self.units, self.unit)}"
+        if self.confidence is None:
+            mean = f"{percentage(self.mean)} on average over {counted(self.units, self.unit)}"
+            measured = f"{mean}, each {self.unit} counting the same"
+        bound = _bound(self.at_most, self.confidence, self.unit)
+        guaranteed = f"guaranteed for {self.scope}: {bound}"
+        if self.are_others:
+            guaranteed = (
+                "not guaranteed, because the scans are unlike those that the threshold was chosen "
+                f"on: {bound}"
+            )
+        elif self.incomparable:
+            guaranteed = (
+                "these scans cannot be compared with those that the threshold was chosen on "
+                f"({self.incomparable}); only for {self.scope}: {bound}"
+            )
+        worst = f"{percentage(self.worst)} in the worst {self.unit}"
+        return f"{guaranteed}; measured: {measured}, {worst}"
+
+
+def guarantee(risk: RiskThreshold) -> str:
+    """Return the guarantee of the threshold of weights in words."""
+    bound = _bound(risk.at_most, risk.confidence, risk.unit)
+    return f"{risk.kind} up to {risk.threshold:.4g} accepted: {bound}, for {_scope(risk)}"
+
+
+def _scope(risk: RiskThreshold) -> str:
+    """Return the scans that a guarantee covers in words."""
+    sequences = first_few(risk.sequences)
+    if risk.data_set:
+        sequences = f"{risk.data_set}: {sequences}"
+    chosen = f"was chosen on ({counted(risk.scans, 'scan')} of {sequences})"
+    if risk.unit == "drive":
+        return f"drives like those that the threshold {chosen}"
+    return f"scans drawn in the same way from the drives that the threshold {chosen}, not others"
+
+
+def _bound(at_most: float, confidence: float | None, unit: str) -> str:
+    level = percentage(at_most, figures=3)
+    if confidence is None:
+        return (
+            f"on average over new {unit}s and over choices of the labelled ones, at most {level} "
+            "of the points of known classes are accepted and wrong"
+        )
+    others = percentage(1 - confidence, figures=3)
+    return (
+        f"with {percentage(confidence, figures=3)} confidence, at most {others} of {unit}s have "
+        f"more than {level} of their points of known classes accepted and wrong"
+    )

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Networks that map range images to logits, and the card that describes their weights."""

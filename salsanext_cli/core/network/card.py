@@ -1,0 +1,388 @@
+# SPDX-License-Identifier: MIT
+"""Card of a weights file: the metadata that describe its tensors and their use."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import re
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import asdict, dataclass, field, replace
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import safetensors
+
+from salsanext_cli.core.classes.label_space import LabelSpace
+from salsanext_cli.core.errors import FormatError, UsageError, WeightsError, error_text, shortened
+from salsanext_cli.core.network.error_model import ErrorModel, valid_temperature
+from salsanext_cli.core.network.int8_inputs import Int8Input
+from salsanext_cli.core.network.unit_traits import UnitTraits
+from salsanext_cli.core.network.weights_names import hint_for_missing
+from salsanext_cli.core.records import Scan
+from salsanext_cli.core.sensors.sensor import FittedView, Sensor
+from salsanext_cli.io.files.atomic import WEIGHTS_SUFFIX
+from salsanext_cli.io.files.json_files import Json, decoded, plain
+from salsanext_cli.io.files.reading import fingerprint, is_folder, present, reading, refusing_damage
+from salsanext_cli.version import __version__
+
+KEY = "salsanext"  # The only key: safetensors writes several keys in random order
+FORMAT = "salsanext-2"
+TABLES = ("architecture", "label_space", "sensor", "recipe", "scores")  # Mappings of a card
+OF_ERROR = re.compile(r"The error is fitted to ([^.]*)\. ?")
+"""Sentence on the error model in the description of older files, such as the default weights."""
+INHERITED = "inherited_from"  # Key of an error model: names the weights that it was fitted to
+ONNX_SUFFIX = ".onnx"
+DIGITS = 24  # Of a digest: two of 20 000 scans agree by chance once in 10¹¹ cases
+
+
+def scan_digest(scan: Scan) -> str:
+    """Return the digest of a scan: number of its points, then digest of their coordinates."""
+    of_points = hashlib.sha256(np.ascontiguousarray(scan.points).data).hexdigest()
+    return f"{len(scan):08x}{of_points}"[:DIGITS]
+
+
+def is_among(digests: Collection[str], count: int, read: Callable[[], Scan]) -> bool:
+    """Return whether digests contain a scan; `read` is called only if its number of points fits."""
+    fits = any(digest.startswith(f"{count:08x}") for digest in digests)
+    return fits and scan_digest(read()) in digests
+
+
+def parted(text: object) -> list[str]:
+    """Return the digests that a text joins; anything else raises `ValueError`."""
+    if not isinstance(text, str) or not re.fullmatch(f"([0-9a-f]{{{DIGITS}}})*", text):
+        raise ValueError("no digests of scans")
+    return [text[i : i + DIGITS] for i in range(0, len(text), DIGITS)]
+
+
+@dataclass(frozen=True, slots=True)
+class RiskThreshold:
+    """Threshold above which `predict --reject risk` rejects a label, and its guarantee.
+
+    Scans, sequences, digests and views are those on which the threshold was chosen.
+    """
+
+    kind: str  # Kind of uncertainty that is compared with the threshold
+    threshold: float
+    at_most: float  # Largest share of the points that may be accepted and wrong, 0…1
+    # Share of the units for which the guarantee holds; None if it is about their mean
+    confidence: float | None
+    scans: int  # Number of the scans
+    sequences: tuple[str, ...]
+    unit: str = "scan"  # Unit of the guarantee: "scan" or "drive"
+    digests: str = ""  # Joined digests of the scans
+    settings: Json = field(default_factory=dict)  # As `labels_depend_on` returns them
+    views: tuple[FittedView, ...] = ()  # Fields of view of the sensors
+    population: tuple[UnitTraits, ...] = ()  # Of each unit; empty in files of early versions
+    data_set: str | None = None  # Name of its folder; None in files of early versions
+
+    def __post_init__(self) -> None:
+        if not all(map(math.isfinite, (self.threshold, self.at_most))):
+            raise ValueError(f"risk has threshold {self.threshold} and limit {self.at_most}")
+        parted(self.digests)  # Raises an error for other text.
+
+
+@dataclass(frozen=True, slots=True)
+class AccuracyLine:
+    """Line from the logit of a run's mean confidence to the logit of its accuracy."""
+
+    slope: float
+    offset: float
+    deviation: float  # Root mean square of the accuracy about the line, 0…1
+    inherited_from: str | None = None  # Other weights to which the line was fitted
+
+    def to_dict(self) -> Json:
+        """Return plain data without fields that are None."""
+        return {name: value for name, value in asdict(self).items() if value is not None}
+
+    def __post_init__(self) -> None:
+        if not all(map(math.isfinite, (self.slope, self.offset, self.deviation))):
+            raise ValueError(f"accuracy holds {self}")
+
+
+FITTED = {
+    "error": ErrorModel,
+    "risk": RiskThreshold,
+    "accuracy": AccuracyLine,
+    "int8": Mapping[str, Int8Input],
+}
+"""Parts of a card that may be absent."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedParts:
+    """Parts of a card that hold for images of one width."""
+
+    temperature: float = 1.0
+    error: ErrorModel | None = None
+    risk: RiskThreshold | None = None
+    accuracy: AccuracyLine | None = None
+
+    def to_dict(self) -> Json:
+        """Return plain data without absent parts."""
+        return {name: part for name in PARTS if (part := plain(getattr(self, name))) is not None}
+
+    @classmethod
+    def from_dict(cls, data: Json, source: object) -> FittedParts:
+        """Read the result of `to_dict`; invalid data raise a `ValueError` or the like."""
+        parts: Json = {name: data[name] for name in PARTS if name in data}
+        if "risk" in parts:
+            parts["risk"] = _renamed(parts["risk"], source)
+        temperature = valid_temperature(parts.pop("temperature"))
+        fitted = {name: decoded(FITTED[name], part) for name, part in parts.items()}
+        return cls(temperature, **fitted)
+
+
+PARTS = ("temperature", "error", "risk", "accuracy")  # Fields of `FittedParts`
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WeightsCard:
+    """Metadata of a weights file."""
+
+    architecture: Json  # Name and numbers of the network, as `registry.build` takes them
+    space: LabelSpace  # Classes of the logits
+    sensor: Sensor  # Geometry and normalisation that the network was trained with
+    recipe: Json = field(default_factory=dict)  # Resolved training recipe; empty if unknown
+    scores: Json = field(default_factory=dict)  # Measurements with these weights
+    description: str = ""
+    temperature: float = 1.0  # Divisor of the logits that makes the softmax a probability
+    error: ErrorModel | None = None
+    risk: RiskThreshold | None = None
+    accuracy: AccuracyLine | None = None
+    # Quantised inputs of layers by name; the other layers compute in float32
+    int8: Mapping[str, Int8Input] = field(default_factory=dict)
+    trained_on: frozenset[str] = frozenset()  # Digests of scans, as far as known
+    version: int | None = None  # Version of the default weights; None for other weights
+    tensors_sha256: str = ""  # As `tensor_digest` returns it; empty in files of early versions
+    # Widths of the images of training, the default of the weights first; none for the sensor's
+    widths: tuple[int, ...] = ()
+    # Parts for images of other widths than the sensor's
+    of_widths: Mapping[int, FittedParts] = field(default_factory=dict)
+
+    @property
+    def trained_widths(self) -> tuple[int, ...]:
+        """Widths of images that the weights were trained with, the default first."""
+        return self.widths or (self.sensor.width,)
+
+    @property
+    def parts(self) -> FittedParts:
+        """The parts for images of the width of the sensor."""
+        return FittedParts(**{name: getattr(self, name) for name in PARTS})
+
+    @property
+    def substitutes(self) -> FittedParts:
+        """Parts for a width that has none of its own: those of the default width, without risk."""
+        default = self.trained_widths[0]
+        parts = self.parts if self.sensor.width == default else self.of_widths[default]
+        return replace(parts, risk=None)
+
+    def at_width(self, width: int) -> WeightsCard:
+        """Return the card for images of another width, if the weights were trained with it."""
+        if width == self.sensor.width or width not in self.trained_widths:
+            return self
+        others = dict(self.of_widths)
+        parts = others.pop(width, self.substitutes)
+        is_default = self.sensor.width == self.trained_widths[0]
+        if is_default or self.parts.to_dict() != self.substitutes.to_dict():
+            others[self.sensor.width] = self.parts
+        fitted = {name: getattr(parts, name) for name in PARTS}
+        return replace(self, sensor=self.sensor.resized(width=width), of_widths=others, **fitted)
+
+    def of_other_width(self) -> str:
+        """Name the parts that were fitted to images of the default width instead; "" for none."""
+        default, names = (
+            self.trained_widths[0],
+            ("temperature", "error model", "estimated accuracy"),
+        )
+        if self.sensor.width == default:
+            return ""
+        used, others = self.parts.to_dict(), self.substitutes.to_dict()
+        pairs = zip(("temperature", "error", "accuracy"), names, strict=True)
+        same = [name for key, name in pairs if key in used and used[key] == others.get(key)]
+        return f"{', '.join(same)} of images of {default} columns" if same else ""
+
+    def named(self, path: Path) -> str:
+        """Return the version of these weights or the name of their file, and its SHA-256."""
+        name = f"default weights version {self.version}" if self.version else path.name
+        return f"{name} (SHA-256 {fingerprint(path)[:16]})"
+
+    def title(self, path: Path) -> str:
+        """Name default weights with their description up to the first colon or full stop."""
+        start = re.split(r"[:.](?:\s|$)", self.description, maxsplit=1)[0]
+        summary = shortened(start[:1].lower() + start[1:])
+        return f"{self.named(path)}, {summary}," if self.version else f"default weights ({summary})"
+
+    def inherited(self) -> str:
+        """Name the parts that were fitted to the initial weights of the training; "" for none."""
+        parts = {
+            "error model": self.error and self.error.scores.get(INHERITED),
+            "estimated accuracy": self.accuracy and self.accuracy.inherited_from,
+        }
+        origins = {part: shortened(name) for part, name in parts.items() if name}
+        names = " and ".join(dict.fromkeys(origins.values()))
+        return f"{' and '.join(origins)} of {names}" if origins else ""
+
+    def to_metadata(self) -> dict[str, str]:
+        """Return the metadata of a safetensors file at the default width; equal cards are equal."""
+        if self.sensor.width != self.trained_widths[0]:
+            return self.at_width(self.trained_widths[0]).to_metadata()
+        values = {
+            "format": FORMAT,
+            "version": __version__,
+            "description": self.description,
+            "architecture": dict(self.architecture),
+            "temperature": self.temperature,
+            "sensor": self.sensor.to_dict(),
+            "label_space": self.space.to_dict(),
+            "recipe": dict(self.recipe),
+            "scores": dict(self.scores),
+        }
+        known = {name: plain(part) for name in FITTED if (part := getattr(self, name))}
+        known |= {
+            "trained_on": "".join(sorted(self.trained_on)),
+            "weights_version": self.version,
+            "tensors_sha256": self.tensors_sha256,
+            "widths": list(self.widths),
+            "of_widths": {width: plain(parts) for width, parts in sorted(self.of_widths.items())},
+        }
+        return {KEY: json.dumps(values | {name: part for name, part in known.items() if part})}
+
+    @classmethod
+    def from_metadata(cls, metadata: Mapping[str, str], source: object) -> WeightsCard:
+        """Read the metadata of a safetensors file; invalid data raise `WeightsError`."""
+        try:
+            values = json.loads(metadata.get(KEY, "{}"))
+            if not isinstance(values, dict):
+                raise TypeError(f"{KEY} is not a table")
+            if (version_of_format := values.get("format")) is None:
+                hint = "convert a published checkpoint with `salsanext import-weights`"
+                raise WeightsError(source, "has no metadata of salsanext", hint=hint)
+            if version_of_format != FORMAT:
+                problem, hint = f"has format {shortened(version_of_format)}", "update salsanext"
+                raise WeightsError(source, problem, FORMAT, hint)
+            fitted = [name for name in FITTED if name in values]
+            if bad := [key for key in (*TABLES, *fitted) if not isinstance(values[key], dict)]:
+                raise TypeError(f"{bad[0]} is not a table")
+            if "risk" in fitted:
+                values["risk"] = _renamed(values["risk"], source)
+            if type(version := values.get("weights_version", 1)) is not int or version < 1:
+                raise ValueError(f"weights_version is {shortened(version)}")
+            description, error = str(values["description"]), values.get("error")
+            if error and (statement := OF_ERROR.search(description)):
+                # The sentence must go when the error model is replaced.
+                description = OF_ERROR.sub("", description)
+                error["scores"] = {"fitted_to": statement[1], **error["scores"]}
+            sensor = Sensor.from_dict(values["sensor"], source)
+            return cls(
+                architecture=values["architecture"],
+                space=LabelSpace.from_dict(values["label_space"], source),
+                sensor=sensor,
+                recipe=values["recipe"],
+                scores=values["scores"],
+                description=description,
+                temperature=valid_temperature(values["temperature"]),
+                **{name: decoded(FITTED[name], values[name]) for name in fitted},
+                trained_on=frozenset(parted(values.get("trained_on", ""))),
+                version=values.get("weights_version"),
+                tensors_sha256=_sha256(values.get("tensors_sha256", "")),
+                widths=_checked_widths(values.get("widths", []), sensor.width),
+                of_widths={
+                    int(width): FittedParts.from_dict(parts, source)
+                    for width, parts in values.get("of_widths", {}).items()
+                },
+            )
+        except UsageError as error:
+            raise WeightsError(source, f"has damaged metadata: {error.problem}") from error
+        except (KeyError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
+            raise WeightsError(source, f"has damaged metadata: {error_text(error)}") from error
+
+
+def _sha256(text: object) -> str:
+    """Return a digest of tensors, or no text; anything else raises `ValueError`."""
+    if not isinstance(text, str) or not re.fullmatch("([0-9a-f]{64})?", text):
+        raise ValueError(f"tensors_sha256 is {shortened(text)}")
+    return text
+
+
+def _checked_widths(widths: object, default: int) -> tuple[int, ...]:
+    """Return the widths of a file, which begin with that of its sensor; none for old files."""
+    if not isinstance(widths, list) or not all(type(width) is int for width in widths):
+        raise TypeError("widths are not a list of numbers")
+    if widths and (widths[0] != default or len(set(widths)) < len(widths) or min(widths) < 1):
+        raise ValueError(f"widths are {shortened(widths)}, not {default} and others")
+    return tuple(widths)
+
+
+def _renamed(risk: Json, source: object) -> Json:
+    """Return a threshold of an early version with the keys of this one."""
+    if risk.pop("classes", None):
+        hint = "run `salsanext tune risk` on the weights that it was chosen for"
+        raise WeightsError(source, "has thresholds of classes", "one for all classes", hint)
+    if view := risk.pop("view", None):
+        risk["views"] = [view, *risk.pop("other_views", ())]
+    settings = risk.get("settings", {})
+    if "width" in (sensor := settings.get("--sensor", {})):
+        settings["--width"] = sensor.pop("width")
+    return risk
+
+
+@dataclass(frozen=True, slots=True)
+class DescribedWeights:
+    """Card of a weights file, and its size and digest."""
+
+    path: Path
+    sha256: str
+    size: int  # Bytes
+    card: WeightsCard
+
+    def to_dict(self) -> dict[str, object]:
+        """Return plain data for JSON."""
+        card = self.card
+        names = ("description", "architecture", "temperature", "recipe", "scores", "risk")
+        return {
+            "path": str(self.path),
+            **({"version": card.version} if card.version else {}),
+            "sha256": self.sha256,
+            "bytes": self.size,
+            "tensors_sha256": card.tensors_sha256 or None,
+            **{name: plain(getattr(card, name)) for name in (*names, "accuracy", "sensor")},
+            "label_space": card.space.name,
+            "classes": list(card.space.names),
+            "error": card.error and dict(card.error.scores),
+            "int8": len(card.int8),
+            "trained_on": len(card.trained_on),
+            "widths": list(card.trained_widths),
+        }
+
+
+def read_card(path: Path) -> WeightsCard:
+    """Read only the metadata of a weights file."""
+    if path.suffix == ONNX_SUFFIX:
+        problem, hint = "is an ONNX model", "use the weights from which it was exported"
+        raise WeightsError(path, problem, "a .safetensors file", hint)
+    try:
+        with (
+            reading(path),
+            refusing_damage(path, "a .safetensors file"),
+            safetensors.safe_open(path, framework="np") as file,
+        ):
+            metadata = file.metadata() or {}
+    except FormatError as error:
+        problem, hint = error.problem, "copy it again"
+        if not present(path):
+            problem = "no such file"
+            hint = hint_for_missing(path)
+        elif is_folder(path):
+            problem, hint = "is a folder", "name the file in it"
+        elif path.suffix != WEIGHTS_SUFFIX:
+            hint = "convert a published checkpoint with `salsanext import-weights`"
+        raise WeightsError(path, problem, "a .safetensors file", hint) from error
+    return WeightsCard.from_metadata(metadata, path)
+
+
+def default_weights() -> Path:
+    """Return the path of the weights of the package."""
+    return Path(str(resources.files("salsanext_cli") / "presets/weights/default.safetensors"))

@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: MIT
+"""Import of packages when they are first used, with a hint if that fails."""
+
+import json
+import re
+import shlex
+import sys
+from contextlib import suppress
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, distribution, version
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+from urllib.request import url2pathname
+
+from salsanext_cli.core.errors import MissingDependency, error_text
+
+NAME = "salsanext"
+MIN_ROSBAGS_VERSION = (0, 11, 7)
+CONVERTER = "openvino.tools.ovc"
+"""Part of OpenVINO that `import openvino` imports and that reports to a server of Google."""
+OPENVINO_ERRORS = (AttributeError, ImportError, OSError, RuntimeError, TypeError, ValueError)
+"""Errors of damaged installations and those of another platform."""
+
+
+def import_open3d() -> Any:
+    """Import open3d, which takes over a second and needs a system library."""
+    try:
+        return import_package("open3d")
+    except MissingDependency as error:
+        if isinstance(error.__cause__, ModuleNotFoundError):
+            raise
+        expected, hint = "the system library libusb-1.0", "apt-get install libusb-1.0-0"
+        raise MissingDependency("open3d", error.problem, expected, hint) from error
+
+
+def import_extra(name: str, extra: str) -> Any:
+    """Import a package of an extra of this one."""
+    return import_package(name, extra_command(extra))
+
+
+def extra_command(extra: str) -> str:
+    """Return the command that installs an extra, into an installation from a clone too."""
+    with suppress(PackageNotFoundError, TypeError, ValueError, KeyError):
+        # Installers record a folder that they installed from (PEP 610).
+        source = json.loads(distribution(NAME).read_text("direct_url.json") or "{}")
+        clone = Path(url2pathname(urlsplit(source["url"]).path))
+        if "dir_info" in source and (clone / "pyproject.toml").is_file():
+            editable = "-e " if source["dir_info"].get("editable") else ""
+            return f"pip install {editable}{shlex.quote(f'{clone}[{extra}]')}"
+    return f"pip install '{NAME}[{extra}]', or in a clone: pip install '.[{extra}]'"
+
+
+def import_package(name: str, command: str = "") -> Any:
+    """Import a package, or raise `MissingDependency` with the command that installs it."""
+    try:
+        return import_module(name)
+    except (ImportError, OSError) as error:
+        missing = getattr(error, "name", "") in (name, name.partition(".")[0])
+        problem = "is not installed" if missing else f"cannot be imported: {error}"
+        hint = command or f"pip install {name}"
+        raise MissingDependency(name, problem, hint=hint) from error
+
+
+def require_rosbags() -> None:
+    """Require `rosbags` in a version that finds the clouds of single `.mcap` files."""
+    import_extra("rosbags", "ros")
+    installed = version("rosbags")
+    if tuple(map(int, re.findall(r"\d+", installed)[:3])) < MIN_ROSBAGS_VERSION:
+        expected = f"{'.'.join(map(str, MIN_ROSBAGS_VERSION))} or newer"
+        hint = f"in another environment than ouster-sdk: {extra_command('ros')}"
+        raise MissingDependency("rosbags", f"has version {installed}", expected, hint)
+
+
+def import_openvino() -> Any:
+    """Import OpenVINO without its converter."""
+    known = CONVERTER in sys.modules
+    sys.modules.setdefault(CONVERTER, None)  # type: ignore[arg-type]
+    try:
+        return import_module("openvino")
+    except OPENVINO_ERRORS as error:
+        problem = f"cannot be imported: {error_text(error)}"
+        raise MissingDependency("openvino", problem, hint="install it again") from error
+    finally:
+        if not known:
+            sys.modules.pop(CONVERTER, None)

@@ -1,0 +1,318 @@
+# SPDX-License-Identifier: MIT
+"""Sensors: geometry and normalisation of their range images."""
+
+from __future__ import annotations
+
+import json
+import math
+import shlex
+import tomllib
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import MISSING, asdict, dataclass, fields, replace
+from functools import cache, partial
+from importlib import resources
+from operator import lt
+from pathlib import Path
+from typing import Any
+
+from salsanext_cli.core.errors import UsageError, quoted, shortened
+from salsanext_cli.io.files.yaml_toml import are_numbers, read_toml, refuse_unknown
+
+MAX_PIXELS = 1 << 21  # Largest range image: 64×32768, eight times the finest sensor
+MAX_NUMBER = 1e6  # Bound of means, deviations, scales and their inverse
+SCALES = f"from {1 / MAX_NUMBER:g} to {MAX_NUMBER:g}"
+NOISE = ("range_noise", "intensity_noise")
+MIN_LENGTH = 1e-3  # Least length of a direction
+INTENSITY_LEVELS = 65  # Quantiles of intensity, evenly spaced
+BOX_EXPECTED = "six numbers in metres, least x, y, z and then largest, or none"
+MAX_COLUMNS = 64
+COLUMNS_EXPECTED = f"up to {MAX_COLUMNS} different names in lower case, such as x,y,z,ring"
+FIELD_EXPECTED = "the name of a field other than x, y, z, such as scalar_Amplitude"
+UNUSED_COLUMN = "_"  # Name of unused columns, the only one that may occur twice
+
+SEMANTIC_KITTI_MEANS = (12.12, 10.88, 0.23, -1.04, 0.21)
+SEMANTIC_KITTI_STDS = (12.32, 11.47, 6.91, 0.86, 0.16)
+NO_VIEW = ("name", *NOISE, "intensity_quantiles", "row_gaps", "traits")
+OF_IMAGES = ("height", "width", "means", "stds")
+"""Size and normalisation of range images, which belong to a network."""
+FIELD_OF_VIEW = ("fov_up", "fov_down")
+OF_DEVICE = ("name", "intensity_scale", *NOISE)  # Fields of a built-in sensor for any images
+UP = (0.0, 0.0, 1.0)  # Direction of the z axis, away from the ground
+ORIGIN = (0.0, 0.0, 0.0)
+FITTED_NAME = "fitted"  # Name of a sensor whose field of view or mounting was fitted to scans
+OPTIONAL = (
+    *(*NOISE, "columns", "up", "origin", "intensity_quantiles", "row_gaps", "min_range", "ego_box"),
+    *("registered", "traits", "others", "intensity_field"),
+)
+"""Fields that are only written if their value is not the default."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """Geometry and normalisation of a rotating LiDAR.
+
+    Attributes
+    ----------
+    name : str
+        Name in messages and records.
+    fov_up, fov_down : float
+        Upper and lower edge of the field of view in degrees, positive above the horizon.
+    height, width : int
+        Size of the range image in pixels.
+    means, stds : 5 floats
+        Normalisation of range, x, y, z (metres) and intensity.
+    out_of_view : {"clamp", "drop"}
+        Pixels of points outside the field of view: edge row, or none.
+    intensity_scale : float
+        Divisor of the intensity of the files, such as 255.
+    range_noise : float, optional
+        Standard deviation of a range in metres, along the ray.
+    intensity_noise : float, optional
+        Standard deviation of an intensity after the division.
+    columns : tuple of str
+        Names, in lower case, of the columns of files without names, such as x, y, z, intensity,
+        ring; empty for the usual ones of each format.
+    intensity_field : str
+        Name of the column with the intensity in files with names, or of `columns`; empty for the
+        usual ones.
+    up : 3 floats
+        Direction away from the ground in the frame of the files; the projection turns it to z.
+    origin : 3 floats
+        Position of the sensor in the frame of the files, in metres.
+    intensity_quantiles : tuple of float
+        Quantiles of the intensity in its range images, after the division, at `INTENSITY_LEVELS`
+        evenly spaced levels; empty if unknown. A network maps them to those of its training.
+    row_gaps : float, optional
+        Share of gaps in its range images (`geometry.row_gaps`); gaps are filled if the training
+        scans had fewer.
+    min_range : float, optional
+        Range in metres below which points are the housing or mount of the sensor. None is to be
+        estimated, and counts as 0 until then.
+    ego_box : 6 floats or none, optional
+        Upright box around the vehicle in the frame of the sensor: least x, y, z, largest x, y, z
+        in metres. Points in it are ignored. Empty for no box; None is to be estimated.
+    registered : bool
+        Whether the files are registered to a map, so that each scan has its own origin, which is
+        found from its points (`geometry.scan_traits.sensor_of`).
+    traits : tuple of float
+        Traits of the scans that it was fitted to, if scans of several sensors are labelled
+        together (`geometry.scan_traits`).
+    others : tuple of Sensor
+        Sensors that were fitted to the other scans then.
+    """
+
+    name: str
+    fov_up: float
+    fov_down: float
+    height: int
+    width: int
+    means: tuple[float, ...] = SEMANTIC_KITTI_MEANS
+    stds: tuple[float, ...] = SEMANTIC_KITTI_STDS
+    out_of_view: str = "clamp"
+    intensity_scale: float = 1.0
+    range_noise: float | None = None
+    intensity_noise: float | None = None
+    columns: tuple[str, ...] = ()
+    intensity_field: str = ""
+    up: tuple[float, ...] = UP
+    origin: tuple[float, ...] = ORIGIN
+    intensity_quantiles: tuple[float, ...] = ()
+    row_gaps: float | None = None
+    min_range: float | None = None
+    ego_box: tuple[float, ...] | None = None
+    registered: bool = False
+    traits: tuple[float, ...] = ()
+    others: tuple[Sensor, ...] = ()
+
+    def __post_init__(self) -> None:
+        subject = f"sensor {shortened(self.name)}"
+        for field in fields(self):
+            value = getattr(self, field.name)
+            is_possible, expected = POSSIBLE[field.name]
+            if value != field.default and not is_possible(value):
+                raise UsageError(subject, f"has {field.name} {quoted(value)}", expected)
+        if self.fov_up <= self.fov_down:
+            raise UsageError(subject, f"has fov_up {self.fov_up} ≤ fov_down {self.fov_down}")
+        if self.height * self.width > MAX_PIXELS:
+            size = f"has {shortened(self.height)}×{shortened(self.width)} pixels"
+            raise UsageError(subject, size, f"at most {MAX_PIXELS}, such as 64×{MAX_PIXELS // 64}")
+
+    @property
+    def members(self) -> tuple[Sensor, ...]:
+        """The sensor alone, and the others."""
+        return replace(self, others=()), *self.others
+
+    @property
+    def has_registered(self) -> bool:
+        """Whether scans of a member are registered to a map."""
+        return any(member.registered for member in self.members)
+
+    def without_noise(self) -> Sensor:
+        """Return the sensor without its noise, which labels do not depend on."""
+        others = tuple(other.without_noise() for other in self.others)
+        return replace(self, others=others, range_noise=None, intensity_noise=None)
+
+    def to_dict(self, without: Collection[str] = ()) -> dict[str, Any]:
+        """Return plain data that `from_dict` accepts, without the defaults of `OPTIONAL`."""
+        values = asdict(self) | {"others": tuple(other.to_dict(without) for other in self.others)}
+        optional = [field for field in fields(self) if field.name in OPTIONAL]
+        usual = [field.name for field in optional if values[field.name] == field.default]
+        return {k: value for k, value in values.items() if k not in usual and k not in without}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any], source: object = "sensor") -> Sensor:
+        """Build a sensor from plain data; an unknown or missing key raises `UsageError`."""
+        refuse_unknown(data, cls, source)
+        if missing := [f.name for f in fields(cls) if f.default is MISSING and f.name not in data]:
+            hint = "estimate them with `salsanext inspect SCANS --fit FILE.toml`"
+            if isinstance(source, Path) and data.keys().isdisjoint(FIELD_OF_VIEW):
+                file = shlex.quote(str(source))
+                command = f"salsanext inspect SCANS --sensor {file} --fit NEW.toml"
+                hint = f"run `{command}`, then use NEW.toml"
+            expected = "a sensor with fov_up, fov_down, height, width"
+            raise UsageError(source, f"lacks {', '.join(missing)}", expected, hint)
+        values: dict[str, Any] = {
+            key: tuple(value) if isinstance(value, list) else value for key, value in data.items()
+        }
+        others = values.pop("others", ())
+        if not (isinstance(others, tuple) and all(isinstance(other, Mapping) for other in others)):
+            raise UsageError(source, f"has others {quoted(others)}", "a list of sensors")
+        return cls(**values, others=tuple(cls.from_dict(other, source) for other in others))
+
+    def to_toml(self, *, images: bool = True) -> str:
+        """Return a TOML file that `sensor` reads; size and normalisation only with `images`."""
+        values = self.to_dict(("name",) if images else ("name", *OF_IMAGES))
+        # JSON of texts, numbers and lists of numbers is TOML as well.
+        known = {key: value for key, value in values.items() if value is not None}
+        return "".join(f"{key} = {json.dumps(value)}\n" for key, value in known.items())
+
+    def view(self) -> dict[str, Any]:
+        """Return plain data of all fields but name, noise and statistics of scans."""
+        return self.to_dict(NO_VIEW)
+
+    def resized(self, height: int | None = None, width: int | None = None) -> Sensor:
+        """Return the sensor with another image size, in pixels."""
+        height = self.height if height is None else height
+        return replace(self, height=height, width=self.width if width is None else width)
+
+
+@dataclass(frozen=True, slots=True)
+class FittedView:
+    """Fields of a sensor that a fit to scans changes."""
+
+    name: str
+    fov_up: float  # Edges of the field of view in degrees
+    fov_down: float
+    up: tuple[float, ...] = UP  # Direction away from the ground
+    origin: tuple[float, ...] = ORIGIN  # Position in the frame of the files, metres
+
+    @classmethod
+    def of(cls, sensor: Sensor) -> FittedView:
+        """Return these fields of a sensor."""
+        return cls(sensor.name, sensor.fov_up, sensor.fov_down, sensor.up, sensor.origin)
+
+
+def are_columns(names: tuple[str, ...]) -> bool:
+    """Return whether names can name the columns of a table of points."""
+    if not isinstance(names, tuple) or not all(isinstance(name, str) for name in names):
+        return False
+    used = [name for name in names if name != UNUSED_COLUMN]
+    complete = not names or {"x", "y", "z"} <= set(used)
+    plain = all(name == name.lower().strip() and name for name in names)
+    return complete and plain and len(set(used)) == len(used) and len(names) <= MAX_COLUMNS
+
+
+def is_field(name: object) -> bool:
+    """Return whether a value can be the name of a column with the intensity."""
+    return isinstance(name, str) and name == name.strip() and name not in (*"xyz", UNUSED_COLUMN)
+
+
+def is_box(values: Any) -> bool:
+    """Return whether values are the least and largest coordinates of a box, or none."""
+    return values == () or (_are_within(values, count=6) and all(map(lt, values[:3], values[3:])))
+
+
+def _are_within(
+    values: Any, least: float = -MAX_NUMBER, most: float = MAX_NUMBER, *, count: int
+) -> bool:
+    """Return whether values are `count` numbers within bounds."""
+    return are_numbers(values) and len(values) == count and all(least <= v <= most for v in values)
+
+
+def _is_within(value: object, least: float = -MAX_NUMBER, most: float = MAX_NUMBER) -> bool:
+    return _are_within((value,), least, most, count=1)
+
+
+def _are_quantiles(values: Any) -> bool:
+    return _are_within(values, count=INTENSITY_LEVELS) and list(values) == sorted(values)
+
+
+POSSIBLE: dict[str, tuple[Callable[[Any], bool], str]] = {
+    "name": (lambda name: isinstance(name, str), "a text"),
+    "fov_up": (_is_within, "a number of degrees"),
+    "fov_down": (_is_within, "a number of degrees"),
+    "height": (lambda length: type(length) is int and length >= 1, "a number of pixels"),
+    "width": (lambda length: type(length) is int and length >= 1, "a number of pixels"),
+    "means": (partial(_are_within, count=5), f"5 numbers up to {MAX_NUMBER:g}"),
+    "stds": (partial(_are_within, least=1 / MAX_NUMBER, count=5), f"5 numbers {SCALES}"),
+    "out_of_view": (lambda value: value in ("clamp", "drop"), "clamp or drop"),
+    "intensity_scale": (partial(_is_within, least=1 / MAX_NUMBER), f"a number {SCALES}"),
+    "range_noise": (partial(_is_within, least=0), "a deviation in metres"),
+    "intensity_noise": (partial(_is_within, least=0), "a deviation"),
+    "columns": (are_columns, COLUMNS_EXPECTED),
+    "intensity_field": (is_field, FIELD_EXPECTED),
+    "up": (
+        lambda values: _are_within(values, count=3) and math.hypot(*values) > MIN_LENGTH,
+        "a direction, three numbers",
+    ),
+    "origin": (partial(_are_within, count=3), "a position, three numbers in metres"),
+    "intensity_quantiles": (_are_quantiles, f"{INTENSITY_LEVELS} increasing numbers"),
+    "row_gaps": (partial(_is_within, least=0, most=1), "a share"),
+    "min_range": (partial(_is_within, least=0), "a range in metres"),
+    "ego_box": (is_box, BOX_EXPECTED),
+    "registered": (lambda value: isinstance(value, bool), "true or false"),
+    "traits": (are_numbers, "numbers"),
+    "others": (lambda others: not any(s.others for s in others), "sensors without others"),
+}
+"""Test and description of the possible values of each field of a sensor, its default aside."""
+
+
+@cache
+def presets() -> dict[str, Sensor]:
+    """Return the built-in sensors by name."""
+    text = resources.files("salsanext_cli").joinpath("presets/sensors.toml").read_text("utf-8")
+    return {
+        name: Sensor.from_dict({"name": name, **data}, name)
+        for name, data in tomllib.loads(text).items()
+    }
+
+
+def sensor(name_or_file: str | Path, base: Sensor | None = None) -> Sensor:
+    """Return a sensor by name or file.
+
+    Parameters
+    ----------
+    name_or_file : str or Path
+        Name of a preset, or TOML file with the keys of a sensor.
+    base : Sensor, optional
+        Sensor whose size and normalisation are the defaults of a file, and also its field of view
+        and noise if the file states no edge; None for the size and normalisation of the HDL-64.
+
+    Returns
+    -------
+    Sensor
+
+    Raises
+    ------
+    UsageError
+        If there is no such preset or file, or the file does not describe a sensor.
+    """
+    if str(name_or_file) in presets():
+        return presets()[str(name_or_file)]
+    path = Path(name_or_file)
+    data = read_toml(path, "sensor", presets() if base is None else ("auto", *presets()))
+    known = (base or presets()["hdl64"]).to_dict()
+    defaults = {key: known[key] for key in OF_IMAGES}
+    if base is not None and data.keys().isdisjoint(FIELD_OF_VIEW):
+        defaults |= {key: known[key] for key in (*FIELD_OF_VIEW, *NOISE) if key in known}
+    return Sensor.from_dict({"name": path.stem, **defaults, **data}, path)

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: MIT
+"""Aleatoric uncertainty: the sensor's noise carried through the network (paper III-C.1)."""
+
+from collections.abc import Iterator
+from itertools import islice
+
+import numpy as np
+from torch import Tensor
+
+from salsanext_cli.core.engines.network import Network
+from salsanext_cli.core.geometry.network_input import noise_of, with_filled_gaps
+from salsanext_cli.core.network.segmentation import SegmentationNetwork
+from salsanext_cli.core.records import Float, RangeImage
+from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.uncertainty.adf import Gaussian
+
+COPIES = 8  # Noisy copies of a scan; 8 rank pixels like 256 (correlation 0.97)
+
+
+def _along_ray(channels: Float) -> Float:
+    """Return the change (4, H, W) of range, x, y, z per metre of range; 0 for empty pixels."""
+    occupied = channels[0] > 0
+    change = np.zeros_like(channels[:4])
+    change[0] = occupied
+    np.divide(channels[1:4], channels[0], out=change[1:], where=occupied)
+    return change
+
+
+def noisy_copies(image: RangeImage, sensor: Sensor, seed: int) -> Iterator[Float]:
+    """Yield channels (5, H, W) float32 endlessly, with the noise of the sensor along each ray."""
+    range_noise, intensity_noise = noise_of(sensor)
+    random = np.random.default_rng(seed)
+    occupied, step = image.channels[0] > 0, _along_ray(image.channels)
+    while True:
+        along, bright = random.standard_normal((2, *occupied.shape), np.float32)
+        copy = image.channels.copy()
+        copy[:4] += step * np.float32(range_noise) * along
+        copy[4] += occupied * np.float32(intensity_noise) * bright
+        yield copy
+
+
+def input_variance(channels: Float, sensor: Sensor) -> Float:
+    """Return the variance (5, H, W) float32 of normalised channels (5, H, W)."""
+    range_noise, intensity_noise = noise_of(sensor)
+    deviations = np.zeros_like(channels)
+    deviations[:4] = _along_ray(channels)
+    deviations[:4] *= range_noise
+    deviations[4] = (channels[0] > 0) * np.float32(intensity_noise)
+    deviations /= np.asarray(sensor.stds, np.float32).reshape(-1, 1, 1)
+    return np.square(deviations)
+
+
+def noise_variance(network: Network, image: RangeImage, seed: int) -> Float:
+    """Return the unbiased variance (C, H, W) of the softmax over noisy copies."""
+    copies = islice(noisy_copies(image, network.sensor, seed), COPIES)
+    moments = network.backend.spread(map(network.input, copies), network.merging)
+    return (moments.variance() * (COPIES / (COPIES - 1))).astype(np.float32)
+
+
+def aleatoric(network: Network, image: RangeImage) -> Float:
+    """Return the variance (C, H, W) of the softmax of unmerged classes by density filtering."""
+    filled = with_filled_gaps(image.channels, network.sensor, network.card.sensor)
+    variance = input_variance(filled, network.sensor)[None]
+    mean = network.input(image.channels)
+    moments = network.backend.run("moments", _moments, mean, variance, exact=True)
+    softmax = Gaussian(*moments).softmax(dim=1)
+    return softmax.variance[0].cpu().numpy()
+
+
+def _moments(module: SegmentationNetwork, mean: Tensor, variance: Tensor) -> tuple[Tensor, Tensor]:
+    """Return mean and variance of the logits from mean and variance (B, 5, H, W) of the input."""
+    logits: Gaussian = module(Gaussian(mean, variance))
+    return logits.mean, logits.variance

@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: MIT
+"""Method of estimating uncertainty."""
+
+from dataclasses import dataclass, replace
+
+from salsanext_cli.core.engines.network import Network
+from salsanext_cli.core.errors import UsageError
+from salsanext_cli.core.geometry.network_input import noise_of
+from salsanext_cli.core.network.dropout import require_dropout
+from salsanext_cli.core.records import RangeImage
+from salsanext_cli.core.uncertainty.aleatoric import aleatoric, noise_variance
+from salsanext_cli.core.uncertainty.monte_carlo import Estimate, require_samples, sample, scan_seed
+from salsanext_cli.runs.results.paths import ScanFile
+
+EPISTEMIC_KINDS = ("epistemic", "entropy", "mutual_information")
+ALEATORIC_KINDS = ("aleatoric", "total")  # These need the sensor's noise
+ALEATORIC_METHODS = ("copies", "paper", "none")
+
+
+@dataclass(frozen=True, slots=True)
+class UncertaintyMethod:
+    """Method of estimating uncertainty.
+
+    Attributes
+    ----------
+    samples : int
+        Passes of Monte-Carlo dropout per scan, at least 2; default: the paper's number.
+    seed : int
+        Masks and noise of a scan depend only on this seed and on sequence and name of the scan.
+    aleatoric : {"copies", "paper", "none"}
+        Effect of the sensor's noise: by passes over noisy copies of the scan, by assumed density
+        filtering, or not estimated.
+    """
+
+    samples: int = 30
+    seed: int = 0
+    aleatoric: str = "copies"
+
+    def __post_init__(self) -> None:
+        if self.aleatoric not in ALEATORIC_METHODS:
+            raise UsageError("--aleatoric", self.aleatoric, " or ".join(ALEATORIC_METHODS))
+        require_samples(self.samples)
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """Kinds of uncertainty that `estimate` returns."""
+        return (*EPISTEMIC_KINDS, *ALEATORIC_KINDS) if self.is_noisy else EPISTEMIC_KINDS
+
+    @property
+    def is_noisy(self) -> bool:
+        """Whether the noise of the sensor is needed."""
+        return self.aleatoric != "none"
+
+    def require(self, network: Network) -> None:
+        """Raise the errors of `estimate`, before any scan is read."""
+        require_dropout(network.module)
+        if self.is_noisy:
+            noise_of(network.sensor)
+        if self.aleatoric == "paper" and network.merging is not None:
+            problem, hint = "paper does not cover merged classes", "use --aleatoric copies"
+            raise UsageError("--aleatoric", problem, "the classes of the weights", hint)
+
+    def estimate(self, network: Network, image: RangeImage, scan: ScanFile) -> Estimate:
+        """Return the prediction for a scan and the uncertainty of its pixels."""
+        seed = scan_seed(self.seed, scan.sequence, scan.stem)
+        estimate = sample(network, image, samples=self.samples, seed=seed)
+        if not self.is_noisy:
+            return estimate
+        by_copies = self.aleatoric == "copies"
+        noise = noise_variance(network, image, seed) if by_copies else aleatoric(network, image)
+        uncertainty = replace(estimate.uncertainty, aleatoric=noise.mean(axis=0))
+        return replace(estimate, uncertainty=uncertainty)

@@ -1,2 +1,0 @@
-# SPDX-License-Identifier: MIT
-"""Weights on a device: range images in, logits out."""

@@ -1,2 +1,0 @@
-# SPDX-License-Identifier: MIT
-"""Fits of a sensor to its scans, and reasons to doubt a scan."""

@@ -1,2 +1,0 @@
-# SPDX-License-Identifier: MIT
-"""Fusion of the scans of a drive: their poses, and votes for the labels of common locations."""

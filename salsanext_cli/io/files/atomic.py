@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: MIT
+"""Atomic writing of files: a temporary name in the same folder, then rename."""
+
+import errno
+import os
+import re
+import uuid
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import BinaryIO
+
+from salsanext_cli.core.errors import OutputError
+from salsanext_cli.io.files.reading import present, reason
+
+MARK: ContextVar[str] = ContextVar("MARK", default=uuid.uuid4().hex)
+"""Prefix of the temporary names of a run, by which `sweep` removes those of killed workers."""
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+TEMPORARY = re.compile(r"\.(?:[0-9a-f]{32}){1,2}\.part")  # Names of unfinished files
+STALE_AFTER_S = 24 * 3600.0  # Age of a temporary file whose writer must have ended
+WEIGHTS_SUFFIX = ".safetensors"
+
+
+@contextmanager
+def writing(
+    path: Path | str,
+    *,
+    durable: bool = False,
+    overwrite: bool = True,
+    before_rename: Callable[[os.stat_result], object] | None = None,
+) -> Iterator[BinaryIO]:
+    """Open a file for writing that gets its name, or replaces an older file, when it is complete.
+
+    A `durable` file survives a power cut; without `overwrite`, a file that got the name meanwhile
+    raises `OutputError`; `before_rename` is called with the status of the complete file.
+    """
+    path = Path(path)
+    # Process ids are not unique: machines of a cluster share the folder.
+    temporary = path.with_name(f".{MARK.get()}{uuid.uuid4().hex}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with temporary.open("xb") as file:
+            yield file
+            if durable:
+                file.flush()
+                os.fsync(file.fileno())
+        if before_rename:
+            before_rename(temporary.stat())
+        if not overwrite:
+            require_absent(path, overwrite)
+        temporary.replace(path)
+        if durable:
+            _sync_names(path.parent)
+    except BaseException as error:
+        with suppress(OSError):
+            temporary.unlink()
+        if isinstance(error, OSError):
+            raise refusal(path, error) from error
+        raise
+
+
+def _sync_names(folder: Path) -> None:
+    """Make the names in a folder survive a power cut, if the system can."""
+    with suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
+def require_writable(folder: Path) -> None:
+    """Create a folder; raise `OutputError` if no file can be written into it."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        TemporaryFile(dir=folder).close()
+    except OSError as error:
+        raise refusal(folder, error) from error
+
+
+def require_target(target: Path, overwrite: bool, suffix: str = WEIGHTS_SUFFIX) -> None:
+    """Refuse the name of a result before the work for it begins."""
+    if target.suffix != suffix:
+        problem = f"has the suffix {target.suffix}" if target.suffix else "has no suffix"
+        raise OutputError(target, problem, suffix)
+    require_absent(target, overwrite)
+    require_writable(target.parent)
+    sweep_stale(target.parent)
+
+
+def require_absent(path: Path, overwrite: bool) -> None:
+    """Raise `OutputError` if a file exists and may not be overwritten, or is a folder."""
+    if present(path) and not overwrite:
+        raise OutputError(path, "already exists", hint="use another name, or --overwrite")
+    if path.is_dir():
+        raise OutputError(path, "is a folder", "a file")
+
+
+def refusal(path: Path, error: OSError) -> OutputError:
+    """Return the error of a file that the system refuses to write."""
+    way = "free some space" if error.errno in FULL else "change its permissions"
+    problem, hint = f"cannot be written: {reason(error)}", f"{way} or choose another output folder"
+    return OutputError(path, problem, "a writable folder", hint)
+
+
+def sweep(folder: Path, mark: str) -> None:
+    """Remove the temporary files of killed processes that had set `MARK`."""
+    for temporary in folder.glob(f".{mark}*.part"):
+        with suppress(OSError):
+            temporary.unlink()
+
+
+def sweep_stale(folder: Path) -> None:
+    """Remove the temporary files that have not changed for a day, by the clock of the disk."""
+    with suppress(OSError):
+        unfinished = [path for path in folder.iterdir() if TEMPORARY.fullmatch(path.name)]
+        if not unfinished:
+            return
+        with TemporaryFile(dir=folder) as probe:
+            now = os.fstat(probe.fileno()).st_mtime
+        for temporary in unfinished:
+            with suppress(OSError):
+                if now - temporary.stat().st_mtime > STALE_AFTER_S:
+                    temporary.unlink()
+
+
+def write_bytes(path: Path, content: bytes, *, durable: bool = False) -> None:
+    """Write a file atomically."""
+    with writing(path, durable=durable) as file:
+        file.write(content)
+
+
+def append_line(path: Path, line: bytes, *, durable: bool = False) -> None:
+    """Append a line to a file that other processes append to as well, or raise `OutputError`."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        # One unbuffered write does not mix with those of other processes. A line end comes first,
+        # too: the line before may have been cut off.
+        with path.open("ab", buffering=0) as file:
+            if file.write(content := b"\n" + line + b"\n") != len(content):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            if durable:
+                os.fsync(file.fileno())
+    except OSError as error:
+        raise refusal(path, error) from error

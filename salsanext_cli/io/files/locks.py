@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: MIT
+"""Locks between processes and machines, which end with their process, and temporary folders."""
+
+import errno
+import logging
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from shutil import rmtree
+from tempfile import TemporaryDirectory, gettempdir
+
+from filelock import FileLock, Timeout
+
+from salsanext_cli.core.errors import OutputError, warn_once
+from salsanext_cli.io.files.atomic import refusal
+from salsanext_cli.io.files.reading import reason
+
+UNSUPPORTED = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL)
+"""Error numbers of file systems without locks."""
+
+PREFIX, LOCK = ".salsanext-", ".lock"
+"""Start of the names of temporary folders, and the file in each that its process has locked."""
+STALE_AFTER_S = 3600.0  # Age of a lock file from which its folder may be removed
+
+log = logging.getLogger(__name__)
+
+
+@contextmanager
+def locked(path: Path, timeout_s: float = 0.0, *, stage: str = "") -> Iterator[None]:
+    """Lock a file, which is created and removed, while the body runs.
+
+    On a file system without locks the body runs unlocked. The error names the `stage`, if any, that
+    fills the folder.
+    """
+    lock = FileLock(path, timeout=timeout_s, fallback_to_soft=False)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        lock.acquire()
+    except Timeout as error:
+        subject, problem, hint = path, "is locked by another process", "wait until it has ended"
+        if stage:
+            subject, problem = path.parent, f"is in use by another run of `{stage}`"
+            hint += ", or use another folder"
+        raise OutputError(subject, problem, hint=hint) from error
+    except OSError as error:
+        if error.errno not in UNSUPPORTED:
+            raise refusal(path, error) from error
+        problem = f"output folders cannot be locked ({reason(error)})"
+        warn_once(log, f"{problem}: do not run two stages in one folder at the same time")
+        yield
+        return
+    try:
+        yield
+    finally:
+        # While it is locked: waiting processes notice that it is gone and create another.
+        with suppress(OSError):
+            path.unlink()
+        lock.release()
+
+
+@contextmanager
+def temporary_folder(parent: Path | None = None) -> Iterator[Path]:
+    """Create a folder that is removed after the body, by default in the system's temporary one.
+
+    Folders of killed processes, whose locks have been free for an hour, are removed first.
+    """
+    parent = parent or Path(gettempdir())
+    # A folder without a lock file may belong to a process that is about to lock it.
+    for path in parent.glob(f"{PREFIX}*/{LOCK}"):
+        with suppress(OSError):
+            if time.time() - path.stat().st_mtime > STALE_AFTER_S:
+                with FileLock(path, timeout=0, fallback_to_soft=False):
+                    rmtree(path.parent)
+    with TemporaryDirectory(prefix=PREFIX, dir=parent) as name:
+        lock = FileLock(Path(name, LOCK), fallback_to_soft=False)
+        with suppress(OSError):  # Without locks, nothing is removed either.
+            lock.acquire()
+        try:
+            yield Path(name)
+        finally:
+            lock.release()

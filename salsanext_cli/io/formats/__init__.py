@@ -1,0 +1,245 @@
+# SPDX-License-Identifier: MIT
+"""Formats of scan files by suffix: built-in ones and plug-ins.
+
+The functions of a built-in format are imported when they are first used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
+from functools import cache, partial
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from salsanext_cli.core.errors import FormatError
+
+if TYPE_CHECKING:
+    from salsanext_cli.core.plug_ins import PlugIn
+    from salsanext_cli.core.records import Mask, Scan
+    from salsanext_cli.core.sensors.sensor import Sensor
+    from salsanext_cli.io.formats.columns import Columns
+
+Names = tuple[str, ...]  # Of columns
+
+
+@dataclass(frozen=True, slots=True)
+class Format:
+    """Format of files of one scan each.
+
+    Attributes
+    ----------
+    suffixes : tuple of str
+        Suffixes of the files, in lower case, such as ``.pcd``; longer ones first.
+    read : callable
+        Reader: path, names of the columns (``--columns``, may be empty) and divisor of the
+        intensity to `Scan`. It raises `FormatError` for a file of another format.
+    magic : tuple of bytes
+        First bytes of the files; empty if they vary.
+    is_table : bool
+        Whether files with these suffixes often contain something else. Such files in a folder
+        are scans only if it has no others.
+    subset : callable, optional
+        Writer of some points, for `filter`: path and names of the columns to a function from a
+        mask (N,) bool of the remaining points to the content, bytes, of a file.
+    label_columns : callable, optional
+        Reader for `import-labels`: path to all columns, (N,) each, by name; x, y, z in metres.
+    """
+
+    suffixes: tuple[str, ...]
+    read: Callable[[Path, Names, float], Scan]
+    magic: tuple[bytes, ...] = ()
+    is_table: bool = False
+    subset: Callable[[Path, Names], Callable[[Mask], bytes]] | None = None
+    label_columns: Callable[[Path], Columns] | None = None
+
+
+def _call(function: str, *arguments: Any) -> Any:
+    """Import a function of this package, such as ``kitti:read_bin``, and call it."""
+    module, _, name = function.partition(":")
+    return getattr(import_module(f"{__name__}.{module}"), name)(*arguments)
+
+
+def _read_columns(
+    function: str, path: Path, names: Names, intensity_scale: float, intensity_field: str = ""
+) -> Scan:
+    columns = _call(function, path, names)
+    return _call("columns:scan_of", columns, path, intensity_scale, intensity_field)
+
+
+def _built_in(
+    suffixes: str, reader: str, *magic: bytes, labels: str = "", subset: str = "", **flags: bool
+) -> Format:
+    """Return a format by the names of functions: the reader returns a scan or its columns.
+
+    It also takes a fourth argument, the name of the intensity (`Sensor.intensity_field`).
+    """
+    return Format(
+        suffixes=tuple(suffixes.split()),
+        read=partial(_call if ":read_" in reader else _read_columns, reader),
+        magic=magic,
+        subset=partial(_call, f"subsets:{subset}_subset") if subset else None,
+        label_columns=partial(_call, labels) if labels else None,
+        **flags,
+    )
+
+
+FORMATS: Mapping[str, Format] = {
+    "bin": _built_in(".pcd.bin .bin", "kitti:read_bin", subset="bin"),
+    "pcd": _built_in(
+        *(".pcd", "pcd:read_pcd", b"# .PCD", b"VERSION "), labels="pcd:pcd_columns", subset="pcd"
+    ),
+    "ply": _built_in(".ply", "ply:ply_columns", b"ply", labels="ply:ply_columns", subset="ply"),
+    "xyz": _built_in(".xyz", "tables.text:read_text", subset="text"),
+    "npy": _built_in(".npy", "npy:npy_columns", b"\x93NUMPY", subset="npy", is_table=True),
+    "npz": _built_in(".npz", "npy:npz_columns", b"PK\x03\x04", subset="npz", is_table=True),
+    "feather": _built_in(
+        ".feather", "tables.arrow:feather_columns", b"ARROW1", b"FEA1", is_table=True
+    ),
+    "parquet": _built_in(".parquet", "tables.arrow:parquet_columns", b"PAR1", is_table=True),
+    "text": _built_in(".csv .txt .asc .pts", "tables.text:read_text", subset="text", is_table=True),
+}
+"""Built-in formats by name, in the order of precedence in a folder; plug-ins come last."""
+SCAN_SUFFIXES = tuple(suffix for form in FORMATS.values() for suffix in form.suffixes)
+"""Suffixes of the built-in formats."""
+BAG_SUFFIXES = (".bag", ".mcap", ".db3")
+RECORDING_SUFFIXES = (*BAG_SUFFIXES, ".pcap", ".osf")
+"""Suffixes of recordings that are files."""
+OTHER_SUFFIXES = (".label", ".json", ".jsonl", ".toml", ".yaml", ".yml", ".md", ".safetensors")
+"""Suffixes that plug-ins cannot have, beside those of scans and recordings."""
+MAX_MAGIC_BYTES = 64
+
+
+@cache
+def plugged_formats() -> Mapping[str, PlugIn]:
+    """Return the formats of plug-ins by name."""
+    from salsanext_cli.core.plug_ins import load_plug_ins
+
+    return load_plug_ins("formats", FORMATS, Format, _fault)
+
+
+def _fault(target: Format, others: Collection[PlugIn]) -> str:
+    """Return why a format cannot be added to others; empty if it can."""
+    taken = (*SCAN_SUFFIXES, *RECORDING_SUFFIXES, *OTHER_SUFFIXES)
+    taken += tuple(suffix for other in others for suffix in other.target.suffixes)
+    wrong = [s for s in target.suffixes if s[:1] != "." or s != s.lower() or s.endswith(taken)]
+    return f"its suffix {wrong[0]} is taken, or not in lower case with a dot" if wrong else ""
+
+
+def _find(name: str) -> tuple[str, Format | None]:
+    """Return suffix and format of a file name; import plug-ins only if no built-in fits."""
+    lower = name.lower()
+    for form in FORMATS.values():
+        if suffix := next(filter(lower.endswith, form.suffixes), ""):
+            return suffix, form
+    # Scans of a recording have no suffix.
+    for plug_in in plugged_formats().values() if "." in lower else ():
+        if suffix := next(filter(lower.endswith, plug_in.target.suffixes), ""):
+            return suffix, plug_in.target
+    return "", None
+
+
+def scan_suffix(name: str) -> str:
+    """Return the suffix, in lower case, of the format of a file name; empty without a format."""
+    return _find(name)[0]
+
+
+def format_of(name: str) -> Format | None:
+    """Return the format of a file name; None if its suffix is unknown."""
+    return _find(name)[1]
+
+
+def is_table(name: str) -> bool:
+    """Return whether the format of a file name is a table (`Format.is_table`)."""
+    form = format_of(name)
+    return form is not None and form.is_table
+
+
+def suffixes_in_words(fits: Callable[[Format], object] = bool) -> str:
+    """Return the suffixes of the formats that fit; those of plug-ins name the distribution."""
+    words = [suffix for form in FORMATS.values() if fits(form) for suffix in form.suffixes]
+    for plug_in in plugged_formats().values():
+        suffixes = plug_in.target.suffixes if fits(plug_in.target) else ()
+        words += [f"{suffix} ({plug_in.distribution})" for suffix in suffixes]
+    return ", ".join(words)
+
+
+@contextmanager
+def errors_of_plug_ins(path: Path) -> Iterator[None]:
+    """Turn any exception of a plug-in that reads a file into a `FormatError`."""
+    from salsanext_cli.io.files.reading import refusing_damage
+
+    suffix = scan_suffix(path.name)
+    guard = refusing_damage(path, f"a complete {suffix} file")
+    with nullcontext() if suffix in SCAN_SUFFIXES else guard:
+        yield
+
+
+def _plugged_kind(path: Path) -> PlugIn | None:
+    """Return the plugged format whose magic bytes a file begins with; None without one."""
+    from salsanext_cli.io.files.reading import reading
+
+    with reading(path) as file:
+        start = file.read(MAX_MAGIC_BYTES)
+    plug_ins = plugged_formats().values()
+    return next((p for p in plug_ins if start.startswith(p.target.magic)), None)
+
+
+def _read(form: Format, path: Path, settings: tuple[Names, float], field: str) -> Scan:
+    """Read a scan; only built-in formats take the name of the intensity."""
+    if not field:
+        return form.read(path, *settings)
+    if form not in FORMATS.values():
+        hint = "omit --intensity-field"
+        raise FormatError(path, "is of a plug-in, which chooses the intensity by itself", hint=hint)
+    reader: Callable[..., Scan] = form.read
+    return reader(path, *settings, field)
+
+
+def read_scan(path: Path | str, sensor: Sensor | None = None) -> Scan:
+    """Read a scan in the format that its suffix names, upper or lower case.
+
+    Parameters
+    ----------
+    path : Path or str
+        A file with the suffix of a format, or a scan of a recording as `find_scans` names it.
+    sensor : Sensor, optional
+        Its `intensity_scale` divides the intensity, except bytes, which are divided by 255. Its
+        `columns` name the columns of files without names, and its `intensity_field` the column
+        with the intensity.
+
+    Returns
+    -------
+    Scan
+        N points, in the order of the file.
+
+    Raises
+    ------
+    FormatError
+        If the suffix is unknown or the file is damaged.
+    MissingDependency
+        If the format needs a package that cannot be imported.
+    """
+    path = Path(path)
+    scale = 1.0 if sensor is None else sensor.intensity_scale
+    names = () if sensor is None else sensor.columns
+    field = "" if sensor is None else sensor.intensity_field
+    form = format_of(path.name)
+    if form is None:
+        if _call("recordings:recording_of", path) in (None, path):
+            raise FormatError(path, "unknown scan format", f"a {suffixes_in_words()} file")
+        return _read_columns("recordings:recorded_columns", path, names, scale, field)
+    try:
+        with errors_of_plug_ins(path):
+            scan = _read(form, path, (names, scale), field)
+            if not isinstance(scan, import_module("salsanext_cli.core.records").Scan):
+                raise TypeError(f"its reader returned a {type(scan).__name__}, not a Scan")
+            return scan
+    except FormatError as error:
+        other = _plugged_kind(path)
+        if other and other.target is not form:
+            hint = f"rename it to {other.target.suffixes[0]}"
+            raise FormatError(path, f"is a file of plug-in {other}", hint=hint) from error
+        raise

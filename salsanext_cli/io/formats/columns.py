@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: MIT
+"""Scans from named columns, with the names and types of several programs."""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.core.errors import FormatError, counted
+from salsanext_cli.core.records import Double, FileNotes, Float, Scan, normalised_intensity
+from salsanext_cli.core.sensors.sensor import MAX_COLUMNS, UNUSED_COLUMN
+from salsanext_cli.io.formats.field_names import AxisFields, fields_beside, intensity_among
+from salsanext_cli.io.formats.split_fields import split_field
+
+Columns = Mapping[str, npt.NDArray[Any]]  # Values by name, each (N,)
+
+USUAL_COLUMNS = ("x", "y", "z", "intensity")
+MAX_UNNAMED_COLUMNS = 5  # Six may end in colours
+MAX_DISTANCE_M = 10_000.0  # No LiDAR measures farther; up to it float32 holds millimetres
+
+
+def scan_of(
+    columns: Columns,
+    path: Path,
+    intensity_scale: float,
+    intensity_field: str = "",
+    *,
+    unread: Iterable[str] = (),
+    missing_points: int = 0,
+) -> Scan:
+    """Return the scan of named columns.
+
+    Parameters
+    ----------
+    columns : mapping of str to (N,) array
+        Values by the names of the file, in metres unless a name states another unit.
+    path : Path
+        The file, for errors.
+    intensity_scale : float
+        Divisor of the intensity, except bytes.
+    intensity_field : str, optional
+        Name of the column with the intensity; by default a usual one, and 0 without any.
+    unread : iterable of str, optional
+        Names of further fields of the file.
+    missing_points : int, optional
+        Number of points that the header of the file states, but that it lacks.
+    """
+    points = coordinates(columns, path)
+    require_near_origin(points, path)
+    require_no_matrix(points, path)
+    numbers = _numbers(columns)
+    name = intensity_among([*numbers], intensity_field, path)
+    intensity = np.zeros(len(points), np.float32) if name is None else numbers[name]
+    fields = tuple(field for field in fields_beside([*numbers, *unread]) if field != name)
+    scaled = normalised_intensity(intensity, intensity_scale)
+    return Scan(points, scaled, FileNotes(fields, missing_points, split_field(numbers)))
+
+
+def coordinates(columns: Columns, path: Path) -> Float:
+    """Return the columns x, y, z, in upper or lower case, as points (N, 3) float32 in metres."""
+    numbers = _numbers(columns)
+    axes = AxisFields.among([*numbers] or [*columns], path)
+    # Values beyond float32 become infinity, and signalling NaNs are valid: no measurements.
+    with np.errstate(over="ignore", invalid="ignore"):
+        pairs = zip(axes.names, axes.metres, strict=True)
+        return np.column_stack([_in_metres(numbers[name], metres) for name, metres in pairs])
+
+
+def _in_metres(values: npt.NDArray[Any], metres: float) -> Float:
+    return (values if metres == 1 else values * np.float64(metres)).astype(np.float32)
+
+
+def _numbers(columns: Columns) -> Columns:
+    return {name: values for name, values in columns.items() if values.dtype.kind in "iuf"}
+
+
+def unnamed_columns(table: npt.NDArray[Any], names: tuple[str, ...], path: Path) -> Columns:
+    """Return the columns of a table (N, C) by the names of a sensor, else the usual ones."""
+    names = columns_of_width(table.shape[1], names, path)
+    return {name: table[:, i] for i, name in enumerate(names) if name != UNUSED_COLUMN}
+
+
+def columns_of_width(count: int, names: tuple[str, ...], path: Path) -> tuple[str, ...]:
+    """Return the names of columns: a sensor's, else `USUAL_COLUMNS` and at most one more."""
+    problem = f"has {counted(count, 'column')}"
+    if names and count != len(names):
+        expected = f"{len(names)}: {', '.join(names)}"
+        hint = f"name all columns, for example with --columns {names_to_try(count)}"
+        raise FormatError(path, problem, expected, hint if count >= 3 else "omit --columns")
+    if names:
+        return names
+    if count < 3:
+        hint = "pass the scan itself if these are values of its points, such as labels"
+        raise FormatError(path, problem, "at least x, y, z", hint)
+    if count > MAX_UNNAMED_COLUMNS:
+        expected = f"3 to {MAX_UNNAMED_COLUMNS}: x, y, z, intensity and another one"
+        hint = f"name them, for example with --columns {names_to_try(count)}"
+        if count > MAX_COLUMNS:
+            hint = f"save at most {MAX_COLUMNS} columns, one row per point"
+        raise FormatError(path, f"{problem} without names", expected, hint)
+    return (*USUAL_COLUMNS, UNUSED_COLUMN)[:count]
+
+
+def names_to_try(count: int) -> str:
+    """Return as many names as a file has columns, for --columns."""
+    return ",".join((*USUAL_COLUMNS, *count * [UNUSED_COLUMN])[:count])
+
+
+def require_no_matrix(points: Float, path: Path) -> None:
+    """Refuse a pose or camera matrix, whose three or four rows look like points."""
+    rows = points[:3]
+    with np.errstate(over="ignore", invalid="ignore"):
+        if len(points) in (3, 4) and (
+            np.allclose(rows @ rows.T, np.eye(3), atol=1e-3) or rows[2].tolist() == [0, 0, 1]
+        ):
+            problem = "looks like a pose or camera matrix"
+            raise FormatError(path, problem, "the points of a scan", "pass the scans themselves")
+
+
+def require_near_origin(points: Float | Double, path: Path) -> None:
+    """Refuse points that are all far from a sensor at the origin."""
+    for axis, values in zip("xy", points.T, strict=False):
+        if (np.abs(values) <= MAX_DISTANCE_M).any():
+            continue
+        if len(finite := values[np.isfinite(values)]):
+            problem = f"has map coordinates: {axis} from {finite.min():.0f} to {finite.max():.0f}"
+            hint = "subtract the position of the sensor from the coordinates"
+            raise FormatError(path, problem, "metres from a sensor at the origin", hint)

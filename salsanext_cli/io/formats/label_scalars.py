@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: MIT
+"""Labels in point clouds of other programs: coordinates and the scalar with the label."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from operator import attrgetter
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.core.classes.label_space import LabelSpace, RawIds
+from salsanext_cli.core.errors import FormatError, LabelError, UsageError, quoted, shortened
+from salsanext_cli.core.records import Float
+from salsanext_cli.io.files.yaml_toml import read_yaml
+from salsanext_cli.io.formats import errors_of_plug_ins, format_of, suffixes_in_words
+from salsanext_cli.io.formats.columns import Columns, coordinates
+from salsanext_cli.io.formats.field_names import PREFIX, listed
+
+LABEL_READER = attrgetter("label_columns")  # Of a format; None without one
+LABEL_NAMES = (
+    *("label", "labels", "class", "classes", "class_id", "classification", "category"),
+    *("semantic", "semantics", "semantic_label", "sem_class", "sem_label", "segmentation"),
+)
+"""Names of label scalars, in lower case, without the prefix."""
+OF_ASPRS = "classification"  # Scalar of LAS, with classes of the ASPRS
+ASPRS_CLASSES = range(2, 23)  # Classes that the ASPRS defines; 0 and 1 are unassigned
+NO_VALUE = np.iinfo(np.int64).min  # Id of a point without a value, which programs write as NaN
+MAX_ID = 0xFFFFFFFF  # Largest id of a label file, with the instance in its upper 16 bits
+Ids = npt.NDArray[np.int64]
+CLASS_BITS = 0xFFFF
+EXPECTED_MAP = "a mapping of tool ids to names or raw ids of the label space, such as 3: car"
+
+
+@dataclass(frozen=True, slots=True)
+class LabelledCloud:
+    """Points that another program labelled, in any order."""
+
+    points: Float  # (M, 3) float32: metres, in the frame of the scan
+    ids: Ids  # (M,) int64: ids of the program; `NO_VALUE` for none
+    scalar: str  # Name of the scalar in the file
+
+    @classmethod
+    def read(cls, path: Path, scalar: str | None = None) -> Self:
+        """Read coordinates and labels of a cloud, by default from the scalar in `LABEL_NAMES`."""
+        form = format_of(path.name)
+        if form is None or form.label_columns is None:
+            expected = f"a {suffixes_in_words(LABEL_READER)} file"
+            raise FormatError(path, "is not a cloud with labels", expected)
+        with errors_of_plug_ins(path):
+            columns = form.label_columns(path)
+        columns = {name: values for name, values in columns.items() if values.dtype.kind in "iuf"}
+        points = coordinates(columns, path)
+        name = _label_column(columns, scalar, path)
+        ids = whole_numbers(columns[name], path, name)
+        largest = int(ids.max(initial=0))
+        if scalar is None and _plain(name) == OF_ASPRS and largest in ASPRS_CLASSES:
+            problem = f"has {name} up to {largest}, probably classes of the ASPRS"
+            hint = f"for raw ids, or with --map, add --scalar {name}"
+            raise LabelError(path, problem, "raw ids of the label space", hint)
+        return cls(points, ids, name)
+
+
+def _label_column(columns: Columns, scalar: str | None, path: Path) -> str:
+    """Return the name of the column with the labels."""
+    if scalar is not None:
+        alike = [name for name in columns if _plain(name) == _plain(scalar)]
+        fitting = [scalar] if scalar in columns else alike
+        if len(fitting) != 1:
+            problem = f"has {'several scalars' if fitting else 'no scalar'} of that name"
+            raise FormatError(path, f"{problem}: {listed(columns)}", f"one named {scalar}")
+        return fitting[0]
+    fitting = [name for name in columns if _plain(name) in LABEL_NAMES]
+    # Clouds converted from LAS have a classification, all 0 if nobody labelled them.
+    used = [name for name in fitting if columns[name].any()] or fitting[:1]
+    if not used:
+        problem = f"has no label among the scalars {listed(columns)}"
+        expected = f"one named {', '.join(LABEL_NAMES)}"
+        raise FormatError(path, problem, expected, "name it with --scalar")
+    if len(used) > 1:
+        problem = f"has several scalars that may be labels: {', '.join(used)}"
+        raise LabelError(path, problem, "one", f"choose one with --scalar, as --scalar {used[0]}")
+    return used[0]
+
+
+def _plain(name: str) -> str:
+    return name.lower().removeprefix(PREFIX)
+
+
+def whole_numbers(values: npt.NDArray[Any], path: Path, name: str) -> Ids:
+    """Return labels (M,) of any real dtype as integers, `NO_VALUE` for NaN."""
+    has_value = ~np.isnan(values)
+    largest, rounding, hint = MAX_ID, "", ""
+    if values.dtype.kind == "f" and (exact := 2 ** (np.finfo(values.dtype).nmant + 1)) < MAX_ID:
+        largest, hint = exact, "export integers, or classes without instances"
+        rounding = f", since {values.dtype.itemsize * 8}-bit floats round larger ones"
+    possible = (values >= -largest) & (values <= largest)
+    conditions = (
+        (values == np.rint(values), "a whole number", ""),
+        (possible, f"a number up to {largest}{rounding}", hint),
+    )
+    for sound, expected, advice in conditions:
+        if (wrong := has_value & ~sound).any():
+            first, count = int(wrong.argmax()), int(wrong.sum())
+            others = f", and {count - 1:,} more" if count > 1 else ""
+            problem = f"has {name} {values[first]} at point {first}{others}"
+            raise LabelError(path, problem, expected, advice)
+    ids = np.full(len(values), NO_VALUE, np.int64)
+    ids[has_value] = values[has_value].astype(np.int64)
+    return ids
+
+
+@dataclass(frozen=True, slots=True)
+class LabelIds:
+    """Meaning of the ids of a labelling tool."""
+
+    raw_of: dict[int, int]  # Raw id by id of the tool
+    names: dict[int, str]  # Name of the class by id of the tool
+    unlabelled: int  # Raw id of points without a label
+
+    @classmethod
+    def of_space(cls, space: LabelSpace, tool: Path | None = None) -> LabelIds:
+        """Return the raw ids of a label space, or of the map in the YAML file of a tool."""
+        raw_of = {i: i for i in _raw_ids(space)} if tool is None else _read_map(tool, space)
+        if not space.ignored[0]:
+            expected = "an ignored class 0, for points without a label"
+            problem = f"counts class 0, {space.names[0]}"
+            raise UsageError(f"label space {space.name}", problem, expected)
+        names = {i: space.labels.get(raw, str(raw)) for i, raw in sorted(raw_of.items())}
+        return cls(raw_of, names, space.learning_map_inv[0])
+
+    def unknown(self, ids: Ids) -> dict[int, int]:
+        """Return the number of points of each id (without instance) that has no meaning."""
+        unique, counts = np.unique(_classes(ids), return_counts=True)
+        pairs = zip(unique.tolist(), counts.tolist(), strict=True)
+        return {i: n for i, n in pairs if i != NO_VALUE and i not in self.raw_of}
+
+    def to_raw(self, ids: Ids) -> RawIds:
+        """Return the raw ids (M,) of known ids, with their instances in the upper 16 bits."""
+        unique, index = np.unique(_classes(ids), return_inverse=True)
+        of_class = [self.raw_of.get(i, self.unlabelled) for i in unique.tolist()]
+        instances = np.where(ids > 0, ids, 0) & ~CLASS_BITS
+        return (np.array(of_class, np.int64)[index] | instances).astype(np.uint32)
+
+    def described(self) -> str:
+        """Return all known ids and their names on one line."""
+        return ", ".join(f"{i} {name}" for i, name in self.names.items())
+
+
+def _classes(ids: Ids) -> Ids:
+    """Return ids without the instances in their upper 16 bits; negative ids have none."""
+    return np.where(ids >= 0, ids & CLASS_BITS, ids)
+
+
+def _raw_ids(space: LabelSpace) -> list[int]:
+    return sorted({*space.learning_map, *space.learning_map_inv.values()})
+
+
+def _read_map(path: Path, space: LabelSpace) -> dict[int, int]:
+    """Read the raw id of each id of a tool, from raw ids or names of classes."""
+    try:
+        data = read_yaml(path, EXPECTED_MAP)
+    except FileNotFoundError as error:
+        raise UsageError(f"--map {path}", "no such file", EXPECTED_MAP) from error
+    if not isinstance(data, Mapping) or not data:
+        raise UsageError(path, f"contains a {type(data).__name__}", EXPECTED_MAP)
+    by_name = {name: raw for raw, name in reversed(space.labels.items())}
+    by_name |= {space.labels[raw]: raw for raw in space.learning_map_inv.values()}
+    raw_ids = _raw_ids(space)
+    raw_of: dict[Any, Any] = {
+        key: by_name.get(value) if isinstance(value, str) else value for key, value in data.items()
+    }
+    wrong = [
+        f"{quoted(key)}: {quoted(data[key])}"
+        for key, raw in raw_of.items()
+        if type(key) is not int or key > CLASS_BITS or type(raw) is not int or raw not in raw_ids
+    ]
+    if wrong:
+        named = ", ".join(f"{raw} {space.labels.get(raw, '')}" for raw in raw_ids)
+        problem = f"has unknown entries {shortened(', '.join(wrong))}"
+        raise UsageError(path, problem, f"whole numbers for {named}")
+    return raw_of

@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: MIT
+"""Recordings of many scans, read scan by scan: ROS bags, and packets of Ouster and Velodyne.
+
+The path of a scan treats recording and topic as folders:
+``drive.bag/velodyne_points/1612345678000000000``.
+"""
+
+import os
+import re
+from functools import lru_cache
+from itertools import groupby
+from pathlib import Path
+from typing import Protocol
+
+from salsanext_cli.core.errors import FormatError, NoInputError, UsageError, counted, shortened
+from salsanext_cli.io.files.reading import identity, is_folder, present
+from salsanext_cli.io.formats import BAG_SUFFIXES, RECORDING_SUFFIXES
+from salsanext_cli.io.formats.columns import Columns
+
+METADATA = "metadata.yaml"  # In the folder of a ROS 2 bag, beside `.db3` or `.mcap` files
+NAME = re.compile(r"(-?\d{1,20})(?:_(\d{1,9}))?", re.ASCII)
+MAX_SHOWN = 500  # Characters of a list of topics in an error
+
+
+def is_recording(path: Path) -> bool:
+    """Return whether a path is a file with the suffix of a recording, or a ROS 2 bag."""
+    if is_folder(path):
+        return present(path / METADATA) and bool(storages(path))
+    return path.suffix.lower() in RECORDING_SUFFIXES and present(path)
+
+
+def storages(folder: Path) -> list[Path]:
+    """Return the files with the messages of a ROS 2 bag, compressed ones included."""
+    names = (path for path in folder.iterdir() if not path.name.startswith("."))
+    return sorted(path for path in names if {".mcap", ".db3"} & {*path.suffixes})
+
+
+def files_of(recording: Path) -> list[Path]:
+    """Return the files of a recording."""
+    return [recording / METADATA, *storages(recording)] if is_folder(recording) else [recording]
+
+
+def recording_of(path: Path) -> Path | None:
+    """Return the recording that a path is or leads into; None for any other path."""
+    existing = next((part for part in (path, *path.parents) if present(part)), None)
+    return existing if existing is not None and is_recording(existing) else None
+
+
+def sequence_of(recording: Path) -> str:
+    """Return the name of the sequence of a recording."""
+    return recording.name if is_folder(recording) else recording.stem
+
+
+class Recording(Protocol):
+    """Recording that is open, with the clouds of some topics."""
+
+    def cloud_topics(self) -> list[str]:
+        """Return the topics with point clouds, sorted."""
+
+    def without_clouds(self) -> NoInputError:
+        """Return the error of a recording without topics of point clouds."""
+
+    def times(self, topic: str) -> list[int]:
+        """Return the times of the clouds of a topic in nanoseconds, sorted."""
+
+    def point_count(self, topic: str) -> int:
+        """Return the usual number of points of a cloud of a topic."""
+
+    def columns(self, topic: str, time: int, number: int, path: Path) -> Columns:
+        """Read the cloud of a topic and a time; `number` counts clouds of the same time from 0.
+
+        `path` is the path of the scan, for errors.
+        """
+
+
+def recorded_paths(path: Path) -> list[Path]:
+    """Return the paths of the scans in a recording, a topic or a scan of it, sorted by time."""
+    folder, recording, clouds = _opened(path)
+    inside = "/".join(path.relative_to(folder).parts) or _only_topic(folder, recording, clouds)
+    topic, name = (inside, "") if inside in clouds else inside.rpartition("/")[::2]
+    if topic not in clouds:
+        listed = shortened(", ".join(clouds.values()), MAX_SHOWN)
+        raise NoInputError(folder, f"has no clouds of topic {inside}", f"one of {listed}")
+    names = _names(recording.times(clouds[topic]))
+    if name and name not in names:
+        raise NoInputError(path, "no such scan", f"one of the {len(names)} of the recording")
+    return [folder / topic / stem for stem in names if name in ("", stem)]
+
+
+def _only_topic(folder: Path, recording: Recording, clouds: dict[str, str]) -> str:
+    """Return the only topic of point clouds of a recording."""
+    if len(clouds) == 1:
+        return next(iter(clouds))
+    if clouds:
+        raise _several_topics(folder, recording, [*clouds.values()])
+    raise recording.without_clouds()
+
+
+def _several_topics(folder: Path, recording: Recording, topics: list[str]) -> UsageError:
+    """Return the error of a recording with several topics, those with most points first."""
+    points = {topic: recording.point_count(topic) for topic in topics}
+    ordered = sorted(topics, key=lambda topic: (-points[topic], topic))
+    texts = [f"{topic} ({counted(points[topic], 'point')})" for topic in ordered]
+    problem = f"has {len(topics)} topics of point clouds: {shortened(', '.join(texts), MAX_SHOWN)}"
+    return UsageError(folder, problem, "one of them", f"choose one with --topic {ordered[0]}")
+
+
+def _names(times: list[int]) -> list[str]:
+    """Return the names of scans by their sorted times in nanoseconds; equal times get a suffix."""
+    return [
+        f"{time:019d}" + (f"_{number}" if number else "")
+        for time, equal in groupby(times)
+        for number, _ in enumerate(equal)
+    ]
+
+
+def recorded_columns(path: Path, _: tuple[str, ...] = ()) -> Columns:
+    """Read a scan of a recording, whose path is one of the `recorded_paths`."""
+    folder, recording, clouds = _opened(path)
+    topic = "/".join(path.parent.relative_to(folder).parts)
+    match = NAME.fullmatch(path.name)
+    if topic not in clouds or match is None:
+        raise FormatError(path, "no such scan", "a scan that the recording lists")
+    return recording.columns(clouds[topic], int(match[1]), int(match[2] or 0), path)
+
+
+def _opened(path: Path) -> tuple[Path, Recording, dict[str, str]]:
+    """Return path and recording of a path, which stays open, and its topics by their folders."""
+    folder = recording_of(path)
+    if folder is None:
+        raise FormatError(path, "no such recording", "a recording or a scan in one")
+    # An open file of a forked process has one position in both.
+    recording = _recording(folder, (os.getpid(), *map(identity, files_of(folder))))
+    return folder, recording, {topic.strip("/"): topic for topic in recording.cloud_topics()}
+
+
+@lru_cache(maxsize=1)
+def _recording(path: Path, version: tuple[object, ...]) -> Recording:
+    # Few runs need any of these modules.
+    if is_folder(path) or path.suffix.lower() in BAG_SUFFIXES:
+        from salsanext_cli.io.formats.bags import Bag
+
+        return Bag(path, files_of(path))
+    if path.suffix.lower() == ".pcap":
+        from salsanext_cli.io.formats.captures import VELODYNE, readable_maker
+
+        if readable_maker(path) == VELODYNE:
+            from salsanext_cli.io.formats.velodyne import VelodyneCapture
+
+            return VelodyneCapture(path)
+    from salsanext_cli.io.formats.ouster import OusterRecording
+
+    return OusterRecording(path)

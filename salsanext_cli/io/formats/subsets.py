@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: MIT
+"""Scan files with some of their points: header, order and values stay as they are."""
+
+import io
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.core.errors import FormatError, LabelError, counted
+from salsanext_cli.core.records import Mask
+from salsanext_cli.io.files.reading import reading, refusing_damage
+from salsanext_cli.io.formats import errors_of_plug_ins, format_of, kitti, npy, pcd, ply
+from salsanext_cli.io.formats.tables.text import BYTE_ORDER_MARK
+from salsanext_cli.io.formats.tables.text_layout import layout_of, without_comments
+
+NUMBERS = re.compile(rb"(?mi)^(\s*(?:WIDTH|POINTS|element\s+vertex)\s+)\d+")
+NUMBER_ALONE = re.compile(rb"(?m)^(\s*)\d+(?=\s*$)")
+ROWS_OF_PCD = re.compile(rb"(?mi)^(\s*HEIGHT\s+)\d+")
+COMPRESSED_PCD = re.compile(rb"(?mi)^(\s*DATA\s+binary)_compressed")
+END_OF_PLY = re.compile(rb"end_header(?:\r\n|\r|\n)")
+Subset = Callable[[Mask], bytes]
+"""Function from a mask (N,) bool of the remaining points to the content of a file."""
+
+
+def subsets_of(path: Path, names: tuple[str, ...] = ()) -> Subset:
+    """Read a scan file; return the function that encodes some of its points.
+
+    An organised PCD cloud becomes one row, a compressed one binary. `names` are those of the
+    columns of files without names.
+    """
+    form = format_of(path.name)
+    if form is None or form.subset is None:
+        expected, hint = "another format, such as .ply", "write the scans as .bin or .npy first"
+        raise FormatError(path, "is of a format that cannot be written", expected, hint)
+    with errors_of_plug_ins(path):
+        subset = form.subset(path, names)
+    return errors_of_plug_ins(path)(subset)
+
+
+def npy_subset(path: Path, names: tuple[str, ...]) -> Subset:
+    """Read a `.npy` table; an organised cloud becomes one row."""
+    table = npy.rows_of(npy.load_npy(path, npy.EXPECTED))
+    if npy.is_transposed(table, len(names)):
+        return lambda mask: _written(np.save, _masked(table.T, mask, path).T)
+    return lambda mask: _written(np.save, _masked(table, mask, path))
+
+
+def npz_subset(path: Path, _: tuple[str, ...]) -> Subset:
+    """Read an archive; arrays with N rows or columns belong to the points."""
+    arrays, compressed = npy.npz_arrays(path)
+
+    def subset(mask: Mask) -> bytes:
+        of_points = {n: array[mask] for n, array in arrays.items() if array.shape[:1] == mask.shape}
+        of_points |= {
+            name: array[:, mask]
+            for name, array in arrays.items()
+            if array.ndim == 2 and array.shape[1:] == mask.shape != array.shape[:1]
+        }
+        _masked(mask[: len(mask) * bool(of_points)], mask, path)
+        return _written(np.savez_compressed if compressed else np.savez, **arrays | of_points)
+
+    return subset
+
+
+def _written(write: Callable[..., object], *arguments: Any, **options: Any) -> bytes:
+    """Return the content that a function writes into its first argument, a file."""
+    with io.BytesIO() as buffer:
+        write(buffer, *arguments, **options)
+        return buffer.getvalue()
+
+
+def bin_subset(path: Path, names: tuple[str, ...]) -> Subset:
+    """Read a file of values without a header."""
+    table = kitti.read_table(path, names)
+    return lambda mask: table.encode(_masked(table.values, mask, path))
+
+
+def pcd_subset(path: Path, _: tuple[str, ...]) -> Subset:
+    """Read a PCD file."""
+    with refusing_damage(path, "a complete .pcd file"):
+        return _rows_subset(path, *_pcd_parts(_content(path), path))
+
+
+def ply_subset(path: Path, _: tuple[str, ...]) -> Subset:
+    """Read a PLY file."""
+    with refusing_damage(path, "a complete .ply file"):
+        return _rows_subset(path, *_ply_parts(_content(path), path))
+
+
+def text_subset(path: Path, _: tuple[str, ...]) -> Subset:
+    """Read a text file of one point per line."""
+    content = _content(path)
+    mark = len(content) - len(content.removeprefix(BYTE_ORDER_MARK))
+    with refusing_damage(path, "a complete text file"):
+        layout = layout_of(content[mark:])
+    start = mark + layout.start
+    number = NUMBERS if layout.count is None else NUMBER_ALONE
+    body = without_comments(content[start:])
+    return _rows_subset(path, content[:start], body, 0, number)
+
+
+def _content(path: Path) -> bytes:
+    with reading(path) as file:
+        return file.read()
+
+
+def _rows_subset(
+    path: Path, head: bytes, body: bytes, width: int, number: re.Pattern[bytes] = NUMBERS
+) -> Subset:
+    """Return the function for rows of `width` bytes, or lines if 0, after a header.
+
+    `number` matches the header up to the number of points.
+    """
+    if width:
+        rows = np.frombuffer(body[: len(body) // width * width], f"V{width}")
+    else:
+        rows = np.array([line for line in body.splitlines(True) if line.strip()], object)
+
+    def subset(mask: Mask) -> bytes:
+        remaining = _masked(rows, mask, path)
+        points = remaining.tobytes() if width else b"".join(remaining)
+        return number.sub(rb"\g<1>%d" % len(remaining), head) + points
+
+    return subset
+
+
+def _masked(rows: npt.NDArray[Any], mask: Mask, path: Path) -> npt.NDArray[Any]:
+    if len(rows) != len(mask):
+        expected = f"{len(mask):,}, the number of labels"
+        raise LabelError(path, f"has {counted(len(rows), 'point')}", expected, "predict again")
+    return rows[mask]
+
+
+def _pcd_parts(content: bytes, path: Path) -> tuple[bytes, bytes, int]:
+    """Return header, points, and bytes per point; 0 for lines."""
+    file = io.BytesIO(content)
+    header = pcd.read_header(file, path)
+    start, width = file.tell(), header.point.itemsize
+    head = ROWS_OF_PCD.sub(rb"\g<1>1", content[:start])
+    if header.kind == "ascii":
+        return head, content[start:], 0
+    if header.kind == "binary":
+        return head, content[start : start + header.point_count * width], width
+    columns = pcd.read_compressed(file, header)
+    points = np.zeros(header.point_count, header.point)
+    for name in header.scalars:
+        if name not in columns or columns[name].dtype != header.point[name]:
+            problem = f"has compressed values of {name}, which open3d converts"
+            hint = "rewrite it as binary, for example with pcl_convert_pcd_ascii_binary"
+            raise FormatError(path, problem, "binary or ascii", hint)
+        points[name] = columns[name]
+    return COMPRESSED_PCD.sub(rb"\1", head), points.tobytes(), width
+
+
+def _ply_parts(content: bytes, path: Path) -> tuple[bytes, bytes, int]:
+    """Return header, vertices, and bytes per vertex; 0 for lines."""
+    data, end = ply.read_ply(path, content), END_OF_PLY.search(content)
+    vertices = data["vertex"]
+    others = [element.name for element in data if element is not vertices and element.count]
+    if others or vertices.data.dtype.hasobject or end is None:
+        problem = f"also contains {', '.join(others) or 'lists'}"
+        raise FormatError(path, problem, "points only", "save only the points, in CloudCompare")
+    width = 0 if data.text else vertices.data.itemsize
+    body = content[end.end() :]
+    return content[: end.end()], body[: width * vertices.count] if width else body, width

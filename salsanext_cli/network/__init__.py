@@ -1,2 +1,0 @@
-# SPDX-License-Identifier: MIT
-"""Networks that map range images to logits, and their weights files."""

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Runs over scans: their output folders, their records, their loop."""

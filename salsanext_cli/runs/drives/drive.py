@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: MIT
+"""Drives: poses of the scans of a sequence, read, checked and recorded with their labels."""
+
+import hashlib
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from salsanext_cli.core.errors import NOTICE, FormatError, OutputError, SalsanextError, percentage
+from salsanext_cli.core.fusion.pose_checks import (
+    MAX_MISFIT,
+    Parts,
+    best_reading,
+    fitting_parts,
+    require_fitting,
+)
+from salsanext_cli.core.geometry.projection import in_sensor_frame
+from salsanext_cli.core.records import Float
+from salsanext_cli.core.sensors.sensor import UP, Sensor
+from salsanext_cli.io.files.json_files import read_json
+from salsanext_cli.io.files.reading import present, refusing_damage
+from salsanext_cli.io.formats import read_scan
+from salsanext_cli.io.poses import POSES, Poses, encode_poses, pose_readings, read_fused_poses
+from salsanext_cli.runs.results.layouts import SCAN_FOLDER
+from salsanext_cli.runs.results.paths import ScanFile, drive_order, find_scans
+from salsanext_cli.runs.results.recorded_origins import sensor_of_result
+
+DRIVE = "drive.json"
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """Poses of the scans of a drive, and the parts of the drive within which they fit."""
+
+    poses: Poses  # (N, 4, 4)
+    parts: Parts  # (N,)
+
+    @classmethod
+    def checked(cls, path: Path, files: Sequence[ScanFile], sensor: Sensor, out: Path) -> Self:
+        """Return the drive by the poses in a file; refuse poses that do not fit the scans.
+
+        `out`: output folder with the origins of registered scans.
+        """
+
+        def read(index: int) -> Float:
+            return measured_points(files[index], sensor, out)
+
+        readings = readings_of(path, files)
+        counted_from = best_reading(readings, read)
+        if counted_from == 1:
+            reason = "scan names are line numbers counted from 1: the scans fit best"
+            log.log(NOTICE, "%s: %s", path, reason)
+        poses = readings[counted_from]
+        return cls(poses, require_fitting(path, poses, read))
+
+    @classmethod
+    def registered(cls, files: Sequence[ScanFile], sensor: Sensor, out: Path) -> Self:
+        """Return the drive of scans that are registered to one frame, by their sensor's positions.
+
+        `out`: output folder with their origins. Scans that do not fit each other are refused.
+        """
+        poses = np.tile(np.eye(4), (len(files), 1, 1))
+        for pose, file in zip(poses, files, strict=True):
+            scan = read_scan(file.path, sensor)
+            pose[:3, 3] = sensor_of_result(out, file, scan, sensor).origin
+
+        def read(index: int) -> Float:
+            return measured_points(files[index], sensor, out)
+
+        parts, misfit = fitting_parts(poses, read)
+        if misfit > MAX_MISFIT:
+            folder = files[0].path.parent
+            problem = f"has {percentage(misfit, 0)} scans that do not fit the others"
+            hint = f"move the scans to their sensor, and give its poses in {POSES}"
+            raise FormatError(folder, problem, "scans in the frame of one map", hint)
+        return cls(poses, parts)
+
+    @classmethod
+    def recorded(cls, folder: Path) -> Self | None:
+        """Return the drive that `fuse` recorded in the folder of a sequence, None without one."""
+        record = read_json(folder / DRIVE)
+        path = folder / POSES
+        if record is None or not present(path):
+            return None
+        with refusing_damage(folder / DRIVE, "the record of `fuse`"):
+            stems = [*map(str, record["scans"])]
+            parts = np.array(record.get("parts", ()), np.int64)
+            drive = cls(read_fused_poses(path, stems), parts)
+        if drive.record(stems) != record:
+            problem = "differs from the poses that the scans were fused by"
+            raise OutputError(path, problem, hint="fuse the sequence again with --overwrite")
+        return drive
+
+    @property
+    def origins(self) -> Poses:
+        """Position (P, 3) of the first scan of each part, from which voxels are counted."""
+        origins = np.zeros((self.parts.max(initial=-1) + 1, 3))
+        origins[self.parts[::-1]] = self.poses[::-1, :3, 3]
+        return origins
+
+    def record(self, stems: Sequence[str]) -> dict[str, object]:
+        """Return the record of the drive, whose scans have these stems."""
+        digest = hashlib.sha256(encode_poses(self.poses)).hexdigest()
+        return {"scans": [*stems], "poses": digest, "parts": self.parts.tolist()}
+
+
+def poses_beside(files: Sequence[ScanFile]) -> Path | None:
+    """Return the file of poses in the folder of a sequence, None without any."""
+    folder = files[0].path.parent
+    path = (folder.parent if folder.name == SCAN_FOLDER else folder) / POSES
+    return path if present(path) else None
+
+
+def readings_of(path: Path, files: Sequence[ScanFile]) -> list[Poses]:
+    """Return the possible poses (N, 4, 4) of scans in a file, as of `pose_readings`."""
+    listed = sorted(find_scans(files[0].path.parent, unique=False), key=drive_order)
+    stems, wanted = ([*dict.fromkeys(file.stem for file in group)] for group in (listed, files))
+    return pose_readings(path, stems, wanted)
+
+
+def is_registered(files: Sequence[ScanFile], sensor: Sensor, out: Path) -> bool:
+    """Return whether the scans of a sequence are in the frame of a map, by the first one."""
+    if not (sensor.has_registered and sensor.others):
+        return sensor.registered
+    scan = read_scan(files[0].path, sensor)
+    return sensor_of_result(out, files[0], scan, sensor).registered
+
+
+def points_of_drive(file: ScanFile, sensor: Sensor, out: Path) -> Float:
+    """Read the points (N, 3) of a scan in the frame that its pose is for.
+
+    It is that of the file, whose origin is moved to the sensor for registered scans. `out`: output
+    folder with their origins.
+    """
+    scan = read_scan(file.path, sensor)
+    if not sensor.has_registered:
+        return scan.points
+    of_scan = sensor_of_result(out, file, scan, sensor)
+    if not of_scan.registered:
+        return scan.points
+    return in_sensor_frame(scan, replace(of_scan, up=UP)).points
+
+
+def measured_points(file: ScanFile, sensor: Sensor, out: Path) -> Float:
+    """Read the measured points (N, 3) of a scan by `points_of_drive`; none if it is unreadable."""
+    try:
+        points = points_of_drive(file, sensor, out)
+    except SalsanextError:
+        return np.zeros((0, 3), np.float32)  # The run reports the error.
+    return points[np.isfinite(points).all(axis=1)]

@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: MIT
+"""Files of labelling tools: their scans and their labels."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.core.classes.label_space import LabelSpace, RawIds
+from salsanext_cli.core.errors import LabelError, NoInputError, counted, first_few
+from salsanext_cli.core.geometry.label_transfer import TOLERANCE_M, LabelTransfer, transfer_labels
+from salsanext_cli.core.records import Float
+from salsanext_cli.io.files.reading import is_folder, present
+from salsanext_cli.io.formats import format_of, suffixes_in_words
+from salsanext_cli.io.formats.kitti import read_labels
+from salsanext_cli.io.formats.label_scalars import (
+    LABEL_READER,
+    LabelIds,
+    LabelledCloud,
+    whole_numbers,
+)
+from salsanext_cli.io.formats.npy import read_integers
+from salsanext_cli.io.formats.unread import LAS_SUFFIXES, OF_LAS
+from salsanext_cli.runs.labelling.label_records import ImportedScan
+from salsanext_cli.runs.results.paths import ScanFile, counted_by_suffix
+
+LABEL_SUFFIXES = (".label", ".npy")  # Files with one label per point and no coordinates
+MAX_UNMATCHED = 0.01  # Largest share of the points of a cloud that are not in the scan
+ROUNDED_M = 0.05  # Below it, coordinates were probably rounded; other scans are farther away
+log = logging.getLogger(__name__)
+
+
+def find_edited(source: Path) -> list[Path]:
+    """Return a file with labels, or all in and below a folder that are not hidden, sorted."""
+    expected = f"labels: {suffixes_in_words(LABEL_READER)}, {', '.join(LABEL_SUFFIXES)} files"
+    if not present(source):
+        raise NoInputError(source, "no such file or folder", expected)
+    top = source.absolute()
+    if not is_folder(source):
+        if not _is_edited(source):
+            problem = f"is a {source.suffix} file" if source.suffix else "has no suffix"
+            raise NoInputError(source, problem, expected, "save it as .ply")
+        return [top]
+    below = (path for path in top.rglob("*") if not path.is_dir())
+    files = sorted(p for p in below if not any(n[0] == "." for n in p.relative_to(top).parts))
+    edited = [path for path in files if _is_edited(path)]
+    if not edited:
+        others = f", but {counted_by_suffix(files)}" if files else ""
+        raise NoInputError(source, f"contains no labels{others}", expected)
+    if ignored := [path for path in files if path.suffix.lower() in LAS_SUFFIXES]:
+        log.warning("%s: skipped %s; %s", source, counted_by_suffix(ignored), OF_LAS)
+    return edited
+
+
+def _is_edited(path: Path) -> bool:
+    return path.suffix.lower() in LABEL_SUFFIXES or _has_points(path)
+
+
+def _has_points(path: Path) -> bool:
+    form = format_of(path.name)
+    return form is not None and form.label_columns is not None
+
+
+def scan_of_edited(path: Path, source: Path, scans: Sequence[ScanFile]) -> ScanFile:
+    """Return the scan of an edited file: the only one, or the one named by its stem or by a word.
+
+    `source` is the file or folder on the command line. If a folder above the file or a word of its
+    name is a sequence, only scans of that sequence count.
+    """
+    if not is_folder(source) and len(scans) == 1:
+        return scans[0]
+    sequence = _sequence_of(path, source, {scan.sequence for scan in scans})
+    within = [scan for scan in scans if sequence in (None, scan.sequence)]
+    words = _words(path.stem)
+    fitting = [scan for scan in within if scan.stem == path.stem]
+    fitting = fitting or [scan for scan in within if scan.stem in words]
+    if len(fitting) > 1:
+        fitting = [scan for scan in fitting if scan.sequence in words] or fitting
+    if len(fitting) == 1:
+        return fitting[0]
+    where = "" if sequence is None else f" in sequence {sequence}"
+    problem, hint = f"belongs to no scan{where}", "rename it"
+    if fitting:
+        problem = f"may belong to {first_few([scan.name for scan in fitting])}"
+        hint = "put it into a folder with the name of its sequence"
+    expected = "the name of one scan, alone or as a word, as in `000010 - Cloud.ply`"
+    raise LabelError(path, problem, expected, hint)
+
+
+def _sequence_of(path: Path, source: Path, sequences: set[str]) -> str | None:
+    """Return the sequence named by a folder above a file; None without one."""
+    top = source.absolute()
+    for folder in path.parents:
+        if folder.parent.name == "sequences":
+            return folder.name
+        if folder.name in sequences and (folder == top or top in folder.parents):
+            return folder.name
+    return None
+
+
+def _words(text: str) -> set[str]:
+    """Return every part of a name between characters that are not letters or digits."""
+    borders = range(len(text) + 1)
+    starts = [i for i in borders if not text[:i][-1:].isalnum()]
+    ends = [i for i in borders if not text[i:][:1].isalnum()]
+    return {text[start:end] for start in starts for end in ends if start < end}
+
+
+def read_edited(
+    path: Path,
+    scan: ScanFile,
+    points: Float,
+    meanings: LabelIds,
+    space: LabelSpace,
+    scalar: str | None = None,
+) -> tuple[RawIds, ImportedScan]:
+    """Read the labels of the points (N, 3) of a scan, matched by coordinates or order.
+
+    Return raw ids with instances, (N,) uint32, unlabelled where there are none, and the numbers of
+    points.
+    """
+    has_points = _has_points(path)
+    cloud = LabelledCloud.read(path, scalar) if has_points else _of_all_points(path, points)
+    if unknown := meanings.unknown(cloud.ids):
+        listed = ", ".join(f"{i} ({counted(n, 'point')})" for i, n in sorted(unknown.items()))
+        hint = "map the ids of the tool with --map"
+        raise LabelError(path, f"has unknown label ids {listed}", meanings.described(), hint)
+    raw, every = meanings.to_raw(cloud.ids), np.ones(len(points), bool)
+    transfer = LabelTransfer(raw, every, ~every, np.empty(0), len(points))
+    if has_points:
+        transfer = transfer_labels(points, cloud.points, raw)
+        _require_same_scan(path, transfer)
+    raw = transfer.filled(meanings.unlabelled)
+    labelled = int(space.scored[space.to_train(raw, strict=False)].sum())
+    if not labelled:
+        problem = f"has no labelled points: the classes of all {len(raw):,} are ignored"
+        hint = "label some, or name another scalar with --scalar"
+        raise LabelError(path, problem, f"at least one in {cloud.scalar}", hint)
+    return raw, ImportedScan(
+        scan=scan.name,
+        files=(str(path),),
+        points=len(raw),
+        labelled=labelled,
+        unlabelled=int(transfer.known.sum()) - labelled,
+        ambiguous=int(transfer.ambiguous.sum()),
+        missing=int(transfer.missing.sum()),
+        unmatched=len(transfer.unmatched),
+        scalar=cloud.scalar,
+    )
+
+
+def _of_all_points(path: Path, points: Float) -> LabelledCloud:
+    """Read a file with one label for each point, in order."""
+    if path.suffix.lower() == ".npy":
+        values: npt.NDArray[np.integer] = read_integers(path)
+        if len(values) != len(points):
+            problem, expected = f"has {counted(len(values), 'label')}", f"{len(points):,}"
+            hint = "use the labels that belong to this scan"
+            raise LabelError(path, problem, f"{expected}, one per point of the scan", hint)
+    else:
+        values = read_labels(path, len(points))
+    return LabelledCloud(points, whole_numbers(values, path, "label"), "labels")
+
+
+def _require_same_scan(path: Path, transfer: LabelTransfer) -> None:
+    """Refuse a cloud with too many points that are not in the scan."""
+    count = len(transfer.unmatched)
+    if count <= MAX_UNMATCHED * transfer.cloud_points:
+        return
+    distance = float(np.median(transfer.unmatched))
+    hint = "use the cloud of this scan, neither moved, turned nor scaled"
+    if distance < ROUNDED_M:
+        hint = "save it with more digits: its coordinates were probably rounded"
+    problem = f"has {count:,} of {transfer.cloud_points:,} points that are not in the scan"
+    problem += f", but {distance:.3g} m from its nearest point (median)"
+    raise LabelError(path, problem, f"all within {1000 * TOLERANCE_M:g} mm of a point", hint)

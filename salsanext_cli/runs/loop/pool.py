@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: MIT
+"""Workers of a run: processes of this machine (joblib's loky) that open a task once."""
+
+import os
+import signal
+import threading
+import time
+import warnings
+from collections.abc import Generator, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from functools import partial
+from itertools import groupby, pairwise
+from multiprocessing import resource_tracker
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+from salsanext_cli.core.errors import WorkersLost
+from salsanext_cli.io.files.atomic import MARK
+from salsanext_cli.runs.loop.finished_attempts import (
+    FinishedAttempts,
+    append_attempt,
+    finished_attempts,
+)
+from salsanext_cli.runs.loop.job import Attempt, OpenableTask, Task
+from salsanext_cli.runs.loop.pipeline import AttemptFunction, opened
+from salsanext_cli.runs.loop.run_options import RunOptions, cores
+from salsanext_cli.runs.results.paths import ScanFile
+
+CHUNKS_IN_FLIGHT = 2  # Chunks sent per worker, so that the next is ready when one is done
+HARMLESS_WARNINGS = (
+    # The user has stopped the run.
+    ".*tasks which were still being processed",
+    # A worker that grows while it loads a network is replaced.
+    "A worker stopped while some jobs were given",
+)
+"""Warnings of joblib without use for a user; raised as errors, they would stop its threads."""
+MAX_CHUNK_SCANS = 16
+"""Bound of the work that is lost with a worker, and of the scans between signs of progress."""
+MIN_CHUNKS_PER_WORKER = 4  # Lower bound, so that the last chunks end at about the same time
+
+WARNING_FILTERS = "PYTHONWARNINGS"  # Variable that a new interpreter reads
+POLL_INTERVAL_S = 1.0  # Of a worker, whether its parent lives
+
+Chunk = tuple[ScanFile, ...]  # Scans that a worker is sent together
+_OPENED: dict[str, AttemptFunction] = {}  # Task of this process, by the run that it serves
+
+
+@dataclass(frozen=True, slots=True)
+class AttemptedChunk:
+    """Attempts of a chunk, and its number."""
+
+    number: int
+    attempts: list[Attempt[Any]]
+
+
+def attempts_of_workers(
+    task: Task, scans: Sequence[ScanFile], options: RunOptions
+) -> Generator[Attempt[Any], None, None]:
+    """Yield the attempts of workers, which are killed when this is closed, in any order.
+
+    If a worker dies, the attempts that it and the others have finished come before the error.
+    """
+    start_silent_trackers()
+    with finished_attempts() as finished:
+        try:
+            yield from _attempts(task, scans, options, finished)
+        except WorkersLost:
+            yield from finished
+            raise
+
+
+def _attempts(
+    task: Task, scans: Sequence[ScanFile], options: RunOptions, finished: FinishedAttempts
+) -> Generator[Attempt[Any], None, None]:
+    """Yield the attempts of workers, chunk by chunk."""
+    import joblib
+    from joblib.externals.loky.process_executor import TerminatedWorkerError
+
+    workers = min(len(scans), options.workers())
+    most = task.max_chunk_scans if isinstance(task, OpenableTask) else MAX_CHUNK_SCANS
+    stop = options.on_error == "stop"
+    function = partial(attempt_chunk, task, uuid4().hex, MARK.get(), Path.cwd(), stop=stop)
+    backend = joblib.parallel_config(
+        "loky",
+        n_jobs=workers,
+        inner_max_num_threads=max(1, cores() // workers),
+        initializer=end_with_parent,
+        initargs=(os.getpid(),),
+    )
+    with warnings.catch_warnings():
+        for message in HARMLESS_WARNINGS:
+            warnings.filterwarnings("ignore", message)
+        with backend:
+            parallel = joblib.Parallel(
+                return_as="generator_unordered",
+                batch_size=1,
+                pre_dispatch=CHUNKS_IN_FLIGHT * workers,
+            )
+        with signals_blocked(signal.SIGINT, signal.SIGTERM):
+            calls = (
+                joblib.delayed(function)(chunk, number, finished.file(number))
+                for number, chunk in enumerate(chunks(scans, workers, most))
+            )
+            results = parallel(calls)
+        try:
+            with closing(results):
+                for of_chunk in results:
+                    finished.forget(of_chunk.number)
+                    yield from of_chunk.attempts
+        except TerminatedWorkerError as error:
+            problem, hint = "the system ended a worker", "use fewer jobs, which need less memory"
+            raise WorkersLost(f"--jobs {workers}", problem, hint=hint) from error
+
+
+def chunks(scans: Sequence[ScanFile], workers: int, most: int = MAX_CHUNK_SCANS) -> list[Chunk]:
+    """Cut scans, in order, into chunks of one sequence and at most `most`, of similar sizes."""
+    size = max(1, min(most, len(scans) // (MIN_CHUNKS_PER_WORKER * workers)))
+    cut: list[Chunk] = []
+    for _, group in groupby(scans, key=lambda scan: scan.sequence):
+        run = tuple(group)
+        parts = -(-len(run) // size)
+        borders = [len(run) * part // parts for part in range(parts + 1)]
+        cut += [run[start:stop] for start, stop in pairwise(borders)]
+    return cut
+
+
+def end_with_parent(parent: int) -> None:
+    """End this process within seconds of its parent, a process id, which may be killed."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(POLL_INTERVAL_S)
+        os._exit(1)  # noqa: TID251
+
+    threading.Thread(target=watch, name="end-with-parent", daemon=True).start()
+
+
+def attempt_chunk(
+    task: Task,
+    run: str,
+    mark: str,
+    folder: Path,
+    scans: Chunk,
+    number: int,
+    finished: Path | None,
+    *,
+    stop: bool,
+) -> AttemptedChunk:
+    """Attempt the scans of a chunk, in a worker process; `stop`: until one fails.
+
+    `run` identifies the run, because a process serves several; `mark` begins the names of temporary
+    files; names of files are relative to `folder`; `finished`: file to which each attempt is
+    appended.
+    """
+    MARK.set(mark)
+    if run not in _OPENED:
+        _OPENED.clear()
+        os.chdir(folder)
+        _OPENED[run] = opened(task)
+    done: list[Attempt[Any]] = []
+    for attempt in _OPENED[run](scans, lambda _: None):
+        append_attempt(finished, attempt)
+        done.append(attempt)
+        if stop and attempt.error:
+            break
+    return AttemptedChunk(number, done)
+
+
+@contextmanager
+def signals_blocked(*signals: signal.Signals) -> Generator[None, None, None]:
+    """Start threads and processes that signals do not reach, because this thread ends them.
+
+    The trackers of resources must run before, because starting these unblocks the signals.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def start_silent_trackers() -> None:
+    """Start the processes that remove semaphores and folders of this process after its end.
+
+    A signal may end this process at once. The trackers then remove what it leaves, and print
+    nothing: the warnings would follow the last line of the command.
+    """
+    from joblib.externals.loky.backend import resource_tracker as tracker_of_loky
+
+    before = os.environ.get(WARNING_FILTERS)
+    os.environ[WARNING_FILTERS] = "ignore"
+    try:
+        tracker_of_loky.ensure_running()
+        if os.name == "posix":
+            resource_tracker.ensure_running()
+    finally:
+        del os.environ[WARNING_FILTERS]
+        if before is not None:
+            os.environ[WARNING_FILTERS] = before

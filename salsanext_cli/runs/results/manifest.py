@@ -1,0 +1,359 @@
+# SPDX-License-Identifier: MIT
+"""Manifest of a folder that stages fill: stages, settings, scans, classes, sensor and weights.
+
+``FOLDER/<stage>.json`` is the record of a stage: its settings, the folders of results that it
+fills, and the scans that it was asked for. `OwnedFolder` lists the files themselves.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import TypeVar
+
+from salsanext_cli.core.classes.label_space import LabelSpace
+from salsanext_cli.core.classes.merging import ClassMerging, contradiction
+from salsanext_cli.core.errors import LabelError, OutputError, first_few
+from salsanext_cli.core.network.card import AccuracyLine, RiskThreshold
+from salsanext_cli.core.sensors.sensor import Sensor, sensor
+from salsanext_cli.io.files.json_files import (
+    Json,
+    as_json,
+    decoded,
+    plain,
+    read_json,
+    record_of,
+    write_json,
+)
+from salsanext_cli.io.files.reading import identity
+from salsanext_cli.io.formats import scan_suffix
+from salsanext_cli.runs.option_fields import FusionReach, KnnParameters
+from salsanext_cli.runs.results.digest_files import (
+    NO_SCANS,
+    RecordedScans,
+    digests_of_guarantee,
+    recorded_scans,
+    require_digests,
+    with_names,
+    without_names,
+)
+from salsanext_cli.runs.results.paths import COLOURINGS, ERROR, SUFFIX_OF_FOLDER, ScanFile
+from salsanext_cli.runs.results.selection import space_of
+from salsanext_cli.runs.results.setting_differences import differences
+from salsanext_cli.version import __version__
+
+Kind = TypeVar("Kind")
+RESULT_STAGES = (
+    *("project", "predict", "knn-refine", "uncertainty", "fuse", "picture", "export-ply"),
+    *(f"export-ply-{colour}" for colour in COLOURINGS),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ScanSource:
+    """Scans of one sequence that runs of a stage were asked for."""
+
+    folder: str  # Absolute
+    suffixes: Mapping[str, str]  # By stem; empty for scans of a recording, and in older records
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the entry of a sequence, with the names of its files."""
+        return {"folder": self.folder, "asked_for": sorted(map("".join, self.suffixes.items()))}
+
+    @classmethod
+    def from_dict(cls, entry: Json) -> "ScanSource":
+        """Read the entry of a sequence; raise a `TypeError` or the like for any other data."""
+        folder, *names = decoded(list[str], [entry["folder"], *entry["asked_for"]])
+        if "\0" in folder:
+            raise ValueError("a folder with a NUL in its name")
+        stems = [name[: len(name) - len(scan_suffix(name))] for name in names]
+        return cls(folder, {s: n[len(s) :] for s, n in zip(stems, names, strict=True)})
+
+
+def merged_sources(sources: Iterable[Mapping[str, ScanSource]]) -> dict[str, ScanSource]:
+    """Return the union of the files of each sequence."""
+    merged: dict[str, ScanSource] = {}
+    for name, source in (item for of_stage in sources for item in of_stage.items()):
+        known = merged.get(name, source).suffixes
+        added = {stem: suffix or known.get(stem, "") for stem, suffix in source.suffixes.items()}
+        merged[name] = ScanSource(source.folder, {**known, **added})
+    return merged
+
+
+@dataclass(frozen=True, slots=True)
+class StageRecord:
+    """Record of the runs of a stage, all with the same settings."""
+
+    stage: str  # Name on the command line
+    settings: Mapping[str, object]  # As `settings_json` returns them
+    writes: tuple[str, ...] = ()  # Folders of results, keys of `SUFFIX_OF_FOLDER`
+    # By sequence; empty for a stage that works on the results of earlier stages
+    scans: Mapping[str, ScanSource] = field(default_factory=dict)
+    # Files of other settings or origin that were not removed, as paths below the folder
+    foreign: tuple[str, ...] = ()
+    weights_file: str = ""  # Absolute path that the last run was given; empty for the default
+    version: str = __version__
+
+    def __post_init__(self) -> None:
+        if unknown := {*self.writes} - {*SUFFIX_OF_FOLDER}:
+            raise ValueError(f"unknown folder of results {min(unknown)}")
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the content of the record's file, long values last."""
+        names = ("stage", "version", "writes", "settings", "scans", "foreign", "weights_file")
+        content = {name: plain(getattr(self, name)) for name in names}
+        return {name: value for name, value in content.items() if value or name == "settings"}
+
+    def has_settings(self, settings: Mapping[str, object]) -> bool:
+        """Return whether the record has the same settings."""
+        return not differences(with_names(self.settings), with_names(settings))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StageSettings:
+    """Resolved settings that decide the results of a stage; None are not recorded."""
+
+    label_space: LabelSpace | None = None  # Classes of the labels
+    sensor: Sensor | None = None  # Sensor that the scans were projected for
+    weights: str | None = None  # SHA-256 of the weights file, hexadecimal
+    weights_version: int | None = None  # Of the default weights
+    inherited: str | None = None  # Parts of the weights that were fitted for other weights
+    precision: str | None = None  # Number type and library that computed
+    engine: str | None = None
+    temperature: float | None = None  # Divisor of the logits
+    knn: KnnParameters | None = None
+    reject: float | None = None  # Uncertainty, 0…1, above which points are rejected
+    reject_by: str | None = None  # Kind of that uncertainty, if not the error
+    accuracy: AccuracyLine | None = None
+    guarantee: RiskThreshold | None = None  # Of `--reject risk`
+    objects: bool | None = None  # Whether labels contain numbers of objects
+    method: str | None = None  # Fields of `UncertaintyMethod`, and the noise of the sensor
+    aleatoric: str | None = None
+    samples: int | None = None
+    seed: int | None = None
+    noise: tuple[float, float] | None = None
+    reach: FusionReach | None = None
+    fused_of: str | None = None  # Folder of the labels of single scans, relative to fused labels
+    colours: tuple[str, ...] | None = None  # Values in pictures, and ends of their scales
+    scales: Mapping[str, tuple[float, ...]] | None = None
+    colour: str | None = None  # Value in point clouds, and ends of its scale
+    scale: tuple[float, ...] | None = None
+    max_error: float | None = None  # Largest error of the points that `filter` writes
+    origins: Mapping[str, str] | None = None  # Digests of the settings of earlier stages, by name
+    # Joined digests of the scans that the weights were trained on, or the name of their file
+    trained_on: str | None = None
+
+    def __post_init__(self) -> None:
+        require_digests(self.trained_on or "")
+        if any(len(ends) < 2 for ends in (*(self.scales or {}).values(), self.scale or (0, 1))):
+            raise ValueError("a scale with fewer than two numbers")
+
+
+def settings_json(settings: object) -> dict[str, object]:
+    """Return settings as a record contains them: read back from JSON, without None."""
+    return {key: value for key, value in as_json(settings).items() if value is not None}
+
+
+RENAMED = {"promised": "guarantee", "kept": "foreign"}
+"""Keys of older records."""
+FORMER = {new: old for old, new in RENAMED.items()}
+
+
+@lru_cache(4 * len(RESULT_STAGES))  # Enough for some folders
+def _read(path: Path, stage: str, _: tuple[object, ...]) -> StageRecord | None:
+    content = read_json(path)
+    if content is None:
+        return None
+    if content.get("stage") != stage:
+        hint = "delete it or use another folder"
+        raise OutputError(path, f"is not a record of `{stage}`", hint=hint)
+    content = {RENAMED.get(key, key): value for key, value in content.items()}
+    if isinstance(settings := content.get("settings"), dict):
+        content["settings"] = {RENAMED.get(key, key): value for key, value in settings.items()}
+    return record_of(StageRecord, content, path)
+
+
+@lru_cache(4 * len(RESULT_STAGES))
+def _settings(path: Path, stage: str, state: tuple[object, ...]) -> StageSettings | None:
+    record = _read(path, stage, state)
+    return record_of(StageSettings, without_names(record.settings), path) if record else None
+
+
+@dataclass(frozen=True, slots=True)
+class Manifest:
+    """Records of the stages that ran in a folder, read on demand."""
+
+    root: Path
+
+    def path(self, stage: str) -> Path:
+        """Return the path of the record of a stage."""
+        return self.root / f"{stage}.json"
+
+    def record(self, stage: str) -> StageRecord | None:
+        """Return the shared record of a stage, None if it did not run here."""
+        path = self.path(stage)
+        return _read(path, stage, identity(path))
+
+    def records(self) -> dict[str, StageRecord]:
+        """Read the records of all stages that ran here, by stage."""
+        records = {stage: self.record(stage) for stage in RESULT_STAGES}
+        return {stage: record for stage, record in records.items() if record is not None}
+
+    def write(self, record: StageRecord) -> None:
+        """Write the record of a stage durably if it has changed."""
+        if self.record(record.stage) != record:
+            write_json(self.path(record.stage), record)
+
+    def sources(self) -> dict[str, ScanSource]:
+        """Return the sources of the scans of all stages, by sequence."""
+        return merged_sources(record.scans for record in self.records().values())
+
+    def settings(self, stage: str) -> StageSettings | None:
+        """Return the settings of a stage, None if it did not run here."""
+        path = self.path(stage)
+        return _settings(path, stage, identity(path))
+
+    def owner(self, *folders: str) -> str | None:
+        """Return the stage that writes the first recorded one of some folders of results."""
+        writers = {f: stage for stage, r in reversed(self.records().items()) for f in r.writes}
+        return next((writers[folder] for folder in folders if folder in writers), None)
+
+    def settings_of(self, *folders: str) -> StageSettings | None:
+        """Return the settings of the owner of some folders of results."""
+        stage = self.owner(*folders)
+        return self.settings(stage) if stage else None
+
+    def origins(self, stages: Iterable[str]) -> dict[str, str]:
+        """Return digests of the settings of stages that ran, for the records of later stages."""
+        texts = {}
+        for record in filter(None, map(self.record, stages)):
+            # Digests that older versions recorded are of their keys.
+            settings = {FORMER.get(key, key): value for key, value in record.settings.items()}
+            texts[record.stage] = json.dumps(settings, sort_keys=True)
+        return {s: hashlib.sha256(text.encode()).hexdigest()[:12] for s, text in texts.items()}
+
+    def label_space(self, *folders: str) -> LabelSpace | None:
+        """Return the classes of the first recorded folder, by default of the predictions."""
+        settings = self.settings_of(*(folders or ("predictions", "pixel_labels")))
+        return self._recorded(settings.label_space, "label space") if settings else None
+
+    def compared_space(
+        self,
+        scans: Sequence[ScanFile],
+        space: LabelSpace | None = None,
+        classes: LabelSpace | None = None,
+        *,
+        other_ids: bool = False,
+    ) -> LabelSpace:
+        """Return the classes in which predictions and labels are compared, with the labels' splits.
+
+        They are the classes of the predictions, which may be merged classes of the labels, or
+        `classes`, into which both are merged. `space`: classes of the labels, by default of the
+        data set; `other_ids`: whether labels may have other raw ids for classes of the same names.
+        """
+        recorded = self.label_space()
+        space = space or space_of(scans, recorded)
+        target = classes or recorded or space
+        named_alike = other_ids and space.names == target.names
+        if classes is not None:
+            for finer in (recorded or space, *(() if named_alike else (space,))):
+                ClassMerging.needed(finer, classes)
+        elif target.fits(space):
+            return space
+        elif not named_alike and contradiction(space, target):
+            named = first_few(target.differences(space))
+            problem = f"has predictions in the classes of {target.name} ({named})"
+            hint = (
+                "predict with weights for the classes of the labels, or merge both with --classes"
+            )
+            raise LabelError(self.root, problem, f"{space.name}, as the labels", hint)
+        return replace(target, splits=space.splits or (classes or space).splits)
+
+    def merging_into(self, space: LabelSpace) -> ClassMerging | None:
+        """Return the merging of the classes of the probabilities into a label space, if needed."""
+        finer = self.label_space("probabilities")
+        return None if finer is None or finer.fits(space) else ClassMerging.between(finer, space)
+
+    def guarantee(self, space: LabelSpace) -> RiskThreshold | None:
+        """Return the guarantee of `tune risk` for the labels, if they are in its classes."""
+        recorded, settings = self.label_space("predictions"), self.settings_of("predictions")
+        return settings.guarantee if settings and recorded and recorded.fits(space) else None
+
+    def known_sensor(self) -> Sensor | None:
+        """Return the recorded sensor of the results, if there is one."""
+        folders = ("pixel_labels", "predictions", "uncertainty/epistemic", "range")
+        settings = self.settings_of(*folders)
+        return self._recorded(settings.sensor, "sensor") if settings else None
+
+    def sensor(self) -> Sensor:
+        """Return the recorded sensor of the results, else the HDL-64."""
+        return self.known_sensor() or sensor("hdl64")
+
+    def weights(self, folder: str) -> str | None:
+        """Return the SHA-256 of the weights of a folder of results, if it is recorded."""
+        stage = self._network_stage(folder)
+        settings = self.settings(stage) if stage else None
+        return settings.weights if settings else None
+
+    def trained_on(self) -> RecordedScans:
+        """Return the scans that the weights of the predictions were trained on."""
+        stage = self._network_stage("predictions")
+        settings = self.settings(stage) if stage else None
+        if stage is None or settings is None:
+            return NO_SCANS
+        return recorded_scans(settings.trained_on or "", self.path(stage))
+
+    def _network_stage(self, folder: str) -> str | None:
+        """Return the stage that ran the network for a folder of results."""
+        stage = self.owner(folder)
+        settings = self.settings_of(folder)
+        # Without origins, an earlier version refined labels of another program.
+        if stage == "knn-refine" and settings and settings.origins is not None:
+            return self._network_stage("pixel_labels")
+        return stage
+
+    def require_same_weights(self) -> None:
+        """Refuse an uncertainty of other weights or classes than the labels."""
+        labels, space = self.weights("predictions"), self.label_space("predictions")
+        hint = f"run `salsanext uncertainty SCANS {self.root} --overwrite` with the"
+        for folder in ("uncertainty/epistemic", ERROR):
+            estimated, other = self.weights(folder), self.label_space(folder)
+            if labels and estimated and labels != estimated:
+                both = f"{labels[:12]}…, uncertainty of {estimated[:12]}…"
+                problem, hint = f"has labels of the weights {both}", f"{hint} weights of the labels"
+                raise OutputError(self.root, problem, "the same weights", hint)
+            if labels and space and other and not space.fits(other):
+                problem = f"has labels in the classes of {space.name}, uncertainty in {other.name}"
+                hint = f"{hint} --classes of the labels"
+                raise OutputError(self.root, problem, "the same classes", hint)
+
+    def rejected_above(self, folder: str = "predictions") -> float | None:
+        """Return the uncertainty above which the run of a folder of results rejected points."""
+        settings = self.settings_of(folder)
+        return settings.reject if settings else None
+
+    def scans_of_threshold(self) -> RecordedScans:
+        """Return the scans that `tune risk` chose the threshold of the predictions on."""
+        stage = self.owner("predictions")
+        record = self.record(stage) if stage else None
+        if stage is None or record is None:
+            return NO_SCANS
+        return recorded_scans(digests_of_guarantee(record.settings), self.path(stage))
+
+    def _recorded(self, value: Kind | None, name: str) -> Kind:
+        """Return a setting that the record must contain."""
+        if value is None:
+            hint = "delete the record or use another folder"
+            raise OutputError(self.root, f"has a record without {name}", hint=hint)
+        return value
+
+
+def require_same_settings(
+    path: Path, recorded: Mapping[str, object], settings: Mapping[str, object]
+) -> None:
+    """Refuse to mix or to replace results of other settings, and name the differences."""
+    if changed := differences(with_names(recorded), with_names(settings)):
+        hint = "use another output folder, or --overwrite to replace all its results"
+        raise OutputError(path, f"was made with other settings: {changed}", hint=hint)

@@ -1,0 +1,379 @@
+# SPDX-License-Identifier: MIT
+"""Paths of scans, labels and results in the folders of SemanticKITTI and in plain ones."""
+
+import os
+import re
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import dataclass, replace
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+from salsanext_cli.core.errors import NoInputError, OutputError, first_few, notice_once
+from salsanext_cli.core.uncertainty.kinds import UNCERTAINTY
+from salsanext_cli.io.files.reading import present, reason
+from salsanext_cli.io.formats import is_table, scan_suffix, suffixes_in_words
+from salsanext_cli.io.formats.recordings import (
+    is_recording,
+    recorded_paths,
+    recording_of,
+    sequence_of,
+)
+from salsanext_cli.io.formats.unread import UNFINISHED, conversion_hint, folder_hint, unread_kind
+from salsanext_cli.runs.results.layouts import LABEL_FOLDER, SCAN_FOLDER, layout_of, sequence_name
+from salsanext_cli.runs.results.scan_folders import (
+    CERTAIN,
+    MAX_ENTRIES_BESIDE_SCANS,
+    MAX_ENTRIES_BESIDE_TABLES,
+    ScanFolder,
+    ambiguous_folders,
+    folders_in,
+    folders_of_one_name,
+    names_in,
+    other_files_below,
+    scan_names,
+    search_below,
+    usable,
+    words_of_choice,
+    words_of_drives,
+    words_of_others,
+)
+
+SINGLE_SCAN_STAGES = ("predict", "knn-refine", "uncertainty")
+PREDICTION_STAGES = (*SINGLE_SCAN_STAGES, "fuse")  # Stages whose results later stages read
+ERROR = "uncertainty/error"
+LEAST_CONFIDENCE = "uncertainty/least_confidence"  # 1 − the largest probability
+ORIGINS = "origins"  # Position of the sensor of each registered scan
+DISAGREEMENT = "uncertainty/disagreement"  # Share of the scans against the label
+COLOURINGS = ("label", "truth", "wrong", "intensity", "range", *UNCERTAINTY)
+"""Values for the colours of point clouds."""
+COLOURS = (*COLOURINGS, "uncertainty")  # "uncertainty": see `ResultFolder.meant_uncertainty`
+SUFFIX_OF_FOLDER = {
+    "range": ".npy",
+    "pixels": ".npy",
+    ORIGINS: ".npy",
+    "pixel_labels": ".npy",
+    "predictions": ".label",
+    "probabilities": ".npy",
+    "votes": ".npy",
+    "views": ".npy",
+    "objects": ".csv",
+    **{f"uncertainty/{kind}": ".npy" for kind in UNCERTAINTY},
+    "pictures": ".png",
+    "ply": ".ply",
+    **{f"ply/{name}": ".ply" for name in COLOURINGS},
+}
+"""Folders of a sequence in an output folder, and the suffix of the files in each."""
+
+
+def counted_by_suffix(paths: Iterable[Path]) -> str:
+    """Return the numbers of files by suffix, in words."""
+    counts = sorted(Counter(path.suffix.lower() for path in paths).items())
+    return ", ".join(f"{count} {suffix or 'without a suffix'}" for suffix, count in counts)
+
+
+def _unread_file_error(path: Path) -> NoInputError:
+    """Return the error of a file that is neither a scan nor a recording."""
+    problem = f"{path.suffix} files are not supported" if path.suffix else "has no suffix"
+    if unread_kind(path.name) == UNFINISHED:
+        problem = "is a bag that was never closed"
+    return NoInputError(path, problem, f"one of {suffixes_in_words()}", conversion_hint(path))
+
+
+def _no_scans_error(source: Path, others: list[str]) -> NoInputError:
+    """Return the error of a source without scans, with the names of the files in it."""
+    expected = f"{suffixes_in_words()} files, or sequences/*/velodyne"
+    inside = sorted(filter(is_recording, source.iterdir())) if source.is_dir() else []
+    if inside:
+        problem = f"contains no scans, but recordings: {first_few([r.name for r in inside])}"
+        return NoInputError(source, problem, expected, f"give one recording, such as {inside[0]}")
+    paths = [source / name for name in others]
+    problem = f"contains no scans{f', but {counted_by_suffix(paths)}' if paths else ''}"
+    return NoInputError(source, problem, f"{expected}, or a recording", folder_hint(source, others))
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class ScanFile:
+    """One scan on disk; sorted by sequence and stem."""
+
+    sequence: str  # Name of its sequence
+    stem: str  # File name without suffix; unique within the sequence
+    path: Path  # Absolute; for a scan in a recording, the recording with topic and time
+
+    @property
+    def name(self) -> str:
+        """Sequence and stem, ``08/000000``, the name in records and messages."""
+        return f"{self.sequence}/{self.stem}"
+
+    @property
+    def label_path(self) -> Path:
+        """Path of the labels of the scan, which may not exist."""
+        name = f"{self.stem}.label"
+        folder = self.path.parent
+        if folder.name == SCAN_FOLDER:
+            return folder.parent / LABEL_FOLDER / name
+        nested = folder / LABEL_FOLDER / name
+        beside = folder / name
+        layout = layout_of(folder, [self.path.name])
+        apart = layout.label_path(folder, self.stem) if layout else None
+        if apart and (present(apart) or not (present(nested) or present(beside))):
+            return apart
+        return nested if present(nested) else beside
+
+
+def drive_order(file: ScanFile) -> tuple[Any, ...]:
+    """Return a key that sorts scan 10 of a drive after scan 9."""
+    words = re.split(r"(\d+)", file.stem)
+    return file.sequence, [int(word) if word.isdecimal() else word for word in words], file.stem
+
+
+def find_scans(
+    source: Path, sequences: Collection[str] | None = None, *, unique: bool = True
+) -> list[ScanFile]:
+    """Find the scans of a file, folder, data set or recording, sorted.
+
+    `unique`: whether to refuse several files of one name.
+    """
+    try:
+        place = _absolute(source)
+        is_file = present(source) and not source.is_dir()
+        if is_file and not recording_of(place) and not scan_suffix(source.name):
+            raise _unread_file_error(source)
+        scans = sorted(_scans_of(place))
+        if source.is_dir() and all(is_table(scan.path.name) for scan in scans[:1]):
+            scans = _scans_below(source, place, scans)
+        elif source.is_dir():
+            scans = _with_scans_elsewhere(source, place, scans)
+        others = names_in(source) if not scans and source.is_dir() else []
+    except OSError as error:
+        raise NoInputError(source, reason(error), "a scan or a folder of scans") from error
+    if not scans:
+        raise _no_scans_error(source, others)
+    if sequences is not None:
+        scans = of_sequences(scans, sequences, source)
+    if unique:
+        require_unique_stems(scans)
+    return scans
+
+
+def scans_at_top(folder: Path) -> list[ScanFile]:
+    """Return the scans that lie in a folder or a topic itself, sorted.
+
+    Unlike `find_scans`, it neither looks for scans below nor prints a line about them.
+    """
+    if recording_of(folder):
+        return [scan for scan in find_scans(folder, unique=False) if scan.path.parent == folder]
+    try:
+        return sorted(_scans_in(folder))
+    except OSError as error:
+        raise NoInputError(folder, reason(error), "a folder of scans") from error
+
+
+def _absolute(path: Path) -> Path:
+    """Make a path absolute without following links, unless it contains ``..``."""
+    # Path.resolve() fails at a link to itself, which the reader of that scan refuses.
+    return Path(os.path.realpath(path)) if ".." in path.parts else path.absolute()
+
+
+def _scans_of(path: Path) -> Iterator[ScanFile]:
+    if recording := recording_of(path):
+        for scan in recorded_paths(path):
+            yield ScanFile(sequence_of(recording), scan.name, scan)
+    elif not path.is_dir():
+        path.stat()
+        if suffix := scan_suffix(path.name):
+            folder = ScanFolder(path.parent, {path.name: suffix})
+            yield from _scan_files(folder, sequence_name(path.parent, [path.name]))
+    else:
+        # A `sequences` folder without scans may contain results.
+        of_data_set = [*_scans_of_sequences(path / "sequences")]
+        yield from of_data_set or [*_scans_in(path / SCAN_FOLDER)] or _scans_at(path)
+
+
+def require_none_hidden(root: Path) -> None:
+    """Refuse to write sequences of scans into a folder if they would hide other scans there."""
+    place = _absolute(root)
+    first = next(_scans_of(place), None) if place.is_dir() else None
+    if first is None or is_table(first.path.name):
+        return
+    if place / "sequences" not in first.path.parents:
+        problem = f"contains scans, such as {first.path.name}, that `sequences` would hide"
+        raise OutputError(root, problem, "a separate output folder", "use another, such as data/")
+
+
+def _scans_at(path: Path) -> list[ScanFile]:
+    """Return the scans in a folder, else in folders of sequences in it."""
+    scans = [*_scans_in(path)]
+    clouds = any(not is_table(scan.path.name) for scan in scans[:1])
+    # Tables beside folders of sequences are usually no scans.
+    return scans if clouds else [*_scans_of_sequences(path)] or scans
+
+
+def _scans_of_sequences(folder: Path) -> Iterator[ScanFile]:
+    if not folder.is_dir():
+        return
+    for name in folders_in(folder):
+        yield from _scans_in(folder / name / SCAN_FOLDER)
+
+
+def _scans_in(folder: Path) -> Iterator[ScanFile]:
+    suffixes = scan_names(names_in(folder)) if folder.is_dir() else {}
+    yield from _scan_files(ScanFolder(folder, suffixes), sequence_name(folder, suffixes))
+
+
+def _scan_files(folder: ScanFolder, sequence: str) -> Iterator[ScanFile]:
+    layout = folder.layout
+    for name, suffix in folder.suffixes.items():
+        stem = name[: -len(suffix)]
+        drive = layout.drive(stem) if layout else ""
+        yield ScanFile(drive or sequence, stem, folder.path / name)
+
+
+def _scans_below(source: Path, place: Path, tables: list[ScanFile]) -> list[ScanFile]:
+    """Return the scans of a folder that contains none, or only tables, from the folders below it.
+
+    Tables are the scans unless there is a known layout below.
+    """
+    if recording_of(place) or (tables and layout_of(place, [scan.path.name for scan in tables])):
+        return tables
+    if tables:
+        return _layout_below(source, place) or tables
+    search = search_below(place)
+    chosen = [] if search.stopped_after else usable(search.folders)
+    if not chosen and search.folders:
+        raise ambiguous_folders(source, place, search)
+    if not chosen:
+        error = other_files_below(source, search)
+        if error is not None:
+            raise error
+        return []
+    notice_once(words_of_choice(source, place, chosen, search.folders))
+    return _scans_of_folders(source, place, chosen)
+
+
+def _layout_below(source: Path, place: Path) -> list[ScanFile]:
+    """Return the scans of the only known layout below a folder of tables; print what is not used.
+
+    Refuse a known layout that a search found before it stopped.
+    """
+    search = search_below(place, MAX_ENTRIES_BESIDE_TABLES)
+    itself = ScanFolder(place, scan_names(names_in(place)))
+    layouts = [folder for folder in search.folders if folder.layout]
+    if search.stopped_after and layouts:
+        tables = itself if itself.suffixes else None
+        raise ambiguous_folders(source, place, replace(search, folders=layouts), tables)
+    if chosen := usable(layouts):
+        notice_once(words_of_choice(source, place, chosen, [itself, *search.folders]))
+        return _scans_of_folders(source, place, chosen)
+    clouds = [folder for folder in search.folders if folder.rank == CERTAIN]
+    if words := words_of_others(source, place, clouds, 0):
+        notice_once(words)
+    return []
+
+
+def _scans_of_folders(source: Path, place: Path, folders: Iterable[ScanFolder]) -> list[ScanFile]:
+    """Return the scans of folders below a root; refuse several folders of one sequence."""
+    scans: list[ScanFile] = []
+    for folder in folders:
+        name = sequence_name(folder.path, folder.suffixes)
+        if folder.layout:
+            name = folder.layout.sequence_below(folder.path, place)
+        scans += _scan_files(folder, name)
+    _require_a_folder_each(source, place, scans)
+    return sorted(scans)
+
+
+def _require_a_folder_each(source: Path, place: Path, scans: Iterable[ScanFile]) -> None:
+    """Refuse scans of one sequence in several folders, which results could not tell apart."""
+    by_sequence: dict[str, dict[Path, dict[str, str]]] = {}
+    for scan in scans:
+        names = by_sequence.setdefault(scan.sequence, {}).setdefault(scan.path.parent, {})
+        names[scan.path.name] = scan.path.name[len(scan.stem) :]
+    for sequence, names_by_folder in sorted(by_sequence.items()):
+        if len(names_by_folder) > 1:
+            folders = [ScanFolder(path, names) for path, names in sorted(names_by_folder.items())]
+            raise folders_of_one_name(source, place, sequence, folders)
+
+
+def _with_scans_elsewhere(source: Path, place: Path, scans: list[ScanFile]) -> list[ScanFile]:
+    """Return scans with those of deeper folders of drives; print a line about other folders.
+
+    Drives in `PLACE/*/velodyne` are a collection, to which deeper drives belong. Other drives
+    below a sequence, a data set or a folder of scans are only named.
+    """
+    if recording_of(place):
+        return scans
+    used = {scan.path.parent for scan in scans}
+    search = search_below(place, MAX_ENTRIES_BESIDE_SCANS, skipped=used)
+    others = [folder for folder in search.folders if folder.rank == CERTAIN]
+    itself = ScanFolder(place, {} if place in used else scan_names(names_in(place)))
+    if itself.suffixes and itself.rank == CERTAIN:
+        others.insert(0, itself)
+    is_collection = all(path.parent.parent == place for path in used)
+    drives = [folder for folder in others if is_collection and _is_drive(folder.path)]
+    others = [folder for folder in others if folder not in drives]
+    if drives:
+        notice_once(words_of_drives(source, place, drives))
+        scans = sorted([*scans, *_scans_of_folders(source, place, drives)])
+        _require_a_folder_each(source, place, scans)
+    if words := words_of_others(source, place, others, search.stopped_after):
+        notice_once(words)
+    return scans
+
+
+def _is_drive(folder: Path) -> bool:
+    """Return whether a folder of scans is that of a drive, and not of a data set of its own."""
+    return folder.name == SCAN_FOLDER and folder.parent.parent.name != "sequences"
+
+
+def of_sequences(
+    scans: list[ScanFile], sequences: Collection[str], source: object
+) -> list[ScanFile]:
+    """Return the scans of some sequences; "8" also means "08"."""
+    existing = {scan.sequence for scan in scans}
+    chosen: set[str] = set()
+    for name in sequences:
+        same = (e for e in existing if name.isdecimal() and e.isdecimal() and int(e) == int(name))
+        matches = {name} & existing or {*same}
+        if not matches:
+            expected = f"one of {', '.join(sorted(existing))}"
+            raise NoInputError(source, f"has no scans of sequence {name}", expected)
+        chosen |= matches
+    return [scan for scan in scans if scan.sequence in chosen]
+
+
+def require_unique_stems(scans: list[ScanFile]) -> None:
+    """Refuse several scans of one name among sorted scans."""
+    for name, group in groupby(scans, lambda scan: scan.name):
+        paths = [scan.path for scan in group]
+        if len(paths) > 1:
+            problem = f"{len(paths)} files of this name: {', '.join(map(str, paths))}"
+            raise OutputError(name, problem, "one file per scan", "move or rename the others")
+
+
+def output_path(out: Path, sequence: str, folder: str, stem: str) -> Path:
+    """Return the path of the result of a scan in a folder, a key of `SUFFIX_OF_FOLDER`."""
+    for name in (sequence, stem):
+        if name in ("", ".", "..") or "\0" in name or Path(name).name != name:
+            raise OutputError(repr(name), "is no file name", "a plain name without slashes")
+    return out / "sequences" / sequence / folder / f"{stem}{SUFFIX_OF_FOLDER[folder]}"
+
+
+def find_outputs(out: Path, folder: str) -> dict[tuple[str, str], Path]:
+    """Return the results in a folder of all sequences, by sequence and stem, sorted."""
+    if not present(out / "sequences"):
+        return {}
+    suffix = SUFFIX_OF_FOLDER[folder]
+    paths = {
+        (sequence.name, path.name.removesuffix(suffix)): path
+        for sequence in (out / "sequences").glob("*")
+        for path in (sequence / folder).glob(f"[!.]*{suffix}")
+    }
+    return dict(sorted(paths.items()))
+
+
+def with_outputs(scans: Iterable[ScanFile], out: Path, *folders: str) -> list[ScanFile]:
+    """Return the scans that have a result in one of some folders of an output folder."""
+    keys = {key for name in folders for key in find_outputs(out, name)}
+    return [scan for scan in scans if (scan.sequence, scan.stem) in keys]

@@ -1,0 +1,394 @@
+# SPDX-License-Identifier: MIT
+"""Reader of an output folder: its scans, their results, classes and provenance."""
+
+import logging
+import os
+import shlex
+from collections.abc import Container, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.core.classes.label_space import LabelSpace, RawIds
+from salsanext_cli.core.errors import NoInputError, OutputError, counted, first_few, percentage
+from salsanext_cli.core.geometry.projection import in_sensor_frame, measured_ranges
+from salsanext_cli.core.records import Float, Scan
+from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.uncertainty.kinds import MEANT_BY_UNCERTAINTY, PREDICT, UNCERTAINTY
+from salsanext_cli.io.files.reading import is_folder, present
+from salsanext_cli.io.formats import read_scan
+from salsanext_cli.io.formats.kitti import read_labels
+from salsanext_cli.io.formats.npy import read_uncertainty
+from salsanext_cli.io.formats.recordings import recording_of
+from salsanext_cli.runs.option_fields import ScanSelection
+from salsanext_cli.runs.results.layouts import SCAN_FOLDER
+from salsanext_cli.runs.results.manifest import Manifest, ScanSource
+from salsanext_cli.runs.results.merged_labels import are_merged, unmerged_error_hint
+from salsanext_cli.runs.results.moved_scans import scans_in, scans_of_renamed
+from salsanext_cli.runs.results.paths import (
+    PREDICTION_STAGES,
+    SINGLE_SCAN_STAGES,
+    SUFFIX_OF_FOLDER,
+    ScanFile,
+    find_outputs,
+    find_scans,
+    output_path,
+    require_unique_stems,
+    with_outputs,
+)
+from salsanext_cli.runs.results.query import DATASET_VARIABLE, ResultQuery
+from salsanext_cli.runs.results.recorded_origins import sensor_of_result
+from salsanext_cli.runs.results.selection import (
+    MissingResults,
+    choose,
+    data_set_of,
+    space_of_labels,
+    with_splits,
+)
+
+FOLDER_OF_COLUMN = {
+    **dict.fromkeys(("label", "wrong"), "predictions"),
+    **{kind: f"uncertainty/{kind}" for kind in UNCERTAINTY},
+}
+"""Folders of the values of points by column; other columns are in no folder."""
+# A scan with a file in one of these has results; `predict` writes the confidence too.
+FOLDERS = ("predictions", *(f"uncertainty/{k}" for k in UNCERTAINTY if k != "least_confidence"))
+UNCERTAINTY_SETTINGS = ("method", "samples", "seed", "noise", "weights")
+"""Settings of `uncertainty` that an evaluation records."""
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class ScanResults:
+    """A scan and its results."""
+
+    scan: Scan  # N points
+    label: RawIds | None = None  # (N,) uint32: raw ids without instances, predicted
+    truth: RawIds | None = None  # (N,) uint32: raw ids without instances, from the data set
+    uncertainty: dict[str, Float] = field(default_factory=dict)  # (N,) by kind
+    sensor: Sensor | None = None  # Origin of distances; None for the origin of the scan
+    rejected: npt.NDArray[np.bool_] | None = None  # (N,): unlabelled in a run that rejects labels
+    instance: npt.NDArray[np.uint16] | None = None  # (N,): numbers of objects, 0 for none
+
+    @property
+    def range(self) -> Float:
+        """Distance of every point from the sensor, (N,) float32, metres."""
+        with np.errstate(over="ignore"):  # Distances above the range of float32 become infinite.
+            scan = in_sensor_frame(self.scan, self.sensor) if self.sensor else self.scan
+            return measured_ranges(scan.points)[0].astype(np.float32)
+
+    def wrong(self, space: LabelSpace) -> Float:
+        """Return 1 for wrong labels, 0 for right ones, NaN for points that do not count, (N,)."""
+        if self.label is None or self.truth is None:
+            raise ValueError("a wrong label needs a label and a truth")
+        truth = space.to_train(self.truth, strict=False)
+        wrong = (truth != space.to_train(self.label, strict=False)).astype(np.float32)
+        counts = space.scored[truth]
+        if self.rejected is not None:
+            counts = counts & ~self.rejected
+        return np.where(counts, wrong, np.float32(np.nan))
+
+    def accepted_text(self, space: LabelSpace) -> str:
+        """Return coverage and risk of the accepted labels in words; empty if all are accepted."""
+        if self.rejected is None or self.truth is None:
+            return ""
+        known = space.scored[space.to_train(self.truth, strict=False)]
+        wrong = self.wrong(space)
+        judged = wrong[~np.isnan(wrong)]
+        coverage, risk = len(judged) / max(known.sum(), 1), judged.sum() / max(len(judged), 1)
+        return f"coverage {percentage(coverage)}, risk {percentage(risk)}"
+
+
+@dataclass(frozen=True, slots=True)
+class ChosenResults:
+    """Selected scans with and without results."""
+
+    scans: list[ScanFile]  # With labels or an uncertainty, at least one
+    space: LabelSpace  # Classes of the labels
+    labels: LabelSpace  # Meaning of the raw ids of the truth
+    missing: MissingResults  # The other scans of the selection
+
+
+@dataclass(frozen=True, slots=True)
+class ResultFolder(Manifest):
+    """Output folder of earlier stages."""
+
+    dataset: Path | None = None  # Place of scans and labels, if not the recorded one
+
+    def scans(self, sequence: str | None = None) -> list[ScanFile]:
+        """Find the scans of the sequences with results; log results whose scans are gone."""
+        self._require_current()
+        there = {key for folder in SUFFIX_OF_FOLDER for key in find_outputs(self.root, folder)}
+        wanted = {key for key in there if sequence in (None, key[0])}
+        sequences, known = sorted({name for name, _ in wanted}), self.sources()
+        if not sequences:
+            if any(is_folder(folder) for folder in self.root.glob(f"sequences/*/{SCAN_FOLDER}")):
+                raise self._is_data_set()
+            problem = "contains no results" if self.root.is_dir() else "no such folder"
+            expected = "the output folder of an earlier stage"
+            raise NoInputError(self.root, problem, expected, self.command(PREDICT))
+        if self.dataset and len(sequences) == 1 and _is_sequence(self.dataset):
+            scans = scans_of_renamed(self.dataset, sequences[0])
+        else:
+            of_sequences = (self._of_sequence(name, known.get(name)) for name in sequences)
+            scans = [scan for of_sequence in of_sequences for scan in of_sequence]
+        scans = _one_of_each_name(scans, known, wanted)
+        if gone := sorted(wanted - {(scan.sequence, scan.stem) for scan in scans}):
+            names = first_few(["/".join(key) for key in gone])
+            text = "%s with results skipped, no such file: %s"
+            log.warning(text, counted(len(gone), "scan"), names)
+        return scans
+
+    def _require_current(self) -> None:
+        """Refuse fused labels if the labels of single scans were replaced since."""
+        fused = self.settings("fuse")
+        if fused is None or fused.fused_of is None:
+            return
+        single = Manifest(self.root / fused.fused_of)
+        origins = single.origins(SINGLE_SCAN_STAGES)
+        if origins and origins != fused.origins:
+            out = os.path.normpath(single.root)
+            softmax = single.owner("votes", "probabilities")
+            words = ["fuse", out, str(self.root)]
+            words = words if softmax else ["predict", "SCANS", out, "--fuse"]
+            hint = f"run `salsanext {shlex.join(words)} --overwrite`"
+            raise OutputError(self.root, f"is outdated: labels in {out} were replaced", hint=hint)
+
+    def _is_data_set(self) -> NoInputError:
+        """Return the error of a data set that was given as results."""
+        new = f"{os.path.normpath(self.root)}-out"
+        command = shlex.join(["salsanext", "predict", str(self.root), new])
+        hint = f"run `{command}`, then give {shlex.quote(new)}"
+        return NoInputError(self.root, "is a data set", "a folder with results", hint)
+
+    def _of_sequence(self, sequence: str, source: ScanSource | None) -> list[ScanFile]:
+        folder = Path(source.folder) if source else None
+        if source and folder and not self.dataset and (is_folder(folder) or recording_of(folder)):
+            scans = scans_in(folder, sequence)
+            listed = {scan.path.name for scan in scans}
+            # Tables beside clouds are scans only if they were named.
+            files = {stem: stem + suffix for stem, suffix in source.suffixes.items() if suffix}
+            scans += [
+                ScanFile(sequence, stem, folder / name)
+                for stem, name in files.items()
+                if name not in listed and present(folder / name)
+            ]
+            if scans:
+                return scans
+        root = self.dataset or Path(os.environ.get(DATASET_VARIABLE, ""))
+        scan_folder = root / "sequences" / sequence / SCAN_FOLDER
+        if is_folder(scan_folder):
+            return find_scans(scan_folder, unique=False)
+        if is_folder(root if self.dataset else root / "sequences"):
+            return find_scans(root, [sequence], unique=False)
+        if is_folder(self.root / "sequences" / sequence / SCAN_FOLDER):
+            raise self._is_data_set()
+        problem = f"no scans of it in {self.dataset or folder or root.absolute()}"
+        hint = "give with --dataset the folder that contains sequences/"
+        raise NoInputError(self.root / "sequences" / sequence, problem, hint=hint)
+
+    def missing_predictions(self, scans: Iterable[ScanFile]) -> MissingResults:
+        """Divide scans without predictions by whether the stage was asked for them."""
+        sources = {stage: record.scans for stage, record in self.records().items()}
+        # `knn-refine` works on the scans of `predict`.
+        of_stage = sources.get(self.owner("predictions") or "") or sources.get("predict", {})
+        return _missing(scans, [of_stage])
+
+    def missing_results(self, scans: Iterable[ScanFile]) -> MissingResults:
+        """Divide scans without labels and uncertainty by whether any stage was asked for them."""
+        records = self.records()
+        return _missing(scans, [records[s].scans for s in PREDICTION_STAGES if s in records])
+
+    def predicted(
+        self,
+        selection: ScanSelection,
+        space: LabelSpace | None = None,
+        classes: LabelSpace | None = None,
+    ) -> tuple[list[ScanFile], LabelSpace]:
+        """Select scans; return them and the classes of the comparison (see `compared_space`)."""
+        scans = self.scans()
+        space = self.compared_space(scans, space, classes, other_ids=True)
+        if selection.split:
+            space = with_splits(space, data_set_of(scans[0]))
+        chosen = choose(scans, selection, space, self.root)
+        if selection.split:
+            members = set(space.split(selection.split))
+            sequences = {scan.sequence for scan in chosen}
+            if absent := sorted(members - sequences if members & sequences else ()):
+                log.warning("no results for %s of split %s", ", ".join(absent), selection.split)
+        return chosen, space
+
+    def chosen(self, query: ResultQuery) -> ChosenResults:
+        """Select scans with results of any stage; log how many lack them."""
+        limit, unlimited = query.selection.limit, replace(query.selection, limit=None)
+        chosen, space = self.predicted(unlimited, query.label_space, query.classes)
+        self.require_same_weights()
+        scans = with_outputs(chosen, self.root, *FOLDERS)[:limit]
+        if not scans:
+            hint = self.command(PREDICT, *chosen[:1])
+            raise NoInputError(self.root, "contains no results of these scans", hint=hint)
+        if len(scans) == limit:
+            # Scans after the last one of the limit are not missing.
+            chosen = chosen[: chosen.index(scans[-1]) + 1]
+        missing = self.missing_results(set(chosen) - set(scans))
+        missing.log_error(len(chosen), "results")
+        labels = space_of_labels(scans, space, query.label_space)
+        return ChosenResults(scans, space, labels, missing)
+
+    def provenance(self, selection: ScanSelection) -> dict[str, object]:
+        """Return the selection and the settings of its predictions, as plain data."""
+        stage = self.owner("predictions")
+        softmax, estimated = self.settings("predict"), self.settings("uncertainty")
+        made_by = {name for name in (stage, "uncertainty" if estimated else None) if name}
+        recorded = {
+            "dataset": str(self.dataset.absolute()) if self.dataset else None,
+            "predictions_of": stage,
+            "weights": self.weights("predictions"),
+            "temperature": softmax.temperature if softmax else None,
+            "reject": self.rejected_above(),
+            "uncertainty": estimated
+            and {k: v for k in UNCERTAINTY_SETTINGS if (v := getattr(estimated, k)) is not None},
+            "origins": self.origins(sorted(made_by)),
+        }
+        return asdict(selection) | recorded
+
+    def read(
+        self,
+        file: ScanFile,
+        sensor: Sensor | None = None,
+        classes: LabelSpace | None = None,
+        truth_in: tuple[LabelSpace, LabelSpace] | None = None,
+    ) -> ScanResults:
+        """Read a scan and its results in this folder and in the data set.
+
+        `classes`: classes into which predicted ones are merged; `truth_in`: label space of the ids
+        of the truth, and the label space to convert it to.
+        """
+        scan = read_scan(file.path, sensor)
+        sensor = sensor and sensor_of_result(self.root, file, scan, sensor)
+        count = len(scan)
+        label, instance = _labels(self._path(file, "label"), count)
+        recorded = self.settings_of("predictions")
+        if instance is not None and not (instance.any() or (recorded and recorded.objects)):
+            instance = None
+        if label is not None and classes is not None:
+            label = classes.to_raw(classes.to_train(label, strict=False))
+        rejected, predicted_in = None, classes or self.label_space()
+        if label is not None and predicted_in and self.rejected_above() is not None:
+            rejected = predicted_in.to_train(label, strict=False) == 0
+        truth, _ = _labels(file.label_path, count) if truth_in else (None, None)
+        if truth is not None and truth_in:
+            given, space = truth_in
+            train = given.to_train(truth, strict=False, source=file.label_path)
+            truth = truth if given.learning_map == space.learning_map else space.to_raw(train)
+        paths = {kind: self._path(file, kind) for kind in UNCERTAINTY}
+        uncertainty = {k: read_kind(path, k, count) for k, path in paths.items() if present(path)}
+        return ScanResults(scan, label, truth, uncertainty, sensor, rejected, instance)
+
+    def with_column(self, column: str, scans: Sequence[ScanFile]) -> list[ScanFile]:
+        """Return the scans with the files for a column, one of `COLOURINGS`."""
+        known = list(scans)
+        if column in ("truth", "wrong"):
+            known = [scan for scan in known if present(scan.label_path)]
+        if column not in FOLDER_OF_COLUMN:
+            return known
+        return with_outputs(known, self.root, FOLDER_OF_COLUMN[column])
+
+    def require_column(self, column: str, scans: Sequence[ScanFile]) -> None:
+        """Raise `missing_column` if no scan has the column."""
+        if not self.with_column(column, scans):
+            raise self.missing_column(column, scans[0])
+
+    def missing_column(self, column: str, file: ScanFile) -> NoInputError:
+        """Return the error of a scan without the file for a column."""
+        if column in ("truth", "wrong") and not present(file.label_path):
+            return NoInputError(file.path, "has no labels", f"the file {file.label_path}")
+        made_by = UNCERTAINTY[column].made_by if column in UNCERTAINTY else PREDICT
+        expected = f"the file {self._path(file, column)}"
+        hint = self.command(made_by, file)
+        if column == "error" and are_merged(self.label_space(), self.weights("predictions")):
+            hint = unmerged_error_hint(self.root, self.command("{scans}", file))
+        return NoInputError(file.path, f"has no {column}", expected, hint)
+
+    def command(self, template: str, *files: ScanFile) -> str:
+        """Return a hint with a command that makes results in this folder, of these scans if any."""
+        places = [str(data_set_of(file) or file.path.parent) for file in files]
+        scans = shlex.join(places) if places else "SCANS"
+        return template.format(scans=scans, out=shlex.quote(str(self.root)))
+
+    def _path(self, file: ScanFile, column: str) -> Path:
+        return output_path(self.root, file.sequence, FOLDER_OF_COLUMN[column], file.stem)
+
+    def meant_uncertainty(self, scans: Sequence[ScanFile]) -> str:
+        """Return the kind for "uncertainty": the error if all scans have it, else the first one."""
+        if len(self.with_column("error", scans)) == len(scans):
+            return "error"
+        known = (kind for kind in MEANT_BY_UNCERTAINTY if self.with_column(kind, scans))
+        return next(known, MEANT_BY_UNCERTAINTY[0])
+
+
+def read_kind(path: Path, kind: str, count: int | None) -> Float:
+    """Read one kind of uncertainty of a scan's points (see `read_uncertainty`)."""
+    return read_uncertainty(path, count, UNCERTAINTY[kind].most)
+
+
+def scalar_columns(cloud: ScanResults, space: LabelSpace) -> dict[str, npt.NDArray[Any]]:
+    """Return every scalar of the points, (N,), by the name of its property."""
+    columns: dict[str, npt.NDArray[Any]]
+    columns = {"intensity": cloud.scan.intensity, "range": cloud.range}
+    if cloud.label is not None:
+        columns["label"] = cloud.label.astype(np.uint16)
+    if cloud.instance is not None:
+        columns["instance"] = cloud.instance
+    if cloud.truth is not None:
+        columns["truth"] = cloud.truth.astype(np.uint16)
+        if cloud.label is not None:
+            columns["wrong"] = cloud.wrong(space)
+    return columns | cloud.uncertainty
+
+
+def _is_sequence(dataset: Path) -> bool:
+    """Return whether it is a folder of scans or a recording, not a data set."""
+    is_data_set = (dataset / "sequences").is_dir()
+    return bool(recording_of(dataset.absolute())) or (dataset.is_dir() and not is_data_set)
+
+
+def _one_of_each_name(
+    scans: Iterable[ScanFile], sources: Mapping[str, ScanSource], wanted: Container[tuple[str, str]]
+) -> list[ScanFile]:
+    """Return the recorded file of each name, sorted; refuse ambiguous scans with results."""
+    chosen = []
+    for key, group in groupby(sorted(scans), lambda scan: (scan.sequence, scan.stem)):
+        files = list(group)
+        if key[0] in sources and (suffix := sources[key[0]].suffixes.get(key[1])):
+            files = [file for file in files if file.path.name == key[1] + suffix]
+        if key in wanted:
+            require_unique_stems(files)
+        chosen += files[:1]
+    return chosen
+
+
+def _missing(
+    scans: Iterable[ScanFile], sources: Sequence[Mapping[str, ScanSource]]
+) -> MissingResults:
+    listed = sorted(scans)
+
+    def is_asked_for(scan: ScanFile) -> bool:
+        recorded = [of_stage[scan.sequence] for of_stage in sources if scan.sequence in of_stage]
+        return not recorded or any(scan.stem in source.suffixes for source in recorded)
+
+    missing = tuple(scan for scan in listed if is_asked_for(scan))
+    return MissingResults(missing, len(listed) - len(missing))
+
+
+def _labels(path: Path, count: int) -> tuple[RawIds, npt.NDArray[np.uint16]] | tuple[None, None]:
+    """Read raw ids and numbers of objects; None if there is no such file."""
+    if not present(path):
+        return None, None
+    labels = read_labels(path, count)
+    return labels & np.uint32(0xFFFF), (labels >> 16).astype(np.uint16)

@@ -1,0 +1,329 @@
+# SPDX-License-Identifier: MIT
+"""Counts of the points of scans by label, prediction, probability, uncertainty and distance."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from operator import add
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.core.classes.label_space import LabelSpace, RawIds, TrainIds
+from salsanext_cli.core.classes.merging import ClassMerging
+from salsanext_cli.core.errors import LabelError, counted, first_few, percentage, with_hint
+from salsanext_cli.core.geometry.projection import in_sensor_frame, measured_ranges
+from salsanext_cli.core.measures.calibration import SCAN_BINS, reliability
+from salsanext_cli.core.measures.histograms import (
+    Histogram,
+    confidence_histogram,
+    error_histogram,
+    lack_of_confidence,
+    softmax_entropy,
+    uncertainty_histogram,
+)
+from salsanext_cli.core.measures.scores import (
+    Counts,
+    accepted,
+    confusion_matrix,
+    scored_rows,
+    scores,
+)
+from salsanext_cli.core.network.card import is_among
+from salsanext_cli.core.records import Float, Indices, Mask, Scan
+from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.uncertainty.kinds import UNCERTAINTY
+from salsanext_cli.io.files.reading import present
+from salsanext_cli.io.formats import read_scan
+from salsanext_cli.io.formats.kitti import read_labels
+from salsanext_cli.io.formats.npy import read_probabilities
+from salsanext_cli.runs.results.digest_files import NO_SCANS, RecordedScans
+from salsanext_cli.runs.results.manifest import Manifest
+from salsanext_cli.runs.results.paths import ScanFile, output_path
+from salsanext_cli.runs.results.recorded_origins import sensor_of_result
+from salsanext_cli.runs.results.result_folder import read_kind
+
+SOFTMAX = "probabilities"  # Folder of the softmax, and key of the histograms of its confidence
+OF_SOFTMAX = {"least_confidence": lack_of_confidence, "softmax_entropy": softmax_entropy}
+"""Uncertainties computed from the probabilities if no file has them or classes are merged."""
+EVALUATED_KINDS = (*dict.fromkeys((*OF_SOFTMAX, *UNCERTAINTY)),)  # In the order of reports
+OF_ERROR = "error calibration"  # Key of the histogram of the error as a probability
+MIN_ACCURACY, MIN_JUDGED = 0.2, 10_000
+"""Least accuracy, over at least so many points, of labels with the same raw ids as the predictions.
+Other ids had 0.02, the default weights have 0.75 or more in cities."""
+BAND_STARTS_M = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0)  # The last band has no end
+BAND_NAMES = ("0–10 m", "10–20 m", "20–30 m", "30–40 m", "40–50 m", "over 50 m")
+
+
+@dataclass(frozen=True, slots=True)
+class ScanScores:
+    """Scores of one scan, as in `Scores`."""
+
+    points: int
+    accuracy: float
+    iou_mean_present: float
+
+
+@dataclass(slots=True)
+class ScanCounts:
+    """Counts over scans."""
+
+    confusion: Counts  # (C, C) of all points
+    bands: tuple[Counts, ...] = ()  # (C, C) for each of `BAND_NAMES`; empty if not requested
+    # Number of points by raw id that the label space lacks
+    unknown_truth: Counter[int] = field(default_factory=Counter)
+    unknown_predictions: Counter[int] = field(default_factory=Counter)
+    scans: int = 0  # Number of scans counted, and of those that the weights were trained on
+    trained_on: int = 0
+    skipped: int = 0  # Number of scans not counted because the weights were trained on them
+    calibrated: int = 0  # Number of scans that the threshold of their rejection was chosen on
+    missing: list[ScanFile] = field(default_factory=list)  # Scans without predictions
+    files: Counter[str] = field(default_factory=Counter)  # Number of scans with a file, by folder
+    # Scored, accepted and wrong points of each scan of a run that rejected labels, by name
+    accepted: dict[str, tuple[int, int, int]] = field(default_factory=dict)
+    calibration_errors: list[float] = field(default_factory=list)  # Of each scan with a softmax
+    # By kind of uncertainty, `SOFTMAX` for the confidence, or `OF_ERROR`
+    histograms: dict[str, Histogram] = field(default_factory=dict)
+    by_sequence: dict[str, Counts] = field(default_factory=dict)
+    by_scan: dict[str, ScanScores] = field(default_factory=dict)  # By name of the scan
+
+    @classmethod
+    def none(cls, space: LabelSpace, by_distance: bool = False) -> ScanCounts:
+        """Return the counts of no scan."""
+        none = np.zeros((space.class_count, space.class_count), np.int64)
+        bands = tuple(none.copy() for _ in BAND_NAMES) if by_distance else ()
+        return cls(none, bands)
+
+    def add(self, other: ScanCounts) -> None:
+        """Add the counts of other scans, which are used up."""
+        self.confusion += other.confusion
+        self.bands = tuple(map(add, self.bands, other.bands))
+        self.unknown_truth += other.unknown_truth
+        self.unknown_predictions += other.unknown_predictions
+        self.files += other.files
+        self.scans += other.scans
+        self.trained_on += other.trained_on
+        self.skipped += other.skipped
+        self.calibrated += other.calibrated
+        self.missing += other.missing
+        self.calibration_errors += other.calibration_errors
+        self.accepted |= other.accepted
+        self.by_scan |= other.by_scan
+        _add_by_key(self.histograms, other.histograms)
+        _add_by_key(self.by_sequence, other.by_sequence)
+
+    def label_warnings(self, space: LabelSpace) -> Iterator[str]:
+        """Yield reasons to doubt the scores, in words."""
+        if self.skipped:
+            share = f"{self.skipped:,} of {counted(self.scans + self.skipped, 'labelled scan')}"
+            yield f"{share} skipped: the weights were trained on them"
+        elif self.trained_on:
+            yield "the weights were trained on every labelled scan: scores on new scans are unknown"
+        if self.calibrated:
+            chosen = f"{self.calibrated:,} of {counted(self.scans, 'scan')}"
+            yield f"the threshold was chosen on {chosen}: these scans do not test its guarantee"
+        unknown = {"labels": self.unknown_truth, "predictions": self.unknown_predictions}
+        for source, ids in unknown.items():
+            if ids:
+                listed = first_few([f"{i} ({count:,}×)" for i, count in sorted(ids.items())])
+                yield f"{source}: unknown ids {listed} count as unlabelled"
+        matrix = scored_rows(self.confusion, space)
+        matrix = accepted(matrix) if self.accepted else matrix
+        points, right = int(matrix.sum()), int(np.trace(matrix))
+        if points >= MIN_JUDGED and right < MIN_ACCURACY * points:
+            labelled = f"{percentage(right / points)} of the labelled points"
+            agreement = f"labels and predictions agree on {labelled}"
+            yield with_hint(agreement, "check --label-space and the settings of the sensor")
+
+
+Sum = TypeVar("Sum", Histogram, Counts)
+
+
+def _add_by_key(sums: dict[Any, Sum], others: Mapping[Any, Sum]) -> None:
+    for key, other in others.items():
+        if key in sums:
+            sums[key] += other
+        else:
+            sums[key] = other
+
+
+class SeparateCounts:
+    """Counts of scans that the weights were trained on, and of the other scans."""
+
+    def __init__(self, space: LabelSpace, by_distance: bool = False) -> None:
+        self.others = ScanCounts.none(space, by_distance)
+        self.trained_on = ScanCounts.none(space, by_distance)
+
+    def add(self, other: ScanCounts) -> None:
+        """Add the counts of one scan, which are used up."""
+        (self.trained_on if other.trained_on else self.others).add(other)
+
+    def scored(self) -> ScanCounts:
+        """Return the counts of the other scans, or of all if the weights were trained on all."""
+        if self.others.scans or not self.trained_on.scans:
+            self.others.skipped = self.trained_on.scans
+            return self.others
+        self.trained_on.missing = self.others.missing
+        return self.trained_on
+
+
+@dataclass(frozen=True, slots=True)
+class ScanComparison:
+    """Settings of the comparison of results with labels."""
+
+    out: Path  # Output folder
+    space: LabelSpace  # Compared classes, and meaning of the predicted raw ids
+    labels: LabelSpace  # Meaning of the raw ids of the truth
+    merging: ClassMerging | None  # From the classes of the probabilities to those of `space`
+    sensor: Sensor  # Sensor of the range images, and origin of the scans
+    rejects: bool = False  # Whether the run rejected points
+    trained_on: RecordedScans = NO_SCANS  # Scans that the weights were trained on
+    chosen_on: RecordedScans = NO_SCANS  # Scans that the threshold was chosen on
+    by_distance: bool = False  # Whether to count distance bands too
+    # Names of the scans whose label files are pre-labels, which nobody has reviewed
+    unreviewed: frozenset[str] = frozenset()
+
+    @classmethod
+    def of_results(
+        cls, results: Manifest, space: LabelSpace, labels: LabelSpace, *, by_distance: bool = False
+    ) -> ScanComparison:
+        """Return the settings that the records of an output folder imply."""
+        return cls(
+            out=results.root,
+            space=space,
+            labels=labels,
+            merging=results.merging_into(space),
+            sensor=results.sensor(),
+            rejects=results.rejected_above() is not None,
+            trained_on=results.trained_on(),
+            chosen_on=results.scans_of_threshold(),
+            by_distance=by_distance,
+        )
+
+    def warnings(self) -> Iterator[str]:
+        """Yield what the comparison cannot check, in words, because a file of digests is gone."""
+        kinds = {
+            "the weights were trained on these scans": self.trained_on,
+            "the threshold was chosen on these scans": self.chosen_on,
+        }
+        for question, recorded in kinds.items():
+            if recorded.missing:
+                headline = f"{recorded.missing}: is missing, so it is unknown whether {question}"
+                yield with_hint(headline, recorded.hint)
+
+    def has_truth(self, scan: ScanFile) -> bool:
+        """Return whether a scan has labels to compare with."""
+        return scan.name not in self.unreviewed and present(scan.label_path)
+
+    def count(self, scan: ScanFile) -> ScanCounts:
+        """Count one scan; a scan without predictions counts as missing.
+
+        Scored points are also counted by their probabilities and uncertainties, if there are any.
+        Rejected points count as misses and have no uncertainty.
+        """
+        space, counts = self.space, ScanCounts.none(self.space, self.by_distance)
+        predictions = output_path(self.out, scan.sequence, "predictions", scan.stem)
+        if not present(predictions):
+            counts.missing.append(scan)
+            return counts
+        cloud = read_scan(scan.path, self.sensor) if self.by_distance else None
+        raw_truth, raw_predicted = _labels(scan, predictions, self.sensor, cloud)
+        truth = self.labels.to_train(raw_truth, strict=False, source=scan.label_path)
+        predicted = space.to_train(raw_predicted, strict=False, source=predictions)
+        read = cache(lambda: cloud or read_scan(scan.path, self.sensor))
+        counts.scans = 1
+        counts.trained_on = int(is_among(self.trained_on.digests, len(truth), read))
+        counts.unknown_truth.update(self.labels.unknown_ids(raw_truth))
+        counts.unknown_predictions.update(space.unknown_ids(raw_predicted))
+        counts.confusion = confusion_matrix(truth, predicted, space.class_count)
+        counts.by_sequence[scan.sequence] = counts.confusion.copy()
+        of_scan = scores(counts.confusion, space)
+        shown = of_scan.points, of_scan.accuracy, of_scan.iou_mean_present
+        counts.by_scan[scan.name] = ScanScores(*shown)
+        if cloud is not None:
+            sensor = sensor_of_result(self.out, scan, cloud, self.sensor)
+            seen = in_sensor_frame(cloud, sensor)
+            bands = band_of_point(seen.points)
+            counts.bands = tuple(
+                confusion_matrix(truth[bands == i], predicted[bands == i], space.class_count)
+                for i in range(len(BAND_NAMES))
+            )
+        scored = space.scored[truth]
+        truth, predicted = truth[scored], predicted[scored]
+        wrong = predicted != truth
+        values = self._count_softmax(scan, scored, truth, counts)
+        values |= self._uncertainties(scan, scored, counts)
+        if self.rejects:
+            labelled = predicted != 0
+            accepted_points, wrong_points = int(labelled.sum()), int((labelled & wrong).sum())
+            counts.accepted[scan.name] = len(labelled), accepted_points, wrong_points
+            counts.calibrated = int(is_among(self.chosen_on.digests, len(scored), read))
+            values = {kind: np.where(labelled, v, np.nan) for kind, v in values.items()}
+        for kind, of_points in values.items():
+            counts.histograms[kind] = uncertainty_histogram(of_points, wrong)
+        if "error" in values:
+            counts.histograms[OF_ERROR] = error_histogram(values["error"], wrong)
+        return counts
+
+    def _count_softmax(
+        self, scan: ScanFile, scored: Mask, truth: TrainIds, counts: ScanCounts
+    ) -> dict[str, Float]:
+        """Count the probabilities of scored points, if any; return uncertainties from them."""
+        path = output_path(self.out, scan.sequence, SOFTMAX, scan.stem)
+        if not present(path):
+            return {}
+        counts.files[SOFTMAX] = 1
+        softmax = read_softmax(path, scored, self.space, self.merging)
+        of_scan = confidence_histogram(softmax, truth)
+        counts.histograms[SOFTMAX] = of_scan
+        if of_scan.scans:
+            counts.calibration_errors.append(reliability(of_scan.counts, SCAN_BINS).error)
+        return {kind: derive(softmax) for kind, derive in OF_SOFTMAX.items()}
+
+    def _uncertainties(self, scan: ScanFile, scored: Mask, counts: ScanCounts) -> dict[str, Float]:
+        """Read the uncertainties of scored points, by kind."""
+        values = {}
+        for kind in UNCERTAINTY:
+            folder = f"uncertainty/{kind}"
+            if present(path := output_path(self.out, scan.sequence, folder, scan.stem)):
+                counts.files[folder] = 1
+                # The files contain the confidence before classes are merged.
+                if self.merging is None or kind not in OF_SOFTMAX or SOFTMAX not in counts.files:
+                    values[kind] = read_kind(path, kind, len(scored))[scored]
+        return values
+
+
+def read_softmax(
+    path: Path, selected: Mask, space: LabelSpace, merging: ClassMerging | None
+) -> npt.NDArray[Any]:
+    """Read the probabilities of selected points, summed over merged classes; NaN for none."""
+    count = space.class_count if merging is None else len(merging.targets)
+    softmax = read_probabilities(path, len(selected), count)[selected]
+    if not space.scored[0]:
+        # `predict` marks points without a pixel by a probability of 1, which no softmax reaches.
+        softmax[softmax[:, 0] == 1] = np.nan
+    return softmax if merging is None else merging.add(softmax.T.astype(np.float32)).T
+
+
+def _labels(
+    scan: ScanFile, predictions: Path, sensor: Sensor, cloud: Scan | None
+) -> tuple[RawIds, RawIds]:
+    """Read truth and predictions; if their lengths differ, the scan shows which is wrong."""
+    if cloud is None:
+        raw_predicted = read_labels(predictions)
+        try:
+            return read_labels(scan.label_path, len(raw_predicted)), raw_predicted
+        except LabelError:
+            cloud = read_scan(scan.path, sensor)
+    return read_labels(scan.label_path, len(cloud)), read_labels(predictions, len(cloud))
+
+
+def band_of_point(points: Float) -> Indices:
+    """Return indices into `BAND_NAMES` of points (N, 3) in metres; -1 without a measurement."""
+    ranges, measured = measured_ranges(points)
+    return np.where(measured, np.digitize(np.nan_to_num(ranges), BAND_STARTS_M) - 1, -1)

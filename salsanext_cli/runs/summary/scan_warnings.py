@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: MIT
+"""Warnings about scans: their texts, and how they are logged."""
+
+from __future__ import annotations
+
+import logging
+import shlex
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from salsanext_cli.core.checks.finding import Finding
+from salsanext_cli.core.errors import first_few, with_hint
+
+LOOK = "look at the labels"
+"""End of the hints about labels, after which `hint_in` names the command."""
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class ScanWarning:
+    """Reason to doubt some scans, with the text of the first of them."""
+
+    code: str
+    message: str
+    hint: str
+    scans: list[str]  # Names of the scans, or of their sequences
+
+
+def hint_in(out: Path | None, hint: str) -> str:
+    """Return a hint with the command that shows the labels in a folder of results, if it needs one.
+
+    The command is no part of recorded hints, since folders of results may be moved.
+    """
+    if out is None or not hint.endswith(LOOK):
+        return hint
+    return f"{hint}: `{shlex.join(['salsanext', 'report', str(out)])}`"
+
+
+def log_finding(name: str, finding: Finding, out: Path | None = None) -> None:
+    """Log a reason to doubt a scan or sequence as a warning; `out`: folder of the results."""
+    headline = f"{log_text(name)}: {finding.problem} ({finding.code})"
+    log.warning("%s", with_hint(headline, hint_in(out, finding.hint)))
+
+
+def log_recorded(warnings: Iterable[ScanWarning]) -> None:
+    """Log the warnings of an earlier run."""
+    for warning in warnings:
+        finding = Finding(warning.code, warning.message, warning.hint)
+        log_finding(first_few(warning.scans), finding)
+
+
+def log_text(names: str) -> str:
+    """Return names as valid text, which log handlers of other programs may require."""
+    return names.encode(errors="backslashreplace").decode()

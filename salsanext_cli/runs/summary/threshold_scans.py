@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: MIT
+"""Whether scans are like those that a threshold of risk was chosen on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from salsanext_cli.core.errors import counted, first_few
+from salsanext_cli.core.measures.population import (
+    are_comparable,
+    have_measures,
+    new_codes,
+    of_units,
+    population_difference,
+)
+from salsanext_cli.core.network.card import RiskThreshold
+from salsanext_cli.core.network.unit_traits import UnitTraits
+from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.runs.fit.sensor_fit import is_other_view
+from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.results.selection import data_set_of
+
+UNLIKE = "the scans differ from those that the threshold was chosen on"
+EARLY = "the threshold was chosen by an earlier version, which did not record the sensor"
+
+
+@dataclass(frozen=True, slots=True)
+class ScanComparison:
+    """Scans of a run, to be compared with those of a threshold."""
+
+    files: Sequence[ScanFile]
+    sensor: Sensor  # Sensor that the scans were projected for
+    traits: Mapping[str, UnitTraits]  # By name of the scan
+    classes: Sequence[str]  # Names of the classes from train id 1 on
+
+    def difference(self, risk: RiskThreshold) -> str:
+        """Return the evidence that the scans are unlike those of a threshold, else no text."""
+        if problem := self._other_drives(risk) or self._other_view(risk):
+            return f"{UNLIKE}: {problem}"
+        # Workers finish in any order, and the comparison draws from the scans in theirs.
+        traits = dict(sorted(self.traits.items()))
+        now = tuple(traits.values())
+        if not now or not risk.population:
+            return ""
+        if risk.unit == "drive":
+            now = of_units(now, [name.rpartition("/")[0] for name in traits])
+        if have_measures(risk.population) and (codes := new_codes(risk.population, now)):
+            return f"{UNLIKE}: they have the warning {first_few(codes)}"
+        difference = population_difference(risk.population, now, self.classes)
+        return f"{UNLIKE}: {difference}" if difference else ""
+
+    def units(self, risk: RiskThreshold) -> int:
+        """Return the number of scans or drives, as the guarantee of a threshold counts them."""
+        names = self.traits if risk.unit == "scan" else {n.rpartition("/")[0] for n in self.traits}
+        return len(names)
+
+    def _other_drives(self, risk: RiskThreshold) -> str:
+        """Return data set or drives that a guarantee about scans of named drives does not cover."""
+        if risk.unit == "drive" or not self.files:
+            return ""
+        data_sets = {_data_set(file) for file in self.files}
+        if risk.data_set and (others := sorted(data_sets - {risk.data_set})):
+            return f"they are of {first_few(others)}, not of {risk.data_set}"
+        sequences = {file.sequence for file in self.files}
+        if others := sorted(sequences - {*risk.sequences}):
+            return f"they are of {first_few(others)}, not of {first_few(risk.sequences)}"
+        return ""
+
+    def _other_view(self, risk: RiskThreshold) -> str:
+        is_other = any(
+            all(is_other_view(view, sensor) for view in risk.views)
+            for sensor in self.sensor.members
+        )
+        return "another field of view" if risk.views and is_other else ""
+
+
+def _data_set(file: ScanFile) -> str:
+    """Return the name of the folder of the data set of a scan, else of its own folder."""
+    return (data_set_of(file) or file.path.parent).resolve().name
+
+
+def why_incomparable(risk: RiskThreshold, units: int) -> str:
+    """Return why a comparison of so many scans or drives with a threshold shows nothing, or "".
+
+    Parameters
+    ----------
+    risk : RiskThreshold
+        Threshold and the scans that it was chosen on.
+    units : int
+        Number of scans, or of drives if these are the units of the guarantee.
+
+    Returns
+    -------
+    str
+    """
+    if not risk.population or not have_measures(risk.population):
+        return EARLY
+    if not are_comparable(len(risk.population), units):
+        return counted(units, risk.unit)
+    return ""
