@@ -24,9 +24,11 @@ from finish_weights import remove_class_weights
 from gpu_train import DESCRIPTION, real_sources, training_data
 from scene_pool import KINDS, ScenePool
 
-from salsanext_cli.core.classes.label_space import label_space
-from salsanext_cli.core.network.card import WeightsCard, read_card
-from salsanext_cli.io.files.json_files import Json, read_json, write_json
+from salsanext_cli.core.network.card import WeightsCard
+from salsanext_cli.core.plain_data import Json
+from salsanext_cli.io.files.json_files import read_json, write_json
+from salsanext_cli.io.label_spaces import label_space
+from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.loading import network_of_module
 from salsanext_cli.io.weights.weights import save_weights
 from salsanext_cli.runs.network_settings import weights_file

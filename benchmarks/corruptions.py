@@ -28,11 +28,11 @@ from commands import salsanext
 from corruption_models import LEVELS, LabelledScan
 
 import salsanext_cli as sn
-from salsanext_cli.core.network.card import default_weights, read_card
 from salsanext_cli.io.files.atomic import write_bytes
 from salsanext_cli.io.files.json_files import read_json, write_json
 from salsanext_cli.io.files.reading import fingerprint
 from salsanext_cli.io.formats.kitti import encode_bin
+from salsanext_cli.io.weights.card_file import default_weights, read_card
 from salsanext_cli.runs.results.paths import ScanFile, find_scans
 from salsanext_cli.runs.results.selection import data_set_label_space
 

@@ -33,9 +33,9 @@ from finish_weights import (
     remove_class_weights,
 )
 
-from salsanext_cli.core.classes.label_space import label_space
 from salsanext_cli.core.network.card import scan_digest
 from salsanext_cli.io.formats import read_scan
+from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.io.weights.weights import read_weights, save_weights
 from salsanext_cli.runs.results.paths import ScanFile, find_scans
 from salsanext_cli.training.data.augment import rotate

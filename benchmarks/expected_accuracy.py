@@ -17,8 +17,9 @@ import numpy as np
 from commands import salsanext
 
 from salsanext_cli.core.measures.expected_accuracy import DEVIATIONS
-from salsanext_cli.core.network.card import AccuracyLine, read_card
+from salsanext_cli.core.network.card import AccuracyLine
 from salsanext_cli.io.files.reading import present
+from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import save_with_card
 from salsanext_cli.runs.results.paths import find_scans, output_path
 

@@ -23,11 +23,12 @@ from corruption_models import LEVELS
 from corruptions import SEVERITIES, write_data_set
 
 from salsanext_cli.commands.stages.tune import tune
-from salsanext_cli.core.classes.label_space import label_space
 from salsanext_cli.core.engines.network import Network
-from salsanext_cli.core.network.card import WeightsCard, read_card
+from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.network.error_model import ErrorModel
 from salsanext_cli.core.network.segmentation import SegmentationNetwork
+from salsanext_cli.io.label_spaces import label_space
+from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import read_weights, save_weights, save_with_card
 from salsanext_cli.runs.fit.label_scan import prepared_for
 from salsanext_cli.runs.fit.scan_sample import ScanSample

@@ -107,7 +107,7 @@ def work(given: argparse.Namespace) -> int:
     from gpu_measures import Figures, machine  # Only here: the whole run needs no torch
 
     from salsanext_cli.core.engines.device import choose_device
-    from salsanext_cli.core.network.card import default_weights
+    from salsanext_cli.io.weights.card_file import default_weights
     from salsanext_cli.runs.loop.pool import end_with_parent
 
     end_with_parent(given.parent)

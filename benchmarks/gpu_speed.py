@@ -17,8 +17,8 @@ from scene_pool import KINDS, SPACING_M, write_scene
 
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.core.engines.device import choose_precision
-from salsanext_cli.core.network.card import read_card
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.loading import load_network
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings

@@ -25,14 +25,15 @@ from gpu_training import STEPS, gpu_recipe, small_weights
 from pack import unpack
 from scene_pool import KINDS, VALIDATION, ScenePool
 
-from salsanext_cli.core.classes.label_space import label_space
 from salsanext_cli.core.errors import TrainingError
-from salsanext_cli.core.network.card import WeightsCard, read_card
+from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.network.segmentation import SegmentationNetwork
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.io.files.atomic import write_bytes
 from salsanext_cli.io.files.json_files import write_json
 from salsanext_cli.io.files.reading import fingerprint
+from salsanext_cli.io.label_spaces import label_space
+from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.loading import network_of_module
 from salsanext_cli.io.weights.weights import save_weights
 from salsanext_cli.runs.results.paths import ScanFile, find_scans

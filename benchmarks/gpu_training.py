@@ -14,10 +14,11 @@ from gpu_measures import Figures, mean_text, utilisation
 from scene_pool import KINDS, ScenePool
 from training_speed import Laps
 
-from salsanext_cli.core.classes.label_space import label_space
-from salsanext_cli.core.network.card import WeightsCard, read_card
+from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.network.registry import ARCHITECTURES, build
 from salsanext_cli.core.network.salsanext import SalsaNext
+from salsanext_cli.io.label_spaces import label_space
+from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import save_weights
 from salsanext_cli.training.data.class_counts import class_weights, count_classes, rare_classes
 from salsanext_cli.training.data.dataset import Batch, Samples, batches

@@ -25,11 +25,11 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 from ray_casting import RayScene
 
-from salsanext_cli.core.classes.label_space import label_space
-from salsanext_cli.core.network.card import read_card
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.io.files.atomic import write_bytes
 from salsanext_cli.io.formats.kitti import encode_bin, encode_labels
+from salsanext_cli.io.label_spaces import label_space
+from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.runs.loop.pool import end_with_parent
 from salsanext_cli.runs.network_settings import weights_file
 from salsanext_cli.runs.results.paths import ScanFile, find_scans

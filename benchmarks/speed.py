@@ -27,13 +27,14 @@ from speed_turn import take_turn
 from salsanext_cli.core.engines.device import choose_device, choose_precision
 from salsanext_cli.core.errors import SalsanextError, UsageError, WeightsError, counted
 from salsanext_cli.core.geometry.network_input import noise_of
-from salsanext_cli.core.network.card import WeightsCard, read_card
+from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.sensors.sensor import Sensor
-from salsanext_cli.core.sensors.sensor import sensor as find_sensor
 from salsanext_cli.io.files.atomic import write_bytes
 from salsanext_cli.io.files.json_files import write_json
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.formats.kitti import encode_bin
+from salsanext_cli.io.sensors import sensor as find_sensor
+from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.report.tables import ABSENT, table_of
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.option_fields import ScanSelection

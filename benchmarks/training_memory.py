@@ -14,7 +14,7 @@ import sys
 import torch
 
 from salsanext_cli import label_space
-from salsanext_cli.core.sensors.sensor import sensor
+from salsanext_cli.io.sensors import sensor
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.setup import initial_network

@@ -28,7 +28,7 @@ from pictures import OF_PAGE, PICTURES, example, ranking, sampling
 from prepared import prepared_folder
 
 import salsanext_cli.report.page
-from salsanext_cli.core.network.card import default_weights
+from salsanext_cli.io.weights.card_file import default_weights
 
 CAPTURED = (
     "start/first-scan.md",

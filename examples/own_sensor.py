@@ -9,7 +9,7 @@ from pathlib import Path
 
 from salsanext_cli.commands.stages.inspect import inspect, write_sensor
 from salsanext_cli.commands.stages.predict import predict_scans
-from salsanext_cli.core.sensors.sensor import sensor
+from salsanext_cli.io.sensors import sensor
 from salsanext_cli.runs.network_settings import NetworkSettings
 
 HEIGHT, WIDTH = 32, 512

@@ -14,17 +14,19 @@ if TYPE_CHECKING:
     from typing import Any
 
     from salsanext_cli.api import label, label_drive
-    from salsanext_cli.core.classes.label_space import LabelSpace, label_space
+    from salsanext_cli.core.classes.label_space import LabelSpace
     from salsanext_cli.core.engines.network import Network
     from salsanext_cli.core.errors import SalsanextError
     from salsanext_cli.core.geometry.knn import knn_refine
     from salsanext_cli.core.geometry.projection import project
     from salsanext_cli.core.records import RangeImage, Scan
-    from salsanext_cli.core.sensors.sensor import Sensor, sensor
+    from salsanext_cli.core.sensors.sensor import Sensor
     from salsanext_cli.core.uncertainty.monte_carlo import sample
     from salsanext_cli.io.formats import read_scan
     from salsanext_cli.io.formats.kitti import read_labels, write_labels
     from salsanext_cli.io.formats.ply import write_ply
+    from salsanext_cli.io.label_spaces import label_space
+    from salsanext_cli.io.sensors import sensor
     from salsanext_cli.io.weights.loading import load_network
     from salsanext_cli.runs.fit.sensor_fit import fit_network
     from salsanext_cli.runs.option_fields import KnnParameters

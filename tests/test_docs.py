@@ -31,9 +31,9 @@ from salsanext_cli import LabelSpace, Sensor, label_space, load_network, project
 from salsanext_cli.commands.line.app import COMMANDS
 from salsanext_cli.commands.stages import predict as stage
 from salsanext_cli.commands.stages.export_onnx import export_onnx
-from salsanext_cli.core.network.card import default_weights
 from salsanext_cli.core.sensors import sensor as sensors
 from salsanext_cli.io.formats import SCAN_SUFFIXES
+from salsanext_cli.io.weights.card_file import default_weights
 from salsanext_cli.runs.results.paths import SUFFIX_OF_FOLDER, find_scans
 from salsanext_cli.training import recipe
 from salsanext_cli.training.recipe import Recipe

@@ -22,11 +22,11 @@ from scans import make_scan, write_array, write_bin, write_sequence
 
 from salsanext_cli import Scan, label_space, read_labels, write_labels
 from salsanext_cli.core.errors import SalsanextError
-from salsanext_cli.core.network.card import read_card
 from salsanext_cli.core.network.registry import ARCHITECTURES
 from salsanext_cli.core.network.salsanext import SalsaNext
 from salsanext_cli.io.files.json_files import encode_json
 from salsanext_cli.io.poses import encode_poses
+from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.runs.drives.drive import Drive
 from salsanext_cli.runs.results.paths import output_path
 from salsanext_cli.training.run_folder import write_log

@@ -29,8 +29,8 @@ from salsanext_cli.commands.stages.predict import predict_range_images, predict_
 from salsanext_cli.commands.stages.project import project_scans
 from salsanext_cli.commands.stages.synth import synthesise
 from salsanext_cli.core.geometry.projection import points_from_pixels
-from salsanext_cli.core.network.card import default_weights
 from salsanext_cli.core.uncertainty.error_features import error_probability, knows_error
+from salsanext_cli.io.weights.card_file import default_weights
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.option_fields import ScanSelection
 from salsanext_cli.runs.results.paths import find_scans

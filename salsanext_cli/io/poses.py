@@ -7,13 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from salsanext_cli.core.errors import FormatError, counted
-from salsanext_cli.core.records import Double, Float
+from salsanext_cli.core.fusion.poses import CALIBRATION, POSES, Poses
 from salsanext_cli.io.files.reading import present, reading
 
-Points = Double | Float  # (N, 3), metres
-Poses = Double
-"""(N, 4, 4), or (4, 4) for one scan: from the frame of the scan to that of the drive, metres."""
-POSES, CALIBRATION = "poses.txt", "calib.txt"
 NO_TR = (
     f"copy the {CALIBRATION} that has Tr, of KITTI's calibration files or of SemanticKITTI; or "
     f"give poses of the LiDAR, in a folder without {CALIBRATION}: --poses FILE; or rename {POSES}, "

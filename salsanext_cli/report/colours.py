@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.core.classes.label_space import LabelSpace, label_space
+from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import SalsanextError, UsageError, did_you_mean
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.runs.results.paths import COLOURS, ScanFile
 from salsanext_cli.runs.results.result_folder import ResultFolder, scalar_columns
 

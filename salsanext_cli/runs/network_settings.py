@@ -122,13 +122,14 @@ class NetworkSettings:
 
     def trained_sensor(self) -> "Sensor":
         """Return the sensor that the weights were trained with."""
-        from salsanext_cli.core.network.card import read_card
+        from salsanext_cli.io.weights.card_file import read_card
 
         return read_card(self.path).sensor
 
     def named_sensor(self) -> "Sensor | None":
         """Return the requested sensor, if any; of a built-in one noise and intensity scale only."""
-        from salsanext_cli.core.sensors.sensor import OF_DEVICE, presets, sensor
+        from salsanext_cli.core.sensors.sensor import OF_DEVICE, presets
+        from salsanext_cli.io.sensors import sensor
 
         named = self.sensor or AUTO
         if not isinstance(named, str):
@@ -206,7 +207,7 @@ class NetworkSettings:
 
 def weights_file(path: Path | None) -> Path:
     """Return a weights file; None and `DEFAULT_WEIGHTS` stand for the weights of the package."""
-    from salsanext_cli.core.network.card import default_weights
+    from salsanext_cli.io.weights.card_file import default_weights
 
     return default_weights() if path in (None, DEFAULT_WEIGHTS) else path
 

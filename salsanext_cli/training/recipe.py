@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Annotated, Any, Self
 
 from salsanext_cli.core.errors import UsageError, shortened
+from salsanext_cli.core.plain_data import refuse_unknown
 from salsanext_cli.io.files.reading import present
-from salsanext_cli.io.files.yaml_toml import read_toml, refuse_unknown
+from salsanext_cli.io.files.yaml_toml import read_toml
 
 BUILT_IN = resources.files("salsanext_cli").joinpath("presets/recipes")
 MAX_INTEGER = 2**53  # Beyond it, floats are not exact

@@ -16,12 +16,14 @@ from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.engines.graphs import LOGITS
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import NOTICE, WeightsError, first_few, percentage
-from salsanext_cli.core.network.card import INHERITED, WeightsCard, read_card
+from salsanext_cli.core.network.card import INHERITED, WeightsCard
 from salsanext_cli.core.network.error_model import ErrorModel
 from salsanext_cli.core.network.registry import build, described
 from salsanext_cli.core.network.segmentation import SegmentationNetwork
-from salsanext_cli.core.sensors.sensor import Sensor, sensor
+from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.uncertainty.error_features import FEATURES
+from salsanext_cli.io.sensors import sensor
+from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.loading import network_of_module
 from salsanext_cli.io.weights.weights import read_weights
 from salsanext_cli.runs.loop.network_task import network_pipeline

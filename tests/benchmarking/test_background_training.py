@@ -14,7 +14,7 @@ from scans import SMALL, write_sequence
 from scene_pool import KINDS, ScenePool, write_scene
 from shallow import shallow, weights  # noqa: F401
 
-from salsanext_cli.core.network.card import read_card
+from salsanext_cli.io.weights.card_file import read_card
 
 TINY = (
     "widths=64,32",

@@ -14,10 +14,11 @@ from shallow import SHALLOW
 from tiny_network import TinyNetwork
 
 from salsanext_cli import label_space
-from salsanext_cli.core.network.card import AccuracyLine, WeightsCard, read_card
+from salsanext_cli.core.network.card import AccuracyLine, WeightsCard
 from salsanext_cli.core.network.error_model import ErrorModel
 from salsanext_cli.core.network.registry import build
 from salsanext_cli.core.uncertainty.error_features import FEATURES
+from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import save_weights
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"

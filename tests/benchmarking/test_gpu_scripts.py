@@ -13,7 +13,7 @@ from ray_casting import RayScene
 from scans import write_bin, write_sequence
 
 from salsanext_cli import read_labels, read_scan
-from salsanext_cli.core.network.card import read_card
+from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.runs.results.paths import find_scans
 from salsanext_cli.synthesis.mesh import Mesh, Skin
 from salsanext_cli.synthesis.presets import Material

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from panoptic import COLUMNS, count_segments, panoptic_quality
 
-from salsanext_cli.core.classes.label_space import label_space
+from salsanext_cli.io.label_spaces import label_space
 
 RAW_IDS = (40, 60, 48, 50, 51, 10, 10, 252, 30, 254, 18, 31, 20, 52, 0)
 OFFICIAL = {

@@ -11,9 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scans import refused
 
-from salsanext_cli.core.classes.label_space import LabelSpace, label_space
+from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.classes.merging import ClassMerging, contradiction
 from salsanext_cli.core.errors import LabelError, UsageError
+from salsanext_cli.io.label_spaces import label_space
 
 NAMES = (
     "unlabeled car bicycle motorcycle truck other-vehicle person bicyclist motorcyclist road"

@@ -17,8 +17,8 @@ from salsanext_cli.commands.line.app import app
 from salsanext_cli.commands.line.arguments import share
 from salsanext_cli.commands.line.expansion import Default, Shown, Without, expanded
 from salsanext_cli.core.errors import UsageError
-from salsanext_cli.core.network.card import default_weights
 from salsanext_cli.io.formats import RECORDING_SUFFIXES, SCAN_SUFFIXES
+from salsanext_cli.io.weights.card_file import default_weights
 from salsanext_cli.runs.network_settings import NetworkSettings, weights_file
 from salsanext_cli.runs.option_fields import KnnParameters, ScanSelection
 

@@ -13,7 +13,7 @@ from command_line import only_json, subject
 from evaluated import CAR, ROAD, World
 from scans import SMALL, labels_below, make_scan, write_array, write_bin, write_sequence
 
-from salsanext_cli.core.network.card import read_card
+from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.runs.results.paths import output_path
 
 

@@ -11,7 +11,7 @@ from salsanext_cli import sensor
 from salsanext_cli.core.geometry.scan_measures import MEASURES
 from salsanext_cli.core.network.card import RiskThreshold
 from salsanext_cli.core.network.unit_traits import UnitTraits
-from salsanext_cli.io.files.json_files import plain
+from salsanext_cli.core.plain_data import plain
 from salsanext_cli.runs.results.manifest import Manifest, StageRecord
 
 NONE = 0

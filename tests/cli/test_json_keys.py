@@ -8,7 +8,7 @@ import pytest
 from command_line import PAGE_OF_JSON, documented_keys, every_command, only_json
 
 from salsanext_cli.core.measures.expected_accuracy import expected_accuracy
-from salsanext_cli.core.network.card import default_weights, read_card
+from salsanext_cli.io.weights.card_file import default_weights, read_card
 
 NETWORK = ("--weights", "WEIGHTS", "--device", "cpu")
 

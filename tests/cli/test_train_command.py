@@ -7,7 +7,7 @@ from scans import SMALL, write_sequence
 
 from salsanext_cli.commands.line import arguments
 from salsanext_cli.core.engines.device import bfloat16_instructions
-from salsanext_cli.core.network.card import read_card
+from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.training.recipe import recipe
 
 

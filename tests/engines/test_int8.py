@@ -17,9 +17,10 @@ from salsanext_cli import label_space, load_network, project, sample
 from salsanext_cli.core.engines.graphs import Graph, compiled_graph, converted, quantised
 from salsanext_cli.core.engines.openvino_backend import OpenVinoBackend
 from salsanext_cli.core.errors import UsageError, WeightsError
-from salsanext_cli.core.network.card import WeightsCard, read_card
+from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.network.int8_inputs import Int8Input
 from salsanext_cli.core.network.salsanext import SalsaNext
+from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import save_with_card
 from salsanext_cli.training.tuning.int8 import int8_inputs, int8_layers
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from salsanext_cli.core.errors import OutputError
-from salsanext_cli.io.files.json_files import as_json, decoded, plain, read_record, write_json
+from salsanext_cli.core.plain_data import as_json, decoded, plain
+from salsanext_cli.io.files.json_files import read_record, write_json
 
 
 @dataclass(frozen=True)

@@ -16,10 +16,11 @@ from salsanext_cli.core.fitting.field_of_view import fit_view
 from salsanext_cli.core.geometry.directions import COLUMNS, NEAREST_M, NO_CELL, ROWS, direction_grid
 from salsanext_cli.core.geometry.network_input import NO_INTENSITY
 from salsanext_cli.core.measures.expected_accuracy import WITHHELD_FOR, expected_accuracy
-from salsanext_cli.core.network.card import AccuracyLine, default_weights, read_card
+from salsanext_cli.core.network.card import AccuracyLine
 from salsanext_cli.core.records import FieldSplit, FileNotes
-from salsanext_cli.core.sensors.sensor import sensor
 from salsanext_cli.io.formats import read_scan
+from salsanext_cli.io.sensors import sensor
+from salsanext_cli.io.weights.card_file import default_weights, read_card
 
 HEIGHT_M, FARTHEST_M = 1.7, 60.0
 PILLARS = np.random.default_rng(1).uniform((-30, -30, 1), (60, 30, 3), (60, 3))

@@ -16,7 +16,8 @@ from salsanext_cli.core.measures.expected_accuracy import (
     WITHHELD_FOR,
     expected_accuracy,
 )
-from salsanext_cli.core.network.card import AccuracyLine, default_weights, read_card
+from salsanext_cli.core.network.card import AccuracyLine
+from salsanext_cli.io.weights.card_file import default_weights, read_card
 
 LINE = AccuracyLine(1.0, 0.0, 0.05)
 SAFETY = Path(__file__).parents[2] / "docs/experiments/guarantee.md"

@@ -29,7 +29,7 @@ from salsanext_cli.core.measures.uncertainty_evaluation import (
     ranking_scores,
     risk_coverage,
 )
-from salsanext_cli.io.files.json_files import plain
+from salsanext_cli.core.plain_data import plain
 
 LEVELS = (0.0, 2.0**-48, 1e-9, 2.0**-10, 0.3, 1.0, 1.0078125, 7.0, 255.0)
 """Uncertainties of different bins."""

@@ -15,9 +15,9 @@ from scans import lively, refused
 from salsanext_cli import load_network
 from salsanext_cli.commands.stages.import_weights import import_weights
 from salsanext_cli.core.errors import OutputError, WeightsError
-from salsanext_cli.core.network.card import read_card
 from salsanext_cli.core.network.salsanext import SalsaNext
 from salsanext_cli.io.weights import published
+from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.published import read_published
 from salsanext_cli.io.weights.weights import load_tensors, read_weights, save_with_card
 

@@ -19,14 +19,15 @@ from shallow import shallow, weights  # noqa: F401
 
 from salsanext_cli import __version__, label_space, sensor
 from salsanext_cli.commands.stages.models import describe_weights
-from salsanext_cli.core.classes.label_space import label_space
 from salsanext_cli.core.errors import WeightsError
-from salsanext_cli.core.network.card import KEY, WeightsCard, read_card
+from salsanext_cli.core.network.card import KEY, WeightsCard
 from salsanext_cli.core.network.error_model import ErrorModel, last_values
 from salsanext_cli.core.network.registry import build
+from salsanext_cli.core.plain_data import plain
 from salsanext_cli.core.sensors.sensor import FittedView
-from salsanext_cli.io.files.json_files import plain
+from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.io.weights import tensor_digest
+from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import read_weights, save_weights, save_with_card
 
 SPACE = label_space()

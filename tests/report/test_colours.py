@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from matplotlib.image import imread
 
-from salsanext_cli.core.classes.label_space import label_space
 from salsanext_cli.core.measures.scores import Counts, confusion_matrix
+from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.report.colours import (
     EMPTY,
     MIN_CONTRAST,

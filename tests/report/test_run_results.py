@@ -17,8 +17,8 @@ from salsanext_cli import Scan, label_space, project
 from salsanext_cli.core.errors import FormatError, UsageError
 from salsanext_cli.core.geometry.objects import BOX
 from salsanext_cli.core.measures.expected_accuracy import ExpectedAccuracy
-from salsanext_cli.core.network.card import default_weights, read_card
 from salsanext_cli.io.files.reading import fingerprint
+from salsanext_cli.io.weights.card_file import default_weights, read_card
 from salsanext_cli.report.page.clouds import NO_VALUE, encode_cloud, scales_of
 from salsanext_cli.report.page.drive_data import drive_data
 from salsanext_cli.report.page.recorded_warnings import codes_by_scan, warnings_of_run

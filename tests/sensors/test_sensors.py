@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from salsanext_cli.core.errors import UsageError
-from salsanext_cli.core.sensors.sensor import Sensor, presets, sensor
+from salsanext_cli.core.sensors.sensor import Sensor, presets
+from salsanext_cli.io.sensors import sensor
 
 VALID = Sensor("valid", fov_up=3, fov_down=-25, height=64, width=2048)
 

@@ -13,7 +13,7 @@ from salsanext_cli.commands.stages.inspect import inspect
 from salsanext_cli.commands.stages.project import project_scans
 from salsanext_cli.commands.stages.train import train
 from salsanext_cli.core.errors import FormatError
-from salsanext_cli.io.files.json_files import plain
+from salsanext_cli.core.plain_data import plain
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.option_fields import ScanSelection
 from salsanext_cli.runs.results.owned_folder import OwnedFolder

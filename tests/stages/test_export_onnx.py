@@ -10,10 +10,11 @@ from scans import SMALL, lively, refused
 from salsanext_cli import label_space
 from salsanext_cli.commands.stages.export_onnx import export_onnx
 from salsanext_cli.core.errors import MissingDependency, WeightsError
-from salsanext_cli.core.network.card import WeightsCard, read_card
+from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.network.salsanext import SalsaNext
 from salsanext_cli.core.sensors.sensor import INTENSITY_LEVELS
 from salsanext_cli.io.weights import onnx_export
+from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.onnx_export import difference, exported, run
 from salsanext_cli.io.weights.weights import read_weights, save_weights
 from salsanext_cli.runs.network_settings import NetworkSettings

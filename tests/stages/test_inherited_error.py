@@ -18,10 +18,11 @@ from salsanext_cli.commands.stages.models import describe_weights
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.commands.stages.train import TrainResult, train
 from salsanext_cli.core.errors import NOTICE
-from salsanext_cli.core.network.card import AccuracyLine, WeightsCard, read_card
+from salsanext_cli.core.network.card import AccuracyLine, WeightsCard
 from salsanext_cli.core.network.error_model import ErrorModel
 from salsanext_cli.core.uncertainty.error_features import FEATURES
 from salsanext_cli.io.files.reading import fingerprint
+from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import save_weights, save_with_card
 from salsanext_cli.runs.results.paths import ERROR, find_scans
 from salsanext_cli.training.recipe import Recipe

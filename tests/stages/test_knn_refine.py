@@ -10,7 +10,8 @@ from salsanext_cli.commands.stages.knn_refine import knn_refine_scans
 from salsanext_cli.commands.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.commands.stages.project import project_scans
 from salsanext_cli.core.errors import NoInputError, OutputError
-from salsanext_cli.core.network.card import RiskThreshold, read_card
+from salsanext_cli.core.network.card import RiskThreshold
+from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import save_with_card
 from salsanext_cli.runs.fit.sensor_fit import labels_depend_on
 from salsanext_cli.runs.loop.run import RunOptions

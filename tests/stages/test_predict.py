@@ -27,8 +27,8 @@ from salsanext_cli.commands.stages.predict import predict_range_images, predict_
 from salsanext_cli.commands.stages.project import project_scans
 from salsanext_cli.core.errors import OutputError, UsageError
 from salsanext_cli.core.records import Scan
-from salsanext_cli.core.sensors.sensor import sensor
 from salsanext_cli.io.formats.ply import write_ply
+from salsanext_cli.io.sensors import sensor
 from salsanext_cli.io.weights.weights import read_weights, save_weights
 from salsanext_cli.runs.fit.label_scan import projected_sensor
 from salsanext_cli.runs.loop.run import RunOptions

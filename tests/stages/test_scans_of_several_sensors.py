@@ -21,9 +21,10 @@ from salsanext_cli.core.geometry.projection import (
     measured_ranges,
     upright_rotation,
 )
-from salsanext_cli.core.network.card import AccuracyLine, read_card
+from salsanext_cli.core.network.card import AccuracyLine
 from salsanext_cli.core.sensors.sensor import INTENSITY_LEVELS
 from salsanext_cli.core.uncertainty.method import UncertaintyMethod
+from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import save_with_card
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.loop.run_options import Shard

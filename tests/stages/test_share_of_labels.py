@@ -15,9 +15,9 @@ from scans import HOUSING
 
 from salsanext_cli import read_labels
 from salsanext_cli.commands.line.picked_labels import doubtful_share
-from salsanext_cli.core.network.card import read_card
 from salsanext_cli.core.network.error_model import ErrorModel
 from salsanext_cli.core.uncertainty.error_features import FEATURES
+from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import save_with_card
 
 

@@ -28,9 +28,10 @@ from salsanext_cli.core.errors import (
     WeightsError,
 )
 from salsanext_cli.core.geometry.network_input import intensity_quantiles, row_gaps
-from salsanext_cli.core.network.card import WeightsCard, read_card
+from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.network.registry import ARCHITECTURES
 from salsanext_cli.core.network.salsanext import SalsaNext
+from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import save_weights
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.paths import find_scans

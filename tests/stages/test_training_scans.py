@@ -20,7 +20,8 @@ from salsanext_cli.commands.stages.report import read_run, report
 from salsanext_cli.commands.stages.uncertainty import uncertainty
 from salsanext_cli.core.errors import OutputError
 from salsanext_cli.core.measures.scores import confusion_matrix
-from salsanext_cli.core.network.card import read_card, scan_digest
+from salsanext_cli.core.network.card import scan_digest
+from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import save_with_card
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.results.digest_files import with_files

@@ -25,9 +25,10 @@ from salsanext_cli.core.errors import (
     WeightsError,
 )
 from salsanext_cli.core.measures.expected_accuracy import expected_accuracy
-from salsanext_cli.core.network.card import AccuracyLine, read_card
+from salsanext_cli.core.network.card import AccuracyLine
 from salsanext_cli.core.uncertainty.error_features import FEATURES
 from salsanext_cli.core.uncertainty.method import UncertaintyMethod
+from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import save_with_card
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.option_fields import ScanSelection

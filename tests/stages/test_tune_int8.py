@@ -15,9 +15,10 @@ from salsanext_cli.commands.stages.project import project_scans
 from salsanext_cli.commands.stages.tune import tune_int8
 from salsanext_cli.commands.stages.uncertainty import uncertainty
 from salsanext_cli.core.errors import FormatError, OutputError, WeightsError
-from salsanext_cli.core.network.card import RiskThreshold, read_card
+from salsanext_cli.core.network.card import RiskThreshold
 from salsanext_cli.core.network.registry import ARCHITECTURES
 from salsanext_cli.core.uncertainty.method import UncertaintyMethod
+from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import save_with_card
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.training.tuning.int8 import int8_layers

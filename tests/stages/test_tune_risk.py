@@ -16,9 +16,10 @@ from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.commands.stages.report import read_run, report
 from salsanext_cli.core.errors import TrainingError, UsageError, WeightsError
 from salsanext_cli.core.measures.risk_control import RISK_BOUND_EXCEEDED
-from salsanext_cli.core.network.card import AccuracyLine, read_card
+from salsanext_cli.core.network.card import AccuracyLine
 from salsanext_cli.core.network.unit_traits import UnitTraits
-from salsanext_cli.io.files.json_files import plain
+from salsanext_cli.core.plain_data import plain
+from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import save_with_card
 from salsanext_cli.runs.fit.sensor_fit import as_typed
 from salsanext_cli.runs.option_fields import KnnParameters, ScanSelection

@@ -31,10 +31,11 @@ from salsanext_cli.core.errors import (
     UsageError,
     WeightsError,
 )
-from salsanext_cli.core.network.card import read_card, scan_digest
+from salsanext_cli.core.network.card import scan_digest
 from salsanext_cli.core.network.dropout import dropouts
 from salsanext_cli.core.uncertainty.aleatoric import aleatoric
 from salsanext_cli.core.uncertainty.monte_carlo import scan_seed
+from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import read_weights, save_weights, save_with_card
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.option_fields import ScanSelection

@@ -14,8 +14,8 @@ from salsanext_cli.commands.stages.models import describe_weights
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.commands.stages.tune import tune
 from salsanext_cli.core.errors import NOTICE
-from salsanext_cli.core.network.card import read_card
 from salsanext_cli.io.files.reading import fingerprint
+from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import save_with_card
 from salsanext_cli.report.card_table import card_table
 from salsanext_cli.report.page import recorded_facts

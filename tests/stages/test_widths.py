@@ -17,7 +17,8 @@ from salsanext_cli.commands.stages.uncertainty import uncertainty
 from salsanext_cli.core.errors import OutputError, UsageError, WeightsError
 from salsanext_cli.core.geometry.knn import knn_refine
 from salsanext_cli.core.geometry.network_input import column_gaps
-from salsanext_cli.core.network.card import AccuracyLine, FittedParts, read_card
+from salsanext_cli.core.network.card import AccuracyLine, FittedParts
+from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import save_with_card
 from salsanext_cli.runs.fit.label_scan import projected_sensor
 from salsanext_cli.runs.fit.scan_sample import ScanSample

@@ -12,8 +12,9 @@ import pytest
 from command_line import called, subject
 
 from salsanext_cli.core.measures.risk_control import needed_scans, useful_scans
-from salsanext_cli.core.network.card import read_card, scan_digest
+from salsanext_cli.core.network.card import scan_digest
 from salsanext_cli.io.formats import read_scan
+from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.report.tables import needed_scans_table
 
 PAGE_OF_JSON = Path(__file__).parents[2] / "docs/reference/json.md"

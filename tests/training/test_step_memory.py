@@ -7,7 +7,7 @@ import pytest
 
 from salsanext_cli.core.engines.memory import Memory
 from salsanext_cli.core.errors import TrainingError
-from salsanext_cli.core.sensors.sensor import sensor
+from salsanext_cli.io.sensors import sensor
 from salsanext_cli.training.recipe import read_overrides, recipe
 from salsanext_cli.training.step_memory import BYTES_PER_PIXEL, StepMemory
 

@@ -83,7 +83,7 @@ Reading = Annotated[RunOptions, Without({"shard", "overwrite"})]
 
 def sensor(name: str | None) -> "Sensor | None":
     """Look up a sensor; return None for no name."""
-    from salsanext_cli.core.sensors.sensor import sensor as find
+    from salsanext_cli.io.sensors import sensor as find
 
     return None if name is None else find(name)
 

@@ -26,7 +26,8 @@ def _colours() -> Iterable[str]:
 
 def _classes() -> Iterable[str]:
     """Return the names of the built-in label spaces and those of plug-ins."""
-    from salsanext_cli.core.classes.label_space import BUILT_IN, plugged_label_spaces
+    from salsanext_cli.core.classes.label_space import BUILT_IN
+    from salsanext_cli.io.label_spaces import plugged_label_spaces
 
     return *BUILT_IN, *plugged_label_spaces()
 

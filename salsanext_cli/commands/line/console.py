@@ -144,7 +144,7 @@ def _print_error(error: SalsanextError, *, json: bool) -> None:
 
 
 def _print_json(data: Mapping[str, object]) -> None:
-    from salsanext_cli.io.files.json_files import plain
+    from salsanext_cli.core.plain_data import plain
 
     # ASCII, since stdout may be no UTF-8.
     typer.echo(json.dumps({"schema": SCHEMA} | escaped(plain(data)), allow_nan=False))

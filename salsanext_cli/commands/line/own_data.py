@@ -84,8 +84,9 @@ def _start_of_fit(named: str | None, *, is_written: bool) -> "Sensor":
 
     `is_written`: whether it is for a sensor file, which begins with the HDL-64.
     """
-    from salsanext_cli.core.network.card import default_weights, read_card
-    from salsanext_cli.core.sensors.sensor import presets, sensor
+    from salsanext_cli.core.sensors.sensor import presets
+    from salsanext_cli.io.sensors import sensor
+    from salsanext_cli.io.weights.card_file import default_weights, read_card
 
     if named is None and not is_written:
         return read_card(default_weights()).sensor
@@ -221,7 +222,7 @@ def import_labels(
     Example: salsanext import-labels edited/ to-label/
     """
     from salsanext_cli.commands.stages.import_labels import import_labels as stage
-    from salsanext_cli.core.sensors.sensor import sensor
+    from salsanext_cli.io.sensors import sensor
     from salsanext_cli.report.tables import imported_lines, imported_table
 
     with writing("import-labels", output.quiet) as bar:

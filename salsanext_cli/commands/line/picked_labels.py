@@ -13,7 +13,7 @@ import numpy as np
 
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.core.measures.decision import DOUBTFUL, Evidence, Verdict, verdict
-from salsanext_cli.core.network.card import read_card
+from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.runs.labelling.picked_data_set import PREDICTED
 from salsanext_cli.runs.loop.run import Failure
 from salsanext_cli.runs.loop.run_options import RunOptions

@@ -97,8 +97,8 @@ def _as_data(outcome: Outcome) -> dict[str, Any]:
         data["accepted_without_label"] = filtered.rejected
         data["points_without_error"] = filtered.without_error
     if summary := outcome.summary:
+        from salsanext_cli.core.plain_data import plain
         from salsanext_cli.core.sensors.sensor import NOISE
-        from salsanext_cli.io.files.json_files import plain
 
         data["folders"] = {scan.sequence: str(scan.path.parent) for scan in summary.scans}
         is_used = outcome.done + outcome.skipped > 0

@@ -15,7 +15,8 @@ from salsanext_cli.core.errors import LabelError, NoInputError, counted, escaped
 from salsanext_cli.core.measures.risk_control import AcceptedLabels, RiskBoundCheck
 from salsanext_cli.core.measures.scores import Scores, band_rows, scores
 from salsanext_cli.core.measures.uncertainty_evaluation import UncertaintyEvaluation
-from salsanext_cli.io.files.json_files import Json, as_json, encode_json, plain
+from salsanext_cli.core.plain_data import Json, as_json, plain
+from salsanext_cli.io.files.json_files import encode_json
 from salsanext_cli.io.files.reading import present
 from salsanext_cli.report.plots import PICTURES, confusion_picture, uncertainty_pictures
 from salsanext_cli.runs.labelling.label_records import require_truth

@@ -6,10 +6,10 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from salsanext_cli.core.network.card import ONNX_SUFFIX
 from salsanext_cli.core.optional_packages import import_extra
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.io.files.atomic import require_target, write_bytes
+from salsanext_cli.io.weights.card_file import ONNX_SUFFIX
 from salsanext_cli.io.weights.onnx_export import OPSET, difference, exported
 from salsanext_cli.io.weights.weights import read_weights
 

@@ -23,15 +23,15 @@ from salsanext_cli.core.errors import (
     UsageError,
     counted,
 )
+from salsanext_cli.core.fusion.poses import POSES
 from salsanext_cli.core.fusion.registration import register
-from salsanext_cli.core.fusion.top_classes import stored_softmax
 from salsanext_cli.core.fusion.window import FusionWindow, warn_without_movable_classes
 from salsanext_cli.core.optional_packages import import_extra
 from salsanext_cli.core.records import Float
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.io.files.json_files import encode_json, read_json
 from salsanext_cli.io.formats.kitti import read_labels
-from salsanext_cli.io.poses import POSES, encode_poses
+from salsanext_cli.io.poses import encode_poses
 from salsanext_cli.runs.drives.drive import (
     DRIVE,
     Drive,
@@ -60,6 +60,7 @@ from salsanext_cli.runs.results.paths import (
 from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.results.result_folder import ResultFolder
 from salsanext_cli.runs.results.selection import MissingResults, choose, scans_of
+from salsanext_cli.runs.results.stored_softmax import stored_softmax
 from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
 
 FUSED = "fused"  # Folder of the fused labels in the folder of the labels of single scans

@@ -4,12 +4,15 @@
 from dataclasses import replace
 from pathlib import Path
 
-from salsanext_cli.core.classes.label_space import LabelSpace, label_space
+from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import UsageError, WeightsError
-from salsanext_cli.core.network.card import WeightsCard, read_card
+from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.network.registry import build
-from salsanext_cli.core.sensors.sensor import Sensor, sensor
+from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.io.files.atomic import WEIGHTS_SUFFIX, require_target
+from salsanext_cli.io.label_spaces import label_space
+from salsanext_cli.io.sensors import sensor
+from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.published import read_published
 from salsanext_cli.io.weights.weights import load_tensors, read_weights, save_weights
 

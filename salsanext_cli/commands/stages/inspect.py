@@ -13,13 +13,13 @@ from salsanext_cli.core.geometry.network_input import NO_INTENSITY
 from salsanext_cli.core.geometry.projection import measured_ranges, project, without_ego
 from salsanext_cli.core.geometry.scan_traits import sensor_of
 from salsanext_cli.core.measures.survey import Survey, survey
-from salsanext_cli.core.network.card import default_weights, read_card
+from salsanext_cli.core.plain_data import plain
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.io.files.atomic import require_absent, write_bytes
-from salsanext_cli.io.files.json_files import plain
 from salsanext_cli.io.files.reading import present
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.formats.kitti import read_labels
+from salsanext_cli.io.weights.card_file import default_weights, read_card
 from salsanext_cli.runs.fit.mixed_sensors import APART
 from salsanext_cli.runs.fit.scan_sample import ScanSample
 from salsanext_cli.runs.fit.sensor_fit import fitted_view

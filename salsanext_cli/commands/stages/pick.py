@@ -16,8 +16,8 @@ from salsanext_cli.core.engines.backend import PixelPrediction
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import NOTICE, NoInputError, UsageError, counted
 from salsanext_cli.core.measures.scan_choice import choose_scans, require_choice
+from salsanext_cli.core.plain_data import plain
 from salsanext_cli.core.uncertainty.monte_carlo import Estimate, require_sampling
-from salsanext_cli.io.files.json_files import plain
 from salsanext_cli.io.formats.kitti import encode_labels
 from salsanext_cli.report.picked import picked_cloud, picked_csv, picked_scans, scans_of_list
 from salsanext_cli.runs.fit.label_scan import PreparedScan, labelled, prepared_for

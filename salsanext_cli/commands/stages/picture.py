@@ -9,7 +9,8 @@ from pathlib import Path
 
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import NOTICE, UsageError
-from salsanext_cli.core.sensors.sensor import Sensor, sensor
+from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.io.sensors import sensor
 from salsanext_cli.report.colours import CLASS_COLOURS, Scales, common_scales, require_colouring
 from salsanext_cli.report.scan_pictures import known_views, picture_of_results
 from salsanext_cli.runs.fit.sensor_fit import fitted_view

@@ -13,11 +13,12 @@ from typing import Any
 import torch
 
 from salsanext_cli.commands.stages.synth import SynthSettings, synthesise
-from salsanext_cli.core.classes.label_space import LabelSpace, label_space
+from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.engines.memory import memory_of
 from salsanext_cli.core.errors import NOTICE, UsageError, counted
-from salsanext_cli.core.network.card import default_weights, read_card
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.io.label_spaces import label_space
+from salsanext_cli.io.weights.card_file import default_weights, read_card
 from salsanext_cli.io.weights.loading import network_of_module
 from salsanext_cli.io.weights.weights import encode_weights, read_weights
 from salsanext_cli.runs.fit.label_scan import prepared_for

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from salsanext_cli.core.errors import NOTICE, WeightsError
-from salsanext_cli.core.network.card import read_card
 from salsanext_cli.io.files.atomic import require_target
+from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.runs.loop.run import Progress
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.option_fields import ScanSelection

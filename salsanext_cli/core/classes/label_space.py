@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
 from itertools import chain, islice
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,8 +26,6 @@ from salsanext_cli.core.errors import (
     percentage,
     shortened,
 )
-from salsanext_cli.core.plug_ins import PlugIn, load_plug_ins
-from salsanext_cli.io.files.yaml_toml import read_yaml
 
 TrainIds = npt.NDArray[np.uint8]
 RawIds = npt.NDArray[np.uint32]
@@ -117,7 +114,7 @@ class LabelSpace:
         return np.isin(np.arange(self.class_count), ids)
 
     def _usual_movable_ids(self) -> tuple[int, ...]:
-        usual = _built_in(BUILT_IN[0])
+        usual = built_in(BUILT_IN[0])
         same = [self.labels[i] == usual.labels[i] for i in self.labels.keys() & usual.labels]
         movable = (usual.movable_ids or ()) if 2 * sum(same) > len(same) else ()
         raw_ids = (i for i, train in usual.learning_map.items() if train in movable)
@@ -316,48 +313,6 @@ def _spare_colour(train_id: int) -> list[int]:
 
 
 @cache
-def _built_in(name: str) -> LabelSpace:
+def built_in(name: str) -> LabelSpace:
     file = resources.files("salsanext_cli").joinpath(f"presets/label_spaces/{name}.yaml")
     return LabelSpace.from_dict(yaml.safe_load(file.read_text("utf-8")), name)
-
-
-@cache
-def plugged_label_spaces() -> dict[str, PlugIn]:
-    """Return the label spaces of plug-ins by name."""
-    return load_plug_ins("label_spaces", BUILT_IN, LabelSpace)
-
-
-def label_space(name_or_file: str | Path = "semantic-kitti") -> LabelSpace:
-    """Return a label space by name or file.
-
-    Parameters
-    ----------
-    name_or_file : str or Path
-        Built-in label space, YAML file in the form of SemanticKITTI, or plug-in.
-
-    Returns
-    -------
-    LabelSpace
-
-    Raises
-    ------
-    UsageError
-        If there is no such name or file, or the file is invalid.
-    """
-    if str(name_or_file) in BUILT_IN:
-        return _built_in(str(name_or_file))
-    path = Path(name_or_file)
-    try:
-        data = read_yaml(path, "a yaml file in the form of SemanticKITTI")
-    except FileNotFoundError as error:
-        plug_ins = plugged_label_spaces()
-        if str(name_or_file) in plug_ins:
-            target: LabelSpace = plug_ins[str(name_or_file)].target
-            return target
-        names = ", ".join((*BUILT_IN, *map(str, plug_ins.values())))
-        hint = did_you_mean(str(path), (*BUILT_IN, *plug_ins))
-        raise UsageError(path, "no such file", f"a .yaml file or one of {names}", hint) from error
-    if not isinstance(data, dict):
-        expected = f"a mapping with the keys {', '.join(KEYS)}"
-        raise UsageError(path, f"contains a {type(data).__name__}", expected)
-    return LabelSpace.from_dict(data, path)

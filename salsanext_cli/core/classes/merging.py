@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.core.classes.label_space import LabelSpace, label_space
+from salsanext_cli.core.classes.label_space import LabelSpace, built_in
 from salsanext_cli.core.errors import UsageError, did_you_mean, first_few
 
 MIN_MERGED_CLASSES = 2
@@ -112,7 +112,7 @@ def named_classes(names: Collection[str], space: LabelSpace) -> npt.NDArray[np.b
     known: dict[str, npt.NDArray[np.bool_]] = {MOVABLE: space.movable}
     if MOVABLE in names:
         space.require_movable(f"class {MOVABLE}")
-    coarse = label_space("coarse")
+    coarse = built_in("coarse")
     if not contradiction(space, coarse):
         groups = zip(coarse.names, ClassMerging.between(space, coarse).groups, strict=True)
         known |= {name: np.isin(np.arange(space.class_count), ids) for name, ids in groups}

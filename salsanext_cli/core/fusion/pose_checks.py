@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.core.errors import FormatError, percentage
+from salsanext_cli.core.fusion.poses import CALIBRATION, Points, Poses
 from salsanext_cli.core.records import Double
-from salsanext_cli.io.poses import CALIBRATION, Points, Poses
 
 Parts = npt.NDArray[np.int64]  # (N,): number of the part of a drive that each scan belongs to
 ReadPoints = Callable[[int], Points]  # From the number of a scan to its measured points (M, 3)

@@ -21,8 +21,8 @@ from salsanext_cli.core.measures.calibration import (
 )
 from salsanext_cli.core.measures.histograms import Histogram, highest_of_bins
 from salsanext_cli.core.measures.scores import Counts, Ratios
+from salsanext_cli.core.plain_data import plain
 from salsanext_cli.core.uncertainty.kinds import UNCERTAINTY
-from salsanext_cli.io.files.json_files import plain
 from salsanext_cli.runs.summary.comparison import EVALUATED_KINDS, OF_ERROR, SOFTMAX, ScanCounts
 
 log = logging.getLogger(__name__)

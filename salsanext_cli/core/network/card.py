@@ -9,23 +9,19 @@ import math
 import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import asdict, dataclass, field, replace
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
-import safetensors
 
 from salsanext_cli.core.classes.label_space import LabelSpace
-from salsanext_cli.core.errors import FormatError, UsageError, WeightsError, error_text, shortened
+from salsanext_cli.core.errors import UsageError, WeightsError, error_text, shortened
 from salsanext_cli.core.network.error_model import ErrorModel, valid_temperature
 from salsanext_cli.core.network.int8_inputs import Int8Input
 from salsanext_cli.core.network.unit_traits import UnitTraits
-from salsanext_cli.core.network.weights_names import hint_for_missing
+from salsanext_cli.core.plain_data import Json, decoded, plain
 from salsanext_cli.core.records import Scan
 from salsanext_cli.core.sensors.sensor import FittedView, Sensor
-from salsanext_cli.io.files.atomic import WEIGHTS_SUFFIX
-from salsanext_cli.io.files.json_files import Json, decoded, plain
-from salsanext_cli.io.files.reading import fingerprint, is_folder, present, reading, refusing_damage
+from salsanext_cli.io.files.reading import fingerprint
 from salsanext_cli.version import __version__
 
 KEY = "salsanext"  # The only key: safetensors writes several keys in random order
@@ -34,7 +30,6 @@ TABLES = ("architecture", "label_space", "sensor", "recipe", "scores")  # Mappin
 OF_ERROR = re.compile(r"The error is fitted to ([^.]*)\. ?")
 """Sentence on the error model in the description of older files, such as the default weights."""
 INHERITED = "inherited_from"  # Key of an error model: names the weights that it was fitted to
-ONNX_SUFFIX = ".onnx"
 DIGITS = 24  # Of a digest: two of 20 000 scans agree by chance once in 10¹¹ cases
 
 
@@ -356,33 +351,3 @@ class DescribedWeights:
             "trained_on": len(card.trained_on),
             "widths": list(card.trained_widths),
         }
-
-
-def read_card(path: Path) -> WeightsCard:
-    """Read only the metadata of a weights file."""
-    if path.suffix == ONNX_SUFFIX:
-        problem, hint = "is an ONNX model", "use the weights from which it was exported"
-        raise WeightsError(path, problem, "a .safetensors file", hint)
-    try:
-        with (
-            reading(path),
-            refusing_damage(path, "a .safetensors file"),
-            safetensors.safe_open(path, framework="np") as file,
-        ):
-            metadata = file.metadata() or {}
-    except FormatError as error:
-        problem, hint = error.problem, "copy it again"
-        if not present(path):
-            problem = "no such file"
-            hint = hint_for_missing(path)
-        elif is_folder(path):
-            problem, hint = "is a folder", "name the file in it"
-        elif path.suffix != WEIGHTS_SUFFIX:
-            hint = "convert a published checkpoint with `salsanext import-weights`"
-        raise WeightsError(path, problem, "a .safetensors file", hint) from error
-    return WeightsCard.from_metadata(metadata, path)
-
-
-def default_weights() -> Path:
-    """Return the path of the weights of the package."""
-    return Path(str(resources.files("salsanext_cli") / "presets/weights/default.safetensors"))

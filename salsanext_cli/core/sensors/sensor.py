@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from salsanext_cli.core.errors import UsageError, quoted, shortened
-from salsanext_cli.io.files.yaml_toml import are_numbers, read_toml, refuse_unknown
+from salsanext_cli.core.plain_data import are_numbers, refuse_unknown
 
 MAX_PIXELS = 1 << 21  # Largest range image: 64×32768, eight times the finest sensor
 MAX_NUMBER = 1e6  # Bound of means, deviations, scales and their inverse
@@ -285,34 +285,3 @@ def presets() -> dict[str, Sensor]:
         name: Sensor.from_dict({"name": name, **data}, name)
         for name, data in tomllib.loads(text).items()
     }
-
-
-def sensor(name_or_file: str | Path, base: Sensor | None = None) -> Sensor:
-    """Return a sensor by name or file.
-
-    Parameters
-    ----------
-    name_or_file : str or Path
-        Name of a preset, or TOML file with the keys of a sensor.
-    base : Sensor, optional
-        Sensor whose size and normalisation are the defaults of a file, and also its field of view
-        and noise if the file states no edge; None for the size and normalisation of the HDL-64.
-
-    Returns
-    -------
-    Sensor
-
-    Raises
-    ------
-    UsageError
-        If there is no such preset or file, or the file does not describe a sensor.
-    """
-    if str(name_or_file) in presets():
-        return presets()[str(name_or_file)]
-    path = Path(name_or_file)
-    data = read_toml(path, "sensor", presets() if base is None else ("auto", *presets()))
-    known = (base or presets()["hdl64"]).to_dict()
-    defaults = {key: known[key] for key in OF_IMAGES}
-    if base is not None and data.keys().isdisjoint(FIELD_OF_VIEW):
-        defaults |= {key: known[key] for key in (*FIELD_OF_VIEW, *NOISE) if key in known}
-    return Sensor.from_dict({"name": path.stem, **defaults, **data}, path)

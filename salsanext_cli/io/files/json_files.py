@@ -4,83 +4,16 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
-from functools import cache
 from pathlib import Path
-from types import NoneType, UnionType
-from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import TypeVar
 
-import numpy as np
-
-from salsanext_cli.core.errors import OutputError, SalsanextError, error_text
+from salsanext_cli.core.errors import OutputError, error_text
+from salsanext_cli.core.plain_data import MALFORMED, Json, decoded, plain
 from salsanext_cli.io.files.atomic import write_bytes
 from salsanext_cli.io.files.reading import present, reading
 
-Json = dict[str, Any]
-"""JSON object, as `json.loads` returns it."""
 Kind = TypeVar("Kind")
-MALFORMED = (TypeError, LookupError, ValueError, AttributeError, RecursionError, SalsanextError)
-"""Errors of `decoded` for data of another type."""
-
-
-def plain(value: Any) -> Any:
-    """Return plain data for JSON: records as objects, arrays and tuples as lists, NaN as None."""
-    if hasattr(value, "to_dict"):
-        value = value.to_dict()
-    if is_dataclass(value):
-        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
-    match value:
-        case float():
-            return None if math.isnan(value) else value
-        case Mapping():
-            return {key: plain(item) for key, item in value.items()}
-        case list() | tuple():
-            return [plain(item) for item in value]
-        case set() | frozenset():
-            return sorted(value)
-        case np.ndarray():
-            return plain(value.tolist())
-        case Path():
-            return str(value)
-    return value
-
-
-def as_json(value: Any) -> Any:
-    """Return `plain` data as read from a file: with strings for keys and for infinity."""
-    return json.loads(json.dumps(plain(value)), parse_constant=str)
-
-
-def decoded(kind: Any, value: Any) -> Any:
-    """Return plain data as a type, such as a record; raise one of `MALFORMED` for other data."""
-    origin, inner = get_origin(kind), get_args(kind)
-    if origin in (Union, UnionType):
-        if value is None and NoneType in inner:
-            return None
-        return decoded(next(member for member in inner if member is not NoneType), value)
-    if hasattr(kind, "from_dict"):
-        return kind.from_dict(value)
-    if isinstance(kind, type) and is_dataclass(kind) and isinstance(value, dict):
-        types = _types(kind)
-        return kind(**{name: decoded(types[name], value[name]) for name in types if name in value})
-    if origin is tuple and inner[1:] != (...,):
-        return tuple(decoded(*pair) for pair in zip(inner, value, strict=True))
-    if origin in (list, tuple) and isinstance(value, list):
-        return origin(decoded(inner[0], item) for item in value)
-    if origin in (dict, Mapping) and isinstance(value, dict):
-        return {key: decoded(inner[1], item) for key, item in value.items()}
-    if kind is float and (type(value) is int or value == "Infinity"):
-        return float(value)
-    if kind not in (Any, object) and type(value) is not kind:
-        raise TypeError(f"{value!r} is not a {getattr(kind, '__name__', kind)}")
-    return value
-
-
-@cache
-def _types(kind: type) -> dict[str, Any]:
-    hints = get_type_hints(kind)
-    return {field.name: hints[field.name] for field in fields(kind)}
 
 
 def write_json(path: Path, data: object) -> None:

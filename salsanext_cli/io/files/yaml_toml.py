@@ -3,13 +3,12 @@
 
 import tomllib
 from collections.abc import Iterable
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from salsanext_cli.core.errors import FormatError, UsageError, did_you_mean, error_text, shortened
+from salsanext_cli.core.errors import FormatError, UsageError, did_you_mean, error_text
 from salsanext_cli.io.files.reading import reading
 
 MAX_YAML_BYTES, MAX_TOML_BYTES = 1 << 18, 1 << 14
@@ -80,18 +79,3 @@ def _text(path: Path, largest: int, expected: str) -> str:
             raise error.__cause__ from None
         raise UsageError(path, error.problem, expected) from error
     raise UsageError(path, f"has more than {largest} bytes", expected)
-
-
-def refuse_unknown(data: Iterable[str], kind: type, source: object) -> None:
-    """Raise `UsageError` if `data` has a key that is not a field of a dataclass."""
-    known = sorted(field.name for field in fields(kind))
-    if unknown := sorted(set(data) - set(known)):
-        problem = f"has unknown keys {shortened(', '.join(unknown))}"
-        if hint := did_you_mean(unknown[0], known):
-            raise UsageError(source, problem, hint=hint)
-        raise UsageError(source, problem, f"keys {', '.join(known)}")
-
-
-def are_numbers(values: object) -> bool:
-    """Return whether a value is a list of numbers."""
-    return isinstance(values, list | tuple) and all(isinstance(v, int | float) for v in values)

@@ -12,10 +12,11 @@ from salsanext_cli.core.engines.device import choose_device, choose_engine, choo
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.engines.openvino_backend import OpenVinoBackend
 from salsanext_cli.core.errors import WeightsError
-from salsanext_cli.core.network.card import WeightsCard, default_weights, read_card
+from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.io.files.reading import fingerprint
 from salsanext_cli.io.files.user_cache import check_once
+from salsanext_cli.io.weights.card_file import default_weights, read_card
 
 if TYPE_CHECKING:
     from salsanext_cli.core.network.segmentation import SegmentationNetwork

@@ -11,10 +11,11 @@ import torch
 from torch import Tensor, nn
 
 from salsanext_cli.core.errors import UsageError, WeightsError, error_text, first_few, shortened
-from salsanext_cli.core.network.card import WeightsCard, read_card
+from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.network.registry import build
 from salsanext_cli.core.network.segmentation import SegmentationNetwork
 from salsanext_cli.io.files.atomic import write_bytes, writing
+from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.tensor_digest import require_intact, tensor_digest
 
 NORM_SUFFIXES = (".running_mean", ".running_var")

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from salsanext_cli.core.errors import SalsanextError
 from salsanext_cli.core.measures.decision import Verdict
-from salsanext_cli.core.network.card import default_weights
 from salsanext_cli.io.files.reading import fingerprint
+from salsanext_cli.io.weights.card_file import default_weights
 from salsanext_cli.report.page.run_results import RunResults
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.selection import data_set_of

@@ -11,9 +11,9 @@ from pathlib import Path
 from salsanext_cli.core.errors import SalsanextError, shortened
 from salsanext_cli.core.fitting.field_of_view import view_text
 from salsanext_cli.core.measures.risk_control import guarantee
-from salsanext_cli.core.network.card import default_weights, read_card
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.io.files.reading import fingerprint
+from salsanext_cli.io.weights.card_file import default_weights, read_card
 from salsanext_cli.runs.results.manifest import Manifest, StageSettings
 from salsanext_cli.runs.results.paths import ERROR
 

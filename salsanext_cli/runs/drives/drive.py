@@ -18,13 +18,14 @@ from salsanext_cli.core.fusion.pose_checks import (
     fitting_parts,
     require_fitting,
 )
+from salsanext_cli.core.fusion.poses import POSES, Poses
 from salsanext_cli.core.geometry.projection import in_sensor_frame
 from salsanext_cli.core.records import Float
 from salsanext_cli.core.sensors.sensor import UP, Sensor
 from salsanext_cli.io.files.json_files import read_json
 from salsanext_cli.io.files.reading import present, refusing_damage
 from salsanext_cli.io.formats import read_scan
-from salsanext_cli.io.poses import POSES, Poses, encode_poses, pose_readings, read_fused_poses
+from salsanext_cli.io.poses import encode_poses, pose_readings, read_fused_poses
 from salsanext_cli.runs.results.layouts import SCAN_FOLDER
 from salsanext_cli.runs.results.paths import ScanFile, drive_order, find_scans
 from salsanext_cli.runs.results.recorded_origins import sensor_of_result

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from salsanext_cli.core.errors import NOTICE, SalsanextError, UsageError, counted, first_few
+from salsanext_cli.core.fusion.poses import Poses
 from salsanext_cli.core.geometry.evenness import is_out_of_place
 from salsanext_cli.core.geometry.projection import in_sensor_frame
 from salsanext_cli.core.geometry.scan_traits import sensor_of
@@ -19,7 +20,6 @@ from salsanext_cli.core.geometry.sensor_place import MIN_OFFSET_M
 from salsanext_cli.core.records import Double
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.io.formats import read_scan
-from salsanext_cli.io.poses import Poses
 from salsanext_cli.runs.drives.drive import poses_beside, readings_of
 from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.runs.results.recorded_origins import Origins

@@ -21,9 +21,9 @@ from salsanext_cli.core.geometry.network_input import (
     intensity_quantiles,
     row_gaps,
 )
+from salsanext_cli.core.plain_data import as_json
 from salsanext_cli.core.records import Float, Scan
 from salsanext_cli.core.sensors.sensor import FIELD_OF_VIEW, FittedView, Sensor
-from salsanext_cli.io.files.json_files import as_json
 from salsanext_cli.runs.fit.scan_sample import OriginsOf, Scans, ScanSample
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.manifest import Manifest, StageSettings

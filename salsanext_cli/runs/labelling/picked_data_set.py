@@ -13,12 +13,14 @@ import yaml
 
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import FormatError, OutputError, UsageError
+from salsanext_cli.core.fusion.poses import CALIBRATION, POSES
+from salsanext_cli.core.plain_data import plain
 from salsanext_cli.core.sensors.sensor import Sensor
-from salsanext_cli.io.files.json_files import plain, read_json, record_of, write_json
+from salsanext_cli.io.files.json_files import read_json, record_of, write_json
 from salsanext_cli.io.files.reading import filled, fingerprint, present, reading
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.formats.kitti import encode_bin
-from salsanext_cli.io.poses import CALIBRATION, POSES, line_numbers
+from salsanext_cli.io.poses import line_numbers
 from salsanext_cli.runs.labelling.label_records import IMPORTED
 from salsanext_cli.runs.results.layouts import SCAN_FOLDER
 from salsanext_cli.runs.results.manifest import StageSettings, require_same_settings, settings_json

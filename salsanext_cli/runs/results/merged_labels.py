@@ -8,10 +8,11 @@ import shlex
 from contextlib import suppress
 from pathlib import Path
 
-from salsanext_cli.core.classes.label_space import LabelSpace, label_space
+from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import SalsanextError
-from salsanext_cli.core.network.card import default_weights, read_card
 from salsanext_cli.io.files.reading import fingerprint
+from salsanext_cli.io.label_spaces import label_space
+from salsanext_cli.io.weights.card_file import default_weights, read_card
 
 OTHER_FOLDER = "-error"  # Ending of the folder that a hint suggests
 

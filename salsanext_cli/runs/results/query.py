@@ -14,7 +14,7 @@ DATASET_VARIABLE = "SALSANEXT_DATASET"
 
 def named_label_space(name: str | None) -> "LabelSpace | None":
     """Look up a label space; return None for no name."""
-    from salsanext_cli.core.classes.label_space import label_space
+    from salsanext_cli.io.label_spaces import label_space
 
     return None if name is None else label_space(name)
 

@@ -10,7 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from salsanext_cli.core.classes.label_space import LabelSpace, label_space
+from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.classes.merging import ClassMerging, is_merged
 from salsanext_cli.core.errors import (
     NOTICE,
@@ -23,6 +23,7 @@ from salsanext_cli.core.errors import (
 )
 from salsanext_cli.io.files.reading import is_folder, present
 from salsanext_cli.io.formats.recordings import recording_of
+from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.runs.option_fields import ScanSelection
 from salsanext_cli.runs.results.layouts import SCAN_FOLDER, layout_of
 from salsanext_cli.runs.results.paths import (

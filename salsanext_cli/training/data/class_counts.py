@@ -21,8 +21,9 @@ from salsanext_cli.core.checks.scan_checks import check_scan
 from salsanext_cli.core.errors import NOTICE, TrainingError, counted
 from salsanext_cli.core.geometry.scan_traits import sensor_of
 from salsanext_cli.core.network.card import parted, scan_digest
+from salsanext_cli.core.plain_data import MALFORMED, decoded
 from salsanext_cli.core.records import Double, Mask
-from salsanext_cli.io.files.json_files import MALFORMED, decoded, encode_json, read_json
+from salsanext_cli.io.files.json_files import encode_json, read_json
 from salsanext_cli.io.files.reading import identity
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.paths import ScanFile

@@ -10,7 +10,7 @@ from pathlib import Path
 import joblib
 import numpy as np
 
-from salsanext_cli.core.classes.label_space import LabelSpace, label_space
+from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.classes.merging import ClassMerging, is_merged
 from salsanext_cli.core.errors import NOTICE, LabelError, NoInputError, counted, first_few
 from salsanext_cli.core.fitting.field_of_view import fit_view
@@ -21,6 +21,7 @@ from salsanext_cli.core.records import Float
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.formats.kitti import read_labels
+from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.runs.fit.scan_sample import ScanSample
 from salsanext_cli.runs.fit.sensor_fit import with_image_statistics
 from salsanext_cli.runs.labelling.label_records import pre_labelled_scans

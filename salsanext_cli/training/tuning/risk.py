@@ -30,9 +30,9 @@ from salsanext_cli.core.measures.risk_control import (
 from salsanext_cli.core.measures.scores import Counts, Ratios
 from salsanext_cli.core.network.card import RiskThreshold, scan_digest
 from salsanext_cli.core.network.unit_traits import UnitTraits
+from salsanext_cli.core.plain_data import plain
 from salsanext_cli.core.sensors.sensor import FittedView
 from salsanext_cli.core.uncertainty.error_features import error_probability, knows_error
-from salsanext_cli.io.files.json_files import plain
 from salsanext_cli.io.formats.kitti import read_labels
 from salsanext_cli.runs.fit.label_scan import PreparedScan, labelled, prepared_for
 from salsanext_cli.runs.fit.sensor_fit import labels_depend_on

@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: MIT
+"""Cards in weights files, and the weights of the package."""
+
+from __future__ import annotations
+
+from importlib import resources
+from pathlib import Path
+
+import safetensors
+
+from salsanext_cli.core.errors import FormatError, WeightsError, nearest
+from salsanext_cli.core.network.card import WeightsCard
+from salsanext_cli.core.network.weights_names import (
+    DEFAULT_NAME,
+    PAPER_NETWORKS,
+    PAPER_NETWORKS_HINT,
+)
+from salsanext_cli.io.files.atomic import WEIGHTS_SUFFIX
+from salsanext_cli.io.files.reading import is_folder, present, reading, refusing_damage
+
+ONNX_SUFFIX = ".onnx"
+
+
+def read_card(path: Path) -> WeightsCard:
+    """Read only the metadata of a weights file."""
+    if path.suffix == ONNX_SUFFIX:
+        problem, hint = "is an ONNX model", "use the weights from which it was exported"
+        raise WeightsError(path, problem, "a .safetensors file", hint)
+    try:
+        with (
+            reading(path),
+            refusing_damage(path, "a .safetensors file"),
+            safetensors.safe_open(path, framework="np") as file,
+        ):
+            metadata = file.metadata() or {}
+    except FormatError as error:
+        problem, hint = error.problem, "copy it again"
+        if not present(path):
+            problem, hint = "no such file", hint_for_missing(path)
+        elif is_folder(path):
+            problem, hint = "is a folder", "name the file in it"
+        elif path.suffix != WEIGHTS_SUFFIX:
+            hint = "convert a published checkpoint with `salsanext import-weights`"
+        raise WeightsError(path, problem, "a .safetensors file", hint) from error
+    return WeightsCard.from_metadata(metadata, path)
+
+
+def default_weights() -> Path:
+    """Return the path of the weights of the package."""
+    return Path(str(resources.files("salsanext_cli") / "presets/weights/default.safetensors"))
+
+
+def hint_for_missing(path: Path) -> str:
+    """Return what helps if there is no weights file of a path."""
+    from salsanext_cli.io.files.atomic import WEIGHTS_SUFFIX  # Only errors need numpy
+
+    if str(path).startswith(PAPER_NETWORKS):
+        return PAPER_NETWORKS_HINT
+    beside = {file.name: str(file) for file in path.parent.glob(f"*{WEIGHTS_SUFFIX}")}
+    if path.name == str(path):
+        beside[DEFAULT_NAME] = DEFAULT_NAME
+    likely = nearest(path.name, beside)
+    return f"did you mean {beside[likely]}?" if likely else "check the name"
