@@ -16,7 +16,6 @@ from salsanext_cli.core.measures.uncertainty_evaluation import (
     RankingScores,
     UncertaintyEvaluation,
 )
-from salsanext_cli.core.uncertainty.kinds import RED, SKY, UNCERTAINTY
 from salsanext_cli.report import canvas
 from salsanext_cli.report.canvas import DARK
 from salsanext_cli.report.tables import percent
@@ -32,9 +31,20 @@ CELL_PX = 46
 NAMES_PX = 150
 MIN_SHARE = 0.005  # Shares below this round to 0 % and are not written into their cell
 DASHED = (0, (5, 2))
+SOLID = "-"
+BLUE, SKY, ORANGE, RED, GREEN = "#0072b2", "#56b4e9", "#e69f00", "#d55e00", "#009e73"
+PURPLE = "#cc79a7"
+"""Colours that colour-blind people can distinguish."""
 LINES = {
     "softmax_entropy": (DARK, DASHED),
-    **{name: (k.colour, DASHED if k.is_dashed else "-") for name, k in UNCERTAINTY.items()},
+    "error": (PURPLE, SOLID),
+    "epistemic": (BLUE, SOLID),
+    "aleatoric": (ORANGE, SOLID),
+    "total": (RED, SOLID),
+    "entropy": (GREEN, SOLID),
+    "mutual_information": (BLUE, DASHED),
+    "least_confidence": (SKY, SOLID),
+    "disagreement": (PURPLE, DASHED),
 }
 """Colour and dashes of each kind of uncertainty."""
 PLOT_PX = 720, 560  # Size of the plots of uncertainty: text has one size on a page

@@ -10,6 +10,7 @@ import typer
 
 from salsanext_cli.commands.line.expansion import Default, Without
 from salsanext_cli.core.errors import UsageError, did_you_mean, notice_once
+from salsanext_cli.core.uncertainty.kinds import UNCERTAINTY
 from salsanext_cli.io.formats import RECORDING_SUFFIXES, SCAN_SUFFIXES
 from salsanext_cli.runs.loop.run_options import RunOptions, running_option
 from salsanext_cli.runs.network_settings import NetworkSettings
@@ -51,6 +52,10 @@ folder_argument = partial(argument, default=Path("out"), metavar="OUT", envvar=O
 OUT = folder_argument("Folder to write results to.")
 RESULTS = folder_argument("Folder with the results of earlier commands.")
 WEIGHTS_OUT = argument("Weights file to write (.safetensors).", default=..., metavar="WEIGHTS_OUT")
+COLOUR_HELP = (
+    "label, truth, wrong, intensity, range, uncertainty, or one kind of it: "
+    f"{', '.join(UNCERTAINTY)}"
+)
 SCALE = option(
     "Values at the ends of the colour map, for a single --colour.",
     metavar="LOW HIGH",

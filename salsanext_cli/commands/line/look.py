@@ -13,7 +13,6 @@ from salsanext_cli.commands.line.console import over_scans, progress
 from salsanext_cli.commands.line.expansion import Without
 from salsanext_cli.commands.line.interruption import ARRIVED
 from salsanext_cli.core.errors import counted
-from salsanext_cli.core.uncertainty.kinds import COLOUR_HELP
 from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.network_settings import AUTO, NetworkSettings
 from salsanext_cli.runs.option_fields import argument, names_in, option
@@ -24,7 +23,7 @@ def picture(
     out: Path = arguments.RESULTS,
     *,
     colour: list[str] | None = option(
-        f"{COLOUR_HELP}; may be given several times.",
+        f"{arguments.COLOUR_HELP}; may be given several times.",
         "--colour",
         "--color",
         show_default="all that are available",

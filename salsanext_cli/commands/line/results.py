@@ -11,7 +11,6 @@ from salsanext_cli.commands.line import arguments, console, summary
 from salsanext_cli.commands.line.console import over_scans
 from salsanext_cli.commands.line.expansion import Without
 from salsanext_cli.core.errors import counted
-from salsanext_cli.core.uncertainty.kinds import COLOUR_HELP
 from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.option_fields import FusionReach, argument, names_in, option, option_group
 from salsanext_cli.runs.results.query import ResultQuery
@@ -191,7 +190,7 @@ def _evaluation_tables(evaluation: "Evaluation") -> "Group":
 def export_ply(
     out: Path = arguments.RESULTS,
     *,
-    colour: str = option(f"{COLOUR_HELP}.", "--colour", "--color", default="label"),
+    colour: str = option(f"{arguments.COLOUR_HELP}.", "--colour", "--color", default="label"),
     scale: tuple[float, float] | None = arguments.SCALE,
     query: ResultQuery,
     running: RunOptions,

@@ -18,7 +18,7 @@ from salsanext_cli.core.errors import NoInputError, OutputError, counted, first_
 from salsanext_cli.core.geometry.projection import in_sensor_frame, measured_ranges
 from salsanext_cli.core.records import Float, Scan
 from salsanext_cli.core.sensors.sensor import Sensor
-from salsanext_cli.core.uncertainty.kinds import MEANT_BY_UNCERTAINTY, PREDICT, UNCERTAINTY
+from salsanext_cli.core.uncertainty.kinds import MEANT_BY_UNCERTAINTY, UNCERTAINTY
 from salsanext_cli.io.files.reading import is_folder, present
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.formats.kitti import read_labels
@@ -26,6 +26,7 @@ from salsanext_cli.io.formats.npy import read_uncertainty
 from salsanext_cli.io.formats.recordings import recording_of
 from salsanext_cli.runs.option_fields import ScanSelection
 from salsanext_cli.runs.results.layouts import SCAN_FOLDER
+from salsanext_cli.runs.results.making_commands import MADE_BY, PREDICT
 from salsanext_cli.runs.results.manifest import Manifest, ScanSource
 from salsanext_cli.runs.results.merged_labels import are_merged, unmerged_error_hint
 from salsanext_cli.runs.results.moved_scans import scans_in, scans_of_renamed
@@ -308,7 +309,7 @@ class ResultFolder(Manifest):
         """Return the error of a scan without the file for a column."""
         if column in ("truth", "wrong") and not present(file.label_path):
             return NoInputError(file.path, "has no labels", f"the file {file.label_path}")
-        made_by = UNCERTAINTY[column].made_by if column in UNCERTAINTY else PREDICT
+        made_by = MADE_BY.get(column, PREDICT)
         expected = f"the file {self._path(file, column)}"
         hint = self.command(made_by, file)
         if column == "error" and are_merged(self.label_space(), self.weights("predictions")):
