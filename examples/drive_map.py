@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 import salsanext_cli as sn
-from salsanext_cli.runs.drives.drive import Drive
+from salsanext_cli.runs.drives.drive import recorded_drive
 from salsanext_cli.runs.results.paths import find_scans
 
 
@@ -43,7 +43,7 @@ def one_per_voxel(columns: dict[str, Any], size: float) -> dict[str, Any]:
 
 def poses_of(folder: Path) -> dict[str, Any]:
     """Return the poses (3, 4) of the scans of the largest part of a fused drive, by name."""
-    if (drive := Drive.recorded(folder)) is None:
+    if (drive := recorded_drive(folder)) is None:
         hint = "run `salsanext fuse OUT`, and give OUT/fused/sequences/NAME"
         sys.exit(f"error: {folder}: contains no results of `fuse`\nhint: {hint}")
     names = json.loads((folder / "drive.json").read_bytes())["scans"]

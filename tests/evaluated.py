@@ -9,13 +9,14 @@ from scans import SMALL, write_array, write_bin
 from salsanext_cli import LabelSpace, Scan, label_space, write_labels
 from salsanext_cli.commands.stages.evaluate import evaluate
 from salsanext_cli.core.measures.calibration import SCAN_BINS, CalibrationScores, reliability
+from salsanext_cli.core.measures.counts import SOFTMAX, ScanCounts
 from salsanext_cli.core.measures.histograms import confidence_histogram, uncertainty_histogram
 from salsanext_cli.core.measures.uncertainty_evaluation import RankingScores, UncertaintyEvaluation
 from salsanext_cli.report.page.run_results import RunResults
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.results.paths import find_scans, output_path
 from salsanext_cli.runs.results.selection import MissingResults
-from salsanext_cli.runs.summary.comparison import SOFTMAX, ScanComparison, ScanCounts
+from salsanext_cli.runs.summary.comparison import ScanComparison
 
 SPACE = label_space()
 CAR, ROAD, MOVING_CAR, UNKNOWN = 10, 40, 252, 77

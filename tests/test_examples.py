@@ -22,12 +22,13 @@ from scans import make_scan, write_array, write_bin, write_sequence
 
 from salsanext_cli import Scan, label_space, read_labels, write_labels
 from salsanext_cli.core.errors import SalsanextError
+from salsanext_cli.core.fusion.drive import Drive
 from salsanext_cli.core.network.registry import ARCHITECTURES
 from salsanext_cli.core.network.salsanext import SalsaNext
 from salsanext_cli.io.files.json_files import encode_json
 from salsanext_cli.io.poses import encode_poses
 from salsanext_cli.io.weights.card_file import read_card
-from salsanext_cli.runs.drives.drive import Drive
+from salsanext_cli.runs.drives.drive import drive_record
 from salsanext_cli.runs.results.paths import output_path
 from salsanext_cli.training.run_folder import write_log
 
@@ -270,7 +271,7 @@ def drive(tmp_path):
         if i < 3:
             on_walls = points[labels == BUILDING]
             places += [(point + pose[:3, 3], np.linalg.norm(point)) for point in on_walls]
-    record = Drive(poses, np.array([0, 0, 0, 1])).record([*"0123"])
+    record = drive_record(Drive(poses, np.array([0, 0, 0, 1])), [*"0123"])
     (fused / "drive.json").write_bytes(encode_json(record))
     (fused / "poses.txt").write_bytes(encode_poses(poses))
     return fused, places

@@ -27,7 +27,7 @@ from salsanext_cli.core.measures.expected_accuracy import WITHHELD_FOR
 from salsanext_cli.core.sensors.sensor import INTENSITY_LEVELS, Sensor
 from salsanext_cli.core.uncertainty.method import UncertaintyMethod
 from salsanext_cli.io.poses import encode_poses
-from salsanext_cli.runs.drives.drive import Drive, points_of_drive
+from salsanext_cli.runs.drives.drive import points_of_drive, registered_drive
 from salsanext_cli.runs.drives.pose_origins import (
     OriginsByPoses,
     _agreeing_positions,
@@ -409,7 +409,7 @@ def test_scans_at_the_sensor_have_no_origins(map_drive, tmp_path):
 def test_the_poses_of_a_registered_drive_are_the_positions_of_its_sensor(map_drive):
     files = find_scans(map_drive / "velodyne")
     sensor = replace(SMALL, registered=True)
-    poses = Drive.registered(files, sensor, map_drive).poses
+    poses = registered_drive(files, sensor, map_drive).poses
     assert np.abs(poses[:, :3, 3] - WAY).max() < 0.6
     assert (poses[:, :3, :3] == np.eye(3)).all()
     for file, scan, pose in zip(files, drive(), poses, strict=True):

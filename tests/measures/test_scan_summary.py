@@ -17,12 +17,12 @@ from salsanext_cli import Scan, label_space
 from salsanext_cli.core.checks.finding import Finding
 from salsanext_cli.core.checks.scan_checks import ScanCheck, check_scan
 from salsanext_cli.core.geometry.scan_traits import groups_of
+from salsanext_cli.core.measures.counts import ScanCounts, band_of_point
 from salsanext_cli.core.measures.population import unit_traits
 from salsanext_cli.core.network.card import RiskThreshold
 from salsanext_cli.core.network.unit_traits import UnitTraits
 from salsanext_cli.runs.fit.mixed_sensors import mixed_sensors
 from salsanext_cli.runs.results.paths import ScanFile
-from salsanext_cli.runs.summary.comparison import ScanCounts, band_of_point
 from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.runs.summary.scan_warnings import LOOK
 

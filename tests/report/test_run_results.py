@@ -16,6 +16,7 @@ from scans import SMALL, make_scan, refused
 from salsanext_cli import Scan, label_space, project
 from salsanext_cli.core.errors import FormatError, UsageError
 from salsanext_cli.core.geometry.objects import BOX
+from salsanext_cli.core.measures.counts import ScanCounts
 from salsanext_cli.core.measures.expected_accuracy import ExpectedAccuracy
 from salsanext_cli.io.files.reading import fingerprint
 from salsanext_cli.io.weights.card_file import default_weights, read_card
@@ -28,7 +29,6 @@ from salsanext_cli.runs.results.manifest import Manifest, StageRecord
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.runs.results.result_folder import ScanResults
-from salsanext_cli.runs.summary.comparison import ScanCounts
 
 SPACE = small_space("unlabeled", "car", "road")
 

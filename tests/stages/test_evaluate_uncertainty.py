@@ -8,12 +8,13 @@ from evaluated import CAR, ROAD, SPACE, World
 from scans import write_array
 
 from salsanext_cli.commands.stages.evaluate import evaluate
+from salsanext_cli.core.measures.counts import EVALUATED_KINDS, ScanCounts
 from salsanext_cli.core.measures.uncertainty_evaluation import UncertaintyEvaluation
 from salsanext_cli.core.uncertainty.kinds import UNCERTAINTY
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.paths import find_scans, output_path
-from salsanext_cli.runs.summary.comparison import EVALUATED_KINDS, ScanComparison, ScanCounts
+from salsanext_cli.runs.summary.comparison import ScanComparison
 
 C = SPACE.class_count
 CAR_ID, ROAD_ID = SPACE.names.index("car"), SPACE.names.index("road")

@@ -12,6 +12,7 @@ from pathlib import Path
 from salsanext_cli.commands.score_limits import MissedLimit, ScoreLimit, missed_limits, score_values
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import LabelError, NoInputError, counted, escaped
+from salsanext_cli.core.measures.counts import BAND_NAMES, ScanCounts, SeparateCounts
 from salsanext_cli.core.measures.risk_control import AcceptedLabels, RiskBoundCheck
 from salsanext_cli.core.measures.scores import Scores, band_rows, scores
 from salsanext_cli.core.measures.uncertainty_evaluation import UncertaintyEvaluation
@@ -26,12 +27,7 @@ from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.runs.results.result_folder import ResultFolder
 from salsanext_cli.runs.results.selection import MissingResults, space_of_labels
-from salsanext_cli.runs.summary.comparison import (
-    BAND_NAMES,
-    ScanComparison,
-    ScanCounts,
-    SeparateCounts,
-)
+from salsanext_cli.runs.summary.comparison import ScanComparison
 from salsanext_cli.runs.summary.scan_summary import OTHER_SCANS, TUNE_AGAIN, guarantee_of_run
 from salsanext_cli.version import __version__
 
@@ -233,7 +229,7 @@ def _evaluation(
         counts=counts,
         scores=scores(counts.confusion, space),
         by_distance={name: scores(band, space) for name, band in bands},
-        missing=results.missing_predictions(counts.missing),
+        missing=results.missing_predictions([s for s in scans if s.name in counts.missing]),
         failures=outcome.failures,
         settings=settings,
         uncertainty=UncertaintyEvaluation.of_counts(counts),

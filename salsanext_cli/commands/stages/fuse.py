@@ -23,6 +23,7 @@ from salsanext_cli.core.errors import (
     UsageError,
     counted,
 )
+from salsanext_cli.core.fusion.drive import Drive
 from salsanext_cli.core.fusion.poses import POSES
 from salsanext_cli.core.fusion.registration import register
 from salsanext_cli.core.fusion.window import FusionWindow, warn_without_movable_classes
@@ -34,12 +35,15 @@ from salsanext_cli.io.formats.kitti import read_labels
 from salsanext_cli.io.poses import encode_poses
 from salsanext_cli.runs.drives.drive import (
     DRIVE,
-    Drive,
+    checked_drive,
+    drive_record,
     is_registered,
     measured_points,
     points_of_drive,
     poses_beside,
     readings_of,
+    recorded_drive,
+    registered_drive,
 )
 from salsanext_cli.runs.drives.pose_origins import require_positions
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
@@ -150,9 +154,9 @@ class FusibleResults:
             if is_registered(files, self.sensor, out):
                 if poses is not None:
                     require_positions(poses, files, self.sensor)
-                return Drive.registered(files, self.sensor, out)
+                return registered_drive(files, self.sensor, out)
             path = poses or poses_beside(files)
-            return Drive.checked(path, files, self.sensor, out) if path else None
+            return checked_drive(path, files, self.sensor, out) if path else None
 
         return _by_sequence(self.sequences, drive_of, options)
 
@@ -339,11 +343,11 @@ def _recorded_drive(
     has_same_scans = before is not None and before.get("scans") == stems
     if before is not None and not has_same_scans and not fused.overwrite:
         raise _other_drive(record, single)
-    earlier = Drive.recorded(folder) if has_same_scans and not fused.overwrite else None
+    earlier = recorded_drive(folder) if has_same_scans and not fused.overwrite else None
     if (drive := given or earlier) is None:
         log.log(NOTICE, "sequence %s: no %s, computing poses of its scans", name, POSES)
         drive = register(measured_points(file, sensor, single.root) for file in files)
-    content = drive.record(stems)
+    content = drive_record(drive, stems)
     with fused.locked_records():
         if read_json(record) != content:
             results = [(run, _results_of(run, name)) for run in (single, fused)]

@@ -10,6 +10,7 @@ from threading import Lock
 import numpy as np
 
 from salsanext_cli.core.errors import NoInputError, OutputError, SalsanextError, escaped
+from salsanext_cli.core.measures.counts import ScanCounts, SeparateCounts
 from salsanext_cli.core.measures.decision import Verdict, verdict
 from salsanext_cli.core.plain_data import plain
 from salsanext_cli.io.files.atomic import require_target, write_bytes
@@ -27,7 +28,7 @@ from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.paths import PREDICTION_STAGES
 from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.results.result_folder import ResultFolder
-from salsanext_cli.runs.summary.comparison import ScanComparison, ScanCounts, SeparateCounts
+from salsanext_cli.runs.summary.comparison import ScanComparison
 
 PAGE = "report.html"
 SAMPLED = 5  # Evenly spaced scans among those from which `view` takes the scales

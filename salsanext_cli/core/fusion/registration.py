@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from salsanext_cli.core.fusion.drive import Drive
 from salsanext_cli.core.fusion.pose_checks import (
     MARGIN,
     MIN_OVERLAP,
@@ -18,7 +19,6 @@ from salsanext_cli.core.fusion.pose_checks import (
 from salsanext_cli.core.fusion.poses import Points, Poses
 from salsanext_cli.core.optional_packages import import_extra
 from salsanext_cli.core.records import Float
-from salsanext_cli.runs.drives.drive import Drive
 
 MIN_RANGE_M = 2.0  # Nearer points lie on the vehicle.
 DOWNSAMPLED_M, MAP_VOXEL_M, MAX_CORRESPONDENCE_M = 0.3, 1.0, 2.0

@@ -19,11 +19,11 @@ from salsanext_cli.core.measures.calibration import (
     calibration_scores,
     reliability,
 )
+from salsanext_cli.core.measures.counts import EVALUATED_KINDS, OF_ERROR, SOFTMAX, ScanCounts
 from salsanext_cli.core.measures.histograms import Histogram, highest_of_bins
 from salsanext_cli.core.measures.scores import Counts, Ratios
 from salsanext_cli.core.plain_data import plain
 from salsanext_cli.core.uncertainty.kinds import UNCERTAINTY
-from salsanext_cli.runs.summary.comparison import EVALUATED_KINDS, OF_ERROR, SOFTMAX, ScanCounts
 
 log = logging.getLogger(__name__)
 

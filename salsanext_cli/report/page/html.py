@@ -16,6 +16,7 @@ import numpy as np
 
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import counted, escaped
+from salsanext_cli.core.measures.counts import ScanCounts
 from salsanext_cli.core.measures.scores import Counts
 from salsanext_cli.report.colours import (
     COLOUR_MAP,
@@ -37,7 +38,6 @@ from salsanext_cli.report.tables import percent
 from salsanext_cli.runs.results.layouts import SCAN_FOLDER
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.paths import find_outputs
-from salsanext_cli.runs.summary.comparison import ScanCounts
 from salsanext_cli.version import __version__
 
 PARTS = (

@@ -17,6 +17,7 @@ import numpy.typing as npt
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import counted, percentage
 from salsanext_cli.core.geometry.objects import BOX
+from salsanext_cli.core.measures.counts import SOFTMAX, ScanCounts
 from salsanext_cli.core.measures.decision import Evidence
 from salsanext_cli.core.measures.expected_accuracy import ExpectedAccuracy, expected_accuracy
 from salsanext_cli.core.measures.histograms import lack_of_confidence
@@ -35,7 +36,7 @@ from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.paths import find_outputs, output_path
 from salsanext_cli.runs.results.result_folder import ResultFolder, ScanResults
 from salsanext_cli.runs.results.selection import MissingResults
-from salsanext_cli.runs.summary.comparison import SOFTMAX, ScanComparison, ScanCounts, read_softmax
+from salsanext_cli.runs.summary.comparison import ScanComparison, read_softmax
 from salsanext_cli.runs.summary.scan_summary import guarantee_of_run
 
 LEADING_KINDS = ("error", "entropy", *UNCERTAINTY)

@@ -11,6 +11,7 @@ from typing import Self
 
 import numpy as np
 
+from salsanext_cli.core.measures.counts import ScanCounts
 from salsanext_cli.core.measures.decision import DOUBTFUL
 from salsanext_cli.core.measures.scores import Counts, accepted, scored_rows
 from salsanext_cli.core.records import Float
@@ -20,7 +21,7 @@ from salsanext_cli.io.formats.kitti import read_labels
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.paths import ScanFile, output_path
 from salsanext_cli.runs.results.result_folder import read_kind
-from salsanext_cli.runs.summary.comparison import ScanComparison, ScanCounts
+from salsanext_cli.runs.summary.comparison import ScanComparison
 
 
 @dataclass(frozen=True, slots=True)

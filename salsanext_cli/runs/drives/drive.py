@@ -4,16 +4,15 @@
 import hashlib
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Self
 
 import numpy as np
 
 from salsanext_cli.core.errors import NOTICE, FormatError, OutputError, SalsanextError, percentage
+from salsanext_cli.core.fusion.drive import Drive
 from salsanext_cli.core.fusion.pose_checks import (
     MAX_MISFIT,
-    Parts,
     best_reading,
     fitting_parts,
     require_fitting,
@@ -34,80 +33,66 @@ DRIVE = "drive.json"
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
-class Drive:
-    """Poses of the scans of a drive, and the parts of the drive within which they fit."""
+def checked_drive(path: Path, files: Sequence[ScanFile], sensor: Sensor, out: Path) -> Drive:
+    """Return the drive by the poses in a file; refuse poses that do not fit the scans.
 
-    poses: Poses  # (N, 4, 4)
-    parts: Parts  # (N,)
+    `out`: output folder with the origins of registered scans.
+    """
 
-    @classmethod
-    def checked(cls, path: Path, files: Sequence[ScanFile], sensor: Sensor, out: Path) -> Self:
-        """Return the drive by the poses in a file; refuse poses that do not fit the scans.
+    def read(index: int) -> Float:
+        return measured_points(files[index], sensor, out)
 
-        `out`: output folder with the origins of registered scans.
-        """
+    readings = readings_of(path, files)
+    counted_from = best_reading(readings, read)
+    if counted_from == 1:
+        reason = "scan names are line numbers counted from 1: the scans fit best"
+        log.log(NOTICE, "%s: %s", path, reason)
+    poses = readings[counted_from]
+    return Drive(poses, require_fitting(path, poses, read))
 
-        def read(index: int) -> Float:
-            return measured_points(files[index], sensor, out)
 
-        readings = readings_of(path, files)
-        counted_from = best_reading(readings, read)
-        if counted_from == 1:
-            reason = "scan names are line numbers counted from 1: the scans fit best"
-            log.log(NOTICE, "%s: %s", path, reason)
-        poses = readings[counted_from]
-        return cls(poses, require_fitting(path, poses, read))
+def registered_drive(files: Sequence[ScanFile], sensor: Sensor, out: Path) -> Drive:
+    """Return the drive of scans that are registered to one frame, by their sensor's positions.
 
-    @classmethod
-    def registered(cls, files: Sequence[ScanFile], sensor: Sensor, out: Path) -> Self:
-        """Return the drive of scans that are registered to one frame, by their sensor's positions.
+    `out`: output folder with their origins. Scans that do not fit each other are refused.
+    """
+    poses = np.tile(np.eye(4), (len(files), 1, 1))
+    for pose, file in zip(poses, files, strict=True):
+        scan = read_scan(file.path, sensor)
+        pose[:3, 3] = sensor_of_result(out, file, scan, sensor).origin
 
-        `out`: output folder with their origins. Scans that do not fit each other are refused.
-        """
-        poses = np.tile(np.eye(4), (len(files), 1, 1))
-        for pose, file in zip(poses, files, strict=True):
-            scan = read_scan(file.path, sensor)
-            pose[:3, 3] = sensor_of_result(out, file, scan, sensor).origin
+    def read(index: int) -> Float:
+        return measured_points(files[index], sensor, out)
 
-        def read(index: int) -> Float:
-            return measured_points(files[index], sensor, out)
+    parts, misfit = fitting_parts(poses, read)
+    if misfit > MAX_MISFIT:
+        folder = files[0].path.parent
+        problem = f"has {percentage(misfit, 0)} scans that do not fit the others"
+        hint = f"move the scans to their sensor, and give its poses in {POSES}"
+        raise FormatError(folder, problem, "scans in the frame of one map", hint)
+    return Drive(poses, parts)
 
-        parts, misfit = fitting_parts(poses, read)
-        if misfit > MAX_MISFIT:
-            folder = files[0].path.parent
-            problem = f"has {percentage(misfit, 0)} scans that do not fit the others"
-            hint = f"move the scans to their sensor, and give its poses in {POSES}"
-            raise FormatError(folder, problem, "scans in the frame of one map", hint)
-        return cls(poses, parts)
 
-    @classmethod
-    def recorded(cls, folder: Path) -> Self | None:
-        """Return the drive that `fuse` recorded in the folder of a sequence, None without one."""
-        record = read_json(folder / DRIVE)
-        path = folder / POSES
-        if record is None or not present(path):
-            return None
-        with refusing_damage(folder / DRIVE, "the record of `fuse`"):
-            stems = [*map(str, record["scans"])]
-            parts = np.array(record.get("parts", ()), np.int64)
-            drive = cls(read_fused_poses(path, stems), parts)
-        if drive.record(stems) != record:
-            problem = "differs from the poses that the scans were fused by"
-            raise OutputError(path, problem, hint="fuse the sequence again with --overwrite")
-        return drive
+def recorded_drive(folder: Path) -> Drive | None:
+    """Return the drive that `fuse` recorded in the folder of a sequence, None without one."""
+    record = read_json(folder / DRIVE)
+    path = folder / POSES
+    if record is None or not present(path):
+        return None
+    with refusing_damage(folder / DRIVE, "the record of `fuse`"):
+        stems = [*map(str, record["scans"])]
+        parts = np.array(record.get("parts", ()), np.int64)
+        drive = Drive(read_fused_poses(path, stems), parts)
+    if drive_record(drive, stems) != record:
+        problem = "differs from the poses that the scans were fused by"
+        raise OutputError(path, problem, hint="fuse the sequence again with --overwrite")
+    return drive
 
-    @property
-    def origins(self) -> Poses:
-        """Position (P, 3) of the first scan of each part, from which voxels are counted."""
-        origins = np.zeros((self.parts.max(initial=-1) + 1, 3))
-        origins[self.parts[::-1]] = self.poses[::-1, :3, 3]
-        return origins
 
-    def record(self, stems: Sequence[str]) -> dict[str, object]:
-        """Return the record of the drive, whose scans have these stems."""
-        digest = hashlib.sha256(encode_poses(self.poses)).hexdigest()
-        return {"scans": [*stems], "poses": digest, "parts": self.parts.tolist()}
+def drive_record(drive: Drive, stems: Sequence[str]) -> dict[str, object]:
+    """Return the record of the drive, whose scans have these stems."""
+    digest = hashlib.sha256(encode_poses(drive.poses)).hexdigest()
+    return {"scans": [*stems], "poses": digest, "parts": drive.parts.tolist()}
 
 
 def poses_beside(files: Sequence[ScanFile]) -> Path | None:

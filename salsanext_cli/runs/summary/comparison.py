@@ -1,41 +1,39 @@
 # SPDX-License-Identifier: MIT
-"""Counts of the points of scans by label, prediction, probability, uncertainty and distance."""
+"""Comparison of the results of scans with their labels, read from an output folder."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import cache
-from operator import add
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.core.classes.label_space import LabelSpace, RawIds, TrainIds
 from salsanext_cli.core.classes.merging import ClassMerging
-from salsanext_cli.core.errors import LabelError, counted, first_few, percentage, with_hint
-from salsanext_cli.core.geometry.projection import in_sensor_frame, measured_ranges
+from salsanext_cli.core.errors import LabelError, with_hint
+from salsanext_cli.core.geometry.projection import in_sensor_frame
 from salsanext_cli.core.measures.calibration import SCAN_BINS, reliability
+from salsanext_cli.core.measures.counts import (
+    BAND_NAMES,
+    OF_ERROR,
+    OF_SOFTMAX,
+    SOFTMAX,
+    ScanCounts,
+    ScanScores,
+    band_of_point,
+)
 from salsanext_cli.core.measures.histograms import (
-    Histogram,
     confidence_histogram,
     error_histogram,
-    lack_of_confidence,
-    softmax_entropy,
     uncertainty_histogram,
 )
-from salsanext_cli.core.measures.scores import (
-    Counts,
-    accepted,
-    confusion_matrix,
-    scored_rows,
-    scores,
-)
+from salsanext_cli.core.measures.scores import confusion_matrix, scores
 from salsanext_cli.core.network.card import is_among
-from salsanext_cli.core.records import Float, Indices, Mask, Scan
+from salsanext_cli.core.records import Float, Mask, Scan
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.uncertainty.kinds import UNCERTAINTY
 from salsanext_cli.io.files.reading import present
@@ -47,129 +45,6 @@ from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.paths import ScanFile, output_path
 from salsanext_cli.runs.results.recorded_origins import sensor_of_result
 from salsanext_cli.runs.results.result_folder import read_kind
-
-SOFTMAX = "probabilities"  # Folder of the softmax, and key of the histograms of its confidence
-OF_SOFTMAX = {"least_confidence": lack_of_confidence, "softmax_entropy": softmax_entropy}
-"""Uncertainties computed from the probabilities if no file has them or classes are merged."""
-EVALUATED_KINDS = (*dict.fromkeys((*OF_SOFTMAX, *UNCERTAINTY)),)  # In the order of reports
-OF_ERROR = "error calibration"  # Key of the histogram of the error as a probability
-MIN_ACCURACY, MIN_JUDGED = 0.2, 10_000
-"""Least accuracy, over at least so many points, of labels with the same raw ids as the predictions.
-Other ids had 0.02, the default weights have 0.75 or more in cities."""
-BAND_STARTS_M = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0)  # The last band has no end
-BAND_NAMES = ("0–10 m", "10–20 m", "20–30 m", "30–40 m", "40–50 m", "over 50 m")
-
-
-@dataclass(frozen=True, slots=True)
-class ScanScores:
-    """Scores of one scan, as in `Scores`."""
-
-    points: int
-    accuracy: float
-    iou_mean_present: float
-
-
-@dataclass(slots=True)
-class ScanCounts:
-    """Counts over scans."""
-
-    confusion: Counts  # (C, C) of all points
-    bands: tuple[Counts, ...] = ()  # (C, C) for each of `BAND_NAMES`; empty if not requested
-    # Number of points by raw id that the label space lacks
-    unknown_truth: Counter[int] = field(default_factory=Counter)
-    unknown_predictions: Counter[int] = field(default_factory=Counter)
-    scans: int = 0  # Number of scans counted, and of those that the weights were trained on
-    trained_on: int = 0
-    skipped: int = 0  # Number of scans not counted because the weights were trained on them
-    calibrated: int = 0  # Number of scans that the threshold of their rejection was chosen on
-    missing: list[ScanFile] = field(default_factory=list)  # Scans without predictions
-    files: Counter[str] = field(default_factory=Counter)  # Number of scans with a file, by folder
-    # Scored, accepted and wrong points of each scan of a run that rejected labels, by name
-    accepted: dict[str, tuple[int, int, int]] = field(default_factory=dict)
-    calibration_errors: list[float] = field(default_factory=list)  # Of each scan with a softmax
-    # By kind of uncertainty, `SOFTMAX` for the confidence, or `OF_ERROR`
-    histograms: dict[str, Histogram] = field(default_factory=dict)
-    by_sequence: dict[str, Counts] = field(default_factory=dict)
-    by_scan: dict[str, ScanScores] = field(default_factory=dict)  # By name of the scan
-
-    @classmethod
-    def none(cls, space: LabelSpace, by_distance: bool = False) -> ScanCounts:
-        """Return the counts of no scan."""
-        none = np.zeros((space.class_count, space.class_count), np.int64)
-        bands = tuple(none.copy() for _ in BAND_NAMES) if by_distance else ()
-        return cls(none, bands)
-
-    def add(self, other: ScanCounts) -> None:
-        """Add the counts of other scans, which are used up."""
-        self.confusion += other.confusion
-        self.bands = tuple(map(add, self.bands, other.bands))
-        self.unknown_truth += other.unknown_truth
-        self.unknown_predictions += other.unknown_predictions
-        self.files += other.files
-        self.scans += other.scans
-        self.trained_on += other.trained_on
-        self.skipped += other.skipped
-        self.calibrated += other.calibrated
-        self.missing += other.missing
-        self.calibration_errors += other.calibration_errors
-        self.accepted |= other.accepted
-        self.by_scan |= other.by_scan
-        _add_by_key(self.histograms, other.histograms)
-        _add_by_key(self.by_sequence, other.by_sequence)
-
-    def label_warnings(self, space: LabelSpace) -> Iterator[str]:
-        """Yield reasons to doubt the scores, in words."""
-        if self.skipped:
-            share = f"{self.skipped:,} of {counted(self.scans + self.skipped, 'labelled scan')}"
-            yield f"{share} skipped: the weights were trained on them"
-        elif self.trained_on:
-            yield "the weights were trained on every labelled scan: scores on new scans are unknown"
-        if self.calibrated:
-            chosen = f"{self.calibrated:,} of {counted(self.scans, 'scan')}"
-            yield f"the threshold was chosen on {chosen}: these scans do not test its guarantee"
-        unknown = {"labels": self.unknown_truth, "predictions": self.unknown_predictions}
-        for source, ids in unknown.items():
-            if ids:
-                listed = first_few([f"{i} ({count:,}×)" for i, count in sorted(ids.items())])
-                yield f"{source}: unknown ids {listed} count as unlabelled"
-        matrix = scored_rows(self.confusion, space)
-        matrix = accepted(matrix) if self.accepted else matrix
-        points, right = int(matrix.sum()), int(np.trace(matrix))
-        if points >= MIN_JUDGED and right < MIN_ACCURACY * points:
-            labelled = f"{percentage(right / points)} of the labelled points"
-            agreement = f"labels and predictions agree on {labelled}"
-            yield with_hint(agreement, "check --label-space and the settings of the sensor")
-
-
-Sum = TypeVar("Sum", Histogram, Counts)
-
-
-def _add_by_key(sums: dict[Any, Sum], others: Mapping[Any, Sum]) -> None:
-    for key, other in others.items():
-        if key in sums:
-            sums[key] += other
-        else:
-            sums[key] = other
-
-
-class SeparateCounts:
-    """Counts of scans that the weights were trained on, and of the other scans."""
-
-    def __init__(self, space: LabelSpace, by_distance: bool = False) -> None:
-        self.others = ScanCounts.none(space, by_distance)
-        self.trained_on = ScanCounts.none(space, by_distance)
-
-    def add(self, other: ScanCounts) -> None:
-        """Add the counts of one scan, which are used up."""
-        (self.trained_on if other.trained_on else self.others).add(other)
-
-    def scored(self) -> ScanCounts:
-        """Return the counts of the other scans, or of all if the weights were trained on all."""
-        if self.others.scans or not self.trained_on.scans:
-            self.others.skipped = self.trained_on.scans
-            return self.others
-        self.trained_on.missing = self.others.missing
-        return self.trained_on
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,7 +104,7 @@ class ScanComparison:
         space, counts = self.space, ScanCounts.none(self.space, self.by_distance)
         predictions = output_path(self.out, scan.sequence, "predictions", scan.stem)
         if not present(predictions):
-            counts.missing.append(scan)
+            counts.missing.append(scan.name)
             return counts
         cloud = read_scan(scan.path, self.sensor) if self.by_distance else None
         raw_truth, raw_predicted = _labels(scan, predictions, self.sensor, cloud)
@@ -321,9 +196,3 @@ def _labels(
         except LabelError:
             cloud = read_scan(scan.path, sensor)
     return read_labels(scan.label_path, len(cloud)), read_labels(predictions, len(cloud))
-
-
-def band_of_point(points: Float) -> Indices:
-    """Return indices into `BAND_NAMES` of points (N, 3) in metres; -1 without a measurement."""
-    ranges, measured = measured_ranges(points)
-    return np.where(measured, np.digitize(np.nan_to_num(ranges), BAND_STARTS_M) - 1, -1)
