@@ -28,7 +28,7 @@ from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.plain_data import Json
 from salsanext_cli.io.files.json_files import read_json, write_json
 from salsanext_cli.io.label_spaces import label_space
-from salsanext_cli.io.weights.card_file import read_card
+from salsanext_cli.io.weights.card_file import named_weights, read_card
 from salsanext_cli.io.weights.loading import network_of_module
 from salsanext_cli.io.weights.weights import save_weights
 from salsanext_cli.runs.network_settings import weights_file
@@ -103,7 +103,7 @@ def training_of(
     sources, late = real_sources({root.name: root for root in real}, run, card.sensor, 1)
     validation = simulated[KINDS[0]]
     data = training_data(run / CLASS_COUNTS, pool, sources, validation, how, card, 1)
-    name = read_card(weights).named(weights)
+    name = named_weights(read_card(weights), weights)
     card = replace(
         card,
         trained_on=card.trained_on | data.digests,

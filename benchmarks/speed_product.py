@@ -39,7 +39,7 @@ def prepare(part: str, path: Path, task: Mapping[str, Any]) -> Callable[[], Any]
         # With the paper's aleatoric uncertainty, as the baseline.
         "uncertainty": lambda: UncertaintyMethod(
             samples=task["samples"], aleatoric="paper"
-        ).estimate(network, image, file),
+        ).estimate(network, image, file.sequence, file.stem),
     }
     if part in work:
         return work[part]

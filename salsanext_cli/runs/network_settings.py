@@ -175,8 +175,10 @@ class NetworkSettings:
 
     def announce(self, network: "Network") -> None:
         """Log weights, device, engine and precision, and parts fitted to other weights."""
+        from salsanext_cli.io.weights.card_file import weights_title
+
         default = self.weights in (None, DEFAULT_WEIGHTS)
-        name = network.card.title(self.path) if default else self.weights
+        name = weights_title(network.card, self.path) if default else self.weights
         merged = f", merged into the classes of {network.space.name}" if network.merging else ""
         backend = network.backend
         computing = f"on {backend.device} by {backend.library} in {backend.precision}"

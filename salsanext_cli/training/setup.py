@@ -23,7 +23,7 @@ from salsanext_cli.core.network.segmentation import SegmentationNetwork
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.uncertainty.error_features import FEATURES
 from salsanext_cli.io.sensors import sensor
-from salsanext_cli.io.weights.card_file import read_card
+from salsanext_cli.io.weights.card_file import named_weights, read_card
 from salsanext_cli.io.weights.loading import network_of_module
 from salsanext_cli.io.weights.weights import read_weights
 from salsanext_cli.runs.loop.network_task import network_pipeline
@@ -90,7 +90,7 @@ def initial_network(
 def inheriting(card: WeightsCard, weights: Path) -> WeightsCard:
     """Return a card with error model and estimated accuracy of the initial weights, marked."""
     initial = read_card(weights)
-    error, name = initial.error, initial.named(weights)
+    error, name = initial.error, named_weights(initial, weights)
     fits = initial.space.fits(card.space) and (error is None or error.features == FEATURES)
     error = error and replace(error, scores={INHERITED: name, **error.scores})
     accuracy = initial.accuracy

@@ -18,7 +18,7 @@ from salsanext_cli.core.engines.memory import memory_of
 from salsanext_cli.core.errors import NOTICE, UsageError, counted
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.io.label_spaces import label_space
-from salsanext_cli.io.weights.card_file import default_weights, read_card
+from salsanext_cli.io.weights.card_file import default_weights, named_weights, read_card
 from salsanext_cli.io.weights.loading import network_of_module
 from salsanext_cli.io.weights.weights import encode_weights, read_weights
 from salsanext_cli.runs.fit.label_scan import prepared_for
@@ -153,7 +153,9 @@ class NewTraining:
         card = replace(
             card,
             sensor=sources[0].sensor,
-            recipe={"initial": read_card(start).named(start)} if start and self.weights else {},
+            recipe={"initial": named_weights(read_card(start), start)}
+            if start and self.weights
+            else {},
             description=f"Trained with `salsanext train` on {names}{simulated}.",
         )
         setup = Setup(

@@ -65,7 +65,9 @@ class UncertaintyJob:
         return [self._estimate(*scan) for scan in scans]
 
     def _estimate(self, projected: ProjectedScan, network: Network, image: Float) -> Computed:
-        estimate = self.method.estimate(network, projected.image, projected.file)
+        estimate = self.method.estimate(
+            network, projected.image, projected.file.sequence, projected.file.stem
+        )
         network.backend.require_finite(estimate.probabilities, projected.file.path)
         if ERROR not in self.output.folders:
             return estimate, None

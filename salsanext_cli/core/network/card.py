@@ -21,7 +21,6 @@ from salsanext_cli.core.network.unit_traits import UnitTraits
 from salsanext_cli.core.plain_data import Json, decoded, plain
 from salsanext_cli.core.records import Scan
 from salsanext_cli.core.sensors.sensor import FittedView, Sensor
-from salsanext_cli.io.files.reading import fingerprint
 from salsanext_cli.version import __version__
 
 KEY = "salsanext"  # The only key: safetensors writes several keys in random order
@@ -198,17 +197,6 @@ class WeightsCard:
         pairs = zip(("temperature", "error", "accuracy"), names, strict=True)
         same = [name for key, name in pairs if key in used and used[key] == others.get(key)]
         return f"{', '.join(same)} of images of {default} columns" if same else ""
-
-    def named(self, path: Path) -> str:
-        """Return the version of these weights or the name of their file, and its SHA-256."""
-        name = f"default weights version {self.version}" if self.version else path.name
-        return f"{name} (SHA-256 {fingerprint(path)[:16]})"
-
-    def title(self, path: Path) -> str:
-        """Name default weights with their description up to the first colon or full stop."""
-        start = re.split(r"[:.](?:\s|$)", self.description, maxsplit=1)[0]
-        summary = shortened(start[:1].lower() + start[1:])
-        return f"{self.named(path)}, {summary}," if self.version else f"default weights ({summary})"
 
     def inherited(self) -> str:
         """Name the parts that were fitted to the initial weights of the training; "" for none."""

@@ -10,7 +10,6 @@ from salsanext_cli.core.network.dropout import require_dropout
 from salsanext_cli.core.records import RangeImage
 from salsanext_cli.core.uncertainty.aleatoric import aleatoric, noise_variance
 from salsanext_cli.core.uncertainty.monte_carlo import Estimate, require_samples, sample, scan_seed
-from salsanext_cli.runs.results.paths import ScanFile
 
 EPISTEMIC_KINDS = ("epistemic", "entropy", "mutual_information")
 ALEATORIC_KINDS = ("aleatoric", "total")  # These need the sensor's noise
@@ -60,9 +59,12 @@ class UncertaintyMethod:
             problem, hint = "paper does not cover merged classes", "use --aleatoric copies"
             raise UsageError("--aleatoric", problem, "the classes of the weights", hint)
 
-    def estimate(self, network: Network, image: RangeImage, scan: ScanFile) -> Estimate:
-        """Return the prediction for a scan and the uncertainty of its pixels."""
-        seed = scan_seed(self.seed, scan.sequence, scan.stem)
+    def estimate(self, network: Network, image: RangeImage, sequence: str, stem: str) -> Estimate:
+        """Return the prediction for a scan and the uncertainty of its pixels.
+
+        `sequence` and `stem`, the names of the sequence and of the scan, decide the masks.
+        """
+        seed = scan_seed(self.seed, sequence, stem)
         estimate = sample(network, image, samples=self.samples, seed=seed)
         if not self.is_noisy:
             return estimate

@@ -3,12 +3,13 @@
 
 from __future__ import annotations
 
+import re
 from importlib import resources
 from pathlib import Path
 
 import safetensors
 
-from salsanext_cli.core.errors import FormatError, WeightsError, nearest
+from salsanext_cli.core.errors import FormatError, WeightsError, nearest, shortened
 from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.network.weights_names import (
     DEFAULT_NAME,
@@ -16,7 +17,7 @@ from salsanext_cli.core.network.weights_names import (
     PAPER_NETWORKS_HINT,
 )
 from salsanext_cli.io.files.atomic import WEIGHTS_SUFFIX
-from salsanext_cli.io.files.reading import is_folder, present, reading, refusing_damage
+from salsanext_cli.io.files.reading import fingerprint, is_folder, present, reading, refusing_damage
 
 ONNX_SUFFIX = ".onnx"
 
@@ -61,3 +62,18 @@ def hint_for_missing(path: Path) -> str:
         beside[DEFAULT_NAME] = DEFAULT_NAME
     likely = nearest(path.name, beside)
     return f"did you mean {beside[likely]}?" if likely else "check the name"
+
+
+def named_weights(card: WeightsCard, path: Path) -> str:
+    """Return the version of weights or the name of their file, and its SHA-256."""
+    name = f"default weights version {card.version}" if card.version else path.name
+    return f"{name} (SHA-256 {fingerprint(path)[:16]})"
+
+
+def weights_title(card: WeightsCard, path: Path) -> str:
+    """Name default weights with their description up to the first colon or full stop."""
+    start = re.split(r"[:.](?:\s|$)", card.description, maxsplit=1)[0]
+    summary = shortened(start[:1].lower() + start[1:])
+    if card.version:
+        return f"{named_weights(card, path)}, {summary},"
+    return f"default weights ({summary})"

@@ -13,7 +13,7 @@ from salsanext_cli.core.fitting.field_of_view import view_text
 from salsanext_cli.core.measures.risk_control import guarantee
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.io.files.reading import fingerprint
-from salsanext_cli.io.weights.card_file import default_weights, read_card
+from salsanext_cli.io.weights.card_file import default_weights, named_weights, read_card
 from salsanext_cli.runs.results.manifest import Manifest, StageSettings
 from salsanext_cli.runs.results.paths import ERROR
 
@@ -55,7 +55,7 @@ def _weights(records: Manifest) -> str:
         if fingerprint(path) == sha256:
             card = read_card(path)
             text = re.sub(r"See \S+\.md; (.)", lambda rest: rest[1].upper(), card.description)
-            name = card.named(path) if card.version else f"default weights, {name}"
+            name = named_weights(card, path) if card.version else f"default weights, {name}"
             return f"{name}. {text.replace('`', '')}"
     return f"{name}, not the default weights; salsanext models FILE describes them"
 
