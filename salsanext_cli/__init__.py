@@ -7,7 +7,11 @@ package, and printing the help of the command line, takes no time.
 
 from __future__ import annotations
 
+from salsanext_cli.core import caches
+from salsanext_cli.io.user_caches import UserCaches
 from salsanext_cli.version import __version__
+
+caches.use(UserCaches())
 
 TYPE_CHECKING = False  # Importing it from `typing` takes time.
 if TYPE_CHECKING:
@@ -56,21 +60,23 @@ __all__ = [
 ]
 
 _HOMES = {
-    "classes.label_space": ("LabelSpace", "label_space"),
-    "errors": ("SalsanextError",),
-    "formats": ("read_scan",),
-    "formats.kitti": ("read_labels", "write_labels"),
-    "formats.ply": ("write_ply",),
-    "geometry.knn": ("knn_refine",),
-    "geometry.projection": ("project",),
-    "engines.loading": ("load_network",),
-    "engines.network": ("Network",),
-    "fitting.sensor_fit": ("fit_network",),
-    "in_memory": ("label", "label_drive"),
-    "option_fields": ("KnnParameters",),
-    "records": ("RangeImage", "Scan"),
-    "sensors.sensor": ("Sensor", "sensor"),
-    "uncertainty.monte_carlo": ("sample",),
+    "api": ("label", "label_drive"),
+    "core.classes.label_space": ("LabelSpace",),
+    "core.engines.network": ("Network",),
+    "core.errors": ("SalsanextError",),
+    "core.geometry.knn": ("knn_refine",),
+    "core.geometry.projection": ("project",),
+    "core.records": ("RangeImage", "Scan"),
+    "core.sensors.sensor": ("Sensor",),
+    "core.uncertainty.monte_carlo": ("sample",),
+    "io.formats": ("read_scan",),
+    "io.formats.kitti": ("read_labels", "write_labels"),
+    "io.formats.ply": ("write_ply",),
+    "io.label_spaces": ("label_space",),
+    "io.sensors": ("sensor",),
+    "io.weights.loading": ("load_network",),
+    "runs.fit.sensor_fit": ("fit_network",),
+    "runs.option_fields": ("KnnParameters",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 

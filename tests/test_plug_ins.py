@@ -299,6 +299,7 @@ def test_a_run_without_need_of_plug_ins_imports_none(tmp_path, monkeypatch, capl
 
 
 def test_the_table_of_formats_needs_neither_numpy_nor_readers():
-    code = "import salsanext_cli.io.formats, sys; print({'numpy', 'importlib.metadata'} & {*sys.modules})"
+    code = "import salsanext_cli.io.formats, sys\n"
+    code += "print({'numpy', 'importlib.metadata'} & {*sys.modules})"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()"

@@ -161,7 +161,8 @@ def test_a_second_predict_imports_no_library_that_it_does_not_compute_with(tmp_p
 
 
 def test_characters_outside_the_encoding_of_stdout_are_replaced():
-    code = "from salsanext_cli.commands.line import app; app.app = lambda: print('1 \\xb1 2'); app.main()"
+    code = "from salsanext_cli.commands.line import app\n"
+    code += "app.app = lambda: print('1 \\xb1 2'); app.main()"
     ended = python(code, LC_ALL="C", PYTHONCOERCECLOCALE="0", PYTHONUTF8="0")
     assert (ended.returncode, ended.stdout) == (0, "1 ? 2\n"), ended.stderr
 

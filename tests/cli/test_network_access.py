@@ -9,7 +9,7 @@ from command_line import python
 from scans import SMALL, write_sequence
 
 import salsanext_cli
-from salsanext_cli.core.compiled import kernel_folder
+from salsanext_cli.io.kernel_cache import kernel_folder
 
 LISTENER = """
 import os, socket, sys

@@ -314,5 +314,6 @@ def _spare_colour(train_id: int) -> list[int]:
 
 @cache
 def built_in(name: str) -> LabelSpace:
+    """Return a built-in label space by name, one of `BUILT_IN`."""
     file = resources.files("salsanext_cli").joinpath(f"presets/label_spaces/{name}.yaml")
     return LabelSpace.from_dict(yaml.safe_load(file.read_text("utf-8")), name)

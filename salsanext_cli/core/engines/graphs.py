@@ -15,12 +15,11 @@ from typing import Any
 
 import numpy as np
 
+from salsanext_cli.core import caches
 from salsanext_cli.core.engines.device import openvino_core, processor
 from salsanext_cli.core.errors import OutputError, WeightsError, error_text, out_of_memory
 from salsanext_cli.core.network.int8_inputs import LEVELS, Int8Input
 from salsanext_cli.core.records import CHANNELS, Float
-from salsanext_cli.io.files.locks import temporary_folder
-from salsanext_cli.io.files.user_cache import cached, store
 from salsanext_cli.version import __version__
 
 GRAPH_VERSION = 1  # Raise it when the network or the code that makes graphs changes
@@ -105,14 +104,14 @@ def compiled_graph(
     depends = repr((key, precision, *made_by, processor()))
     name = f"graphs/{hashlib.sha256(depends.encode()).hexdigest()[:32]}.blob"
     with _COMPILING:
-        content = cached(name, compile_model)
+        content = caches.used().cached(name, compile_model)
         try:
             return core.import_model(content, "CPU", hints)
         except RuntimeError as error:
             if out_of_memory(error):
                 raise
             # Another build of the same version of OpenVINO compiled it.
-            return core.import_model(store(name, compile_model()), "CPU", hints)
+            return core.import_model(caches.used().store(name, compile_model()), "CPU", hints)
 
 
 def converted(module: Any, function: Callable[..., Any], inputs: Sequence[Any]) -> Any:
@@ -175,7 +174,7 @@ def partly_float32(core: Any, model: Any) -> Any:
         if precise:
             node.get_rt_info()[PRECISE] = ""
     try:
-        with temporary_folder() as folder:
+        with caches.used().temporary_folder() as folder:
             file = folder / "model.xml"
             openvino.save_model(model, file, compress_to_fp16=False)
             return core.read_model(file.read_bytes(), file.with_suffix(".bin").read_bytes())
