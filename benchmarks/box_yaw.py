@@ -19,8 +19,8 @@ from scipy.sparse.csgraph import connected_components
 
 from salsanext_cli import label_space, load_network, project
 from salsanext_cli.core.geometry.knn import knn_refine
+from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.geometry.objects import YAW, find_objects, fit_boxes
-from salsanext_cli.runs.option_fields import KnnParameters
 from salsanext_cli.synthesis.drive import record
 from salsanext_cli.synthesis.lidar import Scene
 from salsanext_cli.synthesis.mesh import Mesh

@@ -19,13 +19,13 @@ from typing import Any
 import numpy as np
 
 from salsanext_cli.core.engines.network import Network
+from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.measures.scores import Counts, confusion_matrix, scores
 from salsanext_cli.io.formats.kitti import read_labels
 from salsanext_cli.runs.fit.label_scan import LabelledScan, labelled, prepared_for
 from salsanext_cli.runs.fit.scan_sample import ScanSample
 from salsanext_cli.runs.fit.sensor_fit import fit_scans
 from salsanext_cli.runs.network_settings import NetworkSettings, weights_file
-from salsanext_cli.runs.option_fields import KnnParameters
 from salsanext_cli.runs.results.paths import ScanFile, find_scans
 from salsanext_cli.runs.results.selection import data_set_label_space
 

@@ -35,8 +35,8 @@ from salsanext_cli.runs.fit.scan_sample import ScanSample
 from salsanext_cli.runs.fit.sensor_fit import fit_scans
 from salsanext_cli.runs.loop.network_task import network_pipeline
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.option_fields import ScanSelection
 from salsanext_cli.runs.results.paths import ScanFile, find_scans
+from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.results.selection import data_set_label_space, evenly_spaced
 from salsanext_cli.training.cross_validation import folds
 from salsanext_cli.training.data.class_counts import class_shares

@@ -27,8 +27,8 @@ from salsanext_cli.commands.stages.uncertainty import uncertainty
 from salsanext_cli.core.uncertainty.method import UncertaintyMethod
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.option_fields import ScanSelection
 from salsanext_cli.runs.results.result_folder import ResultFolder
+from salsanext_cli.runs.results.scan_selection import ScanSelection
 
 
 def used() -> tuple[float, int, int]:

@@ -21,11 +21,12 @@ import salsanext_cli as sn
 from salsanext_cli.commands.stages.evaluate import evaluate
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.commands.stages.train import train
+from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.network.registry import build
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.option_fields import KnnParameters, ScanSelection
 from salsanext_cli.runs.results.result_folder import ResultFolder
+from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.training.recipe import recipe
 
 LADDER = {

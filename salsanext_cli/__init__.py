@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from salsanext_cli.core.engines.network import Network
     from salsanext_cli.core.errors import SalsanextError
     from salsanext_cli.core.geometry.knn import knn_refine
+    from salsanext_cli.core.geometry.knn_parameters import KnnParameters
     from salsanext_cli.core.geometry.projection import project
     from salsanext_cli.core.records import RangeImage, Scan
     from salsanext_cli.core.sensors.sensor import Sensor
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
     from salsanext_cli.io.sensors import sensor
     from salsanext_cli.io.weights.loading import load_network
     from salsanext_cli.runs.fit.sensor_fit import fit_network
-    from salsanext_cli.runs.option_fields import KnnParameters
 
 __all__ = [
     "KnnParameters",
@@ -76,7 +76,7 @@ _HOMES = {
     "io.sensors": ("sensor",),
     "io.weights.loading": ("load_network",),
     "runs.fit.sensor_fit": ("fit_network",),
-    "runs.option_fields": ("KnnParameters",),
+    "core.geometry.knn_parameters": ("KnnParameters",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 

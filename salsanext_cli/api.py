@@ -16,6 +16,7 @@ from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.core.classes.label_space import TrainIds
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import NoInputError, UsageError
+from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.geometry.projection import points_from_pixels
 from salsanext_cli.core.records import Float, Scan
 from salsanext_cli.core.uncertainty.error_features import error_probability, knows_error
@@ -25,9 +26,9 @@ from salsanext_cli.runs.fit.label_scan import labelled, prepared_for
 from salsanext_cli.runs.fit.sensor_fit import fit_network
 from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.option_fields import KnnParameters, ScanSelection
 from salsanext_cli.runs.results.paths import ScanFile, drive_order
 from salsanext_cli.runs.results.result_folder import ResultFolder
+from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
 
 IN_MEMORY = ScanFile("scan", "points", Path("points"))

@@ -32,8 +32,8 @@ from salsanext_cli.core.geometry.projection import points_from_pixels
 from salsanext_cli.core.uncertainty.error_features import error_probability, knows_error
 from salsanext_cli.io.weights.card_file import default_weights
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.option_fields import ScanSelection
 from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.tuning.error import error_scores
 

@@ -3,13 +3,12 @@
 
 import logging
 from contextlib import suppress
-from dataclasses import KW_ONLY, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from salsanext_cli.core.errors import NOTICE, UsageError, quoted
 from salsanext_cli.core.network.weights_names import DEFAULT_NAME
-from salsanext_cli.runs.option_fields import network_option, option_group
 
 if TYPE_CHECKING:
     from salsanext_cli.core.classes.label_space import LabelSpace
@@ -24,67 +23,23 @@ DEFAULT_WEIGHTS = Path(DEFAULT_NAME)
 log = logging.getLogger(__name__)
 
 
-@option_group
+@dataclass(frozen=True, slots=True)
 class NetworkSettings:
     """Settings of a network to load; they can be pickled."""
 
-    weights: Path | None = network_option(
-        "Weights file (.safetensors).", show_default="the weights of the package"
-    )
-    device: str = network_option(
-        "Device; auto: a GPU if there is one.", default=AUTO, metavar="cpu|cuda|cuda:N"
-    )
+    weights: Path | None = None
+    device: str = AUTO
     _: KW_ONLY
-    precision: str = network_option(
-        "Precision; auto chooses a fast float for the device; int8 is faster on a CPU, and changes "
-        "about 1 % of the labels.",
-        default="float32",
-        envvar="SALSANEXT_PRECISION",
-        typed=Literal["auto", "float32", "bfloat16", "float16", "int8"],
-    )
-    engine: str = network_option(
-        "Library that computes; auto uses OpenVINO on a CPU that it supports.",
-        default=AUTO,
-        envvar="SALSANEXT_ENGINE",
-        typed=Literal["auto", "openvino", "torch"],
-    )
+    precision: str = "float32"
+    engine: str = AUTO
     # A `Sensor` is used unchanged, whatever names, `width`, `min_range` and `ego` are
-    sensor: "Sensor | str | None" = network_option(
-        "Sensor of the scans; auto estimates field of view and mounting. A named sensor sets only "
-        "intensity scale and noise.",
-        default=AUTO,
-        typed=str,
-        metavar="auto|NAME|FILE",
-    )
-    columns: str | None = network_option(
-        "Columns of files without a header, such as x,y,z,intensity,_; _ skips a column.",
-        metavar="NAMES",
-        show_default="columns of the sensor",
-    )
-    intensity_field: str | None = network_option(
-        "Field with the intensity.", metavar="NAME", show_default="the usual names"
-    )
-    width: int | None = network_option(
-        "Columns of the range image; more take longer and show small objects better.",
-        metavar="512|1024|2048",
-        show_default="of the weights",
-    )
-    min_range: float | None = network_option(
-        "Leave points nearer than this unlabelled, in metres.",
-        show_default="1, or 0.8 of the height of a lower sensor",
-    )
-    ego: str = network_option(
-        "Bounding box of your own vehicle, whose points stay unlabelled: x,y,z min, then max, in "
-        "metres; auto estimates it from the scans of a drive.",
-        default=AUTO,
-        metavar="auto|none|BOX",
-    )
-    intensity: str = network_option(
-        "Match the intensity to that of the training scans, use it raw, or ignore it; auto "
-        "matches it if the weights contain the intensity of their training scans.",
-        default=AUTO,
-        typed=Literal["auto", "match", "raw", "none"],
-    )
+    sensor: "Sensor | str | None" = AUTO
+    columns: str | None = None
+    intensity_field: str | None = None
+    width: int | None = None
+    min_range: float | None = None
+    ego: str = AUTO
+    intensity: str = AUTO
     # Whether to fit field of view and mounting to the scans; None: what `sensor` does not state
     fit: bool | None = None
     sha256: str | None = None  # Of the weights file when the run began; other files are refused

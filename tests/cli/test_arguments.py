@@ -17,10 +17,11 @@ from salsanext_cli.commands.line.app import app
 from salsanext_cli.commands.line.arguments import share
 from salsanext_cli.commands.line.expansion import Default, Shown, Without, expanded
 from salsanext_cli.core.errors import UsageError
+from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.io.formats import RECORDING_SUFFIXES, SCAN_SUFFIXES
 from salsanext_cli.io.weights.card_file import default_weights
 from salsanext_cli.runs.network_settings import NetworkSettings, weights_file
-from salsanext_cli.runs.option_fields import KnnParameters, ScanSelection
+from salsanext_cli.runs.results.scan_selection import ScanSelection
 
 
 def test_a_group_is_expanded_filled_and_handed_over():

@@ -69,10 +69,10 @@ def overwriting(folder: Path) -> Run:
     from tiny_network import TinyNetwork
 
     from salsanext_cli.commands.stages.predict import predict_scans
+    from salsanext_cli.core.geometry.knn_parameters import KnnParameters
     from salsanext_cli.core.network.registry import ARCHITECTURES
     from salsanext_cli.runs.loop.run import RunOptions
     from salsanext_cli.runs.network_settings import NetworkSettings
-    from salsanext_cli.runs.option_fields import KnnParameters
 
     ARCHITECTURES["salsanext"] = TinyNetwork
     data = write_sequence(folder / "data/08", ["a", "b", "c"], count=3000)

@@ -18,12 +18,12 @@ from world import begin_and_end
 from salsanext_cli import __version__, label_space, sensor
 from salsanext_cli.commands.stages.predict import PredictJob, predict_scans
 from salsanext_cli.core.errors import OutputError, WeightsError
+from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.io.files.atomic import STALE_AFTER_S
 from salsanext_cli.io.files.reading import fingerprint
 from salsanext_cli.runs.loop.network_task import NetworkTask
 from salsanext_cli.runs.loop.run import RunOptions, run_over_scans
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.option_fields import KnnParameters
 from salsanext_cli.runs.results.manifest import Manifest, StageSettings
 from salsanext_cli.runs.results.output_run import OutputRun, output_run
 from salsanext_cli.runs.results.paths import ScanFile, find_scans

@@ -14,8 +14,8 @@ from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import NOTICE, NoInputError, OutputError, UsageError
 from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.runs.labelling.edited_files import find_edited
-from salsanext_cli.runs.option_fields import ScanSelection
 from salsanext_cli.runs.results.paths import find_outputs, find_scans, output_path
+from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.results.selection import (
     choose,
     data_set_of,

@@ -13,9 +13,9 @@ from salsanext_cli.commands.stages.project import project_scans
 from salsanext_cli.core.errors import NOTICE, FormatError, LabelError, NoInputError, OutputError
 from salsanext_cli.io.formats.kitti import write_labels
 from salsanext_cli.io.formats.ply import write_ply
-from salsanext_cli.runs.option_fields import ScanSelection
 from salsanext_cli.runs.results.paths import find_scans
 from salsanext_cli.runs.results.result_folder import ResultFolder, ScanResults, scalar_columns
+from salsanext_cli.runs.results.scan_selection import ScanSelection
 
 
 def ask(world, scans):

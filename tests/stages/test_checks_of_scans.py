@@ -15,8 +15,8 @@ from salsanext_cli.commands.stages.train import train
 from salsanext_cli.core.errors import FormatError
 from salsanext_cli.core.plain_data import plain
 from salsanext_cli.runs.loop.run import RunOptions
-from salsanext_cli.runs.option_fields import ScanSelection
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
+from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.training.data import class_counts as counting
 from salsanext_cli.training.recipe import Recipe
 

@@ -11,10 +11,10 @@ from scans import files_below, refused
 
 from salsanext_cli.commands.stages.evaluate import evaluate, part_of
 from salsanext_cli.core.errors import LabelError, NoInputError, OutputError
-from salsanext_cli.runs.option_fields import ScanSelection
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.paths import find_scans, output_path
 from salsanext_cli.runs.results.result_folder import ResultFolder
+from salsanext_cli.runs.results.scan_selection import ScanSelection
 
 
 @pytest.fixture

@@ -16,10 +16,10 @@ from salsanext_cli.core.errors import LabelError, NoInputError, OutputError
 from salsanext_cli.core.uncertainty.method import UncertaintyMethod
 from salsanext_cli.report.colours import EMPTY, RIGHT, WRONG, map_colours
 from salsanext_cli.runs.loop.run import RunOptions
-from salsanext_cli.runs.option_fields import ScanSelection
 from salsanext_cli.runs.results.manifest import Manifest, StageRecord
 from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.results.result_folder import ResultFolder
+from salsanext_cli.runs.results.scan_selection import ScanSelection
 
 SPACE = label_space()
 OVERWRITE = RunOptions(overwrite=True)

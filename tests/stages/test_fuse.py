@@ -29,10 +29,10 @@ from salsanext_cli.core.fusion.window import FusionWindow
 from salsanext_cli.io.poses import encode_poses, read_fused_poses
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.option_fields import ScanSelection
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.results.result_folder import ResultFolder
+from salsanext_cli.runs.results.scan_selection import ScanSelection
 
 SPACE = label_space()
 STEMS = ("000000", "000001", "000002")

@@ -34,9 +34,9 @@ from salsanext_cli.core.measures.scan_choice import choose_scans
 from salsanext_cli.runs.labelling.scan_description import DescribeJob
 from salsanext_cli.runs.loop.pipeline import Pipeline
 from salsanext_cli.runs.loop.run import RunOptions
-from salsanext_cli.runs.option_fields import ScanSelection
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.results.scan_selection import ScanSelection
 
 PASSES = {"samples": 2, "seed": 0}
 

@@ -13,11 +13,12 @@ from salsanext_cli.commands.stages import picture as stage
 from salsanext_cli.commands.stages.picture import picture
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.core.errors import OutputError
+from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.report import scan_pictures
 from salsanext_cli.report.colours import WRONG, screen_colours
 from salsanext_cli.runs.loop.run import RunOptions
-from salsanext_cli.runs.option_fields import KnnParameters, ScanSelection
 from salsanext_cli.runs.results.query import ResultQuery
+from salsanext_cli.runs.results.scan_selection import ScanSelection
 
 pytestmark = pytest.mark.drawn
 OVERWRITE = RunOptions(overwrite=True)

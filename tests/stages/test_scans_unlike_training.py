@@ -26,8 +26,8 @@ from salsanext_cli.core.sensors.sensor import INTENSITY_LEVELS
 from salsanext_cli.core.uncertainty.method import UncertaintyMethod
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.loop.run_options import Shard
-from salsanext_cli.runs.option_fields import ScanSelection
 from salsanext_cli.runs.results.manifest import Manifest
+from salsanext_cli.runs.results.scan_selection import ScanSelection
 
 TRAINED = tuple(np.linspace(0, 1, INTENSITY_LEVELS) ** 2)
 

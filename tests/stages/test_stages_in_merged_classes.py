@@ -25,9 +25,9 @@ from salsanext_cli.core.measures.scores import confusion_matrix
 from salsanext_cli.core.uncertainty.method import UncertaintyMethod
 from salsanext_cli.io.formats.kitti import write_labels
 from salsanext_cli.runs.loop.run import RunOptions
-from salsanext_cli.runs.option_fields import ScanSelection
 from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.results.result_folder import ResultFolder
+from salsanext_cli.runs.results.scan_selection import ScanSelection
 
 FULL, COARSE = label_space(), label_space("coarse")
 MERGING = ClassMerging.between(FULL, COARSE)

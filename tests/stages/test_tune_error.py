@@ -31,9 +31,9 @@ from salsanext_cli.core.uncertainty.method import UncertaintyMethod
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import save_with_card
 from salsanext_cli.runs.loop.run import RunOptions
-from salsanext_cli.runs.option_fields import ScanSelection
 from salsanext_cli.runs.results.paths import ERROR, find_scans, output_path
 from salsanext_cli.runs.results.result_folder import ResultFolder
+from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.training.tuning import error
 
 ALL = ScanSelection()

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from salsanext_cli.runs.option_fields import KnnParameters, ScanSelection
 from scans import refused
 from world import World
 
@@ -15,6 +16,7 @@ from salsanext_cli.commands.stages.models import describe_weights
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.commands.stages.report import read_run, report
 from salsanext_cli.core.errors import TrainingError, UsageError, WeightsError
+from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.measures.risk_control import RISK_BOUND_EXCEEDED
 from salsanext_cli.core.network.card import AccuracyLine
 from salsanext_cli.core.network.unit_traits import UnitTraits
@@ -22,10 +24,10 @@ from salsanext_cli.core.plain_data import plain
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import save_with_card
 from salsanext_cli.runs.fit.sensor_fit import as_typed
-from salsanext_cli.runs.option_fields import KnnParameters, ScanSelection
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.paths import LEAST_CONFIDENCE, find_scans
 from salsanext_cli.runs.results.result_folder import ResultFolder
+from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.summary.scan_summary import NOT_COMPARED, OTHER_SCANS
 from salsanext_cli.runs.summary.threshold_scans import EARLY
 from salsanext_cli.training.tuning.risk import _held_out

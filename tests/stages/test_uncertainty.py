@@ -18,8 +18,8 @@ from salsanext_cli.core.uncertainty.monte_carlo import scan_seed
 from salsanext_cli.io.files.reading import fingerprint
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.option_fields import ScanSelection
 from salsanext_cli.runs.results.result_folder import ResultFolder
+from salsanext_cli.runs.results.scan_selection import ScanSelection
 
 KINDS = UncertaintyMethod().kinds
 NAN, INF = float("nan"), float("inf")

@@ -9,12 +9,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from salsanext_cli.commands.line.expansion import Default, Without
+from salsanext_cli.commands.line.option_fields import (
+    argument,
+    network_option,
+    option,
+    running_option,
+    selection_option,
+)
+from salsanext_cli.commands.line.option_groups import OPTIONS
 from salsanext_cli.core.errors import UsageError, did_you_mean, notice_once
 from salsanext_cli.core.uncertainty.kinds import UNCERTAINTY
 from salsanext_cli.io.formats import RECORDING_SUFFIXES, SCAN_SUFFIXES
-from salsanext_cli.runs.loop.run_options import RunOptions, running_option
+from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.option_fields import argument, network_option, option, selection_option
 from salsanext_cli.runs.results.query import DATASET_VARIABLE, ResultQuery
 
 if TYPE_CHECKING:
@@ -30,9 +37,10 @@ DEFAULT_SCANS = "the data set or sequence in the current folder"
 def _shared(name: str, group: type[Any] = ResultQuery, **changes: Any) -> Any:
     """Return one option of a group as typed, for commands that take no other; change arguments."""
     (field,) = (field for field in fields(group) if field.name == name)
-    shown = {"default": field.default, **field.metadata["option"], **changes}
+    declared = OPTIONS[group][name].metadata
+    shown = {"default": field.default, **declared["option"], **changes}
     text, panel = shown.pop("help"), shown.pop("rich_help_panel")
-    return option(text, *field.metadata["names"], panel=panel, **shown)
+    return option(text, *declared["names"], panel=panel, **shown)
 
 
 SCANS = argument(SCANS_HELP, metavar="SCANS", show_default=DEFAULT_SCANS)

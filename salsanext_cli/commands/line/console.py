@@ -21,9 +21,9 @@ from salsanext_cli.commands.line.interruption import (
     keep_exit_status,
     stating,
 )
+from salsanext_cli.commands.line.option_fields import option, option_group
 from salsanext_cli.commands.line.wrong_values import usage_error
 from salsanext_cli.core.errors import HINT, NOTICE, SalsanextError, UsageError, escaped, printable
-from salsanext_cli.runs.option_fields import option, option_group
 
 if TYPE_CHECKING:
     from rich.console import RenderableType

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 import typer
 
 from salsanext_cli.commands.line.completion import COMPLETERS
+from salsanext_cli.commands.line.option_groups import declaration
 
 
 class Without(frozenset[str]):
@@ -53,7 +54,8 @@ def expanded(command: Callable[..., None]) -> Callable[..., None]:
             offered, groups[name] = _group(kind, marks)
             parameters += offered.values()
         elif isinstance(parameter.default, dataclasses.Field):
-            parameters.append(_offered(name, hint, parameter.default, parameter.default.default))
+            declared = parameter.default.metadata
+            parameters.append(_offered(name, hint, declared, parameter.default.default))
         else:
             parameters.append(parameter.replace(annotation=hint, kind=parameter.KEYWORD_ONLY))
 
@@ -83,18 +85,22 @@ def _group(kind: type, marks: list[Any]) -> tuple[dict[str, inspect.Parameter], 
             hidden |= mark
     offered: dict[str, inspect.Parameter] = {}
     nested: dict[str, Fill] = {}  # Of fields that are such dataclasses themselves
+    declared = {name: declaration(kind, field) for name, field in fields.items()}
     for name, field in fields.items():
-        if field.metadata and name not in hidden:
-            offered[name] = _offered(name, field.type, field, defaults[name], changes.get(name))
-        elif not field.metadata and isinstance(field.type, type):
+        how = declared[name]
+        if how is not None and name not in hidden:
+            offered[name] = _offered(name, field.type, how, defaults[name], changes.get(name))
+        elif how is None and isinstance(field.type, type):
             options, nested[name] = _group(field.type, marks)
             offered |= options
 
     def fill(given: dict[str, Any]) -> Any:
         typed = {name: build(given) for name, build in nested.items()}
-        for name, field in fields.items():
+        for name in fields:
             if name in offered and name in given:
-                value, parse = given.pop(name), field.metadata.get("parse")
+                value = given.pop(name)
+                how = declared[name]
+                parse = how["parse"] if how else None
                 typed[name] = parse(value) if parse else value
         return kind(**defaults | typed)
 
@@ -102,10 +108,13 @@ def _group(kind: type, marks: list[Any]) -> tuple[dict[str, inspect.Parameter], 
 
 
 def _offered(
-    name: str, kind: Any, field: Any, default: Any, changes: Mapping[str, Any] | None = None
+    name: str,
+    kind: Any,
+    declared: Mapping[str, Any],
+    default: Any,
+    changes: Mapping[str, Any] | None = None,
 ) -> inspect.Parameter:
-    """Return the parameter that typer reads for a field of `option` or `argument`."""
-    declared = field.metadata
+    """Return the parameter that typer reads for a declaration by `option` or `argument`."""
     if "argument" in declared:
         mark = typer.Argument(**{"metavar": _metavar(kind)} | declared["argument"])
     else:

@@ -12,10 +12,10 @@ from salsanext_cli.commands.line import arguments, console, summary
 from salsanext_cli.commands.line.console import over_scans, progress
 from salsanext_cli.commands.line.expansion import Without
 from salsanext_cli.commands.line.interruption import ARRIVED
+from salsanext_cli.commands.line.option_fields import argument, names_in, option
 from salsanext_cli.core.errors import counted
 from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.network_settings import AUTO, NetworkSettings
-from salsanext_cli.runs.option_fields import argument, names_in, option
 from salsanext_cli.runs.results.query import ResultQuery, named_label_space
 
 

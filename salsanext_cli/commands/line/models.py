@@ -4,8 +4,8 @@
 from pathlib import Path
 
 from salsanext_cli.commands.line import arguments, console
+from salsanext_cli.commands.line.option_fields import argument, option
 from salsanext_cli.runs.network_settings import DEFAULT_WEIGHTS, weights_file
-from salsanext_cli.runs.option_fields import argument, option
 from salsanext_cli.runs.results.query import named_label_space
 
 

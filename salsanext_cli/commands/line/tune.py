@@ -11,10 +11,11 @@ from salsanext_cli.commands.line import arguments, console
 from salsanext_cli.commands.line.console import guarded, writing
 from salsanext_cli.commands.line.expansion import Default, Shown, Without, expanded
 from salsanext_cli.commands.line.help import Command, Group
+from salsanext_cli.commands.line.option_fields import argument, option, option_group, running_option
 from salsanext_cli.core.errors import counted, percentage
 from salsanext_cli.runs.loop.run_options import running_option
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.option_fields import ScanSelection, argument, option, option_group
+from salsanext_cli.runs.results.scan_selection import ScanSelection
 
 
 @option_group

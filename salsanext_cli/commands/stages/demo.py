@@ -18,10 +18,10 @@ from salsanext_cli.core.uncertainty.error_features import knows_error
 from salsanext_cli.core.uncertainty.method import UncertaintyMethod
 from salsanext_cli.runs.loop.run import Failure, Progress, RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.option_fields import ScanSelection
 from salsanext_cli.runs.results.paths import ERROR, find_outputs
 from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.results.result_folder import ResultFolder
+from salsanext_cli.runs.results.scan_selection import ScanSelection
 
 # No scene of the training of the default weights has this seed.
 SCENE: dict[str, Any] = {"train": 0, "valid": 1, "seed": 2020, "spacing": 12.0}

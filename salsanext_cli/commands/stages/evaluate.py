@@ -22,10 +22,10 @@ from salsanext_cli.io.files.reading import present
 from salsanext_cli.report.plots import PICTURES, confusion_picture, uncertainty_pictures
 from salsanext_cli.runs.labelling.label_records import require_truth
 from salsanext_cli.runs.loop.run import Failure, RunOptions, run_over_scans
-from salsanext_cli.runs.option_fields import ScanSelection
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.runs.results.result_folder import ResultFolder
+from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.results.selection import MissingResults, space_of_labels
 from salsanext_cli.runs.summary.comparison import ScanComparison
 from salsanext_cli.runs.summary.scan_summary import OTHER_SCANS, TUNE_AGAIN, guarantee_of_run

@@ -25,6 +25,7 @@ from salsanext_cli.core.errors import (
 )
 from salsanext_cli.core.fusion.drive import Drive
 from salsanext_cli.core.fusion.poses import POSES
+from salsanext_cli.core.fusion.reach import FusionReach
 from salsanext_cli.core.fusion.registration import register
 from salsanext_cli.core.fusion.window import FusionWindow, warn_without_movable_classes
 from salsanext_cli.core.optional_packages import import_extra
@@ -47,7 +48,6 @@ from salsanext_cli.runs.drives.drive import (
 )
 from salsanext_cli.runs.drives.pose_origins import require_positions
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
-from salsanext_cli.runs.option_fields import FusionReach
 from salsanext_cli.runs.results.digest_files import recorded_scans
 from salsanext_cli.runs.results.manifest import StageSettings
 from salsanext_cli.runs.results.output_run import OutputRun, output_run

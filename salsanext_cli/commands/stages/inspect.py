@@ -24,8 +24,8 @@ from salsanext_cli.runs.fit.mixed_sensors import APART
 from salsanext_cli.runs.fit.scan_sample import ScanSample
 from salsanext_cli.runs.fit.sensor_fit import fitted_view
 from salsanext_cli.runs.loop.run import Failure, RunOptions, run_over_scans
-from salsanext_cli.runs.option_fields import ScanSelection
 from salsanext_cli.runs.results.paths import ScanFile, find_scans
+from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.results.selection import select_scans, space_of
 from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.runs.summary.scan_warnings import ScanWarning

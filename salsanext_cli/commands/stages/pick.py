@@ -15,6 +15,7 @@ from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.engines.backend import PixelPrediction
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import NOTICE, NoInputError, UsageError, counted
+from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.measures.scan_choice import choose_scans, require_choice
 from salsanext_cli.core.plain_data import plain
 from salsanext_cli.core.uncertainty.monte_carlo import Estimate, require_sampling
@@ -42,10 +43,10 @@ from salsanext_cli.runs.labelling.scan_description import (
 from salsanext_cli.runs.loop.network_task import NetworkTask
 from salsanext_cli.runs.loop.run import Failure, Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.option_fields import KnnParameters, ScanSelection
 from salsanext_cli.runs.results.manifest import settings_json
 from salsanext_cli.runs.results.named_scans import named_scans, read_names
 from salsanext_cli.runs.results.paths import ScanFile, find_scans
+from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.results.selection import choose, evenly_spaced, scans_of, space_of
 from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.runs.summary.scan_warnings import ScanWarning, log_recorded

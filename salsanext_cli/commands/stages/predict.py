@@ -17,6 +17,7 @@ from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.engines.backend import PixelPrediction
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import NOTICE, UsageError, WeightsError
+from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.geometry.objects import BOX, Objects, find_objects, fit_boxes
 from salsanext_cli.core.geometry.projection import points_from_pixels
 from salsanext_cli.core.measures.risk_control import guarantee
@@ -65,6 +66,7 @@ from salsanext_cli.runs.results.recorded_origins import (
     sensor_of_result,
 )
 from salsanext_cli.runs.results.result_folder import ResultFolder
+from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.results.selection import choose, scans_of, space_of
 from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
 

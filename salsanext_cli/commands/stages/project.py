@@ -10,7 +10,6 @@ from salsanext_cli.runs.fit.label_scan import ProjectedScan, project_scan
 from salsanext_cli.runs.fit.sensor_fit import fitted_view
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.loop.run_origins import OriginsOfRun
-from salsanext_cli.runs.option_fields import ScanSelection
 from salsanext_cli.runs.results.manifest import Manifest, StageSettings
 from salsanext_cli.runs.results.output_run import OutputRun, output_run
 from salsanext_cli.runs.results.paths import ORIGINS, ScanFile
@@ -21,6 +20,7 @@ from salsanext_cli.runs.results.recorded_origins import (
     origin_array,
     origin_in_run,
 )
+from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.results.selection import choose, scans_of, space_of
 from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
 

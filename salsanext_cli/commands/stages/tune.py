@@ -12,7 +12,7 @@ from salsanext_cli.io.files.atomic import require_target
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.runs.loop.run import Progress
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.option_fields import ScanSelection
+from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.results.selection import select_scans
 from salsanext_cli.training.tuning.risk_level import RiskLevel, require_scans
 from salsanext_cli.training.tuning.scan_choice import labelled_scans, unseen

@@ -12,6 +12,7 @@ import numpy as np
 from salsanext_cli.core.engines.backend import PixelPrediction
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import NOTICE, OutputError
+from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.geometry.network_input import noise_of
 from salsanext_cli.core.geometry.projection import points_from_pixels
 from salsanext_cli.core.records import Float
@@ -24,7 +25,6 @@ from salsanext_cli.runs.loop.network_task import NetworkTask
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.loop.run_origins import OriginsOfRun
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.option_fields import KnnParameters, ScanSelection
 from salsanext_cli.runs.results.manifest import Manifest, StageSettings
 from salsanext_cli.runs.results.output_run import OutputRun, output_run
 from salsanext_cli.runs.results.paths import ERROR, ORIGINS, ScanFile
@@ -35,6 +35,7 @@ from salsanext_cli.runs.results.recorded_origins import (
     origin_array,
     origin_in_run,
 )
+from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.results.selection import choose, scans_of, space_of
 from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
 

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import SalsanextError, UsageError, warn_once
 from salsanext_cli.core.fusion.drive import Drive
+from salsanext_cli.core.fusion.reach import FusionReach
 from salsanext_cli.core.fusion.visibility import nearest_ranges, seen_by
 from salsanext_cli.core.fusion.votes import (
     MAX_CELLS,
@@ -21,7 +22,6 @@ from salsanext_cli.core.fusion.votes import (
     tally,
 )
 from salsanext_cli.core.records import Double, Float, Mask
-from salsanext_cli.runs.option_fields import FusionReach
 
 MOVABLE_SHARE = 0.2  # Least share of votes for movable classes that needs a look by other scans
 SCAN_M = 500.0  # Least reach of the voxels around the farthest scan of a drive

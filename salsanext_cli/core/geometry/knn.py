@@ -18,8 +18,8 @@ import numpy.typing as npt
 from salsanext_cli.core.classes.label_space import TrainIds
 from salsanext_cli.core.compiled import argument, compiled, parallel_for_slices
 from salsanext_cli.core.errors import LabelError, UsageError
+from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.records import Float, Int, Mask, RangeImage
-from salsanext_cli.runs.option_fields import KnnParameters
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 Candidates = npt.NDArray[np.int64]

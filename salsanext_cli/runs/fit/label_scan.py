@@ -14,6 +14,7 @@ from salsanext_cli.core.engines.backend import PixelPrediction
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import FormatError, UsageError
 from salsanext_cli.core.geometry.knn import knn_refine
+from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.geometry.projection import (
     ego_points,
     in_sensor_frame,
@@ -25,7 +26,6 @@ from salsanext_cli.core.records import CHANNELS, Float, RangeImage, Scan
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.formats.npy import read_array
-from salsanext_cli.runs.option_fields import KnnParameters
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.paths import ScanFile, output_path
 from salsanext_cli.runs.results.setting_differences import differences

@@ -6,11 +6,9 @@ import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Literal
 
 from salsanext_cli.core.errors import NOTICE, UsageError
-from salsanext_cli.runs.option_fields import option, option_group
 
 if TYPE_CHECKING:
     from salsanext_cli.runs.results.paths import ScanFile
@@ -92,27 +90,14 @@ class Shard:
         return ordered[start:stop]
 
 
-running_option = partial(option, panel="Running")
-
-
-@option_group
+@dataclass(frozen=True, slots=True)
 class RunOptions:
     """Options of a run over scans."""
 
-    jobs: int = running_option(
-        "Number of worker processes; -1: one per core.", "--jobs", "-j", default=1
-    )
-    shard: Shard = running_option(
-        "Work on share I of N of the scans.",
-        default=Shard(),
-        parse=Shard.asked_for,
-        metavar="I/N",
-        show_default="the share of this Slurm array task, else 1/1",
-    )
-    overwrite: bool = running_option("Replace existing results.", default=False)
-    on_error: Literal["skip", "stop"] = running_option(
-        "Skip a scan that fails, or stop.", default="skip"
-    )
+    jobs: int = 1
+    shard: Shard = Shard()
+    overwrite: bool = False
+    on_error: Literal["skip", "stop"] = "skip"
     # Called after each scan, or for several together when a worker has finished its chunk
     progress: Progress | None = None
 

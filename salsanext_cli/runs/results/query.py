@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Options of commands on results: which scans, and in which classes."""
+"""Choice among the results of a folder: which scans, and in which classes."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from salsanext_cli.runs.option_fields import ScanSelection, option_group, selection_option
+from salsanext_cli.runs.results.scan_selection import ScanSelection
 
 if TYPE_CHECKING:
     from salsanext_cli.core.classes.label_space import LabelSpace
@@ -19,7 +20,7 @@ def named_label_space(name: str | None) -> "LabelSpace | None":
     return None if name is None else label_space(name)
 
 
-@option_group
+@dataclass(frozen=True, slots=True)
 class ResultQuery:
     """Choice among the results of a folder, and of the classes in which they are compared.
 
@@ -27,20 +28,7 @@ class ResultQuery:
     merged into `classes`.
     """
 
-    dataset: Path | None = selection_option(
-        "Data set with the scans and labels, for results that do not record it; also "
-        "SALSANEXT_DATASET.",
-        show_default="the recorded data set, else the current folder",
-    )
+    dataset: Path | None = None
     selection: ScanSelection = ScanSelection()
-    label_space: "LabelSpace | None" = selection_option(
-        "Label space of the labels: built-in, or a .yaml file in SemanticKITTI's format.",
-        metavar="NAME|FILE",
-        show_default="label space of the data set, else semantic-kitti",
-        parse=named_label_space,
-    )
-    classes: "LabelSpace | None" = selection_option(
-        "Merge classes: `coarse`, or a label-space file.",
-        metavar="coarse|FILE",
-        parse=named_label_space,
-    )
+    label_space: "LabelSpace | None" = None
+    classes: "LabelSpace | None" = None

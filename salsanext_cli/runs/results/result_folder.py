@@ -24,7 +24,6 @@ from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.formats.kitti import read_labels
 from salsanext_cli.io.formats.npy import read_uncertainty
 from salsanext_cli.io.formats.recordings import recording_of
-from salsanext_cli.runs.option_fields import ScanSelection
 from salsanext_cli.runs.results.layouts import SCAN_FOLDER
 from salsanext_cli.runs.results.making_commands import MADE_BY, PREDICT
 from salsanext_cli.runs.results.manifest import Manifest, ScanSource
@@ -43,6 +42,7 @@ from salsanext_cli.runs.results.paths import (
 )
 from salsanext_cli.runs.results.query import DATASET_VARIABLE, ResultQuery
 from salsanext_cli.runs.results.recorded_origins import sensor_of_result
+from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.results.selection import (
     MissingResults,
     choose,

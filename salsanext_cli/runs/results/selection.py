@@ -24,7 +24,6 @@ from salsanext_cli.core.errors import (
 from salsanext_cli.io.files.reading import is_folder, present
 from salsanext_cli.io.formats.recordings import recording_of
 from salsanext_cli.io.label_spaces import label_space
-from salsanext_cli.runs.option_fields import ScanSelection
 from salsanext_cli.runs.results.layouts import SCAN_FOLDER, layout_of
 from salsanext_cli.runs.results.paths import (
     ScanFile,
@@ -33,6 +32,7 @@ from salsanext_cli.runs.results.paths import (
     of_sequences,
     require_unique_stems,
 )
+from salsanext_cli.runs.results.scan_selection import ScanSelection
 
 LABEL_SPACE_FILES = ("labels.yaml", "semantic-kitti.yaml")
 """Names, in the root of a data set, of the file that describes its label space."""

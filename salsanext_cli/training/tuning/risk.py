@@ -15,6 +15,7 @@ from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.engines.backend import PixelPrediction
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import LabelError, TrainingError, first_few, percentage, with_hint
+from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.geometry.projection import points_from_pixels
 from salsanext_cli.core.measures.histograms import UNCERTAINTY_BINS, bin_of, highest_of_bins
 from salsanext_cli.core.measures.population import of_units
@@ -37,7 +38,6 @@ from salsanext_cli.io.formats.kitti import read_labels
 from salsanext_cli.runs.fit.label_scan import PreparedScan, labelled, prepared_for
 from salsanext_cli.runs.fit.sensor_fit import labels_depend_on
 from salsanext_cli.runs.loop.job import Steps
-from salsanext_cli.runs.option_fields import KnnParameters
 from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.runs.results.selection import data_set_of
 from salsanext_cli.runs.summary.scan_summary import ScanSummary

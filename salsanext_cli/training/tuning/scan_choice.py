@@ -13,8 +13,8 @@ from salsanext_cli.core.network.card import WeightsCard, scan_digest
 from salsanext_cli.io.files.reading import present
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.runs.labelling.label_records import require_labels
-from salsanext_cli.runs.option_fields import ScanSelection
 from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.results.selection import (
     choose,
     data_set_of,

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: MIT
+"""Options of commands for the fields of records that stages take as arguments."""
+
+from collections.abc import Mapping
+from dataclasses import Field
+from functools import partial
+from typing import Any, Literal
+
+from salsanext_cli.commands.line.option_fields import (
+    names_in,
+    network_option,
+    option,
+    running_option,
+    selection_option,
+)
+from salsanext_cli.core.fusion.reach import FusionReach
+from salsanext_cli.core.geometry.knn_parameters import KnnParameters
+from salsanext_cli.runs.loop.run_options import RunOptions, Shard
+from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.results.query import ResultQuery, named_label_space
+from salsanext_cli.runs.results.scan_selection import ScanSelection
+
+OPTIONS: dict[type, dict[str, Any]] = {
+    ScanSelection: {
+        "split": selection_option("Only the sequences of this split.", metavar="train|valid|test"),
+        "sequences": selection_option(
+            "Only these sequences, such as 00,08.",
+            parse=partial(names_in, option="--sequences", example="00,08"),
+            metavar="NAMES",
+        ),
+        "limit": selection_option("Only the first N scans."),
+    },
+    ResultQuery: {
+        "dataset": selection_option(
+            "Data set with the scans and labels, for results that do not record it; also "
+            "SALSANEXT_DATASET.",
+            show_default="the recorded data set, else the current folder",
+        ),
+        "label_space": selection_option(
+            "Label space of the labels: built-in, or a .yaml file in SemanticKITTI's format.",
+            metavar="NAME|FILE",
+            show_default="label space of the data set, else semantic-kitti",
+            parse=named_label_space,
+        ),
+        "classes": selection_option(
+            "Merge classes: `coarse`, or a label-space file.",
+            metavar="coarse|FILE",
+            parse=named_label_space,
+        ),
+    },
+    NetworkSettings: {
+        "weights": network_option(
+            "Weights file (.safetensors).", show_default="the weights of the package"
+        ),
+        "device": network_option("Device; auto: a GPU if there is one.", metavar="cpu|cuda|cuda:N"),
+        "precision": network_option(
+            "Precision; auto chooses a fast float for the device; int8 is faster on a CPU, and "
+            "changes "
+            "about 1 % of the labels.",
+            envvar="SALSANEXT_PRECISION",
+            typed=Literal["auto", "float32", "bfloat16", "float16", "int8"],
+        ),
+        "engine": network_option(
+            "Library that computes; auto uses OpenVINO on a CPU that it supports.",
+            envvar="SALSANEXT_ENGINE",
+            typed=Literal["auto", "openvino", "torch"],
+        ),
+        "sensor": network_option(
+            "Sensor of the scans; auto estimates field of view and mounting. A named sensor sets "
+            "only "
+            "intensity scale and noise.",
+            typed=str,
+            metavar="auto|NAME|FILE",
+        ),
+        "columns": network_option(
+            "Columns of files without a header, such as x,y,z,intensity,_; _ skips a column.",
+            metavar="NAMES",
+            show_default="columns of the sensor",
+        ),
+        "intensity_field": network_option(
+            "Field with the intensity.", metavar="NAME", show_default="the usual names"
+        ),
+        "width": network_option(
+            "Columns of the range image; more take longer and show small objects better.",
+            metavar="512|1024|2048",
+            show_default="of the weights",
+        ),
+        "min_range": network_option(
+            "Leave points nearer than this unlabelled, in metres.",
+            show_default="1, or 0.8 of the height of a lower sensor",
+        ),
+        "ego": network_option(
+            "Bounding box of your own vehicle, whose points stay unlabelled: x,y,z min, then max, "
+            "in "
+            "metres; auto estimates it from the scans of a drive.",
+            metavar="auto|none|BOX",
+        ),
+        "intensity": network_option(
+            "Match the intensity to that of the training scans, use it raw, or ignore it; auto "
+            "matches it if the weights contain the intensity of their training scans.",
+            typed=Literal["auto", "match", "raw", "none"],
+        ),
+    },
+    KnnParameters: {
+        "k": network_option("Number of neighbours that vote.", "--knn-k"),
+        "window": network_option("Side of the window of neighbours, in pixels.", "--knn-window"),
+        "sigma": network_option(
+            "Standard deviation of the Gaussian weights, in pixels.", "--knn-sigma"
+        ),
+        "cutoff": network_option(
+            "Maximum difference in range between a point and a neighbour, in metres.",
+            "--knn-cutoff",
+        ),
+    },
+    FusionReach: {
+        "reach": option("Number of scans before and after a scan that vote."),
+        "movable_reach": option("The same for vehicles, people and riders that may have moved."),
+    },
+    RunOptions: {
+        "jobs": running_option("Number of worker processes; -1: one per core.", "--jobs", "-j"),
+        "shard": running_option(
+            "Work on share I of N of the scans.",
+            parse=Shard.asked_for,
+            metavar="I/N",
+            show_default="the share of this Slurm array task, else 1/1",
+        ),
+        "overwrite": running_option("Replace existing results."),
+        "on_error": running_option("Skip a scan that fails, or stop."),
+    },
+}
+"""Declaration of each field that commands offer, by record."""
+
+
+def declaration(record: type, field: Field[Any]) -> Mapping[str, Any] | None:
+    """Return how commands offer a field of a record; None if they do not."""
+    if field.metadata:
+        return field.metadata
+    declared = OPTIONS.get(record, {}).get(field.name)
+    return declared.metadata if declared else None
