@@ -75,7 +75,7 @@ def test_a_damaged_cache_is_one_warning_and_repaired(kernel, tmp_path, caplog, d
 
 def test_machine_code_of_another_source_or_version_is_not_used(kernel, tmp_path, monkeypatch):
     assert kernel()(2) == 4
-    for place in ("numba", "salsanext_cli.core.compiled"):
+    for place in ("numba", "salsanext_cli.io.kernel_cache"):
         with monkeypatch.context() as patch:
             patch.setattr(f"{place}.__version__", "0.0.1")
             other = kernel()

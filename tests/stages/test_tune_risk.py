@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from salsanext_cli.runs.option_fields import KnnParameters, ScanSelection
 from scans import refused
 from world import World
 

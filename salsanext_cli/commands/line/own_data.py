@@ -11,7 +11,6 @@ from salsanext_cli.commands.line.expansion import Shown
 from salsanext_cli.commands.line.option_fields import argument, option, option_group
 from salsanext_cli.core.errors import UsageError, counted, printable, with_hint
 from salsanext_cli.runs.network_settings import AUTO, with_names
-from salsanext_cli.runs.option_fields import ScanSelection, argument, option, option_group
 from salsanext_cli.runs.results.query import named_label_space
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 

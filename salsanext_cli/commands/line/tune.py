@@ -13,7 +13,6 @@ from salsanext_cli.commands.line.expansion import Default, Shown, Without, expan
 from salsanext_cli.commands.line.help import Command, Group
 from salsanext_cli.commands.line.option_fields import argument, option, option_group, running_option
 from salsanext_cli.core.errors import counted, percentage
-from salsanext_cli.runs.loop.run_options import running_option
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 

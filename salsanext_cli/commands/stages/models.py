@@ -3,12 +3,11 @@
 
 from pathlib import Path
 
-from salsanext_cli.core.network.card import DescribedWeights
 from salsanext_cli.core.network.registry import plugged_networks
 from salsanext_cli.io.files.reading import fingerprint
 from salsanext_cli.io.formats import plugged_formats
 from salsanext_cli.io.label_spaces import plugged_label_spaces
-from salsanext_cli.io.weights.card_file import read_card
+from salsanext_cli.io.weights.card_file import DescribedWeights, read_card
 from salsanext_cli.io.weights.tensor_digest import require_intact
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -108,11 +107,11 @@ def share_outside(sines: npt.NDArray[np.floating[Any]], sensor: Sensor) -> float
 
 
 def check_scan(
-    path: Path, scan: Scan, sensor: Sensor, trained: Sensor | None = None, fit: str = ""
+    source: object, scan: Scan, sensor: Sensor, trained: Sensor | None = None, fit: str = ""
 ) -> ScanCheck:
     """Check a sample of the points of a scan that is projected for a sensor.
 
-    `path` is for errors. `trained` is the sensor of the weights, if the intensity
+    `source` names the scan in errors. `trained` is the sensor of the weights, if the intensity
     matters; without quantiles it stands for 0 to 1. `fit` is the hint if a fit may help.
     """
     sample = in_sensor_frame(few_points(scan), sensor)
@@ -120,7 +119,7 @@ def check_scan(
     if len(sample) < len(scan) and is_measured.sum() < MIN_TRAIT_POINTS:
         sample = in_sensor_frame(scan, sensor)
         ranges, is_measured = measured_ranges(sample.points)
-    _require_metres(path, len(scan), ranges[is_measured])
+    _require_metres(source, len(scan), ranges[is_measured])
     ego = ego_points(sample.points, sensor)
     ego_share = len(ego) / max(len(sample), 1)
     if len(ego):
@@ -205,10 +204,10 @@ def _file_findings(notes: FileNotes) -> Iterator[Finding]:
         yield Finding("missing-points", problem, "the file may be cut off: copy it again")
 
 
-def _require_metres(path: Path, count: int, ranges: Double) -> None:
+def _require_metres(source: object, count: int, ranges: Double) -> None:
     if count >= MIN_TRAIT_POINTS and not len(ranges):
         problem = f"none of its {count} points is a measurement"
-        raise FormatError(path, problem, "finite coordinates around the sensor")
+        raise FormatError(source, problem, "finite coordinates around the sensor")
     if len(ranges) < MIN_TRAIT_POINTS:
         return
     median = float(np.median(ranges))
@@ -216,7 +215,7 @@ def _require_metres(path: Path, count: int, ranges: Double) -> None:
     if not least <= median <= most:
         expected = "coordinates in metres, with the sensor at the origin"
         hint = "convert other units; subtract the position of the sensor from map coordinates"
-        raise FormatError(path, f"has a median range of {median:.3g} m", expected, hint)
+        raise FormatError(source, f"has a median range of {median:.3g} m", expected, hint)
 
 
 def _unit_findings(ranges: Double, measured: float) -> Iterator[Finding]:

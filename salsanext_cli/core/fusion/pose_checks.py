@@ -3,7 +3,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -138,28 +137,28 @@ def min_overlap(step: Poses) -> float:
     return MIN_OVERLAP * min(1.0, OVERLAP_REACH_M / max(distance, OVERLAP_REACH_M))
 
 
-def require_fitting(path: Path, poses: Poses, read: ReadPoints) -> Parts:
+def require_fitting(source: object, poses: Poses, read: ReadPoints) -> Parts:
     """Return the parts of a drive by poses from a file; refuse poses that fit too few scans."""
     parts, misfit = fitting_parts(poses, read)
     if misfit > MAX_MISFIT:
         hint = f"add the {CALIBRATION} of poses of a camera, or remove the file to compute poses"
         expected = "poses from each scan to the world, in metres"
         raise FormatError(
-            path, f"does not fit {percentage(misfit, 0)} of the scans", expected, hint
+            source, f"does not fit {percentage(misfit, 0)} of the scans", expected, hint
         )
     if 2 * len(np.unique(parts)) > len(poses) + 1:
-        _require_metres(path, poses, read)
+        _require_metres(source, poses, read)
     return parts
 
 
-def _require_metres(path: Path, poses: Poses, read: ReadPoints) -> None:
+def _require_metres(source: object, poses: Poses, read: ReadPoints) -> None:
     """Refuse poses by which the scans fit only in another unit."""
     # The last 1 is scaled too, which cancels in the step from one pose to another.
     readings = [poses, poses * [1, 1, 1, 0.01], poses * [1, 1, 1, 0.001]]
     shares = _mean_overlaps(readings, read)
     if shares.max() >= max(MIN_OVERLAP, shares[0] + MARGIN):
         unit = ("", "centimetres", "millimetres")[int(shares.argmax())]
-        raise FormatError(path, f"positions in {unit}", "metres", "convert the positions")
+        raise FormatError(source, f"positions in {unit}", "metres", "convert the positions")
 
 
 def best_reading(readings: Sequence[Poses], read: ReadPoints) -> int:

@@ -9,7 +9,6 @@ import math
 import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -310,32 +309,3 @@ def _renamed(risk: Json, source: object) -> Json:
     if "width" in (sensor := settings.get("--sensor", {})):
         settings["--width"] = sensor.pop("width")
     return risk
-
-
-@dataclass(frozen=True, slots=True)
-class DescribedWeights:
-    """Card of a weights file, and its size and digest."""
-
-    path: Path
-    sha256: str
-    size: int  # Bytes
-    card: WeightsCard
-
-    def to_dict(self) -> dict[str, object]:
-        """Return plain data for JSON."""
-        card = self.card
-        names = ("description", "architecture", "temperature", "recipe", "scores", "risk")
-        return {
-            "path": str(self.path),
-            **({"version": card.version} if card.version else {}),
-            "sha256": self.sha256,
-            "bytes": self.size,
-            "tensors_sha256": card.tensors_sha256 or None,
-            **{name: plain(getattr(card, name)) for name in (*names, "accuracy", "sensor")},
-            "label_space": card.space.name,
-            "classes": list(card.space.names),
-            "error": card.error and dict(card.error.scores),
-            "int8": len(card.int8),
-            "trained_on": len(card.trained_on),
-            "widths": list(card.trained_widths),
-        }

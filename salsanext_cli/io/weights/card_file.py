@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from salsanext_cli.core.network.weights_names import (
     PAPER_NETWORKS,
     PAPER_NETWORKS_HINT,
 )
+from salsanext_cli.core.plain_data import plain
 from salsanext_cli.io.files.atomic import WEIGHTS_SUFFIX
 from salsanext_cli.io.files.reading import fingerprint, is_folder, present, reading, refusing_damage
 
@@ -77,3 +79,32 @@ def weights_title(card: WeightsCard, path: Path) -> str:
     if card.version:
         return f"{named_weights(card, path)}, {summary},"
     return f"default weights ({summary})"
+
+
+@dataclass(frozen=True, slots=True)
+class DescribedWeights:
+    """Card of a weights file, and its size and digest."""
+
+    path: Path
+    sha256: str
+    size: int  # Bytes
+    card: WeightsCard
+
+    def to_dict(self) -> dict[str, object]:
+        """Return plain data for JSON."""
+        card = self.card
+        names = ("description", "architecture", "temperature", "recipe", "scores", "risk")
+        return {
+            "path": str(self.path),
+            **({"version": card.version} if card.version else {}),
+            "sha256": self.sha256,
+            "bytes": self.size,
+            "tensors_sha256": card.tensors_sha256 or None,
+            **{name: plain(getattr(card, name)) for name in (*names, "accuracy", "sensor")},
+            "label_space": card.space.name,
+            "classes": list(card.space.names),
+            "error": card.error and dict(card.error.scores),
+            "int8": len(card.int8),
+            "trained_on": len(card.trained_on),
+            "widths": list(card.trained_widths),
+        }
