@@ -19,7 +19,7 @@ import numpy.typing as npt
 import salsanext_cli as sn
 from salsanext_cli.core.checks.scan_checks import check_scan
 from salsanext_cli.core.engines.network import Network
-from salsanext_cli.core.geometry.scan_traits import sensor_of
+from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
 from salsanext_cli.core.measures.expected_accuracy import WITHHELD_FOR
 from salsanext_cli.runs.fit.sensor_fit import fit_network
 from salsanext_cli.runs.results.paths import ScanFile, find_scans

@@ -12,7 +12,7 @@ from salsanext_cli.core.classes.label_space import TrainIds
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.geometry.knn import knn_refine
 from salsanext_cli.core.geometry.projection import project
-from salsanext_cli.core.geometry.scan_traits import sensor_of
+from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
 from salsanext_cli.core.measures.scores import Counts, confusion_matrix, scores
 from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.network.error_model import TEMPERATURES

@@ -16,7 +16,7 @@ from salsanext_cli.core.fitting.mounting_fit import fit_mounting
 from salsanext_cli.core.geometry.beam_origin import PROVING_SHARPNESS, sharpness_at_origin
 from salsanext_cli.core.geometry.evenness import is_out_of_place
 from salsanext_cli.core.geometry.ground import ground_of
-from salsanext_cli.core.geometry.scan_traits import sensor_of
+from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
 
 
 def square(seed: int = 0) -> Scan:

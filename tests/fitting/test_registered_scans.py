@@ -22,7 +22,7 @@ from salsanext_cli.core.checks.scan_checks import check_scan
 from salsanext_cli.core.errors import FormatError, UsageError
 from salsanext_cli.core.fitting.mounting_fit import fit_mounting
 from salsanext_cli.core.geometry import scan_traits
-from salsanext_cli.core.geometry.scan_traits import sensor_of
+from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
 from salsanext_cli.core.measures.expected_accuracy import WITHHELD_FOR
 from salsanext_cli.core.sensors.sensor import INTENSITY_LEVELS, Sensor
 from salsanext_cli.core.uncertainty.method import UncertaintyMethod

@@ -8,7 +8,7 @@ from street_scans import HEIGHT, low_street, moved, street, street_points
 
 from salsanext_cli import Scan
 from salsanext_cli.core.fitting.sensor_groups import sensor_groups
-from salsanext_cli.core.geometry.scan_traits import member_of, sensor_of
+from salsanext_cli.core.geometry.sensor_of_scan import member_of, sensor_of
 from salsanext_cli.runs.fit.sensor_fit import fitted_view
 
 WAY = [(0, 0, 0), (7, 0, 0), (14, 0, 0)]

@@ -11,7 +11,7 @@ from salsanext_cli.core.errors import NoInputError, counted
 from salsanext_cli.core.fitting.sensor_groups import sensor_groups
 from salsanext_cli.core.geometry.network_input import NO_INTENSITY
 from salsanext_cli.core.geometry.projection import measured_ranges, project, without_ego
-from salsanext_cli.core.geometry.scan_traits import sensor_of
+from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
 from salsanext_cli.core.measures.survey import Survey, survey
 from salsanext_cli.core.plain_data import plain
 from salsanext_cli.core.sensors.sensor import Sensor

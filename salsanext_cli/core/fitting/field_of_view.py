@@ -10,7 +10,7 @@ from salsanext_cli.core.checks.scan_checks import MAX_SHARE_OUTSIDE, share_outsi
 from salsanext_cli.core.fitting.mounting_fit import fit_mounting
 from salsanext_cli.core.geometry.ground import ground_of
 from salsanext_cli.core.geometry.projection import in_sensor_frame, measured_ranges, without_ego
-from salsanext_cli.core.geometry.scan_traits import sensor_of
+from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
 from salsanext_cli.core.records import MAX_RANGE_M, Double, Float, Indices, Scan
 from salsanext_cli.core.sensors.sensor import FITTED_NAME, ORIGIN, UP, Sensor
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.core.geometry.network_input import BRIGHT, why_no_intensity
-from salsanext_cli.core.geometry.projection import few_points, in_sensor_frame, measured_ranges
-from salsanext_cli.core.geometry.sensor_place import placed_sensor
+from salsanext_cli.core.geometry.projection import few_points, measured_ranges
 from salsanext_cli.core.records import MAX_INTENSITY, Double, Float, Indices, Scan
 from salsanext_cli.core.sensors.sensor import Sensor
 
@@ -102,7 +101,7 @@ def groups_of(traits: Sequence[ScanTraits]) -> list[int]:
     medians: list[tuple[float, ...]] = []
     for number, members in enumerate(_divided(np.array([scan.compared for scan in traits]))):
         medians.append(usual_traits([traits[i] for i in members]))
-        steps = np.abs(np.diff([_scaled([other, medians[-1]]) for other in medians], axis=1))
+        steps = np.abs(np.diff([scaled_traits([other, medians[-1]]) for other in medians], axis=1))
         alike = int((steps[:, 0, NODES:] < 1).all(axis=1).argmax())
         groups.append(groups[alike] if alike < number else number)
         group_of[members] = groups[-1]
@@ -114,7 +113,7 @@ def _divided(compared: Double) -> list[Indices]:
     """Return the indices of the scans of each group without a gap, by their traits (F, T)."""
     if not len(compared):
         return []
-    values = _scaled(compared)[:, : NODES + 2]
+    values = scaled_traits(compared)[:, : NODES + 2]
     order = values.argsort(axis=0, kind="stable")
     gaps = np.diff(np.take_along_axis(values, order, axis=0), axis=0) > 1
     keys = np.zeros(values.shape, np.intp)
@@ -127,7 +126,7 @@ def _divided(compared: Double) -> list[Indices]:
     return [group[part] for group in groups for part in _divided(compared[group])]
 
 
-def _scaled(compared: npt.ArrayLike) -> Double:
+def scaled_traits(compared: npt.ArrayLike) -> Double:
     """Return traits (F, T) float64 of scans on scales where a step of 1 is one of `FACTORS`."""
     below, points, bright = np.split(np.array(compared, np.float64), (NODES, NODES + 1), axis=1)
     shares = np.maximum(below / points, MIN_SHARE)
@@ -151,80 +150,3 @@ def kinds_of(scans: Sequence[Scan]) -> tuple[list[int], list[tuple[float, ...]]]
     count = kinds.max(initial=0) + 1
     groups = [[traits[i] for i in traits if kinds[i] == kind] for kind in range(count)]
     return kinds.tolist(), [usual_traits(group) for group in groups if group]
-
-
-def sensor_of(scan: Scan, sensor: Sensor, origin: tuple[float, ...] | None = None) -> Sensor:
-    """Return a fitted sensor as it saw a scan.
-
-    Parameters
-    ----------
-    scan : Scan
-        Scan in the frame of its file.
-    sensor : Sensor
-        Sensor that was fitted to such scans. Of several members, it is the one whose usual traits
-        are most like those of the scan.
-    origin : 3 floats, optional
-        Position of a sensor of registered scans in the frame of the file, in metres; by default it
-        is found from the points.
-
-    Returns
-    -------
-    Sensor
-        The member, whose origin is that of the scan if it is registered.
-    """
-    if not sensor.others:
-        return _as_it_saw(scan, sensor, origin)
-    return _likeliest_member(scan, sensor, origin).sensor
-
-
-def member_of(scan: Scan, sensor: Sensor, origin: tuple[float, ...] | None = None) -> int:
-    """Return the number of the member of a fitted sensor that saw a scan, as of `sensor_of`."""
-    return _likeliest_member(scan, sensor, origin).number if sensor.others else 0
-
-
-def origin_of_scan(
-    scan: Scan, sensor: Sensor, origin: tuple[float, ...] | None = None
-) -> tuple[float, ...] | None:
-    """Return the origin of a scan that its member and its projection depend on, in metres.
-
-    It is the one that is given, else that of the points; None unless scans of a member are
-    registered. `sensor_of` with it returns the same member now and in later stages.
-    """
-    if not sensor.has_registered or origin is not None:
-        return origin
-    return sensor_of(scan, sensor).origin
-
-
-@dataclass(frozen=True, slots=True)
-class _Member:
-    """Member of a fitted sensor as it saw a scan."""
-
-    number: int
-    sensor: Sensor
-
-
-def _as_it_saw(scan: Scan, member: Sensor, origin: tuple[float, ...] | None) -> Sensor:
-    """Return a member with the origin of a scan if its scans are registered to a map."""
-    if not member.registered:
-        return member
-    return placed_sensor(scan, member) if origin is None else replace(member, origin=origin)
-
-
-def _likeliest_member(scan: Scan, sensor: Sensor, origin: tuple[float, ...] | None) -> _Member:
-    """Return the member of a sensor whose usual traits are most like those of a scan.
-
-    The traits of registered scans are those in the frame of the sensor.
-    """
-    members = [_as_it_saw(scan, member, origin) for member in sensor.members]
-    in_file = traits_of(scan)
-    if in_file is None:
-        return _Member(0, members[0])
-    of_scan = [
-        (traits_of(in_sensor_frame(scan, member)) if member.registered else None) or in_file
-        for member in members
-    ]
-    of_members = [member.traits for member in sensor.members]
-    values = _scaled([*(traits.compared for traits in of_scan), *of_members])
-    differences = np.abs(values[: len(members)] - values[len(members) :]).sum(axis=1)
-    number = int(differences.argmin())
-    return _Member(number, members[number])

@@ -93,7 +93,7 @@ class Sensor:
         in metres. Points in it are ignored. Empty for no box; None is to be estimated.
     registered : bool
         Whether the files are registered to a map, so that each scan has its own origin, which is
-        found from its points (`geometry.scan_traits.sensor_of`).
+        found from its points (`geometry.sensor_of_scan.sensor_of`).
     traits : tuple of float
         Traits of the scans that it was fitted to, if scans of several sensors are labelled
         together (`geometry.scan_traits`).

@@ -15,7 +15,7 @@ from salsanext_cli.core.errors import NOTICE, SalsanextError, UsageError, counte
 from salsanext_cli.core.fusion.poses import Poses
 from salsanext_cli.core.geometry.evenness import is_out_of_place
 from salsanext_cli.core.geometry.projection import in_sensor_frame
-from salsanext_cli.core.geometry.scan_traits import sensor_of
+from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
 from salsanext_cli.core.geometry.sensor_place import MIN_OFFSET_M
 from salsanext_cli.core.records import Double
 from salsanext_cli.core.sensors.sensor import Sensor

@@ -21,7 +21,8 @@ from salsanext_cli.core.geometry.projection import (
     measured_ranges,
     project,
 )
-from salsanext_cli.core.geometry.scan_traits import MIN_TRAIT_POINTS, origin_of_scan, sensor_of
+from salsanext_cli.core.geometry.scan_traits import MIN_TRAIT_POINTS
+from salsanext_cli.core.geometry.sensor_of_scan import origin_of_scan, sensor_of
 from salsanext_cli.core.records import CHANNELS, Float, RangeImage, Scan
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.io.formats import read_scan

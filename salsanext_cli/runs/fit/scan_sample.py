@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 from salsanext_cli.core.checks.scan_checks import check_scan
 from salsanext_cli.core.errors import SalsanextError
 from salsanext_cli.core.geometry.projection import project
-from salsanext_cli.core.geometry.scan_traits import member_of, origin_of_scan, sensor_of
+from salsanext_cli.core.geometry.sensor_of_scan import member_of, origin_of_scan, sensor_of
 from salsanext_cli.core.records import Float, Scan
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.io.formats import read_scan

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from salsanext_cli.core.errors import FormatError
-from salsanext_cli.core.geometry.scan_traits import sensor_of
+from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
 from salsanext_cli.core.records import Double, Scan
 from salsanext_cli.core.sensors.sensor import ORIGIN, Sensor
 from salsanext_cli.io.files.reading import present

@@ -16,7 +16,7 @@ from salsanext_cli.core.errors import NOTICE, LabelError, NoInputError, counted,
 from salsanext_cli.core.fitting.field_of_view import fit_view
 from salsanext_cli.core.geometry.network_input import on_other_scale
 from salsanext_cli.core.geometry.projection import ego_points, in_sensor_frame, project
-from salsanext_cli.core.geometry.scan_traits import sensor_of
+from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
 from salsanext_cli.core.records import Float
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.io.formats import read_scan

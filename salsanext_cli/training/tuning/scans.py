@@ -13,7 +13,7 @@ from salsanext_cli.core.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import LabelError
 from salsanext_cli.core.geometry.projection import project
-from salsanext_cli.core.geometry.scan_traits import sensor_of
+from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
 from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.records import Float, Indices, RangeImage
 from salsanext_cli.runs.fit.scan_sample import ScanSample
