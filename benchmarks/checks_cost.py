@@ -23,10 +23,11 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.commands.stages import predict
+from salsanext_cli.core import labelling
 from salsanext_cli.core.checks.scan_checks import UNCHECKED
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import counted
-from salsanext_cli.runs.fit import label_scan, sensor_fit
+from salsanext_cli.runs.fit import sensor_fit
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
 
@@ -50,7 +51,7 @@ def times_of(scans: Path, network: NetworkSettings, *, checked: bool) -> tuple[T
     def mark(*_: int) -> None:
         marks.append((time.perf_counter(), time.process_time()))
 
-    unchecked = patch.object(label_scan, "check_scan", lambda *_: UNCHECKED)
+    unchecked = patch.object(labelling, "check_scan", lambda *_: UNCHECKED)
     with (
         tempfile.TemporaryDirectory() as out,
         patch.object(sensor_fit, "fit_scans", timed),

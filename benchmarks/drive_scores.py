@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 
 from salsanext_cli.core.engines.network import Network
-from salsanext_cli.core.geometry.knn_parameters import KnnParameters
+from salsanext_cli.core.labelling import label_scan
 from salsanext_cli.core.measures.scores import Counts, confusion_matrix, scores
 from salsanext_cli.io.formats.kitti import read_labels
-from salsanext_cli.runs.fit.label_scan import LabelledScan, labelled, prepared_for
-from salsanext_cli.runs.fit.scan_sample import ScanSample
+from salsanext_cli.runs.fit.scan_reading import read_measured
+from salsanext_cli.runs.fit.scan_sample import sample_of_files
 from salsanext_cli.runs.fit.sensor_fit import fit_scans
 from salsanext_cli.runs.network_settings import NetworkSettings, weights_file
 from salsanext_cli.runs.results.paths import ScanFile, find_scans
@@ -36,12 +36,10 @@ def confusion_of_drive(
     settings: NetworkSettings, network: Network, files: Sequence[ScanFile]
 ) -> Counts:
     """Return the confusion (C, C) of the scans of a drive, whose sensor is fitted to them."""
-    fitted = fit_scans(settings, network, ScanSample(files, network.sensor))
+    fitted = fit_scans(settings, network, sample_of_files(files, network.sensor))
     total = np.zeros((network.space.class_count, network.space.class_count), np.int64)
     for file in files:
-        prepared = prepared_for(fitted, file)
-        (pixels,) = prepared.network.predict([prepared.input])
-        scan: LabelledScan = labelled(prepared, pixels, KnnParameters())
+        scan = label_scan(read_measured(file.path, fitted.sensor), fitted, source=file.path)
         space = data_set_label_space(file.path.parents[3]) or network.space
         truth = space.to_train(read_labels(file.label_path, len(scan.labels)))
         total += confusion_matrix(truth, scan.labels, network.space.class_count)

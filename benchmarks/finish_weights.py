@@ -30,8 +30,8 @@ from salsanext_cli.core.network.segmentation import SegmentationNetwork
 from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import read_weights, save_weights, save_with_card
-from salsanext_cli.runs.fit.label_scan import prepared_for
-from salsanext_cli.runs.fit.scan_sample import ScanSample
+from salsanext_cli.runs.fit.scan_reading import read_prepared
+from salsanext_cli.runs.fit.scan_sample import sample_of_files
 from salsanext_cli.runs.fit.sensor_fit import fit_scans
 from salsanext_cli.runs.loop.network_task import network_pipeline
 from salsanext_cli.runs.network_settings import NetworkSettings
@@ -161,7 +161,7 @@ def error_model(
             [*scans, *corrupted], lambda file: (file.path.parents[3], file.sequence)
         ):
             files = list(members)
-            own = fit_scans(settings, network, ScanSample(files, network.sensor))
+            own = fit_scans(settings, network, sample_of_files(files, network.sensor))
             read = partial(read_labelled_image, network=own, space=space)
             points = network_pipeline(judge_job(own, read, POINTS_OF_SCAN), own).results(files)
             judged |= zip(files, points, strict=True)
@@ -181,8 +181,8 @@ def add_int8(weights: Path, datasets: Sequence[Path]) -> None:
     for dataset in datasets:
         files = labelled_split(dataset, None, "train")[1]
         for file in evenly_spaced(files, RANGED):
-            fitted = fit_scans(settings, network, ScanSample([file], network.sensor))
-            inputs.append(prepared_for(fitted, file).input)
+            fitted = fit_scans(settings, network, sample_of_files([file], network.sensor))
+            inputs.append(read_prepared(file, fitted).scan.input)
     card = replace(network.card, int8=int8_inputs(network.module, inputs))
     save_with_card(weights, weights, card)
 

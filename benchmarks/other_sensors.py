@@ -24,9 +24,9 @@ import numpy as np
 import salsanext_cli as sn
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.fitting.field_of_view import fit_view
+from salsanext_cli.core.geometry.network_input import with_image_statistics
 from salsanext_cli.core.measures.survey import Survey, survey
 from salsanext_cli.core.sensors.sensor import Sensor
-from salsanext_cli.runs.fit.sensor_fit import with_image_statistics
 from salsanext_cli.synthesis import drive
 from salsanext_cli.synthesis.lidar import Beams, Lasers, Rig, hdl64_rig
 from salsanext_cli.training.data.augment import LabelledScan

@@ -35,7 +35,7 @@ from salsanext_cli.core.geometry.network_input import intensity_quantiles, match
 from salsanext_cli.core.geometry.projection import project
 from salsanext_cli.core.records import Float
 from salsanext_cli.core.sensors.sensor import Sensor
-from salsanext_cli.runs.fit.scan_sample import ScanSample
+from salsanext_cli.runs.fit.scan_sample import sample_of_files
 from salsanext_cli.runs.fit.sensor_fit import fitted_view
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.paths import ScanFile, find_scans
@@ -200,7 +200,7 @@ def data_set_rows(
     files = [file for file in find_scans(path) if file.label_path.is_file()]
     files, space = evenly_spaced(files, limit), space_of(files)
     own = fitted_view(files, given)
-    quantiles = intensity_quantiles(ScanSample(files, own).images(own))
+    quantiles = intensity_quantiles(sample_of_files(files, own).images(own))
     own = replace(own, intensity_quantiles=quantiles)
     found = joined(scan_statistics(file, space, own, wanted, near_m) for file in files)
     names = space.names

@@ -24,7 +24,7 @@ LEVELS = (
     ("core.sensors",),
     ("core.geometry", "core.network"),
     ("core.checks", "core.engines", "core.fusion"),
-    ("core.fitting", "core.uncertainty"),
+    ("core.fitting", "core.labelling", "core.uncertainty"),
     ("core.measures",),
     ("io.files",),
     ("io.formats", "io.kernel_cache", "io.label_spaces", "io.poses", "io.sensors", "io.weights"),

@@ -18,6 +18,11 @@ Double = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
 
+Origin = tuple[float, ...]
+"""Position of the sensor of a scan in the frame of its file, three floats in metres."""
+Origins = dict[str, Origin]
+"""Origins of registered scans, by name of the scan."""
+
 CHANNELS = ("range", "x", "y", "z", "intensity")  # In the published order
 MAX_RANGE_M = MAX_INTENSITY = np.float32(1e6)
 """Largest range, in metres, and intensity of a measurement in a range image."""

@@ -16,11 +16,11 @@ from rich.table import Table
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import counted
 from salsanext_cli.core.geometry.projection import points_from_pixels
+from salsanext_cli.core.labelling import LabelledScan
 from salsanext_cli.core.measures.scan_choice import Choice
 from salsanext_cli.core.records import Float
 from salsanext_cli.io.formats.ply import encode_ply
 from salsanext_cli.report.tables import ABSENT, table_of
-from salsanext_cli.runs.fit.label_scan import LabelledScan
 from salsanext_cli.runs.labelling.picked_data_set import PickedScan
 from salsanext_cli.runs.labelling.scan_description import ScanDescription
 from salsanext_cli.runs.results.paths import ScanFile
@@ -28,12 +28,13 @@ from salsanext_cli.runs.results.paths import ScanFile
 
 def picked_cloud(labelled: LabelledScan, uncertainty: Float, space: LabelSpace) -> bytes:
     """Return a PLY of a scan, coloured by label, with scalars for CloudCompare."""
-    scan, labels = labelled.scan, labelled.labels
+    scan = labelled.projected.scan
+    labels = labelled.labels
     columns: dict[str, npt.NDArray[Any]] = dict(zip("xyz", scan.points.T, strict=True))
     columns |= zip(("red", "green", "blue"), space.colours[labels].T, strict=True)
     # CloudCompare takes properties with the prefix scalar_ for scalars.
     columns["scalar_label"] = space.to_raw(labels)
-    pixels = labelled.image.pixel_of_point
+    pixels = labelled.projected.image.pixel_of_point
     columns["scalar_uncertainty"] = points_from_pixels(uncertainty, pixels, np.nan)
     columns["scalar_intensity"] = scan.intensity
     return encode_ply(columns, ["scalar_label: raw ids of labels.yaml"])

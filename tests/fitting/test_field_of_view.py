@@ -16,7 +16,7 @@ from salsanext_cli.core.checks.scan_checks import check_scan, share_outside
 from salsanext_cli.core.fitting.field_of_view import MIN_RANGE_M, SHOWN, fit_ego, fit_view
 from salsanext_cli.core.geometry.projection import ego_points, upright_rotation, without_ego
 from salsanext_cli.runs.fit import scan_sample, sensor_fit
-from salsanext_cli.runs.fit.scan_sample import MAX_SCANS, ScanSample
+from salsanext_cli.runs.fit.scan_sample import MAX_SCANS, sample_of_files
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.paths import find_scans
 from salsanext_cli.runs.results.selection import evenly_spaced
@@ -133,7 +133,7 @@ def test_each_scan_is_read_once_for_view_intensity_and_gaps(world, monkeypatch):
     monkeypatch.setattr(scan_sample, "read_scan", counted)
     settings = NetworkSettings(device="cpu", engine="torch")
     network = settings.load()
-    sample = ScanSample(find_scans(world.data), network.sensor)
+    sample = sample_of_files(find_scans(world.data), network.sensor)
     network = sensor_fit.fit_scans(settings, network, sample)
     assert len(sample.images(network.sensor)) == len(read)
     assert network.sensor.intensity_quantiles

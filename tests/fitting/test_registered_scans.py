@@ -21,7 +21,9 @@ from salsanext_cli.commands.stages.uncertainty import uncertainty
 from salsanext_cli.core.checks.scan_checks import check_scan
 from salsanext_cli.core.errors import FormatError, UsageError
 from salsanext_cli.core.fitting.mounting_fit import fit_mounting
-from salsanext_cli.core.geometry import scan_traits
+from salsanext_cli.core.fitting.scan_sample import ScanSample
+from salsanext_cli.core.fitting.view_fit import fit_sensor
+from salsanext_cli.core.geometry import sensor_of_scan
 from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
 from salsanext_cli.core.measures.expected_accuracy import WITHHELD_FOR
 from salsanext_cli.core.sensors.sensor import INTENSITY_LEVELS, Sensor
@@ -33,7 +35,6 @@ from salsanext_cli.runs.drives.pose_origins import (
     _agreeing_positions,
     origins_by_poses,
 )
-from salsanext_cli.runs.fit.sensor_fit import fitted_view
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.manifest import Manifest
@@ -80,7 +81,7 @@ def test_bodies_with_z_down(height):
 
 
 def test_scans_of_a_map_are_of_one_sensor_with_an_origin_each():
-    sensor = fitted_view(drive(), SMALL)
+    sensor = fit_sensor(ScanSample.of_scans(drive()), SMALL)
     assert sensor.registered
     assert sensor.others == ()
     for scan, place in zip(drive(), WAY, strict=True):
@@ -115,7 +116,7 @@ def test_the_hint_about_a_scan_of_a_map_does_not_move_the_others():
     assert "--sensor" not in hint
     assert "pose" in hint
     assert "alone" in hint
-    assert "out-of-place" not in codes(scan, fitted_view([scan], SMALL))
+    assert "out-of-place" not in codes(scan, fit_sensor(ScanSample.of_scans([scan]), SMALL))
 
 
 def test_a_sensor_file_with_only_up_leads_to_the_origin():
@@ -329,7 +330,7 @@ def test_later_stages_search_no_origin(map_drive, predicted, tmp_path, monkeypat
     def searched(*_):
         raise AssertionError("an origin was searched")
 
-    monkeypatch.setattr(scan_traits, "placed_sensor", searched)
+    monkeypatch.setattr(sensor_of_scan, "placed_sensor", searched)
     network = NetworkSettings(map_drive / "w.safetensors", "cpu", engine="torch")
     few = UncertaintyMethod(samples=2, aleatoric="none")
     assert uncertainty(map_drive / "velodyne", out, settings=network, method=few).done == len(WAY)

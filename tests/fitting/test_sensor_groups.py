@@ -7,9 +7,10 @@ from scans import SMALL
 from street_scans import HEIGHT, low_street, moved, street, street_points
 
 from salsanext_cli import Scan
+from salsanext_cli.core.fitting.scan_sample import ScanSample
 from salsanext_cli.core.fitting.sensor_groups import sensor_groups
+from salsanext_cli.core.fitting.view_fit import fit_sensor
 from salsanext_cli.core.geometry.sensor_of_scan import member_of, sensor_of
-from salsanext_cli.runs.fit.sensor_fit import fitted_view
 
 WAY = [(0, 0, 0), (7, 0, 0), (14, 0, 0)]
 
@@ -60,12 +61,15 @@ def test_a_registered_scan_with_few_points_is_no_fixed_sensor():
 
 @pytest.fixture(scope="module")
 def fitted():
-    return fitted_view(folder(), SMALL)
+    return fit_sensor(ScanSample.of_scans(folder()), SMALL)
 
 
 def test_each_group_has_its_fit(fitted):
     assert [member.registered for member in fitted.members] == [True, False]
-    alone = [fitted_view([folder()[n] for n in numbers], SMALL) for numbers in (DRIVE, OTHERS)]
+    alone = [
+        fit_sensor(ScanSample.of_scans([folder()[n] for n in numbers]), SMALL)
+        for numbers in (DRIVE, OTHERS)
+    ]
     for member, sensor in zip(fitted.members, alone, strict=True):
         assert member.traits
         assert (member.up, member.origin, member.fov_up, member.fov_down) == (
@@ -86,7 +90,7 @@ def test_scans_are_of_their_sensor_and_registered_ones_have_their_origin(fitted)
 
 
 def test_an_earlier_fit_stays(fitted):
-    assert fitted_view(folder()[1:], SMALL, fitted) == fitted
+    assert fit_sensor(ScanSample.of_scans(folder()[1:]), SMALL, fitted) == fitted
 
 
 def test_a_later_scan_of_the_drive_has_its_origin_too(fitted):

@@ -30,7 +30,7 @@ from salsanext_cli.core.records import Scan
 from salsanext_cli.io.formats.ply import write_ply
 from salsanext_cli.io.sensors import sensor
 from salsanext_cli.io.weights.weights import read_weights, save_weights
-from salsanext_cli.runs.fit.label_scan import projected_sensor
+from salsanext_cli.runs.fit.range_images import projected_sensor
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
 

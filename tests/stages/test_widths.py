@@ -20,8 +20,8 @@ from salsanext_cli.core.geometry.network_input import column_gaps
 from salsanext_cli.core.network.card import AccuracyLine, FittedParts
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import save_with_card
-from salsanext_cli.runs.fit.label_scan import projected_sensor
-from salsanext_cli.runs.fit.scan_sample import ScanSample
+from salsanext_cli.runs.fit.range_images import projected_sensor
+from salsanext_cli.runs.fit.scan_sample import sample_of_files
 from salsanext_cli.runs.fit.sensor_fit import fit_scans
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.paths import find_scans
@@ -54,7 +54,7 @@ def labels_by_hand(world: World, width: int) -> np.ndarray:
     network = load_network(world.network.weights, "cpu", SMALL.resized(width=width), engine="torch")
     scan = read_scan(world.scan())
     named = replace(world.network, width=width)
-    network = fit_scans(named, network, ScanSample(find_scans(world.data), network.sensor))
+    network = fit_scans(named, network, sample_of_files(find_scans(world.data), network.sensor))
     image = project(scan, network.sensor)
     train = knn_refine(image, network.logits(image).argmax(axis=0), network.space.class_count)
     return network.space.to_raw(train)

@@ -144,7 +144,7 @@ def sources(
 def _notice_shared_folder(source: Path, out: Path) -> None:
     """Print a notice if the results are written into the folder of the scans."""
     from salsanext_cli.io.files.reading import is_folder
-    from salsanext_cli.runs.fit.label_scan import projected_sensor
+    from salsanext_cli.runs.fit.range_images import projected_sensor
 
     folders = source.resolve(), out.resolve()
     is_data_set = is_folder(source / "sequences")

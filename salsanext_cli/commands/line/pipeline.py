@@ -142,7 +142,7 @@ def predict(
     Example: salsanext predict seq/velodyne out/
     """
     from salsanext_cli.commands.stages.predict import predict_range_images, predict_scans
-    from salsanext_cli.runs.fit.label_scan import projected_sensor
+    from salsanext_cli.runs.fit.range_images import projected_sensor
 
     source, out = arguments.sources(context, scans, out, dataset, topic)
     if extras.fuse:

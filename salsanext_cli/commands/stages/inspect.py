@@ -21,7 +21,7 @@ from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.formats.kitti import read_labels
 from salsanext_cli.io.weights.card_file import default_weights, read_card
 from salsanext_cli.runs.fit.mixed_sensors import APART
-from salsanext_cli.runs.fit.scan_sample import ScanSample
+from salsanext_cli.runs.fit.scan_sample import sample_of_files
 from salsanext_cli.runs.fit.sensor_fit import fitted_view
 from salsanext_cli.runs.loop.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.runs.results.paths import ScanFile, find_scans
@@ -122,7 +122,7 @@ def inspect(
     elif as_predict:
         sensor = fitted_view(files, sensor, mounting=fit_mounting)
         hint = ALONE
-    elif len(sensor_groups(ScanSample(files, sensor).scans, sensor)) > 1:
+    elif len(sensor_groups(sample_of_files(files, sensor).scans, sensor)) > 1:
         hint = APART
     return _inspect(scans, sensor, space, options, hint)
 

@@ -16,13 +16,14 @@ from salsanext_cli.core.engines.backend import PixelPrediction
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import NOTICE, NoInputError, UsageError, counted
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
+from salsanext_cli.core.labelling import refine_labels
 from salsanext_cli.core.measures.scan_choice import choose_scans, require_choice
 from salsanext_cli.core.plain_data import plain
 from salsanext_cli.core.uncertainty.monte_carlo import Estimate, require_sampling
 from salsanext_cli.io.formats.kitti import encode_labels
 from salsanext_cli.report.picked import picked_cloud, picked_csv, picked_scans, scans_of_list
-from salsanext_cli.runs.fit.label_scan import PreparedScan, labelled, prepared_for
-from salsanext_cli.runs.fit.scan_sample import ScanSample
+from salsanext_cli.runs.fit.scan_reading import PreparedFile, read_prepared
+from salsanext_cli.runs.fit.scan_sample import sample_of_files
 from salsanext_cli.runs.fit.sensor_fit import fit_scans, settings_of_network
 from salsanext_cli.runs.labelling.picked_data_set import (
     CHOSEN,
@@ -86,19 +87,22 @@ class PickJob:
     seed: int
     data_set: PickedDataSet
 
-    def prepare(self, file: ScanFile) -> PreparedScan:
+    def prepare(self, file: ScanFile) -> PreparedFile:
         """Read, check and project a scan."""
-        return prepared_for(self.network, file)
+        return read_prepared(file, self.network)
 
-    def compute(self, scans: Sequence[PreparedScan]) -> list[Estimate]:
+    def compute(self, files: Sequence[PreparedFile]) -> list[Estimate]:
         """Sample each scan."""
-        return [checked_sample(p, network, SAMPLES, self.seed) for p, network, _ in scans]
+        return [checked_sample(file.scan, SAMPLES, self.seed) for file in files]
 
-    def finish(self, scan: PreparedScan, estimate: Estimate) -> tuple[ScanFile, bytes]:
+    def finish(self, prepared: PreparedFile, estimate: Estimate) -> tuple[ScanFile, bytes]:
         """Write the scan and its cloud; return the pre-labels by the mean softmax, encoded."""
-        file, space = scan.projected.file, scan.network.space
-        pre_labelled = labelled(scan, PixelPrediction.of(estimate.probabilities), KnnParameters())
-        self.data_set.write_points(file, scan.network.sensor)
+        file = prepared.file
+        network = prepared.scan.network
+        space = network.space
+        pixels = PixelPrediction.of(estimate.probabilities)
+        pre_labelled = refine_labels(prepared.scan, pixels, KnnParameters())
+        self.data_set.write_points(file, network.sensor)
         cloud = picked_cloud(pre_labelled, estimate.uncertainty.mutual_information, space)
         self.data_set.write_missing(self.data_set.paths(file.sequence, file.stem).cloud, cloud)
         return file, encode_labels(space.to_raw(pre_labelled.labels))
@@ -146,7 +150,7 @@ def pick(
     count = count if names is None else len(scans)
     done = _done(scans, labelled, source)
     with data_set.open():
-        network = fit_scans(settings, network, ScanSample(every, network.sensor))
+        network = fit_scans(settings, network, sample_of_files(every, network.sensor))
         labels = done if labelled else None
         recorded = _settings(network, count, seed, scans, labels, is_list=names is not None)
         record = data_set.earlier(recorded, overwrite=options.overwrite)

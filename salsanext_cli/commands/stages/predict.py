@@ -20,20 +20,14 @@ from salsanext_cli.core.errors import NOTICE, UsageError, WeightsError
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.geometry.objects import BOX, Objects, find_objects, fit_boxes
 from salsanext_cli.core.geometry.projection import points_from_pixels
+from salsanext_cli.core.labelling import LabelledScan, predict_pixels, refine_labels
 from salsanext_cli.core.measures.risk_control import guarantee
 from salsanext_cli.core.network.card import RiskThreshold
-from salsanext_cli.core.records import Float
+from salsanext_cli.core.records import Float, Origins
 from salsanext_cli.core.uncertainty.error_features import error_model, error_probability
 from salsanext_cli.io.formats import read_scan
-from salsanext_cli.runs.fit.label_scan import (
-    LabelledScan,
-    PreparedScan,
-    labelled,
-    prepared_for,
-    projected_sensor,
-    range_image,
-    sensor_of_images,
-)
+from salsanext_cli.runs.fit.range_images import projected_sensor, range_image, sensor_of_images
+from salsanext_cli.runs.fit.scan_reading import PreparedFile, read_prepared
 from salsanext_cli.runs.fit.sensor_fit import (
     as_typed,
     fitted_view,
@@ -58,7 +52,6 @@ from salsanext_cli.runs.results.paths import (
 )
 from salsanext_cli.runs.results.recorded_names import with_recorded_names
 from salsanext_cli.runs.results.recorded_origins import (
-    Origins,
     folders_of_origins,
     origin_array,
     origin_in_run,
@@ -99,28 +92,28 @@ class PredictJob:
     reject: LabelRejection | None = None
     origins: Origins = field(default_factory=dict)  # Of registered scans with poses
 
-    def prepare(self, file: ScanFile) -> PreparedScan:
+    def prepare(self, file: ScanFile) -> PreparedFile:
         """Read, check and project a scan whose results may be replaced."""
         self.output.require_replaceable(file)
         origin = origin_in_run(self.output, file, self.network.sensor, self.origins)
-        return prepared_for(self.network, file, origin=origin)
+        return read_prepared(file, self.network, origin)
 
-    def compute(self, scans: Sequence[PreparedScan]) -> list[PixelPrediction]:
+    def compute(self, files: Sequence[PreparedFile]) -> list[PixelPrediction]:
         """Predict the pixels of scans, with the softmax if a result needs it."""
         softmax = bool(OF_SOFTMAX & {*self.output.folders})
-        return self.network.predict([scan.input for scan in scans], softmax=softmax)
+        return predict_pixels(self.network, [file.scan for file in files], softmax=softmax)
 
-    def finish(self, prepared: PreparedScan, pixels: PixelPrediction) -> ScanSummary:
+    def finish(self, prepared: PreparedFile, pixels: PixelPrediction) -> ScanSummary:
         """Refine the labels on the points and write the results; return numbers about the scan."""
-        scan = labelled(prepared, pixels, self.knn)
-        file = scan.file
-        image = scan.image
-        network = prepared.network
+        file = prepared.file
+        network = prepared.scan.network
+        scan = refine_labels(prepared.scan, pixels, self.knn)
+        image = scan.projected.image
         space = network.space
         output = self.output
         least_confidence = points_from_pixels(1 - pixels.confidence, image.pixel_of_point, np.nan)
         if ORIGINS in output.folders:
-            output.write_array(file, ORIGINS, origin_array(scan.origin))
+            output.write_array(file, ORIGINS, origin_array(scan.projected.origin))
         output.write_array(file, LEAST_CONFIDENCE, least_confidence)
         values = {"least_confidence": least_confidence}
         if "pixel_labels" in output.folders:
@@ -138,7 +131,7 @@ class PredictJob:
         if ERROR in output.folders and pixels.softmax is not None:
             values["error"] = error_probability(network, image, pixels.softmax, scan.labels)
             output.write_array(file, ERROR, values["error"])
-        summary = ScanSummary.of_scan(scan, space)
+        summary = ScanSummary.of_scan(file, scan, space)
         known = least_confidence[~np.isnan(least_confidence)]
         confidence = 1 - float(known.mean()) if known.size else np.nan
         summary = replace(summary, confidence=confidence)
@@ -165,7 +158,7 @@ def _object_table(scan: LabelledScan, objects: Objects, space: LabelSpace) -> by
     table = csv.writer(file, lineterminator="\n")
     table.writerow(("object", "class", "points", *BOX))
     is_car = np.isin(of_object[1:], [i for i, name in enumerate(space.names) if name == "car"])
-    boxes = fit_boxes(scan.scan.points, objects, is_car, scan.sensor.origin[:2])
+    boxes = fit_boxes(scan.projected.scan.points, objects, is_car, scan.projected.sensor.origin[:2])
     for number, box in enumerate(boxes, 1):
         name, numbers = space.names[of_object[number]], [f"{value:.3f}" for value in box]
         table.writerow((number, name, sizes[number], *numbers))

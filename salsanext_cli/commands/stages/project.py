@@ -5,8 +5,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from salsanext_cli.core.labelling import ProjectedScan, project_scan
+from salsanext_cli.core.records import Origins
 from salsanext_cli.core.sensors.sensor import Sensor
-from salsanext_cli.runs.fit.label_scan import ProjectedScan, project_scan
+from salsanext_cli.runs.fit.scan_reading import read_measured
 from salsanext_cli.runs.fit.sensor_fit import fitted_view
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.loop.run_origins import OriginsOfRun
@@ -15,7 +17,6 @@ from salsanext_cli.runs.results.output_run import OutputRun, output_run
 from salsanext_cli.runs.results.paths import ORIGINS, ScanFile
 from salsanext_cli.runs.results.recorded_names import with_recorded_names
 from salsanext_cli.runs.results.recorded_origins import (
-    Origins,
     folders_of_origins,
     origin_array,
     origin_in_run,
@@ -27,6 +28,14 @@ from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
 FOLDERS = ("range", "pixels")
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ProjectedFile:
+    """File of a scan, and its projected scan."""
+
+    file: ScanFile
+    scan: ProjectedScan
+
+
 @dataclass(frozen=True, slots=True)
 class ProjectJob:
     """Job that projects scans and writes their range images, without a step on a device."""
@@ -35,23 +44,27 @@ class ProjectJob:
     output: OutputRun
     origins: Origins = field(default_factory=dict)  # Of registered scans with poses
 
-    def prepare(self, file: ScanFile) -> ProjectedScan:
+    def prepare(self, file: ScanFile) -> ProjectedFile:
         """Read, check and project a scan whose results may be replaced."""
         self.output.require_replaceable(file)
         origin = origin_in_run(self.output, file, self.sensor, self.origins)
-        return project_scan(file, self.sensor, origin=origin)
+        scan = read_measured(file.path, self.sensor)
+        projected = project_scan(scan, self.sensor, origin=origin, source=file.path)
+        return ProjectedFile(file=file, scan=projected)
 
-    def compute(self, scans: Sequence[ProjectedScan]) -> Sequence[None]:
+    def compute(self, scans: Sequence[ProjectedFile]) -> Sequence[None]:
         """Return nothing for each scan."""
         return [None] * len(scans)
 
-    def finish(self, scan: ProjectedScan, _: None) -> ScanSummary:
+    def finish(self, projected: ProjectedFile, _: None) -> ScanSummary:
         """Write the range image and the pixels of the points."""
+        file = projected.file
+        scan = projected.scan
         if ORIGINS in self.output.folders:
-            self.output.write_array(scan.file, ORIGINS, origin_array(scan.origin))
-        self.output.write_array(scan.file, "range", scan.image.channels)
-        self.output.write_array(scan.file, "pixels", scan.image.pixel_of_point)
-        return ScanSummary(scan.file, scan.check)
+            self.output.write_array(file, ORIGINS, origin_array(scan.origin))
+        self.output.write_array(file, "range", scan.image.channels)
+        self.output.write_array(file, "pixels", scan.image.pixel_of_point)
+        return ScanSummary(file, scan.check)
 
 
 def project_scans(

@@ -21,7 +21,7 @@ from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.io.weights.card_file import default_weights, named_weights, read_card
 from salsanext_cli.io.weights.loading import network_of_module
 from salsanext_cli.io.weights.weights import encode_weights, read_weights
-from salsanext_cli.runs.fit.label_scan import prepared_for
+from salsanext_cli.runs.fit.scan_reading import read_prepared
 from salsanext_cli.runs.labelling.label_records import require_labels
 from salsanext_cli.runs.loop.run_options import cores, worker_count
 from salsanext_cli.runs.results.manifest import Manifest
@@ -241,7 +241,7 @@ def _add_int8(run: Path, source: Source, device: str) -> None:
             continue
         network = network_of_module(module.to(device), card, device)
         inputs = [
-            prepared_for(network.for_sensor(source.sensor_of(file)), file).input
+            read_prepared(file, network.for_sensor(source.sensor_of(file))).scan.input
             for file in evenly_spaced(source.files, INT8_SCANS)
         ]
         card = replace(card, int8=int8_inputs(module, inputs))

@@ -126,11 +126,11 @@ def tune_int8(
     files = select_scans(source, selection, space, evenly=True)
 
     from salsanext_cli.io.weights.weights import save_with_card
-    from salsanext_cli.runs.fit.label_scan import prepared_for
+    from salsanext_cli.runs.fit.scan_reading import read_prepared
     from salsanext_cli.training.tuning.int8 import int8_inputs
 
     network = replace(settings, device="cpu", precision="float32").load()
-    inputs = [prepared_for(network, file).input for file in files]
+    inputs = [read_prepared(file, network).scan.input for file in files]
     if not (int8 := int8_inputs(network.module, inputs)):
         raise WeightsError(settings.path, "has no hidden layer that int8 can compute")
     risk = network.card.risk

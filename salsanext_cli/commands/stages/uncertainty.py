@@ -15,11 +15,12 @@ from salsanext_cli.core.errors import NOTICE, OutputError
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.geometry.network_input import noise_of
 from salsanext_cli.core.geometry.projection import points_from_pixels
-from salsanext_cli.core.records import Float
+from salsanext_cli.core.labelling import refine_labels
+from salsanext_cli.core.records import Float, Origins
 from salsanext_cli.core.uncertainty.error_features import error_probability, knows_error
 from salsanext_cli.core.uncertainty.method import UncertaintyMethod
 from salsanext_cli.core.uncertainty.monte_carlo import Estimate
-from salsanext_cli.runs.fit.label_scan import PreparedScan, ProjectedScan, labelled, prepared_for
+from salsanext_cli.runs.fit.scan_reading import PreparedFile, read_prepared
 from salsanext_cli.runs.fit.sensor_fit import network_of_run, resolved_for, settings_of_network
 from salsanext_cli.runs.loop.network_task import NetworkTask
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
@@ -30,7 +31,6 @@ from salsanext_cli.runs.results.output_run import OutputRun, output_run
 from salsanext_cli.runs.results.paths import ERROR, ORIGINS, ScanFile
 from salsanext_cli.runs.results.recorded_names import with_recorded_names
 from salsanext_cli.runs.results.recorded_origins import (
-    Origins,
     folders_of_origins,
     origin_array,
     origin_in_run,
@@ -55,31 +55,36 @@ class UncertaintyJob:
     output: OutputRun
     origins: Origins = field(default_factory=dict)  # Of registered scans with poses
 
-    def prepare(self, file: ScanFile) -> PreparedScan:
+    def prepare(self, file: ScanFile) -> PreparedFile:
         """Read, check and project a scan whose results may be replaced."""
         self.output.require_replaceable(file)
         origin = origin_in_run(self.output, file, self.network.sensor, self.origins)
-        return prepared_for(self.network, file, origin=origin)
+        return read_prepared(file, self.network, origin)
 
-    def compute(self, scans: Sequence[PreparedScan]) -> list[Computed]:
+    def compute(self, files: Sequence[PreparedFile]) -> list[Computed]:
         """Estimate the uncertainty of the pixels of scans, one after the other."""
-        return [self._estimate(*scan) for scan in scans]
+        return [self._estimate(file) for file in files]
 
-    def _estimate(self, projected: ProjectedScan, network: Network, image: Float) -> Computed:
-        estimate = self.method.estimate(
-            network, projected.image, projected.file.sequence, projected.file.stem
-        )
-        network.backend.require_finite(estimate.probabilities, projected.file.path)
+    def _estimate(self, prepared: PreparedFile) -> Computed:
+        file = prepared.file
+        network = prepared.scan.network
+        image = prepared.scan.projected.image
+        estimate = self.method.estimate(network, image, file.sequence, file.stem)
+        network.backend.require_finite(estimate.probabilities, file.path)
         if ERROR not in self.output.folders:
             return estimate, None
-        (pixels,) = network.predict([image], softmax=True)
-        network.backend.require_finite(pixels.confidence, projected.file.path)
+        (pixels,) = network.predict([prepared.scan.input], softmax=True)
+        network.backend.require_finite(pixels.confidence, file.path)
         return estimate, pixels.softmax
 
-    def finish(self, scan: PreparedScan, computed: Computed) -> ScanSummary:
+    def finish(self, prepared: PreparedFile, computed: Computed) -> ScanSummary:
         """Write the uncertainty of the points, and their labels."""
-        (projected, network, _), (estimate, softmax) = scan, computed
-        file, image, output = projected.file, projected.image, self.output
+        file = prepared.file
+        network = prepared.scan.network
+        projected = prepared.scan.projected
+        image = projected.image
+        estimate, softmax = computed
+        output = self.output
         if ORIGINS in output.folders:
             output.write_array(file, ORIGINS, origin_array(projected.origin))
         for kind in self.method.kinds:
@@ -88,8 +93,9 @@ class UncertaintyJob:
             output.write_array(file, f"uncertainty/{kind}", of_points)
         if "predictions" not in output.folders:
             return ScanSummary(file, projected.check)
-        pixels, space = PixelPrediction.of(estimate.probabilities), network.space
-        labels = labelled(scan, pixels, self.knn).labels
+        space = network.space
+        pixels = PixelPrediction.of(estimate.probabilities)
+        labels = refine_labels(prepared.scan, pixels, self.knn).labels
         if softmax is not None:
             output.write_array(file, ERROR, error_probability(network, image, softmax, labels))
         output.write_labels(file, space.to_raw(labels))

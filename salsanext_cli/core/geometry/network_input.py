@@ -6,6 +6,7 @@ leave between rows are filled.
 """
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -183,6 +184,12 @@ def row_gaps(images: Iterable[Float]) -> float | None:
         gaps += int((~full & (below - above <= MAX_GAP + 1)).sum())
         occupied += int(full.sum())
     return round(gaps / (gaps + occupied), GAP_DIGITS) if occupied else None
+
+
+def with_image_statistics(sensor: Sensor, images: Sequence[Float]) -> Sensor:
+    """Return the sensor with the intensity and the gaps of its range images, (5, H, W) each."""
+    quantiles = intensity_quantiles(images)
+    return replace(sensor, intensity_quantiles=quantiles, row_gaps=row_gaps(images))
 
 
 def column_gaps(images: Iterable[Float]) -> float | None:

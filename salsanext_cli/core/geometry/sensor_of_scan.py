@@ -13,11 +13,11 @@ import numpy as np
 from salsanext_cli.core.geometry.projection import in_sensor_frame
 from salsanext_cli.core.geometry.scan_traits import scaled_traits, traits_of
 from salsanext_cli.core.geometry.sensor_place import placed_sensor
-from salsanext_cli.core.records import Scan
+from salsanext_cli.core.records import Origin, Scan
 from salsanext_cli.core.sensors.sensor import Sensor
 
 
-def sensor_of(scan: Scan, sensor: Sensor, origin: tuple[float, ...] | None = None) -> Sensor:
+def sensor_of(scan: Scan, sensor: Sensor, origin: Origin | None = None) -> Sensor:
     """Return a fitted sensor as it saw a scan.
 
     Parameters
@@ -41,14 +41,12 @@ def sensor_of(scan: Scan, sensor: Sensor, origin: tuple[float, ...] | None = Non
     return _likeliest_member(scan, sensor, origin).sensor
 
 
-def member_of(scan: Scan, sensor: Sensor, origin: tuple[float, ...] | None = None) -> int:
+def member_of(scan: Scan, sensor: Sensor, origin: Origin | None = None) -> int:
     """Return the number of the member of a fitted sensor that saw a scan, as of `sensor_of`."""
     return _likeliest_member(scan, sensor, origin).number if sensor.others else 0
 
 
-def origin_of_scan(
-    scan: Scan, sensor: Sensor, origin: tuple[float, ...] | None = None
-) -> tuple[float, ...] | None:
+def origin_of_scan(scan: Scan, sensor: Sensor, origin: Origin | None = None) -> Origin | None:
     """Return the origin of a scan that its member and its projection depend on, in metres.
 
     It is the one that is given, else that of the points; None unless scans of a member are
@@ -67,14 +65,14 @@ class _Member:
     sensor: Sensor
 
 
-def _as_it_saw(scan: Scan, member: Sensor, origin: tuple[float, ...] | None) -> Sensor:
+def _as_it_saw(scan: Scan, member: Sensor, origin: Origin | None) -> Sensor:
     """Return a member with the origin of a scan if its scans are registered to a map."""
     if not member.registered:
         return member
     return placed_sensor(scan, member) if origin is None else replace(member, origin=origin)
 
 
-def _likeliest_member(scan: Scan, sensor: Sensor, origin: tuple[float, ...] | None) -> _Member:
+def _likeliest_member(scan: Scan, sensor: Sensor, origin: Origin | None) -> _Member:
     """Return the member of a sensor whose usual traits are most like those of a scan.
 
     The traits of registered scans are those in the frame of the sensor.

@@ -17,12 +17,11 @@ from salsanext_cli.core.geometry.evenness import is_out_of_place
 from salsanext_cli.core.geometry.projection import in_sensor_frame
 from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
 from salsanext_cli.core.geometry.sensor_place import MIN_OFFSET_M
-from salsanext_cli.core.records import Double
+from salsanext_cli.core.records import Double, Origins
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.runs.drives.drive import poses_beside, readings_of
 from salsanext_cli.runs.results.paths import ScanFile
-from salsanext_cli.runs.results.recorded_origins import Origins
 from salsanext_cli.runs.results.selection import evenly_spaced
 
 COMPARED_SCANS = 5  # Scans of a sequence that show whether its poses are those of the sensor

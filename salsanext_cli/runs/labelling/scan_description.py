@@ -10,10 +10,11 @@ from torch import Tensor
 from salsanext_cli.core.checks.scan_checks import ScanCheck
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import FormatError
+from salsanext_cli.core.labelling import PreparedScan
 from salsanext_cli.core.network.segmentation import SegmentationNetwork
 from salsanext_cli.core.records import Double, Float
 from salsanext_cli.core.uncertainty.monte_carlo import Estimate, sample
-from salsanext_cli.runs.fit.label_scan import PreparedScan, ProjectedScan, prepared_for
+from salsanext_cli.runs.fit.scan_reading import PreparedFile, read_prepared
 from salsanext_cli.runs.results.paths import ScanFile
 
 
@@ -35,38 +36,41 @@ class DescribeJob:
     samples: int
     seed: int
 
-    def prepare(self, file: ScanFile) -> PreparedScan:
+    def prepare(self, file: ScanFile) -> PreparedFile:
         """Read, check and project a scan."""
-        scan = prepared_for(self.network, file)
-        if not (scan.projected.image.point_of_pixel >= 0).any():
+        prepared = read_prepared(file, self.network)
+        if not (prepared.scan.projected.image.point_of_pixel >= 0).any():
             raise FormatError(file.path, "has no point in the field of view of the sensor")
-        return scan
+        return prepared
 
-    def compute(self, scans: Sequence[PreparedScan]) -> list[tuple[Float, Float]]:
+    def compute(self, files: Sequence[PreparedFile]) -> list[tuple[Float, Float]]:
         """Return features (D, H, W) and mutual information (H, W) of each scan."""
         computed = []
-        for projected, network, image in scans:
+        for file in files:
+            scan = file.scan
             # Every scan has the same masks of dropout, because the mutual information varies more
             # between masks than between scans of one drive.
-            estimate = checked_sample(projected, network, self.samples, self.seed)
+            estimate = checked_sample(scan, self.samples, self.seed)
             information = estimate.uncertainty.mutual_information
-            computed.append((pixel_features(network, image), information))
+            computed.append((pixel_features(scan.network, scan.input), information))
         return computed
 
-    def finish(self, scan: PreparedScan, computed: tuple[Float, Float]) -> ScanDescription:
+    def finish(self, prepared: PreparedFile, computed: tuple[Float, Float]) -> ScanDescription:
         """Return the means over the occupied pixels."""
-        (projected, network, _), (features_of_pixel, information) = scan, computed
+        projected = prepared.scan.projected
+        features_of_pixel, information = computed
         occupied = projected.image.point_of_pixel >= 0
         features = features_of_pixel[:, occupied].mean(axis=1, dtype=np.float64)
-        network.backend.require_finite(features, projected.file.path)
+        prepared.scan.network.backend.require_finite(features, projected.source)
         mean = float(information[occupied].mean(dtype=np.float64))
-        return ScanDescription(projected.file, features, mean, projected.check)
+        return ScanDescription(prepared.file, features, mean, projected.check)
 
 
-def checked_sample(projected: ProjectedScan, network: Network, samples: int, seed: int) -> Estimate:
+def checked_sample(scan: PreparedScan, samples: int, seed: int) -> Estimate:
     """Estimate by Monte-Carlo dropout; `WeightsError` if the result is not finite."""
-    estimate = sample(network, projected.image, samples=samples, seed=seed)
-    network.backend.require_finite(estimate.probabilities, projected.file.path)
+    projected = scan.projected
+    estimate = sample(scan.network, projected.image, samples=samples, seed=seed)
+    scan.network.backend.require_finite(estimate.probabilities, projected.source)
     return estimate
 
 

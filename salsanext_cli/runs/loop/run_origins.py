@@ -10,10 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from salsanext_cli.core.errors import NOTICE, SalsanextError
+from salsanext_cli.core.records import Origins
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.runs.results.output_run import OutputRun
 from salsanext_cli.runs.results.paths import ScanFile
-from salsanext_cli.runs.results.recorded_origins import Origins, are_replaced, recorded_origin
+from salsanext_cli.runs.results.recorded_origins import are_replaced, recorded_origin
 
 log = logging.getLogger(__name__)
 

@@ -9,15 +9,13 @@ import numpy as np
 
 from salsanext_cli.core.errors import FormatError
 from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
-from salsanext_cli.core.records import Double, Scan
+from salsanext_cli.core.records import Double, Origin, Origins, Scan
 from salsanext_cli.core.sensors.sensor import ORIGIN, Sensor
 from salsanext_cli.io.files.reading import present
 from salsanext_cli.io.formats.npy import read_array
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.output_run import OutputRun
 from salsanext_cli.runs.results.paths import ORIGINS, ScanFile, output_path
-
-Origins = dict[str, tuple[float, ...]]  # Position of the sensor in metres, by name of the scan
 
 
 def sensor_of_result(out: Path, file: ScanFile, scan: Scan, sensor: Sensor) -> Sensor:
@@ -40,7 +38,7 @@ def sensor_of_result(out: Path, file: ScanFile, scan: Scan, sensor: Sensor) -> S
     return sensor_of(scan, sensor, recorded_origin(out, file, sensor))
 
 
-def recorded_origin(out: Path, file: ScanFile, sensor: Sensor) -> tuple[float, ...] | None:
+def recorded_origin(out: Path, file: ScanFile, sensor: Sensor) -> Origin | None:
     """Return the origin of a registered scan in metres, None if none is recorded.
 
     Those of fused labels are in the folder of the labels of single scans.
@@ -67,7 +65,7 @@ def recorded_origin(out: Path, file: ScanFile, sensor: Sensor) -> tuple[float, .
 
 def origin_in_run(
     run: OutputRun, file: ScanFile, sensor: Sensor, by_poses: Origins
-) -> tuple[float, ...] | None:
+) -> Origin | None:
     """Return the origin of a registered scan in metres that a run uses.
 
     Parameters
@@ -109,6 +107,6 @@ def folders_of_origins(out: Path, stage: str, sensor: Sensor) -> tuple[str, ...]
     return (ORIGINS,) if sensor.has_registered and is_free else ()
 
 
-def origin_array(origin: tuple[float, ...] | None) -> Double:
+def origin_array(origin: Origin | None) -> Double:
     """Return the origin (3,) of a scan, float64 in metres, as it is recorded."""
     return np.array(ORIGIN if origin is None else origin, np.float64)

@@ -22,6 +22,7 @@ from salsanext_cli.core.errors import NOTICE, SalsanextError, counted, first_few
 from salsanext_cli.core.geometry.projection import measured_ranges
 from salsanext_cli.core.geometry.scan_measures import measures_of
 from salsanext_cli.core.geometry.scan_traits import MIN_TRAIT_POINTS, ScanTraits
+from salsanext_cli.core.labelling import LabelledScan
 from salsanext_cli.core.measures.expected_accuracy import ExpectedAccuracy, expected_accuracy
 from salsanext_cli.core.measures.population import unit_traits
 from salsanext_cli.core.measures.risk_control import RiskBoundCheck
@@ -32,7 +33,6 @@ from salsanext_cli.core.records import Float, Mask
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.io.files.reading import present
 from salsanext_cli.io.formats.kitti import read_labels
-from salsanext_cli.runs.fit.label_scan import LabelledScan
 from salsanext_cli.runs.fit.mixed_sensors import mixed_sensors
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.output_run import OutputRun
@@ -94,12 +94,13 @@ class ScanSummary:
         return cls(file, replace(check, findings=findings), points)
 
     @classmethod
-    def of_scan(cls, scan: LabelledScan, space: LabelSpace) -> ScanSummary:
+    def of_scan(cls, file: ScanFile, scan: LabelledScan, space: LabelSpace) -> ScanSummary:
         """Summarise a labelled scan, with a warning if the probabilities are low."""
-        confidence = scan.pixels.confidence[scan.image.channels[0] > 0]
+        projected = scan.projected
+        confidence = scan.pixels.confidence[projected.image.channels[0] > 0]
         mean = float(confidence.mean()) if len(confidence) else 1.0
-        summary = cls.of_labels(scan.file, scan.labels, space, scan.check, mean)
-        measured = measured_ranges(scan.scan.points)[1]
+        summary = cls.of_labels(file, scan.labels, space, projected.check, mean)
+        measured = measured_ranges(projected.scan.points)[1]
         return replace(summary, unmeasured_points=int(np.count_nonzero(~measured)))
 
     def without_rejected(self, rejected: Mask, labels: TrainIds, uncertainty: Float) -> ScanSummary:
@@ -142,7 +143,8 @@ class ScanSummary:
         """
         if self.class_points is None:
             return self
-        measures = measures_of(scan.scan, scan.image, scan.sensor)
+        projected = scan.projected
+        measures = measures_of(projected.scan, projected.image, projected.sensor)
         codes = [finding.code for finding in self.check.findings]
         name = self.file.name
         traits = unit_traits(name, self.class_points, uncertainty, measures, codes)

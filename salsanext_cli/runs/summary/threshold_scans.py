@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from salsanext_cli.core.errors import counted, first_few
+from salsanext_cli.core.fitting.view_fit import is_other_view
 from salsanext_cli.core.measures.population import (
     are_comparable,
     have_measures,
@@ -17,7 +18,6 @@ from salsanext_cli.core.measures.population import (
 from salsanext_cli.core.network.card import RiskThreshold
 from salsanext_cli.core.network.unit_traits import UnitTraits
 from salsanext_cli.core.sensors.sensor import Sensor
-from salsanext_cli.runs.fit.sensor_fit import is_other_view
 from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.runs.results.selection import data_set_of
 

@@ -19,7 +19,6 @@ from torch import Tensor
 
 from salsanext_cli.core.checks.scan_checks import check_scan
 from salsanext_cli.core.errors import NOTICE, TrainingError, counted
-from salsanext_cli.core.geometry.scan_traits import sensor_of
 from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
 from salsanext_cli.core.network.card import parted, scan_digest
 from salsanext_cli.core.plain_data import MALFORMED, decoded

@@ -14,7 +14,7 @@ from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.classes.merging import ClassMerging, is_merged
 from salsanext_cli.core.errors import NOTICE, LabelError, NoInputError, counted, first_few
 from salsanext_cli.core.fitting.field_of_view import fit_view
-from salsanext_cli.core.geometry.network_input import on_other_scale
+from salsanext_cli.core.geometry.network_input import on_other_scale, with_image_statistics
 from salsanext_cli.core.geometry.projection import ego_points, in_sensor_frame, project
 from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
 from salsanext_cli.core.records import Float
@@ -22,8 +22,7 @@ from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.formats.kitti import read_labels
 from salsanext_cli.io.label_spaces import label_space
-from salsanext_cli.runs.fit.scan_sample import ScanSample
-from salsanext_cli.runs.fit.sensor_fit import with_image_statistics
+from salsanext_cli.runs.fit.scan_sample import sample_of_files
 from salsanext_cli.runs.labelling.label_records import pre_labelled_scans
 from salsanext_cli.runs.results.paths import ScanFile, find_scans
 from salsanext_cli.runs.results.selection import data_set_label_space, log_unused, with_splits
@@ -96,7 +95,7 @@ def training_sources(sources: Sequence[Source], *, fit: bool, jobs: int = 1) -> 
         scan = read_scan(file.path, sensor)
         return project(scan, sensor_of(scan, sensor)).channels
 
-    images = ScanSample(first.files, first.sensor, image_of).images(first.sensor)
+    images = sample_of_files(first.files, first.sensor, image_of).images(first.sensor)
     sensor = with_image_statistics(first.sensor, images)
     return [replace(source, sensor=sensor) for source in sources]
 
@@ -106,7 +105,7 @@ def fitted_source(source: Source, jobs: int = 1) -> Source:
     sequences = {name: list(files) for name, files in groupby(source.files, lambda f: f.sequence)}
 
     def fit(files: Sequence[ScanFile]) -> Sensor:
-        scans = ScanSample(files, source.sensor).scans
+        scans = sample_of_files(files, source.sensor).scans
         sensor = fit_view(scans, source.sensor)
         images = [project(scan, sensor_of(scan, sensor)).channels for scan in scans]
         return with_image_statistics(sensor, images)

@@ -17,6 +17,7 @@ from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import LabelError, TrainingError, first_few, percentage, with_hint
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.geometry.projection import points_from_pixels
+from salsanext_cli.core.labelling import predict_pixels, refine_labels
 from salsanext_cli.core.measures.histograms import UNCERTAINTY_BINS, bin_of, highest_of_bins
 from salsanext_cli.core.measures.population import of_units
 from salsanext_cli.core.measures.risk_control import (
@@ -35,7 +36,7 @@ from salsanext_cli.core.plain_data import plain
 from salsanext_cli.core.sensors.sensor import FittedView
 from salsanext_cli.core.uncertainty.error_features import error_probability, knows_error
 from salsanext_cli.io.formats.kitti import read_labels
-from salsanext_cli.runs.fit.label_scan import PreparedScan, labelled, prepared_for
+from salsanext_cli.runs.fit.scan_reading import PreparedFile, read_prepared
 from salsanext_cli.runs.fit.sensor_fit import labels_depend_on
 from salsanext_cli.runs.loop.job import Steps
 from salsanext_cli.runs.results.paths import ScanFile
@@ -93,14 +94,17 @@ class HeldOutSequence:
 
 
 def judged_scan(
-    scan: PreparedScan, pixels: PixelPrediction, space: LabelSpace, counts: Counts
+    prepared: PreparedFile, pixels: PixelPrediction, space: LabelSpace, counts: Counts
 ) -> JudgedScan:
     """Label a scan as `predict` does, and judge it: by the error if there is a softmax.
 
     Add its points to `counts` (C, C, B + 1) by truth, label and bin, the last one for no label.
     """
-    file, image, network = scan.projected.file, scan.projected.image, scan.network
-    of_scan = labelled(scan, pixels, KnnParameters())
+    file = prepared.file
+    network = prepared.scan.network
+    projected = prepared.scan.projected
+    image = projected.image
+    of_scan = refine_labels(prepared.scan, pixels, KnnParameters())
     labels = of_scan.labels
     truth = space.to_train(read_labels(file.label_path, len(labels)), source=file.label_path)
     scored = space.scored[truth]
@@ -109,14 +113,15 @@ def judged_scan(
     values = points_from_pixels(1 - pixels.confidence, image.pixel_of_point, np.nan)
     if pixels.softmax is not None:
         values = error_probability(network, image, pixels.softmax, labels)
-    traits = ScanSummary.of_scan(of_scan, network.space).with_traits(of_scan, values).traits
+    summary = ScanSummary.of_scan(file, of_scan, network.space)
+    traits = summary.with_traits(of_scan, values).traits
     bins = np.where(np.isnan(values) | (labels == 0), UNCERTAINTY_BINS, bin_of(values))
     truth, labels, bins = truth[scored], labels[scored], bins[scored]
     np.add.at(counts, (truth, labels, bins), 1)
     both = bins, bins[labels != truth]
     of_bins = np.array([np.bincount(part, minlength=UNCERTAINTY_BINS + 1) for part in both])
     below = of_bins[:, :-1].cumsum(axis=1, dtype=np.int32)
-    return JudgedScan(file, scan_digest(scan.projected.scan), len(truth), below, traits)
+    return JudgedScan(file, scan_digest(projected.scan), len(truth), below, traits)
 
 
 def fit_risk(scans: TuningScans, at_most: float, confidence: float | None = None) -> Tuned:
@@ -184,11 +189,14 @@ def _judged_scans(scans: TuningScans, kind: str, counts: Counts) -> list[JudgedS
     """Label and judge all scans by a kind of uncertainty; `counts` as of `judged_scan`."""
     network = scans.network
 
-    def predict(some: Sequence[PreparedScan]) -> list[PixelPrediction]:
-        return network.predict([scan.input for scan in some], softmax=kind == "error")
+    def prepare(file: ScanFile) -> PreparedFile:
+        return read_prepared(file, network)
+
+    def predict(files: Sequence[PreparedFile]) -> list[PixelPrediction]:
+        return predict_pixels(network, [file.scan for file in files], softmax=kind == "error")
 
     judge = partial(judged_scan, space=scans.space, counts=counts)
-    steps = Steps(partial(prepared_for, network), predict, judge)
+    steps = Steps(prepare, predict, judge)
     return [*scans.run(steps).values()]
 
 

@@ -16,7 +16,7 @@ from salsanext_cli.core.geometry.projection import project
 from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
 from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.records import Float, Indices, RangeImage
-from salsanext_cli.runs.fit.scan_sample import ScanSample
+from salsanext_cli.runs.fit.scan_sample import sample_of_files
 from salsanext_cli.runs.fit.sensor_fit import fit_scans
 from salsanext_cli.runs.loop.job import Computed, Prepared, ScanJob
 from salsanext_cli.runs.loop.network_task import network_pipeline
@@ -45,7 +45,7 @@ class TuningScans:
     @cached_property
     def network(self) -> Network:
         """Network fitted to the sensor of the scans, which are read at the first use."""
-        sample = ScanSample(find_scans(self.source), self.loaded.sensor)
+        sample = sample_of_files(find_scans(self.source), self.loaded.sensor)
         fitted = fit_scans(self.settings, self.loaded, sample)
         self.settings.announce(fitted)
         return fitted

@@ -22,9 +22,12 @@ from salsanext_cli import (
     read_scan,
 )
 from salsanext_cli.core.errors import LabelError, NoInputError, UsageError
-from salsanext_cli.core.geometry.network_input import match_intensity, with_filled_gaps
+from salsanext_cli.core.geometry.network_input import (
+    match_intensity,
+    with_filled_gaps,
+    with_image_statistics,
+)
 from salsanext_cli.core.measures.scores import scores
-from salsanext_cli.runs.fit.sensor_fit import with_image_statistics
 from salsanext_cli.runs.results.paths import find_scans
 from salsanext_cli.training.data.dataset import Samples, SamplingPlan
 from salsanext_cli.training.data.sources import (

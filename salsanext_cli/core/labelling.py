@@ -1,0 +1,221 @@
+# SPDX-License-Identifier: MIT
+"""The way of one scan: its sensor, its checks, its range image, labels of pixels, of points.
+
+`label_scan` is the whole way. Stages take the same steps by themselves: reader threads prepare
+scans, a device predicts batches of them, and a writer thread refines their labels.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from salsanext_cli.core.checks.scan_checks import ScanCheck, check_scan
+from salsanext_cli.core.classes.label_space import TrainIds
+from salsanext_cli.core.engines.backend import PixelPrediction
+from salsanext_cli.core.engines.network import Network
+from salsanext_cli.core.geometry.knn import knn_refine
+from salsanext_cli.core.geometry.knn_parameters import KnnParameters
+from salsanext_cli.core.geometry.projection import ego_points, in_sensor_frame, project
+from salsanext_cli.core.geometry.sensor_of_scan import origin_of_scan, sensor_of
+from salsanext_cli.core.records import Float, Origin, RangeImage, Scan
+from salsanext_cli.core.sensors.sensor import Sensor
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ProjectedScan:
+    """Scan that was checked and projected.
+
+    Attributes
+    ----------
+    source : object
+        Name of the scan in errors, such as the path of its file.
+    scan : Scan
+        N points, in the frame of their file.
+    sensor : Sensor
+        Member of the fitted sensor that the scan belongs to.
+    origin : tuple of float, optional
+        Position by which the member was found; None if no scan has its own.
+    check : ScanCheck
+        Reasons to doubt the scan.
+    image : RangeImage
+        H × W pixels.
+    """
+
+    source: object
+    scan: Scan
+    sensor: Sensor
+    origin: Origin | None
+    check: ScanCheck
+    image: RangeImage
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PreparedScan:
+    """Scan that is ready for a network.
+
+    Attributes
+    ----------
+    projected : ProjectedScan
+        Checked and projected scan.
+    network : Network
+        Network for the sensor of the scan.
+    input : (1, 5, H, W) float32
+        Normalised range image.
+    """
+
+    projected: ProjectedScan
+    network: Network
+    input: Float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LabelledScan:
+    """Scan with the labels of a network.
+
+    Attributes
+    ----------
+    projected : ProjectedScan
+        Checked and projected scan.
+    pixels : PixelPrediction
+        Labels of its pixels, and their confidence.
+    labels : (N,) uint8
+        Train ids of its points, refined by kNN.
+    """
+
+    projected: ProjectedScan
+    pixels: PixelPrediction
+    labels: TrainIds
+
+
+def label_scan(
+    scan: Scan,
+    network: Network,
+    *,
+    knn: KnnParameters = KnnParameters(),
+    softmax: bool = False,
+    origin: Origin | None = None,
+    source: object = "scan",
+) -> LabelledScan:
+    """Label the points of a scan with a network that is fitted to its sensor.
+
+    Parameters
+    ----------
+    scan : Scan
+        N points, in the frame of their file.
+    network : Network
+        Network for the sensors of such scans.
+    knn : KnnParameters
+        Neighbourhood of the refinement.
+    softmax : bool
+        Whether to keep the probabilities of all classes.
+    origin : tuple of float, optional
+        Position of the sensor of a registered scan, in metres; by default found from its points.
+    source : object
+        Name of the scan in errors.
+
+    Returns
+    -------
+    LabelledScan
+
+    Raises
+    ------
+    FormatError
+        If the points are not those of a scan in metres around a sensor.
+    WeightsError
+        If a probability is not finite.
+    """
+    projected = project_scan(scan, network.sensor, network.card.sensor, origin, source)
+    prepared = prepare_for(network, projected)
+    (pixels,) = predict_pixels(network, [prepared], softmax=softmax)
+    return refine_labels(prepared, pixels, knn)
+
+
+def project_scan(
+    scan: Scan,
+    sensor: Sensor,
+    trained: Sensor | None = None,
+    origin: Origin | None = None,
+    source: object = "scan",
+) -> ProjectedScan:
+    """Find the sensor of a scan, check its points and project them.
+
+    Parameters
+    ----------
+    scan : Scan
+        N points, in the frame of their file.
+    sensor : Sensor
+        Sensor that was fitted to such scans, perhaps with several members.
+    trained : Sensor, optional
+        Sensor of the weights, if the intensity matters.
+    origin, source
+        As in `label_scan`.
+
+    Returns
+    -------
+    ProjectedScan
+
+    Raises
+    ------
+    FormatError
+        If the points are not those of a scan in metres around a sensor.
+    """
+    origin = origin_of_scan(scan, sensor, origin)
+    sensor = sensor_of(scan, sensor, origin)
+    check = check_scan(source, scan, sensor, trained)
+    image = project(scan, sensor)
+    check = replace(check, points=len(scan), ego_points=_ego_count(scan, image, sensor))
+    return ProjectedScan(
+        source=source, scan=scan, sensor=sensor, origin=origin, check=check, image=image
+    )
+
+
+def _ego_count(scan: Scan, image: RangeImage, sensor: Sensor) -> int:
+    """Count the points of a scan on the housing of its sensor or its vehicle."""
+    without_pixel = scan.take(np.flatnonzero(image.pixel_of_point < 0))
+    return len(ego_points(in_sensor_frame(without_pixel, sensor).points, sensor))
+
+
+def prepare_for(network: Network, projected: ProjectedScan) -> PreparedScan:
+    """Return a projected scan with its input of a network, whose sensor may have members."""
+    network = network.for_sensor(projected.sensor)
+    return PreparedScan(
+        projected=projected, network=network, input=network.input(projected.image.channels)
+    )
+
+
+def predict_pixels(
+    network: Network, scans: Sequence[PreparedScan], *, softmax: bool = False
+) -> list[PixelPrediction]:
+    """Predict the pixels of scans together; `softmax` adds the probabilities of all classes."""
+    return network.predict([scan.input for scan in scans], softmax=softmax)
+
+
+def refine_labels(
+    prepared: PreparedScan, pixels: PixelPrediction, knn: KnnParameters
+) -> LabelledScan:
+    """Refine the labels of the pixels of a scan to labels of its points.
+
+    Parameters
+    ----------
+    prepared : PreparedScan
+        Scan of N points.
+    pixels : PixelPrediction
+        Labels of its pixels.
+    knn : KnnParameters
+        Neighbourhood.
+
+    Returns
+    -------
+    LabelledScan
+
+    Raises
+    ------
+    WeightsError
+        If a probability is not finite.
+    """
+    projected = prepared.projected
+    network = prepared.network
+    network.backend.require_finite(pixels.confidence, projected.source)
+    labels = knn_refine(projected.image, pixels.labels, network.space.class_count, knn)
+    return LabelledScan(projected=projected, pixels=pixels, labels=labels)
