@@ -6,43 +6,27 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.commands.stages.fuse import FUSED, fuse_results, require_fusable
 from salsanext_cli.commands.stages.predict import predict_scans
+from salsanext_cli.core.api import PointLabels, fitted_to_scan, point_labels, scan_of_arrays
 from salsanext_cli.core.classes.label_space import TrainIds
 from salsanext_cli.core.engines.network import Network
-from salsanext_cli.core.errors import NoInputError, UsageError
-from salsanext_cli.core.geometry.knn_parameters import KnnParameters
-from salsanext_cli.core.geometry.projection import points_from_pixels
+from salsanext_cli.core.errors import NoInputError
 from salsanext_cli.core.records import Float, Scan
-from salsanext_cli.core.uncertainty.error_features import error_probability, knows_error
 from salsanext_cli.io.files.locks import temporary_folder
 from salsanext_cli.io.weights.loading import load_network
-from salsanext_cli.runs.fit.label_scan import labelled, prepared_for
-from salsanext_cli.runs.fit.sensor_fit import fit_network
 from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.results.paths import ScanFile, drive_order
+from salsanext_cli.runs.results.paths import drive_order
 from salsanext_cli.runs.results.result_folder import ResultFolder
 from salsanext_cli.runs.results.scan_selection import ScanSelection
-from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
-
-IN_MEMORY = ScanFile("scan", "points", Path("points"))
-"""File of the points in warnings and errors."""
 
 log = logging.getLogger(__name__)
-
-
-class PointLabels(NamedTuple):
-    """Labels, probabilities and error of the N points of a scan."""
-
-    labels: TrainIds
-    probabilities: Float
-    error: Float | None
 
 
 def label(
@@ -80,40 +64,10 @@ def label(
     SalsanextError
         If the arrays are not points around a sensor, or the weights cannot be used.
     """
-    scan = _scan(points, intensity)
-    network = weights
-    if not isinstance(network, Network):
-        network = fit_network(load_network(weights), [scan])  # type: ignore[arg-type]
-    prepared = prepared_for(network, IN_MEMORY, scan)
-    network = prepared.network
-    (pixels,) = network.predict([prepared.input], softmax=True)
-    done, softmax = labelled(prepared, pixels, KnnParameters()), cast(Float, pixels.softmax)
-    RunSummary(network.sensor).add(ScanSummary.of_scan(done, network.space))
-    none = np.eye(1, network.space.class_count)
-    of_points = points_from_pixels(softmax, done.image.pixel_of_point, none)
-    error = None
-    if knows_error(network):
-        error = error_probability(network, done.image, softmax, done.labels)
-    return PointLabels(done.labels, of_points, error)
-
-
-def _scan(points: npt.ArrayLike, intensity: npt.ArrayLike | None) -> Scan:
-    """Return the scan of checked arrays; its intensity is 0 if there is none."""
-    try:
-        coordinates = np.asarray(points)
-    except ValueError:
-        coordinates = np.array("lists of different lengths")
-    if coordinates.ndim != 2 or coordinates.shape[1] != 3 or coordinates.dtype.kind not in "fiu":
-        problem = f"an array {coordinates.shape} of {coordinates.dtype}"
-        hint = "pass x, y, z and intensity separately: label(array[:, :3], array[:, 3])"
-        raise UsageError("points", problem, "numbers (N, 3), in metres", hint)
-    values = np.zeros(len(coordinates)) if intensity is None else np.asarray(intensity)
-    if values.shape != coordinates.shape[:1] or values.dtype.kind not in "fiu":
-        problem = f"an array {values.shape} of {values.dtype}"
-        raise UsageError("intensity", problem, f"numbers ({len(coordinates)},), one per point")
-    # Numbers outside the range of float32 become infinite: no measurement.
-    with np.errstate(over="ignore", invalid="ignore"):
-        return Scan(coordinates.astype(np.float32), values.astype(np.float32))
+    scan = scan_of_arrays(points, intensity)
+    if isinstance(weights, Network):
+        return point_labels(scan, weights)
+    return point_labels(scan, fitted_to_scan(load_network(weights), scan))
 
 
 class FusedScan(NamedTuple):

@@ -25,7 +25,7 @@ LEVELS = (
     ("core.geometry", "core.network"),
     ("core.checks", "core.engines", "core.fusion"),
     ("core.fitting", "core.labelling", "core.uncertainty"),
-    ("core.measures",),
+    ("core.api", "core.measures"),
     ("io.files",),
     ("io.formats", "io.kernel_cache", "io.label_spaces", "io.poses", "io.sensors", "io.weights"),
     ("io.user_caches",),

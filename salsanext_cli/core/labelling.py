@@ -87,6 +87,12 @@ class LabelledScan:
     pixels: PixelPrediction
     labels: TrainIds
 
+    @property
+    def mean_confidence(self) -> float:
+        """Mean of the largest probabilities of the occupied pixels, 0…1; 1 without any."""
+        confidence = self.pixels.confidence[self.projected.image.channels[0] > 0]
+        return float(confidence.mean()) if len(confidence) else 1.0
+
 
 def label_scan(
     scan: Scan,

@@ -3,6 +3,8 @@
 
 from typing import NamedTuple
 
+from salsanext_cli.core.errors import with_hint
+
 
 class Finding(NamedTuple):
     """Reason to doubt the labels of a scan."""
@@ -10,3 +12,7 @@ class Finding(NamedTuple):
     code: str  # Name of the check, as in docs/reference/warnings.md
     problem: str
     hint: str
+
+    def about(self, name: str) -> str:
+        """Return the text of a warning about the scan of a name."""
+        return with_hint(f"{name}: {self.problem} ({self.code})", self.hint)

@@ -15,13 +15,14 @@ from pathlib import Path
 import numpy as np
 
 from salsanext_cli.core.checks.finding import Finding
+from salsanext_cli.core.checks.label_checks import label_findings
 from salsanext_cli.core.checks.scan_checks import UNCHECKED, ScanCheck
 from salsanext_cli.core.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.core.engines.network import Network
-from salsanext_cli.core.errors import NOTICE, SalsanextError, counted, first_few, percentage
+from salsanext_cli.core.errors import NOTICE, SalsanextError, counted, first_few
 from salsanext_cli.core.geometry.projection import measured_ranges
 from salsanext_cli.core.geometry.scan_measures import measures_of
-from salsanext_cli.core.geometry.scan_traits import MIN_TRAIT_POINTS, ScanTraits
+from salsanext_cli.core.geometry.scan_traits import ScanTraits
 from salsanext_cli.core.labelling import LabelledScan
 from salsanext_cli.core.measures.expected_accuracy import ExpectedAccuracy, expected_accuracy
 from salsanext_cli.core.measures.population import unit_traits
@@ -39,24 +40,10 @@ from salsanext_cli.runs.results.output_run import OutputRun
 from salsanext_cli.runs.results.owned_folder import OwnedFolder, Texts
 from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.runs.results.selection import space_of_labels
-from salsanext_cli.runs.summary.scan_warnings import (
-    LOOK,
-    ScanWarning,
-    hint_in,
-    log_finding,
-    log_text,
-)
+from salsanext_cli.runs.summary.scan_warnings import ScanWarning, hint_in, log_finding, log_text
 from salsanext_cli.runs.summary.threshold_scans import ScanComparison, why_incomparable
 
 CLASSES_SHOWN = 5  # Classes that a summary names
-MAX_SHARE = 0.75  # Largest credible share of a class in a scan; an empty crossroads had 0.6
-FEW_CLASSES, MAX_SHARE_OF_FEW = 10, 0.85
-"""The same for at most so many classes, as in `coarse`; right settings gave at most 0.67."""
-MIN_CLASSES = 5
-"""One of fewer classes may cover a whole scan. Both numbers include the class "unlabelled"."""
-MIN_CONFIDENCE, MIN_OF_FEW = 0.575, 0.74
-"""Least usual mean of a scan; cities had 0.62 or more, and 0.79 or more in `coarse`."""
-USUAL = "check the sensor and its settings"
 MAX_COMPARED = 5000  # Most scans that are compared with those of a threshold
 OTHER_SCANS = "other-scans"
 """Code of the warning that the guarantee of a threshold does not cover the scans of a run."""
@@ -90,16 +77,15 @@ class ScanSummary:
     ) -> ScanSummary:
         """Count the predicted train ids (N,) of a scan; check them and their mean probability."""
         points = np.bincount(labels, minlength=space.class_count)
-        findings = (*check.findings, *_label_findings(points, confidence, space))
+        findings = (*check.findings, *label_findings(points, confidence, space))
         return cls(file, replace(check, findings=findings), points)
 
     @classmethod
     def of_scan(cls, file: ScanFile, scan: LabelledScan, space: LabelSpace) -> ScanSummary:
         """Summarise a labelled scan, with a warning if the probabilities are low."""
         projected = scan.projected
-        confidence = scan.pixels.confidence[projected.image.channels[0] > 0]
-        mean = float(confidence.mean()) if len(confidence) else 1.0
-        summary = cls.of_labels(file, scan.labels, space, projected.check, mean)
+        confidence = scan.mean_confidence
+        summary = cls.of_labels(file, scan.labels, space, projected.check, confidence)
         measured = measured_ranges(projected.scan.points)[1]
         return replace(summary, unmeasured_points=int(np.count_nonzero(~measured)))
 
@@ -149,22 +135,6 @@ class ScanSummary:
         name = self.file.name
         traits = unit_traits(name, self.class_points, uncertainty, measures, codes)
         return replace(self, traits=traits)
-
-
-def _label_findings(points: Counts, confidence: float, space: LabelSpace) -> Iterator[Finding]:
-    """Yield warnings by the number of points of each class (C,) and their mean probability."""
-    few = space.class_count <= FEW_CLASSES
-    if space.class_count >= MIN_CLASSES:
-        total, largest = int(points[1:].sum()), int(points[1:].argmax()) + 1
-        most = MAX_SHARE_OF_FEW if few else MAX_SHARE
-        if total >= MIN_TRAIT_POINTS and points[largest] > most * total:
-            share = (
-                f"{percentage(points[largest] / total, 0)} of the points are {space.names[largest]}"
-            )
-            yield Finding("one-class", share, LOOK)
-    if confidence < (MIN_OF_FEW if few else MIN_CONFIDENCE):
-        mean = f"the labels have a mean probability of {confidence:.2f}"
-        yield Finding("low-confidence", mean, f"{USUAL}; {LOOK}")
 
 
 @dataclass(slots=True)

@@ -10,10 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from salsanext_cli.core.checks.finding import Finding
-from salsanext_cli.core.errors import first_few, with_hint
+from salsanext_cli.core.checks.label_checks import LOOK
+from salsanext_cli.core.errors import first_few
 
-LOOK = "look at the labels"
-"""End of the hints about labels, after which `hint_in` names the command."""
 log = logging.getLogger(__name__)
 
 
@@ -39,8 +38,8 @@ def hint_in(out: Path | None, hint: str) -> str:
 
 def log_finding(name: str, finding: Finding, out: Path | None = None) -> None:
     """Log a reason to doubt a scan or sequence as a warning; `out`: folder of the results."""
-    headline = f"{log_text(name)}: {finding.problem} ({finding.code})"
-    log.warning("%s", with_hint(headline, hint_in(out, finding.hint)))
+    finding = finding._replace(hint=hint_in(out, finding.hint))
+    log.warning("%s", finding.about(log_text(name)))
 
 
 def log_recorded(warnings: Iterable[ScanWarning]) -> None:
