@@ -29,6 +29,7 @@ LEVELS = (
     ("io.files",),
     ("io.formats", "io.kernel_cache", "io.label_spaces", "io.poses", "io.sensors", "io.weights"),
     ("io.user_caches",),
+    ("runs.network_announcement", "runs.sensor_request"),
     ("runs.network_settings", "runs.results"),
     ("runs.drives", "runs.fit"),
     ("runs.summary",),

@@ -124,7 +124,7 @@ def test_label_labels_as_the_command_line_does(other_sensor, tmp_path, caplog):
 
 
 def test_warnings_are_on_stderr_without_any_logging_set_up():
-    words = "from salsanext_cli.runs.fit import sensor_fit as s; s.log.warning('so')"
+    words = "from salsanext_cli.core.fitting import network_fit as s; s.log.warning('so')"
     process = subprocess.run([sys.executable, "-c", words], capture_output=True, check=True)
     assert process.stderr.decode().strip() == "so"
 

@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: MIT
-"""Settings of a network: weights, device, precision and sensor."""
+"""Settings of a network to load: weights, device, precision and sensor."""
 
-import logging
-from contextlib import suppress
 from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from salsanext_cli.core.errors import NOTICE, UsageError, quoted
 from salsanext_cli.core.network.weights_names import DEFAULT_NAME
+from salsanext_cli.runs.network_announcement import announce_network
+from salsanext_cli.runs.sensor_request import AUTO, requested_sensor
 
 if TYPE_CHECKING:
     from salsanext_cli.core.classes.label_space import LabelSpace
@@ -16,11 +15,7 @@ if TYPE_CHECKING:
     from salsanext_cli.core.sensors.sensor import Sensor
     from salsanext_cli.io.stated_fields import StatedFields
 
-AUTO = "auto"
-MIN_WIDTH = 16  # Columns; a fourth downsampling of the network leaves one
 DEFAULT_WEIGHTS = Path(DEFAULT_NAME)
-
-log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,30 +77,19 @@ class NetworkSettings:
         return read_card(self.path).sensor
 
     def named_sensor(self) -> "Sensor | None":
-        """Return the requested sensor, if any; of a built-in one noise and intensity scale only."""
-        from salsanext_cli.core.sensors.sensor import OF_DEVICE, presets
-        from salsanext_cli.io.sensors import sensor
-
-        named = self.sensor or AUTO
-        if not isinstance(named, str):
-            return named
-        changes = (self.columns, self.intensity_field, self.width, self.min_range)
-        if (named, self.ego) == (AUTO, AUTO) and changes == (None, None, None, None):
-            return None
-        chosen = trained = self.trained_sensor()
-        if named != AUTO:
-            chosen = sensor(named, trained)
-        if named in presets():
-            chosen = replace(trained, **{key: getattr(chosen, key) for key in OF_DEVICE})
-        chosen = with_names(chosen, self.columns, self.intensity_field)
-        if self.width is not None:
-            chosen = with_width(chosen, self.width)
-        if self.min_range is not None:
-            chosen = replace(chosen, min_range=self.min_range)
-        if self.ego != AUTO:
-            chosen = replace(chosen, ego_box=_ego_box(self.ego))
-        # The scans have another intensity and other gaps than the training.
-        return replace(chosen, intensity_quantiles=(), row_gaps=None)
+        """Return the requested sensor, if any, as of `requested_sensor`."""
+        name = self.sensor or AUTO
+        if not isinstance(name, str):
+            return name
+        return requested_sensor(
+            name,
+            self.trained_sensor,
+            columns=self.columns,
+            intensity_field=self.intensity_field,
+            width=self.width,
+            min_range=self.min_range,
+            ego=self.ego,
+        )
 
     def load(self) -> "Network":
         """Load the network."""
@@ -132,18 +116,9 @@ class NetworkSettings:
         """Log weights, device, engine and precision, and parts fitted to other weights."""
         from salsanext_cli.io.weights.card_file import weights_title
 
-        default = self.weights in (None, DEFAULT_WEIGHTS)
-        name = weights_title(network.card, self.path) if default else self.weights
-        merged = f", merged into the classes of {network.space.name}" if network.merging else ""
-        backend = network.backend
-        computing = f"on {backend.device} by {backend.library} in {backend.precision}"
-        log.log(NOTICE, "%s %s%s", name, computing, merged)
-        if inherited := network.card.inherited():
-            hint = ": run `salsanext tune error`" if inherited.startswith("error") else ""
-            log.log(NOTICE, "%s; not fitted to these weights%s", inherited, hint)
-        if others := network.card.of_other_width():
-            width = network.sensor.width
-            log.log(NOTICE, "%s; not fitted to images of %d columns", others, width)
+        is_default = self.weights in (None, DEFAULT_WEIGHTS)
+        title = weights_title(network.card, self.path) if is_default else self.weights
+        announce_network(network, title)
 
     def resolved(self, network: "Network", *, silent: bool = False) -> "NetworkSettings":
         """Return settings with which each worker loads the same network, and announce it.
@@ -167,49 +142,3 @@ def weights_file(path: Path | None) -> Path:
     from salsanext_cli.io.weights.card_file import default_weights
 
     return default_weights() if path in (None, DEFAULT_WEIGHTS) else path
-
-
-def with_names(
-    sensor: "Sensor", columns: str | None, intensity_field: str | None = None
-) -> "Sensor":
-    """Return a sensor with other columns of its files, or another intensity, if they are named."""
-    from salsanext_cli.core.sensors.sensor import (
-        COLUMNS_EXPECTED,
-        FIELD_EXPECTED,
-        are_columns,
-        is_field,
-    )
-
-    if intensity_field is not None:
-        if not intensity_field or not is_field(intensity_field):
-            raise UsageError("--intensity-field", quoted(intensity_field), FIELD_EXPECTED)
-        sensor = replace(sensor, intensity_field=intensity_field)
-    if columns is None:
-        return sensor
-    names = tuple(name.strip().lower() for name in columns.split(","))
-    if not are_columns(names):
-        raise UsageError("--columns", columns, COLUMNS_EXPECTED)
-    return replace(sensor, columns=names)
-
-
-def with_width(sensor: "Sensor", width: int) -> "Sensor":
-    """Return a sensor whose images have another number of columns."""
-    from salsanext_cli.core.sensors.sensor import MAX_PIXELS
-
-    most = MAX_PIXELS // sensor.height
-    if not MIN_WIDTH <= width <= most:
-        raise UsageError("--width", str(width), f"{MIN_WIDTH} to {most} columns")
-    return sensor.resized(width=width)
-
-
-def _ego_box(text: str) -> tuple[float, ...]:
-    """Return the numbers of a box, () for ``none``."""
-    from salsanext_cli.core.sensors.sensor import BOX_EXPECTED, is_box
-
-    box: tuple[float, ...] = ()
-    if text != "none":
-        with suppress(ValueError):
-            box = tuple(float(number) for number in text.split(","))
-        if not box or not is_box(box):
-            raise UsageError("--ego", text, f"auto, or {BOX_EXPECTED}")
-    return box

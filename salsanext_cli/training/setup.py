@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from salsanext_cli.core.classes.label_space import LabelSpace
-from salsanext_cli.core.engines.graphs import LOGITS
+from salsanext_cli.core.engines.backend import LOGITS
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import NOTICE, WeightsError, first_few, percentage
 from salsanext_cli.core.network.card import INHERITED, WeightsCard

@@ -20,13 +20,8 @@ from tiny_network import TinyNetwork
 from torch import nn
 
 from salsanext_cli import label_space, project, sample
-from salsanext_cli.core.engines import device
-from salsanext_cli.core.engines.device import (
-    bfloat16_instructions,
-    choose_device,
-    choose_engine,
-    choose_precision,
-)
+from salsanext_cli.core.engines import device, openvino_runtime
+from salsanext_cli.core.engines.device import bfloat16_instructions, choose_device, choose_precision
 from salsanext_cli.core.engines.graphs import (
     GRAPH_VERSION,
     Graph,
@@ -36,6 +31,7 @@ from salsanext_cli.core.engines.graphs import (
 )
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.engines.openvino_backend import OpenVinoBackend
+from salsanext_cli.core.engines.registry import choose_engine
 from salsanext_cli.core.engines.torch_backend import in_precision
 from salsanext_cli.core.errors import MissingDependency, UsageError, warn_once
 from salsanext_cli.core.network.card import WeightsCard
@@ -47,7 +43,7 @@ from salsanext_cli.runs.labelling.scan_description import pixel_features
 @pytest.fixture
 def fresh():
     """Forget the properties of this machine, before and after."""
-    caches = (device.flags, device._openvino_fails, warn_once)
+    caches = (device.flags, openvino_runtime.openvino_failure, warn_once)
     for cache in caches:
         cache.cache_clear()
     yield
@@ -122,7 +118,7 @@ def test_without_openvino_torch_computes_with_one_warning(fresh, monkeypatch, ca
     def fail():
         raise error
 
-    monkeypatch.setattr(device, "openvino_core", fail)
+    monkeypatch.setattr(openvino_runtime, "openvino_core", fail)
     assert choose_engine("auto", "cpu") == choose_engine("auto", "cpu") == "torch"
     assert len(caplog.records) == 1
     caught = refused(MissingDependency, "openvino", choose_engine, "openvino", "cpu")
@@ -354,7 +350,7 @@ def test_the_version_of_graphs_changes_with_them():
 def test_the_layers_of_the_image_and_of_the_logits_are_marked_as_float32():
     """OpenVINO replaces the marks that it has read."""
     softmax = converted(network(), lambda m, image: m(image).softmax(dim=1), [images(1, 5, 16, 64)])
-    read = partly_float32(device.openvino_core(), softmax)
+    read = partly_float32(openvino_runtime.openvino_core(), softmax)
     ops = read.get_ordered_ops()
     marked = [op for op in ops if {*op.get_rt_info().keys()} - {"fused_names_0", "precise_0"}]
     convolutions = [op for op in ops if op.get_type_name() == "Convolution"]

@@ -13,6 +13,7 @@ from salsanext_cli.commands.line.option_fields import (
     running_option,
     selection_option,
 )
+from salsanext_cli.core.engines.registry import engine_names
 from salsanext_cli.core.fusion.reach import FusionReach
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.runs.loop.run_options import RunOptions, Shard
@@ -63,7 +64,7 @@ OPTIONS: dict[type, dict[str, Any]] = {
         "engine": network_option(
             "Library that computes; auto uses OpenVINO on a CPU that it supports.",
             envvar="SALSANEXT_ENGINE",
-            typed=Literal["auto", "openvino", "torch"],
+            typed=Literal[engine_names()],
         ),
         "sensor": network_option(
             "Sensor of the scans; auto estimates field of view and mounting. A named sensor sets "

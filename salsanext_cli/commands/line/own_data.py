@@ -13,6 +13,7 @@ from salsanext_cli.core.errors import UsageError, counted, printable, with_hint
 from salsanext_cli.runs.network_settings import AUTO, with_names
 from salsanext_cli.runs.results.query import named_label_space
 from salsanext_cli.runs.results.scan_selection import ScanSelection
+from salsanext_cli.runs.sensor_request import with_names
 
 if TYPE_CHECKING:
     from salsanext_cli.commands.line.picked_labels import PickedLabels

@@ -15,9 +15,10 @@ from salsanext_cli.commands.line.option_fields import option, option_group, runn
 from salsanext_cli.core.errors import UsageError, counted
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.runs.loop.run_options import RunOptions
-from salsanext_cli.runs.network_settings import AUTO, NetworkSettings, with_names
+from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.query import ResultQuery, named_label_space
 from salsanext_cli.runs.results.scan_selection import ScanSelection
+from salsanext_cli.runs.sensor_request import AUTO, with_names
 
 if TYPE_CHECKING:
     from salsanext_cli.runs.loop.run import Outcome
@@ -181,12 +182,13 @@ def predict(
 def _advice(settings: NetworkSettings, outcome: "Outcome", out: Path) -> str:
     """Return a line about a faster option for a long run; an empty text if there is none."""
     from salsanext_cli.core.engines.device import bfloat16_instructions, flags
+    from salsanext_cli.core.engines.registry import computes_int8
     from salsanext_cli.runs.results.manifest import Manifest
 
     if settings.precision != AUTO or outcome.done <= MANY_SCANS:
         return ""
     recorded, is_slow = Manifest(out).settings("predict"), not bfloat16_instructions()
-    if not (recorded and recorded.engine == "openvino" and is_slow and "avx2" in flags()):
+    if not (recorded and computes_int8(recorded.engine) and is_slow and "avx2" in flags()):
         return ""
     return "faster: --precision int8 takes about 60 % of the time; about 1 % of the labels differ"
 

@@ -23,6 +23,9 @@ if TYPE_CHECKING:
     from salsanext_cli.core.network.segmentation import SegmentationNetwork
 
 
+LOGITS = "logits"  # Name of the last convolution, in every architecture
+
+
 class PixelPrediction(NamedTuple):
     """Prediction for the pixels of a range image.
 
@@ -94,6 +97,8 @@ class Backend(ABC):
     """
 
     library: ClassVar[str]
+    needs_module: ClassVar[bool] = True
+    """Whether it computes with the torch module itself, so that the module is loaded at once."""
 
     load_module: "Callable[[], SegmentationNetwork]"
     card: WeightsCard

@@ -1,19 +1,16 @@
 # SPDX-License-Identifier: MIT
-"""Choice of device, engine and number type on this machine; torch is imported only if needed."""
+"""Choice of device and number type on this machine; torch is imported only if needed."""
 
-import logging
 import os
 import platform
 import sys
 from functools import cache
 from pathlib import Path
-from typing import Any
 
-from salsanext_cli.core.errors import MissingDependency, UsageError, counted, error_text, warn_once
-from salsanext_cli.core.optional_packages import OPENVINO_ERRORS, import_openvino
+from salsanext_cli.core.engines.registry import computes_int8
+from salsanext_cli.core.errors import UsageError, counted
 
 PRECISIONS = ("auto", "float32", "bfloat16", "float16", "int8")
-ENGINES = ("auto", "openvino", "torch")
 MAX_BATCH_PIXELS = 16 * 64 * 2048  # Pixels in a batch of a GPU
 GPU_FILES = ("/dev/nvidiactl", "/dev/nvidia0", "/dev/nvhost-ctrl", "/dev/kfd", "/dev/dxg")
 """Device files of Linux; without any of them torch finds no GPU."""
@@ -25,8 +22,6 @@ BFLOAT16_ISA = {
     "bf16": ("BF16", "FP16", "AMX", "AVX10", "ALL", "DEFAULT"),
 }
 """x86 and ARM flags of bfloat16 multiplication, with the `ISA_VARIABLES` values that allow it."""
-
-log = logging.getLogger(__name__)
 
 
 def choose_device(name: str) -> str:
@@ -52,58 +47,12 @@ def choose_device(name: str) -> str:
     return "cpu" if device.type == "cpu" else str(device)
 
 
-def choose_engine(name: str, device: str) -> str:
-    """Return the engine of a name; ``"auto"`` is OpenVINO on CPUs on which it starts."""
-    if name not in ENGINES:
-        raise UsageError("--engine", f"unknown engine {name}", ", ".join(ENGINES))
-    if device != "cpu":
-        if name == "openvino":
-            problem = f"OpenVINO does not compute on {device}"
-            raise UsageError("--engine", problem, hint="use --device cpu")
-        return "torch"
-    if name == "torch":
-        return name
-    if not (failure := _openvino_fails()):
-        return "openvino"
-    if name == "openvino":
-        hint = "install it again, or use --engine torch"
-        raise MissingDependency(name, failure, hint=hint)
-    warn_once(log, f"openvino: {failure}; computing with torch, which is slower")
-    return "torch"
-
-
-@cache
-def openvino_core() -> Any:
-    """Return the OpenVINO of this process."""
-    # It stays loaded: the CPU plugin installs a stack for signal handlers and frees it when it is
-    # unloaded, so that the next signal would end the process.
-    openvino = import_openvino()
-    # Called here, because two threads that call it first would deadlock.
-    openvino.Type.f32.to_dtype()
-    core = openvino.Core()
-    # Without this, the threads of all workers would be bound to the same cores.
-    core.set_property("CPU", {"ENABLE_CPU_PINNING": False})
-    return core
-
-
-@cache
-def _openvino_fails() -> str:
-    """Return why OpenVINO cannot compute on this CPU, empty if it can."""
-    try:
-        openvino_core().get_property("CPU", "FULL_DEVICE_NAME")
-    except MissingDependency as error:
-        return error.problem
-    except OPENVINO_ERRORS as error:
-        return f"does not start: {error_text(error)}"
-    return ""
-
-
 def choose_precision(name: str, device: str, engine: str = "openvino") -> str:
     """Return the number type of a name on a device; ``"auto"`` is the fastest one."""
     if name not in PRECISIONS:
         raise UsageError("--precision", f"unknown precision {name}", ", ".join(PRECISIONS))
     if name == "int8":
-        if (device, engine) != ("cpu", "openvino"):
+        if not computes_int8(engine, device):
             problem = f"{engine} does not compute int8 on {device}"
             hint = "use --device cpu and --engine openvino, or another precision"
             raise UsageError("--precision", problem, hint=hint)

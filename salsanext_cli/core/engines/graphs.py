@@ -16,7 +16,9 @@ from typing import Any
 import numpy as np
 
 from salsanext_cli.core import caches
-from salsanext_cli.core.engines.device import openvino_core, processor
+from salsanext_cli.core.engines.backend import LOGITS
+from salsanext_cli.core.engines.device import processor
+from salsanext_cli.core.engines.openvino_runtime import openvino_core
 from salsanext_cli.core.errors import OutputError, WeightsError, error_text, out_of_memory
 from salsanext_cli.core.network.int8_inputs import LEVELS, Int8Input
 from salsanext_cli.core.records import CHANNELS, Float
@@ -24,7 +26,6 @@ from salsanext_cli.version import __version__
 
 GRAPH_VERSION = 1  # Raise it when the network or the code that makes graphs changes
 HINTS = {"float32": "f32", "bfloat16": "bf16", "int8": "f32"}  # Of layers without ranges
-LOGITS = "logits"  # Name of the last convolution, in every architecture
 PRECISE = "precise_0"  # Mark of a layer that stays float32
 NO_LAYERS = ("Constant", "Parameter", "Result")
 OF_LOGITS = re.compile(rf"[./]{LOGITS}/")  # In the names of its layers

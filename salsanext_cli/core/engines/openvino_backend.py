@@ -31,6 +31,7 @@ class OpenVinoBackend(Backend):
     """
 
     library: ClassVar[str] = "openvino"
+    needs_module: ClassVar[bool] = False
 
     graphs: dict[Any, Graph] = field(default_factory=dict, repr=False)  # Compiled so far
 
@@ -112,7 +113,7 @@ class OpenVinoBackend(Backend):
         """Yield softmax (1, C, H, W) and entropy (1, H, W) of each pass, with the padding."""
         import torch
 
-        from salsanext_cli.core.engines.torch_backend import dropout_factors, rest_with_factors
+        from salsanext_cli.core.engines.dropout_passes import dropout_factors, rest_with_factors
         from salsanext_cli.core.network.dropout import random_masks, require_dropout
 
         threads, rate = thread_count(), require_dropout(self.module)

@@ -16,10 +16,10 @@ import torch
 from torch import Tensor, nn
 
 from salsanext_cli.core.classes.merging import ClassMerging
-from salsanext_cli.core.engines.backend import Backend, PixelPrediction
+from salsanext_cli.core.engines.backend import LOGITS, Backend, PixelPrediction
 from salsanext_cli.core.engines.batches import BatchSize
 from salsanext_cli.core.engines.device import MAX_BATCH_PIXELS
-from salsanext_cli.core.engines.graphs import LOGITS
+from salsanext_cli.core.engines.dropout_passes import softmax_and_entropy
 from salsanext_cli.core.engines.moments import Moments
 from salsanext_cli.core.network.dropout import random_masks, sampling
 from salsanext_cli.core.network.segmentation import SegmentationNetwork
@@ -161,33 +161,6 @@ def merged(softmax: Tensor, merging: ClassMerging) -> Tensor:
         result[:, target] += of_class
     # Rounded sums may exceed 1.
     return result.clamp_(max=1)
-
-
-def softmax_and_entropy(logits: Tensor) -> tuple[Tensor, Tensor]:
-    """Return softmax (B, C, H, W) and entropy (B, H, W), nats, of logits."""
-    softmax, logarithm = logits.softmax(dim=1), logits.log_softmax(dim=1)
-    return softmax, -(softmax * logarithm).sum(dim=1)
-
-
-def rest_with_factors(module: SegmentationNetwork, *inputs: Tensor) -> tuple[Tensor, Tensor]:
-    """Return softmax and entropy from features (B, C, H, W) and factors of channels (B, C)."""
-    factors = (tensor for tensor in inputs if tensor.dim() == 2)
-    with sampling(lambda *_: next(factors)):
-        return softmax_and_entropy(module.rest(*(f for f in inputs if f.dim() == 4)))
-
-
-@torch.inference_mode()
-def dropout_factors(module: SegmentationNetwork, features: Sequence[Tensor]) -> list[Tensor]:
-    """Return factors (1, C) of 1 for each dropout, in the order of computation."""
-    factors: list[Tensor] = []
-
-    def draw(channels: int, _: float) -> Tensor:
-        factors.append(torch.ones(1, channels))
-        return factors[-1]
-
-    with sampling(draw):
-        module.rest(*features)
-    return factors
 
 
 class Float32Convolution(nn.Conv2d):

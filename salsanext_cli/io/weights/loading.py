@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING
 
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.classes.merging import ClassMerging
-from salsanext_cli.core.engines.backend import Backend
-from salsanext_cli.core.engines.device import choose_device, choose_engine, choose_precision
+from salsanext_cli.core.engines.device import choose_device, choose_precision
 from salsanext_cli.core.engines.network import Network
-from salsanext_cli.core.engines.openvino_backend import OpenVinoBackend
+from salsanext_cli.core.engines.registry import LIBRARIES, choose_engine
 from salsanext_cli.core.errors import WeightsError
 from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.sensors.sensor import Sensor
@@ -67,7 +66,7 @@ def load_network(
     sha256, chosen = fingerprint(file), choose_device(device)
     library = choose_engine(engine, chosen)
     is_built_in = card.architecture.get("name") == "salsanext"
-    backend = _backend_class(library)(
+    backend = LIBRARIES[library].backend_class()(
         lambda: _read_module(file, chosen, sha256),
         card.at_width(sensor.width),
         (sensor.height, sensor.width),
@@ -77,7 +76,7 @@ def load_network(
         sha256,
         code="" if is_built_in else _code_of_plug_in(card),
     )
-    if backend.library == "torch" or not is_built_in:
+    if backend.needs_module or not is_built_in:
         _ = backend.module
     else:
         check_once(sha256, lambda: backend.module)  # Weights that passed once need no torch.
@@ -93,19 +92,12 @@ def _number_type(precision: str, device: str, library: str, file: Path, card: We
     return number_type
 
 
-def _backend_class(library: str) -> type[Backend]:
-    """Return the backend of a library."""
-    if library == "openvino":
-        return OpenVinoBackend
-    from salsanext_cli.core.engines.torch_backend import TorchBackend
-
-    return TorchBackend
-
-
 def network_of_module(module: "SegmentationNetwork", card: WeightsCard, device: str) -> Network:
     """Return the network of a torch module that is on the device already."""
+    from salsanext_cli.core.engines.torch_backend import TorchBackend
+
     size = (card.sensor.height, card.sensor.width)
-    return Network(_backend_class("torch")(lambda: module, card, size, device), card.sensor)
+    return Network(TorchBackend(lambda: module, card, size, device), card.sensor)
 
 
 def _code_of_plug_in(card: WeightsCard) -> str:

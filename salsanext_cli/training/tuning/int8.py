@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from salsanext_cli.core.engines.graphs import LOGITS
+from salsanext_cli.core.engines.backend import LOGITS
 from salsanext_cli.core.network.int8_inputs import Int8Input
 from salsanext_cli.core.network.segmentation import SegmentationNetwork
 from salsanext_cli.core.records import CHANNELS, Float

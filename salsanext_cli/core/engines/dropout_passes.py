@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: MIT
+"""Passes of the part of a network behind its first dropout, in torch, for every library."""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from salsanext_cli.core.network.dropout import sampling
+from salsanext_cli.core.network.segmentation import SegmentationNetwork
+
+
+def softmax_and_entropy(logits: Tensor) -> tuple[Tensor, Tensor]:
+    """Return softmax (B, C, H, W) and entropy (B, H, W), nats, of logits."""
+    softmax = logits.softmax(dim=1)
+    logarithm = logits.log_softmax(dim=1)
+    return softmax, -(softmax * logarithm).sum(dim=1)
+
+
+def rest_with_factors(module: SegmentationNetwork, *inputs: Tensor) -> tuple[Tensor, Tensor]:
+    """Return softmax and entropy from features (B, C, H, W) and factors of channels (B, C)."""
+    factors = (tensor for tensor in inputs if tensor.dim() == 2)
+    with sampling(lambda *_: next(factors)):
+        return softmax_and_entropy(module.rest(*(f for f in inputs if f.dim() == 4)))
+
+
+@torch.inference_mode()
+def dropout_factors(module: SegmentationNetwork, features: Sequence[Tensor]) -> list[Tensor]:
+    """Return factors (1, C) of 1 for each dropout, in the order of computation."""
+    factors: list[Tensor] = []
+
+    def draw(channels: int, _: float) -> Tensor:
+        factors.append(torch.ones(1, channels))
+        return factors[-1]
+
+    with sampling(draw):
+        module.rest(*features)
+    return factors

@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: MIT
+"""Registry of the libraries that compute networks, and the choice among them.
+
+A further library is a module with a `Backend`, and a row of `LIBRARIES`.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+
+from salsanext_cli.core.errors import MissingDependency, UsageError, warn_once
+
+TYPE_CHECKING = False  # Importing it from `typing` takes time.
+if TYPE_CHECKING:
+    from salsanext_cli.core.engines.backend import Backend
+
+AUTO = "auto"
+
+log = logging.getLogger(__name__)
+
+
+def starts() -> str:
+    """Return that a library needs nothing else to start."""
+    return ""
+
+
+def _openvino_failure() -> str:
+    """Return why OpenVINO cannot compute on this CPU, empty if it can."""
+    from salsanext_cli.core.engines.openvino_runtime import openvino_failure
+
+    return openvino_failure()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Library:
+    """Library that computes networks.
+
+    Attributes
+    ----------
+    name : str
+        Name in options and records.
+    title : str
+        Name in messages.
+    module, backend : str
+        Module of its backend, which is imported when it computes, and the class in it.
+    devices : tuple of str
+        Kinds of devices on which it computes, ``"cpu"`` and ``"cuda"``.
+    failure : callable
+        Returns why it does not start on this machine; an empty text if it does.
+    computes_int8 : bool
+        Whether it computes layers in int8.
+    """
+
+    name: str
+    title: str
+    module: str
+    backend: str
+    devices: tuple[str, ...]
+    failure: Callable[[], str] = starts
+    computes_int8: bool = False
+
+    def computes_on(self, device: str) -> bool:
+        """Return whether it computes on a device, such as ``"cuda:1"``."""
+        return device.partition(":")[0] in self.devices
+
+    def backend_class(self) -> type[Backend]:
+        """Import its backend."""
+        backend: type[Backend] = getattr(import_module(self.module), self.backend)
+        return backend
+
+
+LIBRARIES = {
+    "openvino": Library(
+        name="openvino",
+        title="OpenVINO",
+        module="salsanext_cli.core.engines.openvino_backend",
+        backend="OpenVinoBackend",
+        devices=("cpu",),
+        failure=_openvino_failure,
+        computes_int8=True,
+    ),
+    "torch": Library(
+        name="torch",
+        title="torch",
+        module="salsanext_cli.core.engines.torch_backend",
+        backend="TorchBackend",
+        devices=("cpu", "cuda"),
+    ),
+}
+"""Libraries by name, the fastest first."""
+
+
+def engine_names() -> tuple[str, ...]:
+    """Return the names that `choose_engine` accepts."""
+    return (AUTO, *LIBRARIES)
+
+
+def choose_engine(name: str, device: str) -> str:
+    """Return the engine of a name; ``"auto"`` is the fastest library that starts on a device.
+
+    Parameters
+    ----------
+    name : str
+        A name of `engine_names`.
+    device : str
+        ``"cpu"``, ``"cuda"``, ``"cuda:1"`` …
+
+    Returns
+    -------
+    str
+        Name in `LIBRARIES`.
+
+    Raises
+    ------
+    UsageError
+        If the name is unknown, or its library does not compute on the device.
+    MissingDependency
+        If the library does not start on this machine.
+    """
+    if name == AUTO:
+        return _fastest_engine(device)
+    library = LIBRARIES.get(name)
+    if library is None:
+        raise UsageError("--engine", f"unknown engine {name}", ", ".join(engine_names()))
+    if not library.computes_on(device):
+        problem = f"{library.title} does not compute on {device}"
+        raise UsageError("--engine", problem, hint="use --device cpu")
+    failure = library.failure()
+    if failure:
+        hint = "install it again, or use --engine torch"
+        raise MissingDependency(name, failure, hint=hint)
+    return name
+
+
+def _fastest_engine(device: str) -> str:
+    """Return the first library that computes on a device and starts; warn of faster ones."""
+    failures: dict[str, str] = {}
+    for library in LIBRARIES.values():
+        if not library.computes_on(device):
+            continue
+        failure = library.failure()
+        if not failure:
+            for name, reason in failures.items():
+                slower = f"computing with {library.name}, which is slower"
+                warn_once(log, f"{name}: {reason}; {slower}")
+            return library.name
+        failures[library.name] = failure
+    raise UsageError("--device", f"no library computes on {device}", "cpu or cuda")
+
+
+def computes_int8(engine: str | None, device: str = "cpu") -> bool:
+    """Return whether an engine computes layers in int8 on a device."""
+    library = LIBRARIES.get(engine or "")
+    return library is not None and library.computes_int8 and library.computes_on(device)
