@@ -5,26 +5,28 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.commands.stages.fuse import FUSED, fuse_results, require_fusable
-from salsanext_cli.commands.stages.predict import predict_scans
+from salsanext_cli.commands.stages.fuse import by_sequence, require_fusable
 from salsanext_cli.core.api import PointLabels, fitted_to_scan, point_labels, scan_of_arrays
 from salsanext_cli.core.classes.label_space import TrainIds
 from salsanext_cli.core.engines.network import Network
-from salsanext_cli.core.errors import NoInputError
+from salsanext_cli.core.errors import SalsanextError, with_hint
+from salsanext_cli.core.fusion.drive import Drive
+from salsanext_cli.core.fusion.fuse_drive import fuse_drive
+from salsanext_cli.core.fusion.window import warn_without_movable_classes
 from salsanext_cli.core.records import Float, Scan
-from salsanext_cli.io.files.locks import temporary_folder
+from salsanext_cli.drive_labels import DriveLabels, label_in_memory
+from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.weights.loading import load_network
+from salsanext_cli.runs.drives.scans_of_drive import computed_drive, drive_findings, drive_of_scans
 from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.results.paths import drive_order
-from salsanext_cli.runs.results.result_folder import ResultFolder
-from salsanext_cli.runs.results.scan_selection import ScanSelection
+from salsanext_cli.runs.results.selection import scans_of
 
 log = logging.getLogger(__name__)
 
@@ -82,8 +84,8 @@ class FusedScan(NamedTuple):
 def label_drive(folder: Path | str, weights: Path | str | None = None) -> Iterator[FusedScan]:
     """Label the scans of a drive, and fuse the labels of scans that see the same location.
 
-    This runs `predict --fuse` in a temporary folder, so the first scan is yielded after all are
-    labelled. Failed scans are logged as errors and skipped.
+    Labels and votes of all scans are kept in memory, about 1 MB for 120 000 points. The first scan
+    is yielded after all are labelled. Failed scans are logged as errors and skipped.
 
     Parameters
     ----------
@@ -100,19 +102,37 @@ def label_drive(folder: Path | str, weights: Path | str | None = None) -> Iterat
         `label`; `disagreement` (N,) float32, share of the votes against the label, NaN without any.
     """
     source = Path(folder)
+    options = RunOptions()
+    require_fusable(source, Path(), options)
     settings = NetworkSettings(weights=None if weights is None else Path(weights))
-    with temporary_folder() as out:
-        fused = ResultFolder(out / FUSED)
-        require_fusable(source, out, RunOptions())
-        outcome = predict_scans(source, out, settings=settings, extras=("votes",))
-        for failure in outcome.failures:
-            log.error("%s", failure.text)
-        if not outcome.done:
-            raise NoInputError(source, "no scan could be labelled", hint="see the errors above")
-        for text in dict.fromkeys(failure.text for failure in fuse_results(out).failures):
-            log.error("%s", text)
-        files, space = fused.predicted(ScanSelection())
-        for file in sorted(fused.with_column("label", files), key=drive_order):
-            results = fused.read(file, fused.sensor())
-            labels = space.to_train(np.asarray(results.label))
-            yield FusedScan(file.name, results.scan, labels, results.uncertainty["disagreement"])
+    labelled = label_in_memory(source, scans_of(source), settings)
+    space = labelled.network.space
+    warn_without_movable_classes(space)
+    drives = by_sequence(labelled.scans, partial(_drive_of, labelled), options)
+    for name, drive in drives.items():
+        if isinstance(drive, Drive):
+            for finding in drive_findings(labelled.files(name), drive):
+                log.warning("%s", finding.about(f"sequence {name}"))
+        else:
+            log.error("%s", with_hint(drive.headline, drive.hint))
+    for name, drive in drives.items():
+        if isinstance(drive, Drive):
+            yield from _fused_scans(labelled, name, drive)
+
+
+def _drive_of(labelled: DriveLabels, sequence: str) -> Drive:
+    """Return the drive of a sequence, computed without poses of its scans."""
+    files = labelled.files(sequence)
+    drive = drive_of_scans(files, labelled.sensor, labelled.origin_of)
+    return drive or computed_drive(files, labelled.sensor, labelled.origin_of)
+
+
+def _fused_scans(labelled: DriveLabels, sequence: str, drive: Drive) -> Iterator[FusedScan]:
+    """Yield the scans of a sequence with fused labels; log the errors of the others."""
+    fused = fuse_drive(labelled.voting_scans(sequence), drive, labelled.network.space)
+    for file, result in zip(labelled.files(sequence), fused, strict=True):
+        if isinstance(result, SalsanextError):
+            log.error("%s", with_hint(result.headline, result.hint))
+            continue
+        scan = read_scan(file.path, labelled.sensor)
+        yield FusedScan(file.name, scan, result.labels, result.disagreement)

@@ -35,7 +35,7 @@ LEVELS = (
     ("runs.summary",),
     ("runs.labelling", "runs.loop"),
     ("training", "synthesis", "report"),
-    ("commands.score_limits",),
+    ("commands.score_limits", "drive_labels"),
     ("commands.stages",),
     ("commands.line", "api"),
     ("__main__",),

@@ -39,7 +39,7 @@ from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.paths import ORIGINS, find_scans, output_path
-from salsanext_cli.runs.results.recorded_origins import recorded_origin
+from salsanext_cli.runs.results.recorded_origins import recorded_origin, recorded_origins
 from salsanext_cli.runs.results.result_folder import ResultFolder
 
 WAY = [(0, 0, 0), (7, 0, 0), (14, 0, 0), (21, 0, 0)]
@@ -410,10 +410,11 @@ def test_scans_at_the_sensor_have_no_origins(map_drive, tmp_path):
 def test_the_poses_of_a_registered_drive_are_the_positions_of_its_sensor(map_drive):
     files = find_scans(map_drive / "velodyne")
     sensor = replace(SMALL, registered=True)
-    poses = registered_drive(files, sensor, map_drive).poses
+    origin_of = recorded_origins(map_drive, sensor)
+    poses = registered_drive(files, sensor, origin_of).poses
     assert np.abs(poses[:, :3, 3] - WAY).max() < 0.6
     assert (poses[:, :3, :3] == np.eye(3)).all()
     for file, scan, pose in zip(files, drive(), poses, strict=True):
-        points = points_of_drive(file, sensor, map_drive)
+        points = points_of_drive(file, sensor, origin_of)
         assert np.abs(points + pose[:3, 3] - scan.points).max() < 1e-4
-        assert np.array_equal(points_of_drive(file, SMALL, map_drive), scan.points)
+        assert np.array_equal(points_of_drive(file, SMALL, origin_of), scan.points)

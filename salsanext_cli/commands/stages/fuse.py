@@ -11,22 +11,11 @@ from itertools import groupby
 from pathlib import Path
 from typing import TypeVar
 
-import numpy as np
-
-from salsanext_cli.core.checks.finding import Finding
 from salsanext_cli.core.classes.label_space import LabelSpace
-from salsanext_cli.core.errors import (
-    NOTICE,
-    NoInputError,
-    OutputError,
-    SalsanextError,
-    UsageError,
-    counted,
-)
+from salsanext_cli.core.errors import NoInputError, OutputError, SalsanextError, UsageError, counted
 from salsanext_cli.core.fusion.drive import Drive
 from salsanext_cli.core.fusion.poses import POSES
 from salsanext_cli.core.fusion.reach import FusionReach
-from salsanext_cli.core.fusion.registration import register
 from salsanext_cli.core.fusion.window import FusionWindow, warn_without_movable_classes
 from salsanext_cli.core.optional_packages import import_extra
 from salsanext_cli.core.records import Float
@@ -36,17 +25,13 @@ from salsanext_cli.io.formats.kitti import read_labels
 from salsanext_cli.io.poses import encode_poses
 from salsanext_cli.runs.drives.drive import (
     DRIVE,
-    checked_drive,
     drive_record,
-    is_registered,
-    measured_points,
     points_of_drive,
     poses_beside,
     readings_of,
     recorded_drive,
-    registered_drive,
 )
-from salsanext_cli.runs.drives.pose_origins import require_positions
+from salsanext_cli.runs.drives.scans_of_drive import computed_drive, drive_findings, drive_of_scans
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.results.digest_files import recorded_scans
 from salsanext_cli.runs.results.manifest import StageSettings
@@ -62,6 +47,7 @@ from salsanext_cli.runs.results.paths import (
     with_outputs,
 )
 from salsanext_cli.runs.results.query import ResultQuery
+from salsanext_cli.runs.results.recorded_origins import recorded_origins
 from salsanext_cli.runs.results.result_folder import ResultFolder
 from salsanext_cli.runs.results.selection import MissingResults, choose, scans_of
 from salsanext_cli.runs.results.stored_softmax import stored_softmax
@@ -102,7 +88,8 @@ class FuseTask:
             raise drive
 
         def read(index: int) -> tuple[Float, Float]:
-            points = points_of_drive(files[index], self.sensor, self.single.root)
+            origin_of = recorded_origins(self.single.root, self.sensor)
+            points = points_of_drive(files[index], self.sensor, origin_of)
             return points, stored_softmax(self.single.root, files[index], len(points), self.space)
 
         return FusionWindow(drive, read, self.reach, self.space.movable)
@@ -148,17 +135,12 @@ class FusibleResults:
             problem = f"is one file for {counted(len(self.sequences), 'sequence')}"
             raise UsageError("--poses", problem, hint="choose one sequence with --sequences")
 
-        def drive_of(name: str) -> Drive | None:
-            files = self.members[name]
-            out = self.results.root
-            if is_registered(files, self.sensor, out):
-                if poses is not None:
-                    require_positions(poses, files, self.sensor)
-                return registered_drive(files, self.sensor, out)
-            path = poses or poses_beside(files)
-            return checked_drive(path, files, self.sensor, out) if path else None
+        origin_of = recorded_origins(self.results.root, self.sensor)
 
-        return _by_sequence(self.sequences, drive_of, options)
+        def drive_of(name: str) -> Drive | None:
+            return drive_of_scans(self.members[name], self.sensor, origin_of, poses)
+
+        return by_sequence(self.sequences, drive_of, options)
 
     def settings(self, reach: FusionReach, target: Path) -> tuple[StageSettings, StageSettings]:
         """Return the settings to record for the labels of single scans, and the fused labels."""
@@ -263,16 +245,16 @@ def fuse_results(
             is_drive = isinstance(drives[file.sequence], Drive)
             return is_drive and single.is_done(file) and fused.is_done(file)
 
-        drives = _by_sequence(fusible.sequences, drive_of, options)
+        drives = by_sequence(fusible.sequences, drive_of, options)
         for name, drive in drives.items():
             if isinstance(drive, Drive):
-                summary.add_sequence(name, _findings(fusible.members[name], drive))
+                summary.add_sequence(name, drive_findings(fusible.members[name], drive))
         task = FuseTask(fusible.members, drives, fusible.space, sensor, reach, single, fused)
         outcome = run_over_scans(task, scans, options, is_done=is_done, summary=summary)
     return replace(outcome, missing=fusible.missing)
 
 
-def _by_sequence(
+def by_sequence(
     sequences: Iterable[str], function: Callable[[str], Value], options: RunOptions
 ) -> dict[str, Value | SalsanextError]:
     """Return the value of a function for each sequence, or its error; raise if all of them fail."""
@@ -317,7 +299,7 @@ def require_fusable(source: Path | Sequence[Path], out: Path, options: RunOption
         else:
             readings_of(poses, sequences[name])
 
-    for error in _by_sequence(sequences, require, options).values():
+    for error in by_sequence(sequences, require, options).values():
         if error is not None:
             log.error("%s", error)
 
@@ -345,8 +327,7 @@ def _recorded_drive(
         raise _other_drive(record, single)
     earlier = recorded_drive(folder) if has_same_scans and not fused.overwrite else None
     if (drive := given or earlier) is None:
-        log.log(NOTICE, "sequence %s: no %s, computing poses of its scans", name, POSES)
-        drive = register(measured_points(file, sensor, single.root) for file in files)
+        drive = computed_drive(files, sensor, recorded_origins(single.root, sensor))
     content = drive_record(drive, stems)
     with fused.locked_records():
         if read_json(record) != content:
@@ -389,15 +370,3 @@ def _overwriting(out: Path, target: Path, sequence: str) -> str:
     """Return the command that fuses a sequence again."""
     words = ["fuse", str(out), str(target), "--sequences", sequence, "--overwrite"]
     return f"`salsanext {shlex.join(words)}`"
-
-
-def _findings(files: Sequence[ScanFile], drive: Drive) -> list[Finding]:
-    """Return the reasons to doubt a drive that is cut into parts."""
-    parts = np.bincount(drive.parts)
-    if (parts == 1).all():
-        return [Finding("apart", "no two of its scans see common locations", "labels stay")]
-    if len(parts) == 1:
-        return []
-    second = files[int(np.argmax(drive.parts == 1))].stem
-    problem = f"its poses fit in {len(parts)} parts only, the second from {second} on"
-    return [Finding("apart", problem, "check the poses; parts do not vote for each other")]

@@ -3,7 +3,7 @@
 
 import hashlib
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,7 +19,8 @@ from salsanext_cli.core.fusion.pose_checks import (
 )
 from salsanext_cli.core.fusion.poses import POSES, Poses
 from salsanext_cli.core.geometry.projection import in_sensor_frame
-from salsanext_cli.core.records import Float
+from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
+from salsanext_cli.core.records import Float, Origin
 from salsanext_cli.core.sensors.sensor import UP, Sensor
 from salsanext_cli.io.files.json_files import read_json
 from salsanext_cli.io.files.reading import present, refusing_damage
@@ -27,20 +28,21 @@ from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.poses import encode_poses, pose_readings, read_fused_poses
 from salsanext_cli.runs.results.layouts import SCAN_FOLDER
 from salsanext_cli.runs.results.paths import ScanFile, drive_order, find_scans
-from salsanext_cli.runs.results.recorded_origins import sensor_of_result
 
 DRIVE = "drive.json"
+OriginOf = Callable[[ScanFile], Origin | None]
+"""Function that returns the origin of a registered scan, None if it is to be found from points."""
+
 log = logging.getLogger(__name__)
 
 
-def checked_drive(path: Path, files: Sequence[ScanFile], sensor: Sensor, out: Path) -> Drive:
-    """Return the drive by the poses in a file; refuse poses that do not fit the scans.
-
-    `out`: output folder with the origins of registered scans.
-    """
+def checked_drive(
+    path: Path, files: Sequence[ScanFile], sensor: Sensor, origin_of: OriginOf
+) -> Drive:
+    """Return the drive by the poses in a file; refuse poses that do not fit the scans."""
 
     def read(index: int) -> Float:
-        return measured_points(files[index], sensor, out)
+        return measured_points(files[index], sensor, origin_of)
 
     readings = readings_of(path, files)
     counted_from = best_reading(readings, read)
@@ -51,18 +53,18 @@ def checked_drive(path: Path, files: Sequence[ScanFile], sensor: Sensor, out: Pa
     return Drive(poses, require_fitting(path, poses, read))
 
 
-def registered_drive(files: Sequence[ScanFile], sensor: Sensor, out: Path) -> Drive:
+def registered_drive(files: Sequence[ScanFile], sensor: Sensor, origin_of: OriginOf) -> Drive:
     """Return the drive of scans that are registered to one frame, by their sensor's positions.
 
-    `out`: output folder with their origins. Scans that do not fit each other are refused.
+    Scans that do not fit each other are refused.
     """
     poses = np.tile(np.eye(4), (len(files), 1, 1))
     for pose, file in zip(poses, files, strict=True):
         scan = read_scan(file.path, sensor)
-        pose[:3, 3] = sensor_of_result(out, file, scan, sensor).origin
+        pose[:3, 3] = sensor_of(scan, sensor, origin_of(file)).origin
 
     def read(index: int) -> Float:
-        return measured_points(files[index], sensor, out)
+        return measured_points(files[index], sensor, origin_of)
 
     parts, misfit = fitting_parts(poses, read)
     if misfit > MAX_MISFIT:
@@ -109,33 +111,32 @@ def readings_of(path: Path, files: Sequence[ScanFile]) -> list[Poses]:
     return pose_readings(path, stems, wanted)
 
 
-def is_registered(files: Sequence[ScanFile], sensor: Sensor, out: Path) -> bool:
+def is_registered(files: Sequence[ScanFile], sensor: Sensor, origin_of: OriginOf) -> bool:
     """Return whether the scans of a sequence are in the frame of a map, by the first one."""
     if not (sensor.has_registered and sensor.others):
         return sensor.registered
     scan = read_scan(files[0].path, sensor)
-    return sensor_of_result(out, files[0], scan, sensor).registered
+    return sensor_of(scan, sensor, origin_of(files[0])).registered
 
 
-def points_of_drive(file: ScanFile, sensor: Sensor, out: Path) -> Float:
+def points_of_drive(file: ScanFile, sensor: Sensor, origin_of: OriginOf) -> Float:
     """Read the points (N, 3) of a scan in the frame that its pose is for.
 
-    It is that of the file, whose origin is moved to the sensor for registered scans. `out`: output
-    folder with their origins.
+    It is that of the file, whose origin is moved to the sensor for registered scans.
     """
     scan = read_scan(file.path, sensor)
     if not sensor.has_registered:
         return scan.points
-    of_scan = sensor_of_result(out, file, scan, sensor)
-    if not of_scan.registered:
+    member = sensor_of(scan, sensor, origin_of(file))
+    if not member.registered:
         return scan.points
-    return in_sensor_frame(scan, replace(of_scan, up=UP)).points
+    return in_sensor_frame(scan, replace(member, up=UP)).points
 
 
-def measured_points(file: ScanFile, sensor: Sensor, out: Path) -> Float:
+def measured_points(file: ScanFile, sensor: Sensor, origin_of: OriginOf) -> Float:
     """Read the measured points (N, 3) of a scan by `points_of_drive`; none if it is unreadable."""
     try:
-        points = points_of_drive(file, sensor, out)
+        points = points_of_drive(file, sensor, origin_of)
     except SalsanextError:
         return np.zeros((0, 3), np.float32)  # The run reports the error.
     return points[np.isfinite(points).all(axis=1)]

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -61,6 +62,11 @@ def recorded_origin(out: Path, file: ScanFile, sensor: Sensor) -> Origin | None:
     if not np.isfinite(position).all():
         raise FormatError(path, "has no position", "three finite numbers in metres", hint)
     return tuple(position.tolist())
+
+
+def recorded_origins(out: Path, sensor: Sensor) -> Callable[[ScanFile], Origin | None]:
+    """Return the function `recorded_origin` of the scans in an output folder."""
+    return lambda file: recorded_origin(out, file, sensor)
 
 
 def origin_in_run(
