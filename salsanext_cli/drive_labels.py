@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import numpy.typing as npt
@@ -80,9 +81,8 @@ class VoteJob:
         scan = refine_labels(prepared.scan, pixels, KnnParameters())
         space = prepared.scan.network.space
         unlabelled = np.eye(1, space.class_count)
-        assert pixels.softmax is not None
         pixel_of_point = scan.projected.image.pixel_of_point
-        softmax = points_from_pixels(pixels.softmax, pixel_of_point, unlabelled)
+        softmax = points_from_pixels(cast(Float, pixels.softmax), pixel_of_point, unlabelled)
         return ScanVotes(
             file=prepared.file,
             summary=ScanSummary.of_scan(prepared.file, scan, space),
@@ -102,10 +102,13 @@ class DriveLabels:
         Network that labelled them, fitted to their sensor.
     scans : dict of str to list of ScanVotes
         Scans in the order of the drive, by sequence.
+    origins : dict of ScanFile to tuple of float
+        Origins by which they were labelled, in metres; None for scans that have none.
     """
 
     network: Network
     scans: dict[str, list[ScanVotes]]
+    origins: dict[ScanFile, Origin | None]
 
     @property
     def sensor(self) -> Sensor:
@@ -118,8 +121,7 @@ class DriveLabels:
 
     def origin_of(self, file: ScanFile) -> Origin | None:
         """Return the origin by which a scan was labelled."""
-        origins = {scan.file: scan.origin for scan in self.scans[file.sequence]}
-        return origins[file]
+        return self.origins[file]
 
     def voting_scans(self, sequence: str) -> list[VotingScan]:
         """Return the scans of a sequence for the fusion, which reads their points again."""
@@ -129,7 +131,7 @@ class DriveLabels:
         ]
 
     def _points_of(self, scan: ScanVotes) -> Callable[[], Float]:
-        return partial(points_of_drive, scan.file, self.sensor, lambda _: scan.origin)
+        return partial(points_of_drive, scan.file, self.sensor, self.origin_of)
 
 
 def label_in_memory(
@@ -183,4 +185,5 @@ def label_in_memory(
     scans: dict[str, list[ScanVotes]] = {}
     for scan in sorted(labelled, key=lambda scan: drive_order(scan.file)):
         scans.setdefault(scan.file.sequence, []).append(scan)
-    return DriveLabels(network=network, scans=scans)
+    origins = {scan.file: scan.origin for scan in labelled}
+    return DriveLabels(network=network, scans=scans, origins=origins)

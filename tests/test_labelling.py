@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: MIT
+# ruff: noqa: F811
+"""The way of one scan in memory."""
+
+import ast
+import inspect
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scans import SMALL, make_scan, refused
+from shallow import shallow, weights  # noqa: F401
+
+from salsanext_cli import KnnParameters, Scan, knn_refine, load_network, project
+from salsanext_cli.core import labelling
+from salsanext_cli.core.errors import FormatError, WeightsError
+from salsanext_cli.core.labelling import label_scan
+
+LONGEST = 15  # Statements and lines of a table of contents
+
+
+@pytest.fixture(scope="module")
+def network(weights):
+    return load_network(weights, "cpu", SMALL, engine="torch")
+
+
+def test_it_reads_like_a_table_of_contents():
+    (function,) = [
+        node
+        for node in ast.parse(inspect.getsource(labelling)).body
+        if isinstance(node, ast.FunctionDef) and node.name == "label_scan"
+    ]
+    body = function.body[1:]
+    assert body[-1].end_lineno - body[0].lineno < LONGEST
+
+
+@pytest.mark.parametrize("softmax", [False, True])
+def test_labels_are_those_of_the_single_steps(network, softmax):
+    scan = make_scan()
+    labelled = label_scan(scan, network, softmax=softmax)
+    image = project(scan, SMALL)
+    probabilities = network.probabilities(image)
+    expected = knn_refine(image, probabilities.argmax(axis=0), network.space.class_count)
+    np.testing.assert_array_equal(labelled.labels, expected)
+    assert labelled.projected.check.points == len(scan)
+    occupied = image.channels[0] > 0
+    mean = probabilities.max(axis=0)[occupied].mean()
+    assert labelled.mean_confidence == pytest.approx(mean, abs=1e-6)
+    assert (labelled.pixels.softmax is None) == (not softmax)
+
+
+def test_the_parameters_of_knn_are_used(network):
+    scan = make_scan()
+    narrow = KnnParameters(window=1, k=1)
+    alone = label_scan(scan, network, knn=narrow)
+    image = alone.projected.image
+    expected = knn_refine(image, alone.pixels.labels, network.space.class_count, narrow)
+    np.testing.assert_array_equal(alone.labels, expected)
+    assert (alone.labels != label_scan(scan, network).labels).any()
+
+
+def test_a_registered_scan_is_projected_from_its_origin(network):
+    scan = make_scan()
+    registered = replace(SMALL, registered=True)
+    moved = Scan(scan.points + np.float32([5, 0, 0]), scan.intensity)
+    labelled = label_scan(moved, network.for_sensor(registered), origin=(5.0, 0.0, 0.0))
+    assert labelled.projected.sensor.origin == labelled.projected.origin == (5.0, 0.0, 0.0)
+
+
+def test_errors_name_the_source(network):
+    kilometres = Scan(make_scan().points / 1000, make_scan().intensity)
+    refused(FormatError, "far.bin", label_scan, kilometres, network, source="far.bin")
+
+
+def test_probabilities_that_are_not_finite_are_refused(network, monkeypatch):
+    scan = make_scan()
+    pixels = label_scan(scan, network).pixels
+    broken = pixels._replace(confidence=np.full_like(pixels.confidence, np.nan))
+    monkeypatch.setattr(labelling, "predict_pixels", lambda *_, **__: [broken])
+    with pytest.raises(WeightsError, match=r"a\.bin"):
+        label_scan(scan, network, source="a.bin")
