@@ -100,10 +100,9 @@ def narrow_weights(tmp_path: Path) -> Iterator[Path]:
 @pytest.fixture
 def narrow_default(narrow_weights: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return such weights, which are also those that are taken if none are named."""
-    from salsanext_cli.core.network import card
-    from salsanext_cli.io.weights import loading
+    from salsanext_cli.io.weights import card_file, loading
 
-    for module in (card, loading):
+    for module in (card_file, loading):
         monkeypatch.setattr(module, "default_weights", lambda: narrow_weights)
     return narrow_weights
 

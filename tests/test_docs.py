@@ -283,13 +283,26 @@ def test_every_name_in_the_tables_exists(page):
 
 
 HELPERS = {
-    *("formats/evidence/column_evidence.py", "formats/columns.py", "fitting/place_checks.py"),
-    *("geometry/ground.py", "geometry/evenness.py"),
-    *("formats/evidence/column_measures.py", "formats/evidence/plane_evidence.py"),
-    "formats/evidence/value_types.py",
-    *("fitting/scan_structure.py", "fitting/structure_checks.py", "geometry/directions.py"),
-    *("fitting/further_returns.py", "fitting/training_checks.py"),
-    *(f"engines/{name}.py" for name in ("backend", "batches", "device", "graphs")),
+    "io/formats/columns.py",
+    "io/formats/evidence/column_evidence.py",
+    "io/formats/evidence/column_measures.py",
+    "io/formats/evidence/plane_evidence.py",
+    "io/formats/evidence/value_types.py",
+    "core/geometry/directions.py",
+    "core/geometry/evenness.py",
+    "core/geometry/ground.py",
+    "core/geometry/scan_traits.py",
+    "core/checks/finding.py",
+    "core/checks/further_returns.py",
+    "core/checks/label_checks.py",
+    "core/checks/place_checks.py",
+    "core/checks/scan_structure.py",
+    "core/checks/structure_checks.py",
+    "core/checks/training_checks.py",
+    "core/engines/backend.py",
+    "core/engines/batches.py",
+    "core/engines/device.py",
+    "core/engines/graphs.py",
 }
 """Files of these parts that the steps of a scan call."""
 
@@ -321,7 +334,7 @@ def test_a_scan_passes_through_the_documented_files_in_order(world, monkeypatch)
     steps = re.findall(r"^\d+\. `(\S+\.py)`", section, re.MULTILINE)
     assert len(steps) > 5
     assert [name for name in visited if name in steps] == steps
-    parts = ("formats/", "geometry/", "engines/", "fitting/")
+    parts = ("io/formats/", "core/geometry/", "core/engines/", "core/checks/")
     assert {name for name in visited if name.startswith(parts)} - {*steps} == HELPERS
 
 

@@ -10,10 +10,9 @@ from salsanext_cli.commands.line.console import over_scans, print_line, writing
 from salsanext_cli.commands.line.expansion import Shown
 from salsanext_cli.commands.line.option_fields import argument, option, option_group
 from salsanext_cli.core.errors import UsageError, counted, printable, with_hint
-from salsanext_cli.runs.network_settings import AUTO, with_names
 from salsanext_cli.runs.results.query import named_label_space
 from salsanext_cli.runs.results.scan_selection import ScanSelection
-from salsanext_cli.runs.sensor_request import with_names
+from salsanext_cli.runs.sensor_request import AUTO, with_names
 
 if TYPE_CHECKING:
     from salsanext_cli.commands.line.picked_labels import PickedLabels
