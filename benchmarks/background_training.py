@@ -24,6 +24,7 @@ from finish_weights import remove_class_weights
 from gpu_train import DESCRIPTION, real_sources, training_data
 from scene_pool import KINDS, ScenePool
 
+from salsanext_cli.commands.line.recipe_changes import read_overrides
 from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.plain_data import Json
 from salsanext_cli.io.files.json_files import read_json, write_json
@@ -36,7 +37,7 @@ from salsanext_cli.training.checkpoint import load_checkpoint
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.fit import StepReport, Training
 from salsanext_cli.training.learner import Learner, fastest_precision
-from salsanext_cli.training.recipe import Recipe, read_overrides, recipe
+from salsanext_cli.training.recipe import Recipe, recipe
 from salsanext_cli.training.run_folder import CHECKPOINT, CLASS_COUNTS, Row, write_log
 from salsanext_cli.training.setup import initial_network
 from salsanext_cli.training.validation import validate_widths

@@ -25,6 +25,7 @@ from gpu_training import STEPS, gpu_recipe, small_weights
 from pack import unpack
 from scene_pool import KINDS, VALIDATION, ScenePool
 
+from salsanext_cli.commands.line.recipe_changes import read_overrides
 from salsanext_cli.core.errors import TrainingError
 from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.network.segmentation import SegmentationNetwork
@@ -42,7 +43,7 @@ from salsanext_cli.training.data.dataset import Batch, Samples, batches
 from salsanext_cli.training.data.sources import Source, fitted_source
 from salsanext_cli.training.data.targets import class_sets
 from salsanext_cli.training.learner import Learner, learning_rate
-from salsanext_cli.training.recipe import Recipe, read_overrides
+from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.run_folder import CLASS_COUNTS, LAST, LOG, Row, write_log
 from salsanext_cli.training.setup import initial_network
 from salsanext_cli.training.validation import validate

@@ -79,7 +79,7 @@ def named_by_hint(path: Path) -> tuple[str, ...]:
     """Return the names of columns in the hint of the error with which a scan is refused."""
     with pytest.raises(SalsanextError) as caught:
         read_scan(path)
-    (names,) = re.findall(r"--columns ([\w,]+)", caught.value.hint)
+    (names,) = re.findall(r'columns="([\w,]+)"', caught.value.hint)
     return tuple(names.split(","))
 
 

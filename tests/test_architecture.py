@@ -19,7 +19,7 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 WINGS = ("core", "io", "runs", "commands")
 """Parts that consist of parts: arrays, files, output folders, and the command line."""
 LEVELS = (
-    ("version", "core.errors", "core.caches", "core.records"),
+    ("version", "core.errors", "core.caches", "core.records", "core.wording"),
     ("core.compiled", "core.optional_packages", "core.plain_data", "core.plug_ins", "core.classes"),
     ("core.sensors",),
     ("core.geometry", "core.network"),
@@ -41,6 +41,7 @@ LEVELS = (
     ("__main__",),
 )
 """A part may import those in the lines above it, never one beside it."""
+BELOW_COMMANDS = {"version", "core", "io", "runs", "training", "synthesis", "report", "api"}
 LEVEL_OF = {part: level for level, parts in enumerate(LEVELS) for part in parts}
 LONGEST = 400
 """Lines of a module, if it is one idea; most are shorter than 200."""
@@ -127,9 +128,42 @@ def test_the_core_takes_no_path():
     assert takers == set()
 
 
+OPTION_KEYS = "core/network/tuned_settings.py"
+"""Names of options that are keys of a file format."""
+
+
+def texts(tree: ast.Module) -> Iterator[str]:
+    """Yield the texts in the code of a module, without the docstrings."""
+    described = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+    docstrings = {
+        node.body[0].value
+        for node in ast.walk(tree)
+        if isinstance(node, described) and node.body and isinstance(node.body[0], ast.Expr)
+    }
+    for node in ast.walk(tree):
+        is_text = isinstance(node, ast.Constant) and isinstance(node.value, str)
+        if is_text and node not in docstrings:
+            yield node.value
+
+
+def test_only_commands_name_options():
+    """Below them, messages name arguments, which the command line spells as its options."""
+    # A style such as `style="--share:` is a property of CSS; two hyphens at the end of a text
+    # begin an option whose name is computed.
+    option = re.compile(r"(?<!style=\")--([a-zA-Z]|$)")
+    below = [module for module in MODULES if part_of(module).partition(".")[0] in BELOW_COMMANDS]
+    assert len(below) > 200
+    namers = {
+        module.relative_to(PACKAGE).as_posix()
+        for module in below
+        if any(option.search(text) for text in texts(tree_of(module)))
+    }
+    assert namers == {OPTION_KEYS}
+
+
 def test_training_and_synthesis_can_be_removed():
     """Nothing but their own stages and commands, and the demonstration, may need them."""
-    allowed = {"train", "tune", "synth", "demo"}
+    allowed = {"train", "recipe_changes", "tune", "synth", "demo"}
     users = {
         module.stem
         for module in MODULES

@@ -13,6 +13,7 @@ import torch
 
 from salsanext_cli.core.compiled import thread_count
 from salsanext_cli.core.errors import FormatError
+from salsanext_cli.core.wording import argument
 from salsanext_cli.io.files.atomic import MARK, sweep, writing
 from salsanext_cli.runs.loop.job import Attempt, Task
 from salsanext_cli.runs.loop.pipeline import opened
@@ -46,6 +47,11 @@ class Write:
             time.sleep(self.pause)
             file.write(scan.stem.encode())
         return scan.stem
+
+
+def name_argument(scan: ScanFile) -> str:
+    """Return how this process spells an argument."""
+    return argument("min_range")
 
 
 def threads_of_process(_: ScanFile) -> tuple[int, int]:

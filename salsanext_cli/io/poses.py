@@ -8,13 +8,9 @@ import numpy as np
 
 from salsanext_cli.core.errors import FormatError, counted
 from salsanext_cli.core.fusion.poses import CALIBRATION, POSES, Poses
+from salsanext_cli.core.wording import setting
 from salsanext_cli.io.files.reading import present, reading
 
-NO_TR = (
-    f"copy the {CALIBRATION} that has Tr, of KITTI's calibration files or of SemanticKITTI; or "
-    f"give poses of the LiDAR, in a folder without {CALIBRATION}: --poses FILE; or rename {POSES}, "
-    "and the poses are computed from the scans"
-)
 KITTI_NUMBERS, TUM_NUMBERS = 12, 8
 MAX_SHEAR = 1e-2  # Largest difference from 1 of a rotation times its transpose
 MAX_COORDINATE_M = 1e12  # Bound up to which float64 resolves millimetres
@@ -127,7 +123,17 @@ def _calibration(path: Path) -> Poses:
             row = _numbers(path, 0, values)
             if len(row) == KITTI_NUMBERS:
                 return np.vstack([_rigid(path, name, row), [0, 0, 0, 1]])
-    raise FormatError(path, "has no line Tr with 12 numbers", "Tr, from scan to camera", NO_TR)
+    expected = "Tr, from scan to camera"
+    raise FormatError(path, "has no line Tr with 12 numbers", expected, _without_tr_hint())
+
+
+def _without_tr_hint() -> str:
+    """Return what helps if a calibration has no ``Tr``."""
+    return (
+        f"copy the {CALIBRATION} that has Tr, of KITTI's calibration files or of SemanticKITTI; or "
+        f"give poses of the LiDAR, in a folder without {CALIBRATION}: {setting('poses', 'FILE')}; "
+        f"or rename {POSES}, and the poses are computed from the scans"
+    )
 
 
 def encode_poses(poses: Poses) -> bytes:

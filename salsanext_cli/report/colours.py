@@ -16,6 +16,7 @@ import numpy.typing as npt
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import SalsanextError, UsageError, did_you_mean
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.wording import argument
 from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.runs.results.paths import COLOURS, ScanFile
 from salsanext_cli.runs.results.result_folder import ResultFolder, scalar_columns
@@ -92,14 +93,17 @@ def common_scales(
     return scales | {name: value_range(np.concatenate(arrays)) for name, arrays in values.items()}
 
 
-def require_colouring(colours: Iterable[str], scale: tuple[float, float] | None) -> None:
-    """Refuse unknown colours and an invalid scale."""
+def require_colouring(
+    colours: Iterable[str], scale: tuple[float, float] | None, name: str = "colour"
+) -> None:
+    """Refuse unknown colours, which are of the argument `name`, and an invalid scale."""
     for colour in colours:
         if colour not in COLOURS:
             hint = did_you_mean(colour, COLOURS)
-            raise UsageError("--colour", colour, f"one of {', '.join(COLOURS)}", hint)
+            raise UsageError(argument(name), colour, f"one of {', '.join(COLOURS)}", hint)
     if scale and not (scale[0] < scale[1] and all(map(math.isfinite, scale))):
-        raise UsageError("--scale", f"{scale[0]} {scale[1]}", "a lower and a higher number")
+        values = f"{scale[0]} {scale[1]}"
+        raise UsageError(argument("scale"), values, "a lower and a higher number")
 
 
 def on_dark(colours: npt.ArrayLike) -> Colours:

@@ -7,6 +7,7 @@ from contextlib import suppress
 from dataclasses import replace
 
 from salsanext_cli.core.errors import UsageError, quoted
+from salsanext_cli.core.wording import argument
 
 TYPE_CHECKING = False  # Importing it from `typing` takes time.
 if TYPE_CHECKING:
@@ -96,13 +97,13 @@ def with_names(sensor: Sensor, columns: str | None, intensity_field: str | None 
 
     if intensity_field is not None:
         if not intensity_field or not is_field(intensity_field):
-            raise UsageError("--intensity-field", quoted(intensity_field), FIELD_EXPECTED)
+            raise UsageError(argument("intensity_field"), quoted(intensity_field), FIELD_EXPECTED)
         sensor = replace(sensor, intensity_field=intensity_field)
     if columns is None:
         return sensor
     names = tuple(name.strip().lower() for name in columns.split(","))
     if not are_columns(names):
-        raise UsageError("--columns", columns, COLUMNS_EXPECTED)
+        raise UsageError(argument("columns"), columns, COLUMNS_EXPECTED)
     return replace(sensor, columns=names)
 
 
@@ -112,7 +113,7 @@ def with_width(sensor: Sensor, width: int) -> Sensor:
 
     most = MAX_PIXELS // sensor.height
     if not MIN_WIDTH <= width <= most:
-        raise UsageError("--width", str(width), f"{MIN_WIDTH} to {most} columns")
+        raise UsageError(argument("width"), str(width), f"{MIN_WIDTH} to {most} columns")
     return sensor.resized(width=width)
 
 
@@ -125,5 +126,5 @@ def _ego_box(text: str) -> tuple[float, ...]:
         with suppress(ValueError):
             box = tuple(float(number) for number in text.split(","))
         if not box or not is_box(box):
-            raise UsageError("--ego", text, f"auto, or {BOX_EXPECTED}")
+            raise UsageError(argument("ego"), text, f"auto, or {BOX_EXPECTED}")
     return box

@@ -18,6 +18,7 @@ import torch
 from torch import Tensor, nn
 
 from salsanext_cli.core.errors import TrainingError, error_text
+from salsanext_cli.core.wording import setting
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.run_folder import Row
@@ -65,7 +66,7 @@ def load_checkpoint(path: Path, learner: Learner) -> TrainingState:
         learner.scaler.load_state_dict(values["scaler"])
         _restore(learner, tensors)
     except DAMAGE as error:
-        hint = "start again with --overwrite or in another folder"
+        hint = f"start again with {setting('overwrite', True)} or in another folder"
         raise TrainingError(
             path, f"cannot be read: {error_text(error)}", "a checkpoint of this training", hint
         ) from error

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from salsanext_cli.core.errors import NOTICE, TrainingError
 from salsanext_cli.core.network.card import WeightsCard
+from salsanext_cli.core.wording import setting
 from salsanext_cli.io.weights.loading import network_of_module
 from salsanext_cli.io.weights.weights import encode_weights
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
@@ -129,7 +130,7 @@ class Training:
             return self.learner.step(images, truth, step, self.samples.plan.steps_per_epoch)
         except torch.OutOfMemoryError as error:
             problem = f"not enough memory on {self.learner.device} for {len(images)} images"
-            hint = "compute a batch in more parts, such as --set accumulate=2"
+            hint = f"compute a batch in more parts, such as {setting('recipe.accumulate', 2)}"
             raise TrainingError(f"step {step + 1}", problem, hint=hint) from error
 
     def _checked(self, losses: list[Tensor], last: int) -> list[float]:

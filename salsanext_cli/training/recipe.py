@@ -12,6 +12,7 @@ from typing import Annotated, Any, Self
 
 from salsanext_cli.core.errors import UsageError, shortened
 from salsanext_cli.core.plain_data import refuse_unknown
+from salsanext_cli.core.wording import command, setting
 from salsanext_cli.io.files.reading import present
 from salsanext_cli.io.files.yaml_toml import read_toml
 
@@ -27,13 +28,8 @@ REMOVED_KEYS = {
     "whole_epochs": "omit it, or set crop_width = 0 for whole images in all epochs",
 }
 """Hint by key of recipes of earlier versions."""
-REMOVED_RECIPES = {
-    "paper-v1": "use examples/paper_networks/paper-v1.toml, after "
-    "`pip install examples/paper_networks` in a clone",
-    "rangenet53": "run `pip install examples/paper_networks` in a clone, then use "
-    "--recipe paper --set architecture=rangenet53",
-}
-"""Hint by name of recipes and networks of earlier versions."""
+REMOVED_RECIPES = ("paper-v1", "rangenet53")
+"""Recipes and networks of earlier versions, which examples/paper_networks has."""
 
 Positive = Annotated[int, ("at least 1", lambda value: value >= 1)]
 Count = Annotated[int, ("at least 0", lambda value: value >= 0)]
@@ -149,12 +145,12 @@ class Recipe:
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], source: object = "recipe") -> Self:
         """Build a recipe from plain data; absent keys have the paper's value."""
-        _refuse_removed_keys(data, source)
+        refuse_removed_keys(data, source)
         refuse_unknown(data, cls, source)
         return cls(**data)
 
 
-def _refuse_removed_keys(keys: Iterable[str], source: object) -> None:
+def refuse_removed_keys(keys: Iterable[str], source: object) -> None:
     """Refuse keys of earlier versions with what replaces the first of them."""
     if removed := sorted({*keys} & REMOVED_KEYS.keys()):
         key = removed[0]
@@ -174,23 +170,14 @@ def recipe(name_or_file: str | Path) -> Recipe:
         return Recipe.from_dict(tomllib.loads(text), name)
     path = Path(name_or_file)
     if name in REMOVED_RECIPES and not present(path):
-        raise UsageError(f"recipe {name}", "was removed", hint=REMOVED_RECIPES[name])
+        raise UsageError(f"recipe {name}", "was removed", hint=_removed_recipe_hint(name))
     return Recipe.from_dict(read_toml(path, "recipe", presets()), path)
 
 
-def read_overrides(texts: Iterable[str]) -> dict[str, object]:
-    """Return the changes for `Recipe.with_changes` from texts ``key=value``; the last one wins."""
-    changes: dict[str, object] = {}
-    for text in texts:
-        key, equals, value = (part.strip() for part in text.partition("="))
-        if not (key and equals and value):
-            raise UsageError(f"--set {text}", "not key=value", "key=value, such as batch=4")
-        _refuse_removed_keys([key], f"--set {text}")
-        refuse_unknown({key: value}, Recipe, f"--set {text}")
-        kind = type(getattr(Recipe(), key))
-        try:
-            # A word may be quoted as in TOML.
-            changes[key] = kind(value.strip("\"'") if kind is str else value)
-        except ValueError as error:
-            raise UsageError(f"--set {key}", f"is {value!r}", KINDS[kind]) from error
-    return changes
+def _removed_recipe_hint(name: str) -> str:
+    """Return what replaces a recipe or a network of earlier versions."""
+    install = "`pip install examples/paper_networks` in a clone"
+    if name == "paper-v1":
+        return f"use examples/paper_networks/paper-v1.toml, after {install}"
+    named = command(setting("recipe", "paper"), setting("recipe.architecture", name))
+    return f"run {install}, then use {named}"

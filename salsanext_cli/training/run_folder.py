@@ -11,6 +11,7 @@ from pathlib import Path
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import OutputError
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.wording import setting
 from salsanext_cli.io.files.atomic import require_writable
 from salsanext_cli.io.files.json_files import record_of
 from salsanext_cli.io.files.reading import fingerprint
@@ -111,7 +112,8 @@ def recorded_settings(run: Path) -> TrainingSettings | None:
     try:
         return record_of(TrainingSettings, record.settings, manifest.path(STAGE))
     except OutputError as error:
-        hint = f"use another folder, and --weights {run / LAST} to start from the weights of this"
+        weights = setting("weights", run / LAST)
+        hint = f"use another folder, and {weights} to start from the weights of this"
         raise OutputError(error.subject, error.problem, error.expected, hint) from error
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from salsanext_cli.core.engines.memory import Memory
 from salsanext_cli.core.errors import TrainingError, with_hint
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.wording import setting
 from salsanext_cli.training.recipe import Recipe
 
 BYTES_PER_PIXEL = {
@@ -88,15 +89,15 @@ class StepMemory:
         fitting = usable // self._bytes(self.columns)
         if fitting:
             parts = math.ceil(math.ceil(self.recipe.batch / self.workers) / fitting)
-            return (
-                f"use --set accumulate={parts} to compute a batch in parts, "
-                f"or --set batch={fitting * self.workers}"
-            )
+            in_parts = setting("recipe.accumulate", parts)
+            smaller = setting("recipe.batch", fitting * self.workers)
+            return f"use {in_parts} to compute a batch in parts, or {smaller}"
         columns = usable // self._bytes(1) // STEP_PIXELS * STEP_PIXELS
         if not columns:
             return "use a machine with more memory"
         parts = math.ceil(self.recipe.batch / self.workers)
-        return f"use --set accumulate={parts} and narrower windows: --set crop_width={columns}"
+        in_parts = setting("recipe.accumulate", parts)
+        return f"use {in_parts} and narrower windows: {setting('recipe.crop_width', columns)}"
 
 
 def _text(size: int) -> str:

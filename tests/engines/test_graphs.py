@@ -57,11 +57,11 @@ def test_chosen_devices_precisions_and_engines():
     assert choose_precision("int8", "cpu") == "int8"
     assert choose_precision("auto", "cpu") != "int8"
     for place, engine in (("cuda", "torch"), ("cpu", "torch")):
-        refused(UsageError, "--precision", choose_precision, "int8", place, engine)
+        refused(UsageError, "precision", choose_precision, "int8", place, engine)
     assert choose_engine("auto", "cpu") == choose_engine("openvino", "cpu") == "openvino"
     assert choose_engine("torch", "cpu") == choose_engine("auto", "cuda:1") == "torch"
     for name, place in (("openvino", "cuda"), ("onnx", "cpu")):
-        refused(UsageError, "--engine", choose_engine, name, place)
+        refused(UsageError, "engine", choose_engine, name, place)
 
 
 @pytest.mark.parametrize(
@@ -95,7 +95,7 @@ def test_bfloat16_where_the_cpu_multiplies_it(fresh, tmp_path, monkeypatch, flag
     else:
         with pytest.raises(UsageError) as caught:
             choose_precision("bfloat16", "cpu")
-        expected = ("--precision", "float32 or int8")
+        expected = ("precision", "float32 or int8")
         assert (caught.value.subject, caught.value.expected) == expected
 
 
@@ -122,7 +122,7 @@ def test_without_openvino_torch_computes_with_one_warning(fresh, monkeypatch, ca
     assert choose_engine("auto", "cpu") == choose_engine("auto", "cpu") == "torch"
     assert len(caplog.records) == 1
     caught = refused(MissingDependency, "openvino", choose_engine, "openvino", "cpu")
-    assert "--engine torch" in caught.value.hint
+    assert 'engine="torch"' in caught.value.hint
 
 
 SIZE = (1, 5, 19, 70)

@@ -180,7 +180,7 @@ def test_a_card_holds_the_ranges_and_int8_needs_them_and_openvino(weights, tmp_p
     bare = tmp_path / "bare.safetensors"
     save_with_card(weights, bare, replace(read_card(weights), int8={}))
     refused(WeightsError, bare, load_network, bare, "cpu", precision="int8")
-    with refused(UsageError, "--precision"):
+    with refused(UsageError, "precision"):
         load_network(weights, "cpu", precision="int8", engine="torch")
 
 

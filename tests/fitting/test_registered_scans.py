@@ -113,7 +113,7 @@ def test_the_hint_about_a_scan_of_a_map_does_not_move_the_others():
     scan = moved(street(32), (30, 10, 0))
     wrong = replace(SMALL, name="fitted", registered=True, origin=(15.0, 10.0, 0.0))
     hint = codes(scan, wrong)["out-of-place"]
-    assert "--sensor" not in hint
+    assert "file for sensor" not in hint
     assert "pose" in hint
     assert "alone" in hint
     assert "out-of-place" not in codes(scan, fit_sensor(ScanSample.of_scans([scan]), SMALL))
@@ -293,8 +293,8 @@ def test_poses_of_a_registered_drive_must_agree_with_its_scans(predicted, tmp_pa
     write_poses(path, np.array(WAY, float) + (3, 0, 0))
     with pytest.raises(UsageError) as caught:
         fuse_results(out, tmp_path / "other", poses=path)
-    assert caught.value.subject == "--poses"
-    assert "omit --poses" in caught.value.hint
+    assert caught.value.subject == "poses"
+    assert "omit poses" in caught.value.hint
 
 
 @pytest.fixture(scope="module")

@@ -49,10 +49,10 @@ def test_wrong_fields_of_view_are_findings_that_a_fit_corrects():
     assert codes(STREET, replace(SMALL, fov_up=-8.0)) == ["out-of-view"]
     assert codes(STREET, replace(SMALL, fov_up=75.0, fov_down=-75.0)) == ["sparse"]
     named = replace(SMALL, name="mine", fov_up=-8.0)
-    assert hints(STREET, named)["out-of-view"] == "--sensor auto"
+    assert hints(STREET, named)["out-of-view"] == 'sensor="auto"'
     assert codes(STREET, fit_view([STREET], TRAINED)) == []
     plain = replace(SMALL, fov_up=-8.0)
-    assert "inspect SCANS --fit" in hints(STREET, plain, plain)["out-of-view"]
+    assert "inspect SCANS with fit=" in hints(STREET, plain, plain)["out-of-view"]
     assert codes(STREET, fit_view([STREET], plain)) == []
 
 
@@ -120,8 +120,8 @@ def test_an_origin_in_a_sensor_file_corrects_the_height():
 
 def test_no_hint_names_an_option_that_weights_refuse():
     decibels = Scan(STREET.points, -40 * STREET.intensity - 1)
-    assert "--intensity auto" not in hints(decibels, SMALL, SMALL)["intensity-scale"]
-    assert "--intensity auto" in hints(decibels, SMALL)["intensity-scale"]
+    assert 'intensity="auto"' not in hints(decibels, SMALL, SMALL)["intensity-scale"]
+    assert 'intensity="auto"' in hints(decibels, SMALL)["intensity-scale"]
     matched = replace(SMALL, intensity_quantiles=tuple(255 * q for q in QUANTILES))
     assert "intensity_scale" not in hints(STREET, matched)["intensity-scale"]
 

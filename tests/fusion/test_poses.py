@@ -85,7 +85,7 @@ def test_the_hint_of_a_calibration_without_tr_works(tmp_path):
     path = written(tmp_path, encode_poses(poses))
     (tmp_path / "calib.txt").write_text("P0: 1 0 0 0 0 1 0 0 0 0 1 0\n")
     caught = refused(FormatError, tmp_path / "calib.txt", read_poses, path, STEMS, STEMS)
-    for remedy in ("calib.txt that has Tr", "--poses FILE", "rename poses.txt"):
+    for remedy in ("calib.txt that has Tr", 'poses="FILE"', "rename poses.txt"):
         assert remedy in caught.value.hint
     elsewhere = tmp_path / "poses"
     elsewhere.mkdir()

@@ -3,14 +3,15 @@
 
 import shlex
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from salsanext_cli.commands.line.option_names import CommandLine
 from salsanext_cli.core.measures.decision import CODES, LEVELS, Decision, Evidence, verdict
 from salsanext_cli.core.measures.expected_accuracy import OF_RUN, WITHHELD_FOR, ExpectedAccuracy
+from salsanext_cli.core.wording import setting, spelled
 
 FINE = Evidence(scans=10, class_count=20)
 ORDER = [level.decision for level in LEVELS]
@@ -152,12 +153,17 @@ def test_the_sentence_has_the_numbers():
     evidence = replace(FINE, expected=estimate(0.8), doubtful=0.42, warned={"sparse": names(7)})
     sentence = verdict(evidence).sentence
     assert all(text in sentence for text in ("70 to 90 %", "42.0 %", "10 %", "7 with sparse"))
-    command = verdict(evidence).command(Path("my drive"), ["--weights", "mine.safetensors"])
+    command = verdict(evidence).command("my drive", [setting("weights", "mine.safetensors")])
+    assert command == (
+        "salsanext pick 'my drive' to-label/ with count=10 and weights=\"mine.safetensors\""
+    )
+    with spelled(CommandLine()):
+        command = verdict(evidence).command("my drive", [setting("weights", "mine.safetensors")])
     assert shlex.split(command) == [
         *("salsanext", "pick", "my drive", "to-label/"),
         *("--count", "10", "--weights", "mine.safetensors"),
     ]
-    assert verdict(replace(FINE, measured=0.95)).command(Path("drive"), []) == ""
+    assert verdict(replace(FINE, measured=0.95)).command("drive", []) == ""
 
 
 @pytest.mark.parametrize("level", [level for level in LEVELS if level.most_doubtful < 1])

@@ -243,7 +243,7 @@ def test_labels_that_hardly_agree_with_predictions_are_doubted(right, wrong, sha
     counts.confusion[[1, 9, 0], [1, 0, 5]] = right, wrong, 100_000
     warnings = [*counts.label_warnings(SPACE)]
     assert len(warnings) == bool(share)
-    assert all(share in text and "--label-space" in text for text in warnings)
+    assert all(share in text and "label_space" in text for text in warnings)
 
 
 def test_the_share_of_the_vehicle_is_one_of_points():

@@ -23,6 +23,7 @@ from salsanext_cli.core.errors import WeightsError
 from salsanext_cli.core.network.card import KEY, WeightsCard
 from salsanext_cli.core.network.error_model import ErrorModel, last_values
 from salsanext_cli.core.network.registry import build
+from salsanext_cli.core.network.tuned_settings import KEY_OF
 from salsanext_cli.core.plain_data import plain
 from salsanext_cli.core.sensors.sensor import FittedView
 from salsanext_cli.io.label_spaces import label_space
@@ -372,6 +373,10 @@ def test_thresholds_with_the_keys_of_early_versions() -> None:
     first, second = map(plain, views)
     assert read(view=first, other_views=[second]).risk.views == tuple(views)
     assert read(view=None, other_views=[], classes={}).risk == read().risk
+    early = {"--min-range": 1.0, "--sensor": {"name": "hdl64", "width": 512}}
+    later = {"--min-range": 1.0, "--sensor": {"name": "hdl64"}, "--width": 512}
+    assert read(settings=early).risk.settings == later
+    assert {*later} <= {*KEY_OF.values()}
     for risk in ({"classes": {"car": 0.1}}, {"view": 5}):
         with pytest.raises(WeightsError):
             read(**risk)

@@ -79,7 +79,7 @@ def test_a_scan_that_kills_its_workers_is_one_error_and_the_next_run_goes_on(tmp
     assert "killed" in {scan.stem for scan in missing}
     named = ", ".join(f"s/{scan.stem}" for scan in missing[:3])
     assert f" {len(missing)} of 16 scans are missing: {named}" in caught.value.problem
-    assert caught.value.subject == "--jobs 2"
+    assert caught.value.subject == "jobs 2"
     again = run(Write(tmp_path, peaceful=True), scans, jobs=2)
     assert (again.done, again.skipped) == (len(missing), 16 - len(missing))
     assert {path.name for path in (tmp_path / "s").iterdir()} == {scan.stem for scan in scans}

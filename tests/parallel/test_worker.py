@@ -11,8 +11,12 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scans import refused
 
+from salsanext_cli.commands.line.option_names import CommandLine
+from salsanext_cli.commands.line.shard_option import shard_of_slurm, shard_of_text
 from salsanext_cli.core.errors import UsageError
+from salsanext_cli.core.wording import spelled
 from salsanext_cli.runs.loop.network_task import device_of_worker
 from salsanext_cli.runs.loop.pool import MAX_CHUNK_SCANS, MIN_CHUNKS_PER_WORKER, chunks
 from salsanext_cli.runs.loop.run_options import Shard, cores, worker_count
@@ -90,11 +94,11 @@ def test_all_shards_have_every_scan_once_whatever_the_order(names, count, draw):
 
 
 def test_shards_are_read():
-    assert Shard.parse("08/08") == Shard(8, 8)
+    assert shard_of_text("08/08") == Shard(8, 8)
     for text in ("", "0/4", "5/4", "1/0", "-1/4", "1/4/2", "1 / 4", "²/4", "1/" + 99 * "9"):
-        with pytest.raises(UsageError) as caught:
-            Shard.parse(text)
-        assert caught.value.subject == "--shard"
+        with spelled(CommandLine()):
+            refused(UsageError, "--shard", shard_of_text, text)
+    refused(UsageError, "shard", Shard, 5, 4)
 
 
 def slurm(number, least, count, **more):
@@ -111,13 +115,13 @@ def test_arrays_of_slurm_are_shards_or_refused():
         ({}, None),
         ({"SLURM_ARRAY_TASK_ID": "1"}, None),
     ):
-        assert Shard.of_slurm(environment) == shard
+        assert shard_of_slurm(environment) == shard
     for environment in (
         *(slurm(7, 1, 3, STEP=1), slurm(0, 1, 3), slurm(3, 0, 4, STEP=2), slurm("x", 0, 4)),
         *(slurm(1, 0, 4, STEP="x"), slurm(1, 0, 4, STEP="")),
     ):
         with pytest.raises(UsageError) as caught:
-            Shard.of_slurm(environment)
+            shard_of_slurm(environment)
         assert caught.value.subject.startswith("SLURM_ARRAY_TASK_ID=")
 
 

@@ -95,7 +95,7 @@ def test_scans_are_named_by_sequence_and_stem_or_by_the_stem_alone():
     for name in ("1", "08/9"):
         with pytest.raises(UsageError) as caught:
             run.scans_by_name([name])
-        assert (caught.value.subject, caught.value.code) == ("--scans", "usage")
+        assert (caught.value.subject, caught.value.code) == ("scans", "usage")
 
 
 def record(out, stage, folders, **settings):

@@ -348,7 +348,7 @@ def test_later_stages_find_the_scans_and_never_those_of_another_drive(kitti, wei
         predict_scans(other, single, settings=network)
 
 
-def test_scans_that_were_moved_are_named_with_the_option_for_their_new_place(weights, tmp_path):
+def test_scans_that_were_moved_are_named_with_the_argument_for_their_new_place(weights, tmp_path):
     write_sequence(tmp_path / "before", ["000000"])
     scans = tmp_path / "before/velodyne"
     out = tmp_path / "out"
@@ -356,4 +356,4 @@ def test_scans_that_were_moved_are_named_with_the_option_for_their_new_place(wei
     for scan in scans.iterdir():
         scan.unlink()
     caught = refused(NoInputError, out / "sequences/before", ResultFolder(out).scans)
-    assert "--dataset" in caught.value.hint
+    assert "with dataset" in caught.value.hint

@@ -92,7 +92,7 @@ def test_other_settings_are_refused_and_named(tmp_path: Path, other, named: list
     before = files_below(tmp_path)
     caught = refused(OutputError, tmp_path / "predict.json", predict, tmp_path, other)
     assert all(difference in caught.value.problem for difference in named)
-    assert "--overwrite" in caught.value.hint
+    assert "overwrite=True" in caught.value.hint
     assert files_below(tmp_path) == before
     first = Manifest(tmp_path).origins(["predict", "uncertainty"])
     predict(tmp_path, other, overwrite=True)

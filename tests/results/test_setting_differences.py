@@ -1,25 +1,29 @@
 # SPDX-License-Identifier: MIT
-"""Differences of recorded settings, by the names of options."""
+"""Differences of recorded settings, by the names of arguments."""
 
 import pytest
 
 from salsanext_cli import label_space
+from salsanext_cli.commands.line.option_names import CommandLine
+from salsanext_cli.core.wording import Spelling, spelled
 from salsanext_cli.runs.results.setting_differences import differences
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "option"),
+    ("before", "after", "argument"),
     [
-        ({"sensor": {"ego_box": []}}, {"sensor": {"ego_box": [-2, -1, -2, 1, 1, 0]}}, "--ego"),
-        ({"sensor": {"width": 512}}, {"sensor": {"width": 1024}}, "--width"),
-        ({"precision": "float32"}, {"precision": "bfloat16"}, "--precision"),
-        ({"knn": {"k": 5}}, {"knn": {"k": 7}}, "--knn-k"),
+        ({"sensor": {"ego_box": []}}, {"sensor": {"ego_box": [-2, -1, -2, 1, 1, 0]}}, "ego"),
+        ({"sensor": {"width": 512}}, {"sensor": {"width": 1024}}, "width"),
+        ({"precision": "float32"}, {"precision": "bfloat16"}, "precision"),
+        ({"knn": {"k": 5}}, {"knn": {"k": 7}}, "knn.k"),
     ],
 )
-def test_a_difference_names_the_option_that_sets_it(before, after, option):
-    text = differences(before, after)
-    assert text.endswith(f" ({option})")
-    assert "sensor." not in text
+def test_a_difference_names_what_sets_it(before, after, argument):
+    for spelling in (Spelling(), CommandLine()):
+        with spelled(spelling):
+            text = differences(before, after)
+        assert text.endswith(f" ({spelling.name(argument)})")
+        assert "sensor." not in text
     assert differences(before, before) == ""
 
 
@@ -52,4 +56,4 @@ def test_other_classes_are_named_by_their_label_spaces():
         {"label_space": label_space(name).to_dict()} for name in ("semantic-kitti", "coarse")
     )
     text = differences(fine, coarse)
-    assert text == "the classes were semantic-kitti and are coarse (--classes)"
+    assert text == "the classes were semantic-kitti and are coarse (classes)"

@@ -195,4 +195,4 @@ def test_labels_of_another_data_set_get_a_hint(tmp_path):
     world.add("000000", [24] * 50, [ROAD] * 50)
     with pytest.raises(NoInputError) as caught:
         world.evaluate()
-    assert "--label-space" in caught.value.hint
+    assert "with label_space" in caught.value.hint

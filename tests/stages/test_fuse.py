@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 
 from salsanext_cli import KnnParameters, Scan, label_drive, label_space, read_labels, read_scan
 from salsanext_cli.commands.line.app import app
+from salsanext_cli.commands.line.option_names import CommandLine
 from salsanext_cli.commands.stages.evaluate import evaluate
 from salsanext_cli.commands.stages.fuse import fuse_results
 from salsanext_cli.commands.stages.predict import predict_scans
@@ -26,6 +27,7 @@ from salsanext_cli.core.errors import (
     UsageError,
 )
 from salsanext_cli.core.fusion.window import FusionWindow
+from salsanext_cli.core.wording import spelled
 from salsanext_cli.io.poses import encode_poses, read_fused_poses
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
@@ -151,7 +153,7 @@ def test_fused_labels_of_refined_ones_are_fused_again(drive):
     record = json.loads((drive.out / "predict.json").read_text())
     record["settings"]["knn"] = None
     (drive.out / "predict.json").write_text(json.dumps(record))
-    with pytest.raises(OutputError) as caught:
+    with spelled(CommandLine()), pytest.raises(OutputError) as caught:
         ResultFolder(drive.out / "TARGET").scans()
     typed(caught.value.hint)
     assert ResultFolder(drive.out / "TARGET").scans()
@@ -161,7 +163,8 @@ def test_a_second_folder_for_fused_labels_has_a_hint_that_works(drive):
     """The disagreement beside the labels of single scans is of the first fusion."""
     fuse_results(drive.out)
     first = files_below(fused_folder(drive))
-    caught = refused(OutputError, drive.out, fuse_results, drive.out, drive.out / "other")
+    with spelled(CommandLine()):
+        caught = refused(OutputError, drive.out, fuse_results, drive.out, drive.out / "other")
     assert "another folder" in caught.value.problem
     typed(caught.value.hint)
     assert files_below(drive.out / "other/sequences/08") == first
@@ -174,7 +177,8 @@ def test_votes_of_other_scans_are_not_mixed(drive):
     assert [scan.stem for scan in fuse_results(drive.out).missing.scans] == ["000002"]
     hidden.with_suffix(".hidden").rename(hidden)
     record = fused_folder(drive) / "drive.json"
-    caught = refused(OutputError, record, fuse_results, drive.out)
+    with spelled(CommandLine()):
+        caught = refused(OutputError, record, fuse_results, drive.out)
     typed(caught.value.hint)
     assert fuse_results(drive.out).skipped == 3
     record.unlink()
@@ -239,7 +243,7 @@ def test_a_calibration_without_tr_has_a_hint_that_works(drive, tmp_path):
     folder = drive.data / "sequences/08"
     (folder / "calib.txt").write_text("P0: 1 0 0 0 0 1 0 0 0 0 1 0\n")
     caught = refused(FormatError, folder / "calib.txt", fuse_results, drive.out)
-    assert "--poses FILE" in caught.value.hint
+    assert 'poses="FILE"' in caught.value.hint
     # The poses of the drive are those of the scanner.
     path = shutil.move(folder / "poses.txt", tmp_path / "poses.txt")
     assert fuse_results(drive.out, poses=path).done == 3
@@ -286,7 +290,9 @@ def test_unfusible_results_are_refused(world, drive):
     with pytest.raises(FormatError):
         fuse_results(drive.out)
     shutil.rmtree(drive.out / "sequences/08/probabilities")
-    with pytest.raises(NoInputError, match="--fuse") as caught:
+    with pytest.raises(NoInputError, match='extras=\\("votes",\\)'):
+        fuse_results(drive.out)
+    with spelled(CommandLine()), pytest.raises(NoInputError) as caught:
         fuse_results(drive.out)
     command = shlex.split(caught.value.hint.partition("`")[2].partition("`")[0])
     assert command == ["salsanext", "predict", str(drive.data), str(drive.out), "--fuse"]

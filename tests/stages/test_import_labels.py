@@ -197,8 +197,8 @@ def array_of_floats(world):
     [
         (of_another_scan, "1,500 points", "turned"),
         (rounded, "0.00", "rounded"),
-        (lambda world: world.write(labels=np.full(1500, 99)), "all 1,500", "--scalar"),
-        (lambda world: world.write(labels=np.full(1500, 2)), "2 (1,500 points)", "--map"),
+        (lambda world: world.write(labels=np.full(1500, 99)), "all 1,500", "with scalar"),
+        (lambda world: world.write(labels=np.full(1500, 2)), "2 (1,500 points)", "with ids"),
         (lambda world: world.write("x.ply"), "no scan", "rename"),
         (of_fewer_points, "1,499 labels (expected 1,500", "belong to this scan"),
         (array_of_floats, "<f4 (1500)", "uint32"),

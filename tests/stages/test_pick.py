@@ -352,8 +352,8 @@ def test_unknown_names_and_a_second_choice_are_refused(drive, tmp_path):
         run(drive, names=listed)
     assert "08/00001" in caught.value.headline
     listed.write_text("08/000040\n")
-    with refused(UsageError, "--labelled"):
+    with refused(UsageError, "labelled"):
         run(drive, names=listed, labelled=[drive.data])
-    with refused(UsageError, "--subset"):
+    with refused(UsageError, "limit"):
         run(drive, names=listed, selection=ScanSelection(limit=2))
     assert not drive.out.exists()

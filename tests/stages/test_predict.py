@@ -217,7 +217,7 @@ def test_logits_that_are_not_finite_are_an_error_of_weights_and_scan(world, tmp_
 def test_objects_need_movable_classes(world):
     silent = LabelSpace.from_dict(label_space().to_dict() | {"movable": []})
     settings = replace(world.network, classes=silent)
-    with refused(UsageError, "--objects"):
+    with refused(UsageError, 'extras=("objects",)'):
         predict_scans(world.data, world.out, settings=settings, extras=("objects",))
     assert not world.out.exists()
 

@@ -183,7 +183,7 @@ def test_a_fit_is_not_advised_where_it_is_refused(mixed, tmp_path):
     write_bin(tmp_path / "one/1.bin", leaning(1))
     for folder, advised in ((mixed, False), (tmp_path / "one", True)):
         warnings = {warning.code: warning for warning in inspect(folder, sensor=SMALL).warnings}
-        assert ("--fit" in warnings["tilted"].hint) == advised
+        assert ("fit=" in warnings["tilted"].hint) == advised
 
 
 def test_images_of_several_sensors_need_all_sensors(mixed, network, tmp_path, caplog):

@@ -171,13 +171,13 @@ def test_scans_of_another_scale_than_earlier_ones_are_a_warning(knowing, tmp_pat
     (warning,) = (w for w in outcome.summary.warnings() if w.code == "intensity-scale")
     assert warning.scans == ["08/000000", "08/000001"]
     raw = replace(knowing.network, intensity="raw")
-    with pytest.raises(OutputError, match="--intensity"):
+    with pytest.raises(OutputError, match=r"\(intensity\)"):
         predict_scans(knowing.data / "sequences/00", knowing.out, settings=raw)
 
 
 def test_weights_without_the_intensity_of_training(world):
     network = replace(world.network, intensity="match")
-    refused(UsageError, "--intensity", predict_scans, world.data, world.out, settings=network)
+    refused(UsageError, "intensity", predict_scans, world.data, world.out, settings=network)
     predict_scans(world.data, world.out, settings=replace(network, intensity="auto"))
     recorded = Manifest(world.out).settings("predict").sensor
     assert recorded.intensity_quantiles == ()

@@ -173,8 +173,8 @@ def test_uncertainty_beside_labels_has_their_classes(coarse, world):
     paper = UncertaintyMethod(samples=2, aleatoric="paper")
     with pytest.raises(UsageError, match="merged") as caught:
         uncertainty(coarse.data, coarse.out, settings=coarse.network, method=paper)
-    assert caught.value.subject == "--aleatoric"
-    assert "--aleatoric copies" in caught.value.hint
+    assert caught.value.subject == "aleatoric"
+    assert 'aleatoric="copies"' in caught.value.hint
     predict(world, selection=ONE, options=RunOptions(overwrite=True))
     refused(OutputError, coarse.out, export_ply, coarse.out, colour="entropy")
 

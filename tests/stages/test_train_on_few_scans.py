@@ -247,7 +247,7 @@ def test_without_named_splits_all_labelled_scans_are_trained_on(data, tmp_path, 
     shutil.rmtree(data / "sequences/08")
     with pytest.raises(NoInputError) as caught:
         go(data, tmp_path / "none", FEW.with_changes(folds=0))
-    assert caught.value.hint.endswith("--set folds=3")
+    assert caught.value.hint.endswith(": folds=3")
 
 
 @pytest.fixture

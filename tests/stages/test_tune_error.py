@@ -147,7 +147,7 @@ def test_other_features_and_merged_classes_are_refused(far_is_wrong: World, targ
     world.tune("error", target)
     network = replace(world.network, weights=target)
     coarse = replace(network, classes=label_space("coarse"))
-    with refused(UsageError, "--classes"):
+    with refused(UsageError, "classes"):
         predict_scans(world.data, world.out, settings=coarse, extras=(ERROR,))
     card = read_card(target)
     names = ("something else", *FEATURES[1:])

@@ -143,8 +143,8 @@ def test_a_guarantee_that_does_not_hold_warns(unsure_is_wrong: World, target, ca
 @pytest.mark.parametrize(
     ("numbers", "expected"),
     [
-        ({"at_most": 0.05}, ("25 %", "16 more", "--at-most 50%")),
-        ({"at_most": 0.05, "confidence": 0.9}, ("54 % of scans", "19 more", "--confidence")),
+        ({"at_most": 0.05}, ("25 %", "16 more", "at_most=0.5,")),
+        ({"at_most": 0.05, "confidence": 0.9}, ("54 % of scans", "19 more", "lower confidence")),
     ],
 )
 def test_too_few_scans_for_a_guarantee_are_refused(world: World, target, numbers, expected) -> None:
@@ -156,7 +156,7 @@ def test_too_few_scans_for_a_guarantee_are_refused(world: World, target, numbers
 
 
 def test_impossible_levels_are_refused(unsure_is_wrong: World, target) -> None:
-    levels = {"--at-most": {"at_most": 5}, "--confidence": {"at_most": 0.5, "confidence": 1}}
+    levels = {"at_most": {"at_most": 5}, "confidence": {"at_most": 0.5, "confidence": 1}}
     for option, numbers in levels.items():
         refused(UsageError, option, unsure_is_wrong.tune, "risk", target, **numbers)
     assert not target.exists()
@@ -194,12 +194,11 @@ def test_a_void_threshold_is_refused(unsure_is_wrong: World, target, tmp_path) -
     coarse = replace(network, classes=label_space("coarse"))
     card = read_card(target)
     others = {"min_range": 2.0, "ego": "none", "sensor": replace(card.sensor, fov_up=4.0)}
-    changes = {f"--{name.replace('_', '-')}": {name: value} for name, value in others.items()}
-    runs = {option: {"settings": replace(network, **change)} for option, change in changes.items()}
-    runs["--classes"] = {"settings": coarse}
-    runs["--knn-…"] = {"settings": network, "knn": KnnParameters(k=3)}
-    for option, options in runs.items():
-        with refused(UsageError, option) as caught:
+    runs = {name: {"settings": replace(network, **{name: others[name]})} for name in others}
+    runs["classes"] = {"settings": coarse}
+    runs["knn"] = {"settings": network, "knn": KnnParameters(k=3)}
+    for name, options in runs.items():
+        with refused(UsageError, name) as caught:
             predict_scans(world.data, world.out, reject="risk", **options)
         assert not {"None", "[]", "''"} & {*re.split("[ ,]+", caught.value.problem)}
     assert not world.out.exists()

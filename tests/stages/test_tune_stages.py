@@ -138,7 +138,7 @@ def test_what_can_be_seen_at_once_is_refused_before_the_network_is_loaded(
         with pytest.raises(NoInputError):
             tune(part, tmp_path / "nowhere", target, settings=world.network, **numbers)
     refused(TrainingError, world.data, go, world, target, "risk", at_most=0.05)
-    refused(UsageError, "--at-most", go, world, target, "risk", at_most=5)
+    refused(UsageError, "at_most", go, world, target, "risk", at_most=5)
     shutil.rmtree(world.data / LABELS)
     refused(LabelError, world.data / LABELS / "000000.label", go, world, target, selection=VALID)
 

@@ -93,7 +93,7 @@ def test_no_dropout_is_refused_and_so_is_unknown_noise_unless_it_does_not_matter
     silent = replace(world, network=replace(world.network, sensor=seen))
     with pytest.raises(UsageError) as caught:
         run(silent)
-    assert "--sensor" in caught.value.hint
+    assert "with sensor" in caught.value.hint
     assert not world.out.exists()
     assert run(silent, aleatoric="none").done == 3
 

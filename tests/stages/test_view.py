@@ -120,7 +120,7 @@ def test_a_missing_scan_does_not_end_the_server(world, ask):
 
 def test_a_taken_port_is_refused(world):
     first = view(world.out, query=ResultQuery(world.dataset))
-    with first, refused(UsageError, "--port") as caught:
+    with first, refused(UsageError, "port") as caught:
         view(world.out, port=first.server_port, query=ResultQuery(world.dataset))
     assert str(first.server_port) in caught.value.problem
 

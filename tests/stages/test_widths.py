@@ -122,7 +122,7 @@ def test_a_threshold_holds_for_the_width_that_it_was_chosen_at(mixed, target):
         error = refused(WeightsError, target, label, width).value
         assert f"{width} columns" in error.problem
     save_with_card(target, target, replace(card, risk=card.at_width(NARROW).risk))
-    refused(UsageError, "--width", label, UNTRAINED)
+    refused(UsageError, "width", label, UNTRAINED)
 
 
 def test_projected_images_of_a_width_are_labelled_at_that_width(mixed):
@@ -142,7 +142,7 @@ def test_the_uncertainty_is_of_images_of_the_width(mixed):
 
 @pytest.mark.parametrize("width", [0, 15, 1 << 18])
 def test_an_impossible_width_is_refused(world, width):
-    refused(UsageError, "--width", at(world, width).predict)
+    refused(UsageError, "width", at(world, width).predict)
 
 
 @pytest.mark.parametrize("change", [{"widths": [64]}, {"widths": "128"}, {"widths": [128, 128]}])
@@ -177,7 +177,7 @@ def test_images_are_as_narrow_as_the_sensor_unless_a_width_is_named(mixed, caplo
     assert predict_scans(mixed.data, mixed.out, settings=mixed.network).skipped == 3
     wide = at(mixed, WIDE)
     predict_scans(mixed.data, mixed.out.with_name("wide"), settings=wide.network)
-    assert f"use --width {NARROW}" in caplog.text
+    assert f"use width={NARROW}" in caplog.text
     assert Manifest(mixed.out.with_name("wide")).settings("predict").sensor.width == WIDE
 
 

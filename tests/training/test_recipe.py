@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 from scans import refused
 
+from salsanext_cli.commands.line.recipe_changes import read_overrides
 from salsanext_cli.core.errors import UsageError
-from salsanext_cli.training.recipe import Recipe, presets, read_overrides, recipe
+from salsanext_cli.training.recipe import Recipe, presets, recipe
 
 
 def test_the_papers_recipe_is_the_papers() -> None:

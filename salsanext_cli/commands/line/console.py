@@ -22,8 +22,10 @@ from salsanext_cli.commands.line.interruption import (
     stating,
 )
 from salsanext_cli.commands.line.option_fields import option, option_group
+from salsanext_cli.commands.line.option_names import CommandLine
 from salsanext_cli.commands.line.wrong_values import usage_error
 from salsanext_cli.core.errors import HINT, NOTICE, SalsanextError, UsageError, escaped, printable
+from salsanext_cli.core.wording import spelled
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -103,12 +105,15 @@ class StderrHandler(logging.Handler):
 
 
 def guarded(command: Callable[Parameters, None]) -> Callable[Parameters, None]:
-    """Print a mistake of the user and exit with a status; let bugs keep their traceback."""
+    """Print a mistake of the user and exit with a status; let bugs keep their traceback.
+
+    Messages name options while the command runs.
+    """
 
     @functools.wraps(command)
     def run(*args: Parameters.args, **kwargs: Parameters.kwargs) -> None:
         try:
-            with interruptible():
+            with interruptible(), spelled(CommandLine()):
                 command(*args, **kwargs)
         except SalsanextError as error:
             if not error.reported_elsewhere:

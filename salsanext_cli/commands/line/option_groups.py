@@ -13,10 +13,11 @@ from salsanext_cli.commands.line.option_fields import (
     running_option,
     selection_option,
 )
+from salsanext_cli.commands.line.shard_option import typed_shard
 from salsanext_cli.core.engines.registry import engine_names
 from salsanext_cli.core.fusion.reach import FusionReach
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
-from salsanext_cli.runs.loop.run_options import RunOptions, Shard
+from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.query import ResultQuery, named_label_space
 from salsanext_cli.runs.results.scan_selection import ScanSelection
@@ -121,7 +122,7 @@ OPTIONS: dict[type, dict[str, Any]] = {
         "jobs": running_option("Number of worker processes; -1: one per core.", "--jobs", "-j"),
         "shard": running_option(
             "Work on share I of N of the scans.",
-            parse=Shard.asked_for,
+            parse=typed_shard,
             metavar="I/N",
             show_default="the share of this Slurm array task, else 1/1",
         ),

@@ -63,7 +63,8 @@ class Start:
 
     def plan(self) -> "Recipe":
         """Return the recipe with its changes."""
-        from salsanext_cli.training.recipe import read_overrides, recipe
+        from salsanext_cli.commands.line.recipe_changes import read_overrides
+        from salsanext_cli.training.recipe import recipe
 
         plan = recipe(self.recipe).with_changes(**read_overrides(self.changes or ()))
         return plan if self.epochs is None else plan.with_changes(epochs=self.epochs)

@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from salsanext_cli.core.errors import OutputError, UsageError, counted, first_few, shortened
+from salsanext_cli.core.wording import argument
 from salsanext_cli.io.files.reading import filled
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.formats.kitti import encode_bin
@@ -47,9 +48,9 @@ def convert(
     -------
     Outcome
     """
-    for name, value in {"--every": every, "--limit": 1 if limit is None else limit}.items():
+    for name, value in {"every": every, "limit": 1 if limit is None else limit}.items():
         if value < 1:
-            raise UsageError(name, f"is {value}", "at least 1")
+            raise UsageError(argument(name), f"is {value}", "at least 1")
     if recording_of(recording.absolute()) is None:
         problem = "is not a recording" if recording.exists() else "no such recording"
         raise UsageError(recording, problem, "a ROS bag, or a recording of Ouster or Velodyne")

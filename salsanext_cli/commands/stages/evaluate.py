@@ -17,6 +17,7 @@ from salsanext_cli.core.measures.risk_control import AcceptedLabels, RiskBoundCh
 from salsanext_cli.core.measures.scores import Scores, band_rows, scores
 from salsanext_cli.core.measures.uncertainty_evaluation import UncertaintyEvaluation
 from salsanext_cli.core.plain_data import Json, as_json, plain
+from salsanext_cli.core.wording import argument
 from salsanext_cli.io.files.json_files import encode_json
 from salsanext_cli.io.files.reading import present
 from salsanext_cli.report.plots import PICTURES, confusion_picture, uncertainty_pictures
@@ -276,5 +277,6 @@ def _require_labels(scans: Sequence[ScanFile]) -> None:
         paths = [scan.label_path for scan in members]
         if not any(present(path) for path in paths):
             problem = f"has no labels of sequence {sequence}"
-            hint = "label its scans, or choose others with --split or --sequences"
+            others = f"{argument('split')} or {argument('sequences')}"
+            hint = f"label its scans, or choose others with {others}"
             raise LabelError(paths[0].parent, problem, f"files like {paths[0].name}", hint)

@@ -16,6 +16,7 @@ from salsanext_cli.core.geometry.projection import measured_ranges, without_ego
 from salsanext_cli.core.measures.filtered_points import FilteredPoints
 from salsanext_cli.core.records import Mask, Scan
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.wording import argument, command, setting
 from salsanext_cli.io.files.reading import filled, present
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.formats.kitti import read_labels
@@ -203,10 +204,13 @@ def _words_of_rejected(count: int, drop: Collection[str], space: LabelSpace) -> 
     points = (
         "1 point remains although its" if count == 1 else f"{count:,} points remain although their"
     )
-    names = ",".join(dict.fromkeys([*drop, space.names[0]]))
-    problem = f"{points} class is unknown: `predict --reject` rejected the label"
-    also = "to drop them by their class, filter results of `predict` without --reject"
-    return with_hint(problem, f"to drop them too: --drop {names} --overwrite; {also}")
+    rejecting = command("predict", argument("reject"))
+    problem = f"{points} class is unknown: `{rejecting}` rejected the label"
+    names = tuple(dict.fromkeys([*drop, space.names[0]]))
+    settings = (setting("drop", names), setting("overwrite", True))
+    too = command("to drop them too:", *settings)
+    without = f"filter results of `predict` without {argument('reject')}"
+    return with_hint(problem, f"{too}; to drop them by their class, {without}")
 
 
 def _point_filter(
@@ -219,9 +223,10 @@ def _point_filter(
 ) -> tuple[PointFilter, ChosenResults]:
     """Return the filter of the options of `filter_scans`, and the chosen scans; refuse others."""
     if not (drop or keep or max_error is not None):
-        raise UsageError("filter", "no points to drop", "--drop, --keep or --max-error")
+        expected = f"{argument('drop')}, {argument('keep')} or {argument('max_error')}"
+        raise UsageError("filter", "no points to drop", expected)
     if max_error is not None and not 0 <= max_error <= 1:
-        raise UsageError("--max-error", f"{max_error:g}", "a probability from 0 to 1")
+        raise UsageError(argument("max_error"), f"{max_error:g}", "a probability from 0 to 1")
     results = ResultFolder(out, query.dataset)
     chosen = results.chosen(query)
     scans, space = chosen.scans, chosen.space

@@ -3,7 +3,6 @@
 
 import logging
 import os
-import shlex
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -20,6 +19,7 @@ from salsanext_cli.core.fusion.window import FusionWindow, warn_without_movable_
 from salsanext_cli.core.optional_packages import import_extra
 from salsanext_cli.core.records import Float
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.wording import argument, command, setting
 from salsanext_cli.io.files.json_files import encode_json, read_json
 from salsanext_cli.io.formats.kitti import read_labels
 from salsanext_cli.io.poses import encode_poses
@@ -31,6 +31,7 @@ from salsanext_cli.runs.drives.drive import (
     readings_of,
     recorded_drive,
 )
+from salsanext_cli.runs.drives.earlier_fusion import earlier_fusion, other_drive
 from salsanext_cli.runs.drives.scans_of_drive import computed_drive, drive_findings, drive_of_scans
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.results.digest_files import recorded_scans
@@ -133,7 +134,8 @@ class FusibleResults:
         """
         if poses is not None and len(self.sequences) > 1:
             problem = f"is one file for {counted(len(self.sequences), 'sequence')}"
-            raise UsageError("--poses", problem, hint="choose one sequence with --sequences")
+            hint = f"choose one sequence with {argument('sequences')}"
+            raise UsageError(argument("poses"), problem, hint=hint)
 
         origin_of = recorded_origins(self.results.root, self.sensor)
 
@@ -165,7 +167,8 @@ def _fusible_results(out: Path, query: ResultQuery) -> FusibleResults:
         raise predicted.busy()
     results = ResultFolder(out, query.dataset)
     if results.rejected_above() is not None:
-        problem, hint = "has labels of which some were rejected", "predict without --reject"
+        problem = "has labels of which some were rejected"
+        hint = f"predict without {argument('reject')}"
         raise OutputError(out, problem, "all labels, since votes replace rejected ones", hint)
     present_scans = results.scans()
     known = with_outputs(present_scans, out, *SOFTMAX_FOLDERS)
@@ -173,9 +176,12 @@ def _fusible_results(out: Path, query: ResultQuery) -> FusibleResults:
     space = results.label_space()
     of_softmax = results.label_space(*SOFTMAX_FOLDERS)
     if not known or space is None or of_softmax is None:
-        words = "--fuse --overwrite" if results.record("fuse") else "--fuse"
-        template = f"run `salsanext predict {{scans}} {{out}} {words}`, or with --probabilities"
-        hint = results.command(template, *present_scans[:1])
+        settings = [setting("extras", ("votes",))]
+        if results.record("fuse"):
+            settings.append(setting("overwrite", True))
+        predict = command("salsanext predict {scans} {out}", *settings)
+        other = setting("extras", ("probabilities",))
+        hint = results.command(f"run `{predict}`, or with {other}", *present_scans[:1])
         raise NoInputError(out, "has no softmax of any scan", "votes or probabilities", hint)
     if not space.fits(of_softmax):
         problem = f"has labels of {space.name}, but softmax of {of_softmax.name}"
@@ -287,7 +293,8 @@ def require_fusable(source: Path | Sequence[Path], out: Path, options: RunOption
     """
     if options.shard.count > 1:
         hint = f"run `salsanext fuse {out}` when all shares are predicted"
-        raise UsageError("--fuse", "is not possible for a share of the scans", hint=hint)
+        subject = setting("extras", ("votes",))
+        raise UsageError(subject, "is not possible for a share of the scans", hint=hint)
     sequences = {
         name: sorted(group, key=drive_order)
         for name, group in groupby(scans_of(source), lambda file: file.sequence)
@@ -324,7 +331,7 @@ def _recorded_drive(
     before = read_json(record)
     has_same_scans = before is not None and before.get("scans") == stems
     if before is not None and not has_same_scans and not fused.overwrite:
-        raise _other_drive(record, single)
+        raise other_drive(record, single)
     earlier = recorded_drive(folder) if has_same_scans and not fused.overwrite else None
     if (drive := given or earlier) is None:
         drive = computed_drive(files, sensor, recorded_origins(single.root, sensor))
@@ -334,8 +341,8 @@ def _recorded_drive(
             results = [(run, _results_of(run, name)) for run in (single, fused)]
             if any(paths for _, paths in results) and not fused.overwrite:
                 if before is None and not _results_of(fused, name):
-                    raise _earlier_fusion(single, fused.root, name)
-                raise _other_drive(record, single)
+                    raise earlier_fusion(single, fused.root, name)
+                raise other_drive(record, single)
             for run, paths in results:
                 run.remove_written(paths)
             fused.write(path, encode_poses(drive.poses))
@@ -347,26 +354,3 @@ def _recorded_drive(
 def _results_of(run: OutputRun, sequence: str) -> list[Path]:
     outputs = (find_outputs(run.root, folder) for folder in run.folders)
     return [path for paths in outputs for (name, _), path in paths.items() if name == sequence]
-
-
-def _other_drive(record: Path, single: OutputRun) -> OutputError:
-    """Return the error of results with votes of other scans, or by other poses."""
-    target, sequence = record.parents[2], record.parent.name
-    problem = f"has other scans or poses than {single.root} has now"
-    hint = f"run {_overwriting(single.root, target, sequence)}, with --poses if you used it"
-    return OutputError(record, problem, hint=hint)
-
-
-def _earlier_fusion(single: OutputRun, target: Path, sequence: str) -> OutputError:
-    """Return the error of results beside the labels of a fusion into another folder."""
-    folders = " and ".join(f"{name}/" for name in sorted(single.folders))
-    problem = f"has {folders} of sequence {sequence} from a fusion into another folder"
-    fused = _overwriting(single.root, target, sequence)
-    hint = f"run {fused} to replace them; the labels in the other folder stay"
-    return OutputError(single.root, problem, hint=hint)
-
-
-def _overwriting(out: Path, target: Path, sequence: str) -> str:
-    """Return the command that fuses a sequence again."""
-    words = ["fuse", str(out), str(target), "--sequences", sequence, "--overwrite"]
-    return f"`salsanext {shlex.join(words)}`"

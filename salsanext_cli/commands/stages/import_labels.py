@@ -19,6 +19,7 @@ from salsanext_cli.core.errors import (
     first_few,
 )
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.wording import argument, setting
 from salsanext_cli.io.files.reading import is_folder
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.formats.kitti import encode_labels
@@ -107,8 +108,8 @@ def _space_for(scans: Sequence[ScanFile], space: LabelSpace | None, dataset: Pat
     known = space_of(scans)
     if space is not None and data_set_label_space(labels_root(scans[0])) and not space.fits(known):
         problem = f"{space.name} differs from labels.yaml of the data set in classes or ids"
-        hint = "map the ids of the tool with --map, or change labels.yaml"
-        raise UsageError("--label-space", problem, known.name, hint)
+        hint = f"map the ids of the tool with {argument('ids')}, or change labels.yaml"
+        raise UsageError(argument("space"), problem, known.name, hint)
     return space or known
 
 
@@ -160,7 +161,8 @@ def _import_scan(
         in_place = path == scan.label_path
         if not (overwrite or in_place or records.is_replaceable(scan, path)):
             problem = "was changed, not written by salsanext, or imported from another file"
-            hint = "move older files or the labels away, or replace the labels with --overwrite"
+            replaced = f"replace the labels with {setting('overwrite', True)}"
+            hint = f"move older files or the labels away, or {replaced}"
             raise OutputError(scan.label_path, problem, hint=hint)
         raw, numbers = labels[path]
         records.write(scan, content, numbers)

@@ -9,6 +9,7 @@ from salsanext_cli.core.errors import UsageError, WeightsError
 from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.network.registry import build
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.wording import argument
 from salsanext_cli.io.files.atomic import WEIGHTS_SUFFIX, require_target
 from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.io.sensors import sensor
@@ -52,8 +53,9 @@ def import_weights(
     """
     require_target(target, overwrite)
     if source.suffix == WEIGHTS_SUFFIX:
-        for option, value in {"--label-space": space, "--dropout": dropout}.items():
+        for name, value in {"space": space, "dropout": dropout}.items():
             if value is not None:
+                option = argument(name)
                 problem = f"the weights file {source} contains this already"
                 raise UsageError(option, problem, "a published checkpoint", f"omit {option}")
         module, card = read_weights(source)
@@ -66,7 +68,7 @@ def import_weights(
         outputs = tensors["logits.bias"].numel() if "logits.bias" in tensors else 0
         if outputs != space.class_count:
             expected = f"{space.class_count}, one per class of {space.name}"
-            hint = "give its label space with --label-space"
+            hint = f"give its label space with {argument('space')}"
             raise WeightsError(source, f"has {outputs} outputs", expected, hint)
         rate = DROPOUT if dropout is None else dropout
         architecture = {"name": "salsanext", "class_count": outputs, "dropout": rate}

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from salsanext_cli.core.checks.scan_checks import ALONE, FIT, check_scan
+from salsanext_cli.core.checks.scan_checks import ALONE, check_scan, fit_hint
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import NoInputError, counted
 from salsanext_cli.core.fitting.sensor_groups import sensor_groups
@@ -113,7 +113,7 @@ def inspect(
         If there are no scans, or a fit is to scans of several sensors.
     """
     scans, files = select_scans(source, selection, space), find_scans(source)
-    hint = ALONE if fit else FIT
+    hint = ALONE if fit else fit_hint()
     if fit:
         sensor = _fitted_sensor(source, files, sensor, mounting=fit_mounting)
         # This pass fits the field of view that scans are checked against.

@@ -13,6 +13,7 @@ from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.geometry.projection import project
 from salsanext_cli.core.records import RangeImage
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.wording import argument, command, setting
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.formats.npy import read_array
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
@@ -97,17 +98,21 @@ def knn_refine_scans(
     """
     results = ResultFolder(out)
     if results.rejected_above("pixel_labels") is not None:
-        problem, hint = "has labels of which some were rejected", "predict without --reject"
+        problem = "has labels of which some were rejected"
+        hint = f"predict without {argument('reject')}"
         raise OutputError(out, problem, "all labels, since the vote restores rejected ones", hint)
     scans = find_scans(dataset) if dataset else results.scans()
     recorded = results.label_space("pixel_labels")
     if recorded and space and not recorded.fits(space):
         problem = f"{space.name}, but the pixel labels have the classes of {recorded.name}"
-        raise UsageError("--label-space", problem, hint="predict with --classes, or leave it out")
+        hint = f"predict with {argument('classes')}, or leave it out"
+        raise UsageError(argument("space"), problem, hint=hint)
     space = space or recorded or results.label_space() or space_of(scans)
     scans = with_outputs(scans, out, "pixel_labels")
     if not scans:
-        hint = f"run `salsanext predict SCANS {out} --pixel-labels` first"
+        pixel_labels = setting("extras", ("pixel_labels",))
+        predict = command(f"salsanext predict SCANS {out}", pixel_labels)
+        hint = f"run `{predict}` first"
         raise NoInputError(out, "has no pixel labels", hint=hint)
     scans = choose(scans, selection, space_of(scans, space), out)
     sensor, origins = sensor or results.sensor(), results.origins(["predict"])

@@ -20,6 +20,7 @@ from salsanext_cli.core.labelling import refine_labels
 from salsanext_cli.core.measures.scan_choice import choose_scans, require_choice
 from salsanext_cli.core.plain_data import plain
 from salsanext_cli.core.uncertainty.monte_carlo import Estimate, require_sampling
+from salsanext_cli.core.wording import argument
 from salsanext_cli.io.formats.kitti import encode_labels
 from salsanext_cli.report.picked import picked_cloud, picked_csv, picked_scans, scans_of_list
 from salsanext_cli.runs.fit.scan_reading import PreparedFile, read_prepared
@@ -212,9 +213,10 @@ def _candidates(
     """
     if names is None:
         return evenly_spaced(scans, selection.limit or 0)
-    for option, value in (("--subset", selection.limit), ("--labelled", labelled)):
+    for name, value in (("selection.limit", selection.limit), ("labelled", labelled)):
         if value:
-            raise UsageError(option, "chooses scans, and so does --from", "one of both")
+            problem = f"chooses scans, and so does {argument('names')}"
+            raise UsageError(argument(name), problem, "one of both")
     return named_scans(read_names(names), scans, str(names))
 
 

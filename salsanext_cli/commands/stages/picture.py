@@ -10,6 +10,7 @@ from pathlib import Path
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import NOTICE, UsageError
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.wording import argument
 from salsanext_cli.io.sensors import sensor
 from salsanext_cli.report.colours import CLASS_COLOURS, Scales, common_scales, require_colouring
 from salsanext_cli.report.scan_pictures import known_views, picture_of_results
@@ -82,10 +83,10 @@ def picture(
     -------
     Outcome
     """
-    require_colouring(colours, scale)
+    require_colouring(colours, scale, "colours")
     if scale and (len(colours) != 1 or {*colours} & {*CLASS_COLOURS}):
-        problem = f"--colour is {', '.join(colours) or 'missing'}"
-        raise UsageError("--scale", problem, "a single colour of values, such as error")
+        problem = f"{argument('colours')} is {', '.join(colours) or 'missing'}"
+        raise UsageError(argument("scale"), problem, "a single colour of values, such as error")
     results = ResultFolder(out, query.dataset)
     chosen = results.chosen(query)
     scans, space = chosen.scans, chosen.space

@@ -23,8 +23,10 @@ from salsanext_cli.core.geometry.projection import points_from_pixels
 from salsanext_cli.core.labelling import LabelledScan, predict_pixels, refine_labels
 from salsanext_cli.core.measures.risk_control import guarantee
 from salsanext_cli.core.network.card import RiskThreshold
+from salsanext_cli.core.network.tuned_settings import KEY_OF
 from salsanext_cli.core.records import Float, Origins
 from salsanext_cli.core.uncertainty.error_features import error_model, error_probability
+from salsanext_cli.core.wording import argument, command, setting, share
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.runs.fit.range_images import projected_sensor, range_image, sensor_of_images
 from salsanext_cli.runs.fit.scan_reading import PreparedFile, read_prepared
@@ -195,7 +197,7 @@ def predict_scans(
     Outcome
     """
     if batch is not None and batch < 1:
-        raise UsageError("--batch", str(batch), "at least 1, or auto")
+        raise UsageError(argument("batch"), str(batch), "at least 1, or auto")
     network = settings.load()
     listed = with_recorded_names(scans_of(source), out)
     scans = choose(listed, selection, space_of(listed, network.card.space), source)
@@ -244,7 +246,7 @@ def _possible_extras(
     if ERROR in extras:
         error_model(network)
     if "objects" in extras:
-        network.space.require_movable("--objects")
+        network.space.require_movable(setting("extras", ("objects",)))
     return extras
 
 
@@ -255,7 +257,7 @@ def _rejection(
     risk = _chosen_threshold(settings, network, knn) if reject == "risk" else None
     threshold = risk.threshold if risk else reject
     if isinstance(threshold, str) or not 0 <= threshold <= 1:
-        raise UsageError("--reject", str(threshold), "a probability from 0 to 1")
+        raise UsageError(argument("reject"), str(threshold), "a probability from 0 to 1")
     return LabelRejection(risk.kind if risk else "error", threshold, risk)
 
 
@@ -265,22 +267,27 @@ def _chosen_threshold(
     """Return the threshold in the weights; refuse settings that its guarantee does not cover."""
     risk = network.card.risk
     if risk is None:
-        width = f" --width {settings.width}" if settings.width else ""
-        hint = f"choose one with `salsanext tune risk DATASET WEIGHTS_OUT --at-most 5%{width}`"
+        wanted = [share("at_most", 0.05)]
+        if settings.width:
+            wanted.append(setting("width", settings.width))
+        tune = command("salsanext tune risk DATASET WEIGHTS_OUT", *wanted)
+        hint = f"choose one with `{tune}`"
         problem = f"has no threshold of risk for images of {network.sensor.width} columns"
         raise WeightsError(network.backend.name, problem, hint=hint)
     tuned, current = risk.settings, labels_depend_on(settings, network)
-    others = {"--classes": network.merging, "--knn-…": knn != KnnParameters()}
-    others |= {name: current[name] != tuned.get(name) for name in current}
+    rejected = setting("reject", "risk")
+    others = {"classes": network.merging is not None, "knn": knn != KnnParameters()}
+    others |= {name: current[key] != tuned.get(key) for name, key in KEY_OF.items()}
     if changed := [name for name, is_other in others.items() if is_other]:
         name = changed[0]
-        problem = "the guarantee of `--reject risk` does not cover other labels"
-        if name in current and name != "--sensor":
-            before, now = (as_typed(name, of_run.get(name)) for of_run in (tuned, current))
+        problem = f"the guarantee of `{rejected}` does not cover other labels"
+        if name in KEY_OF and name != "sensor":
+            runs = (tuned, current)
+            before, now = (as_typed(name, of_run.get(KEY_OF[name])) for of_run in runs)
             problem = f"the threshold was chosen with {before}, this run has {now}"
         hint = "use the option as for `tune risk`, or run `tune risk` again"
-        raise UsageError(name, problem, hint=hint)
-    log.log(NOTICE, "--reject risk: %s", guarantee(risk))
+        raise UsageError(argument(name), problem, hint=hint)
+    log.log(NOTICE, "%s: %s", rejected, guarantee(risk))
     return risk
 
 

@@ -21,6 +21,7 @@ from salsanext_cli.core.errors import (
     first_few,
     with_hint,
 )
+from salsanext_cli.core.wording import argument, command, setting
 from salsanext_cli.io.files.atomic import require_target, writing
 from salsanext_cli.io.files.reading import is_folder, present, reading, size_of
 from salsanext_cli.io.formats import read_scan, scan_suffix
@@ -103,16 +104,18 @@ def submit(
     require_target(target, overwrite, ".zip")
     files = find_outputs(out, "predictions")
     if not files:
-        hint = f"run `salsanext predict DATASET {out} --split {SPLIT}` first"
+        predict = command(f"salsanext predict DATASET {out}", setting("split", SPLIT))
+        hint = f"run `{predict}` first"
         raise NoInputError(out, "contains no predictions", hint=hint)
     if description is not None and (is_folder(description) or not present(description)):
-        raise UsageError(f"--description {description}", "no such file", "a text file")
+        subject = f"{argument('description')} {description}"
+        raise UsageError(subject, "no such file", "a text file")
     scans = _scans_at_hand(out, dataset, files)
     space = _full_space(out, scans, space)
     required = _required(space, scans, files)
     if unseen := sorted({name for name, _ in required} - {scan.sequence for scan in scans}):
         problem = f"no scans of sequence {first_few(unseen)}: numbers of labels not checked"
-        log.warning("%s", with_hint(problem, "give --dataset"))
+        log.warning("%s", with_hint(problem, f"give {argument('dataset')}"))
     clouds = {(scan.sequence, scan.stem): scan.path for scan in scans}
     members = {} if description is None else {"description.txt": description}
     total, steps = len(required), count(1)
@@ -136,7 +139,8 @@ def _full_space(out: Path, scans: Sequence[ScanFile], space: LabelSpace | None) 
     if full := unmerged(space, scans):
         problem = f"has predictions in the merged classes of {space.name}"
         expected = f"the classes of {full.name}"
-        raise LabelError(out, problem, expected, "predict without --classes")
+        hint = f"predict without {argument('classes')}"
+        raise LabelError(out, problem, expected, hint)
     return space
 
 
@@ -194,7 +198,7 @@ def _check_labels(path: Path, scan: Path | None, space: LabelSpace) -> None:
         raise LabelError(path, problem, "4, one uint32 per point", "write the labels as uint32")
     ids = np.flatnonzero(np.bincount(raw & 0xFFFF, minlength=RAW_ID_COUNT)).tolist()
     if unknown := [i for i in ids if i not in space.learning_map]:
-        hint = "write raw ids, not train ids, or give --label-space"
+        hint = f"write raw ids, not train ids, or give {argument('space')}"
         raise LabelError(path, f"has unknown ids {first_few(unknown)}", "", hint)
     names = {i: space.labels.get(i, "") for i in ids}
     if moving := [f"{i} {name}" for i, name in names.items() if name.startswith(MOVING)]:

@@ -16,6 +16,7 @@ import yaml
 from salsanext_cli.core.classes.label_space import RawIds
 from salsanext_cli.core.errors import UsageError, counted
 from salsanext_cli.core.optional_packages import import_open3d
+from salsanext_cli.core.wording import argument
 from salsanext_cli.io.files.reading import filled
 from salsanext_cli.io.formats.kitti import encode_bin, encode_labels, read_labels
 from salsanext_cli.io.label_spaces import label_space
@@ -96,7 +97,7 @@ def synthesise(
     """
     counts = {"train": train, "valid": valid, "test": test}
     options = RunOptions(jobs=jobs, on_error="stop", progress=progress)
-    _check({f"--{split}": count for split, count in counts.items()}, scans, seed, spacing, sensor)
+    _check(counts, scans, seed, spacing, sensor)
     settings = SynthSettings.of(counts, scans, seed, spacing, sensor)
     names = [name for members in settings.splits.values() for name in members]
     files = [path for name in names for path in _files(out / "sequences" / name, scans)]
@@ -119,18 +120,21 @@ def synthesise(
 
 
 def _check(sequences: dict[str, int], scans: int, seed: int, spacing: float, sensor: str) -> None:
-    least = {**dict.fromkeys(sequences, 0), "--scans": 1, "--seed": 0}
-    for name, count in {**sequences, "--scans": scans, "--seed": seed}.items():
+    least = {**dict.fromkeys(sequences, 0), "scans": 1, "seed": 0}
+    for name, count in {**sequences, "scans": scans, "seed": seed}.items():
         if count < least[name]:
-            raise UsageError(name, str(count), f"a whole number of at least {least[name]}")
+            expected = f"a whole number of at least {least[name]}"
+            raise UsageError(argument(name), str(count), expected)
     if sum(sequences.values()) == 0:
-        raise UsageError(", ".join(sequences), "no sequences", "at least one")
+        raise UsageError(", ".join(map(argument, sequences)), "no sequences", "at least one")
     if not 0 < spacing < math.inf or spacing * (scans - 1) > MAX_DRIVE_M:
         problem = f"{spacing} m between {counted(scans, 'scan')}"
         expected = f"more than 0 m, and drives of up to {MAX_DRIVE_M:.0f} m"
-        raise UsageError("--spacing", problem, expected, "use more sequences with fewer scans")
+        raise UsageError(
+            argument("spacing"), problem, expected, "use more sequences with fewer scans"
+        )
     if sensor not in RIGS:
-        raise UsageError("--sensor", sensor, f"one of {', '.join(RIGS)}")
+        raise UsageError(argument("sensor"), sensor, f"one of {', '.join(RIGS)}")
 
 
 def _begin(owned: OwnedFolder, new: StageRecord, files: list[Path], overwrite: bool) -> None:

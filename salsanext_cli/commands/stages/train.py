@@ -17,6 +17,7 @@ from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.engines.memory import memory_of
 from salsanext_cli.core.errors import NOTICE, UsageError, counted
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.wording import setting
 from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.io.weights.card_file import default_weights, named_weights, read_card
 from salsanext_cli.io.weights.loading import network_of_module
@@ -115,7 +116,7 @@ class NewTraining:
         path = run / CLASS_COUNTS
         counts = class_counts(path, sources, scored, validated, self.jobs, recipe.also)
         record_start(run, settings, overwrite=self.overwrite)
-        random = "random weights (--weights default: those of the package)"
+        random = f"random weights ({setting('weights', 'default')}: those of the package)"
         if not (run / CHECKPOINT).exists():
             begun = self.start.name if self.start else random
             log.log(NOTICE, "training from %s; the first step begins", begun)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from salsanext_cli.core.errors import NOTICE, WeightsError
+from salsanext_cli.core.network.tuned_settings import KEY_OF
 from salsanext_cli.io.files.atomic import require_target
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.runs.loop.run import Progress
@@ -134,7 +135,7 @@ def tune_int8(
     if not (int8 := int8_inputs(network.module, inputs)):
         raise WeightsError(settings.path, "has no hidden layer that int8 can compute")
     risk = network.card.risk
-    if risk and risk.settings.get("--precision") == "int8":
+    if risk and risk.settings.get(KEY_OF["precision"]) == "int8":
         log.log(NOTICE, "the threshold of `tune risk` is removed: it was chosen with other ranges")
         risk = None
     card = replace(network.card, int8=int8, risk=risk, version=None)

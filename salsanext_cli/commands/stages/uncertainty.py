@@ -20,6 +20,7 @@ from salsanext_cli.core.records import Float, Origins
 from salsanext_cli.core.uncertainty.error_features import error_probability, knows_error
 from salsanext_cli.core.uncertainty.method import UncertaintyMethod
 from salsanext_cli.core.uncertainty.monte_carlo import Estimate
+from salsanext_cli.core.wording import argument, command, setting
 from salsanext_cli.runs.fit.scan_reading import PreparedFile, read_prepared
 from salsanext_cli.runs.fit.sensor_fit import network_of_run, resolved_for, settings_of_network
 from salsanext_cli.runs.loop.network_task import NetworkTask
@@ -167,8 +168,8 @@ def _folders(
     if knows_error(network) and labels_too:
         folders = (ERROR, *folders)
     elif knows_error(network) and Manifest(out).owner(ERROR) is None:
-        text = "no probability of error: the labels in %s are of another stage; use predict --error"
-        log.log(NOTICE, text, out)
+        text = "no probability of error: the labels in %s are of another stage; use %s"
+        log.log(NOTICE, text, out, command("predict", setting("extras", (ERROR,))))
     return (*folders_of_origins(out, "uncertainty", network.sensor), *folders)
 
 
@@ -188,6 +189,6 @@ def _require_network_of_labels(out: Path, settings: StageSettings) -> None:
         same["weights"] = weights == settings.weights
         same["classes"] = space is not None and space.fits(settings.label_space)
     for name in (name for name, is_same in same.items() if not is_same):
-        hint = f"use the same --{name}, or another output folder"
+        hint = f"use the same {argument(name)}, or another output folder"
         problem = f"the labels were made with other {name}"
         raise OutputError(records.path(stage), problem, hint=hint)

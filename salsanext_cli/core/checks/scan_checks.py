@@ -53,6 +53,7 @@ from salsanext_cli.core.geometry.scan_traits import (
 from salsanext_cli.core.geometry.sensor_place import USUAL_HEIGHT_M, origin_in_file
 from salsanext_cli.core.records import Double, FileNotes, Float, Scan
 from salsanext_cli.core.sensors.sensor import FITTED_NAME, ORIGIN, UP, Sensor, presets
+from salsanext_cli.core.wording import argument, command, setting
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,15 +80,26 @@ SECTORS = 64
 MIN_SECTORS = 0.6  # Least share of the directions around with a point; revolutions had 0.89 or more
 FEW_SECTORS = 0.1  # The same for a narrow field of view; solid-state sensors had 0.14 or more
 
-FIT = "`salsanext inspect SCANS --fit sensor.toml`, then --sensor sensor.toml"
-AUTO = "--sensor auto"
 ALONE = f"expect wrong labels; if the other scans are of another sensor or mounting, {APART}"
 IN_MAP = "expect wrong labels: correct its pose, or `salsanext predict` this scan alone"
-COLUMNS = "name the columns of files without names: --columns x,y,z,intensity"
 TRAIN = "expect worse labels, or `salsanext train` weights on such scans"
-SET_ORIGIN = (
-    "expect worse labels, or write the position of the sensor as `origin` into a file for --sensor"
-)
+
+
+def origin_hint() -> str:
+    """Return the hint to state the position of the sensor."""
+    place = f"the position of the sensor as `origin` into a file for {argument('sensor')}"
+    return f"expect worse labels, or write {place}"
+
+
+def fit_hint() -> str:
+    """Return the hint to fit the sensor to all scans."""
+    fitted = command("salsanext inspect SCANS", setting("fit", "sensor.toml"))
+    return f"`{fitted}`, then {setting('sensor', 'sensor.toml')}"
+
+
+def columns_hint() -> str:
+    """Return the hint to name columns."""
+    return f"name the columns of files without names: {setting('columns', 'x,y,z,intensity')}"
 
 
 def check_image(channels: Float, sensor: Sensor, trained: Sensor) -> ScanCheck:
@@ -151,10 +163,10 @@ def check_scan(
 def _fit_hint(sensor: Sensor, trained: Sensor | None, fit: str) -> str:
     """Return the hint about a fit of the sensor, which is `fit` if that may help."""
     if sensor.name not in (FITTED_NAME, *presets(), trained and trained.name):
-        return AUTO
+        return setting("sensor", "auto")
     if sensor.registered:  # A fit to all scans, or a position of all, does not help one of them.
         return IN_MAP
-    return fit or (FIT if sensor is trained else ALONE)
+    return fit or (fit_hint() if sensor is trained else ALONE)
 
 
 def _mounting_findings(
@@ -222,14 +234,13 @@ def _unit_findings(ranges: Double, measured: float) -> Iterator[Finding]:
     median, far = np.quantile(ranges, (0.5, 0.99))
     if median > USUAL_RANGES_M[0] or far > USUAL_RANGES_M[1]:
         problem = f"has a median range of {median:.0f} m, and 1% of the points beyond {far:.0f} m"
-        yield Finding("units", problem, f"convert them to metres, or {COLUMNS}")
+        yield Finding("units", problem, f"convert them to metres, or {columns_hint()}")
     if far < MIN_FAR_M:
         yield Finding("indoor", f"99% of the points lie within {far:.0f} m, as in a room", TRAIN)
     if measured < MIN_MEASURED:
         problem = f"{percentage(1 - measured, 0)} of the points are not measurements"
-        yield Finding(
-            "not-measured", problem, f"they stay unlabelled; if they should not, {COLUMNS}"
-        )
+        hint = f"they stay unlabelled; if they should not, {columns_hint()}"
+        yield Finding("not-measured", problem, hint)
 
 
 def _view_findings(scan: Scan, sines: Float, sensor: Sensor, fit: str) -> Iterator[Finding]:
@@ -276,11 +287,11 @@ def _raised(ground: Ground, sensor: Sensor) -> str:
     position = np.array([0, 0, USUAL_HEIGHT_M - ground.height])
     raised = replace(sensor, origin=origin_in_file(position, sensor, HINT_DIGITS))
     place = f"{lines_of_place(raised)} ({USUAL_HEIGHT_M:g} m above the ground)"
-    return f"expect worse labels, or write {place} into a file for --sensor"
+    return f"expect worse labels, or write {place} into a file for {argument('sensor')}"
 
 
 def _place_findings(misplaced: PlaceProblem | None, sensor: Sensor, fit: str) -> Iterator[Finding]:
     if misplaced is not None:
-        lines = f"{fit}, or write {misplaced.remedy} into a file for --sensor"
-        hint = lines if misplaced.remedy else SET_ORIGIN
+        lines = f"{fit}, or write {misplaced.remedy} into a file for {argument('sensor')}"
+        hint = lines if misplaced.remedy else origin_hint()
         yield Finding("out-of-place", misplaced.problem, IN_MAP if sensor.registered else hint)

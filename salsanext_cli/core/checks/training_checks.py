@@ -2,21 +2,16 @@
 """Checks of images and intensities against those that a network was trained on."""
 
 from collections.abc import Iterator
-from shlex import quote
 
 from salsanext_cli.core.checks.finding import Finding
 from salsanext_cli.core.errors import first_few, percentage
 from salsanext_cli.core.geometry.network_input import BRIGHT, INTENSITY_FACTOR, NO_INTENSITY
 from salsanext_cli.core.sensors.sensor import OF_IMAGES, Sensor
+from salsanext_cli.core.wording import argument, setting
 
 MAX_USUAL_INTENSITY = 2.0  # Upper intensity of the scale 0…1, if that of training is unknown
 APART = "label it alone, into another folder"
-SET_SCALE = "set intensity_scale in a file for --sensor"
-MATCH_OR_SET_SCALE = f"--intensity auto, or {SET_SCALE}"
-NAME_COLUMN = (
-    "if the files have one, name the columns of files without names: --columns x,y,z,_,intensity "
-    "for example"
-)
+COLUMNS = "x,y,z,_,intensity"  # Example for a hint
 
 
 def training_findings(
@@ -53,7 +48,8 @@ def _image_findings(sensor: Sensor, trained: Sensor) -> Iterator[Finding]:
     trained_size = (trained.height, trained.width)
     if size != trained_size:
         sizes = f"{size[0]}×{size[1]} pixels, and {trained_size[0]}×{trained_size[1]}"
-        hint = "accuracy drops: leave out --width, or height and width in the sensor file"
+        settings = f"{argument('width')}, or height and width in the sensor file"
+        hint = f"accuracy drops: leave out {settings}"
         yield Finding("other-images", f"the images have {sizes} in training", hint)
     elif any(getattr(sensor, key) != getattr(trained, key) for key in OF_IMAGES):
         problem = "the sensor file changes the normalisation of the images"
@@ -67,16 +63,19 @@ def _no_intensity(
     """Return the finding of values that are no intensities."""
     if is_matched:
         return Finding("no-intensity", reason, _name_of_intensity(fields))
-    hint = "--intensity none" if trained.intensity_quantiles else _name_of_intensity(fields)
+    is_known = bool(trained.intensity_quantiles)
+    hint = setting("intensity", "none") if is_known else _name_of_intensity(fields)
     return Finding("no-intensity", f"{reason}; the network takes it as it is", hint)
 
 
 def _name_of_intensity(fields: tuple[str, ...]) -> str:
     """Return the hint to name the intensity, which lists the fields of a file with names."""
     if not fields:
-        return NAME_COLUMN
+        named = f"name the columns of files without names: {setting('columns', COLUMNS)}"
+        return f"if the files have one, {named} for example"
     choice = f"one of {first_few(fields)}" if len(fields) > 1 else fields[0]
-    return f"if {choice} is the intensity, --intensity-field {quote(fields[0])} for example"
+    named = setting("intensity_field", fields[0])
+    return f"if {choice} is the intensity, {named} for example"
 
 
 def _scale_findings(bright: float, sensor: Sensor, trained: Sensor) -> Iterator[Finding]:
@@ -95,5 +94,12 @@ def _scale_findings(bright: float, sensor: Sensor, trained: Sensor) -> Iterator[
     if not is_doubtful:
         return
     problem = f"{percentage(BRIGHT, 0)} of the intensities are below {bright:.3g}, {comparison}"
-    hint = MATCH_OR_SET_SCALE if trained.intensity_quantiles else SET_SCALE
-    yield Finding("intensity-scale", problem, APART if matched else hint)
+    yield Finding("intensity-scale", problem, APART if matched else _scale_hint(trained))
+
+
+def _scale_hint(trained: Sensor) -> str:
+    """Return the hint to match the intensity, if the weights state theirs, or to scale it."""
+    scaled = f"set intensity_scale in a file for {argument('sensor')}"
+    if trained.intensity_quantiles:
+        return f"{setting('intensity', 'auto')}, or {scaled}"
+    return scaled

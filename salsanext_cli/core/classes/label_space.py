@@ -26,6 +26,7 @@ from salsanext_cli.core.errors import (
     percentage,
     shortened,
 )
+from salsanext_cli.core.wording import argument, setting
 
 TrainIds = npt.NDArray[np.uint8]
 RawIds = npt.NDArray[np.uint32]
@@ -125,7 +126,8 @@ class LabelSpace:
         if not self.movable.any():
             problem = f"label space {self.name} has no movable classes"
             hint = "state their train ids in its yaml file, as `movable: [1, 2]`, and predict"
-            raise UsageError(subject, problem, "at least one", f"{hint} with --classes FILE")
+            hint = f"{hint} with {setting('classes', 'FILE')}"
+            raise UsageError(subject, problem, "at least one", hint)
 
     def unknown_ids(self, raw: RawIds) -> dict[int, int]:
         """Return the number of points by unknown raw id, without instances."""
@@ -157,7 +159,7 @@ class LabelSpace:
         problem = (
             f"has unknown label ids {ids}: {percentage(of_labelled, 0)} of the labelled points"
         )
-        hint = "set the label space of this data with --label-space"
+        hint = f"set the label space of this data with {argument('label_space')}"
         if (raw & 0xFFFF).max() < self.class_count:
             problem += f"; they are probably train ids, since none is above {self.class_count - 1}"
             hint = f"write raw ids instead of train ids, or {hint}"

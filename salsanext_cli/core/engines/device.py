@@ -9,6 +9,7 @@ from pathlib import Path
 
 from salsanext_cli.core.engines.registry import computes_int8
 from salsanext_cli.core.errors import UsageError, counted
+from salsanext_cli.core.wording import argument, setting
 
 PRECISIONS = ("auto", "float32", "bfloat16", "float16", "int8")
 MAX_BATCH_PIXELS = 16 * 64 * 2048  # Pixels in a batch of a GPU
@@ -36,32 +37,36 @@ def choose_device(name: str) -> str:
     try:
         device = torch.device(name)
     except RuntimeError as error:
-        raise UsageError("--device", f"unknown device {name}", "cpu, cuda or cuda:0 …") from error
+        expected = "cpu, cuda or cuda:0 …"
+        raise UsageError(argument("device"), f"unknown device {name}", expected) from error
     if device.type == "cuda":
         count = torch.cuda.device_count()
         if (device.index or 0) >= count:
             problem = f"no {name}, because torch finds {counted(count, 'GPU')}"
-            raise UsageError("--device", problem, hint="use --device cpu")
+            raise UsageError(argument("device"), problem, hint=f"use {setting('device', 'cpu')}")
     elif device.type != "cpu":
-        raise UsageError("--device", f"unsupported device {name}", "cpu or cuda")
+        raise UsageError(argument("device"), f"unsupported device {name}", "cpu or cuda")
     return "cpu" if device.type == "cpu" else str(device)
 
 
 def choose_precision(name: str, device: str, engine: str = "openvino") -> str:
     """Return the number type of a name on a device; ``"auto"`` is the fastest one."""
     if name not in PRECISIONS:
-        raise UsageError("--precision", f"unknown precision {name}", ", ".join(PRECISIONS))
+        expected = ", ".join(PRECISIONS)
+        raise UsageError(argument("precision"), f"unknown precision {name}", expected)
     if name == "int8":
         if not computes_int8(engine, device):
             problem = f"{engine} does not compute int8 on {device}"
-            hint = "use --device cpu and --engine openvino, or another precision"
-            raise UsageError("--precision", problem, hint=hint)
+            others = f"{setting('device', 'cpu')} and {setting('engine', 'openvino')}"
+            hint = f"use {others}, or another precision"
+            raise UsageError(argument("precision"), problem, hint=hint)
         return name
     if device == "cpu":
         possible = ("float32", "bfloat16") if bfloat16_instructions() else ("float32",)
         if name not in ("auto", *possible):
             problem = f"this CPU does not compute {name}"
-            raise UsageError("--precision", problem, " or ".join((*possible, "int8")))
+            expected = " or ".join((*possible, "int8"))
+            raise UsageError(argument("precision"), problem, expected)
         return possible[-1] if name == "auto" else name
     if name != "auto":
         return name

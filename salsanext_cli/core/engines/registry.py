@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from importlib import import_module
 
 from salsanext_cli.core.errors import MissingDependency, UsageError, warn_once
+from salsanext_cli.core.wording import argument, setting
 
 TYPE_CHECKING = False  # Importing it from `typing` takes time.
 if TYPE_CHECKING:
@@ -124,13 +125,13 @@ def choose_engine(name: str, device: str) -> str:
         return _fastest_engine(device)
     library = LIBRARIES.get(name)
     if library is None:
-        raise UsageError("--engine", f"unknown engine {name}", ", ".join(engine_names()))
+        raise UsageError(argument("engine"), f"unknown engine {name}", ", ".join(engine_names()))
     if not library.computes_on(device):
         problem = f"{library.title} does not compute on {device}"
-        raise UsageError("--engine", problem, hint="use --device cpu")
+        raise UsageError(argument("engine"), problem, hint=f"use {setting('device', 'cpu')}")
     failure = library.failure()
     if failure:
-        hint = "install it again, or use --engine torch"
+        hint = f"install it again, or use {setting('engine', 'torch')}"
         raise MissingDependency(name, failure, hint=hint)
     return name
 
@@ -148,7 +149,7 @@ def _fastest_engine(device: str) -> str:
                 warn_once(log, f"{name}: {reason}; {slower}")
             return library.name
         failures[library.name] = failure
-    raise UsageError("--device", f"no library computes on {device}", "cpu or cuda")
+    raise UsageError(argument("device"), f"no library computes on {device}", "cpu or cuda")
 
 
 def computes_int8(engine: str | None, device: str = "cpu") -> bool:

@@ -23,6 +23,7 @@ from salsanext_cli.core.geometry.network_input import (
 )
 from salsanext_cli.core.records import Float
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.wording import argument, setting
 
 log = logging.getLogger(__name__)
 
@@ -158,10 +159,11 @@ def intensity_method(intensity: str, network: Network) -> str:
     """Return "match" or "none" for a word of `INTENSITIES`, empty text if the intensity stays."""
     is_known = bool(network.card.sensor.intensity_quantiles)
     if intensity not in INTENSITIES:
-        raise UsageError("--intensity", f"{intensity!r} is not possible", ", ".join(INTENSITIES))
+        methods = ", ".join(INTENSITIES)
+        raise UsageError(argument("intensity"), f"{intensity!r} is not possible", methods)
     if intensity in ("match", "none") and not is_known:
         problem = f"{intensity!r}, but the weights do not state the intensity of training"
-        raise UsageError("--intensity", problem, "auto or raw")
+        raise UsageError(argument("intensity"), problem, "auto or raw")
     if intensity == "raw" or not is_known:
         return ""
     return "none" if intensity == "none" else "match"
@@ -187,6 +189,6 @@ def _width_of_columns(fitted: Network, sample: ScanSample, settings: FitSettings
     text = "%.0f %% of the pixels between columns of the sensor are empty in images of %d columns"
     log.log(NOTICE, text, 100 * shares[wide], wide)
     if settings.is_width_named or wide != trained[0]:
-        log.log(NOTICE, "omit --width, or use --width %d", suited)
+        log.log(NOTICE, "omit %s, or use %s", argument("width"), setting("width", suited))
         return wide
     return suited

@@ -12,6 +12,7 @@ from salsanext_cli.core.fitting.field_of_view import MIN_SCANS, fit_ego, fit_vie
 from salsanext_cli.core.fitting.scan_sample import ScanSample
 from salsanext_cli.core.fitting.sensor_groups import SensorGroup, sensor_groups
 from salsanext_cli.core.sensors.sensor import FIELD_OF_VIEW, FittedView, Sensor
+from salsanext_cli.core.wording import argument
 
 log = logging.getLogger(__name__)
 
@@ -105,10 +106,8 @@ def _fitted_view(
     if replace(fitted, **{name: getattr(sensor, name) for name in EGO}) != sensor:
         log.log(NOTICE, "sensor fitted to %s: %s", count, view_text(fitted))
     if sensor.ego_box is None and 0 < len(scans) < MIN_SCANS and not fitted.registered:
-        text = (
-            "own vehicle not searched for in %s: that needs %d of one drive, or --ego with its box"
-        )
-        log.log(NOTICE, text, count, MIN_SCANS)
+        text = "own vehicle not searched for in %s: that needs %d of one drive, or %s with its box"
+        log.log(NOTICE, text, count, MIN_SCANS, argument("ego"))
     return fitted
 
 

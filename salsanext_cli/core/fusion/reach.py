@@ -4,6 +4,7 @@
 from dataclasses import dataclass
 
 from salsanext_cli.core.errors import UsageError
+from salsanext_cli.core.wording import argument
 
 MAX_REACH = 1000  # Largest reach in scans, each of some megabytes
 
@@ -27,4 +28,4 @@ class FusionReach:
         if not 0 <= self.movable_reach <= self.reach <= MAX_REACH:
             problem = f"the values are {self.reach} and {self.movable_reach}"
             expected = f"0 ≤ movable reach ≤ reach ≤ {MAX_REACH}"
-            raise UsageError("--reach and --movable-reach", problem, expected)
+            raise UsageError(argument("reach", "movable_reach"), problem, expected)

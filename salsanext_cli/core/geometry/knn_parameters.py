@@ -5,6 +5,7 @@ import math
 from dataclasses import dataclass
 
 from salsanext_cli.core.errors import UsageError
+from salsanext_cli.core.wording import argument
 
 MAX_WINDOW_PX = 63  # Largest side of the window, in pixels
 
@@ -41,4 +42,5 @@ class KnnParameters:
         )
         for name, holds, expected in conditions:
             if not holds:
-                raise UsageError(f"--knn-{name}", f"the value is {getattr(self, name)}", expected)
+                subject = argument(f"knn.{name}")
+                raise UsageError(subject, f"the value is {getattr(self, name)}", expected)

@@ -15,6 +15,7 @@ from salsanext_cli.core.errors import UsageError, percentage
 from salsanext_cli.core.geometry.projection import measured_ranges, sample_places
 from salsanext_cli.core.records import MAX_INTENSITY, Float
 from salsanext_cli.core.sensors.sensor import INTENSITY_LEVELS, Sensor
+from salsanext_cli.core.wording import argument
 
 QUANTILE_DIGITS = 6  # Significant digits of a quantile
 BRIGHT = 0.95  # Quantile of the upper intensity, which shows the scale
@@ -55,7 +56,7 @@ def noise_of(sensor: Sensor) -> tuple[float, float]:
     """Return the standard deviations of ranges, in metres, and of intensities."""
     if sensor.range_noise is None or sensor.intensity_noise is None:
         expected = "range_noise in metres and intensity_noise"
-        hint = "write both into a sensor file and pass it with --sensor"
+        hint = f"write both into a sensor file and pass it with {argument('sensor')}"
         raise UsageError(f"sensor {sensor.name}", "states no noise", expected, hint)
     return sensor.range_noise, sensor.intensity_noise
 

@@ -18,6 +18,7 @@ from salsanext_cli.core.measures.histograms import Histogram, lack_of_confidence
 from salsanext_cli.core.measures.scores import Counts, accepted, scored_rows
 from salsanext_cli.core.records import Float, Indices
 from salsanext_cli.core.uncertainty.kinds import UNCERTAINTY
+from salsanext_cli.core.wording import argument
 
 SOFTMAX = "probabilities"  # Folder of the softmax, and key of the histograms of its confidence
 OF_SOFTMAX = {"least_confidence": lack_of_confidence, "softmax_entropy": softmax_entropy}
@@ -109,7 +110,8 @@ class ScanCounts:
         if points >= MIN_JUDGED and right < MIN_ACCURACY * points:
             labelled = f"{percentage(right / points)} of the labelled points"
             agreement = f"labels and predictions agree on {labelled}"
-            yield with_hint(agreement, "check --label-space and the settings of the sensor")
+            hint = f"check {argument('label_space')} and the settings of the sensor"
+            yield with_hint(agreement, hint)
 
 
 Sum = TypeVar("Sum", Histogram, Counts)

@@ -8,10 +8,10 @@ import shlex
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from pathlib import Path
 
 from salsanext_cli.core.errors import counted, percentage
 from salsanext_cli.core.measures.expected_accuracy import OF_RUN, ExpectedAccuracy
+from salsanext_cli.core.wording import command, setting
 
 DOUBTFUL = 0.1
 """A point is doubtful if its label is wrong with a greater probability."""
@@ -38,12 +38,12 @@ ADVICE = {
     Decision.CORRECT: "Correct the scans first",
     Decision.UNSUITED: "Do not use these labels",
 }
-COMMANDS = {
-    Decision.COARSE: ("predict", "coarse/", "--classes", "coarse"),
-    Decision.LABEL_TEN: ("pick", "to-label/", "--count", "10"),
-    Decision.LABEL_FORTY: ("pick", "to-label/", "--count", "40"),
+COMMANDS: Mapping[Decision, tuple[str, str, str, object]] = {
+    Decision.COARSE: ("predict", "coarse/", "classes", "coarse"),
+    Decision.LABEL_TEN: ("pick", "to-label/", "count", 10),
+    Decision.LABEL_FORTY: ("pick", "to-label/", "count", 40),
 }
-"""Stage, folder and options that do what the advice says."""
+"""Stage, folder, argument and its value that do what the advice says."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,20 +145,21 @@ class Verdict:
         """Advice and reason."""
         return f"{ADVICE[self.decision]}: {self.reason}."
 
-    def command(self, scans: Path, options: Sequence[str]) -> str:
+    def command(self, scans: str, settings: Sequence[str]) -> str:
         """Return the command that does what the advice says; empty if there is none.
 
         Parameters
         ----------
-        scans : Path
+        scans : str
             Folder of the scans.
-        options : sequence of str
-            Words that choose scans in the folder, and the weights.
+        settings : sequence of str
+            Settings that choose scans in the folder, and the weights, as `setting` spells them.
         """
         if self.decision not in COMMANDS:
             return ""
-        stage, target, *others = COMMANDS[self.decision]
-        return shlex.join(["salsanext", stage, str(scans), target, *others, *options])
+        stage, target, name, value = COMMANDS[self.decision]
+        words = shlex.join(["salsanext", stage, scans, target])
+        return command(words, setting(name, value), *settings)
 
 
 def verdict(evidence: Evidence) -> Verdict | None:

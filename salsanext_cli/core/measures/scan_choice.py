@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.records import Double
+from salsanext_cli.core.wording import argument
 
 SHARE_OF_SPREAD = 0.5
 """Least distance of a chosen scan from earlier ones, as a share of `spread`.
@@ -74,9 +75,9 @@ def choose_scans(
 def require_choice(count: int, seed: int) -> None:
     """Raise `UsageError` for settings of a choice below their minimum."""
     if count < 1:
-        raise UsageError("--count", f"is {count}", "at least 1")
+        raise UsageError(argument("count"), f"is {count}", "at least 1")
     if seed < 0:
-        raise UsageError("--seed", f"is {seed}", "at least 0")
+        raise UsageError(argument("seed"), f"is {seed}", "at least 0")
 
 
 def standardised(features: npt.ArrayLike) -> Double:

@@ -24,6 +24,7 @@ from salsanext_cli.core.measures.histograms import Histogram, highest_of_bins
 from salsanext_cli.core.measures.scores import Counts, Ratios
 from salsanext_cli.core.plain_data import plain
 from salsanext_cli.core.uncertainty.kinds import UNCERTAINTY
+from salsanext_cli.core.wording import argument
 
 log = logging.getLogger(__name__)
 
@@ -233,7 +234,8 @@ class UncertaintyEvaluation:
         if counts.accepted:
             error = None  # Only accepted points have it, all points have the softmax.
         if error and confidence and error.aurc > confidence.aurc:
-            log.warning("the error ranks labels worse than the confidence: use --reject with care")
+            text = "the error ranks labels worse than the confidence: use %s with care"
+            log.warning(text, argument("reject"))
         if error and error.ece and softmax and error.ece > softmax.ece:
             log.warning("the error is calibrated worse than the softmax: do not read it as a share")
         accepted = next(

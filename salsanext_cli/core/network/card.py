@@ -16,6 +16,7 @@ from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import UsageError, WeightsError, error_text, shortened
 from salsanext_cli.core.network.error_model import ErrorModel, valid_temperature
 from salsanext_cli.core.network.int8_inputs import Int8Input
+from salsanext_cli.core.network.tuned_settings import KEY_OF
 from salsanext_cli.core.network.unit_traits import UnitTraits
 from salsanext_cli.core.plain_data import Json, decoded, plain
 from salsanext_cli.core.records import Scan
@@ -306,6 +307,6 @@ def _renamed(risk: Json, source: object) -> Json:
     if view := risk.pop("view", None):
         risk["views"] = [view, *risk.pop("other_views", ())]
     settings = risk.get("settings", {})
-    if "width" in (sensor := settings.get("--sensor", {})):
-        settings["--width"] = sensor.pop("width")
+    if "width" in (sensor := settings.get(KEY_OF["sensor"], {})):
+        settings[KEY_OF["width"]] = sensor.pop("width")
     return risk

@@ -8,7 +8,7 @@ from typing import Any
 from salsanext_cli.core.errors import UsageError, error_text, shortened
 from salsanext_cli.core.network.salsanext import SalsaNext
 from salsanext_cli.core.network.segmentation import SegmentationNetwork
-from salsanext_cli.core.network.weights_names import PAPER_NETWORKS, PAPER_NETWORKS_HINT
+from salsanext_cli.core.network.weights_names import PAPER_NETWORKS, paper_networks_hint
 from salsanext_cli.core.plug_ins import DISTRIBUTION, PlugIn, load_plug_ins
 
 NUMBERS = frozenset({"class_count", "dropout"})  # Of a network, in a weights file
@@ -49,7 +49,7 @@ def build(architecture: Mapping[str, Any], source: object = "architecture") -> S
             problem += f" of the plug-in {shortened(distribution)}"
             hint = f"install {shortened(distribution)} in this environment"
         elif name.startswith(PAPER_NETWORKS):
-            hint = PAPER_NETWORKS_HINT
+            hint = paper_networks_hint()
         known = (*ARCHITECTURES, *map(str, plugged_networks().values()))
         raise UsageError(source, problem, " or ".join(known), hint)
     try:

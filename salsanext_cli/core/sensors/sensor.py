@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import math
-import shlex
 import tomllib
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import MISSING, asdict, dataclass, fields, replace
@@ -17,6 +16,7 @@ from typing import Any
 
 from salsanext_cli.core.errors import UsageError, quoted, shortened
 from salsanext_cli.core.plain_data import are_numbers, refuse_unknown
+from salsanext_cli.core.wording import command, setting
 
 MAX_PIXELS = 1 << 21  # Largest range image: 64×32768, eight times the finest sensor
 MAX_NUMBER = 1e6  # Bound of means, deviations, scales and their inverse
@@ -164,11 +164,12 @@ class Sensor:
         """Build a sensor from plain data; an unknown or missing key raises `UsageError`."""
         refuse_unknown(data, cls, source)
         if missing := [f.name for f in fields(cls) if f.default is MISSING and f.name not in data]:
-            hint = "estimate them with `salsanext inspect SCANS --fit FILE.toml`"
+            inspect = command("salsanext inspect SCANS", setting("fit", "FILE.toml"))
+            hint = f"estimate them with `{inspect}`"
             if isinstance(source, Path) and data.keys().isdisjoint(FIELD_OF_VIEW):
-                file = shlex.quote(str(source))
-                command = f"salsanext inspect SCANS --sensor {file} --fit NEW.toml"
-                hint = f"run `{command}`, then use NEW.toml"
+                settings = (setting("sensor", source), setting("fit", "NEW.toml"))
+                inspect = command("salsanext inspect SCANS", *settings)
+                hint = f"run `{inspect}`, then use NEW.toml"
             expected = "a sensor with fov_up, fov_down, height, width"
             raise UsageError(source, f"lacks {', '.join(missing)}", expected, hint)
         values: dict[str, Any] = {

@@ -6,6 +6,7 @@ They are independent of the classes, and all but the height of the sensor.
 
 import numpy as np
 
+from salsanext_cli.core import wording
 from salsanext_cli.core.classes.label_space import TrainIds
 from salsanext_cli.core.compiled import argument, compiled, parallel_for_slices
 from salsanext_cli.core.engines.moments import entropy
@@ -168,7 +169,7 @@ def error_model(network: Network) -> ErrorModel:
         raise WeightsError(weights, "has an error model of other features", hint=hint)
     if network.merging is not None:
         problem = "the error model does not cover merged classes"
-        raise UsageError("--classes", problem, "the classes of the weights")
+        raise UsageError(wording.argument("classes"), problem, "the classes of the weights")
     return model
 
 

@@ -10,6 +10,7 @@ from salsanext_cli.core.network.dropout import require_dropout
 from salsanext_cli.core.records import RangeImage
 from salsanext_cli.core.uncertainty.aleatoric import aleatoric, noise_variance
 from salsanext_cli.core.uncertainty.monte_carlo import Estimate, require_samples, sample, scan_seed
+from salsanext_cli.core.wording import argument, setting
 
 EPISTEMIC_KINDS = ("epistemic", "entropy", "mutual_information")
 ALEATORIC_KINDS = ("aleatoric", "total")  # These need the sensor's noise
@@ -37,7 +38,8 @@ class UncertaintyMethod:
 
     def __post_init__(self) -> None:
         if self.aleatoric not in ALEATORIC_METHODS:
-            raise UsageError("--aleatoric", self.aleatoric, " or ".join(ALEATORIC_METHODS))
+            methods = " or ".join(ALEATORIC_METHODS)
+            raise UsageError(argument("aleatoric"), self.aleatoric, methods)
         require_samples(self.samples)
 
     @property
@@ -56,8 +58,9 @@ class UncertaintyMethod:
         if self.is_noisy:
             noise_of(network.sensor)
         if self.aleatoric == "paper" and network.merging is not None:
-            problem, hint = "paper does not cover merged classes", "use --aleatoric copies"
-            raise UsageError("--aleatoric", problem, "the classes of the weights", hint)
+            problem = "paper does not cover merged classes"
+            hint = f"use {setting('aleatoric', 'copies')}"
+            raise UsageError(argument("aleatoric"), problem, "the classes of the weights", hint)
 
     def estimate(self, network: Network, image: RangeImage, sequence: str, stem: str) -> Estimate:
         """Return the prediction for a scan and the uncertainty of its pixels.

@@ -11,6 +11,7 @@ from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.network.dropout import require_dropout
 from salsanext_cli.core.records import Float, RangeImage
+from salsanext_cli.core.wording import argument
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +106,7 @@ def require_sampling(network: Network, samples: int) -> None:
 def require_samples(samples: int) -> None:
     """Raise `UsageError` for fewer than two passes."""
     if samples < 2:
-        raise UsageError("--samples", str(samples), "at least 2: one pass has no variance")
+        raise UsageError(argument("samples"), str(samples), "at least 2: one pass has no variance")
 
 
 def pass_seed(seed: int, number: int) -> int:

@@ -13,6 +13,7 @@ from tempfile import TemporaryFile
 from typing import BinaryIO
 
 from salsanext_cli.core.errors import OutputError
+from salsanext_cli.core.wording import setting
 from salsanext_cli.io.files.reading import present, reason
 
 MARK: ContextVar[str] = ContextVar("MARK", default=uuid.uuid4().hex)
@@ -93,7 +94,8 @@ def require_target(target: Path, overwrite: bool, suffix: str = WEIGHTS_SUFFIX) 
 def require_absent(path: Path, overwrite: bool) -> None:
     """Raise `OutputError` if a file exists and may not be overwritten, or is a folder."""
     if present(path) and not overwrite:
-        raise OutputError(path, "already exists", hint="use another name, or --overwrite")
+        hint = f"use another name, or {setting('overwrite', True)}"
+        raise OutputError(path, "already exists", hint=hint)
     if path.is_dir():
         raise OutputError(path, "is a folder", "a file")
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from salsanext_cli.core.errors import FormatError
+from salsanext_cli.core.wording import argument
 
 if TYPE_CHECKING:
     from salsanext_cli.core.plug_ins import PlugIn
@@ -192,7 +193,7 @@ def _read(form: Format, path: Path, settings: tuple[Names, float], field: str) -
     if not field:
         return form.read(path, *settings)
     if form not in FORMATS.values():
-        hint = "omit --intensity-field"
+        hint = f"omit {argument('intensity_field')}"
         raise FormatError(path, "is of a plug-in, which chooses the intensity by itself", hint=hint)
     reader: Callable[..., Scan] = form.read
     return reader(path, *settings, field)

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from salsanext_cli.core.errors import FormatError, counted
 from salsanext_cli.core.records import Double, FileNotes, Float, Scan, normalised_intensity
 from salsanext_cli.core.sensors.sensor import MAX_COLUMNS, UNUSED_COLUMN
+from salsanext_cli.core.wording import argument, setting
 from salsanext_cli.io.formats.field_names import AxisFields, fields_beside, intensity_among
 from salsanext_cli.io.formats.split_fields import split_field
 
@@ -87,8 +88,10 @@ def columns_of_width(count: int, names: tuple[str, ...], path: Path) -> tuple[st
     problem = f"has {counted(count, 'column')}"
     if names and count != len(names):
         expected = f"{len(names)}: {', '.join(names)}"
-        hint = f"name all columns, for example with --columns {names_to_try(count)}"
-        raise FormatError(path, problem, expected, hint if count >= 3 else "omit --columns")
+        hint = f"omit {argument('columns')}"
+        if count >= 3:
+            hint = f"name all columns, for example with {setting('columns', names_to_try(count))}"
+        raise FormatError(path, problem, expected, hint)
     if names:
         return names
     if count < 3:
@@ -96,7 +99,7 @@ def columns_of_width(count: int, names: tuple[str, ...], path: Path) -> tuple[st
         raise FormatError(path, problem, "at least x, y, z", hint)
     if count > MAX_UNNAMED_COLUMNS:
         expected = f"3 to {MAX_UNNAMED_COLUMNS}: x, y, z, intensity and another one"
-        hint = f"name them, for example with --columns {names_to_try(count)}"
+        hint = f"name them, for example with {setting('columns', names_to_try(count))}"
         if count > MAX_COLUMNS:
             hint = f"save at most {MAX_COLUMNS} columns, one row per point"
         raise FormatError(path, f"{problem} without names", expected, hint)
@@ -104,7 +107,7 @@ def columns_of_width(count: int, names: tuple[str, ...], path: Path) -> tuple[st
 
 
 def names_to_try(count: int) -> str:
-    """Return as many names as a file has columns, for --columns."""
+    """Return as many names as a file has columns, for `columns`."""
     return ",".join((*USUAL_COLUMNS, *count * [UNUSED_COLUMN])[:count])
 
 

@@ -8,6 +8,7 @@ from itertools import chain
 from typing import Self
 
 from salsanext_cli.core.errors import FormatError, notice_once, shortened
+from salsanext_cli.core.wording import argument, setting
 
 AXES = ("x", "y", "z")
 AXIS_STYLES = (
@@ -139,7 +140,9 @@ def intensity_among(names: Sequence[str], requested: str, path: object) -> str |
             return fitting[0]
     problem = f"has no single field {shortened(requested)}"
     others = fields_beside(names)
-    hint = f"for example --intensity-field {others[0]}" if others else "omit --intensity-field"
+    hint = f"omit {argument('intensity_field')}"
+    if others:
+        hint = f"for example {setting('intensity_field', others[0])}"
     raise FormatError(path, problem, f"one of {listed(others)}", hint)
 
 

@@ -17,6 +17,7 @@ from salsanext_cli.core.classes.label_space import RawIds
 from salsanext_cli.core.errors import FormatError, LabelError, counted, notice_once
 from salsanext_cli.core.records import Float, Scan, normalised_intensity
 from salsanext_cli.core.sensors.sensor import UNUSED_COLUMN
+from salsanext_cli.core.wording import argument, setting
 from salsanext_cli.io.files.atomic import write_bytes
 from salsanext_cli.io.files.reading import read_values, reading, size_of
 from salsanext_cli.io.formats import FORMATS
@@ -72,8 +73,9 @@ def read_bin(
 ) -> Scan:
     """Read a scan of x, y, z, intensity and, in `.pcd.bin` files, ring, or of `columns`."""
     if intensity_field and not columns:
-        hint = "name the columns: --columns x,y,z,intensity for example"
-        raise FormatError(path, "has no names, so no --intensity-field", "names of columns", hint)
+        problem = f"has no names, so no {argument('intensity_field')}"
+        hint = f"name the columns: {setting('columns', 'x,y,z,intensity')} for example"
+        raise FormatError(path, problem, "names of columns", hint)
     table = read_table(path, columns)
     if columns:
         named = unnamed_columns(table.values, columns, path)
@@ -109,14 +111,14 @@ def read_table(path: Path, columns: tuple[str, ...] = ()) -> BinTable:
             raise _other_count(path, count, width)
         raise _no_coordinates(path, width)
     if size % (values.itemsize * width):
-        hint = "copy it again; if it has other columns, name them with --columns"
+        hint = f"copy it again; if it has other columns, name them with {argument('columns')}"
         raise FormatError(path, f"has {size} bytes", _multiple_of(width, values.itemsize), hint)
     table = values.reshape(-1, width)
     places = empty_places(rounded, width)
     if places is not None and not columns and np.isfinite(rounded).all():
         empty = f"{int(places.sum())} of every {len(places)} rows of .bin files without values"
-        names = names_to_try(len(places) * width)
-        notice_once(f"{empty}: unmeasured returns, or further columns: --columns {names}")
+        named = setting("columns", names_to_try(len(places) * width))
+        notice_once(f"{empty}: unmeasured returns, or further columns: {named}")
     return BinTable(table, is_planar=False)
 
 
@@ -130,8 +132,8 @@ def _require_intensity(table: npt.NDArray[np.floating[Any]], path: Path) -> None
     if have_signs_of_coordinates(values, width, names.index(INTENSITY)):
         other_names = ",".join(UNUSED_COLUMN if name == INTENSITY else name for name in names)
         by_column = f"{REWRITE_ROWS} if it is stored column by column"
-        named = f"--columns {','.join(names)} if these are intensities"
-        hint = f"{by_column}; {named}; if not, --columns {other_names}"
+        named = f"{setting('columns', ','.join(names))} if these are intensities"
+        hint = f"{by_column}; {named}; if not, {setting('columns', other_names)}"
         problem = "has coordinates as its intensities"
         raise FormatError(path, problem, f"{width} float32 per point", hint)
 
@@ -180,9 +182,9 @@ def _no_coordinates(path: Path, width: int) -> FormatError:
 
 def _other_count(path: Path, count: int, expected: int) -> FormatError:
     """Return the error of a file with another number of columns, with names to try."""
-    hint = f"name its columns, for example with --columns {names_to_try(count)}"
+    hint = f"name its columns, for example with {setting('columns', names_to_try(count))}"
     if count == usual_width(path):
-        hint = "omit --columns"
+        hint = f"omit {argument('columns')}"
     elif suffix := {COLUMNS: ".bin", COLUMNS_WITH_RING: ".pcd.bin"}.get(count):
         hint = f"rename it to {suffix}, or {hint}"
     return FormatError(path, f"has {count} columns", f"{expected} per point", hint)

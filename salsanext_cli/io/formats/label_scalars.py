@@ -15,6 +15,7 @@ import numpy.typing as npt
 from salsanext_cli.core.classes.label_space import LabelSpace, RawIds
 from salsanext_cli.core.errors import FormatError, LabelError, UsageError, quoted, shortened
 from salsanext_cli.core.records import Float
+from salsanext_cli.core.wording import argument, setting
 from salsanext_cli.io.files.yaml_toml import read_yaml
 from salsanext_cli.io.formats import errors_of_plug_ins, format_of, suffixes_in_words
 from salsanext_cli.io.formats.columns import Columns, coordinates
@@ -59,7 +60,7 @@ class LabelledCloud:
         largest = int(ids.max(initial=0))
         if scalar is None and _plain(name) == OF_ASPRS and largest in ASPRS_CLASSES:
             problem = f"has {name} up to {largest}, probably classes of the ASPRS"
-            hint = f"for raw ids, or with --map, add --scalar {name}"
+            hint = f"for raw ids, or with {argument('ids')}, add {setting('scalar', name)}"
             raise LabelError(path, problem, "raw ids of the label space", hint)
         return cls(points, ids, name)
 
@@ -79,10 +80,11 @@ def _label_column(columns: Columns, scalar: str | None, path: Path) -> str:
     if not used:
         problem = f"has no label among the scalars {listed(columns)}"
         expected = f"one named {', '.join(LABEL_NAMES)}"
-        raise FormatError(path, problem, expected, "name it with --scalar")
+        raise FormatError(path, problem, expected, f"name it with {argument('scalar')}")
     if len(used) > 1:
         problem = f"has several scalars that may be labels: {', '.join(used)}"
-        raise LabelError(path, problem, "one", f"choose one with --scalar, as --scalar {used[0]}")
+        hint = f"choose one with {argument('scalar')}, as {setting('scalar', used[0])}"
+        raise LabelError(path, problem, "one", hint)
     return used[0]
 
 
@@ -164,7 +166,8 @@ def _read_map(path: Path, space: LabelSpace) -> dict[int, int]:
     try:
         data = read_yaml(path, EXPECTED_MAP)
     except FileNotFoundError as error:
-        raise UsageError(f"--map {path}", "no such file", EXPECTED_MAP) from error
+        subject = f"{argument('ids')} {path}"
+        raise UsageError(subject, "no such file", EXPECTED_MAP) from error
     if not isinstance(data, Mapping) or not data:
         raise UsageError(path, f"contains a {type(data).__name__}", EXPECTED_MAP)
     by_name = {name: raw for raw, name in reversed(space.labels.items())}

@@ -16,6 +16,7 @@ from numpy.lib import format as npy
 
 from salsanext_cli.core.errors import FormatError, first_few, notice_once, shortened
 from salsanext_cli.core.records import Float, Mask
+from salsanext_cli.core.wording import argument, setting
 from salsanext_cli.io.files.reading import read_values, reading, refusing_damage, size_of
 from salsanext_cli.io.formats.columns import Columns, columns_of_width, unnamed_columns
 from salsanext_cli.io.formats.field_names import (
@@ -99,7 +100,7 @@ def read_probabilities(path: Path, count: int, class_count: int) -> npt.NDArray[
     # NaN fails all comparisons.
     sound = (np.abs(sums - 1) < ROUNDING) & ((softmax >= 0) & (softmax <= 1)).all(axis=1)
     expected = "numbers from 0 to 1 that add up to 1"
-    hint = "predict again with --probabilities"
+    hint = f"predict again with {setting('extras', ('probabilities',))}"
     _require_all(sound, path, "impossible probabilities", expected, hint)
     return softmax
 
@@ -135,7 +136,8 @@ def npz_columns(path: Path, names: tuple[str, ...]) -> Columns:
         single = dict(zip(columns, single.values(), strict=True))
         if not names and len(single) > len("xyz") and single["intensity"].dtype.kind != "f":
             del single["intensity"]
-            notice_once("integers in arr_3 are ignored; name them with --columns if they are used")
+            named = f"name them with {argument('columns')} if they are used"
+            notice_once(f"integers in arr_3 are ignored; {named}")
         notice_once(f"arrays without names are read as {', '.join(single)}")
     elif not has_bare_axes([*single]) and (_tables(arrays) or not has_axes([*single])):
         table = _columns(_table(arrays, path), names, path)

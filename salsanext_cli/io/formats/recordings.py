@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Protocol
 
 from salsanext_cli.core.errors import FormatError, NoInputError, UsageError, counted, shortened
+from salsanext_cli.core.wording import part
 from salsanext_cli.io.files.reading import identity, is_folder, present
 from salsanext_cli.io.formats import BAG_SUFFIXES, RECORDING_SUFFIXES
 from salsanext_cli.io.formats.columns import Columns
@@ -102,7 +103,8 @@ def _several_topics(folder: Path, recording: Recording, topics: list[str]) -> Us
     ordered = sorted(topics, key=lambda topic: (-points[topic], topic))
     texts = [f"{topic} ({counted(points[topic], 'point')})" for topic in ordered]
     problem = f"has {len(topics)} topics of point clouds: {shortened(', '.join(texts), MAX_SHOWN)}"
-    return UsageError(folder, problem, "one of them", f"choose one with --topic {ordered[0]}")
+    hint = f"choose one with {part('topic', folder, ordered[0])}"
+    return UsageError(folder, problem, "one of them", hint)
 
 
 def _names(times: list[int]) -> list[str]:

@@ -15,7 +15,7 @@ from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.network.weights_names import (
     DEFAULT_NAME,
     PAPER_NETWORKS,
-    PAPER_NETWORKS_HINT,
+    paper_networks_hint,
 )
 from salsanext_cli.core.plain_data import plain
 from salsanext_cli.io.files.atomic import WEIGHTS_SUFFIX
@@ -58,7 +58,7 @@ def hint_for_missing(path: Path) -> str:
     from salsanext_cli.io.files.atomic import WEIGHTS_SUFFIX  # Only errors need numpy
 
     if str(path).startswith(PAPER_NETWORKS):
-        return PAPER_NETWORKS_HINT
+        return paper_networks_hint()
     beside = {file.name: str(file) for file in path.parent.glob(f"*{WEIGHTS_SUFFIX}")}
     if path.name == str(path):
         beside[DEFAULT_NAME] = DEFAULT_NAME

@@ -13,6 +13,7 @@ from salsanext_cli.core.engines.registry import LIBRARIES, choose_engine
 from salsanext_cli.core.errors import WeightsError
 from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.wording import setting
 from salsanext_cli.io.files.reading import fingerprint
 from salsanext_cli.io.files.user_cache import check_once
 from salsanext_cli.io.weights.card_file import default_weights, read_card
@@ -88,7 +89,8 @@ def _number_type(precision: str, device: str, library: str, file: Path, card: We
     number_type = choose_precision(precision, device, library)
     if number_type == "int8" and not card.int8:
         hint = "fit them with `salsanext tune int8 SCANS WEIGHTS_OUT`"
-        raise WeightsError(file, "has no ranges for --precision int8", hint=hint)
+        problem = f"has no ranges for {setting('precision', 'int8')}"
+        raise WeightsError(file, problem, hint=hint)
     return number_type
 
 
@@ -123,7 +125,8 @@ def _read_module(file: Path, device: str, sha256: str) -> "SegmentationNetwork":
 
 def replaced(file: Path) -> WeightsError:
     """Return the error about a weights file that changed during a run."""
-    return WeightsError(file, "was replaced during the run", hint="run again with --overwrite")
+    hint = f"run again with {setting('overwrite', True)}"
+    return WeightsError(file, "was replaced during the run", hint=hint)
 
 
 def with_dropout(network: Network, rate: float) -> Network:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from salsanext_cli.core.errors import SalsanextError
 from salsanext_cli.core.measures.decision import Verdict
+from salsanext_cli.core.wording import setting
 from salsanext_cli.io.files.reading import fingerprint
 from salsanext_cli.io.weights.card_file import default_weights
 from salsanext_cli.report.page.run_results import RunResults
@@ -21,12 +22,12 @@ UNKNOWN_WEIGHTS = "WEIGHTS"
 
 def decision_command(run: RunResults, decided: Verdict) -> str:
     """Return the command that follows from a decision; empty if there is none."""
-    scans, options = _scans(run)
-    return decided.command(scans, [*options, *_weights(Manifest(run.reader.out))])
+    scans, settings = _scans(run)
+    return decided.command(str(scans), [*settings, *_weights(Manifest(run.reader.out))])
 
 
 def _scans(run: RunResults) -> tuple[Path, list[str]]:
-    """Return the folder of the scans, and the options that choose their sequences in it."""
+    """Return the folder of the scans, and the settings that choose their sequences in it."""
     files = [row.file for row in run.rows]
     folders = {file.path.parent for file in files}
     if len(folders) == 1:
@@ -36,11 +37,11 @@ def _scans(run: RunResults) -> tuple[Path, list[str]]:
     if data_sets or data_set is None:
         return UNKNOWN_SCANS, []
     sequences = sorted({file.sequence for file in files})
-    return _as_typed(data_set), ["--sequences", ",".join(sequences)]
+    return _as_typed(data_set), [setting("sequences", ",".join(sequences))]
 
 
 def _weights(records: Manifest) -> list[str]:
-    """Return the option of the weights of `predict`; empty for the default weights."""
+    """Return the setting of the weights of `predict`; empty for the default weights."""
     record = records.record("predict")
     settings = records.settings("predict")
     if record is None or settings is None or settings.weights is None:
@@ -52,8 +53,8 @@ def _weights(records: Manifest) -> list[str]:
     with suppress(SalsanextError):
         path = Path(record.weights_file)
         if record.weights_file and fingerprint(path) == settings.weights:
-            return ["--weights", str(_as_typed(path))]
-    return ["--weights", UNKNOWN_WEIGHTS]
+            return [setting("weights", _as_typed(path))]
+    return [setting("weights", UNKNOWN_WEIGHTS)]
 
 
 def _as_typed(path: Path) -> Path:

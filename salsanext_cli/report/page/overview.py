@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from salsanext_cli.core.errors import counted, percentage
 from salsanext_cli.core.measures.decision import ADVICE, DOUBTFUL, Evidence, verdict
 from salsanext_cli.core.measures.expected_accuracy import ExpectedAccuracy
+from salsanext_cli.core.wording import argument
 from salsanext_cli.report.page.decision_command import decision_command
 from salsanext_cli.report.page.elements import text_of
 from salsanext_cli.report.page.run_results import Comparison, RunResults
@@ -18,10 +19,6 @@ from salsanext_cli.report.tables import percent
 from salsanext_cli.runs.results.manifest import Manifest
 
 WITHHELD = "withheld"
-NO_DECISION = (
-    "No decision about the labels: some were rejected, and a decision judges all. "
-    "The report of a run without --reject has one."
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,12 +122,19 @@ def _decision(run: RunResults, evidence: Evidence) -> str:
     """Return the decision and the command that follows from it, as HTML; empty if unknown."""
     decided = verdict(evidence)
     if decided is None:
-        return f'<p class="sentence">{NO_DECISION}</p>' if run.reader.rejects else ""
+        return _no_decision() if run.reader.rejects else ""
     advice = text_of(ADVICE[decided.decision])
     words = decision_command(run, decided)
     command = f" <code>{text_of(words)}</code>" if words else ""
     reason = text_of(decided.reason)
     return f'<p class="decision"><b>{advice}</b>: {reason}.{command}</p>'
+
+
+def _no_decision() -> str:
+    """Return why there is no decision about a run that rejected labels, as HTML."""
+    why = "No decision about the labels: some were rejected, and a decision judges all."
+    remedy = f"The report of a run without {argument('reject')} has one."
+    return f'<p class="sentence">{why} {remedy}</p>'
 
 
 def _sentences(compared: Comparison | None) -> str:

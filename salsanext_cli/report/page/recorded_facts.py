@@ -12,6 +12,7 @@ from salsanext_cli.core.errors import SalsanextError, shortened
 from salsanext_cli.core.fitting.field_of_view import view_text
 from salsanext_cli.core.measures.risk_control import guarantee
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.wording import command, setting
 from salsanext_cli.io.files.reading import fingerprint
 from salsanext_cli.io.weights.card_file import default_weights, named_weights, read_card
 from salsanext_cli.runs.results.manifest import Manifest, StageSettings
@@ -39,7 +40,8 @@ def recorded_facts(out: Path, sensor: Sensor) -> Iterator[tuple[str, str]]:
         texts = (f"{name} {value}" for name, value in numbers.items() if value is not None)
         yield "Uncertainty", ", ".join([str(settings.method), *texts])
     if records.owner(ERROR) == "predict":
-        yield "Uncertainty", "probability of error, from predict --error"
+        made = command("predict", setting("extras", (ERROR,)))
+        yield "Uncertainty", f"probability of error, from {made}"
 
 
 def _weights(records: Manifest) -> str:

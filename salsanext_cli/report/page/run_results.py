@@ -25,6 +25,7 @@ from salsanext_cli.core.measures.risk_control import AcceptedLabels, RiskBoundCh
 from salsanext_cli.core.measures.scores import Scores, accepted, scores
 from salsanext_cli.core.measures.uncertainty_evaluation import UncertaintyEvaluation
 from salsanext_cli.core.uncertainty.kinds import MEANT_BY_UNCERTAINTY, UNCERTAINTY
+from salsanext_cli.core.wording import argument, command, setting
 from salsanext_cli.io.files.reading import present, reading, refusing_damage
 from salsanext_cli.report.page.mean_uncertainty import mean_in_words
 from salsanext_cli.report.page.recorded_facts import recorded_facts
@@ -68,7 +69,8 @@ def read_boxes(path: Path, space: LabelSpace) -> list[list[float]]:
     if not present(path):
         return []
     train_ids = {name: i for i, name in enumerate(space.names)}
-    with reading(path) as file, refusing_damage(path, "a table of `predict --objects`"):
+    made = command("predict", setting("extras", ("objects",)))
+    with reading(path) as file, refusing_damage(path, f"a table of `{made}`"):
         table = csv.DictReader(file.read().decode().splitlines())
         boxes = [
             [train_ids.get(row["class"], 0), *(float(row[name]) for name in BOX)] for row in table
@@ -184,7 +186,8 @@ class RunResults:
     def scans_by_name(self, names: Sequence[str]) -> dict[str, str]:
         """Choose scans by name, ``08/000000``, or by stem where only one sequence has it."""
         files = [row.file for row in self.rows]
-        return {file.name: "named" for file in named_scans(names, files, "--scans")}
+        chosen = named_scans(names, files, argument("scans"))
+        return {file.name: "named" for file in chosen}
 
     def facts(self) -> Iterator[tuple[str, str]]:
         """Yield titles and texts of the recorded settings of the run."""

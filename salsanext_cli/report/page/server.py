@@ -15,6 +15,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from salsanext_cli.core.errors import SalsanextError, UsageError
+from salsanext_cli.core.wording import argument
 
 LOOPBACK = "127.0.0.1"
 TIMEOUT_S = 10.0  # Longest wait for a client to send or take bytes
@@ -38,7 +39,7 @@ class PageServer(ThreadingHTTPServer):
                 raise
             problem = f"{port}: {(error.strerror or '').lower()}"
             hint = "name another port, or 0 for any free port"
-            raise UsageError("--port", problem, hint=hint) from None
+            raise UsageError(argument("port"), problem, hint=hint) from None
 
     @property
     def url(self) -> str:

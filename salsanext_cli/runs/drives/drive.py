@@ -22,6 +22,7 @@ from salsanext_cli.core.geometry.projection import in_sensor_frame
 from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
 from salsanext_cli.core.records import Float, Origin
 from salsanext_cli.core.sensors.sensor import UP, Sensor
+from salsanext_cli.core.wording import setting
 from salsanext_cli.io.files.json_files import read_json
 from salsanext_cli.io.files.reading import present, refusing_damage
 from salsanext_cli.io.formats import read_scan
@@ -87,7 +88,8 @@ def recorded_drive(folder: Path) -> Drive | None:
         drive = Drive(read_fused_poses(path, stems), parts)
     if drive_record(drive, stems) != record:
         problem = "differs from the poses that the scans were fused by"
-        raise OutputError(path, problem, hint="fuse the sequence again with --overwrite")
+        hint = f"fuse the sequence again with {setting('overwrite', True)}"
+        raise OutputError(path, problem, hint=hint)
     return drive
 
 

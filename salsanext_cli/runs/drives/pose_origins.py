@@ -19,6 +19,7 @@ from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
 from salsanext_cli.core.geometry.sensor_place import MIN_OFFSET_M
 from salsanext_cli.core.records import Double, Origins
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.wording import argument
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.runs.drives.drive import poses_beside, readings_of
 from salsanext_cli.runs.results.paths import ScanFile
@@ -140,7 +141,8 @@ def require_positions(poses: Path, files: Sequence[ScanFile], sensor: Sensor) ->
     if sensor_positions(poses, files, sensor) is None:
         problem = f"{poses} is not where the sensor is in most scans of sequence {name}"
         expected = "poses in the frame of the map that the scans are in"
-        raise UsageError("--poses", problem, expected, "omit --poses: the scans are in one frame")
+        hint = f"omit {argument('poses')}: the scans are in one frame"
+        raise UsageError(argument("poses"), problem, expected, hint)
     log.log(NOTICE, "sequence %s: its scans are in one frame, and %s agrees", name, poses)
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.records import CHANNELS, Float
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.wording import argument
 from salsanext_cli.io.formats.npy import read_array
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.paths import ScanFile, output_path
@@ -40,6 +41,7 @@ def sensor_of_images(folder: Path, projected: Sensor | None, fitted: Sensor) -> 
     if changed := next(filter(None, starmap(differences, (counts, *pairs))), ""):
         size = f"{projected.height}×{projected.width}"
         problem = f"has range images of {projected.name}, {size}: {changed}"
-        hint = "project again, or pass --sensor and --width of `project`"
-        raise UsageError(folder, problem, "the sensor of the weights or of --sensor", hint)
+        expected = f"the sensor of the weights or of {argument('sensor')}"
+        hint = f"project again, or pass {argument('sensor', 'width')} of `project`"
+        raise UsageError(folder, problem, expected, hint)
     return replace(fits[0], others=tuple(fits[1:]))

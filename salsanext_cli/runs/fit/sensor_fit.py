@@ -12,6 +12,7 @@ from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.fitting.network_fit import FitSettings, fit_to_sample, intensity_method
 from salsanext_cli.core.fitting.scan_sample import ScanSample
 from salsanext_cli.core.fitting.view_fit import fit_sensor
+from salsanext_cli.core.network.tuned_settings import KEY_OF
 from salsanext_cli.core.plain_data import as_json
 from salsanext_cli.core.records import Scan
 from salsanext_cli.core.sensors.sensor import Sensor
@@ -106,26 +107,26 @@ def fitted_view(
 
 
 def labels_depend_on(settings: NetworkSettings, network: Network) -> dict[str, object]:
-    """Return, by option, the settings that labels depend on besides weights and scans."""
+    """Return the settings that labels depend on besides weights and scans, by `KEY_OF`."""
     view = (settings.named_sensor() or network.card.sensor).view() | {"fit": settings.fits_view}
-    options = {
-        "--min-range": view.pop("min_range", None),
-        "--ego": view.pop("ego_box", None),
-        "--intensity": intensity_method(settings.intensity, network),
-        "--precision": network.backend.precision,
-        "--width": view.pop("width"),
-        "--sensor": {key: value for key, value in view.items() if key != "columns"},
+    of_labels = {
+        "min_range": view.pop("min_range", None),
+        "ego": view.pop("ego_box", None),
+        "intensity": intensity_method(settings.intensity, network),
+        "precision": network.backend.precision,
+        "width": view.pop("width"),
+        "sensor": {key: value for key, value in view.items() if key != "columns"},
     }
-    return dict(as_json(options))
+    return dict(as_json({KEY_OF[name]: value for name, value in of_labels.items()}))
 
 
-def as_typed(option: str, value: Any) -> str:
-    """Return a value of `labels_depend_on` as it is typed for its option."""
-    if option == "--ego" and not value:
+def as_typed(argument: str, value: Any) -> str:
+    """Return a value of `labels_depend_on` as it is typed for its argument."""
+    if argument == "ego" and not value:
         return "auto" if value is None else "none"
-    if option == "--ego":
+    if argument == "ego":
         return ",".join(f"{number:g}" for number in value)
-    if option == "--intensity":
+    if argument == "intensity":
         return str(value or "raw")
     if value is None:
         return "the default"

@@ -14,6 +14,7 @@ from salsanext_cli.core.classes.label_space import LabelSpace, RawIds
 from salsanext_cli.core.errors import LabelError, NoInputError, counted, first_few
 from salsanext_cli.core.geometry.label_transfer import TOLERANCE_M, LabelTransfer, transfer_labels
 from salsanext_cli.core.records import Float
+from salsanext_cli.core.wording import argument
 from salsanext_cli.io.files.reading import is_folder, present
 from salsanext_cli.io.formats import format_of, suffixes_in_words
 from salsanext_cli.io.formats.kitti import read_labels
@@ -127,7 +128,7 @@ def read_edited(
     cloud = LabelledCloud.read(path, scalar) if has_points else _of_all_points(path, points)
     if unknown := meanings.unknown(cloud.ids):
         listed = ", ".join(f"{i} ({counted(n, 'point')})" for i, n in sorted(unknown.items()))
-        hint = "map the ids of the tool with --map"
+        hint = f"map the ids of the tool with {argument('ids')}"
         raise LabelError(path, f"has unknown label ids {listed}", meanings.described(), hint)
     raw, every = meanings.to_raw(cloud.ids), np.ones(len(points), bool)
     transfer = LabelTransfer(raw, every, ~every, np.empty(0), len(points))
@@ -138,7 +139,7 @@ def read_edited(
     labelled = int(space.scored[space.to_train(raw, strict=False)].sum())
     if not labelled:
         problem = f"has no labelled points: the classes of all {len(raw):,} are ignored"
-        hint = "label some, or name another scalar with --scalar"
+        hint = f"label some, or name another scalar with {argument('scalar')}"
         raise LabelError(path, problem, f"at least one in {cloud.scalar}", hint)
     return raw, ImportedScan(
         scan=scan.name,

@@ -15,6 +15,7 @@ from typing import Any, Generic, TypeVar
 
 from salsanext_cli.core.engines.batches import BatchSize
 from salsanext_cli.core.errors import FormatError, SalsanextError, out_of_memory
+from salsanext_cli.core.wording import argument, setting
 from salsanext_cli.runs.loop.job import Attempt, Computed, OpenableTask, Prepared, ScanJob, Task
 from salsanext_cli.runs.results.paths import ScanFile
 
@@ -138,8 +139,9 @@ class Pipeline(Generic[Prepared, Computed, Result]):
         except (MemoryError, RuntimeError) as error:
             if not out_of_memory(error):
                 raise
-            on_cpu = device == "cpu"
-            hint = "free some memory, or use fewer --jobs" if on_cpu else "use --device cpu"
+            hint = f"use {setting('device', 'cpu')}"
+            if device == "cpu":
+                hint = f"free some memory, or use fewer {argument('jobs')}"
             problem = f"is too large for the memory of {device}"
             return Attempt(file, error=FormatError(file.path, problem, hint=hint))
 

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
+from salsanext_cli.core import wording
 from salsanext_cli.core.errors import WorkersLost
 from salsanext_cli.io.files.atomic import MARK
 from salsanext_cli.runs.loop.finished_attempts import (
@@ -45,6 +46,16 @@ POLL_INTERVAL_S = 1.0  # Of a worker, whether its parent lives
 
 Chunk = tuple[ScanFile, ...]  # Scans that a worker is sent together
 _OPENED: dict[str, AttemptFunction] = {}  # Task of this process, by the run that it serves
+
+
+@dataclass(frozen=True, slots=True)
+class WorkerProcess:
+    """What a worker process has from the process that started it."""
+
+    run: str  # Identifies the run, because a process serves several
+    mark: str  # Begin of the names of temporary files
+    folder: Path  # That names of files are relative to
+    spelling: wording.Spelling  # Of arguments in messages
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +92,8 @@ def _attempts(
     workers = min(len(scans), options.workers())
     most = task.max_chunk_scans if isinstance(task, OpenableTask) else MAX_CHUNK_SCANS
     stop = options.on_error == "stop"
-    function = partial(attempt_chunk, task, uuid4().hex, MARK.get(), Path.cwd(), stop=stop)
+    process = WorkerProcess(uuid4().hex, MARK.get(), Path.cwd(), wording.used())
+    function = partial(attempt_chunk, task, process, stop=stop)
     backend = joblib.parallel_config(
         "loky",
         n_jobs=workers,
@@ -111,7 +123,8 @@ def _attempts(
                     yield from of_chunk.attempts
         except TerminatedWorkerError as error:
             problem, hint = "the system ended a worker", "use fewer jobs, which need less memory"
-            raise WorkersLost(f"--jobs {workers}", problem, hint=hint) from error
+            subject = f"{wording.argument('jobs')} {workers}"
+            raise WorkersLost(subject, problem, hint=hint) from error
 
 
 def chunks(scans: Sequence[ScanFile], workers: int, most: int = MAX_CHUNK_SCANS) -> list[Chunk]:
@@ -139,9 +152,7 @@ def end_with_parent(parent: int) -> None:
 
 def attempt_chunk(
     task: Task,
-    run: str,
-    mark: str,
-    folder: Path,
+    process: WorkerProcess,
     scans: Chunk,
     number: int,
     finished: Path | None,
@@ -150,14 +161,14 @@ def attempt_chunk(
 ) -> AttemptedChunk:
     """Attempt the scans of a chunk, in a worker process; `stop`: until one fails.
 
-    `run` identifies the run, because a process serves several; `mark` begins the names of temporary
-    files; names of files are relative to `folder`; `finished`: file to which each attempt is
-    appended.
+    `finished`: file to which each attempt is appended.
     """
-    MARK.set(mark)
+    MARK.set(process.mark)
+    wording.use(process.spelling)
+    run = process.run
     if run not in _OPENED:
         _OPENED.clear()
-        os.chdir(folder)
+        os.chdir(process.folder)
         _OPENED[run] = opened(task)
     done: list[Attempt[Any]] = []
     for attempt in _OPENED[run](scans, lambda _: None):

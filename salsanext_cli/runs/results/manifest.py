@@ -21,6 +21,7 @@ from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.network.card import AccuracyLine, RiskThreshold
 from salsanext_cli.core.plain_data import Json, as_json, decoded, plain
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.wording import argument, command, setting
 from salsanext_cli.io.files.json_files import read_json, record_of, write_json
 from salsanext_cli.io.files.reading import identity
 from salsanext_cli.io.formats import scan_suffix
@@ -260,9 +261,8 @@ class Manifest:
         elif not named_alike and contradiction(space, target):
             named = first_few(target.differences(space))
             problem = f"has predictions in the classes of {target.name} ({named})"
-            hint = (
-                "predict with weights for the classes of the labels, or merge both with --classes"
-            )
+            merged = f"merge both with {argument('classes')}"
+            hint = f"predict with weights for the classes of the labels, or {merged}"
             raise LabelError(self.root, problem, f"{space.name}, as the labels", hint)
         return replace(target, splits=space.splits or (classes or space).splits)
 
@@ -312,7 +312,8 @@ class Manifest:
     def require_same_weights(self) -> None:
         """Refuse an uncertainty of other weights or classes than the labels."""
         labels, space = self.weights("predictions"), self.label_space("predictions")
-        hint = f"run `salsanext uncertainty SCANS {self.root} --overwrite` with the"
+        words = f"salsanext uncertainty SCANS {self.root}"
+        hint = f"run `{command(words, setting('overwrite', True))}` with the"
         for folder in ("uncertainty/epistemic", ERROR):
             estimated, other = self.weights(folder), self.label_space(folder)
             if labels and estimated and labels != estimated:
@@ -321,7 +322,7 @@ class Manifest:
                 raise OutputError(self.root, problem, "the same weights", hint)
             if labels and space and other and not space.fits(other):
                 problem = f"has labels in the classes of {space.name}, uncertainty in {other.name}"
-                hint = f"{hint} --classes of the labels"
+                hint = f"{hint} {argument('classes')} of the labels"
                 raise OutputError(self.root, problem, "the same classes", hint)
 
     def rejected_above(self, folder: str = "predictions") -> float | None:
@@ -350,5 +351,6 @@ def require_same_settings(
 ) -> None:
     """Refuse to mix or to replace results of other settings, and name the differences."""
     if changed := differences(with_names(recorded), with_names(settings)):
-        hint = "use another output folder, or --overwrite to replace all its results"
+        overwrite = setting("overwrite", True)
+        hint = f"use another output folder, or {overwrite} to replace all its results"
         raise OutputError(path, f"was made with other settings: {changed}", hint=hint)

@@ -10,9 +10,11 @@ from pathlib import Path
 
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import SalsanextError
+from salsanext_cli.core.wording import command, setting
 from salsanext_cli.io.files.reading import fingerprint
 from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.io.weights.card_file import default_weights, read_card
+from salsanext_cli.runs.results.paths import ERROR
 
 OTHER_FOLDER = "-error"  # Ending of the folder that a hint suggests
 
@@ -48,5 +50,6 @@ def unmerged_error_hint(out: Path, scans: str) -> str:
     `scans`: the scans as words of a command line.
     """
     other = shlex.quote(f"{os.path.normpath(out)}{OTHER_FOLDER}")
-    run = f"run `salsanext predict {scans} {other} --error`"
-    return f"the error belongs to the classes of the weights: {run}, then give {other}"
+    predict = command(f"salsanext predict {scans} {other}", setting("extras", (ERROR,)))
+    remedy = f"run `{predict}`, then give {other}"
+    return f"the error belongs to the classes of the weights: {remedy}"

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from salsanext_cli.core.classes.label_space import RawIds
 from salsanext_cli.core.errors import OutputError
+from salsanext_cli.core.wording import setting
 from salsanext_cli.io.files.reading import filled
 from salsanext_cli.io.formats.kitti import encode_labels
 from salsanext_cli.runs.results.digest_files import names_files, with_files
@@ -93,7 +94,7 @@ class OutputRun(OwnedFolder):
             for other in others:
                 folder = next(name for name in wanted.writes if name in other.writes)
                 problem = f"{folder}/ contains results of `{other.stage}`"
-                hint = "use another output folder, or --overwrite to replace them"
+                hint = f"use another output folder, or {setting('overwrite', True)} to replace them"
                 raise OutputError(self.manifest.path(other.stage), problem, hint=hint)
         # Nothing but locks of killed runs is removed before it is certain that the run may begin.
         for record in (before, *others):
@@ -143,7 +144,7 @@ class OutputRun(OwnedFolder):
         """Refuse or remove results that no stage recorded: their settings are unknown."""
         results = self._results_in(folders)
         if results and not self.overwrite:
-            hint = "use another output folder, or --overwrite to work beside it"
+            hint = f"use another output folder, or {setting('overwrite', True)} to work beside it"
             raise OutputError(results[0], "is a result that no stage recorded", hint=hint)
         return self.remove_written(results)
 
@@ -215,4 +216,5 @@ def output_run(
         record = run.manifest.record(stage)
         if record is None or not record.has_settings(wanted.settings):
             problem = "was removed or replaced while results were written into it"
-            raise OutputError(out, problem, hint="run again with --overwrite")
+            hint = f"run again with {setting('overwrite', True)}"
+            raise OutputError(out, problem, hint=hint)

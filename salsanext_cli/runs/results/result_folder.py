@@ -19,13 +19,14 @@ from salsanext_cli.core.geometry.projection import in_sensor_frame, measured_ran
 from salsanext_cli.core.records import Float, Scan
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.uncertainty.kinds import MEANT_BY_UNCERTAINTY, UNCERTAINTY
+from salsanext_cli.core.wording import argument, command, setting
 from salsanext_cli.io.files.reading import is_folder, present
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.formats.kitti import read_labels
 from salsanext_cli.io.formats.npy import read_uncertainty
 from salsanext_cli.io.formats.recordings import recording_of
 from salsanext_cli.runs.results.layouts import SCAN_FOLDER
-from salsanext_cli.runs.results.making_commands import MADE_BY, PREDICT
+from salsanext_cli.runs.results.making_commands import PREDICT, made_by
 from salsanext_cli.runs.results.manifest import Manifest, ScanSource
 from salsanext_cli.runs.results.merged_labels import are_merged, unmerged_error_hint
 from salsanext_cli.runs.results.moved_scans import scans_in, scans_of_renamed
@@ -155,16 +156,19 @@ class ResultFolder(Manifest):
         if origins and origins != fused.origins:
             out = os.path.normpath(single.root)
             softmax = single.owner("votes", "probabilities")
-            words = ["fuse", out, str(self.root)]
-            words = words if softmax else ["predict", "SCANS", out, "--fuse"]
-            hint = f"run `salsanext {shlex.join(words)} --overwrite`"
-            raise OutputError(self.root, f"is outdated: labels in {out} were replaced", hint=hint)
+            if softmax:
+                words, extras = ["fuse", out, str(self.root)], []
+            else:
+                words, extras = ["predict", "SCANS", out], [setting("extras", ("votes",))]
+            again = command(f"salsanext {shlex.join(words)}", *extras, setting("overwrite", True))
+            problem = f"is outdated: labels in {out} were replaced"
+            raise OutputError(self.root, problem, hint=f"run `{again}`")
 
     def _is_data_set(self) -> NoInputError:
         """Return the error of a data set that was given as results."""
         new = f"{os.path.normpath(self.root)}-out"
-        command = shlex.join(["salsanext", "predict", str(self.root), new])
-        hint = f"run `{command}`, then give {shlex.quote(new)}"
+        predict = shlex.join(["salsanext", "predict", str(self.root), new])
+        hint = f"run `{predict}`, then give {shlex.quote(new)}"
         return NoInputError(self.root, "is a data set", "a folder with results", hint)
 
     def _of_sequence(self, sequence: str, source: ScanSource | None) -> list[ScanFile]:
@@ -190,7 +194,7 @@ class ResultFolder(Manifest):
         if is_folder(self.root / "sequences" / sequence / SCAN_FOLDER):
             raise self._is_data_set()
         problem = f"no scans of it in {self.dataset or folder or root.absolute()}"
-        hint = "give with --dataset the folder that contains sequences/"
+        hint = f"give with {argument('dataset')} the folder that contains sequences/"
         raise NoInputError(self.root / "sequences" / sequence, problem, hint=hint)
 
     def missing_predictions(self, scans: Iterable[ScanFile]) -> MissingResults:
@@ -309,9 +313,8 @@ class ResultFolder(Manifest):
         """Return the error of a scan without the file for a column."""
         if column in ("truth", "wrong") and not present(file.label_path):
             return NoInputError(file.path, "has no labels", f"the file {file.label_path}")
-        made_by = MADE_BY.get(column, PREDICT)
         expected = f"the file {self._path(file, column)}"
-        hint = self.command(made_by, file)
+        hint = self.command(made_by(column), file)
         if column == "error" and are_merged(self.label_space(), self.weights("predictions")):
             hint = unmerged_error_hint(self.root, self.command("{scans}", file))
         return NoInputError(file.path, f"has no {column}", expected, hint)

@@ -4,6 +4,7 @@
 from dataclasses import dataclass
 
 from salsanext_cli.core.errors import UsageError
+from salsanext_cli.core.wording import argument
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +27,8 @@ class ScanSelection:
 
     def __post_init__(self) -> None:
         if self.split is not None and self.sequences:
-            raise UsageError("--split and --sequences", "both were given", "one of them")
+            both = argument("split", "sequences")
+            raise UsageError(both, "both were given", "one of them")
         if self.limit is not None and self.limit < 1:
-            raise UsageError("--limit", f"the number of scans is {self.limit}", "at least 1")
+            problem = f"the number of scans is {self.limit}"
+            raise UsageError(argument("limit"), problem, "at least 1")

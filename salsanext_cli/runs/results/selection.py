@@ -21,6 +21,7 @@ from salsanext_cli.core.errors import (
     warn_once,
     with_hint,
 )
+from salsanext_cli.core.wording import argument
 from salsanext_cli.io.files.reading import is_folder, present
 from salsanext_cli.io.formats.recordings import recording_of
 from salsanext_cli.io.label_spaces import label_space
@@ -115,12 +116,13 @@ def choose(
         if not {*members}.isdisjoint(sequences):
             chosen = [scan for scan in scans if scan.sequence in members]
             if None in map(space.split_of, sequences):
-                log_unused(scans, chosen, space, "choose with --sequences")
+                log_unused(scans, chosen, space, f"choose with {argument('sequences')}")
             scans = chosen
         elif any(map(space.split_of, sequences)):
             split = f"split {selection.split} ({', '.join(members) or 'no sequences'})"
             problem = f"has no scans of {split}, only {', '.join(sequences)}"
-            raise NoInputError(source, problem, hint="choose with --split or --sequences")
+            hint = f"choose with {argument('split')} or {argument('sequences')}"
+            raise NoInputError(source, problem, hint=hint)
         else:
             log.warning("no split names %s: using all scans", ", ".join(sequences))
     return scans[: selection.limit]

@@ -9,6 +9,7 @@ from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import FormatError
 from salsanext_cli.core.fusion.top_classes import STORED, softmax_of
 from salsanext_cli.core.records import Float
+from salsanext_cli.core.wording import setting
 from salsanext_cli.io.files.reading import present
 from salsanext_cli.io.formats.npy import read_array, read_probabilities
 from salsanext_cli.runs.results.paths import ScanFile, output_path
@@ -23,5 +24,6 @@ def stored_softmax(out: Path, file: ScanFile, count: int, space: LabelSpace) -> 
     packed = read_array(votes, "uint16", (count, min(STORED, space.class_count)))
     if (highest := (packed >> 8).max(initial=0)) >= space.class_count:
         expected = f"0 to {space.class_count - 1}, the classes of {space.name}"
-        raise FormatError(votes, f"has class {highest}", expected, "predict again with --fuse")
+        hint = f"predict again with {setting('extras', ('votes',))}"
+        raise FormatError(votes, f"has class {highest}", expected, hint)
     return softmax_of(packed, space.class_count)

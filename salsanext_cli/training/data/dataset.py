@@ -6,7 +6,7 @@ Recipe and position in the training seed the generator of each sample.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import count, islice
 from typing import Any
 
@@ -15,6 +15,7 @@ import numpy as np
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, default_collate
 
+from salsanext_cli.core import wording
 from salsanext_cli.core.classes.label_space import TrainIds
 from salsanext_cli.core.errors import SalsanextError
 from salsanext_cli.core.geometry.network_input import (
@@ -229,7 +230,7 @@ def batches(
         num_workers=workers,
         # A fork would inherit locks held by threads of torch and numba.
         multiprocessing_context="spawn" if workers else None,
-        worker_init_fn=_use_one_thread,
+        worker_init_fn=partial(_begin_worker, wording.used()),
         pin_memory=pinned,
     )
     for batch in loader:
@@ -238,7 +239,9 @@ def batches(
         yield batch
 
 
-def _use_one_thread(_: int) -> None:
+def _begin_worker(spelling: wording.Spelling, _: int) -> None:
+    """Use one thread in a new worker, and the spelling of the process that started it."""
+    wording.use(spelling)
     # Torch has one thread in each worker already.
     numba.config.NUMBA_NUM_THREADS = 1  # type: ignore[attr-defined]
 

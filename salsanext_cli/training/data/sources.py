@@ -19,6 +19,7 @@ from salsanext_cli.core.geometry.projection import ego_points, in_sensor_frame, 
 from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
 from salsanext_cli.core.records import Float
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.wording import setting
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.formats.kitti import read_labels
 from salsanext_cli.io.label_spaces import label_space
@@ -192,7 +193,8 @@ def labelled_split(
     scans = [scan for scan in files if scan.sequence in members]
     if not scans:
         expected = f"one of the sequences {', '.join(members) or '(none)'}"
-        hint = "name the sequences of each split in labels.yaml, or cross-validate: --set folds=3"
+        folds = setting("recipe.folds", 3)
+        hint = f"name the sequences of each split in labels.yaml, or cross-validate: {folds}"
         raise NoInputError(dataset, f"has no scans of split {split}", expected, hint)
     if split == "train":
         labelled = [scan for scan in files if scan.label_path.is_file()]

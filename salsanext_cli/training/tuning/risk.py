@@ -35,6 +35,7 @@ from salsanext_cli.core.network.unit_traits import UnitTraits
 from salsanext_cli.core.plain_data import plain
 from salsanext_cli.core.sensors.sensor import FittedView
 from salsanext_cli.core.uncertainty.error_features import error_probability, knows_error
+from salsanext_cli.core.wording import argument
 from salsanext_cli.io.formats.kitti import read_labels
 from salsanext_cli.runs.fit.scan_reading import PreparedFile, read_prepared
 from salsanext_cli.runs.fit.sensor_fit import labels_depend_on
@@ -180,7 +181,8 @@ def fit_risk(scans: TuningScans, at_most: float, confidence: float | None = None
         report["few"] = _report_of_few(few, judged, losses, labels)
     elif labels.coverage < LEAST_COVERAGE:
         text = f"the threshold accepts only {percentage(labels.coverage)} of the points"
-        log.warning("%s", with_hint(text, "use a higher --at-most, or scans of more drives"))
+        hint = f"use a higher {argument('at_most')}, or scans of more drives"
+        log.warning("%s", with_hint(text, hint))
     _warn_of_held_out(others, level, unit)
     return replace(network.card, risk=risk), report
 
@@ -221,7 +223,8 @@ def _no_threshold(source: Path, kind: str, few: FewUnits | None, level: RiskLeve
     problem = f"no threshold of {kind} accepts a point within {limit}"
     if few:
         return TooFewScansError(source, problem, hint=few.hint)
-    return TrainingError(source, problem, hint="use a higher --at-most, or better weights")
+    hint = f"use a higher {argument('at_most')}, or better weights"
+    return TrainingError(source, problem, hint=hint)
 
 
 def _few_units(files: Sequence[ScanFile], unit: str, level: RiskLevel) -> FewUnits | None:

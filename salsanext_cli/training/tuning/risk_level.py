@@ -14,6 +14,7 @@ from salsanext_cli.core.measures.risk_control import (
     share_left,
     useful_scans,
 )
+from salsanext_cli.core.wording import argument, share
 
 log = logging.getLogger(__name__)
 
@@ -33,10 +34,10 @@ class RiskLevel(NamedTuple):
         """Refuse shares outside their ranges."""
         if not 0 < self.at_most < 1:
             problem = f"is {self.at_most:.4g}"
-            raise UsageError("--at-most", problem, "above 0 and below 100%, such as 5%")
+            raise UsageError(argument("at_most"), problem, "above 0 and below 100%, such as 5%")
         if self.confidence is not None and not 0.5 <= self.confidence < 1:
             problem = f"is {self.confidence:.4g}"
-            raise UsageError("--confidence", problem, "from 50% to below 100%")
+            raise UsageError(argument("confidence"), problem, "from 50% to below 100%")
 
 
 def require_scans(source: Path, count: int, level: RiskLevel) -> None:
@@ -50,14 +51,14 @@ def require_scans(source: Path, count: int, level: RiskLevel) -> None:
         lowest = math.ceil(1000 / (count + 1)) / 10
         useful = min(2 * lowest, 95.0)  # The lowest one leaves no room for wrong points
         best = f"{lowest:g} %"
-        option = f"--at-most {useful:g}%, which leaves half of it for wrong points"
+        room = f"{share('at_most', useful / 100)}, which leaves half of it for wrong points"
     else:
         exceed = 1 - (1 - confidence) ** (1 / max(count, 1))  # Clopper and Pearson's bound
         best = f"{percentage(exceed, 0)} of scans above the level, "
         best += f"with {percentage(confidence, figures=4)} confidence"
-        option = "a lower --confidence"
+        room = f"a lower {argument('confidence')}"
     problem = f"{counted(count, 'scan')} cannot guarantee less than {best}"
-    hint = f"add scans of other drives, or use {option}"
+    hint = f"add scans of other drives, or use {room}"
     raise TooFewScansError(source, problem, counted(missing, "more scan"), hint)
 
 
@@ -114,7 +115,8 @@ class FewUnits:
     @property
     def hint(self) -> str:
         """What helps."""
-        return f"label {counted(self.useful - self.count, f'more {self.unit}')}, or raise --at-most"
+        more = counted(self.useful - self.count, f"more {self.unit}")
+        return f"label {more}, or raise {argument('at_most')}"
 
 
 def _left(count: int, level: RiskLevel) -> float:

@@ -10,6 +10,7 @@ from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import LabelError, NoInputError, TrainingError, counted, first_few
 from salsanext_cli.core.network.card import WeightsCard, scan_digest
+from salsanext_cli.core.wording import argument
 from salsanext_cli.io.files.reading import present
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.runs.labelling.label_records import require_labels
@@ -56,7 +57,7 @@ def labelled_scans(
         of_split = {scan: splits.split_of(scan.sequence) for scan in scans}
         unsplit = [scan for scan in scans if not of_split[scan] and present(scan.label_path)]
         scans = sorted([scan for scan in scans if of_split[scan] == "valid"] + unsplit)
-        hint = "choose scans with --sequences"
+        hint = f"choose scans with {argument('sequences')}"
         if not scans:
             expected = "labelled scans of split valid, or of no split"
             raise NoInputError(dataset, "has no scans to tune on", expected, hint)
@@ -88,7 +89,7 @@ def unseen(
                 accepted.add(scan)
     reason = "the weights were trained on them, or they are copies"
     if not accepted:
-        hint = "label other scans, or choose others with --sequences"
+        hint = f"label other scans, or choose others with {argument('sequences')}"
         raise TrainingError(source, f"every labelled scan is skipped: {reason}", hint=hint)
     if skipped:
         log.warning("%s skipped: %s", counted(skipped, "scan"), reason)

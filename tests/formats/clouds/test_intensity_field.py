@@ -2,7 +2,7 @@
 """The intensity of files that name their fields, under any name."""
 
 import io
-import shlex
+import re
 from dataclasses import replace
 
 import bags
@@ -81,8 +81,7 @@ def test_the_error_and_the_warning_name_fields_of_the_file(path):
     warning = check_scan(path, read_scan(path), SMALL, SMALL).findings[-1]
     assert warning.code == "no-intensity"
     for hint in (caught.value.hint, warning.hint):
-        words = shlex.split(hint.replace(",", ""))
-        name = words[words.index("--intensity-field") + 1]
+        (name,) = re.findall('intensity_field="(.*?)"', hint)
         scan = read_scan(path, replace(SMALL, intensity_field=name))
         assert scan.intensity.any()
         assert "scalar_Echo" in caught.value.expected or "scalar_Echo" in hint

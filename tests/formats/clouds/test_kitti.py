@@ -71,7 +71,7 @@ def test_a_real_scan_with_other_columns_is_refused_with_names_to_try(real_data, 
         path.write_bytes(np.hstack(columns).astype("<f4").tobytes())
         with pytest.raises(FormatError) as caught:
             kitti.read_bin(path)
-        (names,) = re.findall(r"--columns (\S+)", caught.value.hint)
+        (names,) = re.findall(r'columns="(\S+)"', caught.value.hint)
         scan = kitti.read_bin(path, columns=tuple(names.split(",")))
         np.testing.assert_array_equal(scan.points, table[:, :3])
 
@@ -254,7 +254,7 @@ def test_the_hints_of_other_types_and_orders_work(tmp_path):
         np.testing.assert_array_equal(kitti.read_bin(new, names).points, points.astype("f4"))
     with pytest.raises(FormatError, match="no names") as caught:
         kitti.read_bin(new, intensity_field="ring")
-    assert "--columns" in caught.value.hint
+    assert 'columns="' in caught.value.hint
     scan = kitti.read_bin(new, names, 63.0, "ring")
     np.testing.assert_array_equal(scan.intensity, np.float32(RING[:, 0]) / np.float32(63))
 
@@ -268,7 +268,7 @@ def test_unmeasured_returns_that_recur_are_no_further_columns(tmp_path, caplog):
         dual[:, 0] = order
         path.write_bytes(dual.tobytes())
         np.testing.assert_array_equal(kitti.read_bin(path).points[::2], order[:, :3])
-        names = re.search(r"--columns (\S+)", caplog.text)[1]
+        names = re.search(r'columns="(\S+)"', caplog.text)[1]
         scan = kitti.read_bin(path, tuple(names.split(",")))
         np.testing.assert_array_equal(scan.points, order[:, :3])
         for lost in (np.inf, -np.inf, np.nan):

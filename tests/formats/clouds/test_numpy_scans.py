@@ -77,7 +77,7 @@ def test_other_arrays_are_refused(tmp_path):
         (np.zeros(9), "float64 (9,)", ""),
         (np.zeros((4, 5, 64), "<f4"), "float32 (4, 5, 64)", ""),
         (np.zeros((2, 3), [("x", "f4"), ("y", "f4")]), "columns x, y", ""),
-        (np.zeros((5, 7)), "7 columns", "--columns x,y,z,intensity,_,_,_"),
+        (np.zeros((5, 7)), "7 columns", 'columns="x,y,z,intensity,_,_,_"'),
         (np.zeros((5, 100)), "100 columns", "at most 64"),
         (np.zeros((9, 4), np.complex64), "complex64", ""),
         (np.array([[{}, 1, 2]], object), "object", ""),

@@ -94,7 +94,7 @@ def test_one_of_several_topics_is_named_the_one_with_most_points_first(tmp_path)
     )
     with pytest.raises(UsageError, match=listed) as caught:
         find_scans(path)
-    assert caught.value.hint == "choose one with --topic /rear/points"
+    assert caught.value.hint == f'choose one with "{path}/rear/points"'
     scans = find_scans(path / "rear/points")
     assert [scan.stem for scan in scans] == TIMES[:3]
     require_equal(read_scan(scans[1].path), POINTS[0])

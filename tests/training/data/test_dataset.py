@@ -8,9 +8,11 @@ from scans import SMALL, write_sequence
 from torch.utils.data import get_worker_info
 
 from salsanext_cli import label_space, project
+from salsanext_cli.commands.line.option_names import CommandLine
 from salsanext_cli.core.compiled import thread_count
 from salsanext_cli.core.geometry.network_input import normalise
 from salsanext_cli.core.network.card import scan_digest
+from salsanext_cli.core.wording import argument, spelled
 from salsanext_cli.io.formats.kitti import read_bin, read_labels
 from salsanext_cli.runs.results.paths import ScanFile, find_scans
 from salsanext_cli.training.data.class_counts import class_shares, count_classes, rare_classes
@@ -104,13 +106,15 @@ class OneThread(Samples):
     def __getitem__(self, key: SampleKey) -> Sample:
         if get_worker_info():
             assert (thread_count(), torch.get_num_threads()) == (1, 1)
+            assert argument("jobs") == "--jobs"
         return Samples.__getitem__(self, key)
 
 
 def test_batches_do_not_depend_on_the_number_of_workers(files: list[ScanFile]) -> None:
     recipe = Recipe(epochs=2, batch=2, crop_width=32, mix=0.5, paste=0.5)
     one_thread = OneThread([Source(files, SPACE, SMALL)], SMALL, recipe, RARE)
-    alone, helped = (list(batches(one_thread, 0, n)) for n in (0, 1))
+    with spelled(CommandLine()):
+        alone, helped = (list(batches(one_thread, 0, n)) for n in (0, 1))
     assert len(alone) == len(helped) == 6
     assert [images.shape[3] for images, *_ in alone] == 6 * [32]
     for one, other in zip(alone, helped, strict=True):

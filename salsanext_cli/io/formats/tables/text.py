@@ -11,6 +11,7 @@ import numpy as np
 from salsanext_cli.core.errors import FormatError, notice_once, shortened
 from salsanext_cli.core.records import Double, Scan
 from salsanext_cli.core.sensors.sensor import UNUSED_COLUMN
+from salsanext_cli.core.wording import argument
 from salsanext_cli.io.files.reading import reading
 from salsanext_cli.io.formats.columns import Columns, scan_of
 from salsanext_cli.io.formats.field_names import AxisFields, intensity_among, listed
@@ -80,7 +81,8 @@ def _table_of(
     """Read the table of a layout; refuse one with other lines than the layout."""
     columns = layout.columns(names, path)
     if layout.names and names and _lower(layout.names) != names:
-        notice_once("--columns is ignored for files whose first line names the columns")
+        ignored = f"{argument('columns')} is ignored"
+        notice_once(f"{ignored} for files whose first line names the columns")
     used = _used_fields(columns, intensity_field, path)
     table = _numbers(content, layout, tuple(used.values()))
     if layout.count not in (None, len(table)):

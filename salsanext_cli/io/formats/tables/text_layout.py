@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from salsanext_cli.core.errors import FormatError, shortened
+from salsanext_cli.core.wording import setting
 from salsanext_cli.io.formats.columns import columns_of_width, names_to_try
 from salsanext_cli.io.formats.field_names import AXES, has_axes
 
@@ -57,7 +58,8 @@ class Layout:
         problem = f"has {shortened(self.header)} instead of numbers or names x, y, z"
         hint = ""
         if self.width >= len(AXES):
-            hint = f"if it has coordinates, name them: --columns {names_to_try(self.width)}"
+            named = setting("columns", names_to_try(self.width))
+            hint = f"if it has coordinates, name them: {named}"
         return FormatError(path, problem, EXPECTED, hint)
 
 
