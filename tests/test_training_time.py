@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from salsanext_cli.commands.line.recipe_changes import read_overrides
 from salsanext_cli.training.data.dataset import SamplingPlan
-from salsanext_cli.training.recipe import read_overrides, recipe
+from salsanext_cli.training.recipe import recipe
 
 PAGE = (Path(__file__).parents[1] / "docs/tutorials/paper.md").read_text("utf-8")
 

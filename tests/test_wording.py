@@ -42,6 +42,7 @@ def test_python_reads_arguments():
     assert wording.setting("overwrite", True) == "overwrite=True"
     assert wording.setting("weights", Path("a b.safetensors")) == 'weights="a b.safetensors"'
     assert wording.setting("extras", ("votes",)) == 'extras=("votes",)'
+    assert wording.setting("drop", ("car", "road")) == 'drop=("car", "road")'
     assert wording.setting("recipe.folds", 3) == "folds=3"
     assert wording.share("at_most", 0.05) == "at_most=0.05"
     assert wording.part("topic", "a.bag", "/rear/points") == '"a.bag/rear/points"'
@@ -59,6 +60,7 @@ def test_the_command_line_reads_options():
     assert wording.setting("overwrite", True) == "--overwrite"
     assert wording.setting("weights", Path("a b.safetensors")) == "--weights 'a b.safetensors'"
     assert wording.setting("extras", ("votes", "pixel_labels")) == "--fuse --pixel-labels"
+    assert wording.setting("drop", ("car", "road")) == "--drop car,road"
     assert wording.setting("recipe.folds", 3) == "--set folds=3"
     assert wording.share("at_most", 0.05) == "--at-most 5%"
     assert wording.part("topic", "a.bag", "/rear/points") == "--topic /rear/points"

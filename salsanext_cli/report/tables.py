@@ -19,7 +19,7 @@ from salsanext_cli.core.measures.survey import Survey
 from salsanext_cli.core.measures.uncertainty_evaluation import RankingScores, UncertaintyEvaluation
 from salsanext_cli.core.records import CHANNELS
 from salsanext_cli.core.sensors.sensor import Sensor
-from salsanext_cli.core.wording import share as spelled_share
+from salsanext_cli.core.wording import share
 from salsanext_cli.runs.labelling.label_records import ImportedScan, LabelImport
 
 ABSENT = "–"
@@ -168,9 +168,9 @@ def needed_scans_table(at_most: float, confidence: float | None = None) -> Table
         scans = needed_scans(limit, None)
         drives = useful_scans(limit, None)
         rows.append((f"{percentage(limit, figures=3)} on average", str(scans), str(drives)))
-    for share in sorted({*USUAL_CONFIDENCES, *([confidence] if confidence else [])}):
-        units = str(needed_scans(at_most, share))
-        rows.append((f"any limit, {spelled_share('confidence', share)}", units, units))
+    for level in sorted({*USUAL_CONFIDENCES, *([confidence] if confidence else [])}):
+        units = str(needed_scans(at_most, level))
+        rows.append((f"any limit, {share('confidence', level)}", units, units))
     columns = ("limit", "scans, for the same drives", "drives, for other drives")
     return table_of(columns, rows, title="Least numbers")
 

@@ -64,7 +64,7 @@ def test_a_third_library_predicts(third, weights):
     assert network.backend.library == "third"
     assert ThirdBackend.predicted == [1]
     assert not computes_int8("third")
-    assert refused(UsageError, "--engine", choose_engine, "third", "cuda:0")
+    assert refused(UsageError, "engine", choose_engine, "third", "cuda:0")
 
 
 def test_predict_takes_a_third_library_and_records_it(third, weights, tmp_path):
@@ -100,5 +100,5 @@ def test_the_fastest_library_that_starts_computes(third, monkeypatch, caplog):
     assert [record.getMessage().partition(":")[0] for record in caplog.records] == [*broken]
     assert all("third" in record.getMessage() for record in caplog.records)
     refused(MissingDependency, "second", choose_engine, "second", "cpu")
-    refused(UsageError, "--engine", choose_engine, "torch", "cpu")
+    refused(UsageError, "engine", choose_engine, "torch", "cpu")
     warn_once.cache_clear()

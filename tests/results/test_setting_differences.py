@@ -28,12 +28,12 @@ def test_a_difference_names_what_sets_it(before, after, argument):
 
 
 def test_an_option_comes_before_what_follows_from_it():
-    """`--reject` removes the line of the estimated accuracy, whose keys come before it."""
+    """`reject` removes the line of the estimated accuracy, whose keys come before it."""
     accuracy = {"slope": 1.1, "offset": 0.2, "deviation": 0.03}
     before = {"accuracy": accuracy, "temperature": 1.4, "weights_version": 5}
     after = {"reject": 0.1, "temperature": 1.4, "weights_version": 5}
-    assert differences(before, after) == "reject was not set and is 0.1 (--reject)"
-    assert differences(after, before) == "reject was 0.1 and is not set (--reject)"
+    assert differences(before, after) == "reject was not set and is 0.1 (reject)"
+    assert differences(after, before) == "reject was 0.1 and is not set (reject)"
     text = differences(before, after | {"seed": 1, "colours": ["error"], "weights_version": 6})
     names = [part.split()[0] for part in text.split(", ")]
     assert names[:2] == ["reject", "seed"]

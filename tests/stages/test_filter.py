@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: MIT
+import ast
 import re
 import shutil
 from dataclasses import replace
@@ -153,9 +154,9 @@ def test_remaining_points_whose_label_was_rejected_are_counted(
     assert remaining(tmp_path) == [2, 3, 4, 5, 6]
     assert outcome.filtered_points == FilteredPoints(11, 9, rejected=2)
     assert _as_data(outcome)["accepted_without_label"] == 2
-    (hint,) = re.findall(r"--drop (\S+) --overwrite", caplog.text)
+    (names,) = re.findall(r"drop=(\(.*\)) and overwrite=True", caplog.text)
     caplog.clear()
-    outcome = apply(drop=hint.split(","), options=RunOptions(overwrite=True))
+    outcome = apply(drop=ast.literal_eval(names), options=RunOptions(overwrite=True))
     assert remaining(tmp_path) == [3, 4]
     assert outcome.filtered_points.rejected == 0
     assert not caplog.text

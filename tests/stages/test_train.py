@@ -143,7 +143,7 @@ def test_a_step_that_needs_more_than_the_machine_has_is_refused(dataset, tmp_pat
     monkeypatch.setattr("salsanext_cli.commands.stages.train.memory_of", lambda device: memory)
     run = tmp_path / "run"
     error = refused(TrainingError, "memory", dataset, run)
-    assert error.hint.startswith("use --set accumulate=2 ")
+    assert error.hint.startswith("use accumulate=2 ")
     assert not (run / "train.json").exists()
     fitting = TINY.with_changes(accumulate=2, epochs=1)
     go(dataset, run, recipe=fitting)

@@ -210,21 +210,21 @@ def test_a_void_threshold_is_refused(unsure_is_wrong: World, target, tmp_path) -
 
 
 @pytest.mark.parametrize(
-    ("option", "value", "typed"),
+    ("name", "value", "typed"),
     [
-        ("--ego", None, "auto"),
-        ("--ego", [], "none"),
-        ("--ego", [-1.5, -1.0, -2.0, 2.0, 1.0, 0.5], "-1.5,-1,-2,2,1,0.5"),
-        ("--intensity", "", "raw"),
-        ("--intensity", "match", "match"),
-        ("--min-range", None, "the default"),
-        ("--min-range", 2.0, "2"),
-        ("--precision", "int8", "int8"),
-        ("--width", 512, "512"),
+        ("ego", None, "auto"),
+        ("ego", [], "none"),
+        ("ego", [-1.5, -1.0, -2.0, 2.0, 1.0, 0.5], "-1.5,-1,-2,2,1,0.5"),
+        ("intensity", "", "raw"),
+        ("intensity", "match", "match"),
+        ("min_range", None, "the default"),
+        ("min_range", 2.0, "2"),
+        ("precision", "int8", "int8"),
+        ("width", 512, "512"),
     ],
 )
-def test_settings_are_named_as_they_are_typed(option, value, typed) -> None:
-    assert as_typed(option, value) == typed
+def test_settings_are_named_as_they_are_typed(name, value, typed) -> None:
+    assert as_typed(name, value) == typed
 
 
 def test_a_run_estimates_its_accuracy(world: World, tmp_path) -> None:

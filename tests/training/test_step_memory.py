@@ -5,10 +5,11 @@ import re
 
 import pytest
 
+from salsanext_cli.commands.line.recipe_changes import read_overrides
 from salsanext_cli.core.engines.memory import Memory
 from salsanext_cli.core.errors import TrainingError
 from salsanext_cli.io.sensors import sensor
-from salsanext_cli.training.recipe import read_overrides, recipe
+from salsanext_cli.training.recipe import recipe
 from salsanext_cli.training.step_memory import BYTES_PER_PIXEL, StepMemory
 
 PAPER = recipe("paper")
@@ -60,7 +61,7 @@ def test_each_setting_of_the_hint_fits(total, workers):
     memory = Memory(total * GB, int(0.9 * total * GB))
     with pytest.raises(TrainingError) as caught:
         step(workers=workers, sharing=workers).require_fits(memory)
-    settings = [read_overrides([text]) for text in re.findall(r"--set (\S+)", caught.value.hint)]
+    settings = [read_overrides([text]) for text in re.findall(r"(\w+=\d+)", caught.value.hint)]
     settings = [{key: value} for changes in settings for key, value in changes.items()]
     if "narrower" in caught.value.hint:
         settings = [settings[0] | settings[1]]
@@ -72,7 +73,7 @@ def test_each_setting_of_the_hint_fits(total, workers):
 def test_memory_that_others_use_is_a_warning(caplog):
     step().require_fits(Memory(100 * GB, 20 * GB))
     assert "20 GB are available" in caplog.text
-    assert "--set accumulate=4" in caplog.text
+    assert "use accumulate=4 " in caplog.text
     caplog.clear()
     step().require_fits(Memory(100 * GB, 64 * GB))
     assert not caplog.text
