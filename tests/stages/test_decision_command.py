@@ -10,15 +10,17 @@ import pytest
 from command_line import called
 from scans import write_sequence
 
+from salsanext_cli.commands.line.option_names import CommandLine
 from salsanext_cli.commands.stages.report import report
+from salsanext_cli.core.wording import spelled
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 
 
 def words_of_command(out) -> list[str]:
     """Return the command of the decision on the page of a run, in words."""
-    (command,) = re.findall(
-        r'class="decision">.*?<code>(.*?)</code>', report(out).page.read_text("utf-8")
-    )
+    with spelled(CommandLine()):
+        page = report(out).page.read_text("utf-8")
+    (command,) = re.findall(r'class="decision">.*?<code>(.*?)</code>', page)
     return shlex.split(html.unescape(command))
 
 
