@@ -51,6 +51,13 @@ def test_a_box_is_written_as_it_is_typed():
     assert "no box and is -2,-1,-2,1,1,0" in differences({"sensor": {"ego_box": []}}, box)
 
 
+def test_numbers_of_objects_are_a_further_result_of_predict():
+    before, after = {"objects": None}, {"objects": True}
+    assert differences(before, after).endswith('(extras=("objects",))')
+    with spelled(CommandLine()):
+        assert differences(before, after) == "objects was not set and is true (--objects)"
+
+
 def test_other_classes_are_named_by_their_label_spaces():
     fine, coarse = (
         {"label_space": label_space(name).to_dict()} for name in ("semantic-kitti", "coarse")

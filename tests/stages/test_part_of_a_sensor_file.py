@@ -10,9 +10,11 @@ from command_line import called, only_json
 from scans import SMALL, labels_below, refused, write_bin
 
 from salsanext_cli import Scan, read_scan, sensor
+from salsanext_cli.commands.line.option_names import CommandLine
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.core.errors import OutputError, UsageError
 from salsanext_cli.core.fitting.field_of_view import fit_view
+from salsanext_cli.core.wording import spelled
 from salsanext_cli.io.stated_fields import StatedFields, stated_fields
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.manifest import Manifest
@@ -150,7 +152,7 @@ def test_names_and_sensors_state_nothing_or_all(weights):
 
 
 def test_without_weights_the_hint_completes_the_file(lifted, part, tmp_path, monkeypatch):
-    with refused(UsageError, part) as caught:
+    with spelled(CommandLine()), refused(UsageError, part) as caught:
         sensor(part)
     (command,) = re.findall(r"`salsanext (.*?)`", caught.value.hint)
     monkeypatch.chdir(tmp_path)
