@@ -5,10 +5,10 @@ import logging
 import math
 from dataclasses import dataclass
 
-from salsanext_cli.core.engines.memory import Memory
 from salsanext_cli.core.errors import TrainingError, with_hint
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.wording import setting
+from salsanext_cli.training.memory import Memory
 from salsanext_cli.training.recipe import Recipe
 
 BYTES_PER_PIXEL = {

@@ -17,7 +17,6 @@ from tiny_network import TinyNetwork
 
 from salsanext_cli import LabelSpace, label_space, load_network, project, read_scan, write_labels
 from salsanext_cli.commands.stages.train import train
-from salsanext_cli.core.engines.memory import Memory
 from salsanext_cli.core.errors import (
     NOTICE,
     LabelError,
@@ -43,6 +42,7 @@ from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.distributed import SINGLE_PROCESS
 from salsanext_cli.training.fit import Training
 from salsanext_cli.training.learner import Learner
+from salsanext_cli.training.memory import Memory
 from salsanext_cli.training.recipe import Recipe, recipe
 from salsanext_cli.training.run_folder import resumption
 from salsanext_cli.training.setup import Setup

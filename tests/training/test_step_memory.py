@@ -6,9 +6,9 @@ import re
 import pytest
 
 from salsanext_cli.commands.line.recipe_changes import read_overrides
-from salsanext_cli.core.engines.memory import Memory
 from salsanext_cli.core.errors import TrainingError
 from salsanext_cli.io.sensors import sensor
+from salsanext_cli.training.memory import Memory
 from salsanext_cli.training.recipe import recipe
 from salsanext_cli.training.step_memory import BYTES_PER_PIXEL, StepMemory
 

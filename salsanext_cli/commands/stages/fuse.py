@@ -33,6 +33,7 @@ from salsanext_cli.runs.drives.drive import (
 )
 from salsanext_cli.runs.drives.earlier_fusion import earlier_fusion, other_drive
 from salsanext_cli.runs.drives.scans_of_drive import computed_drive, drive_findings, drive_of_scans
+from salsanext_cli.runs.drives.stored_softmax import stored_softmax
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.results.digest_files import recorded_scans
 from salsanext_cli.runs.results.manifest import StageSettings
@@ -51,7 +52,6 @@ from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.results.recorded_origins import recorded_origins
 from salsanext_cli.runs.results.result_folder import ResultFolder
 from salsanext_cli.runs.results.selection import MissingResults, choose, scans_of
-from salsanext_cli.runs.results.stored_softmax import stored_softmax
 from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
 
 FUSED = "fused"  # Folder of the fused labels in the folder of the labels of single scans

@@ -14,7 +14,6 @@ import torch
 
 from salsanext_cli.commands.stages.synth import SynthSettings, synthesise
 from salsanext_cli.core.classes.label_space import LabelSpace
-from salsanext_cli.core.engines.memory import memory_of
 from salsanext_cli.core.errors import NOTICE, UsageError, counted
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.wording import setting
@@ -43,6 +42,7 @@ from salsanext_cli.training.data.sources import (
 from salsanext_cli.training.distributed import ProcessGroup, group_of_environment, process_group
 from salsanext_cli.training.fit import StepReport
 from salsanext_cli.training.learner import common_precision
+from salsanext_cli.training.memory import memory_of
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.run_folder import (
     BEST,

@@ -5,8 +5,8 @@ import sys
 
 import pytest
 
-from salsanext_cli.core.engines import memory
-from salsanext_cli.core.engines.memory import Memory, memory_of
+from salsanext_cli.training import memory
+from salsanext_cli.training.memory import Memory, memory_of
 
 MEMINFO = "MemTotal:       1000 kB\nMemFree: 10 kB\nMemAvailable:    600 kB\nHugePages_Total: 0\n"
 
