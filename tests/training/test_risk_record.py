@@ -11,8 +11,10 @@ from pathlib import Path
 import pytest
 from command_line import called, subject
 
+from salsanext_cli.commands.line.option_names import CommandLine
 from salsanext_cli.core.measures.risk_control import needed_scans, useful_scans
 from salsanext_cli.core.network.card import scan_digest
+from salsanext_cli.core.wording import spelled
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.report.tables import needed_scans_table
@@ -86,7 +88,8 @@ def test_the_printed_table_has_the_limit_that_was_asked_for(at_most, count):
 
 @pytest.mark.parametrize(("confidence", "count"), [(0.9, 3), (0.85, 4)])
 def test_the_printed_table_has_the_confidence_that_was_asked_for(confidence, count):
-    table = needed_scans_table(0.1, confidence)
+    with spelled(CommandLine()):
+        table = needed_scans_table(0.1, confidence)
     columns = [[cell.plain for cell in column.cells] for column in table.columns]
     rows = [row for row in zip(*columns, strict=True) if "--confidence" in row[0]]
     assert len(rows) == count
