@@ -39,7 +39,8 @@ def read_card(path: Path) -> WeightsCard:
     except FormatError as error:
         problem, hint = error.problem, "copy it again"
         if not present(path):
-            problem, hint = "no such file", hint_for_missing(path)
+            problem = "no such file"
+            hint = hint_for_missing(path)
         elif is_folder(path):
             problem, hint = "is a folder", "name the file in it"
         elif path.suffix != WEIGHTS_SUFFIX:
