@@ -6,9 +6,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
-FIVE_CLASSES = ("--classes", BENCHMARKS / "five.yaml")
-FIVE_CLASSES_OF_NUSCENES = ("--label-space", BENCHMARKS / "nuscenes-five.yaml")
+STUDIES = Path(__file__).parents[1] / "benchmarks/studies"
+FIVE_CLASSES = ("--classes", STUDIES / "five.yaml")
+FIVE_CLASSES_OF_NUSCENES = ("--label-space", STUDIES / "nuscenes-five.yaml")
 SINGLE_SCANS = "x2"
 """Sequence of SemanticKITTI whose scans are each of another drive."""
 

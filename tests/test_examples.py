@@ -44,7 +44,7 @@ def load(name: str) -> Callable[..., None]:
 def test_imports_of_scripts_exist():
     """Only `make test-slow` runs most of the scripts."""
     for folder in ("examples", "benchmarks", "docs"):
-        for path in sorted((EXAMPLES.parent / folder).glob("*.py")):
+        for path in sorted((EXAMPLES.parent / folder).rglob("*.py")):
             for node in ast.walk(ast.parse(path.read_text("utf-8"))):
                 if isinstance(node, ast.ImportFrom) and "salsanext_cli" in (node.module or ""):
                     module = importlib.import_module(str(node.module))

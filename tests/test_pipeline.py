@@ -10,10 +10,10 @@ import pytest
 import safetensors
 import torch
 from command_line import called
-from gpu_train import CHANGES
-from gpu_training import gpu_recipe
 from scans import labels_below, write_bin, write_sequence
 
+from benchmarks.gpu.gpu_train import CHANGES
+from benchmarks.gpu.gpu_training import gpu_recipe
 from salsanext_cli import (
     knn_refine,
     label_space,

@@ -5,15 +5,13 @@
 import csv
 import json
 
-import background_training
-import drive_scores
 import pytest
-import scene_pool
 from command_line import called
 from scans import SMALL, write_sequence
-from scene_pool import KINDS, ScenePool, write_scene
 from shallow import shallow, weights  # noqa: F401
 
+from benchmarks.weights import background_training, drive_scores, scene_pool
+from benchmarks.weights.scene_pool import KINDS, ScenePool, write_scene
 from salsanext_cli.io.weights.card_file import read_card
 
 TINY = (

@@ -2,17 +2,15 @@
 """Default weights are finished at each width that they were trained with."""
 
 import json
-import runpy
 from dataclasses import replace
-from pathlib import Path
 
-import finish_weights
 import numpy as np
 import pytest
 from scans import SMALL, salsanext_of, write_sequence
 from shallow import SHALLOW
 from tiny_network import TinyNetwork
 
+from benchmarks.weights import default_weights, finish_weights
 from salsanext_cli import label_space
 from salsanext_cli.core.network.card import AccuracyLine, WeightsCard
 from salsanext_cli.core.network.error_model import ErrorModel
@@ -21,7 +19,6 @@ from salsanext_cli.core.uncertainty.error_features import FEATURES
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import save_weights
 
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 NARROW = SMALL.width // 2
 ARCHITECTURE = {"name": "salsanext", "class_count": 20}
 CARD = WeightsCard(ARCHITECTURE, label_space(), SMALL, widths=(SMALL.width, NARROW))
@@ -29,7 +26,6 @@ CARD = WeightsCard(ARCHITECTURE, label_space(), SMALL, widths=(SMALL.width, NARR
 
 def test_default_weights_have_a_version_and_inherit_nothing(tmp_path, tiny_training, monkeypatch):
     """The temperature of each width is the mean of those of the data sets, and of no other."""
-    script = runpy.run_path(str(BENCHMARKS / "default_weights.py"))
     fitted = {("a", SMALL.width): 1.0, ("b", SMALL.width): 4.0}
     fitted |= {("a", NARROW): 3.0, ("b", NARROW): 3.0}
 
@@ -53,7 +49,7 @@ def test_default_weights_have_a_version_and_inherit_nothing(tmp_path, tiny_train
     points = dict.fromkeys(label_space().names, 10)
     (tmp_path / "run/class_counts.json").write_text(json.dumps({"points": points}))
     datasets = [tmp_path / "a", tmp_path / "b"]
-    script["finish"](tmp_path / "run", datasets, tmp_path / "default.safetensors", "Trained.")
+    default_weights.finish(tmp_path / "run", datasets, tmp_path / "default.safetensors", "Trained.")
     finished = read_card(tmp_path / "default.safetensors")
     assert (finished.version, finished.description) == (finish_weights.VERSION, "Trained.")
     assert (finished.error, finished.accuracy) == (None, None)

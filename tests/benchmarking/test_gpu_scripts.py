@@ -4,14 +4,14 @@
 import json
 import math
 
-import gpu_run
 import numpy as np
-import pack
 import pytest
-from default_weights import simulated_scans
-from ray_casting import RayScene
 from scans import write_bin, write_sequence
 
+from benchmarks.gpu import gpu_run
+from benchmarks.weights import pack
+from benchmarks.weights.default_weights import simulated_scans
+from benchmarks.weights.ray_casting import RayScene
 from salsanext_cli import read_labels, read_scan
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.runs.results.paths import find_scans

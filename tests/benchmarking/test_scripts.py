@@ -7,17 +7,19 @@ import runpy
 import subprocess
 import sys
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 
-import baseline as plain
 import numpy as np
 import pytest
-import speed
-import speed_product as product
 from command_line import called
-from corruption_models import LEVELS
 from scans import IN_BYTES, SMALL, make_scan, write_bin, write_sequence
 
+from benchmarks.speed import baseline as plain
+from benchmarks.speed import speed
+from benchmarks.speed import speed_product as product
+from benchmarks.studies.corruption_models import LEVELS
+from benchmarks.weights import default_weights, hole_shares
 from salsanext_cli import (
     RangeImage,
     Scan,
@@ -34,44 +36,42 @@ from salsanext_cli.runs.results.selection import data_set_label_space
 from salsanext_cli.training.data.other_sensors import HOLE_SHARES, hole_cells
 from salsanext_cli.training.data.sources import labelled_split
 
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 TINY = "fov_up = 3.0\nfov_down = -25.0\nheight = 16\nwidth = 64\n"
 NOISE = "range_noise = 0.02\nintensity_noise = 0.02\n"
 SCAN = "data/sequences/08/velodyne/0.bin"
 RUNS = {
-    "many_scans.py . 40": (
+    "speed.many_scans . 40": (
         *("find scans", "record the run", "record another run", "divide into shards"),
         *("skip what is done", "chunks"),
     ),
-    "hole_shares.py two=data --sensor tiny.toml": ("two", "mean"),
-    "street_statistics.py data --sensor tiny.toml": ("| car | data", "| traffic-sign | data"),
+    "weights.hole_shares two=data --sensor tiny.toml": ("two", "mean"),
+    "studies.street_statistics data --sensor tiny.toml": ("| car | data", "| traffic-sign | data"),
 }
 """Lines that begin with these words, in this order, by the script and its arguments."""
 SLOW_RUNS = {
-    "corruptions.py data out --weights w.safetensors --corruptions crosstalk --severities 2": (
+    "studies.corruptions data out --weights w.safetensors --corruptions crosstalk --severities 2": (
         *("clean", "crosstalk 2", "crosstalk mean"),
     ),
-    "checks_cost.py data 1 w.safetensors": (
+    "speed.checks_cost data 1 w.safetensors": (
         *("with checks", "without", "checks, elapsed", "checks, CPU", "fit, once a run"),
     ),
-    f"uncertainty_cost.py {SCAN} tiny.toml 2 2 w.safetensors": (
+    f"speed.uncertainty_cost {SCAN} tiny.toml 2 2 w.safetensors": (
         *("one deterministic pass", "2 passes of dropout", "assumed density filtering"),
         *("eight noisy copies", "dropout and noisy copies"),
     ),
-    f"engines.py {SCAN} --rounds 1 --weights w.safetensors --sensors tiny.toml": (
+    f"speed.engines {SCAN} --rounds 1 --weights w.safetensors --sensors tiny.toml": (
         *("eager float32", "channels last float32", "OpenVINO float32"),
     ),
-    "stage_cost.py data out 2 w.safetensors": (
+    "speed.stage_cost data out 2 w.safetensors": (
         *("project", "predict, range images", "knn-refine", "predict, scans", "eval"),
         *("export-ply", "uncertainty, 2 passes"),
     ),
-    "pipeline.py data 1 w.safetensors": ("round 0", "6 scans"),
-    "training_speed.py data --sensor tiny.toml --architecture salsanext --turns 1": (
+    "speed.pipeline data 1 w.safetensors": ("round 0", "6 scans"),
+    "speed.training_speed data --sensor tiny.toml --architecture salsanext --turns 1": (
         *("loss of the same batch", "data", "book-keeping", "step", "ours is "),
     ),
-    "other_sensors.py --sensors vlp16 --weights w.safetensors": ("vlp16",),
-    "box_yaw.py --sequences 1 --weights w.safetensors": ("predicted labels", "true labels"),
-    "fusion.py out data/sequences/08 --predict --weights w.safetensors": ("08  single",),
+    "studies.other_sensors --sensors vlp16 --weights w.safetensors": ("vlp16",),
+    "studies.fusion out data/sequences/08 --predict --weights w.safetensors": ("08  single",),
 }
 
 
@@ -101,7 +101,7 @@ def place(tmp_path, narrow_weights, monkeypatch):
 def test_a_script_prints_its_lines(line, capsys, monkeypatch):
     script, *words = line.split()
     monkeypatch.setattr(sys, "argv", [script, *words])
-    runpy.run_path(str(BENCHMARKS / script), run_name="__main__")
+    runpy.run_path(find_spec(f"benchmarks.{script}").origin, run_name="__main__")
     printed = capsys.readouterr().out
     begins = (RUNS | SLOW_RUNS)[line]
     found = re.findall(f"^(?:{'|'.join(map(re.escape, begins))})", printed, re.MULTILINE)
@@ -152,7 +152,6 @@ def test_sides_take_turns_on_the_same_scan(monkeypatch, tmp_path, weights):
 
 
 def test_holes_are_counted_as_by_a_plain_loop():
-    script = runpy.run_path(str(BENCHMARKS / "hole_shares.py"))
     random = np.random.default_rng(0)
     ranges = np.where(random.random((8, 64)) < 0.3, 0, random.uniform(2, 60, (8, 64)))
     cells, kinds = hole_cells(ranges), HOLE_SHARES.shape[1]
@@ -163,7 +162,7 @@ def test_holes_are_counted_as_by_a_plain_loop():
             hole = ranges[row, column] == 0
             goes_on = hole and ranges[row, right] == 0 and cells[row, right] >= 0
             wanted[:, cell // kinds, cell % kinds] += [1, hole, goes_on]
-    np.testing.assert_array_equal(script["count_holes"](ranges), wanted)
+    np.testing.assert_array_equal(hole_shares.count_holes(ranges), wanted)
 
 
 def names(root: Path, split: str) -> list[str]:
@@ -174,13 +173,12 @@ def names(root: Path, split: str) -> list[str]:
 
 def test_streets_are_validated_with_real_scans_that_nothing_is_trained_on(tmp_path):
     """The second sensor has no scan at 04, the time from which the first one's are held out."""
-    script = runpy.run_path(str(BENCHMARKS / "default_weights.py"))
     source, second, real, streets = (tmp_path / name for name in ("source", "gt", "real", "synth"))
     for sequence, count in (("001", 2), ("002", 12), ("003", 3)):
         write_sequence(source / f"sequences/{sequence}", [f"{2 * i:02}" for i in range(count)])
         write_sequence(second / f"sequences/{sequence}", ["03", "05", "22"], count=9)
     for _ in range(2):
-        training = script["link_pandaset"]({"pandaset": source, "pandargt": second}, real)
+        training = default_weights.link_pandaset({"pandaset": source, "pandargt": second}, real)
     of_pandaset = ["001/pandaset-001-00", "001/pandaset-001-02", "002/pandaset-002-00"]
     of_pandargt = ["001-03", "001-05", "001-22", "002-03"]
     assert names(real, "train") == [
@@ -194,7 +192,7 @@ def test_streets_are_validated_with_real_scans_that_nothing_is_trained_on(tmp_pa
 
     for sequence, stems in (("00", "ab"), ("08", "abcdefgh")):
         write_sequence(streets / "sequences" / sequence, stems, count=9)
-    script["link_streets"](streets, real, tmp_path / "validated")
+    default_weights.link_streets(streets, real, tmp_path / "validated")
     assert names(tmp_path / "validated", "train") == ["00/00-a", "00/00-b"]
     assert names(tmp_path / "validated", "valid") == [
         *(f"valid-{name.replace('/', '/' + name.split('/')[0] + '-')}" for name in held_out),
@@ -208,7 +206,7 @@ def test_streets_are_validated_with_real_scans_that_nothing_is_trained_on(tmp_pa
 
 @pytest.mark.parametrize("name", ["pandaset", "aachen"])
 def test_the_label_spaces_have_the_classes_of_semantickitti(name):
-    space = label_space(BENCHMARKS / f"{name}.yaml")
+    space = label_space(Path(default_weights.__file__).with_name(f"{name}.yaml"))
     assert space.fits(label_space())
     for i, several in space.alternatives.items():
         assert space.learning_map[i] in several

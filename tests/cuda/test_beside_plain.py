@@ -3,11 +3,11 @@
 
 from pathlib import Path
 
-import baseline as plain
 import numpy as np
 from devices import on_both
 from scans import SMALL, make_scan
 
+from benchmarks.speed import baseline as plain
 from salsanext_cli import load_network, project
 from salsanext_cli.core.uncertainty.aleatoric import aleatoric
 

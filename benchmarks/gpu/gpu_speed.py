@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: MIT
+"""Speed of the toolkit on a GPU, beside the method written plainly in torch on the same GPU."""
+
+import os
+import statistics
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+
+from benchmarks.gpu.gpu_measures import Figures, utilisation
+from benchmarks.speed import baseline
+from benchmarks.speed import speed_product as product
+from benchmarks.weights.scene_pool import KINDS, SPACING_M, write_scene
+from salsanext_cli.commands.stages.predict import predict_scans
+from salsanext_cli.core.engines.device import choose_precision
+from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.io.weights.card_file import read_card
+from salsanext_cli.io.weights.loading import load_network
+from salsanext_cli.runs.loop.run import RunOptions
+from salsanext_cli.runs.network_settings import NetworkSettings
+
+PARTS = {"network": 20, "predict": 10, "projection": 20, "knn": 20, "uncertainty": 1}
+"""Timed calls of each part of the method."""
+SAMPLES = 30  # Monte-Carlo passes of a scan
+FEWEST = 2  # Passes in a small run
+WIDTHS = (512, 2048)
+BATCHES = (1, 4, 16)
+RUNS = ((1, 1), (4, 1), (16, 1), (None, 1), (None, 8))
+"""Batch, None for the default, and workers of each run over a folder."""
+SCANS_OF_RUN = 256  # For each worker
+SECONDS_OF_RUN = 12.0  # Least time that is left for a run
+
+
+def measure(figures: Figures, weights: Path, *, small: bool = False) -> None:
+    """Measure the parts of the method, the network alone, and whole runs of `predict`."""
+    trained = read_card(weights).sensor
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        write_scene(folder, 0, KINDS[0], 0, 2 if small else 8, SPACING_M, trained)
+        scans = sorted((folder / "sequences/000000/velodyne").iterdir())
+        for width in (64,) if small else WIDTHS:
+            height = 16 if small else trained.height
+            sensor = replace(trained, height=height, width=width)
+            measure_parts(figures, weights, sensor, scans[0], FEWEST if small else SAMPLES)
+            measure_network(figures, weights, sensor)
+        measure_runs(figures, weights, scans, 8 if small else SCANS_OF_RUN)
+
+
+def measure_parts(figures: Figures, weights: Path, sensor: Sensor, scan: Path, passes: int) -> None:
+    """Measure each part of the method on both sides, in milliseconds, and its memory in GB."""
+    task = {
+        "weights": str(weights.resolve()),
+        "device": figures.device,
+        "precision": choose_precision("auto", figures.device),
+        "engine": "torch",
+        "sensor": sensor.to_dict(),
+        "samples": passes,
+        "passes": 1,  # Of the baseline's, which are all alike
+    }
+    tuned = torch.backends.cudnn.benchmark
+    for part, repetitions in PARTS.items():
+        name = f"{sensor.height}×{sensor.width} {part}"
+        if not figures.has_time_for(name):
+            continue
+        medians = []
+        for side, prepare in (("plain", baseline.prepare), ("toolkit", product.prepare)):
+            with figures.peak_memory() as peak:
+                ms = 1e3 * figures.seconds(prepare(part, scan, task), repetitions)
+                if (side, part) == ("plain", "uncertainty"):
+                    ms *= passes
+                medians.append(ms)
+                figures.add(f"{name}, {side}", ms, f"ms{peak()}")
+            torch.backends.cudnn.benchmark = tuned  # The baseline sets it
+        figures.add(f"{name}, times as fast", medians[0] / medians[1])
+
+
+def measure_network(figures: Figures, weights: Path, sensor: Sensor) -> None:
+    """Measure the network alone on images that are on the device, by precision and batch."""
+    precisions = ("float32",) if figures.device == "cpu" else ("float32", "float16", "bfloat16")
+    for precision in precisions:
+        network = load_network(weights, figures.device, sensor, precision, "torch")
+        for batch in BATCHES:
+            name = f"{sensor.height}×{sensor.width} network alone, {precision}, batch {batch}"
+            if not figures.has_time_for(name):
+                return
+            images = torch.randn(batch, 5, sensor.height, sensor.width, device=figures.device)
+            images = images.to(memory_format=torch.channels_last)
+            with torch.inference_mode(), figures.peak_memory() as peak:
+                seconds = figures.seconds(forward(network.backend.torch_module, images), 10)
+                figures.add(name, 1e3 * seconds / batch, f"ms a scan{peak()}")
+
+
+def forward(module: torch.nn.Module, images: torch.Tensor) -> Callable[[], object]:
+    """Return what computes a module once."""
+    return lambda: module(images)
+
+
+def measure_runs(figures: Figures, weights: Path, scans: list[Path], count: int) -> None:
+    """Measure runs of `predict` over a folder, files to labels, in scans a second."""
+    settings = NetworkSettings(weights, figures.device, precision="auto", engine="torch")
+    for batch, jobs in RUNS:
+        name = f"predict, --batch {batch or 'auto'} --jobs {jobs}"
+        if not figures.has_time_for(name, SECONDS_OF_RUN):
+            continue
+        folder = scans[0].parents[1] / f"copies-{batch}-{jobs}"
+        folder.mkdir()
+        for number in range(count * jobs):
+            os.link(scans[number % len(scans)], folder / f"{number:06}.bin")
+        marks: list[float] = []
+        options = RunOptions(jobs=jobs, progress=lambda *_, m=marks: m.append(time.monotonic()))
+        with tempfile.TemporaryDirectory() as out, utilisation(figures.device) as used:
+            start = time.monotonic()
+            result = predict_scans(
+                folder, Path(out), settings=settings, batch=batch, options=options
+            )
+            elapsed = time.monotonic() - start
+        if result.failures:
+            raise RuntimeError(f"{name}: {result.failures[0].reason}")
+        share = f", GPU {statistics.fmean(used):.0f} %" if used else ""
+        figures.add(f"{name}, with its start", len(marks) / elapsed, f"scans/s{share}")
+        warm = len(marks) // 4  # Whole batches, which pay for loading the network
+        rate = (len(marks) - warm) / max(marks[-1] - marks[warm - 1], 1e-9)
+        figures.add(f"{name}, the later scans", rate, "scans/s")

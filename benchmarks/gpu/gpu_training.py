@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: MIT
+"""Speed of training on a GPU by batch and loaders, and what each part of a step takes."""
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from benchmarks.gpu.gpu_measures import Figures, mean_text, utilisation
+from benchmarks.speed.training_speed import Laps
+from benchmarks.weights.scene_pool import KINDS, ScenePool
+from salsanext_cli.core.network.card import WeightsCard
+from salsanext_cli.core.network.registry import ARCHITECTURES, build
+from salsanext_cli.core.network.salsanext import SalsaNext
+from salsanext_cli.io.label_spaces import label_space
+from salsanext_cli.io.weights.card_file import read_card
+from salsanext_cli.io.weights.weights import save_weights
+from salsanext_cli.training.data.class_counts import class_weights, count_classes, rare_classes
+from salsanext_cli.training.data.dataset import Batch, Samples, batches
+from salsanext_cli.training.learner import Learner, fastest_precision
+from salsanext_cli.training.recipe import Recipe, recipe
+from salsanext_cli.training.setup import initial_network
+
+WINDOWS = (256, 0)  # Columns of a window, 0 for the full circle
+BATCHES = (4, 16, 32, 64)
+SCENES = 4
+STEPS = 100_000
+"""Steps of an epoch, more than any run takes."""
+REPETITIONS = 8
+SECONDS_OF_LOADERS = 4.0
+BATCH_OF_LOADERS = 16
+
+
+def measure(figures: Figures, weights: Path, scratch: Path, *, small: bool = False) -> None:
+    """Measure steps on batches that are ready, loaders alone, and both together."""
+    device = torch.device(figures.device)
+    weights = small_weights(scratch / "small.safetensors", weights) if small else weights
+    sensor = read_card(weights).sensor
+    pool = ScenePool(scratch / "training", sensor, scans=2 if small else 8, validation=0)
+    for number in range(2 if small else SCENES):
+        pool.make(number)
+    widths, sizes = ((0,), (2,)) if small else (WINDOWS, BATCHES)
+    for width in widths:
+        for batch in sizes:
+            name = f"step on the device, width {width or sensor.width}, batch {batch}"
+            if figures.has_time_for(name, 3):
+                measure_steps(figures, name, learning(pool, weights, device, batch, width))
+    cores, batch = os.cpu_count() or 1, min(sizes[-1], BATCH_OF_LOADERS)
+    seconds = 1.0 if small else SECONDS_OF_LOADERS
+    for loaders in (1,) if small else (cores // 4, cores // 2, cores - 2):
+        for width in widths:
+            name = f"{loaders} loaders, width {width or sensor.width}"
+            if figures.has_time_for(name, 4 * seconds):
+                how = learning(pool, weights, device, batch, width)
+                measure_loaders(figures, name, *how, loaders, seconds)
+
+
+def small_weights(path: Path, weights: Path) -> Path:
+    """Write random weights of few channels and pixels; salsanext has these in this process now."""
+    few = {"context_width": 8, "widths": (8, 16), "decoder_widths": (16,)}
+    ARCHITECTURES["salsanext"] = partial(SalsaNext, **few)
+    architecture = {"name": "salsanext", "class_count": label_space().class_count, "dropout": 0.1}
+    sensor = replace(read_card(weights).sensor, height=16, width=64)
+    save_weights(path, build(architecture), WeightsCard(architecture, label_space(), sensor))
+    return path
+
+
+def learning(
+    pool: ScenePool, weights: Path, device: torch.device, batch: int, width: int
+) -> tuple[Learner, Samples]:
+    """Return what the recipe `street` trains with, and its samples."""
+    how = gpu_recipe(device, batch=batch, crop_width=width)
+    sources = [pool.source(kind) for kind in KINDS]
+    counts = count_classes(sources[0])[0].sum(axis=0)
+    scored = label_space().scored
+    module, card = initial_network(weights, label_space(), how, pool.sensor)
+    learner = Learner(module, how, class_weights(counts, scored, how.class_weight), device)
+    return learner, Samples(sources, card.sensor, how, rare_classes(counts, scored))
+
+
+def gpu_recipe(device: torch.device, **changes: Any) -> Recipe:
+    """Return the recipe `street` as one epoch of `STEPS` steps, with some changes."""
+    how = recipe("street").with_changes(**changes)
+    whole = {"epochs": 1, "samples_per_epoch": STEPS * how.batch}
+    precision = fastest_precision(device) if how.precision == "auto" else how.precision
+    return how.with_changes(**whole, precision=precision)
+
+
+def measure_steps(figures: Figures, name: str, how: tuple[Learner, Samples]) -> None:
+    """Measure steps on one batch: windows a second, and milliseconds of each part of a step."""
+    learner, samples = how
+    images, truth = next(batches(samples, 0, pinned=figures.device != "cpu"))
+    steps = iter(range(STEPS))
+
+    def step() -> None:
+        learner.step(images, truth, next(steps), STEPS)
+
+    with figures.peak_memory() as peak:
+        seconds = figures.seconds(step, REPETITIONS)
+        figures.add(name, len(images) / seconds, f"windows/s{peak()}")
+    laps = Laps("wall")
+
+    def lap(part: str) -> Callable[..., None]:
+        def end(*_: object) -> None:
+            figures.wait()
+            laps(part)
+
+        return end
+
+    hooks = [
+        learner.module.register_forward_hook(lap("forward")),
+        learner.loss.register_forward_hook(lap("loss")),
+        learner.optimiser.register_step_pre_hook(lap("backward")),
+    ]
+    laps.start()
+    for _ in range(REPETITIONS):
+        step()
+        lap("update")()
+    for hook in hooks:
+        hook.remove()
+    parts = ("forward", "loss", "backward", "update")
+    text = ", ".join(f"{part} {1e3 * laps.seconds[part] / REPETITIONS:.3g}" for part in parts)
+    figures.add("  ms of a step that waits for each part", text)
+
+
+def measure_loaders(
+    figures: Figures, name: str, learner: Learner, samples: Samples, loaders: int, seconds: float
+) -> None:
+    """Measure windows a second that loaders deliver, and those that are learnt from beside."""
+    pinned = figures.device != "cpu"
+    stream = batches(samples, 0, loaders, pinned=pinned)
+    windows = len(next(stream)[0])
+    for _ in range(2 * loaders):  # Those that are ready
+        next(stream)
+    rate = windows * rate_of(figures, stream, seconds, lambda *_: None)
+    figures.add(f"{name}, alone", rate, "windows/s")
+    with utilisation(figures.device) as used:
+
+        def step(number: int, batch: Batch) -> None:
+            learner.step(batch[0], batch[1], number, STEPS)
+
+        rate = windows * rate_of(figures, stream, seconds, step)
+    figures.add(f"{name}, training", rate, "windows/s")
+    figures.add(f"{name}, GPU used", mean_text(used), "%")
+
+
+def rate_of(
+    figures: Figures, stream: Iterator[Batch], seconds: float, work: Callable[[int, Batch], object]
+) -> float:
+    """Return batches a second while a function takes them for so many seconds."""
+    start, number = time.monotonic(), 0
+    while time.monotonic() - start < seconds:
+        work(number, next(stream))
+        number += 1
+    figures.wait()  # A step returns before a GPU has taken it.
+    return number / (time.monotonic() - start)
