@@ -14,6 +14,7 @@ from salsanext_cli.commands.stages.evaluate import evaluate
 from salsanext_cli.commands.stages.models import describe_weights
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.commands.stages.report import read_run, report
+from salsanext_cli.core.checks.warning_codes import WarningCode
 from salsanext_cli.core.errors import TrainingError, UsageError, WeightsError
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.measures.risk_control import RISK_BOUND_EXCEEDED
@@ -27,7 +28,7 @@ from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.paths import LEAST_CONFIDENCE, find_scans
 from salsanext_cli.runs.results.result_folder import ResultFolder
 from salsanext_cli.runs.results.scan_selection import ScanSelection
-from salsanext_cli.runs.summary.scan_summary import NOT_COMPARED, OTHER_SCANS
+from salsanext_cli.runs.summary.scan_summary import NOT_COMPARED
 from salsanext_cli.runs.summary.threshold_scans import EARLY
 from salsanext_cli.training.tuning.risk import _held_out
 from salsanext_cli.training.tuning.risk_level import FewUnits, RiskLevel
@@ -89,7 +90,7 @@ def test_the_threshold_holds_the_guarantee(unsure_is_wrong: World, target, caplo
     sentences = (judged.guarantee.sentence, *judged.accepted.sentences)
     assert all(sentence[1:] in page for sentence in sentences)
     # The scans are those that the threshold was chosen on, so they are like them.
-    assert OTHER_SCANS not in caplog.text
+    assert WarningCode.OTHER_SCANS not in caplog.text
     labels = judged.accepted
     assert plain(labels) == tuned["accepted"]
     # (3 R + 1) / 4 ≤ 0.3, with no finer step than a bin
@@ -113,7 +114,7 @@ def test_a_guarantee_that_does_not_hold_warns(unsure_is_wrong: World, target, ca
     losses = np.array(tuned["of_scans"])[:, 1]
     assert (losses[0] + losses[1:].mean() + 1) / 3 <= 0.6
     predict_scans(world.data, world.out, settings=network, reject="risk")
-    assert OTHER_SCANS not in caplog.text
+    assert WarningCode.OTHER_SCANS not in caplog.text
     check = evaluate(find_scans(world.data), world.out, label_space()).guarantee
     assert (check.unit, check.units) == ("drive", 2)
     assert RISK_BOUND_EXCEEDED not in caplog.messages
@@ -128,7 +129,7 @@ def test_a_guarantee_that_does_not_hold_warns(unsure_is_wrong: World, target, ca
     other = replace(view, fov_up=view.fov_up + 8)
     save_with_card(target, target, replace(card, risk=replace(card.risk, views=(other,))))
     predict_scans(world.data, world.out.with_name("o"), settings=network, reject="risk")
-    assert OTHER_SCANS in caplog.text
+    assert WarningCode.OTHER_SCANS in caplog.text
     check = evaluate(find_scans(world.data), world.out.with_name("o"), label_space()).guarantee
     assert check.are_others
     assert "not guaranteed" in check.sentence
@@ -137,7 +138,7 @@ def test_a_guarantee_that_does_not_hold_warns(unsure_is_wrong: World, target, ca
     several = replace(card.risk, views=(other, view))
     save_with_card(target, target, replace(card, risk=several))
     predict_scans(world.data, world.out.with_name("s"), settings=network, reject="risk")
-    assert OTHER_SCANS not in caplog.text
+    assert WarningCode.OTHER_SCANS not in caplog.text
 
 
 @pytest.mark.parametrize(
@@ -311,7 +312,7 @@ def test_scans_with_other_classes_are_not_covered(unsure_is_wrong: World, target
     save_with_card(target, target, replace(card, risk=replace(card.risk, population=elsewhere)))
     network = replace(world.network, weights=target)
     predict_scans(world.data, world.out, settings=network, reject="risk")
-    assert OTHER_SCANS in caplog.text
+    assert WarningCode.OTHER_SCANS in caplog.text
     check = evaluate(find_scans(world.data), world.out, label_space()).guarantee
     assert check.are_others
     assert "the guarantee does not cover these scans" in caplog.text
@@ -319,7 +320,7 @@ def test_scans_with_other_classes_are_not_covered(unsure_is_wrong: World, target
     caplog.clear()
     save_with_card(target, target, replace(card, risk=replace(card.risk, population=())))
     predict_scans(world.data, world.out.with_name("early"), settings=network, reject="risk")
-    assert OTHER_SCANS not in caplog.text
+    assert WarningCode.OTHER_SCANS not in caplog.text
 
 
 def test_scans_of_other_drives_are_not_those_of_the_threshold(
@@ -334,7 +335,7 @@ def test_scans_of_other_drives_are_not_those_of_the_threshold(
         save_with_card(target, target, replace(card, risk=replace(card.risk, **change)))
         out = world.out.with_name(name)
         predict_scans(world.data, out, settings=network, reject="risk")
-        assert OTHER_SCANS in caplog.text
+        assert WarningCode.OTHER_SCANS in caplog.text
         check = evaluate(find_scans(world.data), out, label_space()).guarantee
         assert "not guaranteed" in check.sentence
 

@@ -5,8 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from salsanext_cli.core.checks.warning_codes import WarningCode
 from salsanext_cli.runs.results.paths import ScanFile
-from salsanext_cli.training.tuning.consecutive import CONSECUTIVE, consecutive_warning, stretches
+from salsanext_cli.training.tuning.consecutive import consecutive_warning, stretches
 
 PAGE = Path(__file__).parents[2] / "docs/reference/warnings.md"
 
@@ -42,7 +43,7 @@ def test_sequences_are_apart():
 def test_scans_that_mostly_follow_others_are_a_warning():
     several = [*files("00", "000000", "000001", "000002"), *files("08", "000007", "000008")]
     warning = consecutive_warning(several, 18)
-    assert (warning.code, warning.scans) == (CONSECUTIVE, ["00", "08"])
+    assert (warning.code, warning.scans) == (WarningCode.CONSECUTIVE, ["00", "08"])
     assert "5 scans of 2 sequences form 2 stretches" in warning.message
     assert "18 drives" in warning.hint
     assert consecutive_warning([*several, *files("09", "1", "5", "9")], 18) is None
@@ -50,4 +51,4 @@ def test_scans_that_mostly_follow_others_are_a_warning():
 
 
 def test_the_code_is_on_the_page_of_warnings():
-    assert f"| `{CONSECUTIVE}` |" in PAGE.read_text("utf-8")
+    assert f"| `{WarningCode.CONSECUTIVE}` |" in PAGE.read_text("utf-8")

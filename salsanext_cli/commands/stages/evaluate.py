@@ -10,6 +10,7 @@ from itertools import groupby
 from pathlib import Path
 
 from salsanext_cli.commands.score_limits import MissedLimit, ScoreLimit, missed_limits, score_values
+from salsanext_cli.core.checks.warning_codes import WarningCode
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import LabelError, NoInputError, counted, escaped
 from salsanext_cli.core.measures.counts import BAND_NAMES, ScanCounts, SeparateCounts
@@ -29,7 +30,7 @@ from salsanext_cli.runs.results.result_folder import ResultFolder
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.results.selection import MissingResults, space_of_labels
 from salsanext_cli.runs.summary.comparison import ScanComparison
-from salsanext_cli.runs.summary.scan_summary import OTHER_SCANS, TUNE_AGAIN, guarantee_of_run
+from salsanext_cli.runs.summary.scan_summary import TUNE_AGAIN, guarantee_of_run
 from salsanext_cli.version import __version__
 
 FILES = ("scores.txt", *PICTURES, "eval_iou.png", "eval.json")
@@ -37,7 +38,7 @@ FILES = ("scores.txt", *PICTURES, "eval_iou.png", "eval.json")
 MAX_PART_BYTES = 100  # Longest name of a folder that lists sequences
 NOT_COVERED = (
     "the guarantee does not cover these scans: `predict` found that they differ from those that "
-    f"the threshold was chosen on ({OTHER_SCANS})\nhint: {TUNE_AGAIN}"
+    f"the threshold was chosen on ({WarningCode.OTHER_SCANS})\nhint: {TUNE_AGAIN}"
 )
 ON_TRAINING_SCANS = "scores on scans that the weights were trained on"
 UNKNOWN_TRAINING_SCANS = "scores on scans that the weights may have been trained on"
@@ -88,7 +89,7 @@ class Evaluation:
         if self.comparison.chosen_on.missing:
             return "the record of the scans that the threshold was chosen on is missing"
         if self.guarantee and self.guarantee.are_others:
-            return f"the guarantee does not cover these scans ({OTHER_SCANS})"
+            return f"the guarantee does not cover these scans ({WarningCode.OTHER_SCANS})"
         if self.guarantee and self.guarantee.incomparable:
             reason = self.guarantee.incomparable
             return f"the scans cannot be compared with those of the threshold ({reason})"

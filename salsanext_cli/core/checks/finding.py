@@ -9,7 +9,7 @@ from salsanext_cli.core.errors import with_hint
 class Finding(NamedTuple):
     """Reason to doubt the labels of a scan."""
 
-    code: str  # Name of the check, as in docs/reference/warnings.md
+    code: str  # A `WarningCode`, or one of another version that a record has
     problem: str
     hint: str
 

@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.core.checks.finding import Finding
+from salsanext_cli.core.checks.warning_codes import WarningCode
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import percentage
 from salsanext_cli.core.geometry.scan_traits import MIN_TRAIT_POINTS
@@ -50,7 +51,7 @@ def label_findings(
             share = (
                 f"{percentage(points[largest] / total, 0)} of the points are {space.names[largest]}"
             )
-            yield Finding("one-class", share, LOOK)
+            yield Finding(WarningCode.ONE_CLASS, share, LOOK)
     if confidence < (MIN_OF_FEW if has_few else MIN_CONFIDENCE):
         mean = f"the labels have a mean probability of {confidence:.2f}"
-        yield Finding("low-confidence", mean, f"{USUAL}; {LOOK}")
+        yield Finding(WarningCode.LOW_CONFIDENCE, mean, f"{USUAL}; {LOOK}")

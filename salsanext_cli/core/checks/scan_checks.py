@@ -24,12 +24,12 @@ from salsanext_cli.core.checks.place_checks import (
     shows_beams,
 )
 from salsanext_cli.core.checks.structure_checks import (
-    ACCUMULATED,
     accumulated_from_file,
     depth_image_findings,
     structure_findings,
 )
 from salsanext_cli.core.checks.training_checks import APART, training_findings
+from salsanext_cli.core.checks.warning_codes import WarningCode
 from salsanext_cli.core.errors import FormatError, counted, percentage
 from salsanext_cli.core.geometry.ground import (
     MAX_TILT_DEG,
@@ -140,7 +140,7 @@ def check_scan(
     count = int(is_measured.sum())
     if count < MIN_TRAIT_POINTS:
         problem = f"has {counted(count, 'point')} with a measurement, too few to check"
-        return ScanCheck((Finding("few-points", problem, "give whole scans"),))
+        return ScanCheck((Finding(WarningCode.FEW_POINTS, problem, "give whole scans"),))
     measured = Scan(sample.points[is_measured], sample.intensity[is_measured])
     measured_share = count / len(sample)
     sines = sines_of(measured.points)
@@ -207,13 +207,13 @@ def _structure_at_place(
 
 
 def _accumulated(findings: Iterable[Finding]) -> list[Finding]:
-    return [finding for finding in findings if finding.code == ACCUMULATED]
+    return [finding for finding in findings if finding.code == WarningCode.ACCUMULATED]
 
 
 def _file_findings(notes: FileNotes) -> Iterator[Finding]:
     if notes.missing_points:
         problem = f"lacks {counted(notes.missing_points, 'point')} of those in its header"
-        yield Finding("missing-points", problem, "the file may be cut off: copy it again")
+        yield Finding(WarningCode.MISSING_POINTS, problem, "the file may be cut off: copy it again")
 
 
 def _require_metres(source: object, count: int, ranges: Double) -> None:
@@ -234,13 +234,15 @@ def _unit_findings(ranges: Double, measured: float) -> Iterator[Finding]:
     median, far = np.quantile(ranges, (0.5, 0.99))
     if median > USUAL_RANGES_M[0] or far > USUAL_RANGES_M[1]:
         problem = f"has a median range of {median:.0f} m, and 1% of the points beyond {far:.0f} m"
-        yield Finding("units", problem, f"convert them to metres, or {columns_hint()}")
+        yield Finding(WarningCode.UNITS, problem, f"convert them to metres, or {columns_hint()}")
     if far < MIN_FAR_M:
-        yield Finding("indoor", f"99% of the points lie within {far:.0f} m, as in a room", TRAIN)
+        yield Finding(
+            WarningCode.INDOOR, f"99% of the points lie within {far:.0f} m, as in a room", TRAIN
+        )
     if measured < MIN_MEASURED:
         problem = f"{percentage(1 - measured, 0)} of the points are not measurements"
         hint = f"they stay unlabelled; if they should not, {columns_hint()}"
-        yield Finding("not-measured", problem, hint)
+        yield Finding(WarningCode.NOT_MEASURED, problem, hint)
 
 
 def _view_findings(scan: Scan, sines: Float, sensor: Sensor, fit: str) -> Iterator[Finding]:
@@ -248,11 +250,12 @@ def _view_findings(scan: Scan, sines: Float, sensor: Sensor, fit: str) -> Iterat
     if outside > MAX_SHARE_OUTSIDE:
         view = f"{sensor.name}, {sensor.fov_up:+g}° to {sensor.fov_down:+g}°"
         problem = f"{percentage(outside, 0)} of the points lie outside the field of view of {view}"
-        yield Finding("out-of-view", problem, fit)
+        yield Finding(WarningCode.OUT_OF_VIEW, problem, fit)
     turns = np.arctan2(scan.points[:, 1], scan.points[:, 0]) / (2 * np.pi) + 0.5
     around = float((np.bincount((turns * SECTORS).astype(int) % SECTORS) > 0).sum()) / SECTORS
     if around < MIN_SECTORS:
-        code = "part-of-circle" if around >= FEW_SECTORS else "few-directions"
+        is_wide = around >= FEW_SECTORS
+        code = WarningCode.PART_OF_CIRCLE if is_wide else WarningCode.FEW_DIRECTIONS
         yield Finding(
             code, f"has points in {percentage(around, 0)} of the directions around", TRAIN
         )
@@ -264,22 +267,22 @@ def _view_findings(scan: Scan, sines: Float, sensor: Sensor, fit: str) -> Iterat
         problem = (
             f"has points in {percentage(occupied, 0)} of the {sensor.height} rows of the image"
         )
-        yield Finding("sparse", problem, TRAIN)
+        yield Finding(WarningCode.SPARSE, problem, TRAIN)
 
 
 def _ground_findings(ground: Ground | None, sensor: Sensor, fit: str) -> Iterator[Finding]:
     if ground is None or ground.share < MIN_SHARE_OF_GROUND:
         return
     if ground.tilt_deg > UPSIDE_DOWN_DEG:
-        yield Finding("upside-down", "the ground lies above the sensor", fit)
+        yield Finding(WarningCode.UPSIDE_DOWN, "the ground lies above the sensor", fit)
     elif ground.tilt_deg > MAX_TILT_DEG:
-        yield Finding("tilted", f"the ground is tilted by {ground.tilt_deg:.0f}°", fit)
+        yield Finding(WarningCode.TILTED, f"the ground is tilted by {ground.tilt_deg:.0f}°", fit)
     elif not ground.is_usual:
         where = "above" if ground.height > 0 else "below"
         on_it = abs(ground.height) < TOLERANCE_M
         height = "on" if on_it else f"{abs(ground.height):.1f} m {where}"
         hint = IN_MAP if sensor.registered else _raised(ground, sensor)
-        yield Finding("height", f"the origin of the points is {height} the ground", hint)
+        yield Finding(WarningCode.HEIGHT, f"the origin of the points is {height} the ground", hint)
 
 
 def _raised(ground: Ground, sensor: Sensor) -> str:
@@ -294,4 +297,6 @@ def _place_findings(misplaced: PlaceProblem | None, sensor: Sensor, fit: str) ->
     if misplaced is not None:
         lines = f"{fit}, or write {misplaced.remedy} into a file for {argument('sensor')}"
         hint = lines if misplaced.remedy else origin_hint()
-        yield Finding("out-of-place", misplaced.problem, IN_MAP if sensor.registered else hint)
+        yield Finding(
+            WarningCode.OUT_OF_PLACE, misplaced.problem, IN_MAP if sensor.registered else hint
+        )

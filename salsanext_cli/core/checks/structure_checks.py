@@ -11,12 +11,12 @@ import numpy as np
 
 from salsanext_cli.core.checks.finding import Finding
 from salsanext_cli.core.checks.scan_structure import structure_of
+from salsanext_cli.core.checks.warning_codes import WarningCode
 from salsanext_cli.core.errors import percentage
 from salsanext_cli.core.geometry.beam_origin import sharpness
 from salsanext_cli.core.records import FieldSplit, Float, Scan
 from salsanext_cli.core.sensors.sensor import ORIGIN, UP, Sensor
 
-ACCUMULATED = "accumulated"  # Code of a scan of several scans or sensors
 MAX_HIDDEN = 0.045
 """Largest share of hidden points; single scans had up to 0.037, ten scans in one 0.062 or more."""
 MIN_STILL_HIDDEN = 0.4
@@ -50,12 +50,12 @@ def structure_findings(scan: Scan, sensor: Sensor) -> Iterator[Finding]:
     # once, the vehicles that carried the sensor float.
     if structure.roughness > MAX_ROUGHNESS:
         problem = f"neighbouring ranges differ by {percentage(structure.roughness)}, as by noise"
-        yield Finding("noisy", f"{problem} or in dense fog", CLEAN)
+        yield Finding(WarningCode.NOISY, f"{problem} or in dense fog", CLEAN)
     elif structure.in_air > MAX_IN_AIR and structure.hidden <= MAX_HIDDEN_IN_FOG:
         problem = (
             f"{percentage(structure.in_air)} of the points float near the sensor, as in fog or snow"
         )
-        yield Finding("near-returns", problem, CLEAN)
+        yield Finding(WarningCode.NEAR_RETURNS, problem, CLEAN)
     else:
         yield from _accumulated_findings(structure.hidden, scan.notes.split)
 
@@ -73,7 +73,7 @@ def accumulated_from_file(scan: Scan, sensor: Sensor) -> Iterator[Finding]:
     structure = structure_of(scan, in_file)
     if structure is not None and fitted.hidden >= MIN_STILL_HIDDEN * structure.hidden:
         findings = structure_findings(scan, in_file)
-        yield from (finding for finding in findings if finding.code == ACCUMULATED)
+        yield from (finding for finding in findings if finding.code == WarningCode.ACCUMULATED)
 
 
 def _accumulated_findings(hidden: float, split: FieldSplit | None) -> Iterator[Finding]:
@@ -81,10 +81,12 @@ def _accumulated_findings(hidden: float, split: FieldSplit | None) -> Iterator[F
     if hidden > MAX_HIDDEN:
         problem = f"{percentage(hidden)} of the points lie more than a metre behind others"
         origin = "sensors" if several_sensors else "scans"
-        yield Finding(ACCUMULATED, f"{problem}, as in several {origin} at once", _remedy(split))
+        yield Finding(
+            WarningCode.ACCUMULATED, f"{problem}, as in several {origin} at once", _remedy(split)
+        )
     elif split is not None and several_sensors:
         problem = f"has the points of {split.count} sensors, by its field {split.field}"
-        yield Finding(ACCUMULATED, problem, _remedy(split))
+        yield Finding(WarningCode.ACCUMULATED, problem, _remedy(split))
 
 
 def _remedy(split: FieldSplit | None) -> str:
@@ -110,4 +112,4 @@ def depth_image_findings(points: Float, no_intensity: str) -> Iterator[Finding]:
     share = len(sectors) / SECTORS
     if share < MAX_SECTORS and sharpness(points.astype(np.float64), np.zeros(3)) < MIN_SHARPNESS:
         problem = f"no intensities, no rows, and {percentage(share, 0)} of the directions around"
-        yield Finding("depth-image", f"has {problem}, as a depth image", LIDAR)
+        yield Finding(WarningCode.DEPTH_IMAGE, f"has {problem}, as a depth image", LIDAR)

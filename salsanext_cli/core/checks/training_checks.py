@@ -4,6 +4,7 @@
 from collections.abc import Iterator
 
 from salsanext_cli.core.checks.finding import Finding
+from salsanext_cli.core.checks.warning_codes import WarningCode
 from salsanext_cli.core.errors import first_few, percentage
 from salsanext_cli.core.geometry.network_input import BRIGHT, INTENSITY_FACTOR, NO_INTENSITY
 from salsanext_cli.core.sensors.sensor import OF_IMAGES, Sensor
@@ -50,11 +51,11 @@ def _image_findings(sensor: Sensor, trained: Sensor) -> Iterator[Finding]:
         sizes = f"{size[0]}×{size[1]} pixels, and {trained_size[0]}×{trained_size[1]}"
         settings = f"{argument('width')}, or height and width in the sensor file"
         hint = f"accuracy drops: leave out {settings}"
-        yield Finding("other-images", f"the images have {sizes} in training", hint)
+        yield Finding(WarningCode.OTHER_IMAGES, f"the images have {sizes} in training", hint)
     elif any(getattr(sensor, key) != getattr(trained, key) for key in OF_IMAGES):
         problem = "the sensor file changes the normalisation of the images"
         hint = "accuracy drops: leave means and stds out of the file"
-        yield Finding("other-images", problem, hint)
+        yield Finding(WarningCode.OTHER_IMAGES, problem, hint)
 
 
 def _no_intensity(
@@ -62,10 +63,10 @@ def _no_intensity(
 ) -> Finding:
     """Return the finding of values that are no intensities."""
     if is_matched:
-        return Finding("no-intensity", reason, _name_of_intensity(fields))
+        return Finding(WarningCode.NO_INTENSITY, reason, _name_of_intensity(fields))
     is_known = bool(trained.intensity_quantiles)
     hint = setting("intensity", "none") if is_known else _name_of_intensity(fields)
-    return Finding("no-intensity", f"{reason}; the network takes it as it is", hint)
+    return Finding(WarningCode.NO_INTENSITY, f"{reason}; the network takes it as it is", hint)
 
 
 def _name_of_intensity(fields: tuple[str, ...]) -> str:
@@ -94,7 +95,7 @@ def _scale_findings(bright: float, sensor: Sensor, trained: Sensor) -> Iterator[
     if not is_doubtful:
         return
     problem = f"{percentage(BRIGHT, 0)} of the intensities are below {bright:.3g}, {comparison}"
-    yield Finding("intensity-scale", problem, APART if matched else _scale_hint(trained))
+    yield Finding(WarningCode.INTENSITY_SCALE, problem, APART if matched else _scale_hint(trained))
 
 
 def _scale_hint(trained: Sensor) -> str:

@@ -9,6 +9,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
+from salsanext_cli.core.checks.warning_codes import WarningCode
 from salsanext_cli.core.errors import counted, percentage
 from salsanext_cli.core.measures.expected_accuracy import OF_RUN, ExpectedAccuracy
 from salsanext_cli.core.wording import command, setting
@@ -67,30 +68,30 @@ PandaSet has 92 % right labels and 26 % doubtful points, SemanticKITTI 79 % and 
 classes gain 11 points. A few labelled scans gained a median of 13.8 points where at most 75 % were
 right before, and of 1.4 points where more were (`label_gains`).
 """
-UNSUITED_FOR = ("depth-image", "indoor")
+UNSUITED_FOR = (WarningCode.DEPTH_IMAGE, WarningCode.INDOOR)
 """Warnings that the classes or the images of the weights do not suit the scans."""
 CORRECTED_FOR = (
-    "accumulated",
-    "few-points",
-    "missing-points",
-    "mixed-sensors",
-    "not-measured",
-    "other-images",
-    "out-of-place",
-    "out-of-view",
-    "tilted",
-    "units",
-    "upside-down",
+    WarningCode.ACCUMULATED,
+    WarningCode.FEW_POINTS,
+    WarningCode.MISSING_POINTS,
+    WarningCode.MIXED_SENSORS,
+    WarningCode.NOT_MEASURED,
+    WarningCode.OTHER_IMAGES,
+    WarningCode.OUT_OF_PLACE,
+    WarningCode.OUT_OF_VIEW,
+    WarningCode.TILTED,
+    WarningCode.UNITS,
+    WarningCode.UPSIDE_DOWN,
 )
 """Warnings whose hints correct the scans or the settings."""
 LABELLED_FOR = (
-    "few-directions",
-    "height",
-    "low-confidence",
-    "near-returns",
-    "noisy",
-    "one-class",
-    "sparse",
+    WarningCode.FEW_DIRECTIONS,
+    WarningCode.HEIGHT,
+    WarningCode.LOW_CONFIDENCE,
+    WarningCode.NEAR_RETURNS,
+    WarningCode.NOISY,
+    WarningCode.ONE_CLASS,
+    WarningCode.SPARSE,
 )
 """Warnings that the scans are unlike the training data: only labels measure the accuracy."""
 CODES = {

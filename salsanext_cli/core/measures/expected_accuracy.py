@@ -7,6 +7,7 @@ import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
+from salsanext_cli.core.checks.warning_codes import WarningCode
 from salsanext_cli.core.errors import counted
 from salsanext_cli.core.network.card import AccuracyLine
 
@@ -14,32 +15,10 @@ DEVIATIONS = 3.5
 """Half the width of the interval, in deviations of the line. With 2.0, the interval held for seven
 of eleven further drives. For the default weights, whose deviation is 2.9 points, 3.5 deviations are
 about twice the root mean square error on 14 excerpts of drives, which is 5.0 points."""
-OF_RUN = ("mixed-sensors",)
+OF_RUN = (WarningCode.MIXED_SENSORS,)
 """Warnings that concern every scan of a run: the fit to its scans suits none of the sensors."""
-WITHHELD_FOR = (
-    *OF_RUN,
-    "accumulated",
-    "depth-image",
-    "few-directions",
-    "few-points",
-    "height",
-    "indoor",
-    "low-confidence",
-    "missing-points",
-    "near-returns",
-    "noisy",
-    "not-measured",
-    "one-class",
-    "other-images",
-    "out-of-place",
-    "out-of-view",
-    "sparse",
-    "tilted",
-    "units",
-    "upside-down",
-)
-"""Warnings that a scan is unlike the judged drives. Solid-state sensors, which only get
-`part-of-circle`, had the estimated accuracy within 3 points."""
+WITHHELD_FOR = tuple(code for code in WarningCode if code.withholds_estimate)
+"""Warnings that a scan is unlike the judged drives."""
 EDGE = 1e-6  # Mean confidences closer to 0 or 1 have no useful logit
 
 

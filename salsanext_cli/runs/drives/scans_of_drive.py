@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from salsanext_cli.core.checks.finding import Finding
+from salsanext_cli.core.checks.warning_codes import WarningCode
 from salsanext_cli.core.errors import NOTICE
 from salsanext_cli.core.fusion.drive import Drive
 from salsanext_cli.core.fusion.poses import POSES
@@ -72,9 +73,13 @@ def drive_findings(files: Sequence[ScanFile], drive: Drive) -> list[Finding]:
     """Return the reasons to doubt a drive that is cut into parts."""
     parts = np.bincount(drive.parts)
     if (parts == 1).all():
-        return [Finding("apart", "no two of its scans see common locations", "labels stay")]
+        return [
+            Finding(WarningCode.APART, "no two of its scans see common locations", "labels stay")
+        ]
     if len(parts) == 1:
         return []
     second = files[int(np.argmax(drive.parts == 1))].stem
     problem = f"its poses fit in {len(parts)} parts only, the second from {second} on"
-    return [Finding("apart", problem, "check the poses; parts do not vote for each other")]
+    return [
+        Finding(WarningCode.APART, problem, "check the poses; parts do not vote for each other")
+    ]

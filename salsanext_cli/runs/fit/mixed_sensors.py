@@ -4,6 +4,7 @@
 from collections.abc import Mapping
 
 from salsanext_cli.core.checks.finding import Finding
+from salsanext_cli.core.checks.warning_codes import WarningCode
 from salsanext_cli.core.geometry.scan_traits import ScanTraits, groups_of
 from salsanext_cli.runs.results.paths import ScanFile
 
@@ -21,5 +22,5 @@ def mixed_sensors(traits: Mapping[ScanFile, ScanTraits]) -> dict[ScanFile, Findi
             if group:
                 others = f"the others, such as {first.name} ({traits[first]})"
                 problem = f"seems to be of another sensor ({traits[file]}) than {others}"
-                findings[file] = Finding("mixed-sensors", problem, APART)
+                findings[file] = Finding(WarningCode.MIXED_SENSORS, problem, APART)
     return findings

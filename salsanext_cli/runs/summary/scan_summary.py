@@ -17,6 +17,7 @@ import numpy as np
 from salsanext_cli.core.checks.finding import Finding
 from salsanext_cli.core.checks.label_checks import label_findings
 from salsanext_cli.core.checks.scan_checks import UNCHECKED, ScanCheck
+from salsanext_cli.core.checks.warning_codes import WarningCode
 from salsanext_cli.core.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import NOTICE, SalsanextError, counted, first_few
@@ -45,7 +46,6 @@ from salsanext_cli.runs.summary.threshold_scans import ScanComparison, why_incom
 
 CLASSES_SHOWN = 5  # Classes that a summary names
 MAX_COMPARED = 5000  # Most scans that are compared with those of a threshold
-OTHER_SCANS = "other-scans"
 """Code of the warning that the guarantee of a threshold does not cover the scans of a run."""
 NOT_COMPARED = "the scans cannot be compared with those that the threshold was chosen on"
 TUNE_AGAIN = "choose the threshold with `salsanext tune risk` on labelled scans like these"
@@ -236,15 +236,16 @@ class RunSummary:
     def _compare_with_threshold(self) -> None:
         """Warn if the scans are evidently not like those that the threshold was chosen on."""
         risk = self.threshold
-        if risk is None or self.space is None or not self.names or OTHER_SCANS in self.findings:
+        is_reported = WarningCode.OTHER_SCANS in self.findings
+        if risk is None or self.space is None or not self.names or is_reported:
             return
         classes = self.space.names[1:]
         compared = ScanComparison(self.scans, self.sensor, self.unit_traits, classes)
         if problem := compared.difference(risk):
-            finding = Finding(OTHER_SCANS, problem, TUNE_AGAIN)
+            finding = Finding(WarningCode.OTHER_SCANS, problem, TUNE_AGAIN)
             first, *others = sorted(self.names)
             self.add_finding(first, finding)
-            self.findings[OTHER_SCANS] += [(name, finding) for name in others]
+            self.findings[WarningCode.OTHER_SCANS] += [(name, finding) for name in others]
         elif self.unit_traits and (reason := why_incomparable(risk, compared.units(risk))):
             log.log(NOTICE, "%s (%s)", NOT_COMPARED, reason)
         self.unit_traits.clear()
@@ -354,7 +355,7 @@ def guarantee_of_run(
     findings = OwnedFolder(out, "predict").findings()
     codes = {code for name in losses for code, *_ in findings.get(name, ())}
     threshold = Manifest(out).guarantee(space)
-    check = RiskBoundCheck.of_scans(threshold, losses, are_others=OTHER_SCANS in codes)
+    check = RiskBoundCheck.of_scans(threshold, losses, are_others=WarningCode.OTHER_SCANS in codes)
     if check is None or threshold is None:
         return None
     return replace(check, incomparable=why_incomparable(threshold, check.units))

@@ -2,10 +2,10 @@
 """Changes of a scan or its range image that imitate another sensor or another mounting.
 
 Their sizes cover the beams, fields of view and mountings of sensors on the market, and what remains
-after `match_intensity`. `benchmarks/weights/hole_shares.py` computes the frequencies of holes: means over
-real scans of Pandar64 (second drive of PandaSet), VLP-32C (front sectors of RWTH Aachen), OS0-128,
-OS1-128 and OS2-32 (captures of Ouster) in 64 x 512 pixels. They do not depend on the intensity:
-dark surfaces have more holes in some of these sensors and fewer in others.
+after `match_intensity`. The frequencies of holes are those of `benchmarks/weights/hole_shares.py`:
+means over real scans of Pandar64 (second drive of PandaSet), VLP-32C (front sectors of RWTH
+Aachen), OS0-128, OS1-128 and OS2-32 (captures of Ouster) in 64 x 512 pixels. They do not depend on
+the intensity: dark surfaces have more holes in some of these sensors and fewer in others.
 """
 
 from dataclasses import replace

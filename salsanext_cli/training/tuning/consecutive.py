@@ -4,11 +4,11 @@
 import re
 from collections.abc import Sequence
 
+from salsanext_cli.core.checks.warning_codes import WarningCode
 from salsanext_cli.core.errors import counted
 from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.runs.summary.scan_warnings import ScanWarning
 
-CONSECUTIVE = "consecutive"
 """Code of the warning."""
 MAX_SHARE = 0.5  # Largest share of stretches among the scans at which there is a warning
 LEAST_TIME = 10**12  # Numbers from here on are times in the name: ms, µs or ns
@@ -72,4 +72,4 @@ def consecutive_warning(files: Sequence[ScanFile], drives_needed: int) -> ScanWa
         f"label scans that are drawn from whole drives, or scans of {drives_needed} drives, each "
         "of which then counts once"
     )
-    return ScanWarning(CONSECUTIVE, message, hint, sequences)
+    return ScanWarning(WarningCode.CONSECUTIVE, message, hint, sequences)
