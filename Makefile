@@ -16,7 +16,7 @@ help:
 	@echo "make demo       a small synthetic drive: predict, evaluate, export, look"
 	@echo "make test       all tests but the slow ones"
 	@echo "make test-slow  the slow tests"
-	@echo "make lint       style and types"
+	@echo "make lint       style, types, spelling and words"
 	@echo "make docs       the documentation, into site/"
 	@echo "make wheel      the distribution, into dist/, and a trial of it"
 	@echo "make workflows  check the workflows of continuous integration"
@@ -48,6 +48,7 @@ lint: $(INSTALLED)
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	git ls-files '*.md' '*.py' '*.toml' | xargs $(BIN)/codespell
+	$(BIN)/python tools/words.py
 
 format: $(INSTALLED)
 	$(BIN)/ruff format .

@@ -192,13 +192,11 @@ def test_every_python_file_begins_with_its_licence():
 ROOMS_OF_MANY = {"line", "stages"}
 """One file per command."""
 MAX_FILES = 20
-VAGUE = {"utils", "util", "helpers", "helper", "misc", "common", "tools"}
 
 
 def test_rooms_files_and_functions_are_small():
     rooms = Counter(module.parent.name for module in MODULES if module.parent != PACKAGE)
     assert {room: n for room, n in rooms.items() if n > MAX_FILES}.keys() <= ROOMS_OF_MANY
-    assert not [module for module in MODULES if module.stem in VAGUE]
     lengths = {module: len(module.read_text("utf-8").splitlines()) for module in MODULES}
     assert {module: n for module, n in lengths.items() if n > LONGEST} == {}
     functions = {

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""Names are the nouns that they stand for, and public functions state their contract."""
+"""Public functions state their contract."""
 
-import ast
 import inspect
 import re
 from importlib import import_module
@@ -12,39 +11,18 @@ import pytest
 import salsanext_cli
 
 PACKAGE = Path(salsanext_cli.__file__).parent
-PARTS = sorted({*PACKAGE.glob("*.py"), *(path.parent for path in PACKAGE.glob("*/__init__.py"))})
-VAGUE = {"found", "own", "each", "kept", "those", "these", "what", "anew", "said", "told"}
-VAGUE |= {"left_out"}
-PRIVATE = re.compile("promis|guess|anew|_own_?$")
-"""Words that the documentation has a standard term for."""
 PUBLIC = [
     *(f"salsanext_cli.{home}" for home in salsanext_cli._HOMES),
-    *(f"salsanext_cli.commands.stages.{path.stem}" for path in PACKAGE.glob("stages/[a-z]*.py")),
+    *(
+        f"salsanext_cli.commands.stages.{path.stem}"
+        for path in PACKAGE.glob("commands/stages/[a-z]*.py")
+    ),
     *(
         "salsanext_cli.runs.loop.job",
         "salsanext_cli.runs.loop.run",
         "salsanext_cli.core.engines.backend",
     ),
 ]
-
-
-def identifiers(tree):
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
-            yield node.id
-        elif isinstance(node, ast.arg):
-            yield node.arg
-        elif isinstance(node, ast.FunctionDef | ast.ClassDef):
-            yield node.name
-        elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
-            yield node.attr
-
-
-@pytest.mark.parametrize("part", PARTS, ids=lambda part: part.name)
-def test_names_are_nouns(part):
-    for module in [part] if part.suffix else sorted(part.rglob("*.py")):
-        names = set(identifiers(ast.parse(module.read_text("utf-8"))))
-        assert {name for name in names if name in VAGUE or PRIVATE.search(name)} == set(), module
 
 
 def contract(function):

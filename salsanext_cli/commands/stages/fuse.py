@@ -263,7 +263,27 @@ def fuse_results(
 def by_sequence(
     sequences: Iterable[str], function: Callable[[str], Value], options: RunOptions
 ) -> dict[str, Value | SalsanextError]:
-    """Return the value of a function for each sequence, or its error; raise if all of them fail."""
+    """Compute a value for each sequence, and go on after errors.
+
+    Parameters
+    ----------
+    sequences : iterable of str
+        Names of the sequences.
+    function : callable
+        Computes the value of a sequence from its name.
+    options : RunOptions
+        Whether the first error stops the run.
+
+    Returns
+    -------
+    dict
+        The value of each sequence, or its error.
+
+    Raises
+    ------
+    SalsanextError
+        If all sequences fail, or the first if an error stops the run.
+    """
     values: dict[str, Value | SalsanextError] = {}
     for name in sequences:
         try:

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: MIT
+"""The linter of words finds what it looks for, in the line where it is."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+from tools import words
+
+PARTS = (
+    ("A sentence. Another one.", ["A sentence.", "Another one."]),
+    ("# Title\n\nText\nof two lines.", ["Title", "Text of two lines."]),
+    ("| a cell | another |", ["a cell", "another"]),
+    ("- an item\n- [a link](to/there.md)", ["- an item", "- a link"]),
+    ("Before.\n\n```sh\nno prose\n```\n\nAfter.", ["Before.", "After."]),
+    ("The `span of (a | b)` ends.", ["The code code code code code ends."]),
+    ("One <!-- hidden\nwords --> two.", ["One two."]),
+    ("Shared options: `--jobs`, `--limit`", []),
+)
+
+
+@pytest.mark.parametrize(("text", "expected"), PARTS)
+def test_sentences_of_a_page(text, expected):
+    assert [sentence.text for sentence in words.sentences(text)] == expected
+
+
+def test_sentences_have_the_number_of_their_line():
+    text = (
+        "# Title\n\n```sh\na\nb\n```\n<!-- one\ntwo -->\n\nFirst\nline. Second.\n\n| a |\n| b |\n"
+    )
+    lines = {sentence.text: sentence.line for sentence in words.sentences(text)}
+    assert lines == {"Title": 1, "First line.": 10, "Second.": 11, "a": 13, "b": 14}
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "page.md"
+    path.write_text(text, "utf-8")
+    return path
+
+
+@pytest.mark.parametrize("count", [words.LONGEST_SENTENCE, words.LONGEST_SENTENCE + 1])
+def test_a_sentence_may_have_so_many_words(tmp_path, count):
+    page = written(tmp_path, f"Short.\n{'word ' * count}\n")
+    problems = list(words.problems_of_page(page))
+    assert [problem.line for problem in problems] == ([2] if count > words.LONGEST_SENTENCE else [])
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "Of merged classes nothing is kept.",
+        "a first guess",
+        "scans of one's own",
+        "There are promises",
+    ],
+)
+def test_a_banned_word_is_found(tmp_path, text):
+    assert len(list(words.problems_of_page(written(tmp_path, text)))) == 1
+
+
+@pytest.mark.parametrize("text", ["The recipe is called", "there is no file", "`promise`"])
+def test_other_words_pass(tmp_path, text):
+    assert list(words.problems_of_page(written(tmp_path, text))) == []
+
+
+def test_names_of_all_kinds_are_found(tmp_path):
+    module = tmp_path / "utils.py"
+    module.write_text(
+        "found = 1\ndef guess(each): pass\nclass Own: left_out: int = 0\n"
+        "async def told(): pass\nobject.kept = what = found\nscan = 2\n",
+        "utf-8",
+    )
+    lines = [problem.line for problem in words.problems_of_names(module)]
+    assert sorted(lines) == [1, 1, 2, 2, 3, 4, 5, 5]
+
+
+def test_reading_a_name_defines_nothing():
+    assert list(words.defined_names(ast.parse("print(found.own)"))) == []
+
+
+def test_a_problem_is_a_place_that_an_editor_opens():
+    problem = words.Problem(path=words.ROOT / "docs/index.md", line=3, text="what is wrong")
+    assert str(problem) == "docs/index.md:3: what is wrong"
