@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import torch
 import yaml
-from cloud_seeds import feather, leica, lines, named_lines, npz, organised, parquet, structured
+from fuzzing.cloud_seeds import feather, leica, lines, named_lines, npz, organised, parquet, structured
 from edited_clouds import write_pcd
 from ouster_recordings import write_recording
 from scans import SMALL, make_scan

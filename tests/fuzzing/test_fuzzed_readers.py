@@ -10,9 +10,9 @@ from contextlib import suppress
 from random import Random
 
 import pytest
-from limits import bounded
-from mutations import damage
-from readers import READERS
+from fuzzing.limits import bounded
+from fuzzing.mutations import damage
+from fuzzing.readers import READERS
 from tiny_network import TinyNetwork
 
 from salsanext_cli.core.errors import SalsanextError

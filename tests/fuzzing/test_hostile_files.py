@@ -5,7 +5,7 @@ import json
 import struct
 
 import pytest
-from limits import bounded
+from fuzzing.limits import bounded
 from scans import SMALL
 
 from salsanext_cli import label_space

@@ -15,9 +15,9 @@ from pathlib import Path
 
 import pytest
 from command_line import called
-from file_steps import at_each_step
+from killing.file_steps import at_each_step
 from scans import SMALL, write_sequence, write_weights
-from whole_files import require_alike, require_tidy, require_whole
+from killing.whole_files import require_alike, require_tidy, require_whole
 
 import salsanext_cli
 

@@ -18,8 +18,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from file_steps import STEPS, at_each_step
-from whole_files import require_alike, require_whole
+from killing.file_steps import STEPS, at_each_step
+from killing.whole_files import require_alike, require_whole
 
 import salsanext_cli
 

@@ -15,7 +15,7 @@ import torch
 from filelock import FileLock
 from scans import SMALL, refused, write_sequence
 from torch.distributed import is_gloo_available
-from two_workers import CASES, batch, learner, share, stepped
+from training.two_workers import CASES, batch, learner, share, stepped
 
 import salsanext_cli
 from salsanext_cli.core.errors import TrainingError, UsageError

@@ -21,7 +21,7 @@ from salsanext_cli.commands.line import console, help, removed
 from salsanext_cli.commands.line.app import COMMANDS
 from salsanext_cli.core.errors import FormatError, UsageError, with_hint
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 HEAVY = ("torch", "open3d", "numba", "matplotlib", "numpy", "scipy", "pandas", "joblib", "rich")
 HEAVY += ("plyfile",)
 UNUSED_BY_PREDICT = (

@@ -31,7 +31,7 @@ from salsanext_cli.io.weights.weights import read_weights, save_weights
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.recipe import Recipe, recipe
 
-PLUG_IN = Path(__file__).parents[2] / "examples/paper_networks"
+PLUG_IN = Path(__file__).parents[3] / "examples/paper_networks"
 PROJECT = tomllib.loads((PLUG_IN / "pyproject.toml").read_text("utf-8"))["project"]
 POINTS = PROJECT["entry-points"]["salsanext.networks"]
 NETWORKS = {"salsanext": SalsaNext, **{name: resolve_name(point) for name, point in POINTS.items()}}

@@ -20,8 +20,8 @@ from salsanext_cli.core.network.card import AccuracyLine
 from salsanext_cli.io.weights.card_file import default_weights, read_card
 
 LINE = AccuracyLine(1.0, 0.0, 0.05)
-SAFETY = Path(__file__).parents[2] / "docs/experiments/guarantee.md"
-FIGURES = Path(__file__).parents[2] / "docs/figures.json"
+SAFETY = Path(__file__).parents[3] / "docs/experiments/guarantee.md"
+FIGURES = Path(__file__).parents[3] / "docs/figures.json"
 SHARES = st.floats(0, 1)
 
 

@@ -26,7 +26,7 @@ from salsanext_cli.io.weights.weights import read_weights, save_weights
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.setup import initial_network
 
-PAGE = (Path(__file__).parents[1] / "docs/how-to/plug-ins.md").read_text("utf-8")
+PAGE = (Path(__file__).parents[2] / "docs/how-to/plug-ins.md").read_text("utf-8")
 POINT = np.dtype([("xyz", "<f4", 3), ("intensity", "u1"), ("label", "<u2")])
 LOOKUPS = (plugged_formats, plugged_networks, plugged_label_spaces)
 ORIGIN = "radian-lidar 1.0"

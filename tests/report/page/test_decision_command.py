@@ -8,6 +8,7 @@ import shutil
 
 import pytest
 from command_line import called
+from narrow import narrow, weights  # noqa: F401
 from scans import write_sequence
 
 from salsanext_cli.commands.line.option_names import CommandLine

@@ -19,8 +19,8 @@ from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.report.tables import needed_scans_table
 
-PAGE_OF_JSON = Path(__file__).parents[2] / "docs/reference/json.md"
-PAGE = Path(__file__).parents[2] / "docs/concepts/guarantee.md"
+PAGE_OF_JSON = Path(__file__).parents[3] / "docs/reference/json.md"
+PAGE = Path(__file__).parents[3] / "docs/concepts/guarantee.md"
 
 
 def test_the_record_states_what_the_threshold_is_based_on(world, tmp_path):

@@ -9,7 +9,7 @@ from salsanext_cli.core.checks.warning_codes import WarningCode
 from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.training.tuning.consecutive import consecutive_warning, stretches
 
-PAGE = Path(__file__).parents[2] / "docs/reference/warnings.md"
+PAGE = Path(__file__).parents[3] / "docs/reference/warnings.md"
 
 
 def files(sequence, *stems):

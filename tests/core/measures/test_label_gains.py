@@ -15,7 +15,7 @@ from salsanext_cli.core.measures.label_gains import (
     gains_of_trials,
 )
 
-PAGE = (Path(__file__).parents[2] / "docs/experiments/few-labels.md").read_text("utf-8")
+PAGE = (Path(__file__).parents[3] / "docs/experiments/few-labels.md").read_text("utf-8")
 
 
 @pytest.mark.parametrize(
