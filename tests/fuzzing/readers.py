@@ -15,8 +15,17 @@ import numpy as np
 import pytest
 import torch
 import yaml
-from fuzzing.cloud_seeds import feather, leica, lines, named_lines, npz, organised, parquet, structured
 from edited_clouds import write_pcd
+from fuzzing.cloud_seeds import (
+    feather,
+    leica,
+    lines,
+    named_lines,
+    npz,
+    organised,
+    parquet,
+    structured,
+)
 from ouster_recordings import write_recording
 from scans import SMALL, make_scan
 from tiny_network import TinyNetwork

@@ -16,8 +16,8 @@ from pathlib import Path
 import pytest
 from command_line import called
 from killing.file_steps import at_each_step
-from scans import SMALL, write_sequence, write_weights
 from killing.whole_files import require_alike, require_tidy, require_whole
+from scans import SMALL, write_sequence, write_weights
 
 import salsanext_cli
 

@@ -2,19 +2,16 @@
 """Colours, and the plots that use them."""
 
 from dataclasses import replace
-from io import BytesIO
 from itertools import combinations
 
 import matplotlib
 import numpy as np
 import pytest
-from evaluated import calibration_result, ranking_result, small_space
+from class_colours import CAR, ROAD, SPACE
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from matplotlib.image import imread
 
-from salsanext_cli.core.measures.scores import Counts, confusion_matrix
 from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.report.colours import (
     EMPTY,
@@ -26,22 +23,6 @@ from salsanext_cli.report.colours import (
     screen_colours,
     value_colours,
 )
-from salsanext_cli.report.plots import (
-    CELL_PX,
-    HEIGHT,
-    LEFT,
-    NAMES_PX,
-    PLOT_PX,
-    SKY,
-    TOP,
-    WIDTH,
-    confusion_picture,
-    reliability_diagram,
-    risk_coverage,
-)
-
-SPACE = label_space()
-CAR, ROAD = SPACE.names.index("car"), SPACE.names.index("road")
 
 
 def test_values_have_the_colours_of_the_map_by_equal_steps_between_marks():
@@ -132,61 +113,3 @@ def test_any_classes_have_different_visible_colours(given_colours):
     assert len(np.unique(colours, axis=0)) == len(given_colours)
     assert all(contrast(colour) >= MIN_CONTRAST for colour in colours)
     np.testing.assert_array_equal(colours, screen_of(given_colours))
-
-
-def counts() -> Counts:
-    """Every car right, half of the road unlabelled, all other classes absent."""
-    truth, predicted = np.array([[CAR, CAR, ROAD, ROAD, 0], [CAR, CAR, ROAD, 0, CAR]])
-    return confusion_matrix(truth, predicted, SPACE.class_count)
-
-
-def pixels(png: bytes) -> np.ndarray:
-    return (imread(BytesIO(png))[:, :, :3] * 255).round().astype(int)
-
-
-def test_cells_are_as_dark_as_the_share_of_the_row_with_any_points_and_names():
-    picture = pixels(confusion_picture(counts(), SPACE))
-
-    def cell(truth, predicted):
-        row, column = 30 + (truth - 1) * CELL_PX, NAMES_PX + predicted * CELL_PX
-        return picture[row + 5, column + 5].sum()
-
-    assert cell(CAR, CAR) < cell(ROAD, ROAD) < cell(CAR, ROAD)
-    # The row of an absent class is grey from end to end.
-    grey = picture[30 + 5 * CELL_PX + 5, NAMES_PX + 5]
-    assert grey.max() - grey.min() < 10
-    assert cell(6, 3) == cell(6, 6) < cell(CAR, ROAD)
-    space = small_space("none", "$\\frac{$ [b]", "Straße")
-    some = confusion_matrix(np.array([1, 2]), np.array([1, 1]), 3)
-    for confusion in (np.zeros_like(some), some):
-        assert pixels(confusion_picture(confusion, space)).size
-
-
-def rgb(colour: str) -> list[int]:
-    return [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
-
-
-def rows_of(picture, colour, x) -> np.ndarray:
-    """Return how high a colour reaches in a column of the axes: 0 at the bottom, 1 at the top."""
-    column = picture[TOP : TOP + HEIGHT + 1, LEFT + round(x * WIDTH)]
-    near = np.abs(column - rgb(colour)).sum(axis=-1) < 60
-    return 1 - np.flatnonzero(near) / HEIGHT
-
-
-def test_bars_are_as_high_as_the_accuracy():
-    result = calibration_result([1] * 6 + [2] * 4).reliability
-    picture = pixels(reliability_diagram(result, "softmax", "confidence", "accuracy"))
-    assert rows_of(picture, SKY, 11.5 / 15).max() == pytest.approx(0.6, abs=0.01)
-    assert not rows_of(picture, SKY, 5.5 / 15).size
-
-
-@pytest.mark.parametrize("count", [0, 2])
-def test_plots_have_one_size_with_and_without_points(count):
-    result = ranking_result([0.1] * count, np.zeros(count, bool))
-    for picture in (
-        risk_coverage({"epistemic": result}),
-        reliability_diagram(
-            calibration_result([]).reliability, "softmax", "confidence", "accuracy"
-        ),
-    ):
-        assert pixels(picture).shape[1::-1] == PLOT_PX

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 import numpy as np
 import pytest
-from test_poses import along, street
+from street_poses import along, street
 
 from salsanext_cli import read_scan
 from salsanext_cli.core.fusion.registration import register

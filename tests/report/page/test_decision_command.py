@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: MIT
+# ruff: noqa: F811
 """The command that follows from a decision names the scans and weights of the run, and works."""
 
 import html

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Results of a run for its page: rows, facts, clouds."""
 
-import base64
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -9,26 +8,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 from evaluated import run_of, small_space
-from hypothesis import example, given
+from hypothesis import given
 from hypothesis import strategies as st
-from scans import SMALL, make_scan, refused
+from scans import SMALL, refused
 
-from salsanext_cli import Scan, label_space, project
+from salsanext_cli import label_space
 from salsanext_cli.core.errors import FormatError, UsageError
 from salsanext_cli.core.geometry.objects import BOX
 from salsanext_cli.core.measures.counts import ScanCounts
 from salsanext_cli.core.measures.expected_accuracy import ExpectedAccuracy
 from salsanext_cli.io.files.reading import fingerprint
 from salsanext_cli.io.weights.card_file import default_weights, read_card
-from salsanext_cli.report.page.clouds import NO_VALUE, encode_cloud, scales_of
 from salsanext_cli.report.page.drive_data import drive_data
-from salsanext_cli.report.page.recorded_warnings import codes_by_scan, warnings_of_run
-from salsanext_cli.report.page.run_results import RunResults, ShownScan, read_boxes
+from salsanext_cli.report.page.run_results import RunResults, read_boxes
 from salsanext_cli.report.page.scan_row import PointErrors, ScanRow
 from salsanext_cli.runs.results.manifest import Manifest, StageRecord
-from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.paths import ScanFile
-from salsanext_cli.runs.results.result_folder import ScanResults
 
 SPACE = small_space("unlabeled", "car", "road")
 
@@ -132,21 +127,6 @@ def test_other_weights_are_named_by_their_digest_if_it_is_recorded(tmp_path):
     assert facts["Uncertainty"] == "sampling, samples 30, aleatoric copies"
 
 
-def test_warnings_of_all_stages_are_one_line_for_each_code(tmp_path):
-    dark, few = ("dark", "no intensity", "look"), ("few-points", "12 points", "drive on")
-    warnings = {f"00/{i}": [dark] for i in range(5)}
-    OwnedFolder(tmp_path, "predict").record_findings(warnings, set(warnings))
-    OwnedFolder(tmp_path, "uncertainty").record_findings({"00/1": [dark, few]}, {"00/1"})
-    assert warnings_of_run(tmp_path, warnings) == [
-        "dark in 5 scans (00/0, 00/1, 00/2 and 2 more): no intensity; look",
-        "few-points in 1 scan (00/1): 12 points; drive on",
-    ]
-    assert warnings_of_run(tmp_path, {"00/3"}) == ["dark in 1 scan (00/3): no intensity; look"]
-    assert warnings_of_run(tmp_path / "none", warnings) == []
-    OwnedFolder(tmp_path, "fuse").record_findings({"00": [("apart", "two parts", "look")]}, {"00"})
-    assert warnings_of_run(tmp_path, {"00"}) == ["apart in 1 sequence (00): two parts; look"]
-
-
 @pytest.mark.parametrize(
     ("trained_on", "estimate", "measured"),
     [(0, None, 0.7), (0, 0.5, 0.7), (1, 0.5, None), (1, 0.8, 0.7), (1, None, None)],
@@ -162,14 +142,6 @@ def test_scores_of_training_scans_count_only_against_the_labels(
     assert run.evidence().measured == measured
     rejecting = replace(counts, accepted={"00/1": (12, 10, 3)})
     assert replace(run, counts=rejecting).evidence().measured is None
-
-
-def test_a_warning_about_a_sequence_counts_for_each_of_its_scans(tmp_path):
-    files = [ScanFile(sequence, "1", Path("/1.bin")) for sequence in ("00", "08")]
-    OwnedFolder(tmp_path, "fuse").record_findings({"00": [("apart", "two parts", "look")]}, {"00"})
-    few = ("few-points", "12 points", "drive on")
-    OwnedFolder(tmp_path, "predict").record_findings({"00/1": [few]}, {"00/1"})
-    assert codes_by_scan(tmp_path, files) == {"00/1": ["apart", "few-points"], "08/1": []}
 
 
 @given(st.lists(st.floats(0, 1, width=32) | st.just(math.nan), max_size=20))
@@ -197,99 +169,3 @@ def test_boxes_are_read_from_the_table_or_it_is_refused(tmp_path):
     for damaged in ("1,car,12,1,2,3,4,2,1.5,nan", "1,car,12,1,2", "1,car,12,1,2,3,4,2,1.5,wide"):
         path.write_text(head + damaged)
         refused(FormatError, path, read_boxes, path, space)
-
-
-SEMANTIC_KITTI = label_space()
-
-
-def shown(scan, **known):
-    return ShownScan("08/000000", "named", ScanResults(scan, **known))
-
-
-def numbers(text, dtype):
-    return np.frombuffer(base64.b64decode(text), dtype)
-
-
-def encoded(one):
-    return encode_cloud(one, SEMANTIC_KITTI, SMALL, scales_of([one]))
-
-
-def of_pixel(data):
-    return numbers(data["of_pixel"], f"<u{data['of_pixel_bytes']}")
-
-
-def in_order_of_pixels(scan):
-    """Sort points by pixel, the nearest of each first, by a slow clear loop."""
-    image = project(scan, SMALL)
-    of_pixel = {}
-    for point, pixel in enumerate(image.pixel_of_point.tolist()):
-        of_pixel.setdefault(pixel if pixel >= 0 else SMALL.height * SMALL.width, []).append(point)
-    order, counts = [], np.zeros(SMALL.height * SMALL.width + 1, int)
-    for pixel, points in sorted(of_pixel.items()):
-        order += sorted(points, key=lambda point: image.point_range[point])
-        counts[pixel] = len(points)
-    return order, counts[:-1]
-
-
-@example(0, 0)
-@example(0, 1)
-@given(st.integers(0, 10_000), st.integers(0, 400))
-def test_positions_and_pixels_come_back(seed, count):
-    scan = make_scan(count, seed)
-    data = encoded(shown(scan))
-    order, counts = in_order_of_pixels(scan)
-    assert data["shown"] == data["points"] == count
-    assert np.isfinite([*data["low"], *data["step"]]).all()
-    assert np.array_equal(of_pixel(data), counts)
-    steps = numbers(data["position"], "<u2").reshape(-1, 3)
-    positions = np.array(data["low"]) + np.array(data["step"]) * steps
-    assert np.abs(positions - scan.points[order]).max(initial=0) <= max(data["step"])
-
-
-def test_values_come_back_on_their_scale_and_none_stays_none():
-    scan = make_scan(300)
-    order, _ = in_order_of_pixels(scan)
-    entropy = np.linspace(0, 2, 300, dtype=np.float32)
-    entropy[7] = np.nan
-    error = np.linspace(0, 1, 300, dtype=np.float32)
-    kinds = {"entropy": entropy, "error": error, "least_confidence": error / 2}
-    one = shown(scan, uncertainty=kinds)
-    scales = scales_of([one])
-    assert scales["least_confidence"] == {"marks": (0, 1), "unit": ""}
-    assert 1.9 < scales["entropy"]["marks"][1] <= 2
-    values = encoded(one)["values"]
-    assert [*values] == ["error", "entropy", "least_confidence", "range", "intensity"]
-    for name, exact in kinds.items():
-        steps, marks = numbers(values[name], "u1"), scales[name]["marks"]
-        wanted = np.minimum(exact[order], marks[-1])
-        known = ~np.isnan(wanted)
-        assert np.array_equal(steps == NO_VALUE, ~known)
-        back = np.interp(steps[known], np.linspace(0, 254, len(marks)), marks)
-        # Steps of the error are finer where it is small.
-        step = np.where(wanted[known] < 0.02, marks[1], marks[-1] - marks[-2])
-        assert (np.abs(back - wanted[known]) <= 0.5 * step * (len(marks) - 1) / 254 + 1e-6).all()
-
-
-def test_classes_are_train_ids_wrong_points_two_and_unmeasured_ones_skipped():
-    scan = Scan(np.array([[1, 0, 0], [2, 1, 0], [3, -1, 0]], np.float32), np.zeros(3, np.float32))
-    raw = np.array([10, 40, 10], np.uint32), np.array([10, 10, 0], np.uint32)
-    one = shown(scan, label=raw[0], truth=raw[1])
-    order, _ = in_order_of_pixels(scan)
-    values = {name: numbers(text, "u1") for name, text in encoded(one)["values"].items()}
-    assert values["label"].tolist() == np.array([1, 9, 1])[order].tolist()
-    assert values["truth"].tolist() == np.array([1, 1, 0])[order].tolist()
-    assert values["wrong"].tolist() == np.array([1, 2, 0])[order].tolist()
-    scan = make_scan(50)
-    points = scan.points.copy()
-    points[3], points[4], points[5, 0] = np.nan, np.inf, 1e8
-    data = encoded(shown(replace(scan, points=points)))
-    assert (data["points"], data["shown"]) == (50, 47)
-    assert max(data["step"]) < 0.01
-
-
-@pytest.mark.parametrize(("count", "size"), [(255, 1), (256, 2), (70_000, 4)])
-def test_many_points_of_one_pixel_are_counted(count, size):
-    points = np.tile(np.array([[5, 0, 0]], np.float32), (count, 1))
-    data = encoded(shown(Scan(points, np.zeros(count, np.float32))))
-    assert data["of_pixel_bytes"] == size
-    assert of_pixel(data).max() == count

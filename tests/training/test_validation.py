@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: MIT
+"""Scores of a training."""
+
+# ruff: noqa: F811
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scans import SMALL, write_bin, write_sequence
+from shallow import shallow, weights  # noqa: F401
+
+from salsanext_cli import Scan, knn_refine, load_network, project, read_labels, read_scan
+from salsanext_cli.core.measures.scores import scores
+from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.training.data.sources import Source
+from salsanext_cli.training.validation import validate
+
+
+def test_scores_count_points_after_knn(tmp_path: Path, weights: Path) -> None:
+    """Every point of every scan is counted, not every pixel."""
+    files = find_scans(write_sequence(tmp_path / "08", ["a", "b", "c"]))
+    network = load_network(weights, "cpu")
+    assert network.sensor == SMALL
+    space = network.card.space
+    expected = np.zeros((20, 20), int)
+    for file in files:
+        image = project(read_scan(file.path), SMALL)
+        predicted = knn_refine(image, network.probabilities(image).argmax(0))
+        truth = space.to_train(read_labels(file.label_path))
+        np.add.at(expected, (truth, predicted), 1)
+    assert expected.sum() == 4500
+    wanted = scores(expected, space)
+    row, _ = validate(network, Source(files, space, network.sensor))
+    assert (row["accuracy"], row["miou"]) == (wanted.accuracy, wanted.iou_mean_present)
+    found = [row[f"iou_{s.name}"] for s in wanted.classes]
+    np.testing.assert_equal(found, [s.iou for s in wanted.classes])
+
+
+def test_validation_sees_each_sequence_by_its_own_sensor(tmp_path: Path, weights: Path) -> None:
+    """Scans upside down, with the sensor that is so, have the labels of upright ones."""
+    network = load_network(weights, "cpu")
+    rows = []
+    for name, sign, up in (("upright", 1, 1), ("hanging", -1, -1)):
+        folder = write_sequence(tmp_path / name / "00", ["0", "1"], count=800)
+        files = find_scans(folder)
+        for file in files:
+            scan = read_scan(file.path)
+            write_bin(file.path, Scan(scan.points * np.float32([1, sign, sign]), scan.intensity))
+        fitted = {"00": replace(network.sensor, up=(0.0, 0.0, float(up)))}
+        source = Source(files, network.card.space, network.sensor, fitted)
+        row, _ = validate(network, source)
+        del row["temperature"]
+        rows.append(row)
+    np.testing.assert_equal(*rows)
+    assert 0 < rows[0]["accuracy"] < 1
