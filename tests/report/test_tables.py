@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: MIT
-import io
 from collections import Counter
 from dataclasses import replace
 
 import numpy as np
 from evaluated import calibration_result, ranking_result, small_space
-from rich.console import Console, Group
+from printed_tables import text_of
 from scans import SMALL
 
 from salsanext_cli import label_space
@@ -13,8 +12,6 @@ from salsanext_cli.commands.stages.models import describe_weights
 from salsanext_cli.core.measures.scores import confusion_matrix, scores
 from salsanext_cli.core.measures.survey import Survey
 from salsanext_cli.core.measures.uncertainty_evaluation import UncertaintyEvaluation
-from salsanext_cli.core.network.card import INHERITED
-from salsanext_cli.core.network.error_model import ErrorModel
 from salsanext_cli.report.card_table import card_table
 from salsanext_cli.report.picked import picked_table
 from salsanext_cli.report.tables import (
@@ -31,12 +28,6 @@ from salsanext_cli.runs.labelling.picked_data_set import PickedScan
 
 MANY = 430_123_456
 SPACE = small_space("none", "car [red]", "road", "tree")
-
-
-def text_of(*tables, width=120) -> str:
-    text = io.StringIO()
-    Console(file=text, width=width).print(Group(*tables))
-    return text.getvalue()
 
 
 def printed(*tables) -> list[list[str]]:
@@ -96,51 +87,6 @@ def test_a_row_of_calibration_and_one_for_each_kind_with_dashes_where_undefined(
     assert printed(*tables) == rows
     assert tables_of() == []
     assert [len(tables_of(calibration_result([1]))), len(tables_of(total=ranked(0.1)))] == [1, 1]
-
-
-def test_a_card_has_words_for_its_keys(weights):
-    scores = {"auroc": 0.875, "aurc": 0.05, "ece": 0.01, "nll": 0.34, "risk_80": 0.1}
-    fitted = {
-        "fitted_to": "3 scans of 08",
-        "sequences": ["00", "08"],
-        "scans": 3,
-        "points": 4_758_412,
-        "wrong": 0.207,
-        "several": 0.015,
-        "folds": 5,
-        "error": scores,
-        "existing": None,
-        "confidence": scores | {"auroc": 0.845},
-        INHERITED: "other weights",
-    }
-    described = describe_weights(weights)
-    error = ErrorModel(("a",), [(np.ones((1, 1), "f4"), np.zeros(1, "f4"))], fitted)
-    named = {"miou": 0.5, "miou_spread": 0.1, "iou_other-vehicle": 0.25}
-    card = replace(described.card, scores=named, error=error)
-    rows = dict(printed_wide(card_table(replace(described, card=card))))
-    network = {"name": "salsanext", "class_count": 20, "dropout": 0.1}
-    networks = replace(described, card=replace(card, architecture=network))
-    assert dict(printed_wide(card_table(networks)))["architecture"] == (
-        "salsanext, 20 classes, dropout 0.100"
-    )
-    assert rows["error model on 5 folds of held-out scans"].startswith("AUROC 0.875, AURC 0.050")
-    assert rows["confidence, to compare"].startswith("AUROC 0.845")
-    assert rows["points of the error model"].startswith(
-        "4,758,412 points, 20.7 % wrong, 1.5 % skipped"
-    )
-    assert rows["error model, fitted to"] == "3 scans of 08 (3 scans of 00, 08)"
-    assert rows["inherited from"] == "other weights"
-    assert "the error model before" not in rows
-    text = " ".join(" ".join(row) for row in rows.items())
-    assert not {"_", "None", "{", "["} & {*text.replace(str(weights), "")}
-    for key in ("auroc", "aurc", "ece", "nll", "risk_80", "fitted_to", "class_count", "miou"):
-        assert key not in text
-
-
-def printed_wide(table):
-    """Return the rows of a table in a terminal so wide that no cell is broken."""
-    rows = [line.split("│")[1:-1] for line in text_of(table, width=400).splitlines() if "│" in line]
-    return [tuple(cell.strip() for cell in row) for row in rows]
 
 
 def tables_of_a_large_data_set(weights):

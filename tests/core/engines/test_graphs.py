@@ -20,8 +20,8 @@ from tiny_network import TinyNetwork
 from torch import nn
 
 from salsanext_cli import label_space, project, sample
-from salsanext_cli.core.engines import device, openvino_runtime
-from salsanext_cli.core.engines.device import bfloat16_instructions, choose_device, choose_precision
+from salsanext_cli.core.engines import openvino_runtime
+from salsanext_cli.core.engines.device import bfloat16_instructions
 from salsanext_cli.core.engines.graphs import (
     GRAPH_VERSION,
     Graph,
@@ -33,77 +33,11 @@ from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.engines.openvino_backend import OpenVinoBackend
 from salsanext_cli.core.engines.registry import choose_engine
 from salsanext_cli.core.engines.torch_backend import in_precision
-from salsanext_cli.core.errors import MissingDependency, UsageError, warn_once
+from salsanext_cli.core.errors import MissingDependency
 from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.network.salsanext import SalsaNext
 from salsanext_cli.core.uncertainty.aleatoric import aleatoric
 from salsanext_cli.runs.labelling.scan_description import pixel_features
-
-
-@pytest.fixture
-def fresh():
-    """Forget the properties of this machine, before and after."""
-    caches = (device.flags, openvino_runtime.openvino_failure, warn_once)
-    for cache in caches:
-        cache.cache_clear()
-    yield
-    for cache in caches:
-        cache.cache_clear()
-
-
-def test_chosen_devices_precisions_and_engines():
-    assert choose_device("cpu") == choose_device("cpu:0") == "cpu"
-    assert choose_device("auto") == ("cuda" if torch.cuda.is_available() else "cpu")
-    assert choose_precision("int8", "cpu") == "int8"
-    assert choose_precision("auto", "cpu") != "int8"
-    for place, engine in (("cuda", "torch"), ("cpu", "torch")):
-        refused(UsageError, "precision", choose_precision, "int8", place, engine)
-    assert choose_engine("auto", "cpu") == choose_engine("openvino", "cpu") == "openvino"
-    assert choose_engine("torch", "cpu") == choose_engine("auto", "cuda:1") == "torch"
-    for name, place in (("openvino", "cuda"), ("onnx", "cpu")):
-        refused(UsageError, "engine", choose_engine, name, place)
-
-
-@pytest.mark.parametrize(
-    ("flags", "limit", "expected"),
-    [
-        ("fpu avx2 avx512f avx512_bf16", None, "avx512_bf16"),
-        ("fpu avx512_bf16 amx_bf16 amx_tile", None, "amx_bf16 avx512_bf16"),
-        ("fpu avx512_bf16 amx_bf16 amx_tile", "AVX512_CORE_BF16", "avx512_bf16"),
-        ("fp asimd bf16", None, "bf16"),
-        ("fpu avx2 avx512f", None, ""),
-        ("fpu avx2 avx512_bf16", "AVX2", ""),
-        ("fpu avx2 avx512_bf16", "avx512_core_vnni", ""),
-        ("fpu avx2 avx512_bf16", "DNNL_MAX_CPU_ISA=AVX2", ""),
-        ("", None, ""),
-    ],
-)
-def test_bfloat16_where_the_cpu_multiplies_it(fresh, tmp_path, monkeypatch, flags, limit, expected):
-    cpuinfo = tmp_path / "cpuinfo"
-    cpuinfo.write_text(f"processor : 0\nflags\t\t: {flags}\n" if flags else "Hardware : none\n")
-    monkeypatch.setattr(device, "CPUINFO", cpuinfo)
-    for variable in device.ISA_VARIABLES:
-        monkeypatch.delenv(variable, raising=False)
-    if limit:
-        name, value = limit.split("=") if "=" in limit else (device.ISA_VARIABLES[0], limit)
-        monkeypatch.setenv(name, value)
-    assert " ".join(device.bfloat16_instructions()) == expected
-    assert choose_precision("auto", "cpu") == ("bfloat16" if expected else "float32")
-    assert choose_precision("float32", "cpu") == "float32"
-    if expected:
-        assert choose_precision("bfloat16", "cpu") == "bfloat16"
-    else:
-        with pytest.raises(UsageError) as caught:
-            choose_precision("bfloat16", "cpu")
-        expected = ("precision", "float32 or int8")
-        assert (caught.value.subject, caught.value.expected) == expected
-
-
-@pytest.mark.parametrize("capability", [(6, 1), (7, 0), (9, 0)])
-def test_a_gpu_with_tensor_cores_takes_float16(monkeypatch, capability):
-    monkeypatch.setattr(torch.cuda, "get_device_capability", lambda device: capability)
-    expected = "float16" if capability >= (7, 0) else "float32"
-    assert choose_precision("auto", "cuda") == expected
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from scans import SMALL
 from street_scans import moved, street
 
 from salsanext_cli import Scan, read_scan
-from salsanext_cli.core.geometry.evenness import evenness, is_out_of_place
+from salsanext_cli.core.geometry.evenness import is_out_of_place
 from salsanext_cli.core.geometry.projection import in_sensor_frame
 from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
 from salsanext_cli.core.geometry.sensor_place import find_place
@@ -77,32 +77,6 @@ def test_points_that_show_no_sensor(points):
     assert find_place(scan) is None
 
 
-def test_huge_coordinates_are_no_measurements():
-    scan = moved(street(0), PLACES[1])
-    points = scan.points.copy()
-    points[::7] = [3e38, -1e30, 1e9]
-    damaged = find_place(Scan(points, scan.intensity))
-    assert np.hypot(*(damaged.position - PLACES[1])[:2]) < 0.8
-    is_out_of_place(Scan(points, scan.intensity))
-
-
-def test_evenness_by_a_plain_loop():
-    random = np.random.default_rng(0)
-    points = random.normal(size=(400, 3)) * 10
-    place = np.array([1.0, 2.0, 0.5])
-    counts: dict[tuple[int, int], int] = {}
-    far = 0
-    for x, y, z in points - place:
-        if math.sqrt(x * x + y * y + z * z) <= 3:
-            continue
-        far += 1
-        around = math.floor(math.degrees(math.atan2(y, x)) + 180)
-        upwards = math.floor(math.degrees(math.atan2(z, math.hypot(x, y))) + 90)
-        counts[around, upwards] = counts.get((around, upwards), 0) + 1
-    expected = far * far / sum(count * count for count in counts.values()) / len(points)
-    assert evenness(points, place) == pytest.approx(expected)
-
-
 @pytest.mark.parametrize("up", [(0.0, 0.0, 1.0), (0.0, 0.0, -1.0)])
 def test_a_registered_scan_has_its_own_origin(up):
     sensor = replace(SMALL, up=up, registered=True)
@@ -131,3 +105,12 @@ def test_reported_frames(real_data, name):
     assert np.hypot(*(found.position - places[name])[:2]) < 1.5
     assert found.position[2] == pytest.approx(places[name][2], abs=0.3)
     assert found.up[2] * (1 if name.startswith("world") else -1) > 0.99
+
+
+def test_huge_coordinates_are_no_measurements():
+    scan = moved(street(0), PLACES[1])
+    points = scan.points.copy()
+    points[::7] = [3e38, -1e30, 1e9]
+    damaged = find_place(Scan(points, scan.intensity))
+    assert np.hypot(*(damaged.position - PLACES[1])[:2]) < 0.8
+    is_out_of_place(Scan(points, scan.intensity))

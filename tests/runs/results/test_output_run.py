@@ -6,12 +6,12 @@ import os
 import shutil
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+from recorded_runs import KNN, SETTINGS, TYPED, predict, scans_of
 from scans import files_below, labels_below, refused, write_sequence, write_weights
 from world import begin_and_end
 
@@ -28,19 +28,7 @@ from salsanext_cli.runs.results.manifest import Manifest, StageSettings
 from salsanext_cli.runs.results.output_run import OutputRun, output_run
 from salsanext_cli.runs.results.paths import ScanFile, find_scans
 
-KNN = asdict(KnnParameters())
-SETTINGS = {"weights": "abc", "knn": KNN}
-TYPED = StageSettings(weights="abc", knn=KnnParameters())
 LABELS = np.full(5, 10, np.uint32)
-
-
-def scans_of(tmp_path: Path, *stems: str, sequence: str = "08") -> list[ScanFile]:
-    folder = tmp_path / "data" / sequence / "velodyne"
-    return [ScanFile(sequence, stem, folder / f"{stem}.bin") for stem in stems]
-
-
-def predict(out: Path, settings=SETTINGS, folders=("predictions",), scans=(), overwrite=False):
-    return begin_and_end(out, "predict", settings, folders, scans, overwrite=overwrite)
 
 
 def predicted(out: Path, scans: list[ScanFile], settings=SETTINGS) -> list[Path]:
@@ -173,30 +161,6 @@ def test_results_that_no_stage_recorded(tmp_path: Path) -> None:
         output = predict(out, folders=("predictions", folder), scans=scans, overwrite=True)
         assert path in output.foreign
         assert path.read_bytes() == b"mine"
-
-
-def test_an_infinite_setting_is_recorded_as_text(tmp_path: Path) -> None:
-    for _ in range(2):
-        predict(tmp_path, {"knn": KNN | {"cutoff": float("inf")}})
-    text = (tmp_path / "predict.json").read_text()
-    settings = json.loads(text, parse_constant=pytest.fail)["settings"]
-    assert settings == {"knn": KNN | {"cutoff": "Infinity"}}
-    assert Manifest(tmp_path).settings("predict").knn.cutoff == float("inf")
-
-
-@pytest.mark.parametrize(
-    "content",
-    [
-        *("{", "{}", '{"stage": "predict"}', '{"stage": "predict", "settings": {}, "writes": 3}'),
-        '{"stage": "predict", "settings": {}, "writes": ["elsewhere"]}',
-        '{"stage": "project", "settings": {}, "writes": []}',
-        '{"stage": "predict", "settings": {}, "scans": {"08": {"folder": 3, "asked_for": []}}}',
-    ],
-)
-def test_damaged_records_are_refused(tmp_path: Path, content: str) -> None:
-    (tmp_path / "predict.json").write_text(content)
-    for read in (predict, lambda folder: Manifest(folder).owner("predictions")):
-        refused(OutputError, tmp_path / "predict.json", read, tmp_path)
 
 
 def test_label_space_and_sensor_are_those_of_the_stage_that_wrote(tmp_path: Path) -> None:
@@ -341,47 +305,3 @@ def test_a_file_replaced_by_one_of_the_same_size_and_time(tmp_path):
         (tmp_path / "new").replace(tmp_path / "file")
         digests.append(fingerprint(tmp_path / "file"))
     assert digests[0] != digests[1]
-
-
-def test_records_of_older_versions_are_read(tmp_path: Path) -> None:
-    """Settings may be null or in another order, and two keys had other names."""
-    risk = {"kind": "error", "threshold": 0.2, "at_most": 0.05, "confidence": None, "scans": 20}
-    older = {"knn": KNN, "labels": None, "weights": "abc"}
-    content = {"stage": "predict", "version": "0.1", "settings": older, "writes": ["predictions"]}
-    more = {"settings": {"promised": risk | {"sequences": ["00"]}}, "kept": ["a.label"]}
-    (tmp_path / "predict.json").write_text(json.dumps(content | more))
-    assert Manifest(tmp_path).settings("predict").guarantee.threshold == 0.2
-    assert Manifest(tmp_path).record("predict").foreign == ("a.label",)
-    (tmp_path / "predict.json").write_text(json.dumps(content))
-    origins = Manifest(tmp_path).origins(["predict"])
-    predict(tmp_path)
-    assert Manifest(tmp_path).origins(["predict"]) == origins
-    assert Manifest(tmp_path).settings("predict") == TYPED
-
-
-def test_digests_of_training_scans_come_last(tmp_path: Path) -> None:
-    digest = "0" * 24
-    predict(tmp_path, SETTINGS | {"trained_on": digest}, scans=scans_of(tmp_path, "a"))
-    content = json.loads((tmp_path / "predict.json").read_text())
-    assert [*content] == ["stage", "version", "writes", "settings", "scans"]
-    assert [*content["settings"]][-1] == "trained_on"
-    assert Manifest(tmp_path).trained_on().digests == {digest}
-
-
-@pytest.mark.parametrize(
-    "settings",
-    [
-        *({"trained_on": value} for value in ("0" * 23, "x" * 24, 5, ["0" * 24])),
-        *({"scale": value} for value in ([1.0], [1.0, "2"], 3, "12")),
-        *({"knn": value} for value in ({"k": 0}, {"k": 1.5}, 5)),
-        *({"sensor": value} for value in ({}, {"name": "a"}, 5, [])),
-        *({"label_space": value} for value in ({}, 5, [])),
-        *({"guarantee": value} for value in ({}, {"kind": "error"}, 5)),
-        *({name: []} for name in ("weights", "reject", "seed", "objects", "reach", "noise")),
-    ],
-)
-def test_invalid_settings_are_refused(tmp_path: Path, settings) -> None:
-    content = {"stage": "predict", "settings": settings, "writes": ["predictions"]}
-    (tmp_path / "predict.json").write_text(json.dumps(content))
-    with refused(OutputError, tmp_path / "predict.json"):
-        Manifest(tmp_path).settings("predict")

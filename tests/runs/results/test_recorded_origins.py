@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from map_drives import WAY, drive, write_poses
 from scans import SMALL, labels_below, write_bin, write_weights
 from street_scans import HEIGHT, low_street, moved, street
 
@@ -19,7 +20,7 @@ from salsanext_cli.commands.stages.predict import predict_range_images, predict_
 from salsanext_cli.commands.stages.project import project_scans
 from salsanext_cli.commands.stages.uncertainty import uncertainty
 from salsanext_cli.core.checks.scan_checks import check_scan
-from salsanext_cli.core.errors import FormatError, UsageError
+from salsanext_cli.core.errors import FormatError
 from salsanext_cli.core.fitting.mounting_fit import fit_mounting
 from salsanext_cli.core.fitting.scan_sample import ScanSample
 from salsanext_cli.core.fitting.view_fit import fit_sensor
@@ -28,27 +29,14 @@ from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
 from salsanext_cli.core.measures.expected_accuracy import WITHHELD_FOR
 from salsanext_cli.core.sensors.sensor import INTENSITY_LEVELS, Sensor
 from salsanext_cli.core.uncertainty.method import UncertaintyMethod
-from salsanext_cli.io.poses import encode_poses
-from salsanext_cli.runs.drives.drive import points_of_drive, registered_drive
-from salsanext_cli.runs.drives.pose_origins import (
-    OriginsByPoses,
-    _agreeing_positions,
-    origins_by_poses,
-)
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.paths import ORIGINS, find_scans, output_path
-from salsanext_cli.runs.results.recorded_origins import recorded_origin, recorded_origins
+from salsanext_cli.runs.results.recorded_origins import recorded_origin
 from salsanext_cli.runs.results.result_folder import ResultFolder
 
-WAY = [(0, 0, 0), (7, 0, 0), (14, 0, 0), (21, 0, 0)]
 DOWN = np.diag([1.0, -1, -1])
-
-
-def drive() -> list[Scan]:
-    """Return scans of a drive in the frame of the first one."""
-    return [moved(street(32, seed=seed), place) for seed, place in enumerate(WAY)]
 
 
 def upside_down(scan: Scan) -> Scan:
@@ -134,15 +122,6 @@ def test_narrow_fields_of_view_and_low_sensors_are_not_out_of_place(angle):
         assert "out-of-place" not in codes(street(32, height), SMALL)
 
 
-@pytest.fixture(scope="module")
-def map_drive(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("map")
-    for number, scan in enumerate(drive()):
-        write_bin(folder / "velodyne" / f"{number:06}.bin", scan)
-    write_weights(folder / "w.safetensors", sensor=SMALL)
-    return folder
-
-
 def test_every_stage_sees_a_registered_drive_from_its_sensor(map_drive, tmp_path):
     network = NetworkSettings(map_drive / "w.safetensors", "cpu", engine="torch")
     source, out, steps = map_drive / "velodyne", tmp_path / "out", tmp_path / "steps"
@@ -211,119 +190,24 @@ def test_three_stages_give_the_labels_of_predict_for_several_sensors(tmp_path, h
     assert len(Manifest(tmp_path / "out").settings("predict").sensor.members) == 2
 
 
-def write_poses(path: Path, positions: np.ndarray) -> None:
-    """Write poses of a vehicle that turns by a degree from one to the next."""
-    poses = np.tile(np.eye(4), (len(positions), 1, 1))
-    for number, pose in enumerate(poses):
-        cos, sin = np.cos(np.radians(number)), np.sin(np.radians(number))
-        pose[:2, :2] = [[cos, -sin], [sin, cos]]
-    poses[:, :3, 3] = positions
-    path.write_bytes(encode_poses(poses))
-
-
-@pytest.mark.usefixtures("workers_in_process")
-def test_poses_in_the_frame_of_the_scans_are_their_origins(map_drive, tmp_path, caplog):
-    shutil.copytree(map_drive / "velodyne", tmp_path / "velodyne")
-    write_poses(tmp_path / "poses.txt", np.array(WAY, float))
-    network = NetworkSettings(map_drive / "w.safetensors", "cpu", engine="torch")
-    out = tmp_path / "out"
-    caplog.set_level("INFO")
-    predict_scans(tmp_path / "velodyne", out, settings=network, extras=("probabilities",))
-    assert str(tmp_path / "poses.txt") in caplog.text
-    results = ResultFolder(out)
-    for file, place in zip(results.scans(), WAY, strict=True):
-        assert recorded_origin(out, file, results.sensor()) == place
-    assert fuse_results(out).done == len(WAY)
-    fused = np.loadtxt(next(out.glob("fused/sequences/*/poses.txt"))).reshape(-1, 3, 4)
-    assert np.array_equal(fused[:, :, 3], np.array(WAY))
-    assert np.array_equal(fused[:, :, :3], np.tile(np.eye(3), (len(WAY), 1, 1)))
-
-
-@pytest.mark.parametrize("shift", [(3, 0, 0), (0, 0, 2)])
-def test_poses_elsewhere_are_not_the_origins_of_scans(map_drive, tmp_path, shift):
-    shutil.copytree(map_drive / "velodyne", tmp_path / "velodyne")
-    write_poses(tmp_path / "poses.txt", np.array(WAY, float) + shift)
-    files = find_scans(tmp_path / "velodyne")
-    for text in (None, "1 2 3\n"):
-        if text is not None:
-            (tmp_path / "poses.txt").write_text(text)
-        by_poses = origins_by_poses(files, replace(SMALL, registered=True))
-        assert by_poses.origins == {}
-        (line,) = by_poses.lines
-        assert line.startswith(f"{tmp_path / 'poses.txt'} is not used")
-        assert origins_by_poses(files, SMALL) == OriginsByPoses()
-
-
-@pytest.mark.parametrize("wrong", [0, 2, 3])
-def test_a_wrong_pose_is_used_for_no_scan_and_the_others_are(map_drive, tmp_path, wrong):
-    shutil.copytree(map_drive / "velodyne", tmp_path / "velodyne")
-    positions = np.array(WAY, float)
-    positions[wrong] += (20, 5, 0)
-    write_poses(tmp_path / "poses.txt", positions)
-    files = find_scans(tmp_path / "velodyne")
-    by_poses = origins_by_poses(files, replace(SMALL, registered=True))
-    seen = {file.name: place for file, place in zip(files, WAY, strict=True)}
-    name = files[wrong].name
-    assert by_poses.origins == {key: place for key, place in seen.items() if key != name}
-    used, unused = by_poses.lines
-    assert used.endswith(str(tmp_path / "poses.txt"))
-    assert unused.startswith(str(tmp_path / "poses.txt"))
-    assert unused.endswith(name)
-
-
-def test_most_compared_scans_decide_about_poses():
-    seen_from = {0: np.zeros(3), 4: np.ones(3), 8: np.full(3, 2.0), 9: np.full(3, 3.0)}
-    poses = np.tile(np.eye(4), (10, 1, 1))
-    for number, origin in seen_from.items():
-        poses[number, :3, 3] = origin
-    poses[0, :3, 3] += 5
-    assert np.array_equal(_agreeing_positions([poses], seen_from), poses[:, :3, 3])
-    other = poses.copy()
-    other[4, :3, 3] += 5
-    assert _agreeing_positions([other], seen_from) is None
-    assert np.array_equal(_agreeing_positions([other, poses], seen_from), poses[:, :3, 3])
-    assert _agreeing_positions([poses], {}) is None
-
-
-def test_poses_of_a_registered_drive_must_agree_with_its_scans(predicted, tmp_path):
-    out, path = tmp_path / "out", tmp_path / "p.txt"
-    shutil.copytree(predicted, out)
-    write_poses(path, np.array(WAY, float))
-    assert fuse_results(out, tmp_path / "fused", poses=path).done == len(WAY)
-    write_poses(path, np.array(WAY, float) + (3, 0, 0))
-    with pytest.raises(UsageError) as caught:
-        fuse_results(out, tmp_path / "other", poses=path)
-    assert caught.value.subject == "poses"
-    assert "omit poses" in caught.value.hint
-
-
-@pytest.fixture(scope="module")
-def predicted(map_drive, tmp_path_factory) -> Path:
-    out = tmp_path_factory.mktemp("out")
-    network = NetworkSettings(map_drive / "w.safetensors", "cpu", engine="torch")
-    extras = ("probabilities", "pixel_labels")
-    predict_scans(map_drive / "velodyne", out, settings=network, extras=extras)
-    return out
-
-
-def test_the_origin_of_each_scan_is_recorded(predicted, tmp_path):
-    results = ResultFolder(predicted)
+def test_the_origin_of_each_scan_is_recorded(predicted_map, tmp_path):
+    results = ResultFolder(predicted_map)
     sensor = results.sensor()
     assert ORIGINS in results.record("predict").writes
     for file, place in zip(results.scans(), WAY, strict=True):
-        array = np.load(output_path(predicted, file.sequence, ORIGINS, file.stem))
+        array = np.load(output_path(predicted_map, file.sequence, ORIGINS, file.stem))
         assert (array.shape, array.dtype) == ((3,), np.float64)
         assert np.abs(array - place).max() < 0.6
-        origin = recorded_origin(predicted, file, sensor)
+        origin = recorded_origin(predicted_map, file, sensor)
         assert origin == sensor_of(read_scan(file.path), sensor).origin
-        assert recorded_origin(predicted, file, SMALL) is None
+        assert recorded_origin(predicted_map, file, SMALL) is None
         assert recorded_origin(tmp_path, file, sensor) is None
 
 
 @pytest.mark.usefixtures("workers_in_process")
-def test_later_stages_search_no_origin(map_drive, predicted, tmp_path, monkeypatch):
+def test_later_stages_search_no_origin(map_drive, predicted_map, tmp_path, monkeypatch):
     out = tmp_path / "out"
-    shutil.copytree(predicted, out)
+    shutil.copytree(predicted_map, out)
     scan, sensor = ResultFolder(out).scans()[1], ResultFolder(out).sensor()
     before = ResultFolder(out).read(scan, sensor)
 
@@ -342,8 +226,8 @@ def test_later_stages_search_no_origin(map_drive, predicted, tmp_path, monkeypat
 
 
 @pytest.mark.parametrize("content", [np.zeros(2), np.full(3, np.nan), np.zeros(3, np.float32)])
-def test_a_damaged_origin_is_refused(predicted, tmp_path, content):
-    file, sensor = ResultFolder(predicted).scans()[0], ResultFolder(predicted).sensor()
+def test_a_damaged_origin_is_refused(predicted_map, tmp_path, content):
+    file, sensor = ResultFolder(predicted_map).scans()[0], ResultFolder(predicted_map).sensor()
     path = output_path(tmp_path, file.sequence, ORIGINS, file.stem)
     path.parent.mkdir(parents=True)
     np.save(path, content)
@@ -379,9 +263,9 @@ def test_recorded_origins_stay_when_poses_appear(map_drive, tmp_path, caplog):
 
 
 @pytest.mark.usefixtures("workers_in_process")
-def test_the_hint_about_a_damaged_origin_works(map_drive, predicted, tmp_path):
+def test_the_hint_about_a_damaged_origin_works(map_drive, predicted_map, tmp_path):
     out = tmp_path / "out"
-    shutil.copytree(predicted, out)
+    shutil.copytree(predicted_map, out)
     results = ResultFolder(out)
     file = results.scans()[1]
     path = output_path(out, file.sequence, ORIGINS, file.stem)
@@ -405,16 +289,3 @@ def test_scans_at_the_sensor_have_no_origins(map_drive, tmp_path):
     network = NetworkSettings(map_drive / "w.safetensors", "cpu", engine="torch")
     predict_scans(scans, out, settings=network)
     assert not list(out.glob(f"sequences/*/{ORIGINS}"))
-
-
-def test_the_poses_of_a_registered_drive_are_the_positions_of_its_sensor(map_drive):
-    files = find_scans(map_drive / "velodyne")
-    sensor = replace(SMALL, registered=True)
-    origin_of = recorded_origins(map_drive, sensor)
-    poses = registered_drive(files, sensor, origin_of).poses
-    assert np.abs(poses[:, :3, 3] - WAY).max() < 0.6
-    assert (poses[:, :3, :3] == np.eye(3)).all()
-    for file, scan, pose in zip(files, drive(), poses, strict=True):
-        points = points_of_drive(file, sensor, origin_of)
-        assert np.abs(points + pose[:3, 3] - scan.points).max() < 1e-4
-        assert np.array_equal(points_of_drive(file, SMALL, origin_of), scan.points)

@@ -17,7 +17,7 @@ from salsanext_cli import Scan, label_space
 from salsanext_cli.core.checks.finding import Finding
 from salsanext_cli.core.checks.scan_checks import ScanCheck, check_scan
 from salsanext_cli.core.geometry.scan_traits import groups_of
-from salsanext_cli.core.measures.counts import ScanCounts, band_of_point
+from salsanext_cli.core.measures.counts import ScanCounts
 from salsanext_cli.core.measures.population import unit_traits
 from salsanext_cli.core.network.card import RiskThreshold
 from salsanext_cli.core.network.unit_traits import UnitTraits
@@ -225,14 +225,6 @@ def test_a_finished_run_warns_of_mixed_sensors(caplog):
     (warning,) = summary.finished().warnings()
     assert (warning.code, warning.scans) == ("mixed-sensors", ["08/000004"])
     assert "such as 08/000000" in caplog.text
-
-
-@pytest.mark.parametrize(
-    ("distance", "band"),
-    [(0.01, 0), (9.999, 0), (10, 1), (20, 2), (30, 3), (40, 4), (49.99, 4), (50, 5), (1e5, 5)],
-)
-def test_a_distance_band_begins_where_the_previous_one_ends(distance, band):
-    assert band_of_point(np.array([[0, -distance, 0]], np.float32)) == band
 
 
 @pytest.mark.parametrize(

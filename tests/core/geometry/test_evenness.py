@@ -1,0 +1,26 @@
+# SPDX-License-Identifier: MIT
+"""Evenness of directions around a position."""
+
+import math
+
+import numpy as np
+import pytest
+
+from salsanext_cli.core.geometry.evenness import evenness
+
+
+def test_evenness_by_a_plain_loop():
+    random = np.random.default_rng(0)
+    points = random.normal(size=(400, 3)) * 10
+    place = np.array([1.0, 2.0, 0.5])
+    counts: dict[tuple[int, int], int] = {}
+    far = 0
+    for x, y, z in points - place:
+        if math.sqrt(x * x + y * y + z * z) <= 3:
+            continue
+        far += 1
+        around = math.floor(math.degrees(math.atan2(y, x)) + 180)
+        upwards = math.floor(math.degrees(math.atan2(z, math.hypot(x, y))) + 90)
+        counts[around, upwards] = counts.get((around, upwards), 0) + 1
+    expected = far * far / sum(count * count for count in counts.values()) / len(points)
+    assert evenness(points, place) == pytest.approx(expected)

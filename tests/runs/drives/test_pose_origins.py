@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: MIT
+"""Poses as origins of the scans of a map."""
+
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from map_drives import WAY, drive, write_poses
+from scans import SMALL
+
+from salsanext_cli.commands.stages.fuse import fuse_results
+from salsanext_cli.commands.stages.predict import predict_scans
+from salsanext_cli.core.errors import UsageError
+from salsanext_cli.runs.drives.drive import points_of_drive, registered_drive
+from salsanext_cli.runs.drives.pose_origins import (
+    OriginsByPoses,
+    _agreeing_positions,
+    origins_by_poses,
+)
+from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.results.recorded_origins import recorded_origin, recorded_origins
+from salsanext_cli.runs.results.result_folder import ResultFolder
+
+
+@pytest.mark.usefixtures("workers_in_process")
+def test_poses_in_the_frame_of_the_scans_are_their_origins(map_drive, tmp_path, caplog):
+    shutil.copytree(map_drive / "velodyne", tmp_path / "velodyne")
+    write_poses(tmp_path / "poses.txt", np.array(WAY, float))
+    network = NetworkSettings(map_drive / "w.safetensors", "cpu", engine="torch")
+    out = tmp_path / "out"
+    caplog.set_level("INFO")
+    predict_scans(tmp_path / "velodyne", out, settings=network, extras=("probabilities",))
+    assert str(tmp_path / "poses.txt") in caplog.text
+    results = ResultFolder(out)
+    for file, place in zip(results.scans(), WAY, strict=True):
+        assert recorded_origin(out, file, results.sensor()) == place
+    assert fuse_results(out).done == len(WAY)
+    fused = np.loadtxt(next(out.glob("fused/sequences/*/poses.txt"))).reshape(-1, 3, 4)
+    assert np.array_equal(fused[:, :, 3], np.array(WAY))
+    assert np.array_equal(fused[:, :, :3], np.tile(np.eye(3), (len(WAY), 1, 1)))
+
+
+@pytest.mark.parametrize("shift", [(3, 0, 0), (0, 0, 2)])
+def test_poses_elsewhere_are_not_the_origins_of_scans(map_drive, tmp_path, shift):
+    shutil.copytree(map_drive / "velodyne", tmp_path / "velodyne")
+    write_poses(tmp_path / "poses.txt", np.array(WAY, float) + shift)
+    files = find_scans(tmp_path / "velodyne")
+    for text in (None, "1 2 3\n"):
+        if text is not None:
+            (tmp_path / "poses.txt").write_text(text)
+        by_poses = origins_by_poses(files, replace(SMALL, registered=True))
+        assert by_poses.origins == {}
+        (line,) = by_poses.lines
+        assert line.startswith(f"{tmp_path / 'poses.txt'} is not used")
+        assert origins_by_poses(files, SMALL) == OriginsByPoses()
+
+
+@pytest.mark.parametrize("wrong", [0, 2, 3])
+def test_a_wrong_pose_is_used_for_no_scan_and_the_others_are(map_drive, tmp_path, wrong):
+    shutil.copytree(map_drive / "velodyne", tmp_path / "velodyne")
+    positions = np.array(WAY, float)
+    positions[wrong] += (20, 5, 0)
+    write_poses(tmp_path / "poses.txt", positions)
+    files = find_scans(tmp_path / "velodyne")
+    by_poses = origins_by_poses(files, replace(SMALL, registered=True))
+    seen = {file.name: place for file, place in zip(files, WAY, strict=True)}
+    name = files[wrong].name
+    assert by_poses.origins == {key: place for key, place in seen.items() if key != name}
+    used, unused = by_poses.lines
+    assert used.endswith(str(tmp_path / "poses.txt"))
+    assert unused.startswith(str(tmp_path / "poses.txt"))
+    assert unused.endswith(name)
+
+
+def test_most_compared_scans_decide_about_poses():
+    seen_from = {0: np.zeros(3), 4: np.ones(3), 8: np.full(3, 2.0), 9: np.full(3, 3.0)}
+    poses = np.tile(np.eye(4), (10, 1, 1))
+    for number, origin in seen_from.items():
+        poses[number, :3, 3] = origin
+    poses[0, :3, 3] += 5
+    assert np.array_equal(_agreeing_positions([poses], seen_from), poses[:, :3, 3])
+    other = poses.copy()
+    other[4, :3, 3] += 5
+    assert _agreeing_positions([other], seen_from) is None
+    assert np.array_equal(_agreeing_positions([other, poses], seen_from), poses[:, :3, 3])
+    assert _agreeing_positions([poses], {}) is None
+
+
+def test_poses_of_a_registered_drive_must_agree_with_its_scans(predicted_map, tmp_path):
+    out, path = tmp_path / "out", tmp_path / "p.txt"
+    shutil.copytree(predicted_map, out)
+    write_poses(path, np.array(WAY, float))
+    assert fuse_results(out, tmp_path / "fused", poses=path).done == len(WAY)
+    write_poses(path, np.array(WAY, float) + (3, 0, 0))
+    with pytest.raises(UsageError) as caught:
+        fuse_results(out, tmp_path / "other", poses=path)
+    assert caught.value.subject == "poses"
+    assert "omit poses" in caught.value.hint
+
+
+def test_the_poses_of_a_registered_drive_are_the_positions_of_its_sensor(map_drive):
+    files = find_scans(map_drive / "velodyne")
+    sensor = replace(SMALL, registered=True)
+    origin_of = recorded_origins(map_drive, sensor)
+    poses = registered_drive(files, sensor, origin_of).poses
+    assert np.abs(poses[:, :3, 3] - WAY).max() < 0.6
+    assert (poses[:, :3, :3] == np.eye(3)).all()
+    for file, scan, pose in zip(files, drive(), poses, strict=True):
+        points = points_of_drive(file, sensor, origin_of)
+        assert np.abs(points + pose[:3, 3] - scan.points).max() < 1e-4
+        assert np.array_equal(points_of_drive(file, SMALL, origin_of), scan.points)
