@@ -240,7 +240,7 @@ def _warnings(evidence: Evidence, decision: Decision) -> str:
     """Return how many scans have each code that leads to a decision, or to a graver one."""
     order = list(CODES)
     deciding = order[: order.index(decision) + 1]
-    counts = {
+    counts: dict[str, int] = {
         code: len(evidence.warned[code])
         for level in deciding
         for code in CODES[level]

@@ -69,7 +69,7 @@ def expected_accuracy(
     """
     if line is None or not confidences:
         return None
-    withheld = {code: {*warnings.get(code, ())} for code in WITHHELD_FOR}
+    withheld: dict[str, set[str]] = {code: {*warnings.get(code, ())} for code in WITHHELD_FOR}
     for code in withheld.keys() - {*OF_RUN}:
         withheld[code] &= confidences.keys()
     counts = {code: len(names) for code, names in sorted(withheld.items()) if names}
