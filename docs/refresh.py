@@ -113,13 +113,13 @@ def digests_of_picture(name: str) -> dict[str, str]:
 
 
 def digest_of_page(folder: Path) -> str:
-    """Return the joined SHA-256 of the source files of the page, by name.
+    """Return the joined SHA-256 of the source files of the page and its templates, by name.
 
     Of modules, imports do not count: they change where modules are moved, and the page does not.
     """
     digest = hashlib.sha256()
-    for path in sorted(folder.iterdir()):
-        if path.is_file():
+    for path in sorted(folder.rglob("*")):
+        if path.is_file() and path.suffix != ".pyc":
             source = path.read_text("utf-8")
             shown = without_imports(source) if path.suffix == ".py" else source
             digest.update(f"{path.name}\n".encode())

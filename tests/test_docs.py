@@ -395,9 +395,11 @@ def test_every_picture_is_shown_and_can_be_drawn_again():
 def test_a_picture_of_the_page_depends_on_each_of_its_files(tmp_path):
     assert {"weights", "page"} == refresh.digests_of_picture("report.webp").keys()
     assert {"weights"} == refresh.digests_of_picture("demo.gif").keys()
-    (tmp_path / "page.css").write_text("a")
+    (tmp_path / "templates").mkdir()
+    (tmp_path / "templates/page.css").write_text("a")
     digests = [refresh.digest_of_page(tmp_path)]
-    for name, text in (("page.css", "b"), ("page.js", ""), ("table.js", "")):
+    changes = (("templates/page.css", "b"), ("templates/page.js", ""), ("templates/table.js", ""))
+    for name, text in changes:
         (tmp_path / name).write_text(text)
         digests.append(refresh.digest_of_page(tmp_path))
     (tmp_path / "html.py").write_text("import os\n\nTITLE = 1\n")
@@ -407,6 +409,7 @@ def test_a_picture_of_the_page_depends_on_each_of_its_files(tmp_path):
     (tmp_path / "html.py").write_text("import os\n\nTITLE = 2\n")
     digests.append(refresh.digest_of_page(tmp_path))
     (tmp_path / "__pycache__").mkdir()
+    (tmp_path / "__pycache__/html.pyc").write_bytes(b"\xff")
     assert refresh.digest_of_page(tmp_path) == digests[-1]
     assert len(set(digests)) == len(digests)
 

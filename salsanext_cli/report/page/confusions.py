@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: MIT
-"""Confusion matrix of a page; a script shows the points of a cell."""
+"""Confusion matrix of a page, in texts; a script shows the points of a cell."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import counted
 from salsanext_cli.core.measures.scores import Counts, largest_confusions, scored_rows
-from salsanext_cli.report.page.elements import listed, text_of
 from salsanext_cli.report.page.scan_row import ScanRow
 from salsanext_cli.report.tables import percent
 
@@ -18,59 +18,82 @@ MAX_CONFUSIONS = 10
 LEAST_SHOWN = 0.005  # Shares below this have no number
 
 
-def confusion_list(confusion: Counts, space: LabelSpace) -> str:
-    """Return the most frequent confusions in words, as HTML."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cell:
+    """Points of a true class that have one label."""
+
+    key: str  # Train ids of truth and label, "9,11"
+    outcome: str  # "right" or "wrong"
+    share: float  # Of the points of the true class, 0…1
+    number: str  # The share in percent; empty if it is small
+    title: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MatrixRow:
+    """Points of a true class by label."""
+
+    name: str
+    cells: Sequence[Cell | None]  # By label; None without points
+    points: str  # Number of points of the class
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ConfusionMatrix:
+    """Points by true class and label; only classes that occur."""
+
+    labels: Sequence[str]  # Names of the predicted classes
+    rows: Sequence[MatrixRow]
+
+
+def largest_confusions_in_words(confusion: Counts, space: LabelSpace) -> list[str]:
+    """Return the most frequent confusions of a matrix (C, C) in words, the largest first."""
     matrix = scored_rows(confusion, space)
     names = space.names
     truths = matrix.sum(axis=1).tolist()
-    lines = [
+    return [
         f"{names[true]} taken for {names[predicted]}: "
         f"{percent(points / truths[true], 1, ' %')} of {counted(truths[true], 'point')}"
         for true, predicted, points in largest_confusions(matrix, MAX_CONFUSIONS)
     ]
-    return listed("Largest confusions", '<ol class="confusions">', "</ol>", lines)
 
 
-def confusion_table(confusion: Counts, space: LabelSpace) -> str:
-    """Return the confusion matrix (C, C) as an HTML table with a button for each cell.
+def confusion_matrix(confusion: Counts, space: LabelSpace) -> ConfusionMatrix | None:
+    """Return the texts of a confusion matrix (C, C); None without points.
 
     A row has the points of a true class; cells are shares of these points.
     """
     matrix = scored_rows(confusion, space)
     true = np.flatnonzero(matrix.sum(axis=1)).tolist()
     if not true:
-        return ""
+        return None
     predicted = np.flatnonzero(matrix.sum(axis=0)).tolist()
-    heads = "".join(f"<th scope=col><span>{text_of(space.names[j])}</span></th>" for j in predicted)
-    rows = []
-    for i in true:
-        total = int(matrix[i].sum())
-        cells = "".join(_cell(i, j, int(matrix[i, j]), total, space) for j in predicted)
-        name = text_of(space.names[i])
-        rows.append(f"<tr><th scope=row>{name}</th>{cells}<td>{total:,}</td></tr>")
-    head = f"<tr><th>truth \\ label</th>{heads}<th scope=col>points</th></tr>"
-    hint = (
-        "Each row has the points of a true class, in % of them. Click a cell to see its points in "
-        "the scan that has most of them."
-    )
-    table = f'<table id="confusion">{head}{"".join(rows)}</table>'
-    start = f'<h3>Confusion matrix</h3><p class="hint">{hint}</p>'
-    return f'{start}<div class="wide">{table}</div><p id="cell" aria-live="polite"></p>'
+    rows = [
+        MatrixRow(
+            name=space.names[i],
+            cells=[_cell(i, j, matrix[i], space) for j in predicted],
+            points=f"{int(matrix[i].sum()):,}",
+        )
+        for i in true
+    ]
+    return ConfusionMatrix(labels=[space.names[j] for j in predicted], rows=rows)
 
 
-def _cell(true: int, predicted: int, points: int, total: int, space: LabelSpace) -> str:
-    """Return one cell: a button, shaded by its share, or nothing without points."""
+def _cell(true: int, predicted: int, row: Counts, space: LabelSpace) -> Cell | None:
+    """Return a cell of the row of a true class, points (C,) by label; None without points."""
+    points = int(row[predicted])
     if not points:
-        return "<td></td>"
+        return None
+    total = int(row.sum())
     share = points / total
-    kind = "right" if true == predicted else "wrong"
-    taken = "" if true == predicted else f" taken for {space.names[predicted]}"
-    title = f"{space.names[true]}{taken}: {points:,} of {counted(total, 'point')}"
-    number = f"{100 * share:.0f}" if share >= LEAST_SHOWN else ""
-    return (
-        f'<td><button type="button" class="{kind}" data-cell="{true},{predicted}" '
-        f'style="--share:{share:.3f}" title="{text_of(title)}" aria-label="{text_of(title)}">'
-        f"{number}</button></td>"
+    is_right = true == predicted
+    taken = "" if is_right else f" taken for {space.names[predicted]}"
+    return Cell(
+        key=f"{true},{predicted}",
+        outcome="right" if is_right else "wrong",
+        share=share,
+        number=f"{100 * share:.0f}" if share >= LEAST_SHOWN else "",
+        title=f"{space.names[true]}{taken}: {points:,} of {counted(total, 'point')}",
     )
 
 

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from salsanext_cli.core.errors import counted, percentage
@@ -12,7 +12,6 @@ from salsanext_cli.core.measures.decision import ADVICE, DOUBTFUL, Evidence, ver
 from salsanext_cli.core.measures.expected_accuracy import ExpectedAccuracy
 from salsanext_cli.core.wording import argument
 from salsanext_cli.report.page.decision_command import decision_command
-from salsanext_cli.report.page.elements import text_of
 from salsanext_cli.report.page.run_results import Comparison, RunResults
 from salsanext_cli.report.page.scan_row import Rejection
 from salsanext_cli.report.tables import percent
@@ -29,14 +28,44 @@ class Tile:
     meaning: str
 
 
-def overview(run: RunResults, compared: Comparison | None) -> str:
-    """Return tiles and the sentence that leads to a decision, as HTML."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Advice:
+    """What to do with the labels of a run."""
+
+    title: str
+    reason: str
+    command: str  # Command that follows; empty if there is none
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Overview:
+    """The numbers that decide, the decision, and sentences on risk."""
+
+    tiles: Sequence[Tile]
+    advice: Advice | None  # None if the numbers allow no decision
+    sentences: Sequence[str]
+
+
+def overview(run: RunResults, compared: Comparison | None) -> Overview:
+    """Return the tiles and the sentences that lead to a decision.
+
+    Parameters
+    ----------
+    run : RunResults
+        Numbers of all scans.
+    compared : Comparison or None
+        Their comparison with labels; None without labels.
+
+    Returns
+    -------
+    Overview
+    """
     evidence = run.evidence()
-    tiles = "".join(
-        f"<div><b>{text_of(tile.value)}</b>{text_of(tile.meaning)}</div>"
-        for tile in _tiles(run, compared, evidence)
-    )
-    return f'<div class="tiles">{tiles}</div>\n{_decision(run, evidence)}{_sentences(compared)}'
+    advice = _advice(run, evidence)
+    sentences = _risk_sentences(compared) if compared else []
+    if advice is None and run.reader.rejects:
+        sentences = [_no_decision(), *sentences]
+    return Overview(tiles=list(_tiles(run, compared, evidence)), advice=advice, sentences=sentences)
 
 
 def _tiles(run: RunResults, compared: Comparison | None, evidence: Evidence) -> Iterator[Tile]:
@@ -118,29 +147,29 @@ def _warning_tile(run: RunResults, evidence: Evidence) -> Tile:
     )
 
 
-def _decision(run: RunResults, evidence: Evidence) -> str:
-    """Return the decision and the command that follows from it, as HTML; empty if unknown."""
+def _advice(run: RunResults, evidence: Evidence) -> Advice | None:
+    """Return the decision and the command that follows from it; None if unknown."""
     decided = verdict(evidence)
     if decided is None:
-        return _no_decision() if run.reader.rejects else ""
-    advice = text_of(ADVICE[decided.decision])
-    words = decision_command(run, decided)
-    command = f" <code>{text_of(words)}</code>" if words else ""
-    reason = text_of(decided.reason)
-    return f'<p class="decision"><b>{advice}</b>: {reason}.{command}</p>'
+        return None
+    return Advice(
+        title=ADVICE[decided.decision],
+        reason=decided.reason,
+        command=decision_command(run, decided),
+    )
 
 
 def _no_decision() -> str:
-    """Return why there is no decision about a run that rejected labels, as HTML."""
+    """Return why there is no decision about a run that rejected labels."""
     why = "No decision about the labels: some were rejected, and a decision judges all."
     remedy = f"The report of a run without {argument('reject')} has one."
-    return f'<p class="sentence">{why} {remedy}</p>'
+    return f"{why} {remedy}"
 
 
-def _sentences(compared: Comparison | None) -> str:
-    """Return the sentences on risk, as HTML; empty without labels and uncertainty."""
-    if compared is None:
-        return ""
+def _risk_sentences(compared: Comparison) -> list[str]:
+    """Return the sentences on risk; empty without uncertainty."""
+    sentences = list(compared.sentences)
     best = compared.uncertainty.accepted
-    sentences = [*compared.sentences, *([best.sentence] if best else [])]
-    return "".join(f'<p class="sentence">{text_of(s[:1].upper() + s[1:])}.</p>' for s in sentences)
+    if best:
+        sentences.append(best.sentence)
+    return [f"{sentence[:1].upper()}{sentence[1:]}." for sentence in sentences]

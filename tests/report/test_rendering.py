@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: MIT
+import json
+
+import pytest
+from jinja2 import DictLoader, UndefinedError
+
+from salsanext_cli.report.page import rendering
+
+HOSTILE = "</script><b>&\"'\x07"
+
+
+@pytest.fixture
+def page(monkeypatch):
+    """Return a function that renders the text of a template."""
+
+    def render(template: str, **values: object) -> str:
+        monkeypatch.setattr(
+            rendering, "PackageLoader", lambda _: DictLoader({"page.html": template})
+        )
+        return rendering.rendered(values)
+
+    return render
+
+
+def test_markup_and_control_characters_in_texts_are_escaped(page):
+    assert page("{{ text }}", text=HOSTILE) == "&lt;/script&gt;&lt;b&gt;&amp;&#34;&#39;\\x07"
+
+
+def test_no_text_in_the_data_can_end_its_element(page):
+    text = page("{{ data | tojson }}", data={"z": [HOSTILE], "a": 1})
+    assert not {"<", ">", "&"}.intersection(text)
+    # Keys keep their order.
+    assert list(json.loads(text).items()) == [("z", [HOSTILE]), ("a", 1)]
+
+
+def test_numbers_that_are_not_finite_are_refused(page):
+    with pytest.raises(ValueError, match="JSON"):
+        page("{{ data | tojson }}", data=float("nan"))
+
+
+def test_a_name_without_a_value_is_an_error(page):
+    with pytest.raises(UndefinedError):
+        page("{{ absent }}")
+
+
+def test_a_style_is_included_as_it_is(page):
+    style = page('{{ content_of("page.css") }}')
+    assert ">" in style
+    assert "&gt;" not in style
