@@ -46,6 +46,7 @@ test-slow: $(INSTALLED)
 lint: $(INSTALLED)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
+	$(BIN)/oxlint --deny-warnings
 	$(BIN)/mypy
 	git ls-files '*.md' '*.py' '*.toml' | xargs $(BIN)/codespell
 	$(BIN)/python tools/words.py

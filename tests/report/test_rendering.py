@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: MIT
 import json
+import re
+from base64 import b64decode
+from pathlib import Path
 
 import pytest
 from jinja2 import DictLoader, UndefinedError
@@ -44,6 +47,17 @@ def test_a_name_without_a_value_is_an_error(page):
 
 
 def test_a_style_is_included_as_it_is(page):
-    style = page('{{ content_of("page.css") }}')
+    style = page("{{ style() }}")
     assert ">" in style
     assert "&gt;" not in style
+
+
+def test_every_script_is_in_the_page_and_imports_scripts_of_it():
+    addresses = rendering.import_map()["imports"]
+    files = Path(rendering.__file__).parent.joinpath("scripts").glob("*.js")
+    assert addresses.keys() == {f"page/{file.name}" for file in files}
+    for address in addresses.values():
+        source = b64decode(address.removeprefix("data:text/javascript;base64,")).decode()
+        imported = re.findall(r'\bfrom "([^"]*)"', source)
+        assert len(imported) == len(re.findall(r"^import ", source, re.MULTILINE))
+        assert addresses.keys() >= {*imported}

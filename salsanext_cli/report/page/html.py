@@ -20,18 +20,6 @@ from salsanext_cli.report.page.run_source import run_source
 from salsanext_cli.report.page.script_data import script_data
 from salsanext_cli.version import __version__
 
-SCRIPTS = (
-    "camera.js",
-    "view.js",
-    "scales.js",
-    "drive.js",
-    "scans.js",
-    "table.js",
-    "page.js",
-    "legend.js",
-    "controls.js",
-)
-"""Scripts that the page contains, in the order in which they run."""
 LONG_FACT = 120  # Longer settings are folded after their first sentence
 
 
@@ -106,7 +94,6 @@ def html_of(
             "comparison": labelled_scans(compared, space) if compared else None,
             "data": escaped(data),
             "clouds": escaped(clouds),
-            "scripts": SCRIPTS,
         }
     )
 

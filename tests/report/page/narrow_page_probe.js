@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: MIT
+import { page } from "page/state.js";
+
 (async () => {
   while (!document.documentElement.dataset.ready) await new Promise(done => setTimeout(done, 20));
-  const { across, down } = view.pane(), { scrollWidth } = document.scrollingElement;
+  const { across, down } = page.view.pane(), { scrollWidth } = document.scrollingElement;
   const scrolled = element => element.closest(".wide, .strip, .ticks");
   const beyond = [...document.querySelectorAll("body *")]
     .filter(element => element.getBoundingClientRect().right > innerWidth + 0.5 && !scrolled(element))

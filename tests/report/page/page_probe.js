@@ -1,5 +1,12 @@
 // SPDX-License-Identifier: MIT
-{
+import { fitted, matrixOf } from "page/camera.js";
+import { byId, data } from "page/data.js";
+import { pixelOf } from "page/range_images.js";
+import { valueOf } from "page/scales.js";
+import { choose } from "page/scans.js";
+import { page, state } from "page/state.js";
+
+const { view, table } = page;
 const shown = () => +document.documentElement.dataset.shown;
 const result = { shown: shown(), summary: byId("summary").textContent };
 const picture = () => {
@@ -67,7 +74,7 @@ const cssOf = entries => entries.map(({ rgb }) => (255 * 2 ** 24 + rgb[2] * 6553
   await new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)));
   const point = byId("point");
   result.hover = [point.hidden, point.textContent, +document.documentElement.dataset.point];
-  const before_hiding = point.hidden, label = cloud.values.label[result.picked];
+  const before_hiding = point.hidden, label = page.cloud.values.label[result.picked];
   const button = legend().find(entry => entry.textContent.startsWith(data.classes[label].name));
   button.click();
   result.hidden = [before_hiding, point.hidden, view.marked];
@@ -79,12 +86,12 @@ const cssOf = entries => entries.map(({ rgb }) => (255 * 2 ** 24 + rgb[2] * 6553
   const before = view.azimuth;
   canvas.dispatchEvent(new KeyboardEvent("keydown", { key: "ArrowLeft" }));
   result.turned = view.azimuth - before;
-  result.pixels = Array.from({ length: cloud.shown }, (_, i) => pixelOf(i))
-    .every((pixel, i) => pixel < 0 || (cloud.first[pixel] <= i && i < cloud.first[pixel + 1]));
+  result.pixels = Array.from({ length: page.cloud.shown }, (_, i) => pixelOf(i))
+    .every((pixel, i) => pixel < 0 || (page.cloud.first[pixel] <= i && i < page.cloud.first[pixel + 1]));
   const strip = byId("strip"), area = strip.getBoundingClientRect(), pixel = pixelOf(700);
-  at(strip, "pointermove", area.left + (pixel % cloud.width + 0.5) * area.width / cloud.width,
-    area.top + (Math.floor(pixel / cloud.width) + 0.5) * area.height / cloud.height);
-  result.strip = [cloud.first[pixel], +document.documentElement.dataset.point];
+  at(strip, "pointermove", area.left + (pixel % page.cloud.width + 0.5) * area.width / page.cloud.width,
+    area.top + (Math.floor(pixel / page.cloud.width) + 0.5) * area.height / page.cloud.height);
+  result.strip = [page.cloud.first[pixel], +document.documentElement.dataset.point];
   const inside = scan => {  // share of its points that the fitted camera shows
     const aspect = 0.7, k = matrixOf(fitted(scan, aspect), aspect), { low, step, position } = scan;
     let count = 0;
@@ -98,8 +105,8 @@ const cssOf = entries => entries.map(({ rgb }) => (255 * 2 ** 24 + rgb[2] * 6553
   const sector = Uint16Array.from({ length: 3000 }, (_, i) => i % 3 === 2 ? 0 : (i * 7919) % 1000);
   const left = { shown: 1000, position: sector, low: [-5, 10, 0], step: [0.01, 0.02, 0.01] };
   const far = { ...left, low: [1e5, 1e5, 0] };
-  result.inside = [cloud, left, far].map(inside);
-  result.azimuths = [cloud, left, far].map(scan => Math.round(fitted(scan, 1).azimuth));
+  result.inside = [page.cloud, left, far].map(inside);
+  result.azimuths = [page.cloud, left, far].map(scan => Math.round(fitted(scan, 1).azimuth));
   byId("boxes").click();
   change("beside", "wrong", "change");
   const wrong = cssOf(data.outcomes)[2], car = cssOf(data.classes)[1];
@@ -110,9 +117,9 @@ const cssOf = entries => entries.map(({ rgb }) => (255 * 2 ** 24 + rgb[2] * 6553
   result.strips = byId("beside-strip").hidden;
   byId("confusion").querySelector("[data-cell='9,1']").click();
   await new Promise(done => setTimeout(done, 300));
-  result.cell = [cloud.name, shown(), byId("summary").textContent, location.hash];
-  result.faint = cloud.values.label.every((id, i) =>
-    visible[i] === (id === 1 && cloud.values.truth[i] === 9 ? 1 : 2));
+  result.cell = [page.cloud.name, shown(), byId("summary").textContent, location.hash];
+  result.faint = page.cloud.values.label.every((id, i) =>
+    page.visible[i] === (id === 1 && page.cloud.values.truth[i] === 9 ? 1 : 2));
   byId("all").click();
   result.cleared = [shown(), state.cell];
   change("colour", "entropy", "change");
@@ -139,8 +146,7 @@ const cssOf = entries => entries.map(({ rgb }) => (255 * 2 ** 24 + rgb[2] * 6553
   result.untagged = table.list();
   byId("columns").dispatchEvent(new KeyboardEvent("keydown", { key: "End" }));
   byId("columns").dispatchEvent(new KeyboardEvent("keydown", { key: "Enter" }));
-  result.opened = [cloud.name, byId("column").textContent];
+  result.opened = [page.cloud.name, byId("column").textContent];
   result.fetched = performance.getEntriesByType("resource").length;
   console.log("RESULT " + JSON.stringify(result));
 })();
-}

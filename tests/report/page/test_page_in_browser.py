@@ -32,7 +32,7 @@ RESULT = re.compile(r"RESULT (\{.*\})\"")
 
 def script(name: str) -> str:
     """Return the element of a script that a test adds to a page."""
-    return f"<script>{Path(__file__).with_name(name).read_text('utf-8')}</script>"
+    return f'<script type="module">{Path(__file__).with_name(name).read_text("utf-8")}</script>'
 
 
 PROBE, LIVE_PROBE = script("page_probe.js"), script("live_page_probe.js")

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: MIT
 // Points in three dimensions, drawn with WebGL 2 once, or twice in two colourings beside each other.
 
+import { axesOf, fitted, matrixOf, NEAR_M, START } from "./camera.js";
+
 const VERTEX = `#version 300 es
 in vec3 position;
 in float colour;
@@ -34,14 +36,15 @@ const WIDE_PX = 700;  // a narrower canvas shows its two panes below each other
 const ROWS = { colour: 0, beside: 2 };  // of the palettes; row 1 has the colours of boxes
 const REACH_PX = 7;  // farthest distance of a picked point from the pointer
 
-class PointView {
+export class PointView {
   constructor(canvas) {
     this.canvas = canvas;
     this.gl = canvas.getContext("webgl2", { antialias: false });
     if (!this.gl) throw new Error("no WebGL 2");
     this.size = 2;
     this.marked = -1;
-    this.count = this.corners = 0;
+    this.count = 0;  // of points
+    this.corners = 0;  // of boxes
     this.panes = ["colour"];
     Object.assign(this, START, { target: [0, 0, 0], distance: 42 });
     this.prepare();
@@ -49,15 +52,8 @@ class PointView {
   }
 
   prepare() {
-    const gl = this.gl, program = gl.createProgram();
-    for (const [kind, text] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]]) {
-      const shader = gl.createShader(kind);
-      gl.shaderSource(shader, text);
-      gl.compileShader(shader);
-      gl.attachShader(program, shader);
-    }
-    gl.linkProgram(program);
-    if (!gl.getProgramParameter(program, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(program));
+    const { gl } = this;
+    const program = this.compile();
     gl.useProgram(program);
     gl.enable(gl.DEPTH_TEST);
     gl.clearColor(0.07, 0.082, 0.102, 1);
@@ -76,7 +72,8 @@ class PointView {
     this.lines = gl.createVertexArray();
     gl.bindVertexArray(this.lines);
     gl.vertexAttrib1f(gl.getAttribLocation(program, "shown"), 1);
-    gl.bindBuffer(gl.ARRAY_BUFFER, this.buffers.lines = gl.createBuffer());
+    this.buffers.lines = gl.createBuffer();
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.buffers.lines);
     for (const [name, parts, start] of [["position", 3, 0], ["colour", 1, 12]]) {
       gl.enableVertexAttribArray(gl.getAttribLocation(program, name));
       gl.vertexAttribPointer(gl.getAttribLocation(program, name), parts, gl.FLOAT, false, 16, start);
@@ -86,6 +83,20 @@ class PointView {
     for (const key of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, key, gl.NEAREST);
   }
 
+  compile() {
+    const { gl } = this;
+    const program = gl.createProgram();
+    for (const [kind, text] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]]) {
+      const shader = gl.createShader(kind);
+      gl.shaderSource(shader, text);
+      gl.compileShader(shader);
+      gl.attachShader(program, shader);
+    }
+    gl.linkProgram(program);
+    if (!gl.getProgramParameter(program, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(program));
+    return program;
+  }
+
   upload(name, values) {
     this.gl.bindBuffer(this.gl.ARRAY_BUFFER, this.buffers[name]);
     this.gl.bufferData(this.gl.ARRAY_BUFFER, values, this.gl.STATIC_DRAW);
@@ -93,12 +104,14 @@ class PointView {
   }
 
   show(cloud) {  // { shown, low, step, position: Uint16Array }
-    Object.assign(this, { cloud, count: cloud.shown, marked: -1 });
+    this.cloud = cloud;
+    this.count = cloud.shown;
+    this.marked = -1;
     this.upload("position", cloud.position);
   }
 
   colour(values, beside, palettes) {  // bytes per point, `beside` or null; 256 colours of 4 bytes for points, boxes and beside
-    const gl = this.gl;
+    const { gl } = this;
     gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, 256, 3, 0, gl.RGBA, gl.UNSIGNED_BYTE, palettes);
     this.panes = beside ? ["colour", "beside"] : ["colour"];
     if (beside) this.upload("beside", beside);
@@ -125,8 +138,10 @@ class PointView {
   }
 
   pane() {  // number of panes across and down, and their size in CSS pixels
-    const { clientWidth, clientHeight } = this.canvas, two = this.panes.length > 1;
-    const across = two && clientWidth >= WIDE_PX ? 2 : 1, down = two && across === 1 ? 2 : 1;
+    const { clientWidth, clientHeight } = this.canvas;
+    const two = this.panes.length > 1;
+    const across = two && clientWidth >= WIDE_PX ? 2 : 1;
+    const down = two && across === 1 ? 2 : 1;
     return { across, down, width: clientWidth / across, height: Math.max(1, clientHeight / down) };
   }
 
@@ -145,7 +160,8 @@ class PointView {
 
   draw() {
     this.pending = undefined;
-    const gl = this.gl, canvas = this.canvas, ratio = Math.min(devicePixelRatio || 1, 2);
+    const { gl, canvas } = this;
+    const ratio = Math.min(devicePixelRatio || 1, 2);
     const [width, height] = [canvas.clientWidth, canvas.clientHeight].map(n => Math.max(1, Math.round(n * ratio)));
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
     gl.disable(gl.SCISSOR_TEST);
@@ -153,17 +169,20 @@ class PointView {
     if (!this.count || !this.visible) return;
     gl.enable(gl.SCISSOR_TEST);
     gl.uniformMatrix4fv(this.uniform.camera, false, this.matrix());
-    const { across, down } = this.pane(), [w, h] = [Math.floor(width / across), Math.floor(height / down)];
+    const { across, down } = this.pane();
+    const paneWidth = Math.floor(width / across);
+    const paneHeight = Math.floor(height / down);
     this.panes.forEach((name, i) => {
-      const box = [across > 1 ? i * w : 0, down > 1 ? (1 - i) * h : 0, w, h];
-      gl.viewport(...box);
-      gl.scissor(...box);
+      const left = across > 1 ? i * paneWidth : 0;
+      const bottom = down > 1 ? (1 - i) * paneHeight : 0;
+      gl.viewport(left, bottom, paneWidth, paneHeight);
+      gl.scissor(left, bottom, paneWidth, paneHeight);
       this.drawPane(name, ratio);
     });
   }
 
   drawPane(name, ratio) {
-    const gl = this.gl;
+    const { gl } = this;
     gl.bindBuffer(gl.ARRAY_BUFFER, this.buffers[name]);
     gl.vertexAttribPointer(this.colourPlace, 1, gl.UNSIGNED_BYTE, false, 0, 0);
     gl.uniform3fv(this.uniform.low, this.cloud.low);
@@ -194,21 +213,28 @@ class PointView {
 
   pick(x, y) {  // the nearest visible point at a position on the canvas, CSS pixels; -1 without one
     if (!this.cloud) return -1;
-    const m = this.matrix(), { low, step, position } = this.cloud, { width, height } = this.pane();
-    const [s, t] = [2 * (x % width) / width - 1, 1 - 2 * (y % height) / height];
-    const [across, down] = [width / 2, height / 2];
-    let best = -1, least = Infinity;
+    const m = this.matrix();
+    const { low, step, position } = this.cloud;
+    const { width, height } = this.pane();
+    const s = 2 * (x % width) / width - 1;
+    const t = 1 - 2 * (y % height) / height;
+    let best = -1;
+    let least = Infinity;
     for (let i = 0; i < this.count; i++) {
       if (this.visible[i] !== 1) continue;
-      const px = low[0] + step[0] * position[3 * i], py = low[1] + step[1] * position[3 * i + 1],
-        pz = low[2] + step[2] * position[3 * i + 2];
+      const px = low[0] + step[0] * position[3 * i];
+      const py = low[1] + step[1] * position[3 * i + 1];
+      const pz = low[2] + step[2] * position[3 * i + 2];
       const w = m[3] * px + m[7] * py + m[11] * pz + m[15];
       if (w < NEAR_M) continue;
-      const dx = ((m[0] * px + m[4] * py + m[8] * pz + m[12]) / w - s) * across;
-      const dy = ((m[1] * px + m[5] * py + m[9] * pz + m[13]) / w - t) * down;
+      const dx = ((m[0] * px + m[4] * py + m[8] * pz + m[12]) / w - s) * width / 2;
+      const dy = ((m[1] * px + m[5] * py + m[9] * pz + m[13]) / w - t) * height / 2;
       const far = dx * dx + dy * dy;
       // Prefer the point in front among points about as near to the pointer.
-      if (far < REACH_PX * REACH_PX && far + w < least) [best, least] = [i, far + w];
+      if (far < REACH_PX * REACH_PX && far + w < least) {
+        best = i;
+        least = far + w;
+      }
     }
     return best;
   }
@@ -230,14 +256,16 @@ class PointView {
   }
 
   move(across, down) {  // in CSS pixels
-    const [right, up] = axesOf(this), metres = this.distance * 0.93 / this.pane().height;
+    const [right, up] = axesOf(this);
+    const metres = this.distance * 0.93 / this.pane().height;
     this.target = this.target.map((t, i) => t + metres * (down * up[i] - across * right[i]));
     this.redraw();
   }
 }
 
-function steer(view, pointed) {  // by mouse, fingers and keys; calls `pointed` with the position of the pointer
-  const canvas = view.canvas, pointers = new Map();
+export function steer(view, pointed) {  // by mouse, fingers and keys; calls `pointed` with the position of the pointer
+  const { canvas } = view;
+  const pointers = new Map();
   const spread = () => {
     const [a, b] = [...pointers.values()];
     return { x: (a.x + b.x) / 2, y: (a.y + b.y) / 2, apart: Math.hypot(a.x - b.x, a.y - b.y) };
@@ -250,11 +278,14 @@ function steer(view, pointed) {  // by mouse, fingers and keys; calls `pointed` 
   });
   canvas.addEventListener("pointermove", event => {
     const before = pointers.get(event.pointerId);
-    if (!before) return pointed(at(event));
-    const two = pointers.size === 2, old = two && spread();
-    pointers.set(event.pointerId, at(event));
-    const now = pointers.get(event.pointerId);
-    if (two) {
+    const now = at(event);
+    if (!before) {
+      pointed(now);
+      return;
+    }
+    const old = pointers.size === 2 ? spread() : null;
+    pointers.set(event.pointerId, now);
+    if (old) {
       const next = spread();
       view.zoom(old.apart / Math.max(1, next.apart));
       view.move(next.x - old.x, next.y - old.y);
