@@ -17,9 +17,8 @@ if TYPE_CHECKING:
 class Caches:
     """Caches of compiled kernels and graphs; these store nothing."""
 
-    def kernel_cache(self, function: Callable[..., Any]) -> Any:
-        """Return the cache of a kernel, in the form that numba takes; None without one."""
-        return None
+    def cache_kernel(self, kernel: Any) -> None:
+        """Load the machine code of a kernel of numba from a cache, and store new code in it."""
 
     def cached(self, name: str, make: Callable[[], bytes]) -> bytes:
         """Return what is stored under a name; what is missing or damaged is made and stored."""

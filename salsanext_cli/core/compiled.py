@@ -34,9 +34,7 @@ def _pool(_process: int) -> ThreadPoolExecutor:
 def compiled(function: Function) -> Function:
     """Compile on first call, in strict IEEE arithmetic, and cache the machine code if possible."""
     kernel: Any = numba.njit(nogil=True, error_model="numpy")(function)
-    cache = caches.used().kernel_cache(function)
-    if cache is not None:
-        kernel._cache = cache
+    caches.used().cache_kernel(kernel)
     return cast(Function, kernel)
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from functools import cache
 from pathlib import Path
@@ -51,11 +52,10 @@ def as_json(value: Any) -> Any:
 
 def decoded(kind: Any, value: Any) -> Any:
     """Return plain data as a type, such as a record; raise one of `MALFORMED` for other data."""
-    origin, inner = get_origin(kind), get_args(kind)
+    origin = get_origin(kind)
+    inner = get_args(kind)
     if origin in (Union, UnionType):
-        if value is None and NoneType in inner:
-            return None
-        return decoded(next(member for member in inner if member is not NoneType), value)
+        return _decoded_member(inner, value)
     if hasattr(kind, "from_dict"):
         return kind.from_dict(value)
     if isinstance(kind, type) and is_dataclass(kind) and isinstance(value, dict):
@@ -72,6 +72,17 @@ def decoded(kind: Any, value: Any) -> Any:
     if kind not in (Any, object) and type(value) is not kind:
         raise TypeError(f"{value!r} is not a {getattr(kind, '__name__', kind)}")
     return value
+
+
+def _decoded_member(kinds: Sequence[Any], value: Any) -> Any:
+    """Return plain data as the first type of a union that takes it, an equal type before others."""
+    if type(value) in kinds:
+        return value
+    members = [kind for kind in kinds if kind is not NoneType]
+    for kind in members[:-1]:
+        with suppress(*MALFORMED):
+            return decoded(kind, value)
+    return decoded(members[-1], value)
 
 
 @cache

@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: MIT
 """Cache of compiled kernels in the cache folder of the user.
 
-This is the only module that uses the private interfaces of numba.
+This is the only module that uses the private interfaces of numba. Its public cache,
+``njit(cache=True)``, fails at every start after a file was truncated or damaged, fails on a full
+disk, and writes beside the source. It loads the libraries of the compiler at each start, which
+takes half as long again as a start with this cache.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
 from pathlib import Path
 from pickle import PickleError
 from typing import Any
@@ -28,22 +30,33 @@ from salsanext_cli.io.files.user_cache import (
 from salsanext_cli.version import __version__
 
 CACHE_ERRORS = (
-    *(AttributeError, ImportError, OSError, PickleError, RuntimeError, TypeError, ValueError),
+    AttributeError,
+    ImportError,
+    OSError,
+    PickleError,
+    RuntimeError,
+    TypeError,
+    ValueError,
 )
 """Errors of folders that cannot be written, and of code of another version of llvmlite."""
 
 
-def kernel_cache(function: Callable[..., Any]) -> KernelCache | None:
-    """Return the cache of a kernel; None, with a warning, if its folder cannot be written."""
+def cache_kernel(kernel: Any) -> None:
+    """Cache the machine code of a kernel; warn if the cache folder cannot be written.
+
+    Parameters
+    ----------
+    kernel : numba.core.registry.CPUDispatcher
+        Result of `numba.njit` without ``cache=True``.
+    """
     settings = vars(numba.config)
     before = settings["CACHE_DIR"]
     settings["CACHE_DIR"] = before or kernel_folder()
     try:
-        return KernelCache(function)
+        kernel._cache = KernelCache(kernel.py_func)
     except CACHE_ERRORS:
         folder = settings["CACHE_DIR"] or "a home folder"
         warn_of_cache(f"compiled kernels are not cached: cannot write to {folder}")
-        return None
     finally:
         # The setting also applies to kernels of other programs in this process.
         settings["CACHE_DIR"] = before
@@ -58,8 +71,7 @@ class KernelFiles(Files):
 class KernelCache(FunctionCache):
     """Cache of the machine code of a kernel: a file with a checksum for each signature.
 
-    Numba's cache fails at a truncated file and on a full disk, and loads libraries for half a
-    second at each start. This one compiles again instead.
+    Code that cannot be loaded is compiled again, and code that cannot be stored is used anyway.
     """
 
     _impl_class = KernelFiles

@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 class UserCaches(Caches):
     """Caches in the cache folder of the user."""
 
-    def kernel_cache(self, function: Callable[..., Any]) -> Any:
-        """Return the cache of a kernel; None if its folder cannot be written."""
-        from salsanext_cli.io.kernel_cache import kernel_cache
+    def cache_kernel(self, kernel: Any) -> None:
+        """Load the machine code of a kernel from the cache folder, and store new code in it."""
+        from salsanext_cli.io.kernel_cache import cache_kernel
 
-        return kernel_cache(function)
+        cache_kernel(kernel)
 
     def cached(self, name: str, make: Callable[[], bytes]) -> bytes:
         """Return a cached file, which is made if it is missing or damaged."""

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from salsanext_cli.core.errors import OutputError
-from salsanext_cli.core.plain_data import as_json, decoded, plain
+from salsanext_cli.core.plain_data import MALFORMED, as_json, decoded, plain
 from salsanext_cli.io.files.json_files import read_record, write_json
 
 
@@ -44,6 +44,31 @@ def test_whole_numbers_are_floats_unknown_keys_skipped_arrays_lists_and_nan_null
     assert decoded(Outer, {"count": 1, "ends": [1, 2], "later": 5}) == Outer(1, (1.0, 2.0))
     data = {"a": np.array([1.0, np.nan]), "b": (np.float64(2), {3}), "c": Path("x")}
     assert plain(data) == {"a": [1.0, None], "b": [2.0, [3]], "c": "x"}
+
+
+UNIONS = [
+    (str | int, 3),
+    (int | float, 2.5),
+    (float | int, 3),
+    (Inner | str, "x"),
+    (tuple[int, ...] | str, "x"),
+    (int | tuple[str, ...] | None, ("a", "b")),
+    (int | Inner | None, Inner("x")),
+    (int | str | None, None),
+]
+
+
+@pytest.mark.parametrize(("union", "value"), UNIONS)
+def test_any_member_of_a_union_comes_back_as_it_was(union: object, value: object) -> None:
+    back = decoded(union, as_json(value))
+    assert back == value
+    assert type(back) is type(value)
+
+
+@pytest.mark.parametrize("value", [[], 1.5, {"name": 1}, None])
+def test_what_no_member_of_a_union_takes_is_refused(value: object) -> None:
+    with pytest.raises(MALFORMED):
+        decoded(int | Inner, value)
 
 
 @pytest.mark.parametrize(
