@@ -16,8 +16,14 @@ from pathlib import Path
 from urllib.request import urlopen
 
 PORT, WAIT_S = 19333, 120
-PROBE = """<script>setTimeout(() => {
-  const { gl } = view, pixel = new Uint8Array(4), change = (id, value, name) => {
+PROBE = """<script type="module">
+import { byId } from "page/data.js";
+import { page } from "page/state.js";
+setTimeout(() => {
+  const { view } = page;
+  const { gl } = view;
+  const pixel = new Uint8Array(4);
+  const change = (id, value, name) => {
     byId(id).value = value;
     byId(id).dispatchEvent(new Event(name));
   };

@@ -20,6 +20,7 @@ from torch import Tensor, nn
 from salsanext_cli.core.errors import TrainingError, error_text
 from salsanext_cli.core.wording import setting
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
+from salsanext_cli.training.fused_step import is_fused
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.run_folder import Row
 
@@ -100,7 +101,7 @@ def _restore(learner: Learner, tensors: Mapping[str, Tensor]) -> None:
         prefix = f"optimiser.{name}."
         saved = {key.removeprefix(prefix): key for key in tensors if key.startswith(prefix)}
         # AdamW's step is on the device if fused, else on the CPU: no parameter waits for it.
-        step_device = parameter.device if learner.optimiser.defaults["fused"] else "cpu"
+        step_device = parameter.device if is_fused(learner.optimiser) else "cpu"
         # Parameters have no state before the first step, or if they are never used.
         if saved:
             learner.optimiser.state[parameter] = {

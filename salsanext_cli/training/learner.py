@@ -16,6 +16,7 @@ from salsanext_cli.core.engines.torch_backend import keep_ends_in_float32, set_u
 from salsanext_cli.core.network.segmentation import SegmentationNetwork
 from salsanext_cli.training.data.targets import ClassSets
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup, data_parallel
+from salsanext_cli.training.fused_step import is_fused, skip_step
 from salsanext_cli.training.losses import SegmentationLoss
 from salsanext_cli.training.recipe import Recipe
 
@@ -120,8 +121,9 @@ class Learner:
         finite = loss.isfinite() if self.scaler.is_enabled() else (loss + norm).isfinite()
         # A fused optimiser skips the step on the device without waiting for `finite`. The running
         # average then moves towards unchanged weights.
-        if fused := self.optimiser.defaults["fused"]:
-            vars(self.optimiser).update(grad_scale=None, found_inf=(~finite).float())
+        fused = is_fused(self.optimiser)
+        if fused:
+            skip_step(self.optimiser, ~finite)
         if fused or finite:
             self.scaler.step(self.optimiser)
             if self.average is not self.module:

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
-from typing import TYPE_CHECKING, ParamSpec, TextIO, cast
+from typing import TYPE_CHECKING, ParamSpec, TextIO
 
 import typer
 
@@ -23,6 +23,7 @@ from salsanext_cli.commands.line.interruption import (
 )
 from salsanext_cli.commands.line.option_fields import option, option_group
 from salsanext_cli.commands.line.option_names import CommandLine
+from salsanext_cli.commands.line.typer_interface import USAGE_ERROR
 from salsanext_cli.commands.line.wrong_values import usage_error
 from salsanext_cli.core.errors import HINT, NOTICE, SalsanextError, UsageError, escaped, printable
 from salsanext_cli.core.wording import spelled
@@ -37,8 +38,6 @@ DONE, FAILED, WRONG_USE = 0, 1, 2
 """Exit status: success, a failure, wrong usage; 128 + n after signal n."""
 
 SCHEMA = 2  # Version of the JSON; it grows when a key changes or goes
-USAGE_ERROR = cast("type[Exception]", typer.BadParameter.__base__)
-"""Errors of the command line, one kind of which typer exports."""
 FILE_WIDTH_COLUMNS = 120  # Width of tables in a file or a pipe
 LINE_INTERVAL_S = 30.0  # Time between two lines of progress in a log file
 

@@ -5,10 +5,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import typer
-from typer.core import TyperCommand, TyperGroup
 
 from salsanext_cli.commands.line.console import WRONG_USE, usage_errors
 from salsanext_cli.commands.line.removed import refuse_removed
+from salsanext_cli.commands.line.typer_interface import TyperCommand, TyperGroup
 
 DOCUMENTATION = "https://salsanext.readthedocs.io"
 NAMES_WIDTH = 24  # Columns of the names of options; longer ones get a line

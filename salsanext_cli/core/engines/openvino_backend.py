@@ -11,7 +11,8 @@ import numpy as np
 from salsanext_cli.core.classes.merging import ClassMerging
 from salsanext_cli.core.compiled import thread_count
 from salsanext_cli.core.engines.backend import Backend, PixelPrediction
-from salsanext_cli.core.engines.graphs import Graph, compiled_graph, converted, quantised
+from salsanext_cli.core.engines.conversion import converted
+from salsanext_cli.core.engines.graphs import Graph, compiled_graph, quantised
 from salsanext_cli.core.engines.moments import Moments
 from salsanext_cli.core.records import CHANNELS, Float
 

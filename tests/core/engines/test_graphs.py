@@ -21,14 +21,9 @@ from torch import nn
 
 from salsanext_cli import label_space, project, sample
 from salsanext_cli.core.engines import openvino_runtime
+from salsanext_cli.core.engines.conversion import converted
 from salsanext_cli.core.engines.device import bfloat16_instructions
-from salsanext_cli.core.engines.graphs import (
-    GRAPH_VERSION,
-    Graph,
-    compiled_graph,
-    converted,
-    partly_float32,
-)
+from salsanext_cli.core.engines.graphs import GRAPH_VERSION, Graph, compiled_graph, partly_float32
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.engines.openvino_backend import OpenVinoBackend
 from salsanext_cli.core.engines.registry import choose_engine
@@ -205,7 +200,8 @@ def test_signals_are_handled_after_the_last_graph_is_gone():
     """OpenVINO gives a thread a stack for its handlers, and must not take it back."""
     program = """
 import gc, os, signal, threading, torch
-from salsanext_cli.core.engines.graphs import Graph, compiled_graph, converted
+from salsanext_cli.core.engines.conversion import converted
+from salsanext_cli.core.engines.graphs import Graph, compiled_graph
 signal.signal(signal.SIGUSR1, lambda *_: print("handled"))
 part = torch.nn.Conv2d(5, 3, 1), lambda module, image: module(image), [torch.zeros(1, 5, 8, 8)]
 made = [Graph(compiled_graph(lambda: converted(*part), "test"))]

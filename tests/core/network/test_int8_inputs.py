@@ -14,7 +14,8 @@ from scans import SMALL, make_scan, refused, write_weights
 from torch import nn
 
 from salsanext_cli import label_space, load_network, project, sample
-from salsanext_cli.core.engines.graphs import Graph, compiled_graph, converted, quantised
+from salsanext_cli.core.engines.conversion import converted
+from salsanext_cli.core.engines.graphs import Graph, compiled_graph, quantised
 from salsanext_cli.core.engines.openvino_backend import OpenVinoBackend
 from salsanext_cli.core.errors import UsageError, WeightsError
 from salsanext_cli.core.network.card import WeightsCard

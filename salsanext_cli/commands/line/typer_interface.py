@@ -1,0 +1,16 @@
+# SPDX-License-Identifier: MIT
+"""Interface of typer that it does not document: base classes of commands and of their errors.
+
+Typer contains Click, and does not export these names. This is the only module that takes them from
+elsewhere; `help` and `wrong_values` read attributes of the objects that they get.
+"""
+
+from typing import cast
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+__all__ = ["USAGE_ERROR", "TyperCommand", "TyperGroup"]
+
+USAGE_ERROR = cast("type[Exception]", typer.BadParameter.__base__)
+"""Errors of the command line, one kind of which typer exports."""
