@@ -20,7 +20,14 @@ WINGS = ("core", "io", "runs", "commands")
 """Parts that consist of parts: arrays, files, output folders, and the command line."""
 LEVELS = (
     ("version", "core.errors", "core.caches", "core.records", "core.wording"),
-    ("core.compiled", "core.optional_packages", "core.plain_data", "core.plug_ins", "core.classes"),
+    (
+        "core.compiled",
+        "core.field_rules",
+        "core.optional_packages",
+        "core.plain_data",
+        "core.plug_ins",
+        "core.classes",
+    ),
     ("core.sensors",),
     ("core.geometry", "core.network"),
     ("core.checks", "core.engines", "core.fusion"),

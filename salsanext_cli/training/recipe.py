@@ -4,13 +4,14 @@
 import json
 import math
 import tomllib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Self
 
 from salsanext_cli.core.errors import UsageError, shortened
+from salsanext_cli.core.field_rules import FieldRule
 from salsanext_cli.core.plain_data import refuse_unknown
 from salsanext_cli.core.wording import command, setting
 from salsanext_cli.io.files.reading import present
@@ -31,15 +32,15 @@ REMOVED_KEYS = {
 REMOVED_RECIPES = ("paper-v1", "rangenet53")
 """Recipes and networks of earlier versions, which examples/paper_networks has."""
 
-Positive = Annotated[int, ("at least 1", lambda value: value >= 1)]
-Count = Annotated[int, ("at least 0", lambda value: value >= 0)]
-Folds = Annotated[int, ("0, or at least 2", lambda value: value == 0 or value >= 2)]
-Seed = Annotated[int, ("from 0 to below 2⁶³", lambda value: 0 <= value < 2**63)]
-Amount = Annotated[float, ("at least 0", lambda value: value >= 0)]
-Rate = Annotated[float, ("above 0", lambda value: value > 0)]
-Share = Annotated[float, ("between 0 and 1", lambda value: 0 <= value <= 1)]
-ShareBelow1 = Annotated[float, ("from 0 to below 1", lambda value: 0 <= value < 1)]
-"""Types of keys with the condition on their values: its text, and a function that tests it."""
+Positive = Annotated[int, FieldRule(lambda value: value >= 1, "at least 1")]
+Count = Annotated[int, FieldRule(lambda value: value >= 0, "at least 0")]
+Folds = Annotated[int, FieldRule(lambda value: value == 0 or value >= 2, "0, or at least 2")]
+Seed = Annotated[int, FieldRule(lambda value: 0 <= value < 2**63, "from 0 to below 2⁶³")]
+Amount = Annotated[float, FieldRule(lambda value: value >= 0, "at least 0")]
+Rate = Annotated[float, FieldRule(lambda value: value > 0, "above 0")]
+Share = Annotated[float, FieldRule(lambda value: 0 <= value <= 1, "between 0 and 1")]
+ShareBelow1 = Annotated[float, FieldRule(lambda value: 0 <= value < 1, "from 0 to below 1")]
+"""Types of keys with the rule for their values."""
 
 
 def are_widths(text: str) -> bool:
@@ -48,12 +49,12 @@ def are_widths(text: str) -> bool:
     return all(number.strip().isdecimal() and int(number) > 0 for number in numbers)
 
 
-Widths = Annotated[str, ("numbers of columns, such as 512,1024,2048", are_widths)]
+Widths = Annotated[str, FieldRule(are_widths, "numbers of columns, such as 512,1024,2048")]
 
 
-def one_of(*words: str) -> tuple[str, Callable[[str], bool]]:
-    """Return the condition on a key that accepts some words."""
-    return f"one of {', '.join(words)}", words.__contains__
+def one_of(*words: str) -> FieldRule:
+    """Return the rule for a key that accepts some words."""
+    return FieldRule(words.__contains__, f"one of {', '.join(words)}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,15 +106,16 @@ class Recipe:
 
     def __post_init__(self) -> None:
         for key in fields(self):
-            value, kind = getattr(self, key.name), type(key.default)
+            value = getattr(self, key.name)
+            kind = type(key.default)
             if kind is float and type(value) is int and abs(value) < MAX_INTEGER:
                 value = float(value)
                 object.__setattr__(self, key.name, value)
             self._require(key.name, type(value) is kind, KINDS[kind])
             if kind is float:
                 self._require(key.name, math.isfinite(value), "finite")
-            for expected, test in getattr(key.type, "__metadata__", ()):
-                self._require(key.name, test(value), expected)
+            for rule in getattr(key.type, "__metadata__", ()):
+                self._require(key.name, rule.allows(value), rule.expected)
         narrowest = min(self.image_widths, default=0)
         fits = len({*self.image_widths}) < 2 or 1 <= self.crop_width <= narrowest
         self._require("crop_width", fits, f"from 1 to {narrowest}, which fits all widths")

@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 import math
 import tomllib
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import MISSING, asdict, dataclass, fields, replace
 from functools import cache, partial
 from importlib import resources
@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from salsanext_cli.core.errors import UsageError, quoted, shortened
+from salsanext_cli.core.field_rules import FieldRule
 from salsanext_cli.core.plain_data import are_numbers, refuse_unknown
 from salsanext_cli.core.wording import command, setting
 
@@ -128,9 +129,9 @@ class Sensor:
         subject = f"sensor {shortened(self.name)}"
         for field in fields(self):
             value = getattr(self, field.name)
-            is_possible, expected = POSSIBLE[field.name]
-            if value != field.default and not is_possible(value):
-                raise UsageError(subject, f"has {field.name} {quoted(value)}", expected)
+            rule = FIELD_RULES[field.name]
+            if value != field.default and not rule.allows(value):
+                raise UsageError(subject, f"has {field.name} {quoted(value)}", rule.expected)
         if self.fov_up <= self.fov_down:
             raise UsageError(subject, f"has fov_up {self.fov_up} ≤ fov_down {self.fov_down}")
         if self.height * self.width > MAX_PIXELS:
@@ -248,34 +249,39 @@ def _are_quantiles(values: Any) -> bool:
     return _are_within(values, count=INTENSITY_LEVELS) and list(values) == sorted(values)
 
 
-POSSIBLE: dict[str, tuple[Callable[[Any], bool], str]] = {
-    "name": (lambda name: isinstance(name, str), "a text"),
-    "fov_up": (_is_within, "a number of degrees"),
-    "fov_down": (_is_within, "a number of degrees"),
-    "height": (lambda length: type(length) is int and length >= 1, "a number of pixels"),
-    "width": (lambda length: type(length) is int and length >= 1, "a number of pixels"),
-    "means": (partial(_are_within, count=5), f"5 numbers up to {MAX_NUMBER:g}"),
-    "stds": (partial(_are_within, least=1 / MAX_NUMBER, count=5), f"5 numbers {SCALES}"),
-    "out_of_view": (lambda value: value in ("clamp", "drop"), "clamp or drop"),
-    "intensity_scale": (partial(_is_within, least=1 / MAX_NUMBER), f"a number {SCALES}"),
-    "range_noise": (partial(_is_within, least=0), "a deviation in metres"),
-    "intensity_noise": (partial(_is_within, least=0), "a deviation"),
-    "columns": (are_columns, COLUMNS_EXPECTED),
-    "intensity_field": (is_field, FIELD_EXPECTED),
-    "up": (
-        lambda values: _are_within(values, count=3) and math.hypot(*values) > MIN_LENGTH,
-        "a direction, three numbers",
-    ),
-    "origin": (partial(_are_within, count=3), "a position, three numbers in metres"),
-    "intensity_quantiles": (_are_quantiles, f"{INTENSITY_LEVELS} increasing numbers"),
-    "row_gaps": (partial(_is_within, least=0, most=1), "a share"),
-    "min_range": (partial(_is_within, least=0), "a range in metres"),
-    "ego_box": (is_box, BOX_EXPECTED),
-    "registered": (lambda value: isinstance(value, bool), "true or false"),
-    "traits": (are_numbers, "numbers"),
-    "others": (lambda others: not any(s.others for s in others), "sensors without others"),
+def _is_length(value: object) -> bool:
+    return type(value) is int and value >= 1
+
+
+def _is_direction(values: Any) -> bool:
+    return _are_within(values, count=3) and math.hypot(values[0], values[1], values[2]) > MIN_LENGTH
+
+
+FIELD_RULES = {
+    "name": FieldRule(lambda name: isinstance(name, str), "a text"),
+    "fov_up": FieldRule(_is_within, "a number of degrees"),
+    "fov_down": FieldRule(_is_within, "a number of degrees"),
+    "height": FieldRule(_is_length, "a number of pixels"),
+    "width": FieldRule(_is_length, "a number of pixels"),
+    "means": FieldRule(partial(_are_within, count=5), f"5 numbers up to {MAX_NUMBER:g}"),
+    "stds": FieldRule(partial(_are_within, least=1 / MAX_NUMBER, count=5), f"5 numbers {SCALES}"),
+    "out_of_view": FieldRule(lambda value: value in ("clamp", "drop"), "clamp or drop"),
+    "intensity_scale": FieldRule(partial(_is_within, least=1 / MAX_NUMBER), f"a number {SCALES}"),
+    "range_noise": FieldRule(partial(_is_within, least=0), "a deviation in metres"),
+    "intensity_noise": FieldRule(partial(_is_within, least=0), "a deviation"),
+    "columns": FieldRule(are_columns, COLUMNS_EXPECTED),
+    "intensity_field": FieldRule(is_field, FIELD_EXPECTED),
+    "up": FieldRule(_is_direction, "a direction, three numbers"),
+    "origin": FieldRule(partial(_are_within, count=3), "a position, three numbers in metres"),
+    "intensity_quantiles": FieldRule(_are_quantiles, f"{INTENSITY_LEVELS} increasing numbers"),
+    "row_gaps": FieldRule(partial(_is_within, least=0, most=1), "a share"),
+    "min_range": FieldRule(partial(_is_within, least=0), "a range in metres"),
+    "ego_box": FieldRule(is_box, BOX_EXPECTED),
+    "registered": FieldRule(lambda value: isinstance(value, bool), "true or false"),
+    "traits": FieldRule(are_numbers, "numbers"),
+    "others": FieldRule(lambda others: not any(s.others for s in others), "sensors without others"),
 }
-"""Test and description of the possible values of each field of a sensor, its default aside."""
+"""Possible values of each field of a sensor, its default aside."""
 
 
 @cache
