@@ -3,12 +3,9 @@
 
 import logging
 import os
-import platform
-import signal
-import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import timedelta
 from typing import Any, TypeVar
@@ -20,12 +17,10 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from salsanext_cli.core.engines.device import choose_device
-from salsanext_cli.core.errors import SalsanextError, UsageError, error_text
+from salsanext_cli.core.errors import SalsanextError, UsageError
+from salsanext_cli.training.failure_watch import LEAVING_S, POLL_S, FailureWatch
 
 TIMEOUT = timedelta(minutes=15)  # Longest time that a collective takes
-POLL_S = 0.1  # Time between two queries of the store
-LEAVING_S = 0.5  # Time that a worker stays after its last message
-FAILED = "failed"  # Key of the store: which worker failed, and why
 
 T = TypeVar("T")
 
@@ -105,48 +100,32 @@ def group_of_environment() -> ProcessGroup:
 @contextmanager
 def process_group(device: str) -> Iterator[tuple[ProcessGroup, torch.device]]:
     """Join the group of this process, and choose its device, a GPU of its own if there is one."""
-    group, chosen = group_of_environment(), torch.device(choose_device(device))
+    group = group_of_environment()
+    chosen = _device(device, group)
     if group.size == 1:
         yield group, chosen
         return
-    gpu = None
-    if chosen.type == "cuda":
-        if chosen.index is not None:
-            problem = f"names one GPU for {group.size} workers"
-            error = UsageError(f"device {device}", problem, "cuda, cpu or auto")
-            error.reported_elsewhere = not group.is_main
-            raise error
-        gpu = chosen = torch.device(choose_device(f"cuda:{os.environ['LOCAL_RANK']}"))
-        torch.cuda.set_device(gpu)
     store, rank, size = next(dist.rendezvous("env://", timeout=TIMEOUT))  # type: ignore[attr-defined]
-    settings = {"store": store, "rank": rank, "world_size": size, "timeout": TIMEOUT}
-    dist.init_process_group("nccl" if gpu else "gloo", **settings, device_id=gpu)
-    left, other_failed = threading.Event(), threading.Event()
-    threading.Thread(target=_watch, args=(store, left, other_failed), daemon=True).start()
+    is_gpu = chosen.type == "cuda"
+    dist.init_process_group(
+        "nccl" if is_gpu else "gloo",
+        store=store,
+        rank=rank,
+        world_size=size,
+        timeout=TIMEOUT,
+        device_id=chosen if is_gpu else None,
+    )
+    watch = FailureWatch(store, rank, size)
+    watch.start()
     try:
         yield ProcessGroup(rank, size, store), chosen
         # A worker that leaves early closes connections that others still read from.
         dist.barrier()
-        left.set()
+        watch.leave()
         # After a failure this would wait for the other workers for ever.
         dist.destroy_process_group()
-    except BaseException as failed:
-        if other_failed.is_set():
-            os._exit(1)  # noqa: TID251 - this error follows from the other worker's
-        left.set()
-        # An interrupt reaches all workers, and so does an error of the main worker's call.
-        if not (
-            isinstance(failed, KeyboardInterrupt) or getattr(failed, "reported_elsewhere", False)
-        ):
-            cause = error_text(failed)
-            failure = f"worker {rank} of {size} on {platform.node()}: {cause}"
-            # The host of the store may be gone.
-            with suppress(RuntimeError):
-                first = store.compare_set(FAILED, "", failure).decode()
-                if isinstance(failed, SalsanextError):
-                    failed.reported_elsewhere = first != failure and first.endswith(cause)
-        if getattr(failed, "reported_elsewhere", False):
-            _await_the_reporting_worker()
+    except BaseException as error:
+        watch.report(error)
         raise
     finally:
         # The others notice a failure. Threads of gloo that still free tensors abort a process
@@ -154,30 +133,19 @@ def process_group(device: str) -> Iterator[tuple[ProcessGroup, torch.device]]:
         time.sleep(LEAVING_S)
 
 
-def _await_the_reporting_worker() -> None:
-    """Stay until torchrun ends this process, which it does when the reporting worker has ended.
-
-    If this worker ended first, torchrun would end the other one before it prints the error.
-    """
-    if threading.current_thread() is threading.main_thread():
-        # The signal of torchrun ends the process without a further line.
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    time.sleep(10 * LEAVING_S)
-
-
-def _watch(store: Any, left: threading.Event, other_failed: threading.Event) -> None:
-    """Log that another worker has failed, and end this process, which may wait for it."""
-    while not left.wait(POLL_S):
-        try:
-            failure = store.get(FAILED).decode() if store.check([FAILED]) else ""
-        except RuntimeError as error:
-            failure = f"the connection to the first worker is lost: {error_text(error)}"
-        if failure:
-            other_failed.set()
-            log.error("%s", failure)
-            # No exception reaches a thread in a collective. The worker that failed ends first.
-            time.sleep(10 * LEAVING_S)
-            os._exit(1)  # noqa: TID251
+def _device(name: str, group: ProcessGroup) -> torch.device:
+    """Return the device of this worker; of several GPUs, the one with its local number."""
+    chosen = torch.device(choose_device(name))
+    if group.size == 1 or chosen.type != "cuda":
+        return chosen
+    if chosen.index is not None:
+        problem = f"names one GPU for {group.size} workers"
+        error = UsageError(f"device {name}", problem, "cuda, cpu or auto")
+        error.reported_elsewhere = not group.is_main
+        raise error
+    gpu = torch.device(choose_device(f"cuda:{os.environ['LOCAL_RANK']}"))
+    torch.cuda.set_device(gpu)
+    return gpu
 
 
 def data_parallel(module: nn.Module, device: torch.device, group: ProcessGroup) -> nn.Module:
