@@ -241,7 +241,10 @@ def test_names_are_no_markup(tmp_path):
     world.add("x\udcff", TRUTH, TRUTH, sequence="08")
     result, page = made(world, scans=[f"{evil}/000000", "x\udcff"])
     scripts = [attributes for tag, attributes in page.tags if tag == "script"]
-    assert [attributes.get("id") for attributes in scripts] == ["data", "cloud-0", "cloud-1", None]
+    identifiers = [attributes.get("id") for attributes in scripts]
+    # An import map and the start of the page follow the data.
+    assert identifiers == ["data", "cloud-0", "cloud-1", None, None]
+    assert [attributes["type"] for attributes in scripts[3:]] == ["importmap", "module"]
     assert f"{evil}/000000" in page.data["drive"]["names"]
     assert "<b>öut" not in page.source
     assert [scan["name"] for scan in page.data["shown"]] == [f"{evil}/000000", "08/x\\xff"]
