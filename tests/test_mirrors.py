@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: MIT
+"""A module has a test file of its name, at its place in the tree, or a row here states another."""
+
+import pytest
+
+from tools.mirrored_tests import PACKAGE, TESTS, mirror_of, without_mirror
+
+WHOLE_STREETS = "tests of whole streets compare what a sensor sees, not how it is built"
+COMMAND_LINE = "declarations of options; tests type the commands"
+WHOLE_PAGE = "the numbers of the page, which one test reads together"
+FILES_OF_FORMAT = "read through the format that its content belongs to"
+THROUGH_STAGE = "a step of a stage, which has no meaning without its files"
+PART_OF_ONE_RESULT = "one of several modules whose result is compared with one oracle"
+RECORD = "a record of few lines"
+GPU_OR_LIBRARY = "an adapter of another library, compared with the other ones"
+
+ELSEWHERE: dict[str, dict[str, str]] = {
+    WHOLE_STREETS: {
+        "synthesis/presets.py": "synthesis/test_surfaces.py",
+        "synthesis/street/": "synthesis/test_street.py",
+        "synthesis/things/": "synthesis/test_things.py",
+    },
+    COMMAND_LINE: {"commands/line/": "commands/line/test_commands.py"},
+    WHOLE_PAGE: {
+        "report/canvas.py": "report/test_scan_pictures.py",
+        "report/page/": "commands/stages/test_report.py",
+        "report/picked.py": "report/test_tables.py",
+    },
+    FILES_OF_FORMAT: {
+        "io/formats/columns.py": "io/formats/test_kitti.py",
+        "io/formats/evidence/": "io/formats/evidence/test_column_evidence.py",
+        "io/formats/mcap.py": "io/formats/test_bags.py",
+        "io/formats/recordings.py": "io/formats/test_bags.py",
+        "io/formats/tables/arrow.py": "io/formats/test_other_programs.py",
+        "io/formats/tables/text_layout.py": "io/formats/tables/test_text.py",
+        "io/formats/unread.py": "io/formats/test_other_programs.py",
+        "io/formats/velodyne.py": "io/formats/test_captures.py",
+    },
+    THROUGH_STAGE: {
+        "commands/stages/import_weights.py": "io/weights/test_published.py",
+        "commands/stages/models.py": "commands/stages/test_weights_version.py",
+        "commands/stages/project.py": "commands/stages/test_knn_refine.py",
+        "core/checks/training_checks.py": "commands/stages/test_checks_of_scans.py",
+        "core/fitting/network_fit.py": "runs/fit/test_sensor_fit.py",
+        "core/measures/survey.py": "commands/stages/test_inspect.py",
+        "io/label_spaces.py": "core/classes/test_label_space.py",
+        "io/weights/card_file.py": "io/weights/test_weights.py",
+        "io/weights/loading.py": "core/engines/test_network.py",
+        "io/weights/onnx_export.py": "commands/stages/test_export_onnx.py",
+        "runs/drives/drive.py": "commands/stages/test_fuse.py",
+        "runs/drives/earlier_fusion.py": "commands/stages/test_fuse.py",
+        "runs/drives/scans_of_drive.py": "commands/stages/test_fuse.py",
+        "runs/drives/stored_softmax.py": "commands/stages/test_fuse.py",
+        "runs/fit/range_images.py": "commands/stages/test_knn_refine.py",
+        "runs/fit/scan_reading.py": "commands/stages/test_predict.py",
+        "runs/fit/scan_sample.py": "core/fitting/test_field_of_view.py",
+        "runs/loop/": "runs/loop/test_processes.py",
+        "runs/network_announcement.py": "commands/line/test_summary.py",
+        "runs/network_settings.py": "commands/stages/test_predict.py",
+        "runs/results/making_commands.py": "commands/stages/test_export_ply.py",
+        "runs/results/merged_labels.py": "commands/stages/test_stages_in_merged_classes.py",
+        "runs/results/moved_scans.py": "runs/results/test_result_folder.py",
+        "runs/summary/comparison.py": "commands/stages/test_evaluate.py",
+        "training/data/class_counts.py": "training/data/test_dataset.py",
+        "training/fit.py": "commands/stages/test_train.py",
+        "training/run_folder.py": "commands/stages/test_train.py",
+        "training/setup.py": "commands/stages/test_train_on_few_scans.py",
+        "training/tuning/int8.py": "commands/stages/test_tune_int8.py",
+        "training/tuning/risk.py": "commands/stages/test_tune_risk.py",
+        "training/tuning/scan_choice.py": "commands/stages/test_tune.py",
+        "training/tuning/scans.py": "commands/stages/test_tune.py",
+    },
+    PART_OF_ONE_RESULT: {
+        "api.py": "test_public.py",
+        "core/api.py": "core/test_labelling.py",
+        "core/checks/scan_structure.py": "core/checks/test_structure_checks.py",
+        "core/engines/dropout_passes.py": "core/uncertainty/test_monte_carlo.py",
+        "core/fitting/scan_sample.py": "core/fitting/test_sensor_groups.py",
+        "core/fitting/view_fit.py": "core/fitting/test_sensor_groups.py",
+        "core/fusion/window.py": "core/fusion/test_votes.py",
+        "core/geometry/scan_traits.py": "runs/summary/test_scan_summary.py",
+        "core/geometry/sensor_of_scan.py": "core/fitting/test_sensor_groups.py",
+        "core/measures/calibration.py": "core/measures/test_uncertainty_evaluation.py",
+        "core/measures/histograms.py": "core/measures/test_uncertainty_evaluation.py",
+        "core/network/registry.py": "core/network/test_family.py",
+        "core/network/segmentation.py": "core/network/test_family.py",
+        "drive_labels.py": "test_public.py",
+        "runs/fit/mixed_sensors.py": "runs/summary/test_scan_summary.py",
+        "runs/summary/scan_warnings.py": "runs/summary/test_scan_summary.py",
+    },
+    RECORD: {
+        "core/checks/finding.py": "runs/summary/test_scan_summary.py",
+        "core/errors.py": "core/test_wording.py",
+        "core/fusion/drive.py": "core/fusion/test_fuse_drive.py",
+        "core/geometry/knn_parameters.py": "core/test_wording.py",
+        "core/measures/filtered_points.py": "commands/stages/test_filter.py",
+        "core/network/weights_names.py": "io/weights/test_weights.py",
+        "runs/results/query.py": "commands/stages/test_report.py",
+        "runs/results/scan_selection.py": "runs/results/test_selection.py",
+    },
+    GPU_OR_LIBRARY: {
+        "core/engines/conversion.py": "core/engines/test_graphs.py",
+        "core/engines/openvino_backend.py": "core/engines/test_graphs.py",
+        "core/engines/openvino_runtime.py": "core/engines/test_graphs.py",
+        "io/kernel_cache.py": "core/test_compiled.py",
+        "io/user_caches.py": "core/test_caches.py",
+        "training/failure_watch.py": "training/test_distributed.py",
+        "training/fused_step.py": "training/test_learner.py",
+    },
+}
+"""Modules, or folders of modules, that a test file of another name tests, by the reason."""
+ROWS = {module: test for rows in ELSEWHERE.values() for module, test in rows.items()}
+
+
+def test_every_module_has_a_test_file_of_its_name_or_a_row():
+    missing = [
+        module.as_posix()
+        for module in without_mirror()
+        if module.as_posix() not in ROWS
+        and not any(f"{folder.as_posix()}/" in ROWS for folder in module.parents)
+    ]
+    assert missing == [], "python tools/mirrored_tests.py lists them"
+
+
+@pytest.mark.parametrize("module", ROWS)
+def test_a_row_is_about_a_module_without_such_a_file(module):
+    """A module that gets one loses its row."""
+    assert (TESTS / ROWS[module]).is_file()
+    path = PACKAGE / module
+    if module.endswith("/"):
+        folder = path.relative_to(PACKAGE)
+        assert any(folder in lacking.parents for lacking in without_mirror())
+    else:
+        assert path.is_file()
+        assert not (TESTS / mirror_of(path.relative_to(PACKAGE))).exists()
+
+
+def test_every_test_file_in_the_tree_is_where_its_module_is():
+    """A test file with the name of a module lies at the place of that module."""
+    wings = ("core", "io", "runs", "commands", "training", "synthesis", "report")
+    modules = {path.stem: [] for path in PACKAGE.rglob("*.py")}
+    for path in PACKAGE.rglob("*.py"):
+        modules[path.stem].append(path.relative_to(PACKAGE).parent)
+    misplaced = [
+        path.relative_to(TESTS).as_posix()
+        for wing in wings
+        for path in (TESTS / wing).rglob("test_*.py")
+        if (name := path.stem.removeprefix("test_")) in modules
+        if path.relative_to(TESTS).parent not in modules[name]
+    ]
+    assert misplaced == []
