@@ -1,8 +1,12 @@
 # SPDX-License-Identifier: MIT
 """Stage `tune risk`, and what `predict --reject risk` and `eval` make of its threshold."""
 
+import logging
 import re
-from dataclasses import replace
+import shutil
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +14,7 @@ from scans import refused
 from world import World
 
 from salsanext_cli import label_space, read_labels, write_labels
-from salsanext_cli.commands.stages.evaluate import evaluate
+from salsanext_cli.commands.stages.evaluate import Evaluation, evaluate
 from salsanext_cli.commands.stages.models import describe_weights
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.commands.stages.report import read_run, report
@@ -18,14 +22,15 @@ from salsanext_cli.core.checks.warning_codes import WarningCode
 from salsanext_cli.core.errors import TrainingError, UsageError, WeightsError
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.measures.risk_control import RISK_BOUND_EXCEEDED
-from salsanext_cli.core.network.card import AccuracyLine
+from salsanext_cli.core.network.card import AccuracyLine, RiskThreshold
 from salsanext_cli.core.network.unit_traits import UnitTraits
 from salsanext_cli.core.plain_data import plain
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import save_with_card
 from salsanext_cli.runs.fit.sensor_fit import as_typed
+from salsanext_cli.runs.loop.run import Outcome
 from salsanext_cli.runs.results.manifest import Manifest
-from salsanext_cli.runs.results.paths import LEAST_CONFIDENCE, find_scans
+from salsanext_cli.runs.results.paths import LEAST_CONFIDENCE, ScanFile, find_scans, output_path
 from salsanext_cli.runs.results.result_folder import ResultFolder
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.summary.scan_summary import NOT_COMPARED
@@ -34,10 +39,10 @@ from salsanext_cli.training.tuning.risk import _held_out
 from salsanext_cli.training.tuning.risk_level import FewUnits, RiskLevel
 
 ALL = ScanSelection()
+SPACE = label_space()
 
 
-@pytest.fixture
-def unsure_is_wrong(world: World) -> World:
+def label_unsure_points_wrongly(world: World) -> World:
     """Label all scans as the network does, except the half with the lowest confidence."""
     predicted = world.out.with_name("predicted")
     predict_scans(world.data, predicted, settings=world.network)
@@ -51,59 +56,153 @@ def unsure_is_wrong(world: World) -> World:
     return world
 
 
-def test_the_threshold_holds_the_guarantee(unsure_is_wrong: World, target, caplog) -> None:
-    world = unsure_is_wrong
+@pytest.fixture
+def unsure_is_wrong(world: World) -> World:
+    return label_unsure_points_wrongly(world)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RejectedRun:
+    """A threshold, and a run on its scans that rejects the labels above it."""
+
+    world: World
+    target: Path
+    """Weights with the threshold."""
+    tuned: Any
+    """Report of `tune risk`."""
+    risk: RiskThreshold
+    outcome: Outcome
+    messages: list[str]
+    """What the run logged."""
+
+    @property
+    def scans(self) -> list[ScanFile]:
+        return find_scans(self.world.data)
+
+    def above(self, scan: ScanFile) -> np.ndarray:
+        """Return which points of a scan are above the threshold."""
+        doubt = np.load(self.world.result(LEAST_CONFIDENCE, scan.sequence, scan.stem))
+        return doubt > self.risk.threshold
+
+    def losses(self) -> list[float]:
+        """Return the share of accepted and wrong points of each scan."""
+        losses = []
+        for scan in self.scans:
+            truth = SPACE.to_train(read_labels(scan.label_path))
+            predicted = SPACE.to_train(self.world.labels(scan.sequence, scan.stem))
+            wrong = (predicted > 0) & (truth > 0) & (predicted != truth)
+            losses.append(wrong.sum() / (truth > 0).sum())
+        return losses
+
+    def judged(self) -> Evaluation:
+        """Return what `eval` makes of the run."""
+        return evaluate(self.scans, self.world.out, SPACE)
+
+
+class Messages(logging.Handler):
+    """Texts of all messages of a run."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.texts: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.texts.append(record.getMessage())
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory, weights: Path) -> RejectedRun:
+    folder = tmp_path_factory.mktemp("risk")
+    world = label_unsure_points_wrongly(World.made(folder, weights))
+    target = folder / "tuned.safetensors"
     tuned = world.tune("risk", target, at_most=0.3)
-    risk = read_card(target).risk
-    recorded = plain(risk)
-    assert recorded == {key: tuned[key] for key in recorded}
-    assert describe_weights(target).card.risk == risk
+    network = replace(world.network, weights=target)
+    logger, messages = logging.getLogger("salsanext_cli"), Messages()
+    level = logger.level
+    logger.addHandler(messages)
+    logger.setLevel("INFO")
+    outcome = predict_scans(world.data, world.out, settings=network, reject="risk")
+    logger.removeHandler(messages)
+    logger.setLevel(level)
+    return RejectedRun(
+        world=world,
+        target=target,
+        tuned=tuned,
+        risk=read_card(target).risk,
+        outcome=outcome,
+        messages=messages.texts,
+    )
+
+
+def test_the_card_has_the_threshold_that_is_reported(run):
+    recorded = plain(run.risk)
+    assert recorded == {key: run.tuned[key] for key in recorded}
+    assert describe_weights(run.target).card.risk == run.risk
+
+
+def test_the_threshold_states_level_and_scans(run):
+    recorded = plain(run.risk)
     expected = {"kind": "least_confidence", "at_most": 0.3, "confidence": None, "scans": 3}
     assert recorded.items() >= {**expected, "sequences": ["00", "08"]}.items()
-    assert [part["sequence"] for part in tuned["held_out"]] == ["00", "08"]
-    network = replace(world.network, weights=target)
-    caplog.set_level("INFO")
-    outcome = predict_scans(world.data, world.out, settings=network, reject="risk")
-    doubts, losses, space = [], [], label_space()
-    for file in find_scans(world.data):
-        doubt = np.load(world.result(LEAST_CONFIDENCE, file.sequence, file.stem))
-        above = doubt > risk.threshold
-        assert not world.labels(file.sequence, file.stem)[above].any()
-        doubts.append(above.sum())
-        truth = space.to_train(read_labels(file.label_path))
-        predicted = space.to_train(world.labels(file.sequence, file.stem))
-        wrong = (predicted > 0) & (truth > 0) & (predicted != truth)
-        losses.append(wrong.sum() / (truth > 0).sum())
-    assert outcome.rejected_points == sum(doubts) > 0
-    assert tuned["guarantee"] in "".join(caplog.messages)
-    # `eval` gives the numbers that were reported for the threshold.
-    judged = evaluate(find_scans(world.data), world.out, space)
+    assert [part["sequence"] for part in run.tuned["held_out"]] == ["00", "08"]
+
+
+def test_labels_above_the_threshold_are_rejected(run):
+    rejected = 0
+    for scan in run.scans:
+        above = run.above(scan)
+        assert not run.world.labels(scan.sequence, scan.stem)[above].any()
+        rejected += above.sum()
+    assert run.outcome.rejected_points == rejected > 0
+
+
+def test_accepted_and_wrong_points_keep_to_the_level(run):
+    labels = run.judged().accepted
+    # (3 R + 1) / 4 ≤ 0.3, with no finer step than a bin
+    assert 0 < labels.wrong / labels.points <= (4 * 0.3 - 1) / 3
+
+
+def test_eval_gives_the_numbers_that_were_reported_for_the_threshold(run):
+    judged, losses = run.judged(), run.losses()
     numbers = {"units": 3, "above": sum(loss > 0.3 for loss in losses), "at_most": 0.3}
     numbers |= {"mean": pytest.approx(np.mean(losses)), "worst": pytest.approx(max(losses))}
     numbers |= {"confidence": None, "unit": "scan", "are_others": False}
     # Three scans and three others have 20 divisions.
     numbers |= {"incomparable": "3 scans"}
-    numbers["scope"] = tuned["guarantee"].partition(", for ")[2]
+    numbers["scope"] = run.tuned["guarantee"].partition(", for ")[2]
     assert judged.to_dict()["rejection"]["guarantee"] == numbers
-    page = report(world.out).page.read_text("utf-8")
-    assert f"<dd>{tuned['guarantee']}</dd>" in page
+    assert plain(judged.accepted) == run.tuned["accepted"]
+
+
+def test_run_and_page_state_the_guarantee(run):
+    judged = run.judged()
+    assert run.tuned["guarantee"] in "".join(run.messages)
+    page = report(run.world.out).page.read_text("utf-8")
+    assert f"<dd>{run.tuned['guarantee']}</dd>" in page
     sentences = (judged.guarantee.sentence, *judged.accepted.sentences)
     assert all(sentence[1:] in page for sentence in sentences)
-    # The scans are those that the threshold was chosen on, so they are like them.
-    assert WarningCode.OTHER_SCANS not in caplog.text
-    labels = judged.accepted
-    assert plain(labels) == tuned["accepted"]
-    # (3 R + 1) / 4 ≤ 0.3, with no finer step than a bin
-    assert 0 < labels.wrong / labels.points <= (4 * 0.3 - 1) / 3
+
+
+def test_scans_that_the_threshold_was_chosen_on_are_named_and_are_not_unlike_them(run, caplog):
+    run.judged()
     assert "the threshold was chosen on 3 of 3 scans" in caplog.text
-    # The guarantee does not cover merged classes.
-    scans, coarse = ResultFolder(world.out).predicted(ALL, classes=label_space("coarse"))
-    assert evaluate(scans, world.out, coarse).guarantee is None
-    # Accepted labels need no uncertainty.
-    world.result(LEAST_CONFIDENCE, file.sequence, file.stem).unlink()
-    assert evaluate(find_scans(world.data), world.out, space).guarantee == judged.guarantee
-    results = ResultFolder(world.out).read(find_scans(world.data)[0], truth_in=(space, space))
-    assert results.rejected.sum() == doubts[0]
+    assert not any(WarningCode.OTHER_SCANS in message for message in run.messages)
+
+
+def test_the_guarantee_does_not_cover_merged_classes(run):
+    folder = ResultFolder(run.world.out)
+    scans, coarse = folder.predicted(ALL, classes=label_space("coarse"))
+    assert evaluate(scans, run.world.out, coarse).guarantee is None
+
+
+def test_accepted_labels_need_no_uncertainty(run, tmp_path):
+    first, last = run.scans[0], run.scans[-1]
+    out = tmp_path / "copy"
+    shutil.copytree(run.world.out, out)
+    output_path(out, last.sequence, LEAST_CONFIDENCE, last.stem).unlink()
+    assert evaluate(run.scans, out, SPACE).guarantee == run.judged().guarantee
+    results = ResultFolder(out).read(first, truth_in=(SPACE, SPACE))
+    assert results.rejected.sum() == run.above(first).sum()
 
 
 def test_a_guarantee_that_does_not_hold_warns(unsure_is_wrong: World, target, caplog) -> None:
