@@ -7,12 +7,12 @@ from pathlib import Path
 from world import begin_and_end
 
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
-from salsanext_cli.runs.results.manifest import StageSettings
 from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.results.stage_settings import PredictSettings
 
 KNN = asdict(KnnParameters())
 SETTINGS = {"weights": "abc", "knn": KNN}
-TYPED = StageSettings(weights="abc", knn=KnnParameters())
+TYPED = PredictSettings(weights="abc", knn=KnnParameters())
 
 
 def scans_of(tmp_path: Path, *stems: str, sequence: str = "08") -> list[ScanFile]:

@@ -14,10 +14,10 @@ from salsanext_cli import read_labels, write_labels
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.io.files.json_files import record_of
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.results.manifest import StageSettings
 from salsanext_cli.runs.results.output_run import OutputRun, output_run
 from salsanext_cli.runs.results.paths import SUFFIX_OF_FOLDER, ScanFile
 from salsanext_cli.runs.results.scan_selection import ScanSelection
+from salsanext_cli.runs.results.stage_settings import settings_type
 
 EVERY = ScanSelection(sequences=("00", "08"))
 
@@ -95,6 +95,6 @@ def begin_and_end(
     overwrite: bool = False,
 ) -> OutputRun:
     """Register a run in an output folder that has nothing to do."""
-    typed = record_of(StageSettings, settings, Path("settings"))
+    typed = record_of(settings_type(stage), settings, Path("settings"))
     with output_run(out, stage, typed, folders, scans, overwrite=overwrite) as output:
         return output

@@ -13,11 +13,11 @@ from salsanext_cli.io.formats.field_names import PREFIX
 from salsanext_cli.io.formats.ply import encode_ply
 from salsanext_cli.report.colours import PointColours, common_scales, require_colouring
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
-from salsanext_cli.runs.results.manifest import StageSettings
 from salsanext_cli.runs.results.output_run import OutputRun, output_run
 from salsanext_cli.runs.results.paths import PREDICTION_STAGES, ScanFile
 from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.results.result_folder import ResultFolder, scalar_columns
+from salsanext_cli.runs.results.stage_settings import ExportSettings
 
 log = logging.getLogger(__name__)
 
@@ -82,14 +82,19 @@ def export_ply(
     if colour == "uncertainty":
         colour = results.meant_uncertainty(scans)
     results.require_column(colour, scans)
-    stage, folder, first = "export-ply", "ply", results.settings("export-ply")
+    stage = "export-ply"
+    folder = "ply"
+    first = _recorded(results, stage)
     if first is not None and first.colour != colour:
-        stage, folder = f"export-ply-{colour}", f"ply/{colour}"
-    origins, earlier = results.origins(PREDICTION_STAGES), results.settings(stage)
+        # The folder has clouds in other colours, which stay.
+        stage = f"export-ply-{colour}"
+        folder = f"ply/{colour}"
+    origins = results.origins(PREDICTION_STAGES)
+    earlier = _recorded(results, stage)
     overwrite = options.overwrite or (earlier is not None and earlier.origins != origins)
     ends = scale or (earlier.scale if earlier and not overwrite else None)
     ends = ends or common_scales(out, scans, [colour], space, sensor).get(colour, (0.0, 1.0))
-    settings = StageSettings(colour=colour, scale=ends, label_space=space, origins=origins)
+    settings = ExportSettings(colour=colour, scale=ends, label_space=space, origins=origins)
     run = (out, stage, settings, (folder,), scans)
     with output_run(*run, overwrite=overwrite, record_scans=False) as output:
         colours = PointColours(colour, ends, space)
@@ -98,3 +103,9 @@ def export_ply(
         outcome = run_over_scans(task, scans, options, is_done=output.is_done)
     log.log(NOTICE, "coloured by %s: %s", colour, out / "sequences/*" / folder)
     return replace(outcome, missing=chosen.missing)
+
+
+def _recorded(results: ResultFolder, stage: str) -> ExportSettings | None:
+    """Return the settings of an earlier export, None if it did not run."""
+    settings = results.settings(stage)
+    return settings if isinstance(settings, ExportSettings) else None

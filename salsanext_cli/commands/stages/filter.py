@@ -2,7 +2,7 @@
 """Stage `filter`: scans in their format, without the points of some classes."""
 
 import logging
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,12 +24,7 @@ from salsanext_cli.io.formats.recordings import recording_of
 from salsanext_cli.io.formats.subsets import subsets_of
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.results.layouts import SCAN_FOLDER
-from salsanext_cli.runs.results.manifest import (
-    StageRecord,
-    StageSettings,
-    require_same_settings,
-    settings_json,
-)
+from salsanext_cli.runs.results.manifest import StageRecord, require_same_settings, settings_json
 from salsanext_cli.runs.results.owned_folder import OwnedFolder, foreign_file
 from salsanext_cli.runs.results.paths import (
     ERROR,
@@ -46,9 +41,12 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FilterSettings(StageSettings):
-    """Settings that select the remaining points of scans."""
+class FilterSettings:
+    """Settings that select the remaining points of scans; None are not recorded."""
 
+    label_space: LabelSpace
+    max_error: float | None  # Largest probability of error of the remaining points
+    origins: Mapping[str, str]  # Digests of the settings of earlier stages, by name
     results: str  # Absolute path of the folder of the labels
     classes: tuple[str, ...]  # Classes whose points remain
     # Whether your own vehicle and points without a measurement go too
@@ -121,7 +119,7 @@ class PointFilter:
 
     def _rejected(self, file: ScanFile, labels: TrainIds) -> Mask:
         """Return the mask (N,) of the points whose label `predict --reject` rejected."""
-        settings = self.results.settings_of("predictions")
+        settings = self.results.prediction()
         none = np.zeros(len(labels), bool)
         if settings is None or settings.reject is None:
             return none

@@ -36,7 +36,6 @@ from salsanext_cli.runs.drives.scans_of_drive import computed_drive, drive_findi
 from salsanext_cli.runs.drives.stored_softmax import stored_softmax
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.results.digest_files import recorded_scans
-from salsanext_cli.runs.results.manifest import StageSettings
 from salsanext_cli.runs.results.output_run import OutputRun, output_run
 from salsanext_cli.runs.results.owned_folder import OwnedFolder, foreign_file
 from salsanext_cli.runs.results.paths import (
@@ -52,12 +51,11 @@ from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.results.recorded_origins import recorded_origins
 from salsanext_cli.runs.results.result_folder import ResultFolder
 from salsanext_cli.runs.results.selection import MissingResults, choose, scans_of
+from salsanext_cli.runs.results.stage_settings import FuseSettings, PredictSettings
 from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
 
 FUSED = "fused"  # Folder of the fused labels in the folder of the labels of single scans
 SOFTMAX_FOLDERS = ("probabilities", "votes")
-OF_NETWORK = ("weights", "weights_version", "inherited", "temperature")
-"""Settings of `predict` that the fused labels inherit."""
 
 Value = TypeVar("Value")
 
@@ -144,20 +142,26 @@ class FusibleResults:
 
         return by_sequence(self.sequences, drive_of, options)
 
-    def settings(self, reach: FusionReach, target: Path) -> tuple[StageSettings, StageSettings]:
-        """Return the settings to record for the labels of single scans, and the fused labels."""
-        origins = self.results.origins(SINGLE_SCAN_STAGES)
-        of_single = StageSettings(reach=reach, origins=origins)
-        network = self.results.settings("predict") or StageSettings()
+    def settings_of_votes(self, reach: FusionReach) -> FuseSettings:
+        """Return the settings to record beside the labels of single scans."""
+        return FuseSettings(reach=reach, origins=self.results.origins(SINGLE_SCAN_STAGES))
+
+    def settings_of_labels(self, reach: FusionReach, target: Path) -> FuseSettings:
+        """Return the settings to record for the fused labels in a folder."""
+        prediction = self.results.settings("predict") or PredictSettings()
         # The record of the fused labels has a file of its own.
-        trained = recorded_scans(network.trained_on or "", self.results.path("predict"))
-        return of_single, replace(
-            of_single,
-            **{name: getattr(network, name) for name in OF_NETWORK},
-            trained_on="".join(sorted(trained.digests)) or network.trained_on,
+        trained = recorded_scans(prediction.trained_on or "", self.results.path("predict"))
+        return FuseSettings(
             label_space=self.space,
             sensor=self.sensor,
+            weights=prediction.weights,
+            weights_version=prediction.weights_version,
+            inherited=prediction.inherited,
+            trained_on="".join(sorted(trained.digests)) or prediction.trained_on,
+            temperature=prediction.temperature,
+            reach=reach,
             fused_of=os.path.relpath(self.results.root, target),
+            origins=self.results.origins(SINGLE_SCAN_STAGES),
         )
 
 
@@ -236,13 +240,18 @@ def fuse_results(
     summary = RunSummary(sensor, fusible.space, scans)
     kinds = (DISAGREEMENT, "views")
     overwrite = options.overwrite
-    of_single, of_fused = fusible.settings(reach, target)
-    of_target = (target, "fuse", of_fused, (*kinds, "predictions"), scans)
-    with (
-        output_run(out, "fuse", of_single, kinds, scans, overwrite=overwrite) as single,
-        output_run(*of_target, overwrite=overwrite) as fused,
-        summary.recorded_in(fused, scans),
-    ):
+    votes = output_run(
+        out, "fuse", fusible.settings_of_votes(reach), kinds, scans, overwrite=overwrite
+    )
+    labels = output_run(
+        target,
+        "fuse",
+        fusible.settings_of_labels(reach, target),
+        (*kinds, "predictions"),
+        scans,
+        overwrite=overwrite,
+    )
+    with votes as single, labels as fused, summary.recorded_in(fused, scans):
 
         def drive_of(name: str) -> Drive:
             return _recorded_drive(fusible.members[name], given[name], single, fused, sensor)

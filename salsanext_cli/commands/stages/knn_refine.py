@@ -17,13 +17,13 @@ from salsanext_cli.core.wording import argument, command, setting
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.formats.npy import read_array
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
-from salsanext_cli.runs.results.manifest import StageSettings
 from salsanext_cli.runs.results.output_run import OutputRun, output_run
 from salsanext_cli.runs.results.paths import ScanFile, find_scans, with_outputs
 from salsanext_cli.runs.results.recorded_origins import sensor_of_result
 from salsanext_cli.runs.results.result_folder import ResultFolder
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.results.selection import choose, space_of
+from salsanext_cli.runs.results.stage_settings import RefineSettings
 from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
 
 
@@ -115,8 +115,10 @@ def knn_refine_scans(
         hint = f"run `{predict}` first"
         raise NoInputError(out, "has no pixel labels", hint=hint)
     scans = choose(scans, selection, space_of(scans, space), out)
-    sensor, origins = sensor or results.sensor(), results.origins(["predict"])
-    settings = StageSettings(label_space=space, sensor=sensor, knn=knn, origins=origins)
+    sensor = sensor or results.sensor()
+    settings = RefineSettings(
+        label_space=space, sensor=sensor, knn=knn, origins=results.origins(["predict"])
+    )
     summary = RunSummary(sensor, space, scans)
     wanted, overwrite = (out, "knn-refine", settings, ("predictions",), scans), options.overwrite
     run = output_run(*wanted, overwrite=overwrite, record_scans=dataset is not None)

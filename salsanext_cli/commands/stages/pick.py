@@ -50,6 +50,7 @@ from salsanext_cli.runs.results.named_scans import named_scans, read_names
 from salsanext_cli.runs.results.paths import ScanFile, find_scans
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.results.selection import choose, evenly_spaced, scans_of, space_of
+from salsanext_cli.runs.results.stage_settings import ComputedSettings
 from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.runs.summary.scan_warnings import ScanWarning, log_recorded
 
@@ -182,9 +183,9 @@ def _settings(
 ) -> PickSettings:
     """Return the settings of a choice among scans, some of which are labelled already."""
     return PickSettings(
-        settings_of_network(network),
-        count,
-        seed,
+        network=settings_of_network(network, ComputedSettings),
+        count=count,
+        seed=seed,
         scans=_digest(scans),
         labelled=None if done is None else _digest(sorted(done)),
         samples=SAMPLES,

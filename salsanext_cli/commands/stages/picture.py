@@ -6,6 +6,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Final
 
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import NOTICE, UsageError
@@ -17,13 +18,14 @@ from salsanext_cli.report.scan_pictures import known_views, picture_of_results
 from salsanext_cli.runs.fit.sensor_fit import fitted_view
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.results.foreign_labels import warn_of_foreign_labels
-from salsanext_cli.runs.results.manifest import StageSettings
 from salsanext_cli.runs.results.output_run import OutputRun, output_run
 from salsanext_cli.runs.results.paths import COLOURINGS, PREDICTION_STAGES, ScanFile
 from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.results.result_folder import ChosenResults, ResultFolder, scalar_columns
+from salsanext_cli.runs.results.stage_settings import PictureSettings
 
-STAGE, FOLDER = "picture", "pictures"
+STAGE: Final = "picture"
+FOLDER = "pictures"
 
 log = logging.getLogger(__name__)
 
@@ -94,7 +96,8 @@ def picture(
     colours = list(dict.fromkeys(meant.get(colour, colour) for colour in colours))
     for colour in colours:
         results.require_column(colour, scans)
-    origins, earlier = results.origins(PREDICTION_STAGES), results.settings(STAGE)
+    origins = results.origins(PREDICTION_STAGES)
+    earlier = results.settings(STAGE)
     overwrite = options.overwrite or (earlier is not None and earlier.origins != origins)
     continued = None if overwrite else earlier  # Keeps sensor and scales
     view = results.known_sensor() or (continued.sensor if continued else None)
@@ -105,7 +108,7 @@ def picture(
     scales: Scales = dict.fromkeys(values, scale) if scale else dict(known)
     unknown = [colour for colour in values if colour not in scales]
     scales |= common_scales(out, scans, unknown, space, view)
-    settings = StageSettings(
+    settings = PictureSettings(
         colours=tuple(colours), scales=scales, sensor=view, label_space=space, origins=origins
     )
     truth_in = (chosen.labels, space) if _shows_truth(chosen, colours, view) else None

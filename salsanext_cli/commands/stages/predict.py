@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -42,7 +42,6 @@ from salsanext_cli.runs.loop.network_task import NetworkTask
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.loop.run_origins import OriginsOfRun
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.results.manifest import StageSettings
 from salsanext_cli.runs.results.output_run import OutputRun, output_run
 from salsanext_cli.runs.results.paths import (
     ERROR,
@@ -62,6 +61,7 @@ from salsanext_cli.runs.results.recorded_origins import (
 from salsanext_cli.runs.results.result_folder import ResultFolder
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.results.selection import choose, scans_of, space_of
+from salsanext_cli.runs.results.stage_settings import PredictSettings
 from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
 
 OF_SOFTMAX = {"probabilities", "votes", ERROR}  # Results that need the whole softmax
@@ -69,7 +69,7 @@ OF_SOFTMAX = {"probabilities", "votes", ERROR}  # Results that need the whole so
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class LabelRejection:
     """Rule by which labels are rejected."""
 
@@ -77,11 +77,15 @@ class LabelRejection:
     threshold: float  # Largest uncertainty of an accepted point
     risk: RiskThreshold | None  # Origin of the threshold
 
-    @property
-    def recorded(self) -> dict[str, Any]:
-        """Fields of the settings of the stage."""
-        kind = None if self.kind == "error" else self.kind
-        return {"reject": self.threshold, "reject_by": kind, "guarantee": self.risk}
+    def recorded_in(self, settings: PredictSettings) -> PredictSettings:
+        """Return settings with the rule; the accuracy of accepted labels cannot be estimated."""
+        return replace(
+            settings,
+            reject=self.threshold,
+            reject_by=None if self.kind == "error" else self.kind,
+            guarantee=self.risk,
+            accuracy=None,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,16 +229,16 @@ def predict_scans(
 
 def _recorded_settings(
     network: Network, knn: KnnParameters, extras: tuple[str, ...], rejection: LabelRejection | None
-) -> StageSettings:
-    """Return the settings to record; the accuracy of accepted labels cannot be estimated."""
-    return replace(
-        settings_of_network(network),
+) -> PredictSettings:
+    """Return the settings to record."""
+    settings = replace(
+        settings_of_network(network, PredictSettings),
         temperature=network.card.temperature,
         knn=knn,
-        accuracy=None if rejection else network.card.accuracy,
+        accuracy=network.card.accuracy,
         objects="objects" in extras or None,
-        **(rejection.recorded if rejection else {}),
     )
+    return rejection.recorded_in(settings) if rejection else settings
 
 
 def _possible_extras(
@@ -258,7 +262,7 @@ def _rejection(
     threshold = risk.threshold if risk else reject
     if isinstance(threshold, str) or not 0 <= threshold <= 1:
         raise UsageError(argument("reject"), str(threshold), "a probability from 0 to 1")
-    return LabelRejection(risk.kind if risk else "error", threshold, risk)
+    return LabelRejection(kind=risk.kind if risk else "error", threshold=threshold, risk=risk)
 
 
 def _chosen_threshold(
@@ -372,7 +376,7 @@ def predict_range_images(
         image_of=images,
         origins_of=origins.of_sample,
     )
-    recorded = settings_of_network(network)
+    recorded = settings_of_network(network, PredictSettings)
     folders = ("pixel_labels",)
     summary = RunSummary(network.sensor, trained=network.card.sensor)
     run = output_run(

@@ -12,7 +12,7 @@ from salsanext_cli.runs.fit.scan_reading import read_measured
 from salsanext_cli.runs.fit.sensor_fit import fitted_view
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.loop.run_origins import OriginsOfRun
-from salsanext_cli.runs.results.manifest import Manifest, StageSettings
+from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.output_run import OutputRun, output_run
 from salsanext_cli.runs.results.paths import ORIGINS, ScanFile
 from salsanext_cli.runs.results.recorded_names import with_recorded_names
@@ -23,6 +23,7 @@ from salsanext_cli.runs.results.recorded_origins import (
 )
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.results.selection import choose, scans_of, space_of
+from salsanext_cli.runs.results.stage_settings import ProjectSettings
 from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
 
 FOLDERS = ("range", "pixels")
@@ -103,7 +104,7 @@ def project_scans(
     recorded = None if options.overwrite else Manifest(out).settings("project")
     earlier = recorded.sensor if recorded else None
     sensor = fitted_view(listed, sensor, earlier, view=fit, mounting=fit_mounting)
-    settings = StageSettings(sensor=sensor)
+    settings = ProjectSettings(sensor=sensor)
     summary = RunSummary(sensor, scans=scans)
     folders = (*FOLDERS, *folders_of_origins(out, "project", sensor))
     run = output_run(out, "project", settings, folders, scans, overwrite=options.overwrite)

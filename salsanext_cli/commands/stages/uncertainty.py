@@ -27,7 +27,7 @@ from salsanext_cli.runs.loop.network_task import NetworkTask
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.loop.run_origins import OriginsOfRun
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.results.manifest import Manifest, StageSettings
+from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.output_run import OutputRun, output_run
 from salsanext_cli.runs.results.paths import ERROR, ORIGINS, ScanFile
 from salsanext_cli.runs.results.recorded_names import with_recorded_names
@@ -38,6 +38,7 @@ from salsanext_cli.runs.results.recorded_origins import (
 )
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.results.selection import choose, scans_of, space_of
+from salsanext_cli.runs.results.stage_settings import UncertaintySettings
 from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
 
 METHOD = "sampling"  # Recorded, because earlier versions had another method
@@ -140,7 +141,7 @@ def uncertainty(
     )
     method.require(network)
     recorded = replace(
-        settings_of_network(network),
+        settings_of_network(network, UncertaintySettings),
         knn=knn,
         method=METHOD,
         aleatoric=method.aleatoric,
@@ -173,7 +174,7 @@ def _folders(
     return (*folders_of_origins(out, "uncertainty", network.sensor), *folders)
 
 
-def _require_network_of_labels(out: Path, settings: StageSettings) -> None:
+def _require_network_of_labels(out: Path, settings: UncertaintySettings) -> None:
     """Refuse to mix the uncertainty of one network with the labels of another."""
     records = Manifest(out)
     stage = records.owner("predictions")

@@ -130,7 +130,7 @@ def _estimate_tiles(run: RunResults, expected: ExpectedAccuracy | None) -> Itera
 
 def _rejection(run: RunResults) -> str:
     """Describe the threshold of a run that rejected labels; empty without one."""
-    settings = Manifest(run.reader.out).settings_of("predictions")
+    settings = Manifest(run.reader.out).prediction()
     if settings is None or settings.reject is None:
         return ""
     kind = (settings.reject_by or "error").replace("_", " ")

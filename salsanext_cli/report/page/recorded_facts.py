@@ -15,8 +15,15 @@ from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.wording import command, setting
 from salsanext_cli.io.files.reading import fingerprint
 from salsanext_cli.io.weights.card_file import default_weights, named_weights, read_card
-from salsanext_cli.runs.results.manifest import Manifest, StageSettings
+from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.paths import ERROR
+from salsanext_cli.runs.results.stage_settings import (
+    ComputedSettings,
+    FuseSettings,
+    PredictSettings,
+    StageSettings,
+    WeightsSettings,
+)
 
 SHOWN_DIGITS = 12  # Hexadecimal digits of a SHA-256 on the page
 
@@ -27,12 +34,13 @@ def recorded_facts(out: Path, sensor: Sensor) -> Iterator[tuple[str, str]]:
     yield "Weights", _weights(records)
     for member in sensor.members:
         yield "Sensor", f"{member.name}, {member.height}×{member.width}, {view_text(member)}"
-    stage, labels = records.owner("predictions"), records.settings_of("predictions")
+    stage = records.owner("predictions")
+    labels = records.settings_of("predictions")
     if stage and labels:
         yield "Labels", _labels(stage, labels)
-        if labels.guarantee:
+        if isinstance(labels, PredictSettings) and labels.guarantee:
             yield "Guarantee", guarantee(labels.guarantee)
-        if labels.inherited:
+        if isinstance(labels, WeightsSettings) and labels.inherited:
             parts = shortened(labels.inherited, 200)
             yield "Inherited", f"{parts}, not fitted to these weights"
     if settings := records.settings("uncertainty"):
@@ -64,11 +72,11 @@ def _weights(records: Manifest) -> str:
 
 def _labels(stage: str, settings: StageSettings) -> str:
     words = [stage]
-    if settings.engine:
+    if isinstance(settings, ComputedSettings) and settings.engine:
         words.append(f"{settings.engine} in {settings.precision}")
-    if settings.temperature is not None:
+    if isinstance(settings, PredictSettings | FuseSettings) and settings.temperature is not None:
         words.append(f"temperature {settings.temperature:.3g}")
-    if settings.reject is not None:
+    if isinstance(settings, PredictSettings) and settings.reject is not None:
         kind = (settings.reject_by or "error").replace("_", " ")
         words.append(f"points rejected: {kind} above {settings.reject:g}")
     return ", ".join(words)

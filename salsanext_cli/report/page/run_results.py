@@ -196,8 +196,8 @@ class RunResults:
     def expected_accuracy(self) -> ExpectedAccuracy | None:
         """Estimate the accuracy of labels of `predict`; None for labels of other stages."""
         records = Manifest(self.reader.out)
-        settings = records.settings("predict")
-        if settings is None or records.owner("predictions") != "predict":
+        settings = records.prediction()
+        if settings is None:
             return None
         means = {r.file.name: r.uncertainty.get("least_confidence", math.nan) for r in self.rows}
         confidences = {name: 1 - mean for name, mean in means.items() if not math.isnan(mean)}

@@ -141,7 +141,7 @@ def _mean(values: Float) -> float:
 
 def _rejected(out: Path, values: dict[str, Float]) -> Rejection:
     """Count the points above the threshold of the run; none without a threshold."""
-    settings = Manifest(out).settings_of("predictions")
+    settings = Manifest(out).prediction()
     if settings is None or settings.reject is None:
         return Rejection()
     uncertainty = values.get(settings.reject_by or "error")

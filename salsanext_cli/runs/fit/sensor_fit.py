@@ -6,7 +6,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.fitting.network_fit import FitSettings, fit_to_sample, intensity_method
@@ -18,9 +18,12 @@ from salsanext_cli.core.records import Scan
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.runs.fit.scan_sample import MAX_SCANS, ImageOf, OriginsOf, sample_of_files
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.results.manifest import Manifest, StageSettings
+from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.paths import ScanFile, find_scans
 from salsanext_cli.runs.results.selection import evenly_spaced
+from salsanext_cli.runs.results.stage_settings import ComputedSettings
+
+Computed = TypeVar("Computed", bound=ComputedSettings)
 
 
 def fit_network(
@@ -147,19 +150,42 @@ def network_of_run(
 
     `image_of`, `origins_of`: range images and origins of the scans, as of `sample_of_files`.
     """
-    recorded = [] if overwrite else map(Manifest(out).settings, ("predict", "uncertainty"))
-    earlier = next((s for s in recorded if s and s.weights == network.backend.sha256), None)
+    earlier = None if overwrite else _earlier_sensor(Manifest(out), network)
     sample = sample_of_files(files, network.sensor, image_of, origins_of)
-    return fit_scans(settings, network, sample, earlier.sensor if earlier else None)
+    return fit_scans(settings, network, sample, earlier)
 
 
-def settings_of_network(network: Network) -> StageSettings:
-    """Return the settings of a network that the results of a stage depend on."""
-    backend, card = network.backend, network.card
-    return StageSettings(
+def _earlier_sensor(records: Manifest, network: Network) -> Sensor | None:
+    """Return the sensor of earlier results of the same weights, None without any."""
+    for recorded in (records.settings("predict"), records.settings("uncertainty")):
+        if recorded and recorded.weights == network.backend.sha256:
+            return recorded.sensor
+    return None
+
+
+def settings_of_network(network: Network, kind: type[Computed]) -> Computed:
+    """Return the settings of a network that the results of a stage depend on.
+
+    Parameters
+    ----------
+    network : Network
+        Network that computes the results, fitted to the scans.
+    kind : type
+        Class of the settings of the stage, a subclass of `ComputedSettings`. Its other fields have
+        their defaults.
+
+    Returns
+    -------
+    ComputedSettings
+        An instance of `kind`.
+    """
+    backend = network.backend
+    card = network.card
+    inherited = [text for text in (card.inherited(), card.of_other_width()) if text]
+    return kind(
         weights=backend.sha256,
         weights_version=card.version,
-        inherited="; ".join(filter(None, (card.inherited(), card.of_other_width()))) or None,
+        inherited="; ".join(inherited) or None,
         label_space=network.space,
         sensor=network.sensor.without_noise(),
         precision=backend.precision,

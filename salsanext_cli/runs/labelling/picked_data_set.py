@@ -4,7 +4,7 @@
 import hashlib
 import logging
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from itertools import groupby
 from pathlib import Path
 from typing import NamedTuple
@@ -14,7 +14,6 @@ import yaml
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import FormatError, OutputError, UsageError
 from salsanext_cli.core.fusion.poses import CALIBRATION, POSES
-from salsanext_cli.core.plain_data import plain
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.io.files.json_files import read_json, record_of, write_json
 from salsanext_cli.io.files.reading import filled, fingerprint, present, reading
@@ -23,9 +22,10 @@ from salsanext_cli.io.formats.kitti import encode_bin
 from salsanext_cli.io.poses import line_numbers
 from salsanext_cli.runs.labelling.label_records import IMPORTED
 from salsanext_cli.runs.results.layouts import SCAN_FOLDER
-from salsanext_cli.runs.results.manifest import StageSettings, require_same_settings, settings_json
+from salsanext_cli.runs.results.manifest import require_same_settings, settings_json
 from salsanext_cli.runs.results.owned_folder import OwnedFolder, foreign_file
 from salsanext_cli.runs.results.paths import ScanFile, find_scans, output_path
+from salsanext_cli.runs.results.stage_settings import ComputedSettings
 from salsanext_cli.runs.summary.scan_warnings import ScanWarning
 from salsanext_cli.version import __version__
 
@@ -66,11 +66,11 @@ class UncertaintyScale:
     class_count: int  # The mutual information is at most its logarithm
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PickSettings:
     """Settings of the choice of scans."""
 
-    network: StageSettings
+    network: ComputedSettings
     count: int  # Number of scans to pick
     seed: int
     scans: str  # Number and digest of the scans to choose from
@@ -79,9 +79,19 @@ class PickSettings:
     strategy: str = CHOSEN  # Or `NAMED`; earlier versions had others
 
     def to_dict(self) -> dict[str, object]:
-        """Return all settings in one table."""
-        settings = {field.name: getattr(self, field.name) for field in fields(self)}
-        return {**plain(settings.pop("network")), **settings}
+        """Return all settings in one table, those of the network among them."""
+        network = self.network.to_dict()
+        trained_on = network.pop("trained_on")
+        return {
+            **network,
+            "samples": self.samples,
+            "seed": self.seed,
+            "trained_on": trained_on,
+            "count": self.count,
+            "scans": self.scans,
+            "labelled": self.labelled,
+            "strategy": self.strategy,
+        }
 
 
 @dataclass(frozen=True, slots=True)

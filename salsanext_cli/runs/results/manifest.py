@@ -11,14 +11,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TypeVar
+from typing import Literal, TypeVar, overload
 
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.classes.merging import ClassMerging, contradiction
 from salsanext_cli.core.errors import LabelError, OutputError, first_few
-from salsanext_cli.core.fusion.reach import FusionReach
-from salsanext_cli.core.geometry.knn_parameters import KnnParameters
-from salsanext_cli.core.network.card import AccuracyLine, RiskThreshold
+from salsanext_cli.core.network.card import RiskThreshold
 from salsanext_cli.core.plain_data import Json, as_json, decoded, plain
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.wording import argument, command, setting
@@ -31,13 +29,23 @@ from salsanext_cli.runs.results.digest_files import (
     RecordedScans,
     digests_of_guarantee,
     recorded_scans,
-    require_digests,
     with_names,
     without_names,
 )
 from salsanext_cli.runs.results.paths import COLOURINGS, ERROR, SUFFIX_OF_FOLDER, ScanFile
 from salsanext_cli.runs.results.selection import space_of
 from salsanext_cli.runs.results.setting_differences import differences
+from salsanext_cli.runs.results.stage_settings import (
+    FuseSettings,
+    PictureSettings,
+    PredictSettings,
+    ProjectSettings,
+    RefineSettings,
+    StageSettings,
+    UncertaintySettings,
+    WeightsSettings,
+    settings_type,
+)
 from salsanext_cli.version import __version__
 
 Kind = TypeVar("Kind")
@@ -107,46 +115,6 @@ class StageRecord:
         return not differences(with_names(self.settings), with_names(settings))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StageSettings:
-    """Resolved settings that decide the results of a stage; None are not recorded."""
-
-    label_space: LabelSpace | None = None  # Classes of the labels
-    sensor: Sensor | None = None  # Sensor that the scans were projected for
-    weights: str | None = None  # SHA-256 of the weights file, hexadecimal
-    weights_version: int | None = None  # Of the default weights
-    inherited: str | None = None  # Parts of the weights that were fitted for other weights
-    precision: str | None = None  # Number type and library that computed
-    engine: str | None = None
-    temperature: float | None = None  # Divisor of the logits
-    knn: KnnParameters | None = None
-    reject: float | None = None  # Uncertainty, 0…1, above which points are rejected
-    reject_by: str | None = None  # Kind of that uncertainty, if not the error
-    accuracy: AccuracyLine | None = None
-    guarantee: RiskThreshold | None = None  # Of `--reject risk`
-    objects: bool | None = None  # Whether labels contain numbers of objects
-    method: str | None = None  # Fields of `UncertaintyMethod`, and the noise of the sensor
-    aleatoric: str | None = None
-    samples: int | None = None
-    seed: int | None = None
-    noise: tuple[float, float] | None = None
-    reach: FusionReach | None = None
-    fused_of: str | None = None  # Folder of the labels of single scans, relative to fused labels
-    colours: tuple[str, ...] | None = None  # Values in pictures, and ends of their scales
-    scales: Mapping[str, tuple[float, ...]] | None = None
-    colour: str | None = None  # Value in point clouds, and ends of its scale
-    scale: tuple[float, ...] | None = None
-    max_error: float | None = None  # Largest error of the points that `filter` writes
-    origins: Mapping[str, str] | None = None  # Digests of the settings of earlier stages, by name
-    # Joined digests of the scans that the weights were trained on, or the name of their file
-    trained_on: str | None = None
-
-    def __post_init__(self) -> None:
-        require_digests(self.trained_on or "")
-        if any(len(ends) < 2 for ends in (*(self.scales or {}).values(), self.scale or (0, 1))):
-            raise ValueError("a scale with fewer than two numbers")
-
-
 def settings_json(settings: object) -> dict[str, object]:
     """Return settings as a record contains them: read back from JSON, without None."""
     return {key: value for key, value in as_json(settings).items() if value is not None}
@@ -174,7 +142,9 @@ def _read(path: Path, stage: str, _: tuple[object, ...]) -> StageRecord | None:
 @lru_cache(4 * len(RESULT_STAGES))
 def _settings(path: Path, stage: str, state: tuple[object, ...]) -> StageSettings | None:
     record = _read(path, stage, state)
-    return record_of(StageSettings, without_names(record.settings), path) if record else None
+    if record is None:
+        return None
+    return record_of(settings_type(stage), without_names(record.settings), path)
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,6 +176,18 @@ class Manifest:
         """Return the sources of the scans of all stages, by sequence."""
         return merged_sources(record.scans for record in self.records().values())
 
+    @overload
+    def settings(self, stage: Literal["project"]) -> ProjectSettings | None: ...
+    @overload
+    def settings(self, stage: Literal["predict"]) -> PredictSettings | None: ...
+    @overload
+    def settings(self, stage: Literal["uncertainty"]) -> UncertaintySettings | None: ...
+    @overload
+    def settings(self, stage: Literal["fuse"]) -> FuseSettings | None: ...
+    @overload
+    def settings(self, stage: Literal["picture"]) -> PictureSettings | None: ...
+    @overload
+    def settings(self, stage: str) -> StageSettings | None: ...
     def settings(self, stage: str) -> StageSettings | None:
         """Return the settings of a stage, None if it did not run here."""
         path = self.path(stage)
@@ -271,10 +253,17 @@ class Manifest:
         finer = self.label_space("probabilities")
         return None if finer is None or finer.fits(space) else ClassMerging.between(finer, space)
 
+    def prediction(self) -> PredictSettings | None:
+        """Return the settings of `predict`, None if the labels are not its own."""
+        return self.settings("predict") if self.owner("predictions") == "predict" else None
+
     def guarantee(self, space: LabelSpace) -> RiskThreshold | None:
         """Return the guarantee of `tune risk` for the labels, if they are in its classes."""
-        recorded, settings = self.label_space("predictions"), self.settings_of("predictions")
-        return settings.guarantee if settings and recorded and recorded.fits(space) else None
+        prediction = self.prediction()
+        recorded = self.label_space("predictions")
+        if prediction is None or recorded is None or not recorded.fits(space):
+            return None
+        return prediction.guarantee
 
     def known_sensor(self) -> Sensor | None:
         """Return the recorded sensor of the results, if there is one."""
@@ -290,24 +279,23 @@ class Manifest:
         """Return the SHA-256 of the weights of a folder of results, if it is recorded."""
         stage = self._network_stage(folder)
         settings = self.settings(stage) if stage else None
-        return settings.weights if settings else None
+        return settings.weights if isinstance(settings, WeightsSettings) else None
 
     def trained_on(self) -> RecordedScans:
         """Return the scans that the weights of the predictions were trained on."""
         stage = self._network_stage("predictions")
         settings = self.settings(stage) if stage else None
-        if stage is None or settings is None:
+        if stage is None or not isinstance(settings, WeightsSettings):
             return NO_SCANS
         return recorded_scans(settings.trained_on or "", self.path(stage))
 
     def _network_stage(self, folder: str) -> str | None:
         """Return the stage that ran the network for a folder of results."""
-        stage = self.owner(folder)
         settings = self.settings_of(folder)
         # Without origins, an earlier version refined labels of another program.
-        if stage == "knn-refine" and settings and settings.origins is not None:
+        if isinstance(settings, RefineSettings) and settings.origins is not None:
             return self._network_stage("pixel_labels")
-        return stage
+        return self.owner(folder)
 
     def require_same_weights(self) -> None:
         """Refuse an uncertainty of other weights or classes than the labels."""
@@ -328,7 +316,7 @@ class Manifest:
     def rejected_above(self, folder: str = "predictions") -> float | None:
         """Return the uncertainty above which the run of a folder of results rejected points."""
         settings = self.settings_of(folder)
-        return settings.reject if settings else None
+        return settings.reject if isinstance(settings, PredictSettings) else None
 
     def scans_of_threshold(self) -> RecordedScans:
         """Return the scans that `tune risk` chose the threshold of the predictions on."""

@@ -21,7 +21,6 @@ from salsanext_cli.runs.results.manifest import (
     Manifest,
     ScanSource,
     StageRecord,
-    StageSettings,
     merged_sources,
     require_same_settings,
     settings_json,
@@ -34,6 +33,7 @@ from salsanext_cli.runs.results.paths import (
     find_outputs,
     output_path,
 )
+from salsanext_cli.runs.results.stage_settings import StageSettings
 
 
 @dataclass(frozen=True, slots=True)

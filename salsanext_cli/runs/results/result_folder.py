@@ -278,8 +278,9 @@ class ResultFolder(Manifest):
         sensor = sensor and sensor_of_result(self.root, file, scan, sensor)
         count = len(scan)
         label, instance = _labels(self._path(file, "label"), count)
-        recorded = self.settings_of("predictions")
-        if instance is not None and not (instance.any() or (recorded and recorded.objects)):
+        prediction = self.prediction()
+        has_objects = prediction is not None and prediction.objects
+        if instance is not None and not (instance.any() or has_objects):
             instance = None
         if label is not None and classes is not None:
             label = classes.to_raw(classes.to_train(label, strict=False))

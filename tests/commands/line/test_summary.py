@@ -25,8 +25,9 @@ from salsanext_cli.core.engines import device
 from salsanext_cli.io.formats.kitti import write_labels
 from salsanext_cli.runs.loop.run import Failure, Outcome
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.results.manifest import Manifest, StageSettings
+from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.paths import ScanFile, find_scans
+from salsanext_cli.runs.results.stage_settings import PredictSettings
 from salsanext_cli.runs.summary.scan_summary import RunSummary
 
 
@@ -211,7 +212,7 @@ def test_a_long_run_without_bfloat16_names_int8(
     changes, flags, named, weights, tmp_path, monkeypatch
 ):
     given = {"done": MANY_SCANS + 1, "precision": "auto", "engine": "openvino", **changes}
-    recorded = StageSettings(precision="float32", engine=given["engine"])
+    recorded = PredictSettings(precision="float32", engine=given["engine"])
     monkeypatch.setattr(Manifest, "settings", lambda *_: recorded)
     monkeypatch.setattr(device, "flags", lambda: frozenset(flags.split()))
     for variable in device.ISA_VARIABLES:

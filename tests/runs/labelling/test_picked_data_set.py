@@ -5,8 +5,9 @@ import pytest
 from scans import write_sequence
 
 from salsanext_cli.runs.labelling.picked_data_set import PickedDataSet, PickSettings
-from salsanext_cli.runs.results.manifest import StageSettings, settings_json
+from salsanext_cli.runs.results.manifest import settings_json
 from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.results.stage_settings import ComputedSettings
 
 
 @pytest.mark.parametrize(
@@ -28,9 +29,18 @@ def test_poses_with_ambiguous_names_are_skipped(tmp_path, caplog, stems, lines, 
 
 
 def test_the_settings_are_one_table_with_those_of_the_network():
-    network = StageSettings(weights="abc", precision="float32")
-    settings = PickSettings(network, 10, 0, "3, abc", None, samples=8)
-    assert settings_json(settings) == {
-        **{"weights": "abc", "precision": "float32"},
-        **{"strategy": "both", "count": 10, "seed": 0, "scans": "3, abc", "samples": 8},
-    }
+    network = ComputedSettings(weights="abc", precision="float32", trained_on="0" * 24)
+    settings = PickSettings(
+        network=network, count=10, seed=0, scans="3, abc", labelled=None, samples=8
+    )
+    # The order is that of earlier versions.
+    assert [*settings_json(settings).items()] == [
+        ("weights", "abc"),
+        ("precision", "float32"),
+        ("samples", 8),
+        ("seed", 0),
+        ("trained_on", "0" * 24),
+        ("count", 10),
+        ("scans", "3, abc"),
+        ("strategy", "both"),
+    ]

@@ -59,22 +59,3 @@ def test_digests_of_training_scans_come_last(tmp_path: Path) -> None:
     assert [*content] == ["stage", "version", "writes", "settings", "scans"]
     assert [*content["settings"]][-1] == "trained_on"
     assert Manifest(tmp_path).trained_on().digests == {digest}
-
-
-@pytest.mark.parametrize(
-    "settings",
-    [
-        *({"trained_on": value} for value in ("0" * 23, "x" * 24, 5, ["0" * 24])),
-        *({"scale": value} for value in ([1.0], [1.0, "2"], 3, "12")),
-        *({"knn": value} for value in ({"k": 0}, {"k": 1.5}, 5)),
-        *({"sensor": value} for value in ({}, {"name": "a"}, 5, [])),
-        *({"label_space": value} for value in ({}, 5, [])),
-        *({"guarantee": value} for value in ({}, {"kind": "error"}, 5)),
-        *({name: []} for name in ("weights", "reject", "seed", "objects", "reach", "noise")),
-    ],
-)
-def test_invalid_settings_are_refused(tmp_path: Path, settings) -> None:
-    content = {"stage": "predict", "settings": settings, "writes": ["predictions"]}
-    (tmp_path / "predict.json").write_text(json.dumps(content))
-    with refused(OutputError, tmp_path / "predict.json"):
-        Manifest(tmp_path).settings("predict")

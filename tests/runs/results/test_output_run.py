@@ -24,9 +24,10 @@ from salsanext_cli.io.files.reading import fingerprint
 from salsanext_cli.runs.loop.network_task import NetworkTask
 from salsanext_cli.runs.loop.run import RunOptions, run_over_scans
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.results.manifest import Manifest, StageSettings
+from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.output_run import OutputRun, output_run
 from salsanext_cli.runs.results.paths import ScanFile, find_scans
+from salsanext_cli.runs.results.stage_settings import ExportSettings
 
 LABELS = np.full(5, 10, np.uint32)
 
@@ -50,7 +51,7 @@ def test_the_record_of_a_run(tmp_path: Path) -> None:
         "scans": {"08": {"folder": str(scans[0].path.parent), "asked_for": ["a.bin", "b.bin"]}},
     }
     records = Manifest(tmp_path / "out")
-    assert records.settings("predict") == StageSettings(weights="abc", knn=KnnParameters())
+    assert records.settings("predict") == PredictSettings(weights="abc", knn=KnnParameters())
     assert records.settings("project") is None
     assert (records.owner("predictions"), records.owner("range")) == ("predict", None)
 
@@ -71,7 +72,7 @@ def test_runs_of_the_same_settings_may_write_more(tmp_path: Path) -> None:
     ("other", "named"),
     [
         ({"weights": "abc", "knn": KNN | {"k": 7}}, ["knn.k was 5 and is 7"]),
-        (SETTINGS | {"seed": 7}, ["seed was not set and is 7"]),
+        (SETTINGS | {"reject": 0.5}, ["reject was not set and is 0.5"]),
         ({"weights": "abc"}, ["knn.k was 5 and is not set", "knn.sigma was 1.0 and is not set"]),
     ],
 )
@@ -116,7 +117,7 @@ def test_overwriting_does_not_remove_foreign_files(tmp_path, caplog):
     (out / "sequences/05").symlink_to(sequence)
 
     with output_run(
-        out, "predict", StageSettings(weights="new"), ("predictions",), scans, overwrite=True
+        out, "predict", PredictSettings(weights="new"), ("predictions",), scans, overwrite=True
     ) as output:
         assert output.foreign == {corrected}
         output.require_replaceable(scans[0])
@@ -204,7 +205,7 @@ def test_runs_side_by_side(tmp_path: Path) -> None:
     """They have the same settings, or are of stages that fill other folders."""
     (path,) = predicted(tmp_path, scans_of(tmp_path, "a"))
     first = (tmp_path, "predict", TYPED, ["predictions"], ())
-    export = (tmp_path, "export-ply", StageSettings(colour="label"), ["ply"])
+    export = (tmp_path, "export-ply", ExportSettings(colour="label"), ["ply"])
     with (
         output_run(*first, overwrite=True),
         output_run(*first, overwrite=False),
