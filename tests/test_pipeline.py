@@ -122,8 +122,8 @@ def test_the_default_weights_label_unseen_scenes(tmp_path, scenes):
     wrong, error, doubt = map(np.concatenate, columns)
     assert wrong.mean() < 0.25
     error, baseline = (error_scores(values, wrong) for values in (error, np.clip(doubt, 0, 1)))
-    assert error["aurc"] < baseline["aurc"]
-    assert error["ece"] < 0.06
+    assert error.aurc < baseline.aurc
+    assert error.ece < 0.06
 
 
 @pytest.mark.real

@@ -53,11 +53,12 @@ class World:
         predict_scans(self.data, self.out, settings=self.network)
 
     def tune(self, part: str, target: Path, **changes: Any) -> dict[str, Any]:
-        """Tune a part of the weights on every scan."""
-        from salsanext_cli.commands.stages.tune import tune  # it takes torch
+        """Tune a part of the weights on every scan; return the report as JSON has it."""
+        from salsanext_cli.commands.stages import tune  # it takes torch
 
+        stage = getattr(tune, f"tune_{part}")
         given = {"settings": self.network, "selection": EVERY, **changes}
-        return tune(part, self.data, target, **given)
+        return stage(self.data, target, **given).to_dict()
 
     def predict_by_hand(self, raw: int = 10, count: int = 1500) -> None:
         """Leave predictions of unknown origin for every scan."""

@@ -22,7 +22,7 @@ import torch
 
 from benchmarks.studies.corruption_models import LEVELS
 from benchmarks.studies.corruptions import SEVERITIES, write_data_set
-from salsanext_cli.commands.stages.tune import tune
+from salsanext_cli.commands.stages.tune import tune_temperature
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.network.error_model import ErrorModel
@@ -85,10 +85,10 @@ def add_temperatures(weights: Path, target: Path, datasets: Sequence[Path]) -> N
         temperatures = []
         for dataset in datasets:
             tuned = target.with_name(f"{dataset.name}.safetensors")
-            found = tune(
-                "temperature", dataset, tuned, settings=at_width(weights, width), overwrite=True
+            report = tune_temperature(
+                dataset, tuned, settings=at_width(weights, width), overwrite=True
             )
-            temperatures.append(found["after"]["temperature"])
+            temperatures.append(report.fit.after.temperature)
             print(f"temperature of {dataset.name} at {width}: {temperatures[-1]:.3f}", flush=True)
         temperature = float(np.exp(np.mean(np.log(temperatures))))
         card = replace(card.at_width(width), temperature=temperature)
@@ -166,7 +166,7 @@ def error_model(
             points = network_pipeline(judge_job(own, read, POINTS_OF_SCAN), own).results(files)
             judged |= zip(files, points, strict=True)
             parts[fold_of[sequence]] += files
-    model = cross_validated(judged, parts)
+    model = cross_validated(judged, parts).model
     roots = {dataset.name for dataset in copies}
     parents = {(file.path.parents[3].name, file.sequence) for file in judged}
     names = sorted(f"{root}/{sequence}" for root, sequence in parents if root in roots)

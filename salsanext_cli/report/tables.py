@@ -4,7 +4,6 @@
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from rich.console import Group
 from rich.table import Table
@@ -125,28 +124,6 @@ def _ranking_table(kinds: Mapping[str, RankingScores]) -> Table:
 
 def _number(value: float) -> str:
     return ABSENT if math.isnan(value) else f"{value:.3f}"
-
-
-def temperature_table(tuned: Mapping[str, Any]) -> Table:
-    """Return a table of `temperature`, `nll` in nats and `ece` as a share, before and after."""
-    rows = []
-    for name in ("before", "after"):
-        numbers = (f"{tuned[name][score]:.4f}" for score in ("temperature", "nll"))
-        rows.append((name, *numbers, percent(tuned[name]["ece"], 2)))
-    headings = ("", "temperature", "NLL in nats", "ECE in %")
-    return table_of(headings, rows, title=f"Held-out scans, {counted(tuned['folds'], 'fold')}")
-
-
-def error_table(tuned: Mapping[str, Any]) -> Table:
-    """Return a table of scores on held-out scans: confidence, existing model, new model."""
-    names = {"confidence": "confidence", "existing": "existing model", "error": "new model"}
-    rows = []
-    for key, name in names.items():
-        if scores := tuned[key]:
-            numbers = (f"{scores[score]:.4f}" for score in ("auroc", "aurc", "nll"))
-            rows.append((name, *numbers, percent(scores["ece"]), percent(scores["risk_80"])))
-    headings = ("", "AUROC", "AURC", "NLL", "ECE in %", "wrong of the best 80 %, in %")
-    return table_of(headings, rows, title=f"Held-out scans, {counted(tuned['folds'], 'fold')}")
 
 
 def accepted_table(classes: Mapping[str, tuple[int, int]]) -> Table:

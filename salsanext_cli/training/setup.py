@@ -267,11 +267,13 @@ class Setup:
             judged |= zip(part, network_pipeline(job, network).results(part), strict=True)
         if of_both_kinds(judged.values()):
             start = self.error if self.error and self.error.features == FEATURES else None
-            model = cross_validated(judged, parts, start=start)
-            if gains(model):
-                return model
-            existing = model.scores["existing"]
-            if start and existing and is_better(existing, model.scores["confidence"]):
+            fitted = cross_validated(judged, parts, start=start)
+            if gains(fitted.report):
+                return fitted.model
+            held_out_scores = fitted.report.held_out
+            existing = held_out_scores.existing
+            confidence = held_out_scores.confidence
+            if start and existing and confidence and is_better(existing, confidence):
                 log.log(NOTICE, "the error model of the initial weights stays: it is no worse")
                 return replace(start, temperature=None)
         log.warning("no error model: it would be no better than the confidence")

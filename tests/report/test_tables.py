@@ -8,6 +8,7 @@ from printed_tables import text_of
 from scans import SMALL
 
 from salsanext_cli import label_space
+from salsanext_cli.commands.line.tune_tables import error_table
 from salsanext_cli.commands.stages.models import describe_weights
 from salsanext_cli.core.measures.scores import confusion_matrix, scores
 from salsanext_cli.core.measures.survey import Survey
@@ -17,7 +18,6 @@ from salsanext_cli.report.picked import picked_table
 from salsanext_cli.report.tables import (
     accepted_table,
     band_table,
-    error_table,
     imported_table,
     score_table,
     survey_tables,
@@ -25,6 +25,7 @@ from salsanext_cli.report.tables import (
 )
 from salsanext_cli.runs.labelling.label_records import ImportedScan
 from salsanext_cli.runs.labelling.picked_data_set import PickedScan
+from salsanext_cli.training.tuning.error import ErrorScores, HeldOutScores
 
 MANY = 430_123_456
 SPACE = small_space("none", "car [red]", "road", "tree")
@@ -101,9 +102,8 @@ def tables_of_a_large_data_set(weights):
     calibration = replace(calibration, scans=4071, points=MANY)
     ranking = replace(ranking, points=MANY, wrong=MANY // 3)
     yield from tables_of(calibration, mutual_information=ranking, error=replace(ranking, ece=0.1))
-    of_error = {"ece": 0.1, "risk_80": 0.1, "auroc": 0.9, "aurc": 0.1, "nll": 0.5}
-    models = dict.fromkeys(("confidence", "existing", "error"), of_error)
-    yield error_table({"folds": 5, **models})
+    error = ErrorScores(ece=0.1, risk_80=0.1, auroc=0.9, aurc=0.1, nll=0.5)
+    yield error_table(HeldOutScores(folds=5, error=error, existing=error, confidence=error))
     yield accepted_table({"person-or-cycle": (MANY, 1000)})
     described = describe_weights(weights)
     card = replace(described.card, scores={"iou_other-vehicle": 0.5})

@@ -4,7 +4,7 @@
 from dataclasses import fields
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, overload
 
 import typer
 
@@ -166,6 +166,10 @@ def in_topic(source: Path, topic: str | None) -> Path:
     return source / topic.strip("/")
 
 
+@overload
+def share(option: str, text: str, word: str = "") -> float: ...
+@overload
+def share(option: str, text: str | None, word: str = "") -> float | None: ...
 def share(option: str, text: str | None, word: str = "") -> float | None:
     """Return a share, 0…1, that is typed as ``5%`` or ``0.05``.
 

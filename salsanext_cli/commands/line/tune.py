@@ -3,7 +3,7 @@
 
 import shlex
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -44,11 +44,20 @@ def tune_temperature(
 
     Example: salsanext tune temperature scenes/ tuned.safetensors
     """
-    from salsanext_cli.report.tables import temperature_table
+    from salsanext_cli.commands.line.tune_tables import temperature_table
+    from salsanext_cli.commands.stages.tune import tune_temperature as stage
 
-    tuned = _tuned("temperature", dataset, target, fit, output)
-    output.result(tuned, temperature_table(tuned))
-    points = f"{tuned['points']:,} points of {counted(tuned['scans'], 'scan')}"
+    with writing("tune temperature", output.quiet, at_end=True) as bar:
+        tuned = stage(
+            dataset,
+            target,
+            settings=fit.settings,
+            selection=fit.selection,
+            overwrite=fit.overwrite,
+            progress=bar,
+        )
+    output.result(tuned.to_dict(), temperature_table(tuned.fit))
+    points = f"{tuned.fit.points:,} points of {counted(tuned.fit.scans, 'scan')}"
     _end(output, f"tune temperature: {points} → {target}", target)
 
 
@@ -63,13 +72,24 @@ def tune_error(
 
     Example: salsanext tune error scenes/ trusted.safetensors
     """
-    from salsanext_cli.report.tables import error_table
+    from salsanext_cli.commands.line.tune_tables import error_table
+    from salsanext_cli.commands.stages.tune import tune_error as stage
 
-    tuned = _tuned("error", dataset, target, fit, output)
-    output.result(tuned, error_table(tuned) if tuned["folds"] else None)
-    points = f"{tuned['points']:,} points of {counted(tuned['scans'], 'scan')}"
-    points += f", {percentage(tuned['wrong'])} wrong"
-    if several := tuned["several"]:
+    with writing("tune error", output.quiet, at_end=True) as bar:
+        tuned = stage(
+            dataset,
+            target,
+            settings=fit.settings,
+            selection=fit.selection,
+            overwrite=fit.overwrite,
+            progress=bar,
+        )
+    held_out = tuned.fit.held_out
+    output.result(tuned.to_dict(), error_table(held_out) if held_out.folds else None)
+    points = f"{tuned.fit.points:,} points of {counted(tuned.fit.scans, 'scan')}"
+    points += f", {percentage(tuned.fit.wrong)} wrong"
+    several = tuned.fit.several
+    if several:
         points += (
             f" ({percentage(several)} of all points skipped: labels of several merged classes)"
         )
@@ -106,6 +126,7 @@ def tune_risk(
     from rich.console import Group
     from rich.text import Text
 
+    from salsanext_cli.commands.stages.tune import tune_risk as stage
     from salsanext_cli.io.files.atomic import require_target
     from salsanext_cli.report.tables import accepted_table, needed_scans_table
     from salsanext_cli.training.tuning.risk_level import TooFewScansError
@@ -113,22 +134,32 @@ def tune_risk(
 
     if record:
         require_target(record, fit.overwrite, ".json")
-    numbers: dict[str, Any] = {
-        "at_most": arguments.share("--at-most", at_most),
-        "confidence": arguments.share("--confidence", confidence),
-    }
+    limit = arguments.share("--at-most", at_most)
+    share_of_units = arguments.share("--confidence", confidence)
     try:
-        tuned = _tuned("risk", dataset, target, fit, output, **numbers)
+        with writing("tune risk", output.quiet, at_end=True) as bar:
+            tuned = stage(
+                dataset,
+                target,
+                at_most=limit,
+                confidence=share_of_units,
+                settings=fit.settings,
+                selection=fit.selection,
+                overwrite=fit.overwrite,
+                progress=bar,
+            )
     except TooFewScansError:
-        output.explain(needed_scans_table(**numbers))
+        output.explain(needed_scans_table(limit, share_of_units))
         raise
     if record:
-        paths = {"source": dataset, "weights": fit.settings.path, "target": target}
-        write_risk_record(record, tuned, **paths)
-    sentences = (Text(sentence) for sentence in tuned["sentences"])
-    accepted = accepted_table(tuned["accepted"]["classes"])
-    output.result(tuned, Group(accepted, needed_scans_table(**numbers), *sentences))
-    _end(output, f"tune risk: {tuned['guarantee']} → {target}", target, "--reject risk ")
+        write_risk_record(
+            record, tuned.fit, source=dataset, weights=fit.settings.path, target=target
+        )
+    sentences = (Text(sentence) for sentence in tuned.fit.sentences)
+    accepted = accepted_table(tuned.fit.accepted.classes)
+    needed_scans = needed_scans_table(limit, share_of_units)
+    output.result(tuned.to_dict(), Group(accepted, needed_scans, *sentences))
+    _end(output, f"tune risk: {tuned.fit.guarantee} → {target}", target, "--reject risk ")
 
 
 def tune_dropout(
@@ -143,12 +174,22 @@ def tune_dropout(
 
     Example: salsanext tune dropout scenes/ sampled.safetensors
     """
+    from salsanext_cli.commands.stages.tune import tune_dropout as stage
     from salsanext_cli.report.tables import rate_table
 
-    tuned = _tuned("dropout", dataset, target, fit, output, samples=samples)
-    best = tuned["best"]
-    output.result(tuned, rate_table(tuned["rates"], tuned["objectives"], best))
-    summary = f"tune dropout: {best:.4g}, was {tuned['before']:g} → {target}"
+    with writing("tune dropout", output.quiet, at_end=True) as bar:
+        tuned = stage(
+            dataset,
+            target,
+            samples=samples,
+            settings=fit.settings,
+            selection=fit.selection,
+            overwrite=fit.overwrite,
+            progress=bar,
+        )
+    best = tuned.fit.best
+    output.result(tuned.to_dict(), rate_table(tuned.fit.rates, tuned.fit.objectives, best))
+    summary = f"tune dropout: {best:.4g}, was {tuned.fit.before:g} → {target}"
     _end(output, summary, target, stage="uncertainty")
 
 
@@ -173,8 +214,8 @@ def tune_int8(
     tuned = stage(
         scans, target, settings=fit.settings, selection=fit.selection, overwrite=fit.overwrite
     )
-    output.result(tuned | {"weights": str(target)})
-    summary = f"tune int8: {counted(tuned['scans'], 'scan')} → {target}"
+    output.result(tuned.to_dict())
+    summary = f"tune int8: {counted(tuned.scans, 'scan')} → {target}"
     _end(output, summary, target, "--precision int8 ")
 
 
@@ -184,18 +225,6 @@ def _end(
     """Print the summary and the usual next command."""
     output.print(summary)
     output.print(f"next: salsanext {stage} SCANS OUT {option}--weights {shlex.quote(str(target))}")
-
-
-def _tuned(
-    part: str, source: Path, target: Path, fit: Fit, output: console.Output, **numbers: Any
-) -> dict[str, Any]:
-    """Fit a part of the weights; return the result as plain data."""
-    from salsanext_cli.commands.stages.tune import tune
-
-    with writing(f"tune {part}", output.quiet, at_end=True) as bar:
-        numbers |= {"selection": fit.selection, "overwrite": fit.overwrite, "progress": bar}
-        tuned = tune(part, source, target, settings=fit.settings, **numbers)
-    return tuned | {"weights": str(target)}
 
 
 tune = typer.Typer(

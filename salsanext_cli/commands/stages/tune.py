@@ -1,31 +1,82 @@
 # SPDX-License-Identifier: MIT
-"""Stage `tune`: one part of the weights, fitted to scans."""
+"""Stages of `tune`: one part of the weights, fitted to scans; each has a report of its own.
+
+Scans that the weights were trained on, and copies, are skipped. A fit that is not better on
+held-out scans leaves the part as it is.
+"""
 
 import logging
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Generic, TypeVar
 
+from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import NOTICE, WeightsError
+from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.network.tuned_settings import KEY_OF
+from salsanext_cli.core.plain_data import plain
 from salsanext_cli.io.files.atomic import require_target
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.runs.loop.run import Progress
 from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.results.selection import select_scans
 from salsanext_cli.training.tuning.risk_level import RiskLevel, require_scans
 from salsanext_cli.training.tuning.scan_choice import labelled_scans, unseen
-from salsanext_cli.training.tuning.scans import Tuned, TuningScans
+from salsanext_cli.training.tuning.scans import TuningScans
 
-NAMES = {"error": "error model", "dropout": "dropout rate"}  # Names of parts in messages
+if TYPE_CHECKING:
+    # They import torch, which takes a second; `--help` and wrong usage need none of them.
+    from salsanext_cli.training.tuning.dropout_rate import DropoutFit
+    from salsanext_cli.training.tuning.error import ErrorFit
+    from salsanext_cli.training.tuning.risk_report import RiskFit
+    from salsanext_cli.training.tuning.temperature import TemperatureFit
+
+Fit = TypeVar("Fit")
 
 log = logging.getLogger(__name__)
 
 
-def tune(
-    part: str,
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TuneReport(Generic[Fit]):
+    """Report of a stage that fits a part of the weights to labelled scans."""
+
+    part: str  # As on the command line
+    fit: Fit
+    skipped: int  # Scans that the weights were trained on, and copies
+    weights: Path  # File that was written
+
+    def to_dict(self) -> dict[str, object]:
+        """Return plain data for JSON, with the fields of the fit in the same object."""
+        return {
+            "stage": f"tune {self.part}",
+            **plain(self.fit),
+            "skipped": self.skipped,
+            "weights": str(self.weights),
+        }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Int8Report:
+    """Report of `tune int8`."""
+
+    scans: int
+    layers: int  # Quantised layers
+    weights: Path  # File that was written
+
+    def to_dict(self) -> dict[str, object]:
+        """Return plain data for JSON."""
+        return {
+            "stage": "tune int8",
+            "scans": self.scans,
+            "layers": self.layers,
+            "weights": str(self.weights),
+        }
+
+
+def tune_temperature(
     source: Path,
     target: Path,
     *,
@@ -33,69 +84,166 @@ def tune(
     selection: ScanSelection = ScanSelection(),
     overwrite: bool = False,
     progress: Progress | None = None,
-    **numbers: Any,
-) -> dict[str, Any]:
-    """Write weights with one part fitted to labelled scans, and return the report of the fit.
-
-    Scans that the weights were trained on, and copies, are skipped. A fit that is not better on
-    held-out scans leaves the part as it is.
+) -> "TuneReport[TemperatureFit]":
+    """Write weights with the temperature that calibrates the class probabilities.
 
     Parameters
     ----------
-    part : {"temperature", "error", "dropout", "risk"}
     source, target : Path
         Labelled data set, and weights file to write.
-    settings, selection : NetworkSettings, ScanSelection
-        By default the scans are those of the split ``valid`` and of no split.
+    settings : NetworkSettings
+        Network that the temperature is for.
+    selection : ScanSelection
+        By default the scans of the split ``valid`` and of no split.
     overwrite : bool
         Whether to replace an existing file.
     progress : callable, optional
         Called after each scan with the number of finished scans and of all scans.
-    **numbers
-        Further arguments of the fit.
 
     Returns
     -------
-    dict
-        Plain data for JSON.
+    TuneReport
     """
-    require_target(target, overwrite)
-    candidates, space = labelled_scans(source, selection, read_card(settings.path))
-    if part == "risk":
-        count = min(len(candidates), selection.limit or len(candidates))
-        require_scans(source, count, RiskLevel(**numbers))
-    # From here on it takes seconds: torch is imported, and the network is loaded.
-    fit = _fit_of(part)
-    network = settings.load()
-    chosen = unseen(candidates, network, source, selection.limit)
-    scans = TuningScans(source, chosen.files, space, settings, network, progress)
-    card, results = fit(scans, **numbers)
-    report = {"stage": f"tune {part}", **results, "skipped": chosen.skipped}
-    if not report.get("changed", True):
-        reason = "the new fit is not better on held-out scans"
-        if len(chosen.files) == 1:
-            reason = "a single scan cannot show that a new fit is better"
-        log.log(NOTICE, "the %s is unchanged: %s", NAMES.get(part, part), reason)
-    from salsanext_cli.io.weights.weights import save_with_card
-
-    save_with_card(settings.path, target, replace(card, version=None), overwrite=overwrite)
-    return report
-
-
-def _fit_of(part: str) -> Callable[..., Tuned]:
-    """Return the function that fits a part to `TuningScans`; importing torch takes a second."""
-    from salsanext_cli.training.tuning.dropout_rate import fit_dropout
-    from salsanext_cli.training.tuning.error import fit_error_model
-    from salsanext_cli.training.tuning.risk import fit_risk
+    candidates = _candidates(source, target, settings, selection, overwrite=overwrite)
     from salsanext_cli.training.tuning.temperature import fit_temperature
 
-    fits: dict[str, Callable[..., Tuned]] = {
-        "temperature": fit_temperature,
-        "error": fit_error_model,
-        "dropout": fit_dropout,
-        "risk": fit_risk,
-    }
-    return fits[part]
+    chosen = candidates.chosen(settings, progress)
+    tuned = fit_temperature(chosen.scans)
+    if not tuned.fit.changed:
+        chosen.log_unchanged("temperature")
+    _write(settings, target, tuned.card, overwrite=overwrite)
+    return TuneReport(part="temperature", fit=tuned.fit, skipped=chosen.skipped, weights=target)
+
+
+def tune_error(
+    source: Path,
+    target: Path,
+    *,
+    settings: NetworkSettings = NetworkSettings(),
+    selection: ScanSelection = ScanSelection(),
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> "TuneReport[ErrorFit]":
+    """Write weights with a model of the probability that a label is wrong.
+
+    Parameters
+    ----------
+    source, target : Path
+        Labelled data set, and weights file to write.
+    settings : NetworkSettings
+        Network whose labels are judged.
+    selection : ScanSelection
+        By default the scans of the split ``valid`` and of no split.
+    overwrite : bool
+        Whether to replace an existing file.
+    progress : callable, optional
+        Called after each scan with the number of finished scans and of all scans.
+
+    Returns
+    -------
+    TuneReport
+    """
+    candidates = _candidates(source, target, settings, selection, overwrite=overwrite)
+    from salsanext_cli.training.tuning.error import fit_error_model
+
+    chosen = candidates.chosen(settings, progress)
+    tuned = fit_error_model(chosen.scans)
+    if not tuned.fit.changed:
+        chosen.log_unchanged("error model")
+    _write(settings, target, tuned.card, overwrite=overwrite)
+    return TuneReport(part="error", fit=tuned.fit, skipped=chosen.skipped, weights=target)
+
+
+def tune_risk(
+    source: Path,
+    target: Path,
+    *,
+    at_most: float,
+    confidence: float | None = None,
+    settings: NetworkSettings = NetworkSettings(),
+    selection: ScanSelection = ScanSelection(),
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> "TuneReport[RiskFit]":
+    """Write weights with the threshold of `predict --reject risk`.
+
+    Parameters
+    ----------
+    source, target : Path
+        Labelled data set, and weights file to write.
+    at_most : float
+        Largest share of the points that are accepted and wrong, 0…1.
+    confidence : float, optional
+        Share of scans or drives within the limit, 0…1; by default the limit is for their mean.
+    settings : NetworkSettings
+        Network whose labels are judged.
+    selection : ScanSelection
+        By default the scans of the split ``valid`` and of no split.
+    overwrite : bool
+        Whether to replace an existing file.
+    progress : callable, optional
+        Called after each scan with the number of finished scans and of all scans.
+
+    Returns
+    -------
+    TuneReport
+
+    Raises
+    ------
+    TooFewScansError
+        If so few scans cannot guarantee the level.
+    """
+    candidates = _candidates(source, target, settings, selection, overwrite=overwrite)
+    level = RiskLevel(at_most, confidence)
+    require_scans(source, candidates.count, level)
+    from salsanext_cli.training.tuning.risk import fit_risk
+
+    chosen = candidates.chosen(settings, progress)
+    tuned = fit_risk(chosen.scans, level)
+    _write(settings, target, tuned.card, overwrite=overwrite)
+    return TuneReport(part="risk", fit=tuned.fit, skipped=chosen.skipped, weights=target)
+
+
+def tune_dropout(
+    source: Path,
+    target: Path,
+    *,
+    samples: int = 30,
+    settings: NetworkSettings = NetworkSettings(),
+    selection: ScanSelection = ScanSelection(),
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> "TuneReport[DropoutFit]":
+    """Write weights with the best dropout rate for `uncertainty`.
+
+    Parameters
+    ----------
+    source, target : Path
+        Labelled data set, and weights file to write.
+    samples : int
+        Monte-Carlo passes per scan and rate.
+    settings : NetworkSettings
+        Network that is sampled.
+    selection : ScanSelection
+        By default the scans of the split ``valid`` and of no split.
+    overwrite : bool
+        Whether to replace an existing file.
+    progress : callable, optional
+        Called after each scan with the number of finished scans and of all scans.
+
+    Returns
+    -------
+    TuneReport
+    """
+    candidates = _candidates(source, target, settings, selection, overwrite=overwrite)
+    from salsanext_cli.training.tuning.dropout_rate import fit_dropout
+
+    chosen = candidates.chosen(settings, progress)
+    tuned = fit_dropout(chosen.scans, samples)
+    if not tuned.fit.changed:
+        chosen.log_unchanged("dropout rate")
+    _write(settings, target, tuned.card, overwrite=overwrite)
+    return TuneReport(part="dropout", fit=tuned.fit, skipped=chosen.skipped, weights=target)
 
 
 def tune_int8(
@@ -105,39 +253,110 @@ def tune_int8(
     settings: NetworkSettings = NetworkSettings(),
     selection: ScanSelection = ScanSelection(),
     overwrite: bool = False,
-) -> dict[str, Any]:
+) -> Int8Report:
     """Write weights with the ranges for `--precision int8`, fitted to scans without labels.
 
     Parameters
     ----------
     source, target : Path
         Scans, and weights file to write.
-    settings, selection : NetworkSettings, ScanSelection
-        The network computes in float32 on the CPU; a limit takes evenly spaced scans.
+    settings : NetworkSettings
+        Network, which computes in float32 on the CPU.
+    selection : ScanSelection
+        Choice of the scans; a limit takes evenly spaced ones.
     overwrite : bool
         Whether to replace an existing file.
 
     Returns
     -------
-    dict
-        Plain data for JSON: numbers of scans and of quantised layers.
+    Int8Report
+
+    Raises
+    ------
+    WeightsError
+        If the network has no layer that int8 can compute.
     """
     require_target(target, overwrite)
     space = read_card(settings.path).space
     files = select_scans(source, selection, space, evenly=True)
 
-    from salsanext_cli.io.weights.weights import save_with_card
     from salsanext_cli.runs.fit.scan_reading import read_prepared
     from salsanext_cli.training.tuning.int8 import int8_inputs
 
     network = replace(settings, device="cpu", precision="float32").load()
     inputs = [read_prepared(file, network).scan.input for file in files]
-    if not (int8 := int8_inputs(network.module, inputs)):
+    int8 = int8_inputs(network.module, inputs)
+    if not int8:
         raise WeightsError(settings.path, "has no hidden layer that int8 can compute")
     risk = network.card.risk
     if risk and risk.settings.get(KEY_OF["precision"]) == "int8":
         log.log(NOTICE, "the threshold of `tune risk` is removed: it was chosen with other ranges")
         risk = None
-    card = replace(network.card, int8=int8, risk=risk, version=None)
-    save_with_card(settings.path, target, card, overwrite=overwrite)
-    return {"stage": "tune int8", "scans": len(files), "layers": len(int8)}
+    card = replace(network.card, int8=int8, risk=risk)
+    _write(settings, target, card, overwrite=overwrite)
+    return Int8Report(scans=len(files), layers=len(int8), weights=target)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Chosen:
+    """Scans of a fit with the loaded network, and the number of skipped ones."""
+
+    scans: TuningScans
+    skipped: int
+
+    def log_unchanged(self, name: str) -> None:
+        """Log that the named part of the weights stays as it is, and why."""
+        reason = "the new fit is not better on held-out scans"
+        if len(self.scans.files) == 1:
+            reason = "a single scan cannot show that a new fit is better"
+        log.log(NOTICE, "the %s is unchanged: %s", name, reason)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Candidates:
+    """Labelled scans that a part of the weights may be fitted to."""
+
+    source: Path
+    files: Sequence[ScanFile]
+    space: LabelSpace  # Classes of the labels
+    limit: int | None  # Largest number of scans that are used
+
+    @property
+    def count(self) -> int:
+        """Number of scans that are used if the weights were trained on none of them."""
+        return min(len(self.files), self.limit or len(self.files))
+
+    def chosen(self, settings: NetworkSettings, progress: Progress | None) -> _Chosen:
+        """Load the network, and choose the scans that its weights were not trained on."""
+        network = settings.load()
+        unseen_scans = unseen(self.files, network, self.source, self.limit)
+        scans = TuningScans(
+            source=self.source,
+            files=unseen_scans.files,
+            space=self.space,
+            settings=settings,
+            loaded=network,
+            progress=progress,
+        )
+        return _Chosen(scans=scans, skipped=unseen_scans.skipped)
+
+
+def _candidates(
+    source: Path,
+    target: Path,
+    settings: NetworkSettings,
+    selection: ScanSelection,
+    *,
+    overwrite: bool,
+) -> _Candidates:
+    """Find the labelled scans of a fit; refuse an existing file first."""
+    require_target(target, overwrite)
+    files, space = labelled_scans(source, selection, read_card(settings.path))
+    return _Candidates(source=source, files=files, space=space, limit=selection.limit)
+
+
+def _write(settings: NetworkSettings, target: Path, card: WeightsCard, *, overwrite: bool) -> None:
+    """Write the weights with another card, which is no longer that of a version."""
+    from salsanext_cli.io.weights.weights import save_with_card
+
+    save_with_card(settings.path, target, replace(card, version=None), overwrite=overwrite)

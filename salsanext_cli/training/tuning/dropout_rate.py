@@ -4,6 +4,7 @@
 import logging
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,19 @@ RATES: list[float] = np.geomspace(0.02, 0.5, 10).tolist()
 log = logging.getLogger(__name__)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DropoutFit:
+    """Report of the search for the dropout rate."""
+
+    before: float  # Rate of the weights, 0 without dropout
+    best: float  # Rate of the new weights
+    changed: bool
+    rates: Sequence[float]  # Rates that were compared
+    objectives: Sequence[float]  # Mean `objective` of a point at each rate
+    scans: int
+    points: int
+
+
 def objective(probabilities: Float, variance: Float, truth: npt.NDArray[Any]) -> float:
     """Return Σ ½ log s + (y − p)² / 2s over points and classes; lower is better.
 
@@ -41,10 +55,27 @@ def objective(probabilities: Float, variance: Float, truth: npt.NDArray[Any]) ->
     return math.fsum((np.log(s) / 2 + error**2 / (2 * s)).sum(axis=0))
 
 
-def fit_dropout(scans: TuningScans, samples: int = SAMPLES) -> Tuned:
-    """Find the rate of `RATES` with the least mean `objective` of some passes.
+def fit_dropout(scans: TuningScans, samples: int = SAMPLES) -> Tuned[DropoutFit]:
+    """Find the rate of `RATES` with the least mean `objective`.
 
     The existing rate stays unless the rate that other scans choose is better on held-out scans.
+
+    Parameters
+    ----------
+    scans : TuningScans
+        Labelled scans that the weights were not trained on.
+    samples : int
+        Passes per scan and rate.
+
+    Returns
+    -------
+    Tuned
+        Weights card with the rate, and the report.
+
+    Raises
+    ------
+    TrainingError
+        If the uncertainties of the network are not finite.
     """
     before = max((layer.rate for layer in dropouts(scans.loaded.module)), default=0.0)
     rates = sorted({*RATES, before} - {0.0})
@@ -55,7 +86,8 @@ def fit_dropout(scans: TuningScans, samples: int = SAMPLES) -> Tuned:
 
     def objectives_of(scan: LabelledImage) -> tuple[list[float], int]:
         noise = scan.of_points(aleatoric(scan.network, scan.image))
-        masks, values = scan_seed(0, scan.file.sequence, scan.file.stem), list[float]()
+        masks = scan_seed(0, scan.file.sequence, scan.file.stem)
+        values = list[float]()
         for candidate in candidates:
             fitted = candidate.for_sensor(scan.network.sensor)
             sampled = sample(fitted, scan.image, samples=samples, seed=masks)
@@ -78,16 +110,16 @@ def fit_dropout(scans: TuningScans, samples: int = SAMPLES) -> Tuned:
     if changed and rates[best] in (RATES[0], RATES[-1]):
         text = "the best rate, %g, is at an end of the range: a better one may lie beyond it"
         log.warning(text, rates[best])
-    report = {
-        "before": before,
-        "best": rates[best] if changed else before,
-        "changed": changed,
-        "rates": rates,
-        "objectives": objectives,
-        "scans": len(scans.files),
-        "points": points,
-    }
-    return candidates[best].card if changed else network.card, report
+    report = DropoutFit(
+        before=before,
+        best=rates[best] if changed else before,
+        changed=changed,
+        rates=rates,
+        objectives=objectives,
+        scans=len(scans.files),
+        points=points,
+    )
+    return Tuned(card=candidates[best].card if changed else network.card, fit=report)
 
 
 def _gains(files: Sequence[ScanFile], sums: Double, before: int) -> bool:
@@ -96,9 +128,12 @@ def _gains(files: Sequence[ScanFile], sums: Double, before: int) -> bool:
     `sums` (scans, rates): objectives summed over the points of a scan; `before`: index of the
     existing rate.
     """
-    of_scan, parts = dict(zip(files, sums, strict=True)), held_out(files)
+    sums_by_scan = dict(zip(files, sums, strict=True))
+    folds = held_out(files)
+    if not folds:
+        return False
     chosen = 0.0
-    for rest, part in parts:
-        best = np.sum([of_scan[file] for file in rest], axis=0).argmin()
-        chosen += float(np.sum([of_scan[file] for file in part], axis=0)[best])
-    return bool(parts) and chosen < float(sums[:, before].sum())
+    for others, fold in folds:
+        best = np.sum([sums_by_scan[file] for file in others], axis=0).argmin()
+        chosen += float(np.sum([sums_by_scan[file] for file in fold], axis=0)[best])
+    return chosen < float(sums[:, before].sum())

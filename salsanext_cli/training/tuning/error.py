@@ -3,7 +3,7 @@
 
 import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import cast
 
@@ -45,7 +45,66 @@ MIN_SPREAD = 1e-3  # Least divisor of features, which may hardly differ
 log = logging.getLogger(__name__)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ErrorScores:
+    """Scores of probabilities of error on points whose labels are known to be wrong or right."""
+
+    auroc: float  # Area under the ROC curve, 0…1
+    aurc: float  # Area under the risk-coverage curve, 0…1
+    ece: float  # Expected calibration error, 0…1
+    nll: float  # Mean negative log-likelihood, nats
+    risk_80: float  # Share of wrong points among the 80 % with the least error, 0…1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HeldOutScores:
+    """Scores on the same points of held-out scans; None without folds."""
+
+    folds: int
+    error: ErrorScores | None  # Of the models that lack the scan
+    existing: ErrorScores | None  # Of the model that the fit starts from, if there is one
+    confidence: ErrorScores | None  # Of 1 − the probability of the label
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ErrorFit:
+    """Report of the fit of an error model; the card of its weights contains all but `changed`."""
+
+    fitted_to: str  # Number and sequences of the scans, in words
+    scans: int
+    sequences: list[str]  # Also those of the model that the fit starts from
+    points: int
+    wrong: float  # Share of the points whose label is wrong, 0…1
+    several: float  # Share of skipped points, whose label is of several classes, 0…1
+    held_out: HeldOutScores
+    changed: bool = False
+
+    def scores(self) -> dict[str, object]:
+        """Return the plain data for the card of the weights."""
+        return {
+            "fitted_to": self.fitted_to,
+            "scans": self.scans,
+            "sequences": self.sequences,
+            "points": self.points,
+            "wrong": self.wrong,
+            "several": self.several,
+            **asdict(self.held_out),
+        }
+
+    def to_dict(self) -> dict[str, object]:
+        """Return plain data for JSON."""
+        return {**self.scores(), "changed": self.changed}
+
+
 @dataclass(frozen=True, slots=True, eq=False)
+class FittedErrorModel:
+    """Error model of all scans, with the scores of models that lack a fold of them."""
+
+    model: ErrorModel
+    report: ErrorFit
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class JudgedPoints:
     """Points of one scan whose labels are known to be wrong or right."""
 
@@ -73,7 +132,8 @@ def judge_job(network: Network, read: Callable[[ScanFile], LabelledImage], most:
 
 def judged_points(scan: LabelledImage, pixels: PixelPrediction, most: int) -> JudgedPoints:
     """Judge a random sample of the points of a scan."""
-    network, file = scan.network, scan.file
+    network = scan.network
+    file = scan.file
     network.backend.require_finite(pixels.confidence, file.path)
     labels = knn_refine(scan.image, pixels.labels, network.space.class_count)
     features = features_of(network, scan.image, cast(Float, pixels.softmax), labels)
@@ -81,16 +141,31 @@ def judged_points(scan: LabelledImage, pixels: PixelPrediction, most: int) -> Ju
     chosen = random.permutation(len(scan.truth))[:most]
     points = scan.points[chosen]
     wrong = labels[points] != scan.truth[chosen]
-    return JudgedPoints(features[points], wrong, scan.several)
+    return JudgedPoints(features=features[points], wrong=wrong, several=scan.several)
 
 
-def fit_error_model(scans: TuningScans) -> Tuned:
+def fit_error_model(scans: TuningScans) -> Tuned[ErrorFit]:
     """Fit the probability that a label is wrong, unless the existing model is better.
 
-    The fit starts from the existing model. The report has the scores of both and of the confidence
-    on the same held-out scans, and whether the weights were `changed`.
+    The fit starts from the existing model.
+
+    Parameters
+    ----------
+    scans : TuningScans
+        Labelled scans that the weights were not trained on.
+
+    Returns
+    -------
+    Tuned
+        Weights card with the model, and the report.
+
+    Raises
+    ------
+    TrainingError
+        If every label is right, or every label is wrong.
     """
-    files, network = scans.files, scans.network
+    files = scans.files
+    network = scans.network
     judged = scans.run(judge_job(network, scans.read, points_of_scan(len(files))))
     wrong = np.concatenate([points.wrong for points in judged.values()])
     scans.require_points(len(wrong))
@@ -100,74 +175,87 @@ def fit_error_model(scans: TuningScans) -> Tuned:
         raise TrainingError(scans.source, problem, "right and wrong labels", hint)
     start = network.card.error if knows_error(network) else None
     sequences = {file.sequence for file in files}
-    if start and (same := sequences & {*start.scores.get("sequences", ())}):
+    fitted_before = set(start.scores.get("sequences", ())) if start else set()
+    if same := sequences & fitted_before:
         names = first_few(sorted(same))
         log.warning("the existing error model was fitted to %s: its scores are not held-out", names)
     if len(sequences) == 1 < len(files):
         log.warning("all scans are of one sequence: held-out scans are similar to the others")
-    parts = [part for _, part in held_out(files, FOLDS)]
-    model = cross_validated(judged, parts, start=start)
-    changed = gains(model) or not (model.scores["folds"] or start)
-    report = {**model.scores, "changed": changed}
-    if not changed:
-        return network.card, report
-    model = replace(model, temperature=start.temperature if start else None)
-    return replace(network.card, error=model, risk=None), report
+    folds = [fold for _, fold in held_out(files, FOLDS)]
+    fitted = cross_validated(judged, folds, start=start)
+    is_first = not folds and start is None
+    report = replace(fitted.report, changed=gains(fitted.report) or is_first)
+    if not report.changed:
+        return Tuned(card=network.card, fit=report)
+    model = replace(fitted.model, temperature=start.temperature if start else None)
+    return Tuned(card=replace(network.card, error=model, risk=None), fit=report)
 
 
 def cross_validated(
     judged: Mapping[ScanFile, JudgedPoints],
-    parts: Sequence[Sequence[ScanFile]],
+    folds: Sequence[Sequence[ScanFile]],
     start: ErrorModel | None = None,
-) -> ErrorModel:
+) -> FittedErrorModel:
     """Fit a model to all scans; its scores are of models that lack a fold of the scans.
 
-    `start`: as `fit_error` takes it. The scores include the sequences, also of the `start`; the
-    share of `wrong` points; the share of skipped points, of `several` classes; and `error_scores`
-    of the model, `error`, of the `existing` one and of 1 − the probability of the label,
-    `confidence`. These are None without folds.
+    Parameters
+    ----------
+    judged : mapping of ScanFile to JudgedPoints
+    folds : sequence of sequence of ScanFile
+        Scans that are held out together; without any, there are no scores.
+    start : ErrorModel, optional
+        As `fit_error` takes it.
+
+    Returns
+    -------
+    FittedErrorModel
+        The scores are in the model too, as the card of weights contains them.
     """
     every = list(judged.values())
     wrong = np.concatenate([points.wrong for points in every])
     sequences = {file.sequence for file in judged}
-    before = start.scores if start else {}
-    from_one = f", from one fitted to {before.get('fitted_to', 'other scans')}" if start else ""
-    scores = {
-        "fitted_to": f"{counted(len(judged), 'scan')} of {first_few(sorted(sequences))}{from_one}",
-        "scans": len(judged),
-        "sequences": sorted(sequences | {*before.get("sequences", ())}),
-        "points": len(wrong),
-        "wrong": float(wrong.mean()),
-        "several": float(np.mean([points.several for points in every])),
-        **_scores_held_out(judged, parts, start),
-    }
-    return replace(fit_error(every, start, len(sequences)), scores=scores)
+    fitted_to = f"{counted(len(judged), 'scan')} of {first_few(sorted(sequences))}"
+    fitted_before: set[str] = set()
+    if start:
+        fitted_to += f", from one fitted to {start.scores.get('fitted_to', 'other scans')}"
+        fitted_before = set(start.scores.get("sequences", ()))
+    report = ErrorFit(
+        fitted_to=fitted_to,
+        scans=len(judged),
+        sequences=sorted(sequences | fitted_before),
+        points=len(wrong),
+        wrong=float(wrong.mean()),
+        several=float(np.mean([points.several for points in every])),
+        held_out=_scores_held_out(judged, folds, start),
+    )
+    model = replace(fit_error(every, start, len(sequences)), scores=report.scores())
+    return FittedErrorModel(model, report)
 
 
 def _scores_held_out(
     judged: Mapping[ScanFile, JudgedPoints],
-    parts: Sequence[Sequence[ScanFile]],
+    folds: Sequence[Sequence[ScanFile]],
     start: ErrorModel | None,
-) -> dict[str, object]:
+) -> HeldOutScores:
     """Fit without each fold of the scans, and score all points by the models that lack them."""
-    if not parts:
+    if not folds:
         log.warning("%s: not cross-validated", counted(len(judged), "scan"))
-        return {"folds": 0, "error": None, "existing": None, "confidence": None}
+        return HeldOutScores(folds=0, error=None, existing=None, confidence=None)
     errors = list[Float]()
-    for part in parts:
-        rest = {file: points for file, points in judged.items() if file not in part}
-        model = fit_error(list(rest.values()), start, len({file.sequence for file in rest}))
-        errors += [model.probability(judged[file].features) for file in part]
-    files = [file for part in parts for file in part]
+    for fold in folds:
+        others = {file: points for file, points in judged.items() if file not in fold}
+        model = fit_error(list(others.values()), start, len({file.sequence for file in others}))
+        errors += [model.probability(judged[file].features) for file in fold]
+    files = [file for fold in folds for file in fold]
     wrong = np.concatenate([judged[file].wrong for file in files])
     features = np.concatenate([judged[file].features for file in files])
     least_confidence = 1 - features[:, FEATURES.index("probability of the label")]
-    return {
-        "folds": len(parts),
-        "error": error_scores(np.concatenate(errors), wrong),
-        "existing": error_scores(start.probability(features), wrong) if start else None,
-        "confidence": error_scores(np.clip(least_confidence, 0, 1), wrong),
-    }
+    return HeldOutScores(
+        folds=len(folds),
+        error=error_scores(np.concatenate(errors), wrong),
+        existing=error_scores(start.probability(features), wrong) if start else None,
+        confidence=error_scores(np.clip(least_confidence, 0, 1), wrong),
+    )
 
 
 def of_both_kinds(scans: Iterable[JudgedPoints]) -> bool:
@@ -175,16 +263,19 @@ def of_both_kinds(scans: Iterable[JudgedPoints]) -> bool:
     return len({kind for points in scans for kind in np.unique(points.wrong).tolist()}) > 1
 
 
-def gains(model: ErrorModel) -> bool:
+def gains(report: ErrorFit) -> bool:
     """Return whether a model is better on held-out scans than the confidence and its start."""
-    rows = [row for name in ("confidence", "existing") if (row := model.scores[name])]
-    return bool(rows) and all(is_better(model.scores["error"], row) for row in rows)
+    held_out_scores = report.held_out
+    others = [scores for scores in (held_out_scores.confidence, held_out_scores.existing) if scores]
+    if held_out_scores.error is None or not others:
+        return False
+    return all(is_better(held_out_scores.error, scores) for scores in others)
 
 
-def is_better(scores: Mapping[str, float], others: Mapping[str, float]) -> bool:
+def is_better(scores: ErrorScores, others: ErrorScores) -> bool:
     """Return whether errors rank better, are more probable and as calibrated on the same points."""
-    better = all(scores[name] < others[name] for name in ("aurc", "nll"))
-    return better and scores["ece"] <= others["ece"] + ECE_TOLERANCE
+    is_calibrated = scores.ece <= others.ece + ECE_TOLERANCE
+    return scores.aurc < others.aurc and scores.nll < others.nll and is_calibrated
 
 
 def fit_error(
@@ -240,15 +331,16 @@ def fit_error(
     return ErrorModel(FEATURES, layers)
 
 
-def error_scores(error: Float, wrong: Mask) -> dict[str, float]:
-    """Return `auroc`, `aurc`, `ece`, `nll` in nats of errors (M,), and the `risk_80` of 80 %."""
+def error_scores(error: Float, wrong: Mask) -> ErrorScores:
+    """Score probabilities of error (M,) on points that are `wrong` (M,) or right."""
     histogram = uncertainty_histogram(error, wrong)
     ranking = ranking_scores(histogram)
     counts = error_histogram(error, wrong).counts
-    return {
-        "auroc": ranking.auroc,
-        "aurc": ranking.aurc,
-        "ece": reliability(counts).error,
-        "nll": float(-np.log(np.clip(np.where(wrong, error, 1 - error), LEAST, 1)).mean()),
-        "risk_80": accepted_points("error", histogram).risk,
-    }
+    likelihood = np.clip(np.where(wrong, error, 1 - error), LEAST, 1)
+    return ErrorScores(
+        auroc=ranking.auroc,
+        aurc=ranking.aurc,
+        ece=reliability(counts).error,
+        nll=float(-np.log(likelihood).mean()),
+        risk_80=accepted_points("error", histogram).risk,
+    )

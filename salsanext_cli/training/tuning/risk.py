@@ -2,204 +2,227 @@
 """Threshold above which labels are rejected, chosen so that a new scan has few wrong labels."""
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.core.classes.label_space import LabelSpace
-from salsanext_cli.core.engines.backend import PixelPrediction
-from salsanext_cli.core.engines.network import Network
-from salsanext_cli.core.errors import LabelError, TrainingError, first_few, percentage, with_hint
-from salsanext_cli.core.geometry.knn_parameters import KnnParameters
-from salsanext_cli.core.geometry.projection import points_from_pixels
-from salsanext_cli.core.labelling import predict_pixels, refine_labels
-from salsanext_cli.core.measures.histograms import UNCERTAINTY_BINS, bin_of, highest_of_bins
+from salsanext_cli.core.errors import TrainingError, first_few, percentage, with_hint
+from salsanext_cli.core.measures.histograms import UNCERTAINTY_BINS, highest_of_bins
 from salsanext_cli.core.measures.population import of_units
 from salsanext_cli.core.measures.risk_control import (
     AcceptedLabels,
     enough_drives,
-    guarantee,
     held_thresholds,
     likely_thresholds,
     means_of_units,
     needed_drives,
 )
 from salsanext_cli.core.measures.scores import Counts, Ratios
-from salsanext_cli.core.network.card import RiskThreshold, scan_digest
+from salsanext_cli.core.network.card import RiskThreshold
 from salsanext_cli.core.network.unit_traits import UnitTraits
-from salsanext_cli.core.plain_data import plain
 from salsanext_cli.core.sensors.sensor import FittedView
-from salsanext_cli.core.uncertainty.error_features import error_probability, knows_error
+from salsanext_cli.core.uncertainty.error_features import knows_error
 from salsanext_cli.core.wording import argument
-from salsanext_cli.io.formats.kitti import read_labels
-from salsanext_cli.runs.fit.scan_reading import PreparedFile, read_prepared
 from salsanext_cli.runs.fit.sensor_fit import labels_depend_on
-from salsanext_cli.runs.loop.job import Steps
 from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.runs.results.selection import data_set_of
-from salsanext_cli.runs.summary.scan_summary import ScanSummary
 from salsanext_cli.runs.summary.scan_warnings import ScanWarning, log_recorded
 from salsanext_cli.training.tuning.consecutive import consecutive_warning
+from salsanext_cli.training.tuning.judged_scans import JudgedScan, judged_scans
 from salsanext_cli.training.tuning.risk_level import (
     FewUnits,
     RiskLevel,
     TooFewScansError,
     require_scans,
 )
-from salsanext_cli.training.tuning.scans import NOT_SCORED, Tuned, TuningScans
+from salsanext_cli.training.tuning.risk_report import (
+    AcceptedPoints,
+    ComputedBy,
+    FewScansReport,
+    HeldOutSequence,
+    RiskFit,
+)
+from salsanext_cli.training.tuning.scans import Tuned, TuningScans
 
 LEAST_COVERAGE = 0.25  # Share of accepted points below which a threshold is of little use
-MAX_LISTED = 5  # Held-out sequences that are listed, the worst ones
 
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class JudgedScan:
-    """Scored points of a scan, counted by the bin of their uncertainty."""
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ShareTable:
+    """Shares of the points of n scans by threshold, with their sequences and units."""
 
-    file: ScanFile
-    digest: str
-    points: int
-    # Accepted points, and accepted wrong ones, up to each bin, (2, B)
-    below: npt.NDArray[np.int32]
-    traits: UnitTraits | None  # Of all labels, also where the truth is not scored
+    accepted: Ratios  # (n, B): share of the points that are accepted, 0…1
+    wrong: Ratios  # (n, B): share of the points that are accepted and wrong, 0…1
+    sequences: npt.NDArray[np.str_]  # (n,)
+    units: npt.NDArray[Any]  # (n,): scan or drive that the guarantee counts, as a number or name
 
+    @classmethod
+    def of_scans(cls, judged: Sequence[JudgedScan], unit: str) -> "ShareTable":
+        """Return the shares of judged scans; `unit` is "scan" or "drive"."""
+        sequences = np.array([scan.file.sequence for scan in judged])
+        return cls(
+            accepted=np.stack([scan.shares_accepted for scan in judged]),
+            wrong=np.stack([scan.shares_wrong for scan in judged]),
+            sequences=sequences,
+            units=sequences if unit == "drive" else np.arange(len(judged)),
+        )
 
-@dataclass(frozen=True, slots=True)
-class HeldOutSequence:
-    """Points of a sequence below the threshold of the other sequences, shares 0…1.
+    @property
+    def losses(self) -> Ratios:
+        """Mean share of accepted and wrong points of each unit, (U, B)."""
+        return means_of_units(self.wrong, self.units)
 
-    `accepted` and `loss` are mean shares of the points of a scan: accepted, and accepted and wrong;
-    `worst` is the largest loss of a scan, `above` the share of scans above the level.
-    """
+    @property
+    def unit_count(self) -> int:
+        """Number of the units."""
+        return len(np.unique(self.units))
 
-    sequence: str
-    scans: int
-    accepted: float
-    loss: float
-    worst: float
-    above: float
-
-    def exceeds(self, level: RiskLevel) -> bool:
-        """Return whether more labels are wrong than the level allows."""
-        if level.confidence is None:
-            return self.loss > level.at_most
-        # 1 - 0.9 is less than 0.1 by the last digit.
-        return self.above > round(1 - level.confidence, 9)
-
-
-def judged_scan(
-    prepared: PreparedFile, pixels: PixelPrediction, space: LabelSpace, counts: Counts
-) -> JudgedScan:
-    """Label a scan as `predict` does, and judge it: by the error if there is a softmax.
-
-    Add its points to `counts` (C, C, B + 1) by truth, label and bin, the last one for no label.
-    """
-    file = prepared.file
-    network = prepared.scan.network
-    projected = prepared.scan.projected
-    image = projected.image
-    of_scan = refine_labels(prepared.scan, pixels, KnnParameters())
-    labels = of_scan.labels
-    truth = space.to_train(read_labels(file.label_path, len(labels)), source=file.label_path)
-    scored = space.scored[truth]
-    if not scored.any():
-        raise LabelError(file.label_path, NOT_SCORED, f"labels of {space.name}")
-    values = points_from_pixels(1 - pixels.confidence, image.pixel_of_point, np.nan)
-    if pixels.softmax is not None:
-        values = error_probability(network, image, pixels.softmax, labels)
-    summary = ScanSummary.of_scan(file, of_scan, network.space)
-    traits = summary.with_traits(of_scan, values).traits
-    bins = np.where(np.isnan(values) | (labels == 0), UNCERTAINTY_BINS, bin_of(values))
-    truth, labels, bins = truth[scored], labels[scored], bins[scored]
-    np.add.at(counts, (truth, labels, bins), 1)
-    both = bins, bins[labels != truth]
-    of_bins = np.array([np.bincount(part, minlength=UNCERTAINTY_BINS + 1) for part in both])
-    below = of_bins[:, :-1].cumsum(axis=1, dtype=np.int32)
-    return JudgedScan(file, scan_digest(projected.scan), len(truth), below, traits)
+    def chosen(self, rows: npt.NDArray[np.bool_]) -> "ShareTable":
+        """Return the table of some of its scans; `rows` is a mask (n,)."""
+        return ShareTable(
+            accepted=self.accepted[rows],
+            wrong=self.wrong[rows],
+            sequences=self.sequences[rows],
+            units=self.units[rows],
+        )
 
 
-def fit_risk(scans: TuningScans, at_most: float, confidence: float | None = None) -> Tuned:
+def fit_risk(scans: TuningScans, level: RiskLevel) -> Tuned[RiskFit]:
     """Choose the highest threshold of error, else of least confidence, that keeps to a level.
 
-    The unit is the drive if there are enough, else the scan. The report also has the accepted
-    labels, and each sequence at the threshold of the others.
+    The unit of the guarantee is the drive if there are enough, else the scan.
+
+    Parameters
+    ----------
+    scans : TuningScans
+        Labelled scans that the weights were not trained on.
+    level : RiskLevel
+        Limit of the share of accepted and wrong points.
+
+    Returns
+    -------
+    Tuned
+        Weights card with the threshold, and the report.
+
+    Raises
+    ------
+    TooFewScansError
+        If so few scans cannot guarantee the level.
+    TrainingError
+        If every threshold exceeds the level.
     """
-    level = RiskLevel(at_most, confidence)
     require_scans(scans.source, len(scans.files), level)
-    drives = len({file.sequence for file in scans.files})
-    unit = "drive" if enough_drives(drives, at_most, confidence) else "scan"
+    unit = _unit_of_guarantee(scans.files, level)
     few = _few_units(scans.files, unit, level)
-    network, space = scans.network, scans.space
     kind = _kind_of_threshold(scans)
-    counts = np.zeros((space.class_count, space.class_count, UNCERTAINTY_BINS + 1), np.int64)
-    judged = _judged_scans(scans, kind, counts)
-    shares = np.array([scan.below / scan.points for scan in judged])
-    sequences = np.array([scan.file.sequence for scan in judged])
-    units = sequences if unit == "drive" else np.arange(len(judged))
-    losses = means_of_units(shares[:, 1], units)
-    bins = held_thresholds(losses, *level)
-    if not bins or not shares[:, 0, bins - 1].any():
+    classes = scans.space.class_count
+    counts = np.zeros((classes, classes, UNCERTAINTY_BINS + 1), np.int64)
+    judged = judged_scans(scans, kind, counts)
+    shares = ShareTable.of_scans(judged, unit)
+    bins = held_thresholds(shares.losses, level.at_most, level.confidence)
+    if not bins or not shares.accepted[:, bins - 1].any():
         raise _no_threshold(scans.source, kind, few, level)
-    risk = RiskThreshold(
-        kind=kind,
-        threshold=min(float(highest_of_bins()[bins - 1]), 1.0),
-        at_most=at_most,
-        confidence=confidence,
-        unit=unit,
-        scans=len(judged),
-        sequences=tuple(np.unique(sequences).tolist()),
-        digests="".join(scan.digest for scan in judged),
-        settings=labels_depend_on(scans.settings, scans.network),
-        views=tuple(map(FittedView.of, network.sensor.members)),
-        population=_population(judged, unit),
-        data_set=(data_set_of(scans.files[0]) or scans.source).resolve().name,
+    points = [_accepted_points(scan, bins) for scan in judged]
+    labels = AcceptedLabels.of_confusion(
+        _confusion_of_accepted(counts, bins),
+        scans.space,
+        {scan.scan: (scan.points, scan.accepted, scan.wrong) for scan in points},
     )
-    others = _held_out(shares, sequences, units, level)
-    confusion = _confusion_of_accepted(counts, bins)
-    of_scans = {s.file.name: (s.points, *s.below[:, bins - 1].tolist()) for s in judged}
-    labels = AcceptedLabels.of_confusion(confusion, space, of_scans)
-    report = {
-        "guarantee": guarantee(risk),
-        **plain(risk),
-        "accepted": plain(labels),
-        "held_out": plain(others),
-        "names": [*of_scans],
-        "of_scans": [[accepted / n, wrong / n] for n, accepted, wrong in of_scans.values()],
-        "sentences": [*labels.sentences, *_sentences(others)],
-        "few": None,
-        "computed_by": _computed_by(network),
-        "warnings": plain(_warnings(scans.files, unit, level)),
-    }
-    if few:
-        report["few"] = _report_of_few(few, judged, losses, labels)
-    elif labels.coverage < LEAST_COVERAGE:
+    threshold = _threshold(scans, judged, kind, unit, level, bins)
+    others = held_out_sequences(shares, level)
+    warnings = _warnings(scans.files, unit, level)
+    report = RiskFit(
+        threshold=threshold,
+        accepted=labels,
+        held_out=others,
+        scans=points,
+        few=_report_of_few(few, judged, shares.losses, labels) if few else None,
+        computed_by=ComputedBy.of(scans.network),
+        warnings=warnings,
+    )
+    if few is None and labels.coverage < LEAST_COVERAGE:
         text = f"the threshold accepts only {percentage(labels.coverage)} of the points"
         hint = f"use a higher {argument('at_most')}, or scans of more drives"
         log.warning("%s", with_hint(text, hint))
     _warn_of_held_out(others, level, unit)
-    return replace(network.card, risk=risk), report
+    return Tuned(card=replace(scans.network.card, risk=threshold), fit=report)
 
 
-def _judged_scans(scans: TuningScans, kind: str, counts: Counts) -> list[JudgedScan]:
-    """Label and judge all scans by a kind of uncertainty; `counts` as of `judged_scan`."""
+def held_out_sequences(shares: ShareTable, level: RiskLevel) -> list[HeldOutSequence]:
+    """Return each sequence at the threshold of the others; nothing for a single sequence."""
+    names = np.unique(shares.sequences)
+    if len(names) == 1:
+        return []
+    reports = []
+    for name in names:
+        is_held_out = shares.sequences == name
+        others = shares.chosen(~is_held_out)
+        bins = held_thresholds(
+            others.losses, level.at_most, level.confidence, scans=shares.unit_count
+        )
+        scans = int(is_held_out.sum())
+        accepted = shares.accepted[is_held_out, bins - 1] if bins else np.zeros(scans)
+        wrong = shares.wrong[is_held_out, bins - 1] if bins else np.zeros(scans)
+        reports.append(
+            HeldOutSequence(
+                sequence=str(name),
+                scans=scans,
+                accepted=float(accepted.mean()),
+                loss=float(wrong.mean()),
+                worst=float(wrong.max()),
+                above=float((wrong > level.at_most).mean()),
+            )
+        )
+    return reports
+
+
+def _unit_of_guarantee(files: Sequence[ScanFile], level: RiskLevel) -> str:
+    """Return "drive" if there are enough sequences for a level, else "scan"."""
+    drives = len({file.sequence for file in files})
+    return "drive" if enough_drives(drives, level.at_most, level.confidence) else "scan"
+
+
+def _threshold(
+    scans: TuningScans,
+    judged: Sequence[JudgedScan],
+    kind: str,
+    unit: str,
+    level: RiskLevel,
+    bins: int,
+) -> RiskThreshold:
+    """Return the threshold at the end of a number of bins, with what it depends on."""
     network = scans.network
+    return RiskThreshold(
+        kind=kind,
+        threshold=min(float(highest_of_bins()[bins - 1]), 1.0),
+        at_most=level.at_most,
+        confidence=level.confidence,
+        unit=unit,
+        scans=len(judged),
+        sequences=tuple(sorted({scan.file.sequence for scan in judged})),
+        digests="".join(scan.digest for scan in judged),
+        settings=labels_depend_on(scans.settings, network),
+        views=tuple(FittedView.of(member) for member in network.sensor.members),
+        population=_population(judged, unit),
+        data_set=(data_set_of(scans.files[0]) or scans.source).resolve().name,
+    )
 
-    def prepare(file: ScanFile) -> PreparedFile:
-        return read_prepared(file, network)
 
-    def predict(files: Sequence[PreparedFile]) -> list[PixelPrediction]:
-        return predict_pixels(network, [file.scan for file in files], softmax=kind == "error")
-
-    judge = partial(judged_scan, space=scans.space, counts=counts)
-    steps = Steps(prepare, predict, judge)
-    return [*scans.run(steps).values()]
+def _accepted_points(scan: JudgedScan, bins: int) -> AcceptedPoints:
+    """Return the points of a scan in a number of bins."""
+    return AcceptedPoints(
+        scan=scan.file.name,
+        digest=scan.digest,
+        points=scan.points,
+        accepted=int(scan.accepted[bins - 1]),
+        wrong=int(scan.wrong[bins - 1]),
+    )
 
 
 def _confusion_of_accepted(counts: Counts, bins: int) -> Counts:
@@ -229,8 +252,9 @@ def _no_threshold(source: Path, kind: str, few: FewUnits | None, level: RiskLeve
 
 def _few_units(files: Sequence[ScanFile], unit: str, level: RiskLevel) -> FewUnits | None:
     """Return the scans or drives if they are few for a level, and warn of it."""
-    units = {file.sequence for file in files} if unit == "drive" else {*files}
-    few = FewUnits.among(len(units), unit, level)
+    sequences = {file.sequence for file in files}
+    count = len(sequences) if unit == "drive" else len(set(files))
+    few = FewUnits.among(count, unit, level)
     if few:
         few.warn_before()
     return few
@@ -238,26 +262,21 @@ def _few_units(files: Sequence[ScanFile], unit: str, level: RiskLevel) -> FewUni
 
 def _report_of_few(
     few: FewUnits, judged: Sequence[JudgedScan], losses: Ratios, labels: AcceptedLabels
-) -> dict[str, float]:
-    """Estimate what more scans with equal losses would accept; warn, and return plain data."""
-    bins = likely_thresholds(losses, *few.level, few.useful)
-    accepted = sum(int(scan.below[0, bins - 1]) for scan in judged) if bins else 0
+) -> FewScansReport:
+    """Estimate what more scans with equal losses would accept, and warn."""
+    level = few.level
+    bins = likely_thresholds(losses, level.at_most, level.confidence, few.useful)
+    accepted = sum(int(scan.accepted[bins - 1]) for scan in judged) if bins else 0
     by_useful = accepted / sum(scan.points for scan in judged)
     few.warn_after(labels.coverage, by_useful)
-    return {"left": few.left, "useful": few.useful, "accepted_by_useful": by_useful}
-
-
-def _computed_by(network: Network) -> dict[str, str]:
-    """Return device, library and number type of the labels."""
-    backend = network.backend
-    return {"device": backend.device, "engine": backend.library, "precision": backend.precision}
+    return FewScansReport(left=few.left, useful=few.useful, accepted_by_useful=by_useful)
 
 
 def _warnings(files: Sequence[ScanFile], unit: str, level: RiskLevel) -> list[ScanWarning]:
     """Log and return reasons to doubt the guarantee of scans."""
     if unit == "drive":
         return []
-    warning = consecutive_warning(files, needed_drives(*level))
+    warning = consecutive_warning(files, needed_drives(level.at_most, level.confidence))
     warnings = [warning] if warning else []
     log_recorded(warnings)
     return warnings
@@ -265,53 +284,22 @@ def _warnings(files: Sequence[ScanFile], unit: str, level: RiskLevel) -> list[Sc
 
 def _warn_of_held_out(others: Sequence[HeldOutSequence], level: RiskLevel, unit: str) -> None:
     """Warn of held-out sequences that exceed the level, or that there are none."""
-    if (above := [part.sequence for part in others if part.exceeds(level)]) and unit == "scan":
-        log.warning("%s: above the level with the threshold of the others", first_few(above))
-    elif not others:
+    if not others:
         log.warning("scans of one sequence do not show whether another one keeps to the level")
+        return
+    above = [sequence.sequence for sequence in others if sequence.exceeds(level)]
+    if above and unit == "scan":
+        log.warning("%s: above the level with the threshold of the others", first_few(above))
 
 
 def _kind_of_threshold(scans: TuningScans) -> str:
     """Return the kind of uncertainty of the threshold; warn if it was fitted to these sequences."""
-    card, files = scans.network.card, scans.files
     if not knows_error(scans.network):
         return "least_confidence"
-    fitted = {*card.error.scores.get("sequences", ())} if card.error else set()
-    if same := sorted(fitted & {file.sequence for file in files}):
+    error = scans.network.card.error
+    fitted = set(error.scores.get("sequences", ())) if error else set()
+    same = sorted(fitted & {file.sequence for file in scans.files})
+    if same:
         message = "the error was fitted to %s too: the guarantee needs scans that no fit has seen"
         log.warning(message, first_few(same))
     return "error"
-
-
-def _sentences(others: Sequence[HeldOutSequence]) -> Iterator[str]:
-    """Yield sentences about held-out sequences."""
-    worst = sorted(others, key=lambda part: -part.loss)[:MAX_LISTED]
-    for part in worst:
-        wrong = f"{percentage(part.loss)} of all points accepted and wrong"
-        accepted = f"{percentage(part.accepted)} accepted"
-        of_worst = f", {percentage(part.worst)} in the worst scan" if part.scans > 1 else ""
-        shares = f"{accepted}, {wrong}{of_worst}"
-        yield f"{part.sequence} with the threshold chosen on the others: {shares}"
-    if more := len(others) - len(worst):
-        noun = "sequence" if more == 1 else "sequences"
-        yield f"{more} more {noun} with a smaller share of wrong points"
-
-
-def _held_out(
-    shares: Ratios, sequences: npt.NDArray[np.str_], units: npt.NDArray[Any], level: RiskLevel
-) -> list[HeldOutSequence]:
-    """Return each sequence at the threshold of the others; nothing for a single sequence.
-
-    `shares` (n, 2, B): points that are accepted, and accepted and wrong; `units`: as
-    `means_of_units` takes them.
-    """
-    reports, names, count = [], np.unique(sequences), len(np.unique(units))
-    for sequence in names if len(names) > 1 else ():
-        part = sequences == sequence
-        losses = means_of_units(shares[~part, 1], units[~part])
-        bins = held_thresholds(losses, *level, scans=count)
-        accepted, wrong = shares[part, :, bins - 1].T if bins else np.zeros((2, part.sum()))
-        above = (wrong > level.at_most).mean()
-        means = map(float, (accepted.mean(), wrong.mean(), wrong.max(), above))
-        reports.append(HeldOutSequence(str(sequence), int(part.sum()), *means))
-    return reports

@@ -5,7 +5,6 @@ import logging
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 from salsanext_cli.core.errors import TrainingError, UsageError, counted, percentage, with_hint
 from salsanext_cli.core.measures.risk_control import (
@@ -23,7 +22,8 @@ class TooFewScansError(TrainingError):
     """A level cannot be guaranteed by so few scans or drives."""
 
 
-class RiskLevel(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class RiskLevel:
     """Limit of the share of accepted and wrong points."""
 
     at_most: float  # Largest share of the points, 0…1
@@ -42,9 +42,9 @@ class RiskLevel(NamedTuple):
 
 def require_scans(source: Path, count: int, level: RiskLevel) -> None:
     """Refuse a level that so many scans are too few for; name the best one for their number."""
-    at_most, confidence = level
     level.require_possible()
-    missing = needed_scans(at_most, confidence) - count
+    confidence = level.confidence
+    missing = needed_scans(level.at_most, confidence) - count
     if missing <= 0:
         return
     if confidence is None:
@@ -62,7 +62,7 @@ def require_scans(source: Path, count: int, level: RiskLevel) -> None:
     raise TooFewScansError(source, problem, counted(missing, "more scan"), hint)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FewUnits:
     """Scans or drives that leave a threshold little or no room for wrong labels."""
 
@@ -74,8 +74,10 @@ class FewUnits:
     @classmethod
     def among(cls, count: int, unit: str, level: RiskLevel) -> "FewUnits | None":
         """Return so many scans or drives if they are few for a level, else None."""
-        useful = useful_scans(*level)
-        return cls(unit, count, level, useful) if count < useful else None
+        useful = useful_scans(level.at_most, level.confidence)
+        if count >= useful:
+            return None
+        return cls(unit=unit, count=count, level=level, useful=useful)
 
     @property
     def left(self) -> float:
@@ -120,6 +122,7 @@ class FewUnits:
 
 
 def _left(count: int, level: RiskLevel) -> float:
+    """Return what a level leaves to a number of scans or drives, as `FewUnits.left`."""
     if level.confidence is None:
         return max(0.0, share_left(count, level.at_most))
     return max(0, allowed_scans(count, level.confidence)) / count

@@ -1,15 +1,13 @@
 # SPDX-License-Identifier: MIT
 """Dated record of a threshold of `tune risk`, to be archived."""
 
-from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 from salsanext_cli.core.engines.machine import machine, versions
-from salsanext_cli.core.network.card import parted
 from salsanext_cli.io.files.json_files import write_json
 from salsanext_cli.io.files.reading import fingerprint
+from salsanext_cli.training.tuning.risk_report import RiskFit
 from salsanext_cli.version import __version__
 
 PACKAGES = ("torch", "openvino", "numpy", "numba")
@@ -17,7 +15,7 @@ PACKAGES = ("torch", "openvino", "numpy", "numba")
 
 
 def write_risk_record(
-    path: Path, tuned: Mapping[str, Any], *, source: Path, weights: Path, target: Path
+    path: Path, fit: RiskFit, *, source: Path, weights: Path, target: Path
 ) -> None:
     """Write what a threshold is based on: scans, weights, settings, guarantee and check.
 
@@ -25,35 +23,43 @@ def write_risk_record(
     ----------
     path : Path
         JSON file to write.
-    tuned : mapping
-        Report of `tune` for the part ``risk``.
+    fit : RiskFit
+        Report of the fit.
     source : Path
         Data set that the threshold was chosen on.
     weights, target : Path
         Weights that labelled the scans, and weights file with the threshold.
     """
     scans = [
-        {"scan": name, "digest": digest, "accepted": accepted, "accepted_and_wrong": wrong}
-        for name, digest, (accepted, wrong) in zip(
-            tuned["names"], parted(tuned["digests"]), tuned["of_scans"], strict=True
-        )
+        {
+            "scan": scan.scan,
+            "digest": scan.digest,
+            "accepted": scan.share_accepted,
+            "accepted_and_wrong": scan.share_wrong,
+        }
+        for scan in fit.scans
     ]
+    threshold = fit.threshold
     record = {
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "version": __version__,
-        "guarantee": tuned["guarantee"],
-        **{key: tuned[key] for key in ("kind", "threshold", "at_most", "confidence", "unit")},
+        "guarantee": fit.guarantee,
+        "kind": threshold.kind,
+        "threshold": threshold.threshold,
+        "at_most": threshold.at_most,
+        "confidence": threshold.confidence,
+        "unit": threshold.unit,
         "weights": {"path": str(weights), "sha256": fingerprint(weights)},
         "weights_with_threshold": {"path": str(target), "sha256": fingerprint(target)},
-        "computed_by": tuned["computed_by"],
+        "computed_by": fit.computed_by,
         "versions": {"salsanext": __version__} | versions(PACKAGES),
-        "machine": machine(tuned["computed_by"]["device"]),
-        "settings": tuned["settings"],
-        "views": tuned["views"],
+        "machine": machine(fit.computed_by.device),
+        "settings": threshold.settings,
+        "views": threshold.views,
         "data_set": str(source.resolve()),
         "scans": scans,
-        "accepted": tuned["accepted"],
-        "warnings": tuned["warnings"],
-        "check": {"held_out_sequences": tuned["held_out"]},
+        "accepted": fit.accepted,
+        "warnings": fit.warnings,
+        "check": {"held_out_sequences": fit.held_out},
     }
     write_json(path, record)

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -25,10 +25,18 @@ from salsanext_cli.runs.results.paths import ScanFile, find_scans
 from salsanext_cli.training.data.sources import read_labelled
 from salsanext_cli.training.data.targets import class_sets
 
-Tuned = tuple[WeightsCard, dict[str, Any]]  # Card of the new weights, and a report, plain data
 NOT_SCORED = "no point is of a scored class"
 
+Fit = TypeVar("Fit")
 Result = TypeVar("Result")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Tuned(Generic[Fit]):
+    """Result of a fit of one part of the weights."""
+
+    card: WeightsCard  # Of the new weights
+    fit: Fit  # Report of the fit, a record
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,8 +3,8 @@
 
 import logging
 import math
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -27,18 +27,77 @@ from salsanext_cli.training.tuning.scans import LabelledImage, Tuned, TuningScan
 MAX_LOGITS = 4_000_000  # 32 MB in float64: 200 000 points with 20 classes
 SEED = 0  # Seed of the choice of points
 
-Points = tuple[Tensor, Tensor]  # Their logits (M, C) float32, and train ids (M,) int64
-
 log = logging.getLogger(__name__)
 
 
-def fit_temperature(scans: TuningScans) -> Tuned:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TemperatureScores:
+    """Calibration of a softmax at a temperature."""
+
+    temperature: float
+    nll: float  # Mean negative log-likelihood, nats
+    ece: float  # Expected calibration error over 15 bins, 0…1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TemperatureFit:
+    """Report of the fit of the temperature."""
+
+    before: TemperatureScores
+    after: TemperatureScores  # With several scans: of held-out ones, at the temperature of others
+    folds: int  # 0 for a single scan
+    changed: bool
+    scans: int
+    points: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointLogits:
+    """Logits of M points, and their truth."""
+
+    logits: Tensor  # (M, C) float32
+    truth: Tensor  # (M,) int64, train ids
+
+    @classmethod
+    def joined(cls, scans: Iterable["PointLogits"]) -> "PointLogits":
+        """Return the points of some scans in one."""
+        members = list(scans)
+        logits = torch.cat([points.logits for points in members])
+        truth = torch.cat([points.truth for points in members])
+        return cls(logits, truth)
+
+    def best_temperature(self) -> float:
+        """Return the temperature with the least negative log-likelihood, as the function does."""
+        return best_temperature(self.logits, self.truth)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TemperedPoints:
+    """Points, and the temperature that divides their logits."""
+
+    points: PointLogits
+    temperature: float
+
+
+def fit_temperature(scans: TuningScans) -> Tuned[TemperatureFit]:
     """Fit the temperature with the least negative log-likelihood, unless the existing is better.
 
-    `MAX_LOGITS` limits the points of each scan to a seeded random sample. The report has the
-    `temperature`, the mean negative log-likelihood in nats, `nll`, and the expected calibration
-    error over 15 bins, `ece`, 0…1, `before` and `after` the fit. With several scans, the latter are
-    of held-out scans, at the temperature of the others.
+    `MAX_LOGITS` limits the points of each scan to a seeded random sample.
+
+    Parameters
+    ----------
+    scans : TuningScans
+        Labelled scans that the weights were not trained on.
+
+    Returns
+    -------
+    Tuned
+        Weights card with the temperature, and the report.
+
+    Raises
+    ------
+    TrainingError
+        If the best temperature is out of range, as for points that are all right.
     """
     card = scans.network.card
     most = max(1, MAX_LOGITS // card.space.class_count // len(scans.files))
@@ -46,84 +105,104 @@ def fit_temperature(scans: TuningScans) -> Tuned:
     def logits_of(images: Sequence[LabelledImage]) -> list[Float]:
         return scans.network.backend.logits([image.input for image in images])
 
-    of_scan = scans.run(Steps(scans.read, logits_of, partial(_sample, most=most)))
-
-    def of(files: Sequence[ScanFile]) -> Points:
-        logits, truth = zip(*(of_scan[file] for file in files), strict=True)
-        return torch.cat(logits), torch.cat(truth)
-
-    logits, truth = every = of(scans.files)
-    scans.require_points(len(truth))
-    temperature = best_temperature(logits, truth)
+    points_by_scan = scans.run(Steps(scans.read, logits_of, partial(_sample, most=most)))
+    points = PointLogits.joined(points_by_scan.values())
+    scans.require_points(len(points.truth))
+    temperature = points.best_temperature()
     lowest, highest = TEMPERATURES
     if not lowest <= temperature <= highest:
         # It is 0 where every point is right, infinite where no class of the truth is known.
-        problem = f"the best temperature for {len(truth)} points is {temperature:g}"
+        problem = f"the best temperature for {len(points.truth)} points is {temperature:g}"
         expected = f"between {lowest:g} and {highest:g}"
         raise TrainingError(scans.source, problem, expected, "use more scans, or other weights")
-    tempered = [
-        (of(part), min(max(best_temperature(*of(rest)), lowest), highest))
-        for rest, part in held_out([file for file in scans.files if len(of_scan[file][1])])
-    ]
-    if not tempered:
+    folds = _tempered_folds(points_by_scan)
+    if not folds:
         log.warning("1 scan: not cross-validated")
-    before = _scores([(every, card.temperature)])
-    after = _scores(tempered or [(every, temperature)])
+    before = _scores([TemperedPoints(points, card.temperature)], card.temperature)
+    after = _scores(folds or [TemperedPoints(points, temperature)], temperature)
     # Scores of the scan of the fit do not show a gain.
-    changed = after["nll"] < before["nll"] if tempered else card.temperature == 1
-    report = {
-        "before": {"temperature": card.temperature, **before},
-        "after": {"temperature": temperature, **after},
-        "folds": len(tempered),
-        "changed": changed,
-        "scans": len(scans.files),
-        "points": len(truth),
-    }
+    changed = after.nll < before.nll if folds else card.temperature == 1
+    report = TemperatureFit(
+        before=before,
+        after=after,
+        folds=len(folds),
+        changed=changed,
+        scans=len(scans.files),
+        points=len(points.truth),
+    )
     if not changed:
-        return card, report
+        return Tuned(card=card, fit=report)
     if card.risk and card.risk.kind != "error":
         log.log(NOTICE, "the threshold is removed: choose a new one with `salsanext tune risk`")
         card = replace(card, risk=None)
-    return with_temperature(card, temperature, logits), report
+    return Tuned(card=with_temperature(card, temperature, points.logits), fit=report)
+
+
+def _tempered_folds(points_by_scan: Mapping[ScanFile, PointLogits]) -> list[TemperedPoints]:
+    """Return each fold of the scans that have points at the best temperature of the others."""
+    lowest, highest = TEMPERATURES
+    files = [file for file, points in points_by_scan.items() if len(points.truth)]
+    folds = []
+    for others, fold in held_out(files):
+        best = PointLogits.joined(points_by_scan[file] for file in others).best_temperature()
+        points = PointLogits.joined(points_by_scan[file] for file in fold)
+        folds.append(TemperedPoints(points, min(max(best, lowest), highest)))
+    return folds
 
 
 def with_temperature(card: WeightsCard, temperature: float, logits: Tensor) -> WeightsCard:
     """Return a card with another temperature, and the same estimated accuracy of logits (N, C)."""
-    error, accuracy = card.error, card.accuracy
+    error = card.error
+    accuracy = card.accuracy
     if error:
         # Its features are those at the old temperature.
         error = replace(error, temperature=error.temperature or card.temperature)
     if accuracy and len(logits):
         # The labels do not change, so neither does their estimated accuracy.
-        old, new = (
-            (logits.double() / t).softmax(dim=1).amax(dim=1).mean().logit(1e-6).item()
-            for t in (card.temperature, temperature)
-        )
+        old = _logit_of_confidence(logits, card.temperature)
+        new = _logit_of_confidence(logits, temperature)
         accuracy = replace(accuracy, offset=accuracy.offset + accuracy.slope * (old - new))
     return replace(card, temperature=temperature, error=error, accuracy=accuracy)
 
 
-def _sample(scan: LabelledImage, logits: Float, most: int) -> Points:
-    """Return the logits (M, C) and train ids (M,) of at most `most` points of a scan."""
-    file, count = scan.file, len(scan.truth)
+def _logit_of_confidence(logits: Tensor, temperature: float) -> float:
+    """Return the logit of the mean confidence of logits (N, C) at a temperature."""
+    softmax = (logits.double() / temperature).softmax(dim=1)
+    return softmax.amax(dim=1).mean().logit(1e-6).item()
+
+
+def _sample(scan: LabelledImage, logits: Float, most: int) -> PointLogits:
+    """Return at most `most` points of a scan, with their logits of pixels (C, H, W)."""
+    file = scan.file
+    count = len(scan.truth)
     if not np.isfinite(logits).all():
         raise WeightsError(file.path, "logits of the network are not finite")
     random = np.random.default_rng(scan_seed(SEED, file.sequence, file.stem))
     chosen = random.choice(count, most, replace=False) if count > most else slice(None)
     log.info("%s: %d points", file.name, min(count, most))
-    of_points = scan.of_points(logits)[chosen].copy()
-    return torch.from_numpy(of_points), torch.from_numpy(scan.truth[chosen]).long()
+    return PointLogits(
+        logits=torch.from_numpy(scan.of_points(logits)[chosen].copy()),
+        truth=torch.from_numpy(scan.truth[chosen]).long(),
+    )
 
 
-def _scores(tempered: Sequence[tuple[Points, float]]) -> dict[str, float]:
-    """Return `nll` and `ece` of all points, each part at its temperature."""
-    softmax = torch.cat([torch.softmax(logits / t, dim=1) for (logits, _), t in tempered])
-    every_truth = torch.cat([truth for (_, truth), _ in tempered])
-    histogram = confidence_histogram(softmax.numpy(), every_truth.numpy())
-    counts = [len(truth) for (_, truth), _ in tempered]
-    losses = [negative_log_likelihood(*points, t) for points, t in tempered]
-    nll = float(np.average(losses, weights=counts))
-    return {"nll": nll, "ece": reliability(histogram.counts).error}
+def _scores(folds: Sequence[TemperedPoints], temperature: float) -> TemperatureScores:
+    """Return the scores of all points, each fold at its temperature; state a `temperature`."""
+    softmax = torch.cat(
+        [torch.softmax(fold.points.logits / fold.temperature, dim=1) for fold in folds]
+    )
+    truth = torch.cat([fold.points.truth for fold in folds])
+    histogram = confidence_histogram(softmax.numpy(), truth.numpy())
+    losses = [
+        negative_log_likelihood(fold.points.logits, fold.points.truth, fold.temperature)
+        for fold in folds
+    ]
+    counts = [len(fold.points.truth) for fold in folds]
+    return TemperatureScores(
+        temperature=temperature,
+        nll=float(np.average(losses, weights=counts)),
+        ece=reliability(histogram.counts).error,
+    )
 
 
 def negative_log_likelihood(logits: Tensor, truth: Tensor, temperature: float) -> float:

@@ -22,7 +22,7 @@ from salsanext_cli import (
     sample,
     write_labels,
 )
-from salsanext_cli.commands.stages.tune import tune
+from salsanext_cli.commands.stages import tune
 from salsanext_cli.core.errors import (
     LabelError,
     NoInputError,
@@ -57,7 +57,8 @@ def few_rates(monkeypatch):
 
 def go(world, target, part="temperature", **changes):
     given = {"settings": world.network, **(FEW if part == "dropout" else {}), **changes}
-    return tune(part, world.data, target, **given)
+    stage = getattr(tune, f"tune_{part}")
+    return stage(world.data, target, **given).to_dict()
 
 
 def labelled_points(world):
@@ -135,8 +136,9 @@ def test_what_can_be_seen_at_once_is_refused_before_the_network_is_loaded(
     for part in ("temperature", "error", "dropout", "risk"):
         numbers = {"at_most": 0.05} if part == "risk" else {}
         refused(OutputError, existing, go, world, existing, part, **numbers)
+        stage = getattr(tune, f"tune_{part}")
         with pytest.raises(NoInputError):
-            tune(part, tmp_path / "nowhere", target, settings=world.network, **numbers)
+            stage(tmp_path / "nowhere", target, settings=world.network, **numbers)
     refused(TrainingError, world.data, go, world, target, "risk", at_most=0.05)
     refused(UsageError, "at_most", go, world, target, "risk", at_most=5)
     shutil.rmtree(world.data / LABELS)

@@ -45,7 +45,7 @@ def test_ranges_are_added_and_nothing_else_changes(world, network, target):
     assert all(np.array_equal(tensor, tensors[name]) for name, tensor in load_file(target).items())
     layers = int8_layers(network.load().module)
     assert after.int8.keys() == layers.keys()
-    assert (report["scans"], report["layers"]) == (3, len(layers))
+    assert (report.scans, report.layers) == (3, len(layers))
     refused(OutputError, target, tune_int8, world.data, target, settings=network)
 
 

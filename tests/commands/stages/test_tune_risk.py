@@ -35,7 +35,7 @@ from salsanext_cli.runs.results.result_folder import ResultFolder
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.summary.scan_summary import NOT_COMPARED
 from salsanext_cli.runs.summary.threshold_scans import EARLY
-from salsanext_cli.training.tuning.risk import _held_out
+from salsanext_cli.training.tuning.risk import ShareTable, held_out_sequences
 from salsanext_cli.training.tuning.risk_level import FewUnits, RiskLevel
 
 ALL = ScanSelection()
@@ -276,11 +276,16 @@ def test_an_error_that_was_fitted_to_these_scans_warns(unsure_is_wrong, target, 
 @pytest.mark.parametrize(("confidence", "is_above"), [(None, False), (0.9, True)])
 def test_a_held_out_drive_is_judged_by_the_guarantee(confidence, is_above) -> None:
     losses = np.where(np.arange(44) < 35, 0.0, 0.06)  # Nine of 22 scans of the second drive
-    accepted = np.stack([np.ones(44), losses], axis=1)[..., None]
-    sequences, numbers = np.repeat(["a", "b"], 22), RiskLevel(0.05, confidence)
-    of_b = _held_out(accepted, sequences, np.arange(44), numbers)[1]
-    assert of_b.above == pytest.approx(9 / 22)
-    assert of_b.exceeds(numbers) == is_above
+    shares = ShareTable(
+        accepted=np.ones((44, 1)),
+        wrong=losses[:, None],
+        sequences=np.repeat(["a", "b"], 22),
+        units=np.arange(44),
+    )
+    level = RiskLevel(0.05, confidence)
+    drive = held_out_sequences(shares, level)[1]
+    assert drive.above == pytest.approx(9 / 22)
+    assert drive.exceeds(level) == is_above
 
 
 @pytest.mark.usefixtures("in_few_steps")

@@ -12,7 +12,7 @@ from world import World
 from salsanext_cli.commands.stages.import_weights import import_weights
 from salsanext_cli.commands.stages.models import describe_weights
 from salsanext_cli.commands.stages.predict import predict_scans
-from salsanext_cli.commands.stages.tune import tune
+from salsanext_cli.commands.stages.tune import tune_temperature
 from salsanext_cli.core.errors import NOTICE
 from salsanext_cli.io.files.reading import fingerprint
 from salsanext_cli.io.weights.card_file import read_card
@@ -66,6 +66,6 @@ def test_the_default_weights_of_before_have_none(world: World, narrow_default, c
 
 def test_files_made_of_them_have_none(world: World, default: Path, tmp_path: Path) -> None:
     settings = NetworkSettings(default, "cpu", engine="torch")
-    tune("temperature", world.data, tmp_path / "tuned.safetensors", settings=settings)
+    tune_temperature(world.data, tmp_path / "tuned.safetensors", settings=settings)
     assert read_card(tmp_path / "tuned.safetensors").version is None
     assert import_weights(default, tmp_path / "again.safetensors").version is None

@@ -27,7 +27,7 @@ from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.output_run import OutputRun, output_run
 from salsanext_cli.runs.results.paths import ScanFile, find_scans
-from salsanext_cli.runs.results.stage_settings import ExportSettings
+from salsanext_cli.runs.results.stage_settings import ExportSettings, PredictSettings
 
 LABELS = np.full(5, 10, np.uint32)
 

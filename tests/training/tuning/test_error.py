@@ -14,7 +14,7 @@ HEIGHT = FEATURES.index("height above the sensor")
 def points(wrong_if, count: int = 4000, seed: int = 0) -> JudgedPoints:
     """Return random features, and wrong labels by a function of them."""
     features = np.random.default_rng(seed).random((count, len(FEATURES))).astype("f4")
-    return JudgedPoints(features, wrong_if(features))
+    return JudgedPoints(features=features, wrong=wrong_if(features))
 
 
 def test_low_confidence_is_wrong_at_any_height() -> None:

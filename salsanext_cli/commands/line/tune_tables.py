@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: MIT
+"""Tables of `tune`: scores before and after a fit, on held-out scans."""
+
+from rich.table import Table
+
+from salsanext_cli.core.errors import counted
+from salsanext_cli.report.tables import percent, table_of
+from salsanext_cli.training.tuning.error import HeldOutScores
+from salsanext_cli.training.tuning.temperature import TemperatureFit
+
+
+def temperature_table(fit: TemperatureFit) -> Table:
+    """Return a table of the temperature and its scores before and after the fit."""
+    rows = [
+        (name, f"{scores.temperature:.4f}", f"{scores.nll:.4f}", percent(scores.ece, 2))
+        for name, scores in (("before", fit.before), ("after", fit.after))
+    ]
+    headings = ("", "temperature", "NLL in nats", "ECE in %")
+    return table_of(headings, rows, title=f"Held-out scans, {counted(fit.folds, 'fold')}")
+
+
+def error_table(held_out: HeldOutScores) -> Table:
+    """Return a table of the scores of confidence, existing model and new model."""
+    models = {
+        "confidence": held_out.confidence,
+        "existing model": held_out.existing,
+        "new model": held_out.error,
+    }
+    rows = [
+        (
+            name,
+            f"{scores.auroc:.4f}",
+            f"{scores.aurc:.4f}",
+            f"{scores.nll:.4f}",
+            percent(scores.ece),
+            percent(scores.risk_80),
+        )
+        for name, scores in models.items()
+        if scores
+    ]
+    headings = ("", "AUROC", "AURC", "NLL", "ECE in %", "wrong of the best 80 %, in %")
+    return table_of(headings, rows, title=f"Held-out scans, {counted(held_out.folds, 'fold')}")
