@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Cross-validation of a training: its folds, the number of epochs that it chooses, its scores."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -17,8 +18,8 @@ def folds(files: Sequence[ScanFile], count: int) -> list[list[ScanFile]]:
     """Divide scans into at most `count` folds, each of whole sequences or of neighbours in one."""
     sequences = [list(members) for _, members in groupby(files, lambda file: file.sequence)]
     if len(sequences) == 1:
-        parts = np.array_split(np.arange(len(files)), min(count, len(files)))
-        return [[files[i] for i in part] for part in parts]
+        indices_of_folds = np.array_split(np.arange(len(files)), min(count, len(files)))
+        return [[files[i] for i in indices] for indices in indices_of_folds]
     divided: list[list[ScanFile]] = [[] for _ in range(min(count, len(sequences)))]
     for sequence in sorted(sequences, key=len, reverse=True):
         min(divided, key=len).extend(sequence)
@@ -31,7 +32,7 @@ def held_out(files: Sequence[ScanFile], count: int = 5) -> Parts:
     return [([file for file in files if file not in part], part) for part in parts]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Expectation:
     """Scores on held-out scans: means over the folds, an estimate for new scans.
 
@@ -52,14 +53,20 @@ class Expectation:
 
     def scores(self) -> dict[str, float]:
         """Return the scores for the card of the weights."""
-        names = ("folds", "miou", "miou_spread", "accuracy", "accuracy_spread")
-        return {name: value for name in names if (value := getattr(self, name)) is not None}
+        scores = {
+            "folds": self.folds,
+            "miou": self.miou,
+            "miou_spread": self.miou_spread,
+            "accuracy": self.accuracy,
+            "accuracy_spread": self.accuracy_spread,
+        }
+        return {name: value for name, value in scores.items() if value is not None}
 
 
 def expectation(logs: Sequence[Sequence[Row]], *, one_drive: bool = False) -> Expectation | None:
     """Choose the number of epochs by the logs of the folds, None if no fold could be scored."""
     validated = [
-        {int(row["epoch"]): row for row in rows if row.get("miou", np.nan) == row.get("miou")}
+        {int(row["epoch"]): row for row in rows if math.isfinite(row.get("miou", math.nan))}
         for rows in logs
     ]
     scored = [rows for rows in validated if rows]
@@ -67,16 +74,26 @@ def expectation(logs: Sequence[Sequence[Row]], *, one_drive: bool = False) -> Ex
         return None
     common = sorted(set.intersection(*(set(rows) for rows in scored)))
     epochs = _best(common, scored)
-    of_folds = [
-        rows[_best(common, [other for other in scored if other is not rows] or scored)]
-        for rows in scored
-    ]
-    values = np.array([(row["miou"], row["accuracy"]) for row in of_folds])
-    miou, accuracy = values.mean(axis=0).tolist()
-    spreads = values.std(axis=0, ddof=1).tolist() if len(values) > 1 else (None, None)
-    temperature = float(np.exp(np.mean([np.log(rows[epochs]["temperature"]) for rows in scored])))
-    numbers = epochs, miou, spreads[0], accuracy, spreads[1], temperature, len(scored)
-    return Expectation(*numbers, one_drive=one_drive)
+    held_out_rows = []
+    for rows in scored:
+        others = [other for other in scored if other is not rows]
+        held_out_rows.append(rows[_best(common, others or scored)])
+    scores = np.array([(row["miou"], row["accuracy"]) for row in held_out_rows])
+    miou, accuracy = scores.mean(axis=0).tolist()
+    miou_spread, accuracy_spread = None, None
+    if len(scores) > 1:
+        miou_spread, accuracy_spread = scores.std(axis=0, ddof=1).tolist()
+    logarithms = [np.log(rows[epochs]["temperature"]) for rows in scored]
+    return Expectation(
+        epochs=epochs,
+        miou=miou,
+        miou_spread=miou_spread,
+        accuracy=accuracy,
+        accuracy_spread=accuracy_spread,
+        temperature=float(np.exp(np.mean(logarithms))),
+        folds=len(scored),
+        one_drive=one_drive,
+    )
 
 
 def _best(epochs: Sequence[int], logs: Sequence[dict[int, Row]]) -> int:

@@ -102,11 +102,16 @@ def export_onnx(
     """
     from salsanext_cli.commands.stages.export_onnx import export_onnx as stage
 
-    path, view = weights_file(weights), arguments.sensor(sensor)
-    done = stage(path, target, view=view, dynamic_width=dynamic_width, overwrite=overwrite)
-    output.result(done)
-    if (difference := done["difference"]) is None:
+    report = stage(
+        weights_file(weights),
+        target,
+        view=arguments.sensor(sensor),
+        dynamic_width=dynamic_width,
+        overwrite=overwrite,
+    )
+    output.result(report.to_dict())
+    if report.difference is None:
         output.print("the model was not compared with torch, because onnxruntime is not installed")
     else:
-        output.print(f"largest difference from torch: {difference:.1e} of the largest logit")
+        output.print(f"largest difference from torch: {report.difference:.1e} of the largest logit")
     output.print(f"export-onnx: {weights} → {target}")

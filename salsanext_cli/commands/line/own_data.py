@@ -277,9 +277,9 @@ def synth(
         written = synthesise(
             out, **asdict(scenes), jobs=jobs, overwrite=overwrite, progress=on_progress
         )
-    output.result(written)
-    points = sum(written["points"].values())
-    output.print(f"synth: {counted(written['scans'], 'scan')}, {points:,} points → {out}")
+    output.result(written.to_dict())
+    points = sum(written.points.values())
+    output.print(f"synth: {counted(written.scans, 'scan')}, {points:,} points → {out}")
 
 
 def submit(

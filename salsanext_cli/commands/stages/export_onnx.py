@@ -1,17 +1,42 @@
 # SPDX-License-Identifier: MIT
 """Stage `export-onnx`: weights as an ONNX model with their card."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 from salsanext_cli.core.optional_packages import import_extra
+from salsanext_cli.core.records import CHANNELS
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.io.files.atomic import require_target, write_bytes
 from salsanext_cli.io.weights.card_file import ONNX_SUFFIX
 from salsanext_cli.io.weights.onnx_export import OPSET, difference, exported
 from salsanext_cli.io.weights.weights import read_weights
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OnnxReport:
+    """ONNX model that was written."""
+
+    opset: int
+    class_count: int
+    height: int  # Of the range images, pixels
+    width: int | None  # Of the range images, pixels; None for any
+    # Largest difference from torch, relative to the largest logit; None without ONNX Runtime
+    difference: float | None
+    size: int  # Of the file, bytes
+
+    def to_dict(self) -> dict[str, object]:
+        """Return plain data for JSON, with the shapes of input and output."""
+        width = "any" if self.width is None else self.width
+        return {
+            "stage": "export-onnx",
+            "opset": self.opset,
+            "input": [1, len(CHANNELS), self.height, width],
+            "output": [1, self.class_count, self.height, width],
+            "difference": self.difference,
+            "bytes": self.size,
+        }
 
 
 def export_onnx(
@@ -21,7 +46,7 @@ def export_onnx(
     view: Sensor | None = None,
     dynamic_width: bool = False,
     overwrite: bool = False,
-) -> dict[str, Any]:
+) -> OnnxReport:
     """Write weights as an ONNX model of normalised range images to logits.
 
     Parameters
@@ -36,9 +61,7 @@ def export_onnx(
 
     Returns
     -------
-    dict
-        Shapes, opset and size of the model, and `difference`, the largest difference from torch
-        relative to the largest logit; None where ONNX Runtime is not installed.
+    OnnxReport
 
     Raises
     ------
@@ -54,14 +77,13 @@ def export_onnx(
         card = replace(card, sensor=replace(view, intensity_quantiles=trained))
     require_target(target, overwrite, ONNX_SUFFIX)
     content = exported(module, card, dynamic_width=dynamic_width).SerializeToString()
-    width = "any" if dynamic_width else card.sensor.width
-    report = {
-        "stage": "export-onnx",
-        "opset": OPSET,
-        "input": [1, 5, card.sensor.height, width],
-        "output": [1, card.space.class_count, card.sensor.height, width],
-        "difference": difference(content, module, card) if find_spec("onnxruntime") else None,
-        "bytes": len(content),
-    }
+    report = OnnxReport(
+        opset=OPSET,
+        class_count=card.space.class_count,
+        height=card.sensor.height,
+        width=None if dynamic_width else card.sensor.width,
+        difference=difference(content, module, card) if find_spec("onnxruntime") else None,
+        size=len(content),
+    )
     write_bytes(target, content, durable=True)
     return report

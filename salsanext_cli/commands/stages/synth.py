@@ -3,12 +3,11 @@
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import yaml
@@ -34,7 +33,7 @@ SEQUENCE_FILES = ("poses.txt", "times.txt", "calib.txt")
 IDENTITY = "1 0 0 0 0 1 0 0 0 0 1 0"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SynthSettings:
     """Settings that determine a data set of simulated scenes."""
 
@@ -51,12 +50,25 @@ class SynthSettings:
         """Name the sequences by their number in each split."""
         names = map("{:02d}".format, range(sum(counts.values())))
         splits = {split: tuple(islice(names, count)) for split, count in counts.items()}
-        return cls(splits, scans, seed, spacing, sensor)
+        return cls(splits=splits, scans=scans, seed=seed, spacing=spacing, sensor=sensor)
 
     @property
     def record(self) -> StageRecord:
         """Record of the stage."""
         return StageRecord(STAGE, settings_json(self))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SynthReport:
+    """Data set of simulated scenes that was written."""
+
+    scans: int  # Of all sequences
+    splits: Mapping[str, Sequence[str]]  # Names of the sequences by split
+    points: Mapping[int, int]  # Number of points by raw id
+
+    def to_dict(self) -> dict[str, object]:
+        """Return plain data for JSON."""
+        return {"stage": STAGE, "scans": self.scans, "splits": self.splits, "points": self.points}
 
 
 def synthesise(
@@ -72,7 +84,7 @@ def synthesise(
     jobs: int = 1,
     overwrite: bool = False,
     progress: Progress | None = None,
-) -> dict[str, Any]:
+) -> SynthReport:
     """Write a data set of simulated scenes, or what is missing of it.
 
     Parameters
@@ -92,8 +104,7 @@ def synthesise(
 
     Returns
     -------
-    dict
-        Number of all `scans`, names of sequences by split, and `points` by raw id.
+    SynthReport
     """
     counts = {"train": train, "valid": valid, "test": test}
     options = RunOptions(jobs=jobs, on_error="stop", progress=progress)
@@ -115,8 +126,9 @@ def synthesise(
         space = replace(label_space("semantic-kitti"), splits=settings.splits)
         text = yaml.safe_dump(space.to_dict(), sort_keys=False, allow_unicode=True)
         owned.write_missing(out / LABEL_SPACE, text.encode())
-    made = {"scans": len(names) * scans, "splits": settings.splits}
-    return {"stage": STAGE, **made, "points": dict(sorted(points.items()))}
+    return SynthReport(
+        scans=len(names) * scans, splits=settings.splits, points=dict(sorted(points.items()))
+    )
 
 
 def _check(sequences: dict[str, int], scans: int, seed: int, spacing: float, sensor: str) -> None:

@@ -48,8 +48,9 @@ def test_opset_names_shapes_and_the_whole_card(tmp_path, weights):
     path = tmp_path / "model.onnx"
     report = export_onnx(weights, path)
     refused(WeightsError, path, NetworkSettings(path).load)
-    assert (report["input"], report["bytes"]) == ([1, 5, 16, 128], path.stat().st_size)
-    assert report["difference"] < 1e-4
+    assert report.to_dict()["input"] == [1, 5, 16, 128]
+    assert report.size == path.stat().st_size
+    assert report.difference < 1e-4
     model = onnx.load(path)
     assert [entry.version for entry in model.opset_import] == [17]
     (image,), (logits,) = model.graph.input, model.graph.output
@@ -68,7 +69,7 @@ def test_the_card_has_the_sensor_of_the_images_and_the_intensity_of_the_training
     source, target = tmp_path / "w.safetensors", tmp_path / "m.onnx"
     save_weights(source, module, known)
     report = export_onnx(source, target, view=SMALL.resized(16, 64), dynamic_width=True)
-    assert report["output"] == [1, 20, 16, "any"]
+    assert report.to_dict()["output"] == [1, 20, 16, "any"]
     metadata = {p.key: p.value for p in onnx.load(target).metadata_props}
     expected = replace(SMALL.resized(16, 64), intensity_quantiles=quantiles)
     assert WeightsCard.from_metadata(metadata, target).sensor == expected
@@ -85,6 +86,6 @@ def test_a_wrong_model_is_refused(tmp_path, weights, monkeypatch):
 
 def test_without_onnx_runtime_the_model_is_not_compared(tmp_path, weights, monkeypatch):
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
-    assert export_onnx(weights, tmp_path / "m.onnx")["difference"] is None
+    assert export_onnx(weights, tmp_path / "m.onnx").difference is None
     monkeypatch.setitem(sys.modules, "onnx", None)
     refused(MissingDependency, "onnx", export_onnx, weights, tmp_path / "other.onnx")

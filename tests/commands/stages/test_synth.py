@@ -43,8 +43,8 @@ def test_every_file_of_the_layout_is_there(streets):
             expected.add(f"sequences/{sequence}/velodyne/{stem}.bin")
             expected.add(f"sequences/{sequence}/labels/{stem}.label")
     assert files_below(out).keys() == expected
-    assert made["scans"] == len(find_scans(out)) == 6
-    assert made["splits"] == {"train": ("00",), "valid": ("01",), "test": ("02",)}
+    assert made.scans == len(find_scans(out)) == 6
+    assert made.splits == {"train": ("00",), "valid": ("01",), "test": ("02",)}
     assert calls == [(n, 3) for n in range(1, 4)]
     splits = {"train": ["00"], "valid": ["01"], "test": ["02"]}
     settings = {"splits": splits, **TINY, "sensor": "hdl64"}
@@ -64,7 +64,7 @@ def test_scans_and_labels_fit_together(streets):
         assert not label_space().unknown_ids(labels)
         for raw, count in zip(*np.unique(labels, return_counts=True), strict=True):
             totals[int(raw)] = totals.get(int(raw), 0) + int(count)
-    assert totals == made["points"]
+    assert totals == made.points
 
 
 def test_label_space_poses_times_and_calibration_have_the_layout_of_semantickitti(streets):
@@ -73,7 +73,7 @@ def test_label_space_poses_times_and_calibration_have_the_layout_of_semantickitt
     assert (space.name, space.names) == (real.name, real.names)
     assert space.learning_map == real.learning_map
     np.testing.assert_array_equal(space.colours, real.colours)
-    assert space.splits == made["splits"]
+    assert space.splits == made.splits
     folder = out / "sequences" / "02"
     poses = np.loadtxt(folder / "poses.txt")
     assert poses.shape == (2, 12)
