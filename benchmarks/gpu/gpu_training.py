@@ -76,7 +76,7 @@ def learning(
     """Return what the recipe `street` trains with, and its samples."""
     how = gpu_recipe(device, batch=batch, crop_width=width)
     sources = [pool.source(kind) for kind in KINDS]
-    counts = count_classes(sources[0])[0].sum(axis=0)
+    counts = count_classes(sources[0]).points.sum(axis=0)
     scored = label_space().scored
     module, card = initial_network(weights, label_space(), how, pool.sensor)
     learner = Learner(module, how, class_weights(counts, scored, how.class_weight), device)

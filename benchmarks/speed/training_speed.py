@@ -70,7 +70,7 @@ class Comparison:
         precision = choose_precision(options.precision, "cpu")
         self.recipe = Recipe(**shape, epochs=1_000_000, precision=precision)
         source = Source(files, self.space, self.sensor)
-        counts = count_classes(source)[0].sum(axis=0)
+        counts = count_classes(source).points.sum(axis=0)
         rare = rare_classes(counts, self.space.scored)
         self.samples = Samples([source], self.sensor, self.recipe, rare)
         self.weights = class_weights(counts, self.space.scored)

@@ -56,11 +56,20 @@ def picked_scans(choices: Sequence[Choice], files: Sequence[ScanFile]) -> list[P
     """Return the chosen scans with the reasons in words."""
     picked = []
     for rank, choice in enumerate(choices, start=1):
-        file, nearest, distance = files[choice.scan], None, None
-        if choice.nearest is not None:
-            nearest, distance = files[choice.nearest].name, choice.distance
-        numbers = (choice.uncertainty, distance, nearest, reason(choice, len(files), nearest))
-        picked.append(PickedScan(rank, file.sequence, file.stem, *numbers))
+        file = files[choice.scan]
+        is_first = choice.nearest is None
+        nearest = None if choice.nearest is None else files[choice.nearest].name
+        picked.append(
+            PickedScan(
+                rank=rank,
+                sequence=file.sequence,
+                scan=file.stem,
+                uncertainty=choice.uncertainty,
+                distance=None if is_first else choice.distance,
+                nearest=nearest,
+                reason=reason(choice, len(files), nearest),
+            )
+        )
     return picked
 
 

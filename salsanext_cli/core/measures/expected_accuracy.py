@@ -22,7 +22,7 @@ WITHHELD_FOR = tuple(code for code in WarningCode if code.withholds_estimate)
 EDGE = 1e-6  # Mean confidences closer to 0 or 1 have no useful logit
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ExpectedAccuracy:
     """Estimated accuracy of some scans of a run, or the warnings that forbid an estimate."""
 
@@ -69,20 +69,23 @@ def expected_accuracy(
     """
     if line is None or not confidences:
         return None
-    withheld: dict[str, set[str]] = {code: {*warnings.get(code, ())} for code in WITHHELD_FOR}
-    for code in withheld.keys() - {*OF_RUN}:
-        withheld[code] &= confidences.keys()
+    withheld: dict[str, set[str]] = {}
+    for code in WITHHELD_FOR:
+        names = set(warnings.get(code, ()))
+        # A warning about the whole run may concern scans of an earlier run.
+        withheld[code] = names if code in OF_RUN else names & confidences.keys()
     counts = {code: len(names) for code, names in sorted(withheld.items()) if names}
-    if any(code in counts for code in OF_RUN):
-        return ExpectedAccuracy(None, None, 0, counts)
-    unlike = set().union(*withheld.values())
+    unlike = set[str]().union(*withheld.values())
     covered = [confidence for name, confidence in confidences.items() if name not in unlike]
-    if not covered:
-        return ExpectedAccuracy(None, None, 0, counts)
+    if not covered or any(code in counts for code in OF_RUN):
+        return ExpectedAccuracy(accuracy=None, interval=None, scans=0, withheld=counts)
     # Rounded, since the order of the scans is that of the workers.
     mean = min(max(round(math.fsum(covered) / len(covered), 6), EDGE), 1 - EDGE)
     logit = line.slope * math.log(mean / (1 - mean)) + line.offset
     accuracy = (1 + math.tanh(logit / 2)) / 2  # The logistic function, without overflow
     margin = DEVIATIONS * line.deviation
-    interval = (round(max(accuracy - margin, 0), 4), round(min(accuracy + margin, 1), 4))
-    return ExpectedAccuracy(round(accuracy, 4), interval, len(covered), counts)
+    lowest = round(max(accuracy - margin, 0), 4)
+    highest = round(min(accuracy + margin, 1), 4)
+    return ExpectedAccuracy(
+        accuracy=round(accuracy, 4), interval=(lowest, highest), scans=len(covered), withheld=counts
+    )

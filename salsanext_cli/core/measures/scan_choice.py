@@ -24,15 +24,16 @@ the scans that are a spread apart.
 """
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Choice:
-    """A chosen scan; NaN and None if there is no earlier one."""
+    """A chosen scan."""
 
     scan: int  # Its index among the scans to choose from
     uncertainty: float
     uncertainty_rank: int  # From 1, the most uncertain scan
-    distance: float  # To the nearest earlier scan; 1 is the RMS distance between two scans
-    nearest: int | None  # Index of that scan
+    # To the nearest earlier scan; 1 is the RMS distance between two scans; NaN for the first one
+    distance: float
+    nearest: int | None  # Index of that scan, None for the first one
 
 
 def choose_scans(
@@ -63,8 +64,15 @@ def choose_scans(
             levels = (unlike & (apart >= least), unlike, left)
             eligible = next(level for level in levels if level.any())
             scan = int(np.where(eligible, score, -math.inf).argmax())
-            before = (float(apart[scan]), int(nearest[scan])) if number else (math.nan, None)
-            chosen.append(Choice(scan, float(weights[scan]), int(ranks[scan]), *before))
+            chosen.append(
+                Choice(
+                    scan=scan,
+                    uncertainty=float(weights[scan]),
+                    uncertainty_rank=int(ranks[scan]),
+                    distance=float(apart[scan]) if number else math.nan,
+                    nearest=int(nearest[scan]) if number else None,
+                )
+            )
         left[scan] = False
         distance = distances(points, scan)
         nearest[distance < apart] = scan

@@ -58,7 +58,7 @@ def ratio(part: Counts, whole: Counts) -> Ratios:
     return quotient
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ClassScore:
     """Scores of one class; NaN where there is nothing to divide by."""
 
@@ -117,13 +117,17 @@ def largest_confusions(matrix: Counts, most: int) -> list[tuple[int, int, int]]:
 
 def scores(confusion: Counts, space: LabelSpace) -> Scores:
     """Divide the counts (C, C) of a confusion matrix over the train ids of a label space."""
-    scored, matrix = space.scored, scored_rows(confusion, space)
+    scored = space.scored
+    matrix = scored_rows(confusion, space)
     points = int(matrix.sum())
-    hits, truths, predictions = matrix.diagonal(), matrix.sum(axis=1), matrix.sum(axis=0)
+    hits = matrix.diagonal()
+    truths = matrix.sum(axis=1)
+    predictions = matrix.sum(axis=0)
     union = truths + predictions - hits
-    iou, iou_official = ratio(hits, union), hits / (union + EPSILON)
-    of_classes = (iou, iou_official, ratio(hits, predictions), ratio(hits, truths))
-    columns = (*of_classes, truths, predictions)  # In the order of the fields of `ClassScore`
+    iou = ratio(hits, union)
+    iou_official = hits / (union + EPSILON)
+    precision = ratio(hits, predictions)
+    recall = ratio(hits, truths)
     return Scores(
         accuracy=float(hits.sum() / points) if points else math.nan,
         accuracy_official=float(hits.sum() / (matrix[:, scored].sum() + EPSILON)),
@@ -132,7 +136,16 @@ def scores(confusion: Counts, space: LabelSpace) -> Scores:
         iou_mean_frequent=_mean(iou[scored & (truths >= FREQUENT_POINTS)]),
         points=points,
         classes=tuple(
-            ClassScore(space.names[i], i, *(column[i].item() for column in columns))
+            ClassScore(
+                name=space.names[i],
+                train_id=i,
+                iou=float(iou[i]),
+                iou_official=float(iou_official[i]),
+                precision=float(precision[i]),
+                recall=float(recall[i]),
+                points=int(truths[i]),
+                predicted=int(predictions[i]),
+            )
             for i in np.flatnonzero(scored).tolist()
         ),
     )

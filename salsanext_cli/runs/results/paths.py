@@ -186,9 +186,17 @@ def _scans_of(path: Path) -> Iterator[ScanFile]:
             folder = ScanFolder(path.parent, {path.name: suffix})
             yield from _scan_files(folder, sequence_name(path.parent, [path.name]))
     else:
-        # A `sequences` folder without scans may contain results.
-        of_data_set = [*_scans_of_sequences(path / "sequences")]
-        yield from of_data_set or [*_scans_in(path / SCAN_FOLDER)] or _scans_at(path)
+        yield from _scans_of_folder(path)
+
+
+def _scans_of_folder(path: Path) -> list[ScanFile]:
+    """Return the scans of a data set, else of a sequence, else of a folder of scans."""
+    # A `sequences` folder without scans may contain results.
+    scans_of_data_set = list(_scans_of_sequences(path / "sequences"))
+    if scans_of_data_set:
+        return scans_of_data_set
+    scans_of_sequence = list(_scans_in(path / SCAN_FOLDER))
+    return scans_of_sequence or _scans_at(path)
 
 
 def require_none_hidden(root: Path) -> None:
@@ -204,10 +212,12 @@ def require_none_hidden(root: Path) -> None:
 
 def _scans_at(path: Path) -> list[ScanFile]:
     """Return the scans in a folder, else in folders of sequences in it."""
-    scans = [*_scans_in(path)]
-    clouds = any(not is_table(scan.path.name) for scan in scans[:1])
+    scans = list(_scans_in(path))
+    has_clouds = bool(scans) and not is_table(scans[0].path.name)
+    if has_clouds:
+        return scans
     # Tables beside folders of sequences are usually no scans.
-    return scans if clouds else [*_scans_of_sequences(path)] or scans
+    return list(_scans_of_sequences(path)) or scans
 
 
 def _scans_of_sequences(folder: Path) -> Iterator[ScanFile]:

@@ -101,7 +101,8 @@ class ScanComparison:
         Scored points are also counted by their probabilities and uncertainties, if there are any.
         Rejected points count as misses and have no uncertainty.
         """
-        space, counts = self.space, ScanCounts.none(self.space, self.by_distance)
+        space = self.space
+        counts = ScanCounts.none(space, self.by_distance)
         predictions = output_path(self.out, scan.sequence, "predictions", scan.stem)
         if not present(predictions):
             counts.missing.append(scan.name)
@@ -117,9 +118,12 @@ class ScanComparison:
         counts.unknown_predictions.update(space.unknown_ids(raw_predicted))
         counts.confusion = confusion_matrix(truth, predicted, space.class_count)
         counts.by_sequence[scan.sequence] = counts.confusion.copy()
-        of_scan = scores(counts.confusion, space)
-        shown = of_scan.points, of_scan.accuracy, of_scan.iou_mean_present
-        counts.by_scan[scan.name] = ScanScores(*shown)
+        scan_scores = scores(counts.confusion, space)
+        counts.by_scan[scan.name] = ScanScores(
+            points=scan_scores.points,
+            accuracy=scan_scores.accuracy,
+            iou_mean_present=scan_scores.iou_mean_present,
+        )
         if cloud is not None:
             sensor = sensor_of_result(self.out, scan, cloud, self.sensor)
             seen = in_sensor_frame(cloud, sensor)
@@ -129,13 +133,13 @@ class ScanComparison:
                 for i in range(len(BAND_NAMES))
             )
         scored = space.scored[truth]
-        truth, predicted = truth[scored], predicted[scored]
-        wrong = predicted != truth
-        values = self._count_softmax(scan, scored, truth, counts)
+        wrong = predicted[scored] != truth[scored]
+        values = self._count_softmax(scan, scored, truth[scored], counts)
         values |= self._uncertainties(scan, scored, counts)
         if self.rejects:
-            labelled = predicted != 0
-            accepted_points, wrong_points = int(labelled.sum()), int((labelled & wrong).sum())
+            labelled = predicted[scored] != 0
+            accepted_points = int(labelled.sum())
+            wrong_points = int((labelled & wrong).sum())
             counts.accepted[scan.name] = len(labelled), accepted_points, wrong_points
             counts.calibrated = int(is_among(self.chosen_on.digests, len(scored), read))
             values = {kind: np.where(labelled, v, np.nan) for kind, v in values.items()}
@@ -154,10 +158,10 @@ class ScanComparison:
             return {}
         counts.files[SOFTMAX] = 1
         softmax = read_softmax(path, scored, self.space, self.merging)
-        of_scan = confidence_histogram(softmax, truth)
-        counts.histograms[SOFTMAX] = of_scan
-        if of_scan.scans:
-            counts.calibration_errors.append(reliability(of_scan.counts, SCAN_BINS).error)
+        histogram = confidence_histogram(softmax, truth)
+        counts.histograms[SOFTMAX] = histogram
+        if histogram.scans:
+            counts.calibration_errors.append(reliability(histogram.counts, SCAN_BINS).error)
         return {kind: derive(softmax) for kind, derive in OF_SOFTMAX.items()}
 
     def _uncertainties(self, scan: ScanFile, scored: Mask, counts: ScanCounts) -> dict[str, Float]:
@@ -165,11 +169,13 @@ class ScanComparison:
         values = {}
         for kind in UNCERTAINTY:
             folder = f"uncertainty/{kind}"
-            if present(path := output_path(self.out, scan.sequence, folder, scan.stem)):
-                counts.files[folder] = 1
-                # The files contain the confidence before classes are merged.
-                if self.merging is None or kind not in OF_SOFTMAX or SOFTMAX not in counts.files:
-                    values[kind] = read_kind(path, kind, len(scored))[scored]
+            path = output_path(self.out, scan.sequence, folder, scan.stem)
+            if not present(path):
+                continue
+            counts.files[folder] = 1
+            # The files contain the confidence before classes are merged.
+            if self.merging is None or kind not in OF_SOFTMAX or SOFTMAX not in counts.files:
+                values[kind] = read_kind(path, kind, len(scored))[scored]
         return values
 
 

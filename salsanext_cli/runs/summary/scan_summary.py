@@ -42,7 +42,7 @@ from salsanext_cli.runs.results.owned_folder import OwnedFolder, Texts
 from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.runs.results.selection import space_of_labels
 from salsanext_cli.runs.summary.scan_warnings import ScanWarning, hint_in, log_finding, log_text
-from salsanext_cli.runs.summary.threshold_scans import ScanComparison, why_incomparable
+from salsanext_cli.runs.summary.threshold_scans import ThresholdComparison, why_incomparable
 
 CLASSES_SHOWN = 5  # Classes that a summary names
 MAX_COMPARED = 5000  # Most scans that are compared with those of a threshold
@@ -240,8 +240,11 @@ class RunSummary:
         if risk is None or self.space is None or not self.names or is_reported:
             return
         classes = self.space.names[1:]
-        compared = ScanComparison(self.scans, self.sensor, self.unit_traits, classes)
-        if problem := compared.difference(risk):
+        compared = ThresholdComparison(
+            files=self.scans, sensor=self.sensor, traits=self.unit_traits, classes=classes
+        )
+        problem = compared.difference(risk)
+        if problem:
             finding = Finding(WarningCode.OTHER_SCANS, problem, TUNE_AGAIN)
             first, *others = sorted(self.names)
             self.add_finding(first, finding)
@@ -254,9 +257,10 @@ class RunSummary:
         """Compare the scans, log the number of further warnings, and return the summary."""
         self.compare_scans()
         for code, findings in sorted(self.findings.items()):
-            if others := sorted(name for name, _ in findings[1:] if "/" in name):
-                count, names = counted(len(others), "more scan"), log_text(first_few(others))
-                log.warning("%s in %s: %s", code, count, names)
+            others = sorted(name for name, _ in findings[1:] if "/" in name)
+            if others:
+                count = counted(len(others), "more scan")
+                log.warning("%s in %s: %s", code, count, log_text(first_few(others)))
         return self
 
     @contextmanager
@@ -273,8 +277,8 @@ class RunSummary:
             earlier = run.record_findings(texts_of_scan, self.names)
             chosen = {file.name for file in scans}
             for name in sorted(earlier.keys() & run.names_of_results(earlier)):
-                for texts in earlier[name]:
-                    finding = Finding(*texts)
+                for code, problem, hint in earlier[name]:
+                    finding = Finding(code=code, problem=problem, hint=hint)
                     self.earlier_warnings.setdefault(finding.code, []).append(name)
                     if name in chosen:
                         self.add_finding(name, finding)
@@ -284,9 +288,16 @@ class RunSummary:
         """Return a warning for each code, with the text of its first scan and the names of all."""
         warnings = []
         for code in sorted(self.findings):
-            names, (first, *_) = zip(*sorted(self.findings[code], key=itemgetter(0)), strict=True)
-            hint = hint_in(self.out, first.hint)
-            warnings.append(ScanWarning(code, first.problem, hint, [*names]))
+            findings = sorted(self.findings[code], key=itemgetter(0))
+            first = findings[0][1]
+            warnings.append(
+                ScanWarning(
+                    code=code,
+                    message=first.problem,
+                    hint=hint_in(self.out, first.hint),
+                    scans=[name for name, _ in findings],
+                )
+            )
         return warnings
 
     @property

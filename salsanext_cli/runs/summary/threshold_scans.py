@@ -26,7 +26,7 @@ EARLY = "the threshold was chosen by an earlier version, which did not record th
 
 
 @dataclass(frozen=True, slots=True)
-class ScanComparison:
+class ThresholdComparison:
     """Scans of a run, to be compared with those of a threshold."""
 
     files: Sequence[ScanFile]

@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from salsanext_cli.core.checks.scan_checks import check_scan
+from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import NOTICE, TrainingError, counted
 from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
 from salsanext_cli.core.network.card import parted, scan_digest
@@ -32,15 +33,13 @@ from salsanext_cli.runs.summary.scan_warnings import ScanWarning, log_recorded
 from salsanext_cli.training.data.sources import Source, read_labelled
 
 Counts = npt.NDArray[np.int64]
-Counted = tuple[Counts, ScanSummary, str]
-"""Points of a scan by class, the result of its checks, and its digest."""
 NOTE_INTERVAL_S = 30.0  # Between two lines about the number of scans that have been read
 RARE_SHARE = 0.01  # Share of scored training points below which a class is rare
 
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ClassCounts:
     """Result of reading labelled scans once."""
 
@@ -49,28 +48,53 @@ class ClassCounts:
     digests: dict[ScanFile, str]  # Of the training scans
 
 
-def count_classes(source: Source, jobs: int = 1) -> tuple[Counts, list[ScanSummary], list[str]]:
-    """Return counts (F, C) int64, the results of checks, and the digests of F scans."""
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class CountedScan:
+    """Labelled scan that was read once."""
+
+    points: Counts  # (C,): number of points of each class
+    summary: ScanSummary  # Result of the checks
+    digest: str
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class CountedScans:
+    """F labelled scans that were read once."""
+
+    points: Counts  # (F, C) int64: number of points of each class
+    summaries: list[ScanSummary]  # Results of the checks
+    digests: list[str]
+
+
+def count_classes(source: Source, jobs: int = 1) -> CountedScans:
+    """Read the scans of a source, check them and count their classes."""
     # Without fitted sensors, the network learns from unchanged intensities.
     plain = replace(source.sensor, intensity_quantiles=())
 
-    def count(file: ScanFile) -> Counted:
-        seen, trained = plain, plain
-        if source.fitted:
-            seen, trained = source.sensor_of(file), source.sensor
+    def count(file: ScanFile) -> CountedScan:
+        seen = source.sensor_of(file) if source.fitted else plain
+        trained = source.sensor if source.fitted else plain
         scan, labels = read_labelled(file, source.space, seen)
         check = check_scan(file.path, scan, sensor_of(scan, seen), trained)
-        counts = np.bincount(labels, minlength=source.space.class_count)
-        return counts, ScanSummary(file, check), scan_digest(scan)
+        return CountedScan(
+            points=np.bincount(labels, minlength=source.space.class_count),
+            summary=ScanSummary(file, check),
+            digest=scan_digest(scan),
+        )
 
     # Threads suffice, since reading and counting release the interpreter's lock.
     run = joblib.Parallel(jobs, backend="threading", return_as="generator")
-    results = [*_noted(run(joblib.delayed(count)(file) for file in source.files), source.files)]
-    counts = np.array([r[0] for r in results], np.int64).reshape(-1, source.space.class_count)
-    return counts, [r[1] for r in results], [r[2] for r in results]
+    calls = [joblib.delayed(count)(file) for file in source.files]
+    scans = list(_noted(run(calls), source.files))
+    points = np.array([scan.points for scan in scans], np.int64)
+    return CountedScans(
+        points=points.reshape(-1, source.space.class_count),
+        summaries=[scan.summary for scan in scans],
+        digests=[scan.digest for scan in scans],
+    )
 
 
-def _noted(results: Iterable[Counted], files: Sequence[ScanFile]) -> Iterator[Counted]:
+def _noted(results: Iterable[CountedScan], files: Sequence[ScanFile]) -> Iterator[CountedScan]:
     """Yield the results of scans, and log from time to time how many there are."""
     noted = time.monotonic()
     for done, result in enumerate(results, 1):
@@ -112,39 +136,53 @@ def class_counts(
     as often as they are drawn: further sources get the share `also` of the samples.
     """
     first, *further = sources
-    space, training = first.space, first.files
+    names = first.space.names
     digest = data_digest([*sources, validation], validated, also if further else 0.0)
     files = [file for source in sources for file in source.files]
-    if cached := _cached(path, digest, files, space.names):
+    cached = _cached(path, digest, files, names)
+    if cached:
         log_recorded(cached.warnings)
         return cached
     total = counted(len(files) + len(validation.files), "scan")
     log.log(NOTICE, "reading %s, to check them and to count their classes", total)
-    of_validation, summaries, _ = count_classes(validation, jobs)
-    members = {*validated}
+    counted_validation = count_classes(validation, jobs)
+    counted_training = count_classes(first, jobs)
+    members = set(validated)
     is_validated = [file in members for file in validation.files]
-    of_training, of_scans, digests = count_classes(first, jobs)
-    counts = of_training.sum(axis=0)
-    scored = of_validation[is_validated].sum(axis=0)
-    for scans, points in ((validated, scored), (training, counts)):
-        if scans and not points[space.scored].any():
-            total = f"{counted(points.sum(), 'point')} in {counted(len(scans), 'scan')}"
-            problem = f"none of {total} is of a scored class"
-            raise TrainingError(scans[0].label_path.parent, problem, f"labels of {space.name}")
-    warnings = _warnings(first, [*of_scans, *summaries])
+    _require_scored(first.space, validated, counted_validation.points[is_validated])
+    _require_scored(first.space, first.files, counted_training.points)
+    warnings = _warnings(first, [*counted_training.summaries, *counted_validation.summaries])
+    digests = list(counted_training.digests)
+    points = counted_training.points.sum(axis=0)
     if further:
-        per_draw = (1 - also) * of_training.mean(axis=0)
+        per_draw = (1 - also) * counted_training.points.mean(axis=0)
         for source in further:
-            of_source, of_scans, more = count_classes(source, jobs)
-            digests += more
-            per_draw += also / len(further) * of_source.mean(axis=0)
-            warnings += [] if source.simulated else _warnings(source, of_scans)
-        counts = np.rint(len(training) * per_draw).astype(np.int64)
-    result = ClassCounts(counts, warnings, dict(zip(files, digests, strict=True)))
-    by_name = dict(zip(space.names, counts.tolist(), strict=True))
-    content = {"files": digest, "points": by_name, "warnings": warnings, "scans": "".join(digests)}
+            scans = count_classes(source, jobs)
+            digests += scans.digests
+            per_draw += also / len(further) * scans.points.mean(axis=0)
+            if not source.simulated:
+                warnings += _warnings(source, scans.summaries)
+        points = np.rint(len(first.files) * per_draw).astype(np.int64)
+    content = {
+        "files": digest,
+        "points": dict(zip(names, points.tolist(), strict=True)),
+        "warnings": warnings,
+        "scans": "".join(digests),
+    }
     OwnedFolder(path.parent).write(path, encode_json(content))
-    return result
+    return ClassCounts(
+        points=points, warnings=warnings, digests=dict(zip(files, digests, strict=True))
+    )
+
+
+def _require_scored(space: LabelSpace, scans: Sequence[ScanFile], counts: Counts) -> None:
+    """Refuse scans without a point of a scored class; `counts` (F, C) are theirs."""
+    points = counts.sum(axis=0)
+    if not scans or points[space.scored].any():
+        return
+    total = f"{counted(points.sum(), 'point')} in {counted(len(scans), 'scan')}"
+    problem = f"none of {total} is of a scored class"
+    raise TrainingError(scans[0].label_path.parent, problem, f"labels of {space.name}")
 
 
 def _warnings(source: Source, summaries: Sequence[ScanSummary]) -> list[ScanWarning]:
@@ -165,9 +203,11 @@ def _cached(
     if known.get("files") != digest:
         return None
     try:
-        counts = np.array([known["points"][name] for name in names], np.int64)
-        digests = dict(zip(files, parted(known["scans"]), strict=True))
-        return ClassCounts(counts, decoded(list[ScanWarning], known["warnings"]), digests)
+        return ClassCounts(
+            points=np.array([known["points"][name] for name in names], np.int64),
+            warnings=decoded(list[ScanWarning], known["warnings"]),
+            digests=dict(zip(files, parted(known["scans"]), strict=True)),
+        )
     except (*MALFORMED, LookupError, OverflowError):
         return None
 
@@ -180,8 +220,9 @@ def data_digest(sources: Sequence[Source], validated: Sequence[ScanFile], also: 
         settings += [source.space.to_dict(), *(sensor.to_dict() for sensor in sensors)]
     digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode())
     files = [*(file for source in sources for file in source.files), *validated]
-    for path in (path for file in files for path in (file.path, file.label_path)):
-        # Without the folder, since a data set may move
-        _, _, *state = identity(path) or (None, None)
-        digest.update(f"{state}\n".encode())
+    for file in files:
+        for path in (file.path, file.label_path):
+            # Without the folder, since a data set may move
+            _, _, *state = identity(path) or (None, None)
+            digest.update(f"{state}\n".encode())
     return digest.hexdigest()[:16]

@@ -24,7 +24,12 @@ def names(count: int, first: int = 0) -> list[str]:
 
 
 def estimate(accuracy: float) -> ExpectedAccuracy:
-    return ExpectedAccuracy(accuracy, (max(accuracy - 0.1, 0), min(accuracy + 0.1, 1)), 10, {})
+    return ExpectedAccuracy(
+        accuracy=accuracy,
+        interval=(max(accuracy - 0.1, 0), min(accuracy + 0.1, 1)),
+        scans=10,
+        withheld={},
+    )
 
 
 @pytest.mark.parametrize(
@@ -100,7 +105,11 @@ def test_a_warning_decides_if_most_scans_have_it(decision, codes):
 
 
 def test_scans_with_any_warning_are_counted_once():
-    numbers = replace(FINE, expected=ExpectedAccuracy(None, None, 0, {}), doubtful=0.2)
+    numbers = replace(
+        FINE,
+        expected=ExpectedAccuracy(accuracy=None, interval=None, scans=0, withheld={}),
+        doubtful=0.2,
+    )
     halves = {"noisy": names(5), "near-returns": names(5, first=5)}
     result = verdict(replace(numbers, warned=halves))
     assert result.decision is Decision.LABEL_TEN
@@ -121,7 +130,9 @@ def test_a_graver_warning_counts_for_the_milder_decision():
 
 @pytest.mark.parametrize("doubtful", [None, 0.0, 0.2])
 def test_labels_of_unknown_accuracy_are_never_used_as_they_are(doubtful):
-    withheld = ExpectedAccuracy(None, None, 0, {"mixed-sensors": 3})
+    withheld = ExpectedAccuracy(
+        accuracy=None, interval=None, scans=0, withheld={"mixed-sensors": 3}
+    )
     result = verdict(replace(FINE, expected=withheld, doubtful=doubtful))
     assert result.decision is Decision.LABEL_TEN
     assert "the accuracy is unknown" in result.reason

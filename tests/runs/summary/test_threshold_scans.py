@@ -13,7 +13,7 @@ from salsanext_cli.core.network.card import RiskThreshold
 from salsanext_cli.core.network.unit_traits import UnitTraits
 from salsanext_cli.core.sensors.sensor import FittedView
 from salsanext_cli.runs.results.paths import ScanFile
-from salsanext_cli.runs.summary.threshold_scans import EARLY, ScanComparison, why_incomparable
+from salsanext_cli.runs.summary.threshold_scans import EARLY, ThresholdComparison, why_incomparable
 
 CLASSES = ("car", "road")
 
@@ -44,7 +44,7 @@ def run(count=1, data_set="choose", **of_scans):
     root = Path("/data") / data_set / "sequences"
     files = [ScanFile(f"{i:02}", "0", root / f"{i:02}/velodyne/0.bin") for i in range(count)]
     of_files = {file.name: traits(file.name, 100 + i, **of_scans) for i, file in enumerate(files)}
-    return ScanComparison(files, SMALL, of_files, CLASSES)
+    return ThresholdComparison(files, SMALL, of_files, CLASSES)
 
 
 @pytest.mark.parametrize("count", [1, 2, 5])

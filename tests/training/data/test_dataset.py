@@ -177,9 +177,9 @@ def test_counting_counts_every_point(files: list[ScanFile]) -> None:
         for raw in read_labels(file.label_path):
             expected[SPACE.learning_map[int(raw)]] += 1
     for jobs in (1, 2):
-        counts, summaries, digests = count_classes(Source(files, SPACE, SMALL), jobs)
-        assert [summary.file for summary in summaries] == list(files)
-        np.testing.assert_array_equal(counts.sum(axis=0), expected)
+        scans = count_classes(Source(files, SPACE, SMALL), jobs)
+        assert [summary.file for summary in scans.summaries] == list(files)
+        np.testing.assert_array_equal(scans.points.sum(axis=0), expected)
         own = np.bincount(SPACE.to_train(read_labels(files[1].label_path)), minlength=20)
-        np.testing.assert_array_equal(counts[1], own)
-        assert digests == [scan_digest(read_bin(file.path)) for file in files]
+        np.testing.assert_array_equal(scans.points[1], own)
+        assert scans.digests == [scan_digest(read_bin(file.path)) for file in files]
