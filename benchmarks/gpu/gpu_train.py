@@ -42,10 +42,10 @@ from salsanext_cli.training.data.class_counts import class_counts, class_weights
 from salsanext_cli.training.data.dataset import Batch, Samples, batches
 from salsanext_cli.training.data.sources import Source, fitted_source
 from salsanext_cli.training.data.targets import class_sets
+from salsanext_cli.training.initial_network import initial_network
 from salsanext_cli.training.learner import Learner, learning_rate
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.run_folder import CLASS_COUNTS, LAST, LOG, Row, write_log
-from salsanext_cli.training.setup import initial_network
 from salsanext_cli.training.validation import validate
 
 MODULE, SCORES = "module.safetensors", "scores.json"

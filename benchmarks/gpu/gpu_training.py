@@ -22,9 +22,9 @@ from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import save_weights
 from salsanext_cli.training.data.class_counts import class_weights, count_classes, rare_classes
 from salsanext_cli.training.data.dataset import Batch, Samples, batches
+from salsanext_cli.training.initial_network import initial_network
 from salsanext_cli.training.learner import Learner, fastest_precision
 from salsanext_cli.training.recipe import Recipe, recipe
-from salsanext_cli.training.setup import initial_network
 
 WINDOWS = (256, 0)  # Columns of a window, 0 for the full circle
 BATCHES = (4, 16, 32, 64)

@@ -17,9 +17,9 @@ import torch
 from benchmarks.processes import script_command, script_environment
 from salsanext_cli import label_space
 from salsanext_cli.io.sensors import sensor
+from salsanext_cli.training.initial_network import initial_network
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.recipe import Recipe
-from salsanext_cli.training.setup import initial_network
 
 STEPS = 2  # The second step has the buffers of the optimiser
 SIZES = ((1, 512), (2, 512), (4, 512), (1, 2048), (2, 2048))

@@ -36,10 +36,10 @@ from salsanext_cli.runs.network_settings import weights_file
 from salsanext_cli.training.checkpoint import load_checkpoint
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.fit import StepReport, Training
+from salsanext_cli.training.initial_network import initial_network
 from salsanext_cli.training.learner import Learner, fastest_precision
 from salsanext_cli.training.recipe import Recipe, recipe
 from salsanext_cli.training.run_folder import CHECKPOINT, CLASS_COUNTS, Row, write_log
-from salsanext_cli.training.setup import initial_network
 from salsanext_cli.training.validation import validate_widths
 
 CHANGES: Json = {

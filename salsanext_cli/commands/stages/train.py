@@ -8,39 +8,38 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import torch
 
-from salsanext_cli.commands.stages.synth import SynthSettings, synthesise
+from salsanext_cli.commands.stages.training_scenes import simulated_scenes
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import NOTICE, UsageError, counted
+from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.wording import setting
-from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.io.weights.card_file import default_weights, named_weights, read_card
 from salsanext_cli.io.weights.loading import network_of_module
 from salsanext_cli.io.weights.weights import encode_weights, read_weights
 from salsanext_cli.runs.fit.scan_reading import read_prepared
 from salsanext_cli.runs.labelling.label_records import require_labels
 from salsanext_cli.runs.loop.run_options import cores, worker_count
-from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.selection import evenly_spaced
 from salsanext_cli.runs.summary.scan_warnings import ScanWarning
-from salsanext_cli.synthesis.lidar import RIGS
+from salsanext_cli.training.cross_validated_training import CrossValidatedTraining
 from salsanext_cli.training.cross_validation import Expectation
-from salsanext_cli.training.data.class_counts import ClassCounts, class_counts
+from salsanext_cli.training.data.class_counts import class_counts
 from salsanext_cli.training.data.dataset import SamplingPlan
 from salsanext_cli.training.data.sources import (
+    ScansToTrainOn,
     Source,
     further_source,
-    merged_into,
     scans_to_train_on,
     training_sources,
 )
 from salsanext_cli.training.distributed import ProcessGroup, group_of_environment, process_group
 from salsanext_cli.training.fit import StepReport
+from salsanext_cli.training.initial_network import inheriting, initial_network
 from salsanext_cli.training.learner import common_precision
 from salsanext_cli.training.memory import memory_of
 from salsanext_cli.training.recipe import Recipe
@@ -58,18 +57,17 @@ from salsanext_cli.training.run_folder import (
     require_free,
     training_settings,
 )
-from salsanext_cli.training.setup import Setup, inheriting, initial_network
+from salsanext_cli.training.setup import Setup, TrainingData
 from salsanext_cli.training.step_memory import StepMemory
 from salsanext_cli.training.tuning.int8 import int8_inputs
 
 MAX_LOADERS = 8  # Largest default number of processes that prepare samples for a GPU
 INT8_SCANS = 8  # Training scans that the ranges for int8 are fitted to
-SCANS_OF_STREET, STREET_SPACING_M = 8, 10.0  # Of a simulated scene
 
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TrainResult:
     """Result of a training."""
 
@@ -81,16 +79,18 @@ class TrainResult:
     expected: Expectation | None = None  # Estimate for new scans, after a cross-validation
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class NewTraining:
-    """Training that is about to begin in its run folder; `roots` are its data sets."""
+    """Training that is about to begin in its run folder."""
 
-    roots: tuple[Path, ...]
+    roots: tuple[Path, ...]  # Data set, and further data sets
     run: Path
     recipe: Recipe
     weights: Path | None
-    jobs: int
     overwrite: bool
+    jobs: int  # Processes that prepare samples
+    group: ProcessGroup
+    device: torch.device
 
     @property
     def start(self) -> Path | None:
@@ -98,83 +98,136 @@ class NewTraining:
         is_default = self.weights is None and self.recipe.initial == "default"
         return default_weights() if is_default else self.weights
 
-    def prepare(
-        self, locks: ExitStack, given: Sequence[Source], settings: TrainingSettings
-    ) -> tuple[list[Source], ClassCounts]:
-        """Lock and check the folder, check the scans, and record the settings.
-
-        Return validation, training and further scans, with fitted sensors, and the class counts.
-        """
-        run, recipe, first = self.run, self.recipe, given[0]
-        locks.enter_context(OwnedFolder(run, STAGE).open())
-        require_free(run, settings, overwrite=self.overwrite)
-        require_labels([file for source in given for file in source.files])
-        scenes = _simulated_scenes(run / STREETS, recipe.streets, first, self.jobs)
-        is_fitted = recipe.sensors == "fitted"
-        first, scored, *others = training_sources([*given, *scenes], fit=is_fitted, jobs=self.jobs)
-        sources, validated = [first, *others], evenly_spaced(scored.files, recipe.validation_scans)
-        path = run / CLASS_COUNTS
-        counts = class_counts(path, sources, scored, validated, self.jobs, recipe.also)
-        record_start(run, settings, overwrite=self.overwrite)
-        random = f"random weights ({setting('weights', 'default')}: those of the package)"
-        if not (run / CHECKPOINT).exists():
-            begun = self.start.name if self.start else random
-            log.log(NOTICE, "training from %s; the first step begins", begun)
-        return [replace(scored, files=validated), *sources], counts
-
     def setup(
         self,
         locks: ExitStack,
         space: LabelSpace | None,
         sensor: Sensor | None,
-        group: ProcessGroup,
-        device: torch.device,
         report: Callable[[StepReport], object],
-    ) -> tuple[Setup, Source]:
-        """Return the setup of the training, and the scans for validation."""
-        recipe, start, divisible = self.recipe, self.start, self.recipe.folds > 0
-        dataset, *also = self.roots
-        classes, training, validation = group.on_main(
-            lambda: scans_to_train_on(dataset, space, divisible=divisible)
+    ) -> Setup:
+        """Check everything that a training needs, and return it.
+
+        Parameters
+        ----------
+        locks : ExitStack
+            Holds the lock of the run folder.
+        space, sensor : LabelSpace, Sensor, optional
+            As `train` takes them.
+        report : callable
+            Called after every step.
+
+        Returns
+        -------
+        Setup
+        """
+        start = self.start
+        scans = self.group.on_main(
+            lambda: scans_to_train_on(self.roots[0], space, divisible=self.recipe.folds > 0)
         )
-        if recipe.precision == "auto":
-            known = None if self.overwrite else group.on_main(partial(recorded_precision, self.run))
-            recipe = replace(recipe, precision=known or common_precision(device, group))
-        initial, card = initial_network(start, classes, recipe, sensor)
-        if group.is_main:
-            log.log(NOTICE, "device: %s; processes that prepare samples: %d", device, self.jobs)
-            _announce_images(recipe, card.sensor, len(training), len(validation))
-        _require_memory(recipe, card.sensor, group, device)
-        further = group.on_main(lambda: [further_source(p, classes, card.sensor) for p in also])
-        given = [Source(files, classes, card.sensor) for files in (training, validation)] + further
-        settings = training_settings(recipe, given, start)
-        (scored, *sources), counts = group.on_main(partial(self.prepare, locks, given, settings))
-        simulated = ", simulated scenes" if any(source.simulated for source in sources) else ""
-        names = ", ".join(path.resolve().name for path in self.roots)
-        card = replace(
-            card,
-            sensor=sources[0].sensor,
-            recipe={"initial": named_weights(read_card(start), start)}
-            if start and self.weights
-            else {},
-            description=f"Trained with `salsanext train` on {names}{simulated}.",
-        )
-        setup = Setup(
+        recipe = self._resolved_recipe()
+        initial, card = initial_network(start, scans.space, recipe, sensor)
+        self._announce(recipe, card.sensor, scans)
+        _require_memory(recipe, card.sensor, self.group, self.device)
+        sources = self._sources(scans, card.sensor)
+        settings = training_settings(recipe, sources, start)
+        data = self.group.on_main(partial(self._prepare, locks, sources, settings))
+        return Setup(
             run=self.run,
             recipe=recipe,
-            initial=initial,
-            card=card,
-            sources=sources,
-            counts=counts,
             settings=settings,
-            device=device,
-            group=group,
-            workers=self.jobs if self.jobs > 1 else 0,
             overwrite=self.overwrite,
+            initial=initial,
+            card=self._described(card, data),
             error=read_card(start).error if start else None,
+            data=data,
+            device=self.device,
+            group=self.group,
+            workers=self.jobs if self.jobs > 1 else 0,
             report=report,
         )
-        return setup, scored
+
+    def _resolved_recipe(self) -> Recipe:
+        """Return the recipe with a number type: that of an earlier part, else of the device."""
+        if self.recipe.precision != "auto":
+            return self.recipe
+        recorded = None
+        if not self.overwrite:
+            recorded = self.group.on_main(partial(recorded_precision, self.run))
+        precision = recorded or common_precision(self.device, self.group)
+        return replace(self.recipe, precision=precision)
+
+    def _announce(self, recipe: Recipe, seen: Sensor, scans: ScansToTrainOn) -> None:
+        """Log the device, the numbers of scans, and the images and steps of an epoch."""
+        if not self.group.is_main:
+            return
+        text = "device: %s; processes that prepare samples: %d"
+        log.log(NOTICE, text, self.device, self.jobs)
+        steps = SamplingPlan([len(scans.training)], recipe).steps_per_epoch
+        columns = recipe.crop_width or seen.width
+        training = counted(len(scans.training), "scan")
+        numbers = f"{training} for training, {len(scans.validation):,} for validation"
+        images = f"{steps * recipe.batch:,} images of {seen.height}×{columns}"
+        log.log(NOTICE, "%s; an epoch has %s in %s", numbers, images, counted(steps, "step"))
+
+    def _sources(self, scans: ScansToTrainOn, seen: Sensor) -> list[Source]:
+        """Return the training scans, the validation scans and the scans of further data sets."""
+        further = self.group.on_main(
+            lambda: [further_source(root, scans.space, seen) for root in self.roots[1:]]
+        )
+        return [
+            Source(scans.training, scans.space, seen),
+            Source(scans.validation, scans.space, seen),
+            *further,
+        ]
+
+    def _prepare(
+        self, locks: ExitStack, sources: Sequence[Source], settings: TrainingSettings
+    ) -> TrainingData:
+        """Lock and check the folder, check the scans, and record the settings."""
+        run = self.run
+        recipe = self.recipe
+        locks.enter_context(OwnedFolder(run, STAGE).open())
+        require_free(run, settings, overwrite=self.overwrite)
+        require_labels([file for source in sources for file in source.files])
+        scenes = simulated_scenes(run / STREETS, recipe.streets, sources[0], self.jobs)
+        fit = recipe.sensors == "fitted"
+        training, validation, *further = training_sources(
+            [*sources, *scenes], fit=fit, jobs=self.jobs
+        )
+        to_validate = evenly_spaced(validation.files, recipe.validation_scans)
+        counts = class_counts(
+            run / CLASS_COUNTS,
+            [training, *further],
+            validation,
+            to_validate,
+            self.jobs,
+            recipe.also,
+        )
+        record_start(run, settings, overwrite=self.overwrite)
+        if not (run / CHECKPOINT).exists():
+            random = f"random weights ({setting('weights', 'default')}: those of the package)"
+            begun = self.start.name if self.start else random
+            log.log(NOTICE, "training from %s; the first step begins", begun)
+        return TrainingData(
+            validation=replace(validation, files=to_validate),
+            sources=[training, *further],
+            counts=counts,
+        )
+
+    def _described(self, card: WeightsCard, data: TrainingData) -> WeightsCard:
+        """Return the card of the new weights: their sensor, origin and description."""
+        names = ", ".join(path.resolve().name for path in self.roots)
+        is_simulated = any(source.simulated for source in data.sources)
+        simulated = ", simulated scenes" if is_simulated else ""
+        recipe = {}
+        if self.weights:
+            recipe = {"initial": named_weights(read_card(self.weights), self.weights)}
+        return replace(
+            card,
+            sensor=data.sources[0].sensor,
+            recipe=recipe,
+            description=f"Trained with `salsanext train` on {names}{simulated}.",
+        )
 
 
 def train(
@@ -220,18 +273,36 @@ def train(
     """
     _require_batch(recipe.batch, group_of_environment())
     with process_group(device) as (group, chosen), ExitStack() as locks:
-        roots, workers = (dataset, *also), _workers(jobs, chosen.type)
-        new = NewTraining(roots, run, recipe, weights, workers, overwrite)
-        setup, scored = new.setup(locks, space, sensor, group, chosen, progress)
-        expected = None if scored.files else setup.cross_validated()
-        if not scored.files:
-            setup = setup.after(expected)
+        new = NewTraining(
+            roots=(dataset, *also),
+            run=run,
+            recipe=recipe,
+            weights=weights,
+            overwrite=overwrite,
+            jobs=_workers(jobs, chosen.type),
+            group=group,
+            device=chosen,
+        )
+        setup = new.setup(locks, space, sensor, progress)
+        data = setup.data
+        has_validation = bool(data.validation.files)
+        expected = None
+        if not has_validation:
+            cross_validated = CrossValidatedTraining(setup)
+            expected = cross_validated.expectation()
+            setup = cross_validated.setup_of_all_scans(expected)
         if new.start and not expected:
             setup = replace(setup, card=inheriting(setup.card, new.start))
-        state = setup.training(setup.sources[0].files, scored).fit()
-        group.on_main(partial(_add_int8, run, setup.sources[0], str(chosen)))
-    best = state.best if scored.files else None
-    return TrainResult(run / BEST, run / LAST, best, state.rows, setup.counts.warnings, expected)
+        state = setup.training(data.sources[0].files, data.validation).fit()
+        group.on_main(partial(_add_int8, run, data.sources[0], str(chosen)))
+    return TrainResult(
+        best=run / BEST,
+        last=run / LAST,
+        best_miou=state.best if has_validation else None,
+        rows=state.rows,
+        warnings=data.counts.warnings,
+        expected=expected,
+    )
 
 
 def _add_int8(run: Path, source: Source, device: str) -> None:
@@ -256,17 +327,6 @@ def _workers(jobs: int | None, kind: str) -> int:
     return usual if jobs is None else worker_count(jobs)
 
 
-def _announce_images(recipe: Recipe, seen: Sensor, training: int, validation: int) -> None:
-    """Log the numbers of scans, and the images and steps of an epoch."""
-    steps = SamplingPlan([training], recipe).steps_per_epoch
-    columns = recipe.crop_width or seen.width
-    scans = f"{counted(training, 'scan')} for training, {validation:,} for validation"
-    images = (
-        f"{steps * recipe.batch:,} images of {seen.height}×{columns} in {counted(steps, 'step')}"
-    )
-    log.log(NOTICE, "%s; an epoch has %s", scans, images)
-
-
 def _require_memory(
     recipe: Recipe, seen: Sensor, group: ProcessGroup, device: torch.device
 ) -> None:
@@ -279,30 +339,10 @@ def _require_memory(
 
 
 def _require_batch(samples: int, group: ProcessGroup) -> None:
+    """Refuse a batch with fewer samples than workers."""
     if samples < group.size:
         expected = f"at least one sample for each of {group.size} workers"
         hint = "start fewer workers or set batch higher"
         error = UsageError("recipe key batch", f"is {samples}", expected, hint)
         error.reported_elsewhere = not group.is_main
         raise error
-
-
-def _simulated_scenes(folder: Path, count: int, real: Source, jobs: int) -> list[Source]:
-    """Return simulated data sets by kind of sensor, made if need be; none for other classes."""
-    if not count:
-        return []
-    if merged_into(label_space(), real.space) is None:
-        log.log(NOTICE, "no simulated scenes: their classes cannot be merged into your classes")
-        return []
-    splits, sources = {"train": count, "valid": 0, "test": 0}, []
-    scenes: dict[str, Any] = {"scans": SCANS_OF_STREET, "seed": 0, "spacing": STREET_SPACING_M}
-    for kind in RIGS:
-        root = folder / kind
-        wanted = SynthSettings.of(splits, **scenes, sensor=kind).record
-        if (recorded := Manifest(root).record(wanted.stage)) != wanted:
-            reason = ": the existing ones have another version or settings" if recorded else ""
-            log.log(NOTICE, "simulating %s in %s%s", counted(count, "scene"), root, reason)
-        is_other = recorded not in (None, wanted)
-        synthesise(root, train=count, valid=0, **scenes, sensor=kind, jobs=jobs, overwrite=is_other)
-        sources.append(replace(further_source(root, real.space, real.sensor), simulated=True))
-    return sources

@@ -134,44 +134,80 @@ def merged_into(given: LabelSpace, space: LabelSpace) -> LabelSpace | None:
     return given if given.fits(space) else None
 
 
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ScansToTrainOn:
+    """Labelled scans of a data set for a training."""
+
+    space: LabelSpace  # Classes of the labels, with splits
+    training: list[ScanFile]
+    validation: list[ScanFile]  # Empty if the training scans are cross-validated
+
+
 def scans_to_train_on(
     dataset: Path, space: LabelSpace | None, *, divisible: bool
-) -> tuple[LabelSpace, list[ScanFile], list[ScanFile]]:
-    """Return the label space of a data set, its training scans and its validation scans.
+) -> ScansToTrainOn:
+    """Return the scans of a data set for training and validation.
 
-    `divisible` scans can be cross-validated. Without named splits, all labelled scans are then for
-    training. If ``train`` or ``valid`` is missing, or some scans have no split, the scans of
-    ``train`` and of no split are.
+    Parameters
+    ----------
+    dataset : Path
+    space : LabelSpace, optional
+        Classes of the labels, by default those of the data set.
+    divisible : bool
+        Whether scans can be cross-validated. Without named splits, all labelled scans are then for
+        training. If ``train`` or ``valid`` is missing, or some scans have no split, the scans of
+        ``train`` and of no split are.
+
+    Returns
+    -------
+    ScansToTrainOn
+
+    Raises
+    ------
+    NoInputError
+        If there are no labelled scans of the split ``train``, or of no split.
     """
     if not divisible:
         classes, training = labelled_split(dataset, space, "train")
-        return classes, training, labelled_split(dataset, classes, "valid")[1]
+        _, validation = labelled_split(dataset, classes, "valid")
+        return ScansToTrainOn(space=classes, training=training, validation=validation)
     classes = _with_splits_of(dataset, space)
-    files = find_scans(dataset)
-    unreviewed = {*pre_labelled_scans(files)}
-    labelled = [file for file in files if file.label_path.is_file() and file not in unreviewed]
-    text = f", {len(unreviewed)} with pre-labels only" if unreviewed else ""
-    if not labelled:
-        problem = f"none of {counted(len(files), 'scan')} has labels{text}"
-        raise NoInputError(dataset, problem, f"label files such as {files[0].label_path}")
-    if unlabelled := len(files) - len(labelled):
-        log.log(NOTICE, "skipped without labels: %s%s", counted(unlabelled, "scan"), text)
+    labelled = _labelled_scans(dataset)
     named = space if space and space.splits else data_set_label_space(dataset)
     if named is None or not named.splits:
         sequences = counted(len({scan.sequence for scan in labelled}), "sequence")
         scans = counted(len(labelled), "labelled scan")
         log.log(NOTICE, "no splits are named: training on %s of %s", scans, sequences)
-        return classes, labelled, []
+        return ScansToTrainOn(space=classes, training=labelled, validation=[])
     splits = {scan: classes.split_of(scan.sequence) for scan in labelled}
-    if {"train", "valid"} <= {*splits.values()} and None not in splits.values():
-        parts = [[s for s in labelled if splits[s] == name] for name in ("train", "valid")]
-        return classes, parts[0], parts[1]
+    found = set(splits.values())
+    if {"train", "valid"} <= found and None not in found:
+        return ScansToTrainOn(
+            space=classes,
+            training=[scan for scan in labelled if splits[scan] == "train"],
+            validation=[scan for scan in labelled if splits[scan] == "valid"],
+        )
     usable = [scan for scan in labelled if splits[scan] in ("train", None)]
     log_unused(labelled, usable, classes, SPLITS_ARE_NAMED)
     if not usable:
         expected = "labelled scans of split train, or of no split"
         raise NoInputError(dataset, "every labelled scan is of another split", expected)
-    return classes, usable, []
+    return ScansToTrainOn(space=classes, training=usable, validation=[])
+
+
+def _labelled_scans(dataset: Path) -> list[ScanFile]:
+    """Return the scans of a data set whose labels are more than pre-labels; refuse none."""
+    files = find_scans(dataset)
+    unreviewed = set(pre_labelled_scans(files))
+    labelled = [file for file in files if file.label_path.is_file() and file not in unreviewed]
+    text = f", {len(unreviewed)} with pre-labels only" if unreviewed else ""
+    if not labelled:
+        problem = f"none of {counted(len(files), 'scan')} has labels{text}"
+        raise NoInputError(dataset, problem, f"label files such as {files[0].label_path}")
+    unlabelled = len(files) - len(labelled)
+    if unlabelled:
+        log.log(NOTICE, "skipped without labels: %s%s", counted(unlabelled, "scan"), text)
+    return labelled
 
 
 def _with_splits_of(dataset: Path, space: LabelSpace | None) -> LabelSpace:

@@ -30,7 +30,7 @@ from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import read_weights, save_weights, save_with_card
 from salsanext_cli.runs.labelling.label_records import pre_labelled_scans
 from salsanext_cli.runs.results.paths import find_scans
-from salsanext_cli.training import setup
+from salsanext_cli.training import cross_validated_training
 from salsanext_cli.training.fit import StepReport
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.tuning import error
@@ -84,7 +84,7 @@ def go(data: Path, run: Path, recipe: Recipe = FEW, **changes: object) -> TrainR
 
 
 def test_the_folds_choose_the_epochs_and_all_scans_are_trained_on(data, tmp_path, monkeypatch):
-    monkeypatch.setattr(setup, "gains", lambda _: True)
+    monkeypatch.setattr(cross_validated_training, "gains", lambda _: True)
     reports: list[StepReport] = []
     run = tmp_path / "run"
     result = go(data, run, progress=reports.append)
@@ -136,7 +136,7 @@ def test_a_training_without_improvement_warns(data, tmp_path, initial, monkeypat
 
 
 def test_the_card_names_the_initial_weights(data, tmp_path, initial, monkeypatch, caplog):
-    monkeypatch.setattr(setup, "gains", lambda _: False)
+    monkeypatch.setattr(cross_validated_training, "gains", lambda _: False)
     few = FEW.with_changes(epochs=1)
     card = read_card(go(data, tmp_path / "default", few).best)
     assert card.recipe == few.to_dict()
@@ -144,7 +144,7 @@ def test_the_card_names_the_initial_weights(data, tmp_path, initial, monkeypatch
     assert "no error model: it would be no better than the confidence" in caplog.messages
     other = initial.rename(tmp_path / "other.safetensors")
     # An error model that is better than a new one stays.
-    monkeypatch.setattr(setup, "is_better", lambda *_: True)
+    monkeypatch.setattr(cross_validated_training, "is_better", lambda *_: True)
     layers = [(np.ones((len(FEATURES), 1), "f4"), np.zeros(1, "f4"))]
     start = ErrorModel(FEATURES, layers, temperature=2.0)
     save_with_card(other, other, replace(read_card(other), error=start))

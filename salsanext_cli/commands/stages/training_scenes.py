@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: MIT
+"""Simulated scenes of a training, which vary its scans."""
+
+import logging
+from dataclasses import replace
+from pathlib import Path
+
+from salsanext_cli.commands.stages.synth import SynthSettings, synthesise
+from salsanext_cli.core.errors import NOTICE, counted
+from salsanext_cli.io.label_spaces import label_space
+from salsanext_cli.runs.results.manifest import Manifest
+from salsanext_cli.synthesis.lidar import RIGS
+from salsanext_cli.training.data.sources import Source, further_source, merged_into
+
+SCANS_OF_STREET = 8  # Scans of a simulated scene
+STREET_SPACING_M = 10.0  # Distance between two of them
+SEED_OF_STREETS = 0
+
+log = logging.getLogger(__name__)
+
+
+def simulated_scenes(folder: Path, count: int, real: Source, jobs: int) -> list[Source]:
+    """Return simulated data sets by kind of sensor, made if need be; none for other classes."""
+    if not count:
+        return []
+    if merged_into(label_space(), real.space) is None:
+        log.log(NOTICE, "no simulated scenes: their classes cannot be merged into your classes")
+        return []
+    sources = []
+    for kind in RIGS:
+        root = folder / kind
+        _simulate(root, count, kind, jobs)
+        sources.append(replace(further_source(root, real.space, real.sensor), simulated=True))
+    return sources
+
+
+def _simulate(root: Path, count: int, kind: str, jobs: int) -> None:
+    """Write a data set of simulated scenes; replace one of another version or other settings."""
+    wanted = SynthSettings.of(
+        {"train": count, "valid": 0, "test": 0},
+        scans=SCANS_OF_STREET,
+        seed=SEED_OF_STREETS,
+        spacing=STREET_SPACING_M,
+        sensor=kind,
+    ).record
+    recorded = Manifest(root).record(wanted.stage)
+    is_other = recorded is not None and recorded != wanted
+    if recorded != wanted:
+        reason = ": the existing ones have another version or settings" if is_other else ""
+        log.log(NOTICE, "simulating %s in %s%s", counted(count, "scene"), root, reason)
+    synthesise(
+        root,
+        train=count,
+        valid=0,
+        scans=SCANS_OF_STREET,
+        seed=SEED_OF_STREETS,
+        spacing=STREET_SPACING_M,
+        sensor=kind,
+        jobs=jobs,
+        overwrite=is_other,
+    )
