@@ -2,8 +2,7 @@
 """Validation of a network in training: scores on labelled scans, and the best temperature."""
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -28,7 +27,8 @@ from salsanext_cli.training.tuning.temperature import best_temperature, with_tem
 MAX_VALIDATED_POINTS = 200_000  # Points that the temperature is fitted to
 
 
-class ProjectedTruth(NamedTuple):
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ProjectedTruth:
     """Scan with labels, projected for the sensor of its sequence."""
 
     network: Network  # For that sensor
@@ -36,7 +36,8 @@ class ProjectedTruth(NamedTuple):
     image: RangeImage
 
 
-class ValidatedScan(NamedTuple):
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ValidatedScan:
     """Confusion of a validated scan, and a sample of its points."""
 
     confusion: Counts  # (C, C)
@@ -77,36 +78,45 @@ def validate(
         fitted = network.for_sensor(source.sensor_of(file))
         scan, labels = read_labelled(file, source.space, fitted.sensor)
         fitted = fitted.for_sensor(sensor_of(scan, fitted.sensor))
-        return ProjectedTruth(fitted, labels, project(scan, fitted.sensor))
+        return ProjectedTruth(network=fitted, labels=labels, image=project(scan, fitted.sensor))
 
     def logits_of(scans: Sequence[ProjectedTruth]) -> list[Float]:
         return network.backend.logits([s.network.input(s.image.channels) for s in scans])
 
-    def compare(scan: ProjectedTruth, of_pixels: Float) -> ValidatedScan:
-        labels, image = scan.labels, scan.image
-        refined = knn_refine(image, of_pixels.argmax(axis=0), space.class_count)
-        of_classes = confusion_matrix(labels, refined, space.class_count)
+    def compare(scan: ProjectedTruth, logits_of_pixels: Float) -> ValidatedScan:
+        labels = scan.labels
+        image = scan.image
+        refined = knn_refine(image, logits_of_pixels.argmax(axis=0), space.class_count)
         usable = np.flatnonzero(space.scored[labels] & (image.pixel_of_point >= 0))
-        chosen = usable[:: max(1, len(usable) * len(source.files) // MAX_VALIDATED_POINTS)]
-        of_points = of_pixels.reshape(space.class_count, -1)[:, image.pixel_of_point[chosen]]
-        of_truth = torch.from_numpy(labels[chosen].astype(np.int64))
-        return ValidatedScan(of_classes, torch.from_numpy(of_points), of_truth)
+        every = max(1, len(usable) * len(source.files) // MAX_VALIDATED_POINTS)
+        chosen = usable[::every]
+        columns = logits_of_pixels.reshape(space.class_count, -1)
+        logits_of_points = columns[:, image.pixel_of_point[chosen]]
+        return ValidatedScan(
+            confusion=confusion_matrix(labels, refined, space.class_count),
+            logits=torch.from_numpy(logits_of_points),
+            truth=torch.from_numpy(labels[chosen].astype(np.int64)),
+        )
 
-    job = Steps(read, logits_of, compare)
+    def gathered(parts: Sequence[torch.Tensor]) -> torch.Tensor:
+        """Return the points of all workers, on the CPU."""
+        own = torch.cat(list(parts), dim=-1).to(network.device)
+        return torch.cat(group.gather(own), dim=-1).cpu()
+
+    job = Steps(prepare=read, compute=logits_of, finish=compare)
     files = source.files[group.rank :: group.size]
     for scan in network_pipeline(job, network).results(files):
         confusion += scan.confusion
         logits.append(scan.logits)
         truth.append(scan.truth)
     counts = group.sum(torch.from_numpy(confusion).to(network.device)).cpu().numpy()
-    all_logits, all_truth = (
-        torch.cat(group.gather(torch.cat(parts, dim=-1).to(network.device)), dim=-1).cpu()
-        for parts in (logits, truth)
-    )
-    result, (lowest, highest) = scores(counts, space), TEMPERATURES
-    of_points = all_logits.T.contiguous()
-    best = best_temperature(of_points, all_truth) if len(all_truth) else card.temperature
-    card = with_temperature(card, best if lowest <= best <= highest else 1.0, of_points)
+    all_logits = gathered(logits).T.contiguous()
+    all_truth = gathered(truth)
+    best = best_temperature(all_logits, all_truth) if len(all_truth) else card.temperature
+    lowest, highest = TEMPERATURES
+    temperature = best if lowest <= best <= highest else 1.0
+    card = with_temperature(card, temperature, all_logits)
+    result = scores(counts, space)
     row: Row = {
         "accuracy": result.accuracy,
         "miou": result.iou_mean_present,

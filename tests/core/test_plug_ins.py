@@ -23,8 +23,8 @@ from salsanext_cli.io.formats import plugged_formats
 from salsanext_cli.io.formats.kitti import read_labels
 from salsanext_cli.io.label_spaces import plugged_label_spaces
 from salsanext_cli.io.weights.weights import read_weights, save_weights
+from salsanext_cli.training.initial_network import initial_network
 from salsanext_cli.training.recipe import Recipe
-from salsanext_cli.training.setup import initial_network
 
 PAGE = (Path(__file__).parents[2] / "docs/how-to/plug-ins.md").read_text("utf-8")
 POINT = np.dtype([("xyz", "<f4", 3), ("intensity", "u1"), ("label", "<u2")])

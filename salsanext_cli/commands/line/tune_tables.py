@@ -1,12 +1,19 @@
 # SPDX-License-Identifier: MIT
 """Tables of `tune`: scores before and after a fit, on held-out scans."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 from rich.table import Table
 
 from salsanext_cli.core.errors import counted
 from salsanext_cli.report.tables import percent, table_of
-from salsanext_cli.training.tuning.error import HeldOutScores
-from salsanext_cli.training.tuning.temperature import TemperatureFit
+
+if TYPE_CHECKING:
+    # They import torch, which takes a second; a refused command needs none of it.
+    from salsanext_cli.training.tuning.error import HeldOutScores
+    from salsanext_cli.training.tuning.temperature import TemperatureFit
 
 
 def temperature_table(fit: TemperatureFit) -> Table:

@@ -3,7 +3,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar, cast, runtime_checkable
+from typing import Any, Generic, Protocol, TypeVar, cast, runtime_checkable
 
 from salsanext_cli.core.errors import SalsanextError
 from salsanext_cli.runs.results.paths import ScanFile
@@ -43,7 +43,8 @@ class ScanJob(Protocol[Prepared, Computed, Result]):
         """Refine and write the results of a scan, in one thread, in the order of the files."""
 
 
-class Steps(NamedTuple, Generic[Prepared, Computed, Value]):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Steps(Generic[Prepared, Computed, Value]):
     """Job made of three functions."""
 
     prepare: Callable[[ScanFile], Prepared]

@@ -43,6 +43,14 @@ class DropoutFit:
     points: int
 
 
+@dataclass(frozen=True, slots=True)
+class ScanObjectives:
+    """Sums of the objectives of a scan's points."""
+
+    sums: Sequence[float]  # One for each rate
+    points: int
+
+
 def objective(probabilities: Float, variance: Float, truth: npt.NDArray[Any]) -> float:
     """Return Σ ½ log s + (y − p)² / 2s over points and classes; lower is better.
 
@@ -84,7 +92,7 @@ def fit_dropout(scans: TuningScans, samples: int = SAMPLES) -> Tuned[DropoutFit]
     network = scans.network
     candidates = [with_dropout(network, rate) for rate in rates]
 
-    def objectives_of(scan: LabelledImage) -> tuple[list[float], int]:
+    def objectives_of(scan: LabelledImage) -> ScanObjectives:
         noise = scan.of_points(aleatoric(scan.network, scan.image))
         masks = scan_seed(0, scan.file.sequence, scan.file.stem)
         values = list[float]()
@@ -95,11 +103,16 @@ def fit_dropout(scans: TuningScans, samples: int = SAMPLES) -> Tuned[DropoutFit]
             probabilities = scan.of_points(sampled.probabilities)
             values.append(objective(probabilities, variance, scan.truth))
         log.info("%s: %d points", scan.file.name, len(scan.truth))
-        return values, len(scan.truth)
+        return ScanObjectives(values, len(scan.truth))
 
-    job = Steps(scans.read, lambda images: [*map(objectives_of, images)], lambda _, result: result)
-    sums, counts = map(np.array, zip(*scans.run(job).values(), strict=True))
-    points = int(counts.sum())
+    job = Steps(
+        prepare=scans.read,
+        compute=lambda images: [objectives_of(image) for image in images],
+        finish=lambda _, objectives: objectives,
+    )
+    scored_scans = list(scans.run(job).values())
+    sums = np.array([scan.sums for scan in scored_scans])
+    points = sum(scan.points for scan in scored_scans)
     scans.require_points(points)
     objectives: list[float] = (sums.sum(axis=0) / points).tolist()
     if not np.isfinite(objectives).all():

@@ -127,7 +127,7 @@ def judge_job(network: Network, read: Callable[[ScanFile], LabelledImage], most:
     def predict(scans: Sequence[LabelledImage]) -> list[PixelPrediction]:
         return network.predict([scan.input for scan in scans], softmax=True)
 
-    return Steps(read, predict, partial(judged_points, most=most))
+    return Steps(prepare=read, compute=predict, finish=partial(judged_points, most=most))
 
 
 def judged_points(scan: LabelledImage, pixels: PixelPrediction, most: int) -> JudgedPoints:

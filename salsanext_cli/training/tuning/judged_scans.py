@@ -80,7 +80,7 @@ def judged_scans(scans: TuningScans, kind: str, counts: Counts) -> list[JudgedSc
         return predict_pixels(network, [file.scan for file in files], softmax=kind == "error")
 
     judge = partial(judged_scan, space=scans.space, counts=counts)
-    return list(scans.run(Steps(prepare, predict, judge)).values())
+    return list(scans.run(Steps(prepare=prepare, compute=predict, finish=judge)).values())
 
 
 def judged_scan(

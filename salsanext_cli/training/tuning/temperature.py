@@ -105,7 +105,8 @@ def fit_temperature(scans: TuningScans) -> Tuned[TemperatureFit]:
     def logits_of(images: Sequence[LabelledImage]) -> list[Float]:
         return scans.network.backend.logits([image.input for image in images])
 
-    points_by_scan = scans.run(Steps(scans.read, logits_of, partial(_sample, most=most)))
+    job = Steps(prepare=scans.read, compute=logits_of, finish=partial(_sample, most=most))
+    points_by_scan = scans.run(job)
     points = PointLogits.joined(points_by_scan.values())
     scans.require_points(len(points.truth))
     temperature = points.best_temperature()

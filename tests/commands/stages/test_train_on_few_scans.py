@@ -16,6 +16,7 @@ from tiny_network import TinyNetwork
 
 from salsanext_cli import label_space, read_labels, read_scan, write_labels
 from salsanext_cli.commands.stages import train as stage
+from salsanext_cli.commands.stages import training_scenes
 from salsanext_cli.commands.stages.import_labels import import_labels
 from salsanext_cli.commands.stages.synth import SynthSettings
 from salsanext_cli.commands.stages.train import TrainResult, train
@@ -268,7 +269,7 @@ def simulated(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
         space = replace(label_space(), splits={"train": tuple(names)})
         (out / "labels.yaml").write_text(json.dumps(space.to_dict()))
 
-    monkeypatch.setattr(stage, "synthesise", write)
+    monkeypatch.setattr(training_scenes, "synthesise", write)
     return made
 
 
