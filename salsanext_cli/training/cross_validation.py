@@ -80,7 +80,8 @@ def expectation(logs: Sequence[Sequence[Row]], *, one_drive: bool = False) -> Ex
         held_out_rows.append(rows[_best(common, others or scored)])
     scores = np.array([(row["miou"], row["accuracy"]) for row in held_out_rows])
     miou, accuracy = scores.mean(axis=0).tolist()
-    miou_spread, accuracy_spread = None, None
+    miou_spread = None
+    accuracy_spread = None
     if len(scores) > 1:
         miou_spread, accuracy_spread = scores.std(axis=0, ddof=1).tolist()
     logarithms = [np.log(rows[epochs]["temperature"]) for rows in scored]

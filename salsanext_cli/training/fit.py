@@ -58,11 +58,15 @@ class Training:
 
     def fit(self) -> TrainingState:
         """Train from the last checkpoint, if there is one, to the end."""
-        saved, steps = self.run / CHECKPOINT, self.samples.plan.steps_per_epoch
+        saved = self.run / CHECKPOINT
+        steps = self.samples.plan.steps_per_epoch
         state = load_checkpoint(saved, self.learner) if saved.exists() else TrainingState()
-        first, group = state.epoch * steps + len(state.losses), self.learner.group
-        if (of_main := group.on_main(lambda: first)) != first:
-            problem = f"has a checkpoint of step {of_main} for the first worker, {first} for this"
+        first = state.epoch * steps + len(state.losses)
+        group = self.learner.group
+        step_of_main = group.on_main(lambda: first)
+        if step_of_main != first:
+            steps_differ = f"step {step_of_main} for the first worker, {first} for this"
+            problem = f"has a checkpoint of {steps_differ}"
             raise TrainingError(self.run, problem, "one folder that all workers share")
         epochs = self.learner.recipe.epochs
         if first and group.is_main:
@@ -86,7 +90,8 @@ class Training:
         unchecked: list[Tensor] = []  # Losses of the last steps
         for step, batch in enumerate(islice(stream, end - first), first):
             unchecked.append(self._step(batch, step))
-            is_last, due = step + 1 == end, time.monotonic() - saved > SAVE_INTERVAL_S
+            is_last = step + 1 == end
+            due = time.monotonic() - saved > SAVE_INTERVAL_S
             if is_last or due or len(unchecked) == interval:
                 state.losses += self._checked(unchecked, step)
                 unchecked.clear()
@@ -101,9 +106,15 @@ class Training:
 
     def _end_epoch(self, state: TrainingState) -> None:
         """Validate, write and report an epoch whose steps are done."""
-        recipe, steps = self.learner.recipe, self.samples.plan.steps_per_epoch
-        losses, seconds, group, card = state.losses, state.seconds, self.learner.group, self.card
-        state.epoch, state.losses, state.seconds = state.epoch + 1, [], 0.0
+        recipe = self.learner.recipe
+        steps = self.samples.plan.steps_per_epoch
+        losses = state.losses
+        seconds = state.seconds
+        group = self.learner.group
+        card = self.card
+        state.epoch = state.epoch + 1
+        state.losses = []
+        state.seconds = 0.0
         step = state.epoch * steps - 1
         row: Row = {
             "epoch": state.epoch,
@@ -115,7 +126,8 @@ class Training:
         if due and self.validation.files:
             # On CPUs the workers' statistics of batch norm differ; the main worker's are saved.
             group.broadcast(self.learner.average.buffers())
-            module, device = self.learner.average.eval(), str(self.learner.device)
+            module = self.learner.average.eval()
+            device = str(self.learner.device)
             network = network_of_module(module, self.card, device)
             widths = recipe.image_widths
             measured, card = validate_widths(network, self.validation, widths, group)
@@ -163,5 +175,7 @@ class Training:
 
     def _report(self, state: TrainingState, step: int, row: Row | None = None) -> None:
         if self.learner.group.is_main:
-            epoch, epochs = state.epoch + (row is None), self.learner.recipe.epochs
+            is_running = row is None
+            epoch = state.epoch + 1 if is_running else state.epoch
+            epochs = self.learner.recipe.epochs
             self.report(StepReport(epoch, epochs, step + 1, self.samples.plan.steps, row))

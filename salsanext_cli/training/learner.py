@@ -22,8 +22,8 @@ from salsanext_cli.training.recipe import Recipe
 
 BFLOAT16_CAPABILITY = 8  # Lowest compute capability (major) with bfloat16: Ampere
 DROPOUT = 2  # Part of the seed of dropout; `dataset` has the others
-ONE_CYCLE_START, ONE_CYCLE_END = 1 / 25, 1 / 250_000
-"""Learning rate at both ends of a one-cycle schedule, as shares of its peak."""
+ONE_CYCLE_START = 1 / 25  # First learning rate of a one-cycle schedule, as a share of its peak
+ONE_CYCLE_END = 1 / 250_000  # Last learning rate
 
 
 def fastest_precision(device: torch.device) -> str:
@@ -66,7 +66,10 @@ class Learner:
         module = module.to(device).to(memory_format=self.layout)  # type: ignore[call-overload]
         if dtype is not torch.float32:
             keep_ends_in_float32(module)
-        self.recipe, self.module, self.device, self.group = recipe, module, device, group
+        self.recipe = recipe
+        self.module = module
+        self.device = device
+        self.group = group
         self.average = copy.deepcopy(module).eval() if recipe.average else module
         self.loss = SegmentationLoss(weights, recipe.lovasz, sets).to(device)
         self.forward = data_parallel(module, device, group)
@@ -87,7 +90,8 @@ class Learner:
 
     def _gradient(self, images: Tensor, truth: Tensor, step: int) -> Tensor:
         """Add up the gradient of a batch, part by part, and return its loss."""
-        parts, total = min(self.recipe.accumulate, self.recipe.batch // self.group.size), None
+        parts = min(self.recipe.accumulate, self.recipe.batch // self.group.size)
+        total = None
         if parts * self.group.size > 1:
             targets = truth.to(self.device, non_blocking=True).long()
             total = self.group.sum(self.loss.weights[targets].sum())
@@ -134,7 +138,9 @@ class Learner:
 
 def build_optimiser(module: nn.Module, recipe: Recipe, *, fused: bool = False) -> Optimizer:
     """Return the recipe's optimiser of all parameters; a fused one takes a step in one kernel."""
-    parameters, rate, decay = list(module.parameters()), recipe.learning_rate, recipe.weight_decay
+    parameters = list(module.parameters())
+    rate = recipe.learning_rate
+    decay = recipe.weight_decay
     if recipe.optimiser == "adamw":
         betas = recipe.momentum, 0.999
         return AdamW(parameters, rate, betas, weight_decay=decay, fused=fused)
@@ -148,7 +154,8 @@ def build_optimiser(module: nn.Module, recipe: Recipe, *, fused: bool = False) -
 
 def learning_rate(recipe: Recipe, step: int, steps_per_epoch: int) -> float:
     """Return the learning rate of a step, counted from 0 over the whole training."""
-    peak, warm_up = recipe.learning_rate, round(recipe.warm_up * steps_per_epoch)
+    peak = recipe.learning_rate
+    warm_up = round(recipe.warm_up * steps_per_epoch)
     if recipe.schedule == "decay":
         if step < warm_up:
             return peak * ((step + 1) / warm_up)

@@ -43,7 +43,8 @@ def jaccard_gradient(errors: Tensor, foreground: Tensor) -> Tensor:
     union = size + torch.arange(1, errors.shape[1] + 1, device=errors.device) - hits
     # The growth in closed form, since differences of losses close to 1 would cancel. A miss reduces
     # the intersection by one, a false alarm increases the union by one.
-    shrinks, union = (size - hits).to(errors.dtype), union.to(errors.dtype)
+    shrinks = (size - hits).to(errors.dtype)
+    union = union.to(errors.dtype)
     gradient = torch.where(belongs, 1, shrinks / (union - 1).clamp_min(1)) / union
     return torch.empty_like(gradient).scatter_(1, order, gradient)
 
@@ -112,7 +113,8 @@ class SegmentationLoss(nn.Module):
         """
         truth = truth.flatten().long()
         counted = self.counts[truth].nonzero()[:, 0]
-        truth, device = truth[counted], logits.device
+        truth = truth[counted]
+        device = logits.device
         classes = logits.movedim(1, -1).reshape(-1, logits.shape[1])[sent(counted, device)]
         precise = torch.promote_types(logits.dtype, torch.float32)
         log_probabilities = F.log_softmax(classes, 1, dtype=precise)

@@ -57,10 +57,12 @@ def _limited(machine: Memory) -> Memory:
     total = machine.total
     available = machine.available
     for folder, files in _groups():
-        limit, used = _number(folder / files.limit), _number(folder / files.use)
+        limit = _number(folder / files.limit)
+        used = _number(folder / files.use)
         if limit is not None and used is not None:
             used -= _cache(folder / "memory.stat", files.cache)
-            total, available = min(total, limit), min(available, max(limit - used, 0))
+            total = min(total, limit)
+            available = min(available, max(limit - used, 0))
     return Memory(total, available)
 
 

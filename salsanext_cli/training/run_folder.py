@@ -28,9 +28,13 @@ from salsanext_cli.training.recipe import Recipe
 
 STAGE = "train"
 CHECKPOINT = "checkpoint.safetensors"
-LAST, BEST = "last.safetensors", "best.safetensors"
-LOG, RECIPE, CLASS_COUNTS = "log.csv", "recipe.toml", "class_counts.json"
-FOLDS, STREETS = "folds", "streets"
+LAST = "last.safetensors"
+BEST = "best.safetensors"
+LOG = "log.csv"
+RECIPE = "recipe.toml"
+CLASS_COUNTS = "class_counts.json"
+FOLDS = "folds"
+STREETS = "streets"
 RESULTS = (CHECKPOINT, BEST, LAST, LOG)  # A new training removes them
 
 Row = dict[str, float]
@@ -127,7 +131,8 @@ def recorded_precision(run: Path) -> str | None:
 def require_free(run: Path, settings: TrainingSettings, *, overwrite: bool) -> None:
     """Refuse a folder with files that a training may not replace, or with other settings."""
     require_writable(run)
-    owned, recorded = OwnedFolder(run, STAGE), None if overwrite else recorded_settings(run)
+    owned = OwnedFolder(run, STAGE)
+    recorded = None if overwrite else recorded_settings(run)
     owned.refuse_foreign([run / name for name in (*RESULTS, CLASS_COUNTS, RECIPE)])
     has_results = any((folder / name).exists() for folder in _folders(run) for name in RESULTS)
     if recorded and has_results:
@@ -137,7 +142,8 @@ def require_free(run: Path, settings: TrainingSettings, *, overwrite: bool) -> N
 
 def record_start(run: Path, settings: TrainingSettings, *, overwrite: bool) -> None:
     """Record a training in a free folder; remove results of other settings, or all to overwrite."""
-    owned, recorded = OwnedFolder(run, STAGE), None if overwrite else recorded_settings(run)
+    owned = OwnedFolder(run, STAGE)
+    recorded = None if overwrite else recorded_settings(run)
     if not recorded or _extended(recorded, settings).decisive != settings.decisive:
         for folder in _folders(run):
             OwnedFolder(folder).remove_written([folder / name for name in RESULTS])

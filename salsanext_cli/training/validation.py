@@ -70,9 +70,11 @@ def validate(
 
     The workers of a group divide the scans.
     """
-    card, space = network.card, network.card.space
+    card = network.card
+    space = network.card.space
     confusion = np.zeros((space.class_count, space.class_count), np.int64)
-    logits, truth = [torch.empty(space.class_count, 0)], [torch.empty(0, dtype=torch.int64)]
+    logits = [torch.empty(space.class_count, 0)]
+    truth = [torch.empty(0, dtype=torch.int64)]
 
     def read(file: ScanFile) -> ProjectedTruth:
         fitted = network.for_sensor(source.sensor_of(file))

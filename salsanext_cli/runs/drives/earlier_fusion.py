@@ -11,7 +11,8 @@ from salsanext_cli.runs.results.output_run import OutputRun
 
 def other_drive(record: Path, single: OutputRun) -> OutputError:
     """Return the error of results with votes of other scans, or by other poses."""
-    target, sequence = record.parents[2], record.parent.name
+    target = record.parents[2]
+    sequence = record.parent.name
     problem = f"has other scans or poses than {single.root} has now"
     fused = _overwriting(single.root, target, sequence)
     hint = f"run {fused}, with {argument('poses')} if you used it"

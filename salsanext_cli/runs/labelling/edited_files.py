@@ -84,7 +84,8 @@ def scan_of_edited(path: Path, source: Path, scans: Sequence[ScanFile]) -> ScanF
     if len(fitting) == 1:
         return fitting[0]
     where = "" if sequence is None else f" in sequence {sequence}"
-    problem, hint = f"belongs to no scan{where}", "rename it"
+    problem = f"belongs to no scan{where}"
+    hint = "rename it"
     if fitting:
         problem = f"may belong to {first_few([scan.name for scan in fitting])}"
         hint = "put it into a folder with the name of its sequence"
@@ -130,7 +131,8 @@ def read_edited(
         listed = ", ".join(f"{i} ({counted(n, 'point')})" for i, n in sorted(unknown.items()))
         hint = f"map the ids of the tool with {argument('ids')}"
         raise LabelError(path, f"has unknown label ids {listed}", meanings.described(), hint)
-    raw, every = meanings.to_raw(cloud.ids), np.ones(len(points), bool)
+    raw = meanings.to_raw(cloud.ids)
+    every = np.ones(len(points), bool)
     transfer = LabelTransfer(raw, every, ~every, np.empty(0), len(points))
     if has_points:
         transfer = transfer_labels(points, cloud.points, raw)
@@ -159,7 +161,8 @@ def _of_all_points(path: Path, points: Float) -> LabelledCloud:
     if path.suffix.lower() == ".npy":
         values: npt.NDArray[np.integer] = read_integers(path)
         if len(values) != len(points):
-            problem, expected = f"has {counted(len(values), 'label')}", f"{len(points):,}"
+            problem = f"has {counted(len(values), 'label')}"
+            expected = f"{len(points):,}"
             hint = "use the labels that belong to this scan"
             raise LabelError(path, problem, f"{expected}, one per point of the scan", hint)
     else:

@@ -30,10 +30,11 @@ from salsanext_cli.runs.summary.scan_warnings import ScanWarning
 from salsanext_cli.version import __version__
 
 STAGE = "pick"
-LABEL_SPACE, TABLE = "labels.yaml", "picked.csv"
+LABEL_SPACE = "labels.yaml"
+TABLE = "picked.csv"
 PREDICTED = "predicted"  # Folder of the results of the picked scans, for `report` and `eval`
-CHOSEN, NAMED = "both", "named"
-"""Strategies: scans by uncertainty and distance, and the scans of a list."""
+CHOSEN = "both"  # Strategy that picks scans by uncertainty and distance
+NAMED = "named"  # Strategy that picks the scans of a list
 
 log = logging.getLogger(__name__)
 
@@ -158,11 +159,13 @@ class PickedDataSet(OwnedFolder):
         """Write poses and calibration of the sequences of picked scans, if known."""
         ordered = sorted(scans)
         for name, group in groupby(ordered, lambda scan: scan.sequence):
-            picked, folder = list(group), self.root / "sequences" / name
+            picked = list(group)
+            folder = self.root / "sequences" / name
             source = picked[0].path.parent
             if source.name != SCAN_FOLDER:
                 continue
-            poses, calibration = source.with_name(POSES), source.with_name(CALIBRATION)
+            poses = source.with_name(POSES)
+            calibration = source.with_name(CALIBRATION)
             try:
                 if present(poses):
                     with reading(poses) as file:
@@ -187,7 +190,8 @@ class PickedDataSet(OwnedFolder):
 
     def require_apart(self, scans: Iterable[ScanFile]) -> None:
         """Raise `UsageError` if the folder holds the scans to choose from."""
-        out, folders = self.root.resolve(), {scan.path.parent.resolve() for scan in scans}
+        out = self.root.resolve()
+        folders = {scan.path.parent.resolve() for scan in scans}
         if any(out in (folder, *folder.parents) for folder in folders):
             problem = f"{self.root} contains the scans to choose from"
             raise UsageError("OUT", problem, "another folder, for the picked scans")
@@ -205,14 +209,16 @@ class PickedDataSet(OwnedFolder):
 
     def begin(self, record: PickRecord) -> None:
         """Record the picked scans; remove the files of an earlier run."""
-        if earlier := self._record():
+        earlier = self._record()
+        if earlier:
             # The user may have corrected labels in the meantime.
             self._require_unchanged(earlier)
             self.remove_written(self._files(earlier))
         self._write_record(record)
 
     def _record(self) -> PickRecord | None:
-        if (data := read_json(self.record_path)) is None:
+        data = read_json(self.record_path)
+        if data is None:
             return None
         # Older versions had other keys.
         warnings = [{"hint": w.get("remedy", ""), **w} for w in data.get("warnings", ())]
@@ -234,7 +240,9 @@ class PickedDataSet(OwnedFolder):
 
     def _require_unchanged(self, record: PickRecord) -> None:
         """Refuse to replace imported labels and files that changed since `pick` wrote them."""
-        if imports := [path for path in map(self.root.joinpath, IMPORTED) if present(path)]:
+        records = [self.root / name for name in IMPORTED]
+        imports = [path for path in records if present(path)]
+        if imports:
             problem = "records imported labels, which are not replaced"
             raise OutputError(imports[0], problem, hint="choose another folder")
         self.refuse_foreign(self._files(record))

@@ -83,7 +83,8 @@ def _worker_number() -> tuple[int, object]:
     from filelock import FileLock, Timeout
 
     try:
-        folder, number = _folder_of_numbers(), 0
+        folder = _folder_of_numbers()
+        number = 0
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         while True:
             lock = FileLock(folder / str(number))

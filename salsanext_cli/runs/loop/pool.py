@@ -122,7 +122,8 @@ def _attempts(
                     finished.forget(of_chunk.number)
                     yield from of_chunk.attempts
         except TerminatedWorkerError as error:
-            problem, hint = "the system ended a worker", "use fewer jobs, which need less memory"
+            problem = "the system ended a worker"
+            hint = "use fewer jobs, which need less memory"
             subject = f"{wording.argument('jobs')} {workers}"
             raise WorkersLost(subject, problem, hint=hint) from error
 

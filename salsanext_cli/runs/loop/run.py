@@ -116,7 +116,8 @@ def run_over_scans(
     tried: set[ScanFile] = set()
 
     def report(attempt: Attempt[Any]) -> None:
-        scan, error = attempt.file, attempt.error
+        scan = attempt.file
+        error = attempt.error
         log.info("%s: %s", scan.name, error.headline if error else "done")
         if error is None or options.on_error == "stop":
             on_result(attempt.get())
@@ -137,7 +138,8 @@ def run_over_scans(
         hint = f"{lost.hint}; run again for the rest"
         raise WorkersLost(lost.subject, f"{lost.problem}; {missing}", hint=hint) from lost
     failures.sort(key=lambda failure: failure.scan)
-    skipped, done = len(mine) - len(todo), len(tried) - len(failures)
+    skipped = len(mine) - len(todo)
+    done = len(tried) - len(failures)
     return Outcome(skipped, tuple(failures), done, None, time.monotonic() - start, summary)
 
 

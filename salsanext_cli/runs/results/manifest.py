@@ -299,14 +299,17 @@ class Manifest:
 
     def require_same_weights(self) -> None:
         """Refuse an uncertainty of other weights or classes than the labels."""
-        labels, space = self.weights("predictions"), self.label_space("predictions")
+        labels = self.weights("predictions")
+        space = self.label_space("predictions")
         words = f"salsanext uncertainty SCANS {self.root}"
         hint = f"run `{command(words, setting('overwrite', True))}` with the"
         for folder in ("uncertainty/epistemic", ERROR):
-            estimated, other = self.weights(folder), self.label_space(folder)
+            estimated = self.weights(folder)
+            other = self.label_space(folder)
             if labels and estimated and labels != estimated:
                 both = f"{labels[:12]}…, uncertainty of {estimated[:12]}…"
-                problem, hint = f"has labels of the weights {both}", f"{hint} weights of the labels"
+                problem = f"has labels of the weights {both}"
+                hint = f"{hint} weights of the labels"
                 raise OutputError(self.root, problem, "the same weights", hint)
             if labels and space and other and not space.fits(other):
                 problem = f"has labels in the classes of {space.name}, uncertainty in {other.name}"

@@ -69,8 +69,9 @@ class OutputRun(OwnedFolder):
 
     def require_replaceable(self, file: ScanFile) -> None:
         """Refuse to replace a foreign file by a result of a scan."""
-        for path in self.foreign.intersection(self.paths(file)):
-            raise foreign_file(path)
+        foreign = self.foreign.intersection(self.paths(file))
+        if foreign:
+            raise foreign_file(min(foreign))
 
     def write_array(self, file: ScanFile, folder: str, array: npt.NDArray[Any]) -> None:
         """Write a result of a scan as a `.npy` file."""
@@ -82,25 +83,20 @@ class OutputRun(OwnedFolder):
 
     def claim(self, wanted: StageRecord) -> StageRecord:
         """Update the locked records and remove outdated results for this run, or refuse."""
-        known = self.manifest.records()
-        earlier = known.pop(self.stage, None)
+        records = self.manifest.records()
+        earlier = records.pop(self.stage, None)
         before = earlier or StageRecord(self.stage, wanted.settings)
         same = before.has_settings(wanted.settings)
-        others = [record for record in known.values() if {*record.writes} & {*wanted.writes}]
-        if "predictions" in wanted.writes and not same and "fuse" in known:
-            others.append(known["fuse"])
+        others = [record for record in records.values() if {*record.writes} & {*wanted.writes}]
         if not self.overwrite:
             require_same_settings(self.record_path, before.settings, wanted.settings)
-            for other in others:
-                folder = next(name for name in wanted.writes if name in other.writes)
-                problem = f"{folder}/ contains results of `{other.stage}`"
-                hint = f"use another output folder, or {setting('overwrite', True)} to replace them"
-                raise OutputError(self.manifest.path(other.stage), problem, hint=hint)
+            if others:
+                raise self._taken(wanted, others[0])
+        if "predictions" in wanted.writes and not same and "fuse" in records:
+            others.append(records["fuse"])
         # Nothing but locks of killed runs is removed before it is certain that the run may begin.
-        for record in (before, *others):
-            of_stage = OwnedFolder(self.root, record.stage)
-            if of_stage.is_shared() and not (same and record is before):
-                raise of_stage.busy()
+        # Runs with the same settings may share the folder.
+        self._require_unused(others if same else [before, *others])
         foreign = [] if same else self.remove_written(self._results_in(before.writes))
         for other in others:
             foreign += self._take_over(other, wanted.writes)
@@ -119,6 +115,20 @@ class OutputRun(OwnedFolder):
         # The record comes last, so that the next run repeats what a killed run did not finish.
         self.manifest.write(merged)
         return merged
+
+    def _taken(self, wanted: StageRecord, other: StageRecord) -> OutputError:
+        """Return the error of a folder of results that another stage fills."""
+        folder = next(name for name in wanted.writes if name in other.writes)
+        problem = f"{folder}/ contains results of `{other.stage}`"
+        hint = f"use another output folder, or {setting('overwrite', True)} to replace them"
+        return OutputError(self.manifest.path(other.stage), problem, hint=hint)
+
+    def _require_unused(self, records: Iterable[StageRecord]) -> None:
+        """Refuse to replace results of stages of which a run uses the folder."""
+        for record in records:
+            stage_folder = OwnedFolder(self.root, record.stage)
+            if stage_folder.is_shared():
+                raise stage_folder.busy()
 
     def _settings_with_files(
         self, wanted: StageRecord, same: StageRecord | None
@@ -161,7 +171,8 @@ def encode_array(array: npt.NDArray[Any]) -> bytes:
 
 def _scan_sources(out: Path, scans: Iterable[ScanFile]) -> dict[str, ScanSource]:
     """Return the sources of scans by sequence; refuse others than the recorded sources."""
-    known, suffixes = Manifest(out).sources(), dict[str, dict[str, str]]()
+    known = Manifest(out).sources()
+    suffixes = dict[str, dict[str, str]]()
     folders = dict[str, str]()
     for scan in scans:
         suffix = scan.path.name[len(scan.stem) :]

@@ -102,7 +102,8 @@ class ScanResults:
         known = space.scored[space.to_train(self.truth, strict=False)]
         wrong = self.wrong(space)
         judged = wrong[~np.isnan(wrong)]
-        coverage, risk = len(judged) / max(known.sum(), 1), judged.sum() / max(len(judged), 1)
+        coverage = len(judged) / max(known.sum(), 1)
+        risk = judged.sum() / max(len(judged), 1)
         return f"coverage {percentage(coverage)}, risk {percentage(risk)}"
 
 
@@ -127,7 +128,8 @@ class ResultFolder(Manifest):
         self._require_current()
         there = {key for folder in SUFFIX_OF_FOLDER for key in find_outputs(self.root, folder)}
         wanted = {key for key in there if sequence in (None, key[0])}
-        sequences, known = sorted({name for name, _ in wanted}), self.sources()
+        sequences = sorted({name for name, _ in wanted})
+        known = self.sources()
         if not sequences:
             if any(is_folder(folder) for folder in self.root.glob(f"sequences/*/{SCAN_FOLDER}")):
                 raise self._is_data_set()
@@ -157,9 +159,11 @@ class ResultFolder(Manifest):
             out = os.path.normpath(single.root)
             softmax = single.owner("votes", "probabilities")
             if softmax:
-                words, extras = ["fuse", out, str(self.root)], []
+                words = ["fuse", out, str(self.root)]
+                extras = []
             else:
-                words, extras = ["predict", "SCANS", out], [setting("extras", ("votes",))]
+                words = ["predict", "SCANS", out]
+                extras = [setting("extras", ("votes",))]
             again = command(f"salsanext {shlex.join(words)}", *extras, setting("overwrite", True))
             problem = f"is outdated: labels in {out} were replaced"
             raise OutputError(self.root, problem, hint=f"run `{again}`")
@@ -230,7 +234,8 @@ class ResultFolder(Manifest):
 
     def chosen(self, query: ResultQuery) -> ChosenResults:
         """Select scans with results of any stage; log how many lack them."""
-        limit, unlimited = query.selection.limit, replace(query.selection, limit=None)
+        limit = query.selection.limit
+        unlimited = replace(query.selection, limit=None)
         chosen, space = self.predicted(unlimited, query.label_space, query.classes)
         self.require_same_weights()
         scans = with_outputs(chosen, self.root, *FOLDERS)[:limit]
@@ -248,16 +253,20 @@ class ResultFolder(Manifest):
     def provenance(self, selection: ScanSelection) -> dict[str, object]:
         """Return the selection and the settings of its predictions, as plain data."""
         stage = self.owner("predictions")
-        softmax, estimated = self.settings("predict"), self.settings("uncertainty")
+        softmax = self.settings("predict")
+        estimated = self.settings("uncertainty")
         made_by = {name for name in (stage, "uncertainty" if estimated else None) if name}
+        uncertainty = None
+        if estimated:
+            values = {name: getattr(estimated, name) for name in UNCERTAINTY_SETTINGS}
+            uncertainty = {name: value for name, value in values.items() if value is not None}
         recorded = {
             "dataset": str(self.dataset.absolute()) if self.dataset else None,
             "predictions_of": stage,
             "weights": self.weights("predictions"),
             "temperature": softmax.temperature if softmax else None,
             "reject": self.rejected_above(),
-            "uncertainty": estimated
-            and {k: v for k in UNCERTAINTY_SETTINGS if (v := getattr(estimated, k)) is not None},
+            "uncertainty": uncertainty,
             "origins": self.origins(sorted(made_by)),
         }
         return asdict(selection) | recorded
@@ -284,7 +293,8 @@ class ResultFolder(Manifest):
             instance = None
         if label is not None and classes is not None:
             label = classes.to_raw(classes.to_train(label, strict=False))
-        rejected, predicted_in = None, classes or self.label_space()
+        rejected = None
+        predicted_in = classes or self.label_space()
         if label is not None and predicted_in and self.rejected_above() is not None:
             rejected = predicted_in.to_train(label, strict=False) == 0
         truth, _ = _labels(file.label_path, count) if truth_in else (None, None)
@@ -370,8 +380,10 @@ def _one_of_each_name(
     chosen = []
     for key, group in groupby(sorted(scans), lambda scan: (scan.sequence, scan.stem)):
         files = list(group)
-        if key[0] in sources and (suffix := sources[key[0]].suffixes.get(key[1])):
-            files = [file for file in files if file.path.name == key[1] + suffix]
+        sequence, stem = key
+        suffix = sources[sequence].suffixes.get(stem) if sequence in sources else None
+        if suffix:
+            files = [file for file in files if file.path.name == stem + suffix]
         if key in wanted:
             require_unique_stems(files)
         chosen += files[:1]

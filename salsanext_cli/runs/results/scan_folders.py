@@ -23,8 +23,9 @@ FILE_LISTS = ".salsanext.files"
 """Folder with the lists of written files, in the root of folders that stages fill."""
 TEXT_SUFFIXES = (".txt", ".csv", ".asc", ".pts")
 """Suffixes of tables that are usually no scans."""
-CERTAIN, LIKELY, UNLIKELY = 2, 1, 0
-"""Ranks of clouds and of files in a known layout, of arrays, and of texts."""
+CERTAIN = 2  # Rank of clouds and of files in a known layout
+LIKELY = 1  # Rank of arrays
+UNLIKELY = 0  # Rank of texts
 MAX_DEPTH = 6
 MAX_ENTRIES = 1_000_000
 """Files and folders that a search looks at, some ten seconds of work."""

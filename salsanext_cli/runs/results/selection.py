@@ -185,10 +185,11 @@ def with_splits(
 def space_of(scans: Sequence[ScanFile], fallback: LabelSpace | None = None) -> LabelSpace:
     """Return the label space of the scans' data set, else a fallback, else SemanticKITTI's."""
     root = data_set_of(scans[0]) if scans else None
-    if root and (described := data_set_label_space(root)):
+    described = data_set_label_space(root) if root else None
+    if described:
         return described
-    usual = label_space()
-    return usual if fallback is None or fallback.fits(usual) else fallback
+    default = label_space()
+    return default if fallback is None or fallback.fits(default) else fallback
 
 
 def is_of_benchmark(space: LabelSpace) -> bool:

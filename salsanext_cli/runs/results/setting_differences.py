@@ -63,7 +63,9 @@ def _difference(key: str, before: Any, after: Any) -> str:
         return f"{key} ({first_few(old.differences(new))})"
     if isinstance(before, list) and isinstance(after, list) and len(before) == len(after):
         place = next(i for i, value in enumerate(before) if value != after[i])
-        key, before, after = f"{key}[{place}]", before[place], after[place]
+        key = f"{key}[{place}]"
+        before = before[place]
+        after = after[place]
     was, now = (
         "not set" if value is None else shortened(json.dumps(value, ensure_ascii=False), 40)
         for value in (before, after)

@@ -182,7 +182,10 @@ class RunSummary:
     @property
     def labelled(self) -> bool:
         """Whether the first scan has labels that `eval` can compare with those of the run."""
-        if not self.scans or not present(path := self.scans[0].label_path):
+        if not self.scans:
+            return False
+        path = self.scans[0].label_path
+        if not present(path):
             return False
         if self.space is None:
             return True
@@ -249,8 +252,10 @@ class RunSummary:
             first, *others = sorted(self.names)
             self.add_finding(first, finding)
             self.findings[WarningCode.OTHER_SCANS] += [(name, finding) for name in others]
-        elif self.unit_traits and (reason := why_incomparable(risk, compared.units(risk))):
-            log.log(NOTICE, "%s (%s)", NOT_COMPARED, reason)
+        elif self.unit_traits:
+            reason = why_incomparable(risk, compared.units(risk))
+            if reason:
+                log.log(NOTICE, "%s (%s)", NOT_COMPARED, reason)
         self.unit_traits.clear()
 
     def finished(self) -> RunSummary:

@@ -36,7 +36,8 @@ class ThresholdComparison:
 
     def difference(self, risk: RiskThreshold) -> str:
         """Return the evidence that the scans are unlike those of a threshold, else no text."""
-        if problem := self._other_drives(risk) or self._other_view(risk):
+        problem = self._other_drives(risk) or self._other_view(risk)
+        if problem:
             return f"{UNLIKE}: {problem}"
         # Workers finish in any order, and the comparison draws from the scans in theirs.
         traits = dict(sorted(self.traits.items()))
@@ -45,7 +46,8 @@ class ThresholdComparison:
             return ""
         if risk.unit == "drive":
             now = of_units(now, [name.rpartition("/")[0] for name in traits])
-        if have_measures(risk.population) and (codes := new_codes(risk.population, now)):
+        codes = new_codes(risk.population, now) if have_measures(risk.population) else []
+        if codes:
             return f"{UNLIKE}: they have the warning {first_few(codes)}"
         difference = population_difference(risk.population, now, self.classes)
         return f"{UNLIKE}: {difference}" if difference else ""
@@ -59,12 +61,15 @@ class ThresholdComparison:
         """Return data set or drives that a guarantee about scans of named drives does not cover."""
         if risk.unit == "drive" or not self.files:
             return ""
-        data_sets = {_data_set(file) for file in self.files}
-        if risk.data_set and (others := sorted(data_sets - {risk.data_set})):
-            return f"they are of {first_few(others)}, not of {risk.data_set}"
+        if risk.data_set:
+            data_sets = {_data_set(file) for file in self.files}
+            other_data_sets = sorted(data_sets - {risk.data_set})
+            if other_data_sets:
+                return f"they are of {first_few(other_data_sets)}, not of {risk.data_set}"
         sequences = {file.sequence for file in self.files}
-        if others := sorted(sequences - {*risk.sequences}):
-            return f"they are of {first_few(others)}, not of {first_few(risk.sequences)}"
+        other_sequences = sorted(sequences - set(risk.sequences))
+        if other_sequences:
+            return f"they are of {first_few(other_sequences)}, not of {first_few(risk.sequences)}"
         return ""
 
     def _other_view(self, risk: RiskThreshold) -> str:

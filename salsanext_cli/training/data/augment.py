@@ -26,7 +26,8 @@ MAX_DROPPED_SHARE = 0.5
 """Bounds of the shift along x, y and z, and of the share of dropped points."""
 KINDS = ((True, False), (False, True), (True, True))
 """Kinds of checkerboards, of several bands or sectors or both: LaserMix, PolarMix, boxes."""
-MIN_BANDS, MAX_BANDS = 2, 6
+MIN_BANDS = 2  # Bands of a checkerboard
+MAX_BANDS = 6
 MAX_SECTOR_PAIRS = 3
 PASTED_COPIES = 2  # Copies of pasted rare points, each at another angle
 CLEAR_RADIUS_M = 3.0  # Radius without pasted points, for the vehicle

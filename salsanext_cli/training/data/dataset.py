@@ -37,8 +37,8 @@ from salsanext_cli.training.data.targets import ClassSets, of_targets
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
 from salsanext_cli.training.recipe import Recipe
 
-ORDER, SAMPLE = 0, 1
-"""Parts of the seeds of orders and of samples; `learner.DROPOUT` is another."""
+ORDER = 0  # Part of the seed of orders
+SAMPLE = 1  # Part of the seed of samples; `learner.DROPOUT` is another
 
 SampleKey = tuple[int, int]  # Position of a sample in the whole training, index of its scan
 Sample = tuple[Float, TrainIds]  # Normalised image (5, H, W), targets (H, W)
@@ -156,7 +156,8 @@ class Samples(Dataset[Sample]):
             both = other_sensors.fewer_beams(both, random)
             view = replace(view, row_gaps=row_gaps([both]))
         both = with_filled_gaps(both, view, self.sensor)
-        channels, truth = both[:-1], both[-1].astype(np.uint8)
+        channels = both[:-1]
+        truth = both[-1].astype(np.uint8)
         if _drawn(recipe.no_intensity, random):
             channels = match_intensity(channels, NO_INTENSITY, self.sensor.intensity_quantiles)
         scored = of_targets(self.sources[0].space.scored, self.sets, np.any)
@@ -195,7 +196,8 @@ class Samples(Dataset[Sample]):
         source = 0
         if len(counts) > 1 and random.random() < self.recipe.also:
             source = int(random.integers(1, len(counts)))
-        start, count = sum(counts[:source]), counts[source]
+        start = sum(counts[:source])
+        count = counts[source]
         if start <= index < start + count:
             away = 1 + random.integers(max(1, count - 1))
             return self._read(int(start + (index - start + away) % count), random)

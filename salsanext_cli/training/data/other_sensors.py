@@ -19,14 +19,18 @@ from salsanext_cli.training.data.augment import shift
 
 Rng = np.random.Generator
 
-LOG_GAIN, LOG_GAMMA, RANGE_POWER, OFFSET = 0.3, 0.3, 0.15, 0.05
-"""Standard deviations of log gain, log exponent, power of the range, and offset of intensities."""
+LOG_GAIN = 0.3  # Standard deviation of the logarithm of the gain of intensities
+LOG_GAMMA = 0.3  # Of the logarithm of their exponent
+RANGE_POWER = 0.15  # Of the power of the range by which they change
+OFFSET = 0.05  # Of their offset
 RESPONSE_RANGE_M = 10.0  # Range at which a power of the range has no effect
-LOWERED_M, RAISED_M = 0.55, 0.9  # Largest shifts of a sensor down and up
+LOWERED_M = 0.55  # Largest shift of a sensor down
+RAISED_M = 0.9  # Largest shift of a sensor up
 TILT_DEG = 1.0  # Standard deviation of the tilt of a sensor
-EDGE_SHIFT_DEG, EDGE_SHIFT = 6.0, 0.25
-"""Largest shift of an edge, in degrees and as a share of the field of view."""
-MIN_ROWS, MAX_ROWS = 0.25, 0.75  # Bounds of the share of remaining rows
+EDGE_SHIFT_DEG = 6.0  # Largest shift of an edge of the field of view
+EDGE_SHIFT = 0.25  # Its limit as a share of the field of view
+MIN_ROWS = 0.25  # Least share of remaining rows
+MAX_ROWS = 0.75  # Largest share of remaining rows
 MAX_RUN = 4  # Largest width of a hole between two measured pixels of a row
 EDGE_RATIO = 1.1  # Ratio of the ranges on both sides above which an edge is between them
 RANGE_EDGES_M = (5.0, 10.0, 20.0, 40.0)  # Bounds of the bins of the range on the nearer side
@@ -50,7 +54,8 @@ def change_intensity(scan: Scan, bright: float, random: Rng) -> Scan:
 
 def mount_otherwise(points: Float, random: Rng) -> Float:
     """Return points (N, 3) as measured from another height, tilted in any direction."""
-    angle, azimuth = np.radians(random.normal(0, TILT_DEG)), random.uniform(0, 2 * np.pi)
+    angle = np.radians(random.normal(0, TILT_DEG))
+    azimuth = random.uniform(0, 2 * np.pi)
     axis = np.array([np.cos(azimuth), np.sin(azimuth), 0])
     # Rodrigues' rotation about a level axis
     cross = np.cross(np.eye(3), axis)
@@ -85,7 +90,8 @@ def hole_cells(ranges: Float) -> Indices:
 
     It depends on the next measured pixels to the left and right, not on the pixel itself.
     """
-    sides, steps = np.zeros((2, *ranges.shape), np.float32), np.full((2, *ranges.shape), MAX_RUN)
+    sides = np.zeros((2, *ranges.shape), np.float32)
+    steps = np.full((2, *ranges.shape), MAX_RUN)
     for step in range(MAX_RUN, 0, -1):
         for side, signed in enumerate((step, -step)):
             neighbour = np.roll(ranges, signed, axis=1)
@@ -103,7 +109,8 @@ def make_holes(channels: Float, random: Rng) -> Float:
     A pixel is lost with the share of its cell times a factor, or with its left neighbour.
     """
     shares = np.append(HOLE_SHARES, 0.0)[hole_cells(channels[0])] * random.uniform(0, MAX_HOLES)
-    chance, is_first = random.random(shares.shape), random.random(shares.shape) >= CONTINUED
+    chance = random.random(shares.shape)
+    is_first = random.random(shares.shape) >= CONTINUED
     source = np.maximum.accumulate(np.where(is_first, np.arange(shares.shape[1]), 0), axis=1)
     lost = np.take_along_axis(chance, source, axis=1) < shares
     return np.where(lost, np.float32(0), channels)

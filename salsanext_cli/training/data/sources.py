@@ -73,12 +73,15 @@ class Source:
         sensor = self.sensor_of(file)
         scan, targets = read_labelled(file, self.space, sensor, sets)
         scan = in_sensor_frame(scan, sensor_of(scan, sensor))
-        if len(ego := ego_points(scan.points, sensor)):
+        ego = ego_points(scan.points, sensor)
+        if len(ego):
             rest = np.delete(np.arange(len(scan)), ego)
-            scan, targets = scan.take(rest), targets[rest]
-        quantiles, of_training = sensor.intensity_quantiles, self.sensor.intensity_quantiles
-        if quantiles and of_training and quantiles != of_training:
-            scan = replace(scan, intensity=on_other_scale(scan.intensity, quantiles, of_training))
+            scan = scan.take(rest)
+            targets = targets[rest]
+        quantiles = sensor.intensity_quantiles
+        trained = self.sensor.intensity_quantiles
+        if quantiles and trained and quantiles != trained:
+            scan = replace(scan, intensity=on_other_scale(scan.intensity, quantiles, trained))
         return scan, targets
 
 
@@ -225,7 +228,8 @@ def labelled_split(
     For the training split, log the sequences with labels that no split names.
     """
     space = _with_splits_of(dataset, space)
-    members, files = space.split(split), find_scans(dataset)
+    members = space.split(split)
+    files = find_scans(dataset)
     scans = [scan for scan in files if scan.sequence in members]
     if not scans:
         expected = f"one of the sequences {', '.join(members) or '(none)'}"

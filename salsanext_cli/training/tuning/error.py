@@ -35,7 +35,8 @@ SEED = 0  # Seed of the choice of points, of the initial weights and of the orde
 HIDDEN = 16  # Values of each of the two hidden layers
 EPOCHS, BATCH = 8, 2048  # Passes over the points, and points per step
 MIN_STEPS = 400  # Few points are passed over more often
-LEARNING_RATE, WEIGHT_DECAY = 3e-3, 1e-4
+LEARNING_RATE = 3e-3
+WEIGHT_DECAY = 1e-4
 ECE_TOLERANCE = 0.005  # Increase of the calibration error that a better ranking may cost
 SEQUENCES_OF_START = 7  # Weight of an existing model, in sequences
 LEAST = 1e-6  # Least probability in a logarithm
@@ -288,7 +289,8 @@ def fit_error(
     """
     features = np.concatenate([scan.features for scan in scans])
     wrong = torch.from_numpy(np.concatenate([scan.wrong for scan in scans])).float()
-    mean, spread = features.mean(axis=0), np.maximum(features.std(axis=0), MIN_SPREAD)
+    mean = features.mean(axis=0)
+    spread = np.maximum(features.std(axis=0), MIN_SPREAD)
     sizes = [(len(FEATURES), HIDDEN), (HIDDEN, HIDDEN), (HIDDEN, 1)]
     if start:
         share = sequences / (sequences + SEQUENCES_OF_START)
