@@ -41,7 +41,8 @@ from salsanext_cli.runs.results.selection import data_set_label_space, evenly_sp
 from salsanext_cli.training.cross_validation import folds
 from salsanext_cli.training.data.class_counts import class_shares
 from salsanext_cli.training.data.sources import labelled_split
-from salsanext_cli.training.tuning.error import FOLDS, JudgedPoints, cross_validated, judge_job
+from salsanext_cli.training.tuning.error import FOLDS, cross_validated, judge_job
+from salsanext_cli.training.tuning.error_training import JudgedPoints
 from salsanext_cli.training.tuning.int8 import int8_inputs
 from salsanext_cli.training.tuning.scan_choice import labelled_scans
 from salsanext_cli.training.tuning.scans import read_labelled_image

@@ -24,7 +24,6 @@ from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.fit import StepReport
 from salsanext_cli.training.setup import Setup
 from salsanext_cli.training.tuning.error import (
-    JudgedPoints,
     cross_validated,
     gains,
     is_better,
@@ -32,6 +31,7 @@ from salsanext_cli.training.tuning.error import (
     of_both_kinds,
     points_of_scan,
 )
+from salsanext_cli.training.tuning.error_training import JudgedPoints
 from salsanext_cli.training.tuning.scans import LabelledImage, read_labelled_image
 from salsanext_cli.training.validation import validate
 

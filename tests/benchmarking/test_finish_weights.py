@@ -3,6 +3,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -29,13 +30,14 @@ def test_default_weights_have_a_version_and_inherit_nothing(tmp_path, tiny_train
     fitted = {("a", SMALL.width): 1.0, ("b", SMALL.width): 4.0}
     fitted |= {("a", NARROW): 3.0, ("b", NARROW): 3.0}
 
-    def tune(part, dataset, target, *, settings, overwrite):
+    def tune(dataset, target, *, settings, overwrite):
         # The temperature is fitted to the weights without what they inherited.
         card = read_card(settings.path)
         assert (card.inherited(), card.temperature, card.of_widths) == ("", 1.0, {})
-        return {"after": {"temperature": fitted[dataset.name, settings.width]}}
+        after = SimpleNamespace(temperature=fitted[dataset.name, settings.width])
+        return SimpleNamespace(fit=SimpleNamespace(after=after))
 
-    monkeypatch.setattr(finish_weights, "tune", tune)
+    monkeypatch.setattr(finish_weights, "tune_temperature", tune)
     mark = "weights of before"
     layers = [(np.ones((len(FEATURES), 1), "f4"), np.zeros(1, "f4"))]
     line = AccuracyLine(1.0, 0.0, 0.1, inherited_from=mark)
@@ -66,8 +68,8 @@ def test_default_weights_get_an_error_model_of_all_sequences_and_int8_ranges(tmp
         for number in ("00", "08", "09"):
             write_sequence(dataset / "sequences" / number, ["0"], seed=int(number))
         (dataset / "labels.yaml").write_text(json.dumps(space))
-    monkeypatch.setattr("salsanext_cli.training.tuning.error.MIN_STEPS", 10)
-    monkeypatch.setattr("salsanext_cli.training.tuning.error.EPOCHS", 1)
+    monkeypatch.setattr("salsanext_cli.training.tuning.error_training.MIN_STEPS", 10)
+    monkeypatch.setattr("salsanext_cli.training.tuning.error_training.EPOCHS", 1)
     with salsanext_of(**SHALLOW):
         save_weights(weights, build(CARD.architecture), CARD)
         finish_weights.add_error_models(weights, datasets)

@@ -55,7 +55,7 @@ def on_openvino(world: World) -> World:
 @pytest.fixture
 def in_few_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fit a useless error model, and accept it."""
-    from salsanext_cli.training.tuning import error
+    from salsanext_cli.training.tuning import error, error_training
 
-    monkeypatch.setattr(error, "MIN_STEPS", 1)
+    monkeypatch.setattr(error_training, "MIN_STEPS", 1)
     monkeypatch.setattr(error, "gains", lambda model: True)

@@ -8,9 +8,6 @@ from functools import partial
 from typing import cast
 
 import numpy as np
-import torch
-import torch.nn.functional as F
-from torch import nn
 
 from salsanext_cli.core.engines.backend import PixelPrediction
 from salsanext_cli.core.engines.network import Network
@@ -26,22 +23,15 @@ from salsanext_cli.core.uncertainty.monte_carlo import scan_seed
 from salsanext_cli.runs.loop.job import Steps
 from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.training.cross_validation import held_out
+from salsanext_cli.training.tuning.error_training import JudgedPoints, fit_error
 from salsanext_cli.training.tuning.scans import LabelledImage, Tuned, TuningScans
 
 MAX_POINTS = 1_000_000  # Largest number of points of all scans, 37 MB
 MAX_POINTS_OF_SCAN = 20_000  # More points of one scan add little, since they are much alike
 FOLDS = 5
-SEED = 0  # Seed of the choice of points, of the initial weights and of the order of the points
-HIDDEN = 16  # Values of each of the two hidden layers
-EPOCHS, BATCH = 8, 2048  # Passes over the points, and points per step
-MIN_STEPS = 400  # Few points are passed over more often
-LEARNING_RATE = 3e-3
-WEIGHT_DECAY = 1e-4
+SEED = 0  # Seed of the choice of points
 ECE_TOLERANCE = 0.005  # Increase of the calibration error that a better ranking may cost
-SEQUENCES_OF_START = 7  # Weight of an existing model, in sequences
 LEAST = 1e-6  # Least probability in a logarithm
-HEIGHT = FEATURES.index("height above the sensor")
-MIN_SPREAD = 1e-3  # Least divisor of features, which may hardly differ
 
 log = logging.getLogger(__name__)
 
@@ -103,15 +93,6 @@ class FittedErrorModel:
 
     model: ErrorModel
     report: ErrorFit
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class JudgedPoints:
-    """Points of one scan whose labels are known to be wrong or right."""
-
-    features: Float  # (M, F), in the order of `FEATURES`
-    wrong: Mask  # (M,)
-    several: float = 0.0  # Share of skipped points, whose label is of several classes
 
 
 def points_of_scan(scans: int) -> int:
@@ -277,60 +258,6 @@ def is_better(scores: ErrorScores, others: ErrorScores) -> bool:
     """Return whether errors rank better, are more probable and as calibrated on the same points."""
     is_calibrated = scores.ece <= others.ece + ECE_TOLERANCE
     return scores.aurc < others.aurc and scores.nll < others.nll and is_calibrated
-
-
-def fit_error(
-    scans: Sequence[JudgedPoints], start: ErrorModel | None = None, sequences: int = 1
-) -> ErrorModel:
-    """Fit a model with the least cross-entropy to points of a number of sequences.
-
-    A model to `start` from counts as `SEQUENCES_OF_START` sequences: the truth is mixed with its
-    probability. The height has no weight, since it depends on the mounting.
-    """
-    features = np.concatenate([scan.features for scan in scans])
-    wrong = torch.from_numpy(np.concatenate([scan.wrong for scan in scans])).float()
-    mean = features.mean(axis=0)
-    spread = np.maximum(features.std(axis=0), MIN_SPREAD)
-    sizes = [(len(FEATURES), HIDDEN), (HIDDEN, HIDDEN), (HIDDEN, 1)]
-    if start:
-        share = sequences / (sequences + SEQUENCES_OF_START)
-        wrong = share * wrong + (1 - share) * torch.from_numpy(start.probability(features))
-        sizes = [weight.shape for weight, _ in start.layers]
-    spread[HEIGHT] = np.inf
-    values = torch.from_numpy((features - mean) / spread)
-    with torch.random.fork_rng([]):
-        torch.manual_seed(SEED)  # noqa: TID251
-        linear = [nn.Linear(*size) for size in sizes]
-        model = nn.Sequential(*(m for layer in linear for m in (layer, nn.ReLU())))[:-1]
-        if start:
-            (weight, bias), *others = start.layers
-            scale = np.where(np.isinf(spread), 0, spread)
-            first_layer = (weight * scale[:, None], bias + mean @ weight)
-            with torch.no_grad():
-                for layer, (weight, bias) in zip(linear, (first_layer, *others), strict=True):
-                    layer.weight.copy_(torch.from_numpy(weight.T))
-                    layer.bias.copy_(torch.from_numpy(bias))
-        steps_per_epoch = -(-len(values) // BATCH)
-        epochs = max(EPOCHS, -(-MIN_STEPS // steps_per_epoch))
-        optimiser = torch.optim.AdamW(model.parameters(), LEARNING_RATE, weight_decay=WEIGHT_DECAY)
-        schedule = torch.optim.lr_scheduler.OneCycleLR(
-            optimiser, LEARNING_RATE, epochs=epochs, steps_per_epoch=steps_per_epoch
-        )
-        for _ in range(epochs):
-            order = torch.randperm(len(values))
-            for first in range(0, len(values), BATCH):
-                batch = order[first : first + BATCH]
-                logits = model(values[batch])[:, 0]
-                loss = F.binary_cross_entropy_with_logits(logits, wrong[batch])
-                optimiser.zero_grad()
-                torch.autograd.backward(loss)
-                optimiser.step()
-                schedule.step()
-    layers = [(m.weight.detach().numpy().T.copy(), m.bias.detach().numpy()) for m in linear]
-    weight, bias = layers[0]
-    weight = weight / spread[:, None]
-    layers[0] = weight.astype(np.float32), (bias - mean @ weight).astype(np.float32)
-    return ErrorModel(FEATURES, layers)
 
 
 def error_scores(error: Float, wrong: Mask) -> ErrorScores:

@@ -34,7 +34,7 @@ from salsanext_cli.runs.results.paths import find_scans
 from salsanext_cli.training import cross_validated_training
 from salsanext_cli.training.fit import StepReport
 from salsanext_cli.training.recipe import Recipe
-from salsanext_cli.training.tuning import error
+from salsanext_cli.training.tuning import error_training
 
 FEW = Recipe(
     initial="default",
@@ -63,7 +63,7 @@ def initial(tiny_training: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
     torch.manual_seed(1)
     save_weights(path, TinyNetwork(), card)
     monkeypatch.setattr(stage, "default_weights", lambda: path)
-    monkeypatch.setattr(error, "MIN_STEPS", 1)
+    monkeypatch.setattr(error_training, "MIN_STEPS", 1)
     return path
 
 

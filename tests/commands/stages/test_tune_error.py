@@ -34,7 +34,7 @@ from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.results.paths import ERROR, find_scans, output_path
 from salsanext_cli.runs.results.result_folder import ResultFolder
 from salsanext_cli.runs.results.scan_selection import ScanSelection
-from salsanext_cli.training.tuning import error
+from salsanext_cli.training.tuning import error_training
 
 ALL = ScanSelection()
 
@@ -191,9 +191,9 @@ def test_a_fit_that_is_no_better_changes_nothing(far_is_wrong, target, caplog, m
     world.tune("error", target)
     network, again = replace(world.network, weights=target), target.with_name("again.safetensors")
     # One step makes a good model worse.
-    monkeypatch.setattr(error, "MIN_STEPS", 1)
-    monkeypatch.setattr(error, "EPOCHS", 1)
-    monkeypatch.setattr(error, "LEARNING_RATE", 1.0)
+    monkeypatch.setattr(error_training, "MIN_STEPS", 1)
+    monkeypatch.setattr(error_training, "EPOCHS", 1)
+    monkeypatch.setattr(error_training, "LEARNING_RATE", 1.0)
     tuned = world.tune("error", again, settings=network)
     assert not tuned["changed"]
     assert tuned["existing"]["aurc"] < tuned["error"]["aurc"]

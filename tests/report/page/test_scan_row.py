@@ -94,7 +94,11 @@ def test_scans_are_named_by_sequence_and_stem_or_by_the_stem_alone():
 def test_scores_of_training_scans_count_only_against_the_labels(
     monkeypatch, trained_on, estimate, measured
 ):
-    expected = None if estimate is None else ExpectedAccuracy(accuracy=estimate, interval=(0.0, 1.0), scans=1, withheld={})
+    expected = (
+        None
+        if estimate is None
+        else ExpectedAccuracy(accuracy=estimate, interval=(0.0, 1.0), scans=1, withheld={})
+    )
     monkeypatch.setattr(RunResults, "expected_accuracy", lambda _: expected)
     confusion = np.array([[0, 0, 0], [0, 3, 2], [0, 1, 4]])
     counts = ScanCounts(confusion, scans=1, trained_on=trained_on)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from salsanext_cli.core.uncertainty.error_features import FEATURES
-from salsanext_cli.training.tuning.error import JudgedPoints, fit_error
+from salsanext_cli.training.tuning.error_training import JudgedPoints, fit_error
 
 CONFIDENCE = FEATURES.index("probability of the label")
 HEIGHT = FEATURES.index("height above the sensor")
