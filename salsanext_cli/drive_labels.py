@@ -175,7 +175,7 @@ def label_in_memory(
         summary.add(scan.summary)
 
     job = partial(VoteJob, origins=by_poses.origins)
-    task = NetworkTask(job, resolved_for(settings, network, files), network)
+    task = NetworkTask(job=job, settings=resolved_for(settings, network, files), network=network)
     outcome = run_over_scans(task, files, RunOptions(), on_result=add)
     summary.finished()
     for failure in outcome.failures:

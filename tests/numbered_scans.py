@@ -10,6 +10,6 @@ from salsanext_cli.runs.results.paths import ScanFile
 def scans_of(names: Iterable[tuple[str, int]]) -> list[ScanFile]:
     """Return scans by their sequences and numbers, in order."""
     return [
-        ScanFile(sequence, f"{number:06d}", Path(f"/{sequence}/{number}.bin"))
+        ScanFile(sequence=sequence, stem=f"{number:06d}", path=Path(f"/{sequence}/{number}.bin"))
         for sequence, number in sorted(names)
     ]

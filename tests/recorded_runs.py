@@ -18,7 +18,7 @@ TYPED = PredictSettings(weights="abc", knn=KnnParameters())
 def scans_of(tmp_path: Path, *stems: str, sequence: str = "08") -> list[ScanFile]:
     """Return scans of a data set in a folder, which nobody reads."""
     folder = tmp_path / "data" / sequence / "velodyne"
-    return [ScanFile(sequence, stem, folder / f"{stem}.bin") for stem in stems]
+    return [ScanFile(sequence=sequence, stem=stem, path=folder / f"{stem}.bin") for stem in stems]
 
 
 def predict(out: Path, settings=SETTINGS, folders=("predictions",), scans=(), overwrite=False):

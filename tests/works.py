@@ -61,7 +61,10 @@ def threads_of_process(_: ScanFile) -> tuple[int, int]:
 
 def scans_of(*stems: str, sequence: str = "s") -> list[ScanFile]:
     """Return scans that nobody reads."""
-    return [ScanFile(sequence, stem, Path("/scans") / f"{stem}.bin") for stem in stems]
+    return [
+        ScanFile(sequence=sequence, stem=stem, path=Path("/scans") / f"{stem}.bin")
+        for stem in stems
+    ]
 
 
 def run(work: Write, scans: Sequence[ScanFile], **options: object) -> Outcome:

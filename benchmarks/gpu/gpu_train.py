@@ -242,7 +242,9 @@ def real_sources(
 
 def source_of(files: Sequence[ScanFile], name: str, sensor: Sensor) -> Source:
     """Return files as a source with the label space of a packed data set."""
-    return Source(files, label_space(Path(__file__).parent / SPACES[name]), sensor)
+    return Source(
+        files=files, space=label_space(Path(__file__).parent / SPACES[name]), sensor=sensor
+    )
 
 
 def wait_for_scenes(
@@ -303,7 +305,13 @@ def training_data(
     sources = [*(pool.source(kind, PLANNED) for kind in KINDS), *real]
     of_class, sets = (counts.points, card.space.scored), class_sets(s.space for s in sources)
     return TrainingData(
-        samples=Samples(sources, card.sensor, recipe, rare_classes(*of_class), sets),
+        samples=Samples(
+            sources=sources,
+            sensor=card.sensor,
+            recipe=recipe,
+            rare=rare_classes(*of_class),
+            sets=sets,
+        ),
         weights=class_weights(*of_class, recipe.class_weight),
         digests=frozenset(counts.digests[file] for source in real for file in source.files),
     )

@@ -80,7 +80,9 @@ def learning(
     scored = label_space().scored
     module, card = initial_network(weights, label_space(), how, pool.sensor)
     learner = Learner(module, how, class_weights(counts, scored, how.class_weight), device)
-    return learner, Samples(sources, card.sensor, how, rare_classes(counts, scored))
+    return learner, Samples(
+        sources=sources, sensor=card.sensor, recipe=how, rare=rare_classes(counts, scored)
+    )
 
 
 def gpu_recipe(device: torch.device, **changes: Any) -> Recipe:

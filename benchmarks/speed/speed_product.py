@@ -30,7 +30,7 @@ def prepare(part: str, path: Path, task: Mapping[str, Any]) -> Callable[[], Any]
     settings = (task["weights"], task["device"], sensor, task["precision"], task["engine"])
     network = sn.load_network(*settings)
     scan, count = sn.read_scan(path), network.space.class_count
-    image, file = sn.project(scan, sensor), ScanFile("", path.stem, path)
+    image, file = sn.project(scan, sensor), ScanFile(sequence="", stem=path.stem, path=path)
     work: dict[str, Callable[[], Any]] = {
         "hardware": lambda: describe(network.device, network.backend.precision),
         "projection": lambda: sn.project(scan, sensor),

@@ -69,10 +69,10 @@ class Comparison:
         shape = {"batch": options.batch, "crop_width": options.width}
         precision = choose_precision(options.precision, "cpu")
         self.recipe = Recipe(**shape, epochs=1_000_000, precision=precision)
-        source = Source(files, self.space, self.sensor)
+        source = Source(files=files, space=self.space, sensor=self.sensor)
         counts = count_classes(source).points.sum(axis=0)
         rare = rare_classes(counts, self.space.scored)
-        self.samples = Samples([source], self.sensor, self.recipe, rare)
+        self.samples = Samples(sources=[source], sensor=self.sensor, recipe=self.recipe, rare=rare)
         self.weights = class_weights(counts, self.space.scored)
         torch.manual_seed(0)
         numbers = {"class_count": self.space.class_count, "dropout": self.recipe.dropout}

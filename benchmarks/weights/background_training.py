@@ -114,7 +114,15 @@ def training_of(
     learner = Learner(module, how, data.weights, torch.device("cpu"), sets=data.samples.sets)
     scoring = Scoring(run, card, simulated | late, learner)
     nothing = replace(validation, files=[])
-    return Training(run, learner, data.samples, nothing, card, 1, scoring.report)
+    return Training(
+        run=run,
+        learner=learner,
+        samples=data.samples,
+        validation=nothing,
+        card=card,
+        workers=1,
+        report=scoring.report,
+    )
 
 
 def write_average(training: Training, target: Path) -> None:

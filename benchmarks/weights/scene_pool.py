@@ -72,10 +72,18 @@ class ScenePool:
         folder = self.root / name / "sequences"
         fitted: Mapping[str, Sensor] = FittedSensors(folder, self.sensor.width)
         if planned:
-            return Source(Scenes(folder, planned), label_space(), self.sensor, fitted, True)
+            return Source(
+                files=Scenes(folder, planned),
+                space=label_space(),
+                sensor=self.sensor,
+                fitted=fitted,
+                simulated=True,
+            )
         files = find_scans(folder.parent)
         fitted = {file.sequence: fitted[file.sequence] for file in files}
-        return Source(files, label_space(), self.sensor, fitted, True)
+        return Source(
+            files=files, space=label_space(), sensor=self.sensor, fitted=fitted, simulated=True
+        )
 
     def count(self, name: str) -> int:
         """Return the number of scenes that are complete."""
@@ -143,7 +151,9 @@ def write_scene(
         stem = f"{index:06}"
         write_bytes(draft / "velodyne" / f"{stem}.bin", encode_bin(frame.scan))
         write_bytes(draft / "labels" / f"{stem}.label", encode_labels(frame.labels))
-    fitted = fitted_source(Source(find_scans(draft), label_space(), sensor)).fitted[name]
+    fitted = fitted_source(
+        Source(files=find_scans(draft), space=label_space(), sensor=sensor)
+    ).fitted[name]
     (draft / SENSOR).write_text(json.dumps(fitted.to_dict()))
     place.parent.mkdir(parents=True, exist_ok=True)
     draft.rename(place)

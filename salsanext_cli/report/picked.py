@@ -77,9 +77,9 @@ def scans_of_list(described: Sequence[ScanDescription]) -> list[PickedScan]:
     """Return the scans of a list as picked scans, in its order."""
     return [
         PickedScan(
-            rank,
-            scan.file.sequence,
-            scan.file.stem,
+            rank=rank,
+            sequence=scan.file.sequence,
+            scan=scan.file.stem,
             uncertainty=scan.uncertainty,
             distance=None,
             nearest=None,

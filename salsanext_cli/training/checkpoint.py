@@ -29,7 +29,7 @@ DAMAGE = (safetensors.SafetensorError, OSError, LookupError, RuntimeError, TypeE
 """Errors of reading a damaged checkpoint."""
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class TrainingState:
     """Progress of a training."""
 

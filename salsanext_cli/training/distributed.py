@@ -27,7 +27,7 @@ T = TypeVar("T")
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ProcessGroup:
     """Rank of this process among the workers; in a group of one, collectives do nothing."""
 
@@ -94,7 +94,7 @@ def group_of_environment() -> ProcessGroup:
     """Return the group that torchrun put this process into; `SINGLE_PROCESS` without torchrun."""
     if not (dist.is_available() and dist.is_torchelastic_launched()):
         return SINGLE_PROCESS
-    return ProcessGroup(int(os.environ["RANK"]), int(os.environ["WORLD_SIZE"]))
+    return ProcessGroup(rank=int(os.environ["RANK"]), size=int(os.environ["WORLD_SIZE"]))
 
 
 @contextmanager
@@ -118,7 +118,7 @@ def process_group(device: str) -> Iterator[tuple[ProcessGroup, torch.device]]:
     watch = FailureWatch(store, rank, size)
     watch.start()
     try:
-        yield ProcessGroup(rank, size, store), chosen
+        yield ProcessGroup(rank=rank, size=size, store=store), chosen
         # A worker that leaves early closes connections that others still read from.
         dist.barrier()
         watch.leave()

@@ -32,7 +32,7 @@ CHECK_INTERVALS = {"cpu": 1, "cuda": 16}  # Steps between two reads of losses, w
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class StepReport:
     """Progress of a training after a step, counted from 1 as epochs are."""
 
@@ -44,7 +44,7 @@ class StepReport:
     fold: int = 0  # Number of the fold of a cross-validation, from 1; 0 for the training itself
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(slots=True, eq=False, kw_only=True)
 class Training:
     """Training in a run folder; without validation scans the last weights are the best."""
 
@@ -178,4 +178,12 @@ class Training:
             is_running = row is None
             epoch = state.epoch + 1 if is_running else state.epoch
             epochs = self.learner.recipe.epochs
-            self.report(StepReport(epoch, epochs, step + 1, self.samples.plan.steps, row))
+            self.report(
+                StepReport(
+                    epoch=epoch,
+                    epochs=epochs,
+                    step=step + 1,
+                    steps=self.samples.plan.steps,
+                    row=row,
+                )
+            )

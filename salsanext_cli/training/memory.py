@@ -11,7 +11,7 @@ GROUPS_OF_PROCESS = Path("/proc/self/cgroup")
 CGROUP = Path("/sys/fs/cgroup")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class GroupFiles:
     """Files of a control group: its limit, its use, and the key of what it could free."""
 
@@ -20,8 +20,10 @@ class GroupFiles:
     cache: str
 
 
-VERSION_1 = GroupFiles("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file")
-VERSION_2 = GroupFiles("memory.max", "memory.current", "inactive_file")
+VERSION_1 = GroupFiles(
+    limit="memory.limit_in_bytes", use="memory.usage_in_bytes", cache="total_inactive_file"
+)
+VERSION_2 = GroupFiles(limit="memory.max", use="memory.current", cache="inactive_file")
 
 
 @dataclass(frozen=True, slots=True)

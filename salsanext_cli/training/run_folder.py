@@ -49,7 +49,7 @@ class FurtherData:
     scans: str  # Their `scans_digest`
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TrainingSettings:
     """Settings that determine the result of a training."""
 
@@ -147,7 +147,7 @@ def record_start(run: Path, settings: TrainingSettings, *, overwrite: bool) -> N
     if not recorded or _extended(recorded, settings).decisive != settings.decisive:
         for folder in _folders(run):
             OwnedFolder(folder).remove_written([folder / name for name in RESULTS])
-    owned.manifest.write(StageRecord(STAGE, settings_json(settings)))
+    owned.manifest.write(StageRecord(stage=STAGE, settings=settings_json(settings)))
     owned.write(run / RECIPE, settings.recipe.to_toml().encode())
 
 

@@ -66,7 +66,13 @@ class Setup:
             self.group,
             sets,
         )
-        samples = Samples(sources, data_set.sensor, recipe, rare_classes(points, scored), sets)
+        samples = Samples(
+            sources=sources,
+            sensor=data_set.sensor,
+            recipe=recipe,
+            rare=rare_classes(points, scored),
+            sets=sets,
+        )
         return Training(
             run=self.run,
             learner=learner,

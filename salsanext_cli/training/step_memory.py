@@ -29,7 +29,7 @@ STEP_PIXELS = 64  # Crop widths of hints are multiples of it
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class StepMemory:
     """Images that a worker computes at once in a step."""
 
@@ -37,8 +37,8 @@ class StepMemory:
     rows: int  # Height of an image, in pixels
     columns: int  # Width of an image, in pixels
     device: str  # "cpu" or "cuda"
-    workers: int = 1  # Number of workers that share a batch, and of those that share the memory
-    sharing: int = 1
+    workers: int = 1  # Number of workers that share a batch
+    sharing: int = 1  # Number of workers that share the memory
 
     @classmethod
     def of(
@@ -50,7 +50,14 @@ class StepMemory:
         columns = max(recipe.image_widths or (sensor.width,))
         if recipe.crop_width:
             columns = min(columns, recipe.crop_width)
-        return cls(recipe, sensor.height, columns, device, workers, sharing)
+        return cls(
+            recipe=recipe,
+            rows=sensor.height,
+            columns=columns,
+            device=device,
+            workers=workers,
+            sharing=sharing,
+        )
 
     @property
     def images(self) -> int:

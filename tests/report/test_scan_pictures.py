@@ -57,7 +57,9 @@ def results():
     truth = np.full(len(scan), CAR, np.uint32)
     label = np.where(np.arange(len(scan)) % 2, CAR, SIDEWALK).astype(np.uint32)
     entropy = np.linspace(0, 1, len(scan), dtype=np.float32)
-    return ScanResults(scan, label, truth, {"entropy": entropy}, SMALL)
+    return ScanResults(
+        scan=scan, label=label, truth=truth, uncertainty={"entropy": entropy}, sensor=SMALL
+    )
 
 
 def draw(results, *colours, strips=None, scales=None):
@@ -109,7 +111,9 @@ def test_a_scan_without_a_measurement(points):
     labels = np.zeros(count, np.uint32)
     scan = Scan(points.astype(np.float32), np.zeros(count, np.float32))
     entropy = np.full(count, np.nan, np.float32)
-    known = ScanResults(scan, labels, labels, {"entropy": entropy}, SMALL)
+    known = ScanResults(
+        scan=scan, label=labels, truth=labels, uncertainty={"entropy": entropy}, sensor=SMALL
+    )
     assert draw(known, "label", "wrong", "entropy", "range").startswith(b"\x89PNG")
 
 

@@ -16,6 +16,7 @@ from salsanext_cli.core.measures.uncertainty_evaluation import UncertaintyEvalua
 from salsanext_cli.report.card_table import card_table
 from salsanext_cli.report.picked import picked_table
 from salsanext_cli.report.tables import (
+    IMPORTED,
     accepted_table,
     band_table,
     imported_table,
@@ -111,10 +112,23 @@ def tables_of_a_large_data_set(weights):
     numbers = (4071, 4071, MANY, MANY, 117_000, 131_072, 119.9, 255)
     survey = Survey(*numbers, classes=Counter({10: MANY}))
     yield survey_tables({"2011_09_26_drive_0001": survey}, survey, space, SMALL)
-    counts = [131_072] * 7
-    yield imported_table([ImportedScan("08/000000", (), *counts[:-1], "scalar_Classification")])
+    counts = dict.fromkeys((*IMPORTED, "unmatched"), 131_072)
+    imported = ImportedScan(scan="08/000000", files=(), **counts, scalar="scalar_Classification")
+    yield imported_table([imported])
     reason = "number 3 of 4,071 by uncertainty; nearly equal ones passed over"
-    yield picked_table([PickedScan(1, "2011_09_26", "0000000000", 0.5, 1.5, None, reason)])
+    yield picked_table(
+        [
+            PickedScan(
+                rank=1,
+                sequence="2011_09_26",
+                scan="0000000000",
+                uncertainty=0.5,
+                distance=1.5,
+                nearest=None,
+                reason=reason,
+            )
+        ]
+    )
 
 
 def test_no_table_is_cut_in_a_terminal_of_80_columns(weights):

@@ -45,7 +45,10 @@ def test_round_trip(tmp_path: Path, changes: dict[str, object], steps: int) -> N
     rows = [{"epoch": 1, "loss": 2.5}, {"epoch": 2, "loss": 0.1, "miou": 0.25}]
     learning, state = learner(**changes), TrainingState()
     if steps:
-        learning, state = trained(**changes), TrainingState(2, 0.5, rows, [0.1, 1 / 3], 3.5)
+        learning, state = (
+            trained(**changes),
+            TrainingState(epoch=2, best=0.5, rows=rows, losses=[0.1, 1 / 3], seconds=3.5),
+        )
     save_checkpoint(tmp_path / NAME, learning, state)
     first = (tmp_path / NAME).read_bytes()
     save_checkpoint(tmp_path / NAME, learning, state)
@@ -74,7 +77,7 @@ def test_the_scale_of_float16_is_restored(tmp_path: Path) -> None:
 
 def test_damaged_checkpoints_and_those_of_another_training_are_refused(tmp_path: Path) -> None:
     path = tmp_path / NAME
-    save_checkpoint(path, trained(), TrainingState(2))
+    save_checkpoint(path, trained(), TrainingState(epoch=2))
     refuse(path, learner(classes=4))
     whole = path.read_bytes()
     start = 8 + struct.unpack("<Q", whole[:8])[0]

@@ -16,7 +16,7 @@ from salsanext_cli.training.cross_validation import expectation, folds
 def scans(*lengths: int) -> list[ScanFile]:
     """Return scans of sequences of some lengths."""
     return [
-        ScanFile(f"{name:02}", str(i), Path(f"{name}/velodyne/{i}.bin"))
+        ScanFile(sequence=f"{name:02}", stem=str(i), path=Path(f"{name}/velodyne/{i}.bin"))
         for name, length in enumerate(lengths)
         for i in range(length)
     ]

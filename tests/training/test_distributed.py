@@ -118,7 +118,7 @@ def test_two_workers_have_the_gradient_of_one_with_twice_the_batch(two, case):
 
 @gloo
 def test_on_cpus_batch_norm_differs_by_worker_and_the_main_one_is_validated(two):
-    images, truth = (share(each, ProcessGroup(0, 2)) for each in batch())
+    images, truth = (share(each, ProcessGroup(rank=0, size=2)) for each in batch())
     alone = learner(SINGLE_PROCESS, norm=True, average=0.5)
     alone.step(images, truth, 5, 1)
     normed = two["normed"]
@@ -164,9 +164,17 @@ def test_workers_resume_from_the_same_step_or_not_at_all(tmp_path: Path) -> None
         def on_main(self, work):
             return 6
 
-    single = SimpleNamespace(group=Apart(1, 2))
+    single = SimpleNamespace(group=Apart(rank=1, size=2))
     samples = SimpleNamespace(plan=SimpleNamespace(steps_per_epoch=4))
-    training = Training(tmp_path, single, samples, *[None] * 4)  # type: ignore[arg-type]
+    training = Training(
+        run=tmp_path,
+        learner=single,
+        samples=samples,
+        validation=None,
+        card=None,
+        workers=0,
+        report=None,
+    )
     refused(TrainingError, tmp_path, training.fit)
 
 

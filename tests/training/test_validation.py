@@ -30,7 +30,7 @@ def test_scores_count_points_after_knn(tmp_path: Path, weights: Path) -> None:
         np.add.at(expected, (truth, predicted), 1)
     assert expected.sum() == 4500
     wanted = scores(expected, space)
-    row, _ = validate(network, Source(files, space, network.sensor))
+    row, _ = validate(network, Source(files=files, space=space, sensor=network.sensor))
     assert (row["accuracy"], row["miou"]) == (wanted.accuracy, wanted.iou_mean_present)
     found = [row[f"iou_{s.name}"] for s in wanted.classes]
     np.testing.assert_equal(found, [s.iou for s in wanted.classes])
@@ -47,7 +47,7 @@ def test_validation_sees_each_sequence_by_its_own_sensor(tmp_path: Path, weights
             scan = read_scan(file.path)
             write_bin(file.path, Scan(scan.points * np.float32([1, sign, sign]), scan.intensity))
         fitted = {"00": replace(network.sensor, up=(0.0, 0.0, float(up)))}
-        source = Source(files, network.card.space, network.sensor, fitted)
+        source = Source(files=files, space=network.card.space, sensor=network.sensor, fitted=fitted)
         row, _ = validate(network, source)
         del row["temperature"]
         rows.append(row)

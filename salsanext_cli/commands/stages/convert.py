@@ -105,4 +105,4 @@ def _source_of(first: ScanFile, owned: OwnedFolder) -> StageRecord:
         of_topic = (shortened(recorded.settings.get(key)) for key in ("recording", "topic"))
         problem, expected = f"has scans of {', '.join(of_topic)}", f"{recording.name}, {topic}"
         raise OutputError(owned.record_path.parent, problem, expected, "choose another folder")
-    return recorded or StageRecord(owned.stage, wanted)
+    return recorded or StageRecord(stage=owned.stage, settings=wanted)

@@ -250,7 +250,7 @@ def _point_filter(
 
 def _begin(owned: OwnedFolder, settings: FilterSettings, overwrite: bool) -> None:
     """Record the settings in a new folder, or one with the same settings unless overwriting."""
-    wanted = StageRecord(owned.stage, settings_json(settings))
+    wanted = StageRecord(stage=owned.stage, settings=settings_json(settings))
     recorded = owned.manifest.record(owned.stage)
     if recorded is None:
         owned.require_new()

@@ -237,7 +237,7 @@ def fuse_results(
     given = fusible.given_drives(poses, options)
     sensor = fusible.sensor
     scans = fusible.scans
-    summary = RunSummary(sensor, fusible.space, scans)
+    summary = RunSummary(sensor=sensor, space=fusible.space, scans=scans)
     kinds = (DISAGREEMENT, "views")
     overwrite = options.overwrite
     votes = output_run(

@@ -76,7 +76,7 @@ def import_labels(
     """
     scans = find_scans(dataset)
     space = _space_for(scans, space, dataset)
-    imported = LabelImport(space, class_points=np.zeros(space.class_count, np.int64))
+    imported = LabelImport(space=space, class_points=np.zeros(space.class_count, np.int64))
     of_scan = _files_by_scan(edited, scans, imported)
     records = {root: LabelRecords(root) for root in sorted({*map(labels_root, of_scan)})}
     meanings, is_named = LabelIds.of_space(space, ids), not is_folder(edited)

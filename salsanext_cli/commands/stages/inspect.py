@@ -149,7 +149,7 @@ def _inspect(
 ) -> Inspection:
     """Survey the scans; check them if there is a hint for findings that a fit may remove."""
     sequences: dict[str, Survey] = {}
-    summary = RunSummary(sensor)
+    summary = RunSummary(sensor=sensor)
 
     def add(result: tuple[Survey, ScanSummary]) -> None:
         counts, scan = result
@@ -178,7 +178,7 @@ def _inspect_scan(file: ScanFile, sensor: Sensor, hint: str) -> tuple[Survey, Sc
     _, measured = measured_ranges(scan.points)
     # Points on the vehicle have a measurement, although the survey does not use it.
     counts.invalid = int(len(scan) - measured.sum())
-    return counts, ScanSummary(file, check)
+    return counts, ScanSummary(file=file, check=check)
 
 
 def _require_fit(name: str, total: Survey) -> None:

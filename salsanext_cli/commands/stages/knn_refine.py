@@ -119,7 +119,7 @@ def knn_refine_scans(
     settings = RefineSettings(
         label_space=space, sensor=sensor, knn=knn, origins=results.origins(["predict"])
     )
-    summary = RunSummary(sensor, space, scans)
+    summary = RunSummary(sensor=sensor, space=space, scans=scans)
     wanted, overwrite = (out, "knn-refine", settings, ("predictions",), scans), options.overwrite
     run = output_run(*wanted, overwrite=overwrite, record_scans=dataset is not None)
     with run as output, summary.recorded_in(output, scans):

@@ -166,7 +166,7 @@ def pick(
                 return _picking(record, scans)
             data_set.begin(record)
         write = partial(PickJob, seed=seed, data_set=data_set)
-        task = NetworkTask(write, resolved, network, batch=1)
+        task = NetworkTask(job=write, settings=resolved, network=network, batch=1)
         space = space if space.fits(network.space) else space_of([], network.space)
         outcome = _written(task, data_set, record, scans, options, space)
     return replace(_picking(record, scans), outcome=outcome)
@@ -223,7 +223,7 @@ def _candidates(
 
 def _picking(record: PickRecord, scans: Sequence[ScanFile]) -> Picking:
     """Return the result if every picked scan was written before."""
-    outcome = Outcome(len(record.picked), _failures(record, scans), 0)
+    outcome = Outcome(skipped=len(record.picked), failures=_failures(record, scans), done=0)
     return Picking(tuple(record.picked), len(scans), outcome, record.warnings, record.scale)
 
 
@@ -244,13 +244,13 @@ def _chosen(
 ) -> PickRecord:
     """Describe scans; choose uncertain ones that differ from each other and from labelled ones."""
     describe = partial(DescribeJob, samples=SAMPLES, seed=settings.seed)
-    task = NetworkTask(describe, resolved, network, batch=1)
-    summary = RunSummary(network.sensor, scans=scans)
+    task = NetworkTask(job=describe, settings=resolved, network=network, batch=1)
+    summary = RunSummary(sensor=network.sensor, scans=scans)
     of_scan: dict[ScanFile, ScanDescription] = {}
 
     def add(scan: ScanDescription) -> None:
         of_scan[scan.file] = scan
-        summary.add(ScanSummary(scan.file, scan.check))
+        summary.add(ScanSummary(file=scan.file, check=scan.check))
 
     failures = run_over_scans(task, scans, options, on_result=add).failures
     described = [of_scan[scan] for scan in scans if scan in of_scan]
@@ -267,10 +267,10 @@ def _chosen(
             choices = choose_scans(features, uncertainty, settings.count, labelled)
             picked = picked_scans(choices, [scan.file for scan in described])
     return PickRecord(
-        settings_json(settings),
-        picked,
-        [failure.to_dict() for failure in failures],
-        summary.finished().warnings(),
+        settings=settings_json(settings),
+        picked=picked,
+        failures=[failure.to_dict() for failure in failures],
+        warnings=summary.finished().warnings(),
         scale=_scale(described, network.space) if described else None,
     )
 
@@ -278,7 +278,12 @@ def _chosen(
 def _scale(described: Sequence[ScanDescription], space: LabelSpace) -> UncertaintyScale:
     """Return the scale of the uncertainties of described scans."""
     values = [scan.uncertainty for scan in described]
-    return UncertaintyScale(min(values), statistics.median(values), max(values), space.class_count)
+    return UncertaintyScale(
+        least=min(values),
+        median=statistics.median(values),
+        most=max(values),
+        class_count=space.class_count,
+    )
 
 
 def _written(
@@ -307,5 +312,6 @@ def _failures(record: PickRecord, scans: Sequence[ScanFile]) -> tuple[Failure, .
     files = {str(scan.path): scan for scan in scans}
     known = (failure for failure in record.failures if failure["scan"] in files)
     return tuple(
-        Failure(files[f["scan"]], f["reason"], f.get("hint", ""), f["code"]) for f in known
+        Failure(scan=files[f["scan"]], reason=f["reason"], hint=f.get("hint", ""), code=f["code"])
+        for f in known
     )

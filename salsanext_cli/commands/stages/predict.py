@@ -206,7 +206,7 @@ def predict_scans(
     listed = with_recorded_names(scans_of(source), out)
     scans = choose(listed, selection, space_of(listed, network.card.space), source)
     overwrite = options.overwrite
-    origins = OriginsOfRun(out, "predict", listed, overwrite)
+    origins = OriginsOfRun(out=out, stage="predict", listed=listed, overwrite=overwrite)
     fit = partial(network_of_run, settings, network, listed, out, overwrite=overwrite)
     network = fit(origins_of=origins.of_sample)
     rejection = None if reject is None else _rejection(reject, settings, network, knn)
@@ -222,7 +222,9 @@ def predict_scans(
     with run as output, summary.recorded_in(output, scans):
         by_poses = origins.of_results(output, scans, network.sensor)
         job = partial(PredictJob, knn=knn, output=output, reject=rejection, origins=by_poses)
-        task = NetworkTask(job, resolved_for(settings, network, scans), network, batch)
+        task = NetworkTask(
+            job=job, settings=resolved_for(settings, network, scans), network=network, batch=batch
+        )
         outcome = run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)
     return replace(outcome, rejected_points=summary.rejected_points if rejection else None)
 
@@ -332,7 +334,7 @@ class PredictImageJob:
         path = output_path(self.folder, scan.file.sequence, "range", scan.file.stem)
         self.network.backend.require_finite(pixels.confidence, path)
         self.output.write_array(scan.file, "pixel_labels", pixels.labels)
-        return ScanSummary(scan.file, scan.check)
+        return ScanSummary(file=scan.file, check=scan.check)
 
 
 def predict_range_images(
@@ -366,7 +368,7 @@ def predict_range_images(
     scans = choose(listed, selection, space_of(listed, network.card.space), folder)
     images = partial(range_image, folder=folder, sensor=network.sensor)
     overwrite = options.overwrite
-    origins = OriginsOfRun(folder, "predict", listed)
+    origins = OriginsOfRun(out=folder, stage="predict", listed=listed)
     network = network_of_run(
         settings,
         network,
@@ -378,11 +380,11 @@ def predict_range_images(
     )
     recorded = settings_of_network(network, PredictSettings)
     folders = ("pixel_labels",)
-    summary = RunSummary(network.sensor, trained=network.card.sensor)
+    summary = RunSummary(sensor=network.sensor, trained=network.card.sensor)
     run = output_run(
         out, "predict", recorded, folders, scans, overwrite=overwrite, weights=settings.named_path
     )
     with run as output, summary.recorded_in(output, scans):
         job = partial(PredictImageJob, folder=folder, output=output)
-        task = NetworkTask(job, settings.resolved(network), network)
+        task = NetworkTask(job=job, settings=settings.resolved(network), network=network)
         return run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)

@@ -65,7 +65,7 @@ class ProjectJob:
             self.output.write_array(file, ORIGINS, origin_array(scan.origin))
         self.output.write_array(file, "range", scan.image.channels)
         self.output.write_array(file, "pixels", scan.image.pixel_of_point)
-        return ScanSummary(file, scan.check)
+        return ScanSummary(file=file, check=scan.check)
 
 
 def project_scans(
@@ -105,10 +105,10 @@ def project_scans(
     earlier = recorded.sensor if recorded else None
     sensor = fitted_view(listed, sensor, earlier, view=fit, mounting=fit_mounting)
     settings = ProjectSettings(sensor=sensor)
-    summary = RunSummary(sensor, scans=scans)
+    summary = RunSummary(sensor=sensor, scans=scans)
     folders = (*FOLDERS, *folders_of_origins(out, "project", sensor))
     run = output_run(out, "project", settings, folders, scans, overwrite=options.overwrite)
     with run as output, summary.recorded_in(output, scans):
-        origins = OriginsOfRun(out, "project", listed, options.overwrite)
+        origins = OriginsOfRun(out=out, stage="project", listed=listed, overwrite=options.overwrite)
         job = ProjectJob(sensor, output, origins.of_results(output, scans, sensor))
         return run_over_scans(job, scans, options, is_done=output.is_done, summary=summary)

@@ -55,7 +55,7 @@ class SynthSettings:
     @property
     def record(self) -> StageRecord:
         """Record of the stage."""
-        return StageRecord(STAGE, settings_json(self))
+        return StageRecord(stage=STAGE, settings=settings_json(self))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,7 +119,9 @@ def synthesise(
         import_open3d()
     points: Counter[int] = Counter()
     write = partial(_write_sequence, owned=owned, settings=settings)
-    sequences = [ScanFile(name, name, out / "sequences" / name) for name in names]
+    sequences = [
+        ScanFile(sequence=name, stem=name, path=out / "sequences" / name) for name in names
+    ]
     with owned.open():
         _begin(owned, settings.record, files, overwrite)
         run_over_scans(write, sequences, options, on_result=points.update)

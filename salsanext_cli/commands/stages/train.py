@@ -175,8 +175,8 @@ class NewTraining:
             lambda: [further_source(root, scans.space, seen) for root in self.roots[1:]]
         )
         return [
-            Source(scans.training, scans.space, seen),
-            Source(scans.validation, scans.space, seen),
+            Source(files=scans.training, space=scans.space, sensor=seen),
+            Source(files=scans.validation, space=scans.space, sensor=seen),
             *further,
         ]
 

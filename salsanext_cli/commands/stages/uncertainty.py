@@ -94,7 +94,7 @@ class UncertaintyJob:
             of_points = points_from_pixels(of_pixels, image.pixel_of_point, np.nan)
             output.write_array(file, f"uncertainty/{kind}", of_points)
         if "predictions" not in output.folders:
-            return ScanSummary(file, projected.check)
+            return ScanSummary(file=file, check=projected.check)
         space = network.space
         pixels = PixelPrediction.of(estimate.probabilities)
         labels = refine_labels(prepared.scan, pixels, self.knn).labels
@@ -135,7 +135,7 @@ def uncertainty(
     # Labels of another stage stay, and so must the sensor with which they were made.
     labels_too = Manifest(out).owner("predictions") in (None, "uncertainty")
     overwrite = options.overwrite and labels_too
-    origins = OriginsOfRun(out, "uncertainty", listed, options.overwrite)
+    origins = OriginsOfRun(out=out, stage="uncertainty", listed=listed, overwrite=options.overwrite)
     network = network_of_run(
         settings, network, listed, out, overwrite=overwrite, origins_of=origins.of_sample
     )
@@ -156,7 +156,9 @@ def uncertainty(
     with run as output, summary.recorded_in(output, scans):
         by_poses = origins.of_results(output, scans, network.sensor)
         job = partial(UncertaintyJob, knn=knn, method=method, output=output, origins=by_poses)
-        task = NetworkTask(job, resolved_for(settings, network, scans), network, batch=1)
+        task = NetworkTask(
+            job=job, settings=resolved_for(settings, network, scans), network=network, batch=1
+        )
         return run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)
 
 

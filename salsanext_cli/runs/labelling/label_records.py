@@ -38,7 +38,7 @@ STAGE = "import-labels"
 IMPORTED = (f"{STAGE}.json", f"{STAGE}.jsonl")  # Record of older versions, and of this one
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ImportedScan:
     """Imported labels of one scan, in numbers of points."""
 
@@ -53,7 +53,7 @@ class ImportedScan:
     scalar: str  # Name of the label scalar
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FailedImport:
     """Files that were not imported."""
 
@@ -71,7 +71,7 @@ class LabelOrigin:
     files: tuple[str, ...] = ()  # The edited file; empty if the record is damaged
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class LabelImport:
     """Result of an import of labels."""
 
@@ -91,7 +91,9 @@ class LabelImport:
     def fail(self, files: Iterable[Path], error: SalsanextError) -> None:
         """Record files that are not imported."""
         paths = tuple(map(str, files))
-        self.failures.append(FailedImport(paths, error.headline, error.hint, error.code))
+        self.failures.append(
+            FailedImport(files=paths, reason=error.headline, hint=error.hint, code=error.code)
+        )
 
     def to_dict(self) -> dict[str, object]:
         """Return plain data for JSON."""

@@ -39,7 +39,7 @@ NAMED = "named"  # Strategy that picks the scans of a list
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PickedScan:
     """A picked scan in record, table and JSON."""
 
@@ -57,7 +57,7 @@ class PickedScan:
         return f"{self.sequence}/{self.scan}"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class UncertaintyScale:
     """Uncertainties of all scans of a choice, to compare those of the picked scans with."""
 
@@ -95,7 +95,7 @@ class PickSettings:
         }
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PickRecord:
     """Record of a run of `pick`."""
 

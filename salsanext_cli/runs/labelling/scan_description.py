@@ -18,7 +18,7 @@ from salsanext_cli.runs.fit.scan_reading import PreparedFile, read_prepared
 from salsanext_cli.runs.results.paths import ScanFile
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ScanDescription:
     """Means over the occupied pixels of a scan."""
 
@@ -63,7 +63,9 @@ class DescribeJob:
         features = features_of_pixel[:, occupied].mean(axis=1, dtype=np.float64)
         prepared.scan.network.backend.require_finite(features, projected.source)
         mean = float(information[occupied].mean(dtype=np.float64))
-        return ScanDescription(prepared.file, features, mean, projected.check)
+        return ScanDescription(
+            file=prepared.file, features=features, uncertainty=mean, check=projected.check
+        )
 
 
 def checked_sample(scan: PreparedScan, samples: int, seed: int) -> Estimate:

@@ -14,7 +14,7 @@ Computed = TypeVar("Computed")
 Result = TypeVar("Result", covariant=True)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Attempt(Generic[Value]):
     """Result of work on a scan, or the error that the user can correct."""
 

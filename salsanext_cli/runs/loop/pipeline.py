@@ -106,7 +106,7 @@ class Pipeline(Generic[Prepared, Computed, Result]):
         usable = [scan for scan in scans if not scan.error]
         computed = chain.from_iterable(self.batch.in_batches(self._together, usable))
         return deque(
-            (scan, Attempt(scan.file, error=scan.error) if scan.error else next(computed))
+            (scan, Attempt(file=scan.file, error=scan.error) if scan.error else next(computed))
             for scan in scans
         )
 
@@ -123,11 +123,14 @@ class Pipeline(Generic[Prepared, Computed, Result]):
             computed = self.job.compute([scan.get() for scan in scans])
         except SalsanextError:
             return [attempt for scan in scans for attempt in self._together([scan])]
-        return [Attempt(scan.file, value) for scan, value in zip(scans, computed, strict=True)]
+        return [
+            Attempt(file=scan.file, result=value)
+            for scan, value in zip(scans, computed, strict=True)
+        ]
 
     def _finish(self, scan: Attempt[Prepared], computed: Attempt[Computed]) -> Attempt[Result]:
         if computed.error:
-            return Attempt(scan.file, error=computed.error)
+            return Attempt(file=scan.file, error=computed.error)
         return self._attempt(scan.file, self.job.finish, scan.get(), computed.get())
 
     def _attempt(
@@ -143,15 +146,15 @@ class Pipeline(Generic[Prepared, Computed, Result]):
             if device == "cpu":
                 hint = f"free some memory, or use fewer {argument('jobs')}"
             problem = f"is too large for the memory of {device}"
-            return Attempt(file, error=FormatError(file.path, problem, hint=hint))
+            return Attempt(file=file, error=FormatError(file.path, problem, hint=hint))
 
 
 def attempt(file: ScanFile, function: Callable[..., Value], *arguments: Any) -> Attempt[Value]:
     """Call a function of a scan; a `SalsanextError` is the error of the attempt."""
     try:
-        return Attempt(file, function(*arguments))
+        return Attempt(file=file, result=function(*arguments))
     except SalsanextError as error:
-        return Attempt(file, error=error)
+        return Attempt(file=file, error=error)
 
 
 def opened(task: Task) -> AttemptFunction:

@@ -48,7 +48,7 @@ Chunk = tuple[ScanFile, ...]  # Scans that a worker is sent together
 _OPENED: dict[str, AttemptFunction] = {}  # Task of this process, by the run that it serves
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class WorkerProcess:
     """What a worker process has from the process that started it."""
 
@@ -92,7 +92,9 @@ def _attempts(
     workers = min(len(scans), options.workers())
     most = task.max_chunk_scans if isinstance(task, OpenableTask) else MAX_CHUNK_SCANS
     stop = options.on_error == "stop"
-    process = WorkerProcess(uuid4().hex, MARK.get(), Path.cwd(), wording.used())
+    process = WorkerProcess(
+        run=uuid4().hex, mark=MARK.get(), folder=Path.cwd(), spelling=wording.used()
+    )
     function = partial(attempt_chunk, task, process, stop=stop)
     backend = joblib.parallel_config(
         "loky",

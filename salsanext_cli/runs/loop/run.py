@@ -22,7 +22,7 @@ __all__ = ["Failure", "Outcome", "Progress", "RunOptions", "run_over_scans"]
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Failure:
     """Scan that could not be processed, and the error: message, hint and code."""
 
@@ -34,7 +34,7 @@ class Failure:
     @classmethod
     def of(cls, scan: ScanFile, error: SalsanextError) -> "Failure":
         """Return the failure of a scan by an error."""
-        return cls(scan, error.headline, error.hint, error.code)
+        return cls(scan=scan, reason=error.headline, hint=error.hint, code=error.code)
 
     @property
     def text(self) -> str:
@@ -47,7 +47,7 @@ class Failure:
         return {"scan": scan, "reason": self.reason, "hint": self.hint, "code": self.code}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
     """Numbers of a run.
 
@@ -140,7 +140,14 @@ def run_over_scans(
     failures.sort(key=lambda failure: failure.scan)
     skipped = len(mine) - len(todo)
     done = len(tried) - len(failures)
-    return Outcome(skipped, tuple(failures), done, None, time.monotonic() - start, summary)
+    return Outcome(
+        skipped=skipped,
+        failures=tuple(failures),
+        done=done,
+        missing=None,
+        seconds=time.monotonic() - start,
+        summary=summary,
+    )
 
 
 def _work(task: Task, scans: Sequence[ScanFile], options: RunOptions, report: Report) -> None:

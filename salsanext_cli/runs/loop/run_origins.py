@@ -19,7 +19,7 @@ from salsanext_cli.runs.results.recorded_origins import are_replaced, recorded_o
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class OriginsOfRun:
     """Origins of the registered scans of a run, the same for its fit and for its results.
 

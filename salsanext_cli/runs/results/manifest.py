@@ -86,7 +86,7 @@ def merged_sources(sources: Iterable[Mapping[str, ScanSource]]) -> dict[str, Sca
     return merged
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class StageRecord:
     """Record of the runs of a stage, all with the same settings."""
 

@@ -60,7 +60,10 @@ class OutputRun(OwnedFolder):
     def names_of_results(self, names: Iterable[str]) -> set[str]:
         """Return the names, as `ScanFile.name`, of the scans that have all their results."""
         parts = {name: name.rpartition("/") for name in names}
-        files = {name: ScanFile(part[0], part[2], self.root) for name, part in parts.items()}
+        files = {
+            name: ScanFile(sequence=part[0], stem=part[2], path=self.root)
+            for name, part in parts.items()
+        }
         return {name for name, file in files.items() if self.is_there(file)}
 
     def is_done(self, file: ScanFile) -> bool:
@@ -85,7 +88,7 @@ class OutputRun(OwnedFolder):
         """Update the locked records and remove outdated results for this run, or refuse."""
         records = self.manifest.records()
         earlier = records.pop(self.stage, None)
-        before = earlier or StageRecord(self.stage, wanted.settings)
+        before = earlier or StageRecord(stage=self.stage, settings=wanted.settings)
         same = before.has_settings(wanted.settings)
         others = [record for record in records.values() if {*record.writes} & {*wanted.writes}]
         if not self.overwrite:
@@ -209,10 +212,10 @@ def output_run(
     sources = _scan_sources(out, scans) if record_scans else {}
     run = OutputRun(out, stage, folders=tuple(folders), overwrite=overwrite)
     wanted = StageRecord(
-        stage,
-        settings_json(settings),
-        tuple(sorted(run.folders)),
-        sources,
+        stage=stage,
+        settings=settings_json(settings),
+        writes=tuple(sorted(run.folders)),
+        scans=sources,
         weights_file=str(weights.absolute()) if weights else "",
     )
     with ExitStack() as stack:

@@ -93,7 +93,7 @@ def _no_scans_error(source: Path, others: list[str]) -> NoInputError:
     return NoInputError(source, problem, f"{expected}, or a recording", folder_hint(source, others))
 
 
-@dataclass(frozen=True, slots=True, order=True)
+@dataclass(frozen=True, slots=True, order=True, kw_only=True)
 class ScanFile:
     """One scan on disk; sorted by sequence and stem."""
 
@@ -179,7 +179,7 @@ def _absolute(path: Path) -> Path:
 def _scans_of(path: Path) -> Iterator[ScanFile]:
     if recording := recording_of(path):
         for scan in recorded_paths(path):
-            yield ScanFile(sequence_of(recording), scan.name, scan)
+            yield ScanFile(sequence=sequence_of(recording), stem=scan.name, path=scan)
     elif not path.is_dir():
         path.stat()
         if suffix := scan_suffix(path.name):
@@ -237,7 +237,7 @@ def _scan_files(folder: ScanFolder, sequence: str) -> Iterator[ScanFile]:
     for name, suffix in folder.suffixes.items():
         stem = name[: -len(suffix)]
         drive = layout.drive(stem) if layout else ""
-        yield ScanFile(drive or sequence, stem, folder.path / name)
+        yield ScanFile(sequence=drive or sequence, stem=stem, path=folder.path / name)
 
 
 def _scans_below(source: Path, place: Path, tables: list[ScanFile]) -> list[ScanFile]:

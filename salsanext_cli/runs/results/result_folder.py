@@ -65,7 +65,7 @@ UNCERTAINTY_SETTINGS = ("method", "samples", "seed", "noise", "weights")
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ScanResults:
     """A scan and its results."""
 
@@ -107,7 +107,7 @@ class ScanResults:
         return f"coverage {percentage(coverage)}, risk {percentage(risk)}"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ChosenResults:
     """Selected scans with and without results."""
 
@@ -183,7 +183,7 @@ class ResultFolder(Manifest):
             # Tables beside clouds are scans only if they were named.
             files = {stem: stem + suffix for stem, suffix in source.suffixes.items() if suffix}
             scans += [
-                ScanFile(sequence, stem, folder / name)
+                ScanFile(sequence=sequence, stem=stem, path=folder / name)
                 for stem, name in files.items()
                 if name not in listed and present(folder / name)
             ]
@@ -248,7 +248,7 @@ class ResultFolder(Manifest):
         missing = self.missing_results(set(chosen) - set(scans))
         missing.log_error(len(chosen), "results")
         labels = space_of_labels(scans, space, query.label_space)
-        return ChosenResults(scans, space, labels, missing)
+        return ChosenResults(scans=scans, space=space, labels=labels, missing=missing)
 
     def provenance(self, selection: ScanSelection) -> dict[str, object]:
         """Return the selection and the settings of its predictions, as plain data."""
@@ -304,7 +304,15 @@ class ResultFolder(Manifest):
             truth = truth if given.learning_map == space.learning_map else space.to_raw(train)
         paths = {kind: self._path(file, kind) for kind in UNCERTAINTY}
         uncertainty = {k: read_kind(path, k, count) for k, path in paths.items() if present(path)}
-        return ScanResults(scan, label, truth, uncertainty, sensor, rejected, instance)
+        return ScanResults(
+            scan=scan,
+            label=label,
+            truth=truth,
+            uncertainty=uncertainty,
+            sensor=sensor,
+            rejected=rejected,
+            instance=instance,
+        )
 
     def with_column(self, column: str, scans: Sequence[ScanFile]) -> list[ScanFile]:
         """Return the scans with the files for a column, one of `COLOURINGS`."""

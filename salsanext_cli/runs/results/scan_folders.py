@@ -87,7 +87,7 @@ class ScanFolder:
         return UNLIKELY if suffixes <= {*TEXT_SUFFIXES} else LIKELY
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FolderSearch:
     """Result of a search below a folder."""
 

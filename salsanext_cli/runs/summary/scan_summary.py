@@ -52,7 +52,7 @@ TUNE_AGAIN = "choose the threshold with `salsanext tune risk` on labelled scans 
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ScanSummary:
     """Numbers of one scan; small, because workers send them to the main process."""
 
@@ -78,7 +78,7 @@ class ScanSummary:
         """Count the predicted train ids (N,) of a scan; check them and their mean probability."""
         points = np.bincount(labels, minlength=space.class_count)
         findings = (*check.findings, *label_findings(points, confidence, space))
-        return cls(file, replace(check, findings=findings), points)
+        return cls(file=file, check=replace(check, findings=findings), class_points=points)
 
     @classmethod
     def of_scan(cls, file: ScanFile, scan: LabelledScan, space: LabelSpace) -> ScanSummary:
@@ -137,7 +137,7 @@ class ScanSummary:
         return replace(self, traits=traits)
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class RunSummary:
     """Summary of the scans of a run."""
 
@@ -176,8 +176,14 @@ class RunSummary:
         threshold: RiskThreshold | None = None,
     ) -> RunSummary:
         """Return the summary of scans that a network labels."""
-        trained = network.card.sensor
-        return cls(network.sensor, network.space, scans, accuracy, threshold, trained)
+        return cls(
+            sensor=network.sensor,
+            space=network.space,
+            scans=scans,
+            accuracy=accuracy,
+            threshold=threshold,
+            trained=network.card.sensor,
+        )
 
     @property
     def labelled(self) -> bool:

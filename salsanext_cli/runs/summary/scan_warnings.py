@@ -16,7 +16,7 @@ from salsanext_cli.core.errors import first_few
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ScanWarning:
     """Reason to doubt some scans, with the text of the first of them."""
 

@@ -25,7 +25,7 @@ UNLIKE = "the scans differ from those that the threshold was chosen on"
 EARLY = "the threshold was chosen by an earlier version, which did not record the sensor"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ThresholdComparison:
     """Scans of a run, to be compared with those of a threshold."""
 

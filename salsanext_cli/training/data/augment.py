@@ -66,7 +66,7 @@ def shift(points: Float, offset: Double) -> Float:
     return points + (x | y | z)[:, None] * offset.astype(np.float32)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Checkerboard:
     """Checkerboard over the directions of the rays of a sensor.
 
@@ -86,7 +86,13 @@ class Checkerboard:
         in_bands, in_sectors = KINDS[random.integers(len(KINDS))]
         bands = int(random.integers(MIN_BANDS, MAX_BANDS + 1)) if in_bands else 1
         sectors = 2 * int(random.integers(1, MAX_SECTOR_PAIRS + 1)) if in_sectors else 1
-        return cls(bands, sectors, random.uniform(-np.pi, np.pi), sensor.fov_down, sensor.fov_up)
+        return cls(
+            bands=bands,
+            sectors=sectors,
+            azimuth=random.uniform(-np.pi, np.pi),
+            fov_down=sensor.fov_down,
+            fov_up=sensor.fov_up,
+        )
 
     def odd(self, points: Float) -> Mask:
         """Return whether points (N, 3) lie in odd cells, (N,) bool."""

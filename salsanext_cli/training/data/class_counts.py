@@ -78,7 +78,7 @@ def count_classes(source: Source, jobs: int = 1) -> CountedScans:
         check = check_scan(file.path, scan, sensor_of(scan, seen), trained)
         return CountedScan(
             points=np.bincount(labels, minlength=source.space.class_count),
-            summary=ScanSummary(file, check),
+            summary=ScanSummary(file=file, check=check),
             digest=scan_digest(scan),
         )
 
@@ -187,7 +187,7 @@ def _require_scored(space: LabelSpace, scans: Sequence[ScanFile], counts: Counts
 
 def _warnings(source: Source, summaries: Sequence[ScanSummary]) -> list[ScanWarning]:
     """Return the warnings about scans; each fitted sequence may have another sensor."""
-    summary = RunSummary(source.sensor)
+    summary = RunSummary(sensor=source.sensor)
     for _, members in groupby(summaries, lambda scan: source.fitted and scan.file.sequence):
         for scan in members:
             summary.add(scan)

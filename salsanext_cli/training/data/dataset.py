@@ -100,7 +100,7 @@ class SamplingPlan:
         return [sum(self.scan_counts[:source]) + int(i) for i in order]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Samples(Dataset[Sample]):
     """Augmented, mixed, projected, normalised and cropped scans, by sample key.
 

@@ -44,7 +44,7 @@ def read_labelled(
     return scan, to_targets(raw, space, sets, file.label_path)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Source:
     """Labelled scans of one data set, their label space and sensor.
 
@@ -126,7 +126,7 @@ def further_source(dataset: Path, space: LabelSpace, sensor: Sensor) -> Source:
     if classes is None:
         problem = f"has other classes ({first_few(given.differences(space))})"
         raise LabelError(dataset, problem, f"classes of {space.name}")
-    return Source(files, classes, sensor)
+    return Source(files=files, space=classes, sensor=sensor)
 
 
 def merged_into(given: LabelSpace, space: LabelSpace) -> LabelSpace | None:

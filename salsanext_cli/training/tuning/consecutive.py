@@ -72,4 +72,4 @@ def consecutive_warning(files: Sequence[ScanFile], drives_needed: int) -> ScanWa
         f"label scans that are drawn from whole drives, or scans of {drives_needed} drives, each "
         "of which then counts once"
     )
-    return ScanWarning(WarningCode.CONSECUTIVE, message, hint, sequences)
+    return ScanWarning(code=WarningCode.CONSECUTIVE, message=message, hint=hint, scans=sequences)

@@ -39,7 +39,7 @@ class Tuned(Generic[Fit]):
     fit: Fit  # Report of the fit, a record
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class TuningScans:
     """Scans that a part of the weights is fitted to; `space` holds the classes of their labels."""
 
@@ -78,7 +78,7 @@ class TuningScans:
             raise LabelError(self.source, NOT_SCORED, f"labels of {self.space.name}")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LabelledImage:
     """Range image of a whole scan, and its M points with a pixel and a single scored class."""
 
@@ -110,4 +110,6 @@ def read_labelled_image(file: ScanFile, network: Network, space: LabelSpace) -> 
     points = np.flatnonzero(is_scored & seen)
     several = int(((targets >= space.class_count) & seen).sum())
     share = several / max(len(points) + several, 1)
-    return LabelledImage(file, network, image, points, targets[points], share)
+    return LabelledImage(
+        file=file, network=network, image=image, points=points, truth=targets[points], several=share
+    )

@@ -39,7 +39,9 @@ def evaluated(run, world):
 
 def record(world, **settings):
     settings |= {"label_space": SPACE.to_dict(), "sensor": sensor("hdl64").to_dict()}
-    Manifest(world.out).write(StageRecord("predict", settings, ("predictions",)))
+    Manifest(world.out).write(
+        StageRecord(stage="predict", settings=settings, writes=("predictions",))
+    )
 
 
 def test_eval_fails_if_a_score_misses_its_limit(world, evaluated):

@@ -169,7 +169,7 @@ def test_a_submission_without_a_prediction_is_an_error(run, out, tmp_path):
 
 
 def test_the_scale_of_the_uncertainties_is_that_of_the_scans_and_the_classes():
-    text = scale_text(UncertaintyScale(0.00123, 0.0025, 0.01, class_count=20))
+    text = scale_text(UncertaintyScale(least=0.00123, median=0.0025, most=0.01, class_count=20))
     assert "0.0012 to 0.0100 nats, median 0.0025" in text
     assert f"{math.log(20):.2f}" in text
     labels = PickedLabels(Path("new/predicted"), (), None, None)
@@ -179,8 +179,16 @@ def test_the_scale_of_the_uncertainties_is_that_of_the_scans_and_the_classes():
         (0.01, None, {"uncertainty"}),
         (0.00123, 0.5, set()),
     ):
-        scale = UncertaintyScale(0.00123, 0.00123, most, class_count=20)
-        picked = PickedScan(1, "08", "000000", 0.0025, distance, None, "most uncertain")
+        scale = UncertaintyScale(least=0.00123, median=0.00123, most=most, class_count=20)
+        picked = PickedScan(
+            rank=1,
+            sequence="08",
+            scan="000000",
+            uncertainty=0.0025,
+            distance=distance,
+            nearest=None,
+            reason="most uncertain",
+        )
         picking = Picking((picked,), 1, outcome, [], scale)
         lines = [*lines_after_pick(Path("new"), picking, labels, None, ())]
         subjects = {line.split(" ")[0].strip(":") for line in lines}

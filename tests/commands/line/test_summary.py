@@ -66,9 +66,11 @@ def test_a_single_scan_that_fails_prints_nothing_about_weights_and_sensor(
 
 
 def test_rejected_points_are_counted():
-    summary = RunSummary(SMALL, label_space(), class_points=np.array([1500, 500] + [0] * 18))
+    summary = RunSummary(
+        sensor=SMALL, space=label_space(), class_points=np.array([1500, 500] + [0] * 18)
+    )
     summary.judged_points, summary.rejected_points = 1600, 1200
-    outcome = Outcome(2, (), 1, summary=summary, rejected_points=1200)
+    outcome = Outcome(skipped=2, failures=(), done=1, summary=summary, rejected_points=1200)
     (line,) = _rejection_lines(outcome, 0.5)
     reason = "probability of error above 0.5; 2 done already not counted"
     assert line == f"1,200 points (75.0 % of the points with a label) rejected: {reason}"
@@ -90,28 +92,38 @@ def test_rejected_points_are_counted():
     ],
 )
 def test_next_commands(stage, split, done, expected, tmp_path):
-    summary = RunSummary(SMALL, label_space())
-    outcome = Outcome(0, (), done, summary=summary)
+    summary = RunSummary(sensor=SMALL, space=label_space())
+    outcome = Outcome(skipped=0, failures=(), done=done, summary=summary)
     assert next_command(stage, outcome, "a b", (), split) == expected
     if expected and "submit" in expected:
-        merged = Outcome(0, (), done, summary=RunSummary(SMALL, label_space("coarse")))
+        merged = Outcome(
+            skipped=0,
+            failures=(),
+            done=done,
+            summary=RunSummary(sensor=SMALL, space=label_space("coarse")),
+        )
         command = next_command(stage, merged, "a b", (), split)
         assert command == "salsanext report 'a b'"
         # A data set with the test split of another label space has another benchmark.
         space = replace(label_space("coarse"), splits={"test": ("90",)})
-        other = Outcome(0, (), done, summary=RunSummary(SMALL, space))
+        other = Outcome(
+            skipped=0, failures=(), done=done, summary=RunSummary(sensor=SMALL, space=space)
+        )
         assert next_command(stage, other, "a b", (), split) == expected
         (file,) = find_scans(write_sequence(tmp_path / "sequences/90", labels=False).parents[1])
-        other = replace(other, summary=RunSummary(SMALL, space, [file]))
+        other = replace(other, summary=RunSummary(sensor=SMALL, space=space, scans=[file]))
         (tmp_path / "labels.yaml").write_text(yaml.safe_dump(label_space().to_dict()))
         assert next_command(stage, other, "a b", (), split) == "salsanext report 'a b'"
     (file,) = find_scans(write_sequence(tmp_path / "labelled/00", ["0"]))
-    labelled = Outcome(0, (), done, summary=replace(summary, scans=[file]))
+    labelled = Outcome(skipped=0, failures=(), done=done, summary=replace(summary, scans=[file]))
     if done and stage != "uncertainty":
         assert next_command(stage, labelled, "a b", (), split) == "salsanext eval 'a b'"
-    assert next_command("export-ply", Outcome(0, (), done), "a b", ()) is None
-    assert next_command("convert", Outcome(1, (), 0), "a b", ()) == "salsanext predict 'a b'"
-    assert next_command("convert", Outcome(0, (), 0), "a b", ()) is None
+    assert next_command("export-ply", Outcome(skipped=0, failures=(), done=done), "a b", ()) is None
+    assert (
+        next_command("convert", Outcome(skipped=1, failures=(), done=0), "a b", ())
+        == "salsanext predict 'a b'"
+    )
+    assert next_command("convert", Outcome(skipped=0, failures=(), done=0), "a b", ()) is None
 
 
 @pytest.mark.parametrize("count", [1, 2])
@@ -131,7 +143,12 @@ def test_a_warning_is_printed_once(run, data, tmp_path, count):
 def test_eval_is_next_only_if_it_can_compare_the_labels(tmp_path):
     """Label files of another data set do not lead to a command that fails."""
     (file,) = find_scans(write_sequence(tmp_path / "00", ["0"]))
-    outcome = Outcome(0, (), 1, summary=RunSummary(SMALL, label_space(), [file]))
+    outcome = Outcome(
+        skipped=0,
+        failures=(),
+        done=1,
+        summary=RunSummary(sensor=SMALL, space=label_space(), scans=[file]),
+    )
     assert next_command("predict", outcome, "out", ()) == "salsanext eval out"
     unknown_id = np.full(1500, 24, np.uint32)
     write_labels(file.label_path, unknown_id)
@@ -148,10 +165,10 @@ def test_the_line_of_the_image_names_the_source_of_its_field_of_view():
         "(sensor hdl32)": replace(fitted, name="hdl32"),
     }
     for source, sensor in sources.items():
-        (line,) = _lines(RunSummary(sensor, trained=SMALL), None)
+        (line,) = _lines(RunSummary(sensor=sensor, trained=SMALL), None)
         assert line.startswith(f"image: {SMALL.height}×{SMALL.width}, ")
         assert line.endswith(source)
-    (line,) = _lines(RunSummary(SMALL), None)
+    (line,) = _lines(RunSummary(sensor=SMALL), None)
     assert "(" not in line
 
 
@@ -159,7 +176,7 @@ def test_equal_sensors_are_printed_once():
     """Sensors may differ in what the line does not show, such as the fit of the intensity."""
     darker, leaning = replace(SMALL, row_gaps=0.5), replace(SMALL, up=(0.5, 0.0, 0.9))
     for others, count in (((darker,), 1), ((darker, leaning), 2)):
-        lines = list(_lines(RunSummary(replace(SMALL, others=others)), None))
+        lines = list(_lines(RunSummary(sensor=replace(SMALL, others=others)), None))
         assert len([line for line in lines if line.startswith("image: ")]) == count
 
 
@@ -218,14 +235,19 @@ def test_a_long_run_without_bfloat16_names_int8(
     for variable in device.ISA_VARIABLES:
         monkeypatch.delenv(variable, raising=False)
     settings = NetworkSettings(weights, precision=given["precision"])
-    advice = _advice(settings, Outcome(0, (), given["done"]), tmp_path)
+    advice = _advice(settings, Outcome(skipped=0, failures=(), done=given["done"]), tmp_path)
     assert ("--precision int8" in advice) == named
 
 
 def failed(stem, problem, hint=""):
     """Return the failure of a scan."""
     path = Path(f"/drive/{stem}.bin")
-    return Failure(ScanFile("00", stem, path), f"{path}: {problem}", hint, "format")
+    return Failure(
+        scan=ScanFile(sequence="00", stem=stem, path=path),
+        reason=f"{path}: {problem}",
+        hint=hint,
+        code="format",
+    )
 
 
 def test_equal_failures_of_many_scans_are_one_line_with_their_number(capsys):
@@ -239,11 +261,14 @@ def test_equal_failures_of_many_scans_are_one_line_with_their_number(capsys):
 
 def test_the_line_of_unlabelled_points_states_their_causes():
     points = np.array([60, 40] + [0] * 18)
-    summary = RunSummary(SMALL, label_space(), class_points=points)
+    summary = RunSummary(sensor=SMALL, space=label_space(), class_points=points)
     summary.unmeasured_points, summary.rejected_points = 30, 20
     summary.ego_points, summary.checked_points = 10, 100
     (line,) = (line for line in _lines(summary, None) if line.startswith("unlabelled: "))
     assert line.startswith("unlabelled: 60.0 % of all points (30.0 % without a measurement; ")
     assert "; 10.0 % on " in line
     assert line.endswith("; 20.0 % rejected)")
-    assert _as_data(Outcome(0, (), 1, summary=summary))["unmeasured_share"] == 0.3
+    assert (
+        _as_data(Outcome(skipped=0, failures=(), done=1, summary=summary))["unmeasured_share"]
+        == 0.3
+    )

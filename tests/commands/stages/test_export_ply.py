@@ -264,7 +264,9 @@ def test_error_is_the_first_choice_of_uncertainty(known):
 def test_rejected_points_are_neither_right_nor_wrong(known):
     """The run rejected the points of the labels that are 0."""
     settings = {"label_space": SPACE.to_dict(), "sensor": SMALL.to_dict(), "reject": 0.5}
-    Manifest(known.out).write(StageRecord("predict", settings, ("predictions",)))
+    Manifest(known.out).write(
+        StageRecord(stage="predict", settings=settings, writes=("predictions",))
+    )
     above, truth = ERROR > 0.5, truth_of(known)
     write_labels(known.result("predictions"), np.where(above, 0, CAR).astype(np.uint32))
     export(known, colour="wrong")

@@ -47,7 +47,9 @@ def record_sensor(world, **fields):
     """Record labels of `predict` with an HDL-64 of some fields."""
     recorded = replace(sensor("hdl64"), **fields).to_dict()
     settings = {"label_space": SPACE.to_dict(), "sensor": recorded}
-    Manifest(world.out).write(StageRecord("predict", settings, ("predictions",)))
+    Manifest(world.out).write(
+        StageRecord(stage="predict", settings=settings, writes=("predictions",))
+    )
 
 
 def remaining(tmp_path, stem="000000"):
@@ -149,7 +151,9 @@ def test_remaining_points_whose_label_was_rejected_are_counted(
     settings = {"label_space": SPACE.to_dict(), "sensor": sensor("hdl64").to_dict(), "reject": 0.5}
     if kind != "error":
         settings["reject_by"] = kind
-    Manifest(world.out).write(StageRecord("predict", settings, ("predictions",)))
+    Manifest(world.out).write(
+        StageRecord(stage="predict", settings=settings, writes=("predictions",))
+    )
     outcome = apply(drop=["vehicle"])
     assert remaining(tmp_path) == [2, 3, 4, 5, 6]
     assert outcome.filtered_points == FilteredPoints(11, 9, rejected=2)
@@ -167,7 +171,7 @@ def test_remaining_points_whose_label_was_rejected_are_counted(
 def test_masks_of_an_earlier_version_are_replaced_only_if_wanted(apply, tmp_path):
     mask = tmp_path / "to/sequences/08/masks/000000.npy"
     settings = {"results": "out", "classes": ["car"], "indices": True}
-    Manifest(tmp_path / "to").write(StageRecord("filter", settings))
+    Manifest(tmp_path / "to").write(StageRecord(stage="filter", settings=settings))
     OwnedFolder(tmp_path / "to", "filter").write(mask, b"mask")
     with pytest.raises(OutputError, match="indices was true and is not set"):
         apply(keep=["car"])
@@ -218,7 +222,7 @@ def test_other_settings_are_refused_or_replace_written_files_only(apply, world, 
 def test_a_run_with_other_settings_waits_for_one_that_has_written_nothing_yet(apply, tmp_path):
     target = tmp_path / "to"
     target.mkdir()
-    record = StageRecord("filter", {"classes": ["car"]})
+    record = StageRecord(stage="filter", settings={"classes": ["car"]})
     with OwnedFolder(target, "filter").open(shared=True):
         Manifest(target).write(record)
         refused(OutputError, target, apply, drop=["truck"])

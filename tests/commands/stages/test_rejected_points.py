@@ -25,7 +25,9 @@ LABELS = [CAR, NONE, ROAD, CAR, NONE, NONE, NONE, NONE, CAR, NONE]
 
 def recorded(world, **settings):
     settings |= {"label_space": SPACE.to_dict(), "sensor": sensor("hdl64").to_dict()}
-    Manifest(world.out).write(StageRecord("predict", settings, ("predictions",)))
+    Manifest(world.out).write(
+        StageRecord(stage="predict", settings=settings, writes=("predictions",))
+    )
 
 
 @pytest.fixture

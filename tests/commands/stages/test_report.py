@@ -112,7 +112,9 @@ def test_the_tiles_and_the_decision_have_the_numbers_of_the_run(world):
     line = {"slope": 1.0, "offset": 0.0, "deviation": 0.02}
     settings = {"label_space": SPACE.to_dict(), "sensor": SMALL.to_dict(), "accuracy": line}
     shutil.rmtree(world.dataset / "sequences/08/labels")
-    Manifest(world.out).write(StageRecord("predict", settings, ("predictions",)))
+    Manifest(world.out).write(
+        StageRecord(stage="predict", settings=settings, writes=("predictions",))
+    )
     for stem in ("000000", "000001"):
         world.put("uncertainty/least_confidence", stem, [0.2] * 4)
         world.put("uncertainty/error", stem, [0.05, 0.05, 0.05, 0.45])
@@ -141,7 +143,9 @@ def test_the_tiles_and_the_decision_have_the_numbers_of_the_run(world):
 
 def test_rejected_points_have_a_tile_and_withhold_the_estimate(world):
     settings = {"label_space": SPACE.to_dict(), "sensor": SMALL.to_dict(), "reject": 0.3}
-    Manifest(world.out).write(StageRecord("predict", settings, ("predictions",)))
+    Manifest(world.out).write(
+        StageRecord(stage="predict", settings=settings, writes=("predictions",))
+    )
     world.put("uncertainty/error", "000000", [0.3, 0.31, 0.9, np.nan])
     world.put("uncertainty/error", "000001", [0.0] * 4)
     result, page = made(world)
@@ -301,7 +305,9 @@ def test_missing_results_missing_scans_and_foreign_pages_are_refused(world):
 
 def test_probabilities_of_merged_classes_are_added(world):
     settings = {"label_space": SPACE.to_dict(), "sensor": SMALL.to_dict()}
-    Manifest(world.out).write(StageRecord("predict", settings, ("predictions", "probabilities")))
+    Manifest(world.out).write(
+        StageRecord(stage="predict", settings=settings, writes=("predictions", "probabilities"))
+    )
     rows = np.zeros((4, SPACE.class_count))
     rows[:, SPACE.names.index("road")] = 0.5
     rows[:, SPACE.names.index("sidewalk")] = 0.3

@@ -164,7 +164,9 @@ def test_a_training_at_several_widths_scores_each_and_is_for_the_first(dataset, 
     assert card.sensor.width == 64
     (row,) = result.rows
     again = load_network(result.last, "cpu", engine="torch")
-    scored = Source(find_scans(dataset / "sequences" / "08"), again.space, again.sensor)
+    scored = Source(
+        files=find_scans(dataset / "sequences" / "08"), space=again.space, sensor=again.sensor
+    )
     for width, suffix in ((64, ""), (128, "_128")):
         measured, _ = validate(again, scored.at_width(width))
         for name in ("accuracy", "miou"):

@@ -77,7 +77,9 @@ def test_only_the_page_and_its_scans_are_served_to_local_names(ask):
 
 
 def test_results_that_changed_since_the_start_are_refused(world):
-    record = StageRecord("predict", {"label_space": SPACE.to_dict(), "sensor": SMALL.to_dict()})
+    record = StageRecord(
+        stage="predict", settings={"label_space": SPACE.to_dict(), "sensor": SMALL.to_dict()}
+    )
     Manifest(world.out).write(record)
     with view(world.out, query=ResultQuery(world.dataset)) as server, served(server):
         ask = asker(server)

@@ -54,7 +54,9 @@ def world(tmp_path):
         boxes.parent.mkdir(parents=True, exist_ok=True)
         boxes.write_text(f"object,class,points,{','.join(BOX)}\n1,car,9,0,0,0,20,9,4,0.3\n")
     settings = {"label_space": SPACE.to_dict(), "sensor": SMALL.to_dict()}
-    Manifest(world.out).write(StageRecord("predict", settings, ("predictions",)))
+    Manifest(world.out).write(
+        StageRecord(stage="predict", settings=settings, writes=("predictions",))
+    )
     return world
 
 

@@ -24,7 +24,9 @@ def test_warnings_of_all_stages_are_one_line_for_each_code(tmp_path):
 
 
 def test_a_warning_about_a_sequence_counts_for_each_of_its_scans(tmp_path):
-    files = [ScanFile(sequence, "1", Path("/1.bin")) for sequence in ("00", "08")]
+    files = [
+        ScanFile(sequence=sequence, stem="1", path=Path("/1.bin")) for sequence in ("00", "08")
+    ]
     OwnedFolder(tmp_path, "fuse").record_findings({"00": [("apart", "two parts", "look")]}, {"00"})
     few = ("few-points", "12 points", "drive on")
     OwnedFolder(tmp_path, "predict").record_findings({"00/1": [few]}, {"00/1"})

@@ -15,7 +15,7 @@ from salsanext_cli.runs.results.manifest import Manifest, StageRecord
 
 def record(out, stage, folders, **settings):
     shared = {"label_space": label_space().to_dict(), "sensor": SMALL.to_dict()}
-    Manifest(out).write(StageRecord(stage, shared | settings, folders))
+    Manifest(out).write(StageRecord(stage=stage, settings=shared | settings, writes=folders))
 
 
 def test_the_default_weights_are_described(tmp_path):

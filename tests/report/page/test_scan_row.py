@@ -23,7 +23,7 @@ SPACE = small_space("unlabeled", "car", "road")
 
 
 def row(stem, confusion=None, sequence="00", **uncertainty):
-    file = ScanFile(sequence, stem, Path(f"/{stem}.bin"))
+    file = ScanFile(sequence=sequence, stem=stem, path=Path(f"/{stem}.bin"))
     matrix = np.zeros((3, 3), int) if confusion is None else np.array(confusion)
     return ScanRow(file, 10, np.array([0, 5, 5]), uncertainty, matrix)
 

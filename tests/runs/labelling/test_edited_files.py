@@ -12,7 +12,10 @@ from salsanext_cli.runs.results.paths import ScanFile
 
 def scans_of(*names):
     split = [name.split("/") for name in names]
-    return [ScanFile(s, stem, Path(f"/d/sequences/{s}/velodyne/{stem}.bin")) for s, stem in split]
+    return [
+        ScanFile(sequence=s, stem=stem, path=Path(f"/d/sequences/{s}/velodyne/{stem}.bin"))
+        for s, stem in split
+    ]
 
 
 SCANS = scans_of("00/000010", "00/000100", "08/000010", "08/000011", "x/scan 1", "x/scan 1 b")

@@ -33,7 +33,17 @@ def data(tmp_path, request):
 
 
 def imported(*files, scan="00/000000"):
-    return label_records.ImportedScan(scan, files, 1500, 1500, 0, 0, 0, 0, "label")
+    return label_records.ImportedScan(
+        scan=scan,
+        files=files,
+        points=1500,
+        labelled=1500,
+        unlabelled=0,
+        ambiguous=0,
+        missing=0,
+        unmatched=0,
+        scalar="label",
+    )
 
 
 A, B = Path("edited/a.ply"), Path("edited/b.ply")

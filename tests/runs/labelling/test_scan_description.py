@@ -29,7 +29,7 @@ def network(request, weights):
 @pytest.fixture
 def file(tmp_path) -> ScanFile:
     folder = write_sequence(tmp_path / "00", ["000007"])
-    return ScanFile("00", "000007", folder / "velodyne/000007.bin")
+    return ScanFile(sequence="00", stem="000007", path=folder / "velodyne/000007.bin")
 
 
 def describe_scan(file, network, samples, seed):
@@ -76,7 +76,7 @@ def test_a_scan_without_a_measurement(weights, tmp_path):
     write_bin(tmp_path / "0.bin", replace(scan, points=np.full_like(scan.points, np.nan)))
     network = load_network(weights, "cpu", engine="torch")
     with pytest.raises(FormatError):
-        describe_scan(ScanFile("s", "0", tmp_path / "0.bin"), network, **PASSES)
+        describe_scan(ScanFile(sequence="s", stem="0", path=tmp_path / "0.bin"), network, **PASSES)
 
 
 @pytest.mark.parametrize("threads", [1, 5])

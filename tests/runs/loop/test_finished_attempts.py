@@ -13,7 +13,7 @@ def test_an_attempt_that_is_cut_off_is_not_read(tmp_path, cut):
     """Of two attempts of one chunk, the second is not complete, or both are."""
     finished, scans = FinishedAttempts(tmp_path), scans_of("a", "b")
     for scan in scans:
-        append_attempt(finished.file(3), Attempt(scan, scan.stem))
+        append_attempt(finished.file(3), Attempt(file=scan, result=scan.stem))
     path = finished.file(3)
     content = path.read_bytes()
     path.write_bytes(content[: len(content) - cut])
@@ -28,7 +28,7 @@ def test_an_attempt_after_one_that_is_cut_off_is_no_attempt(tmp_path):
     finished, scans = FinishedAttempts(tmp_path), scans_of("a", "b", "c")
     path, ends = finished.file(0), [0]
     for scan in scans:
-        append_attempt(path, Attempt(scan, scan.stem))
+        append_attempt(path, Attempt(file=scan, result=scan.stem))
         ends.append(path.stat().st_size)
     content = path.read_bytes()
     for cut in range(ends[1] + 1, ends[2]):
@@ -42,12 +42,12 @@ def test_what_a_full_disk_cuts_off_is_removed_before_the_next_attempt(tmp_path):
     resource = pytest.importorskip("resource")
     finished, scans = FinishedAttempts(tmp_path), scans_of("a", "b", "c")
     path = finished.file(0)
-    append_attempt(path, Attempt(scans[0], "a"))
+    append_attempt(path, Attempt(file=scans[0], result="a"))
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (path.stat().st_size + 10, before[1]))
     try:
-        append_attempt(path, Attempt(scans[1], "b"))
+        append_attempt(path, Attempt(file=scans[1], result="b"))
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    append_attempt(path, Attempt(scans[2], "c"))
+    append_attempt(path, Attempt(file=scans[2], result="c"))
     assert [attempt.get() for attempt in finished] == ["a", "c"]

@@ -15,7 +15,9 @@ from salsanext_cli.io.files.atomic import MARK
 from salsanext_cli.runs.loop.pipeline import Pipeline
 from salsanext_cli.runs.results.paths import ScanFile
 
-FILES = [ScanFile("00", str(number), Path(f"{number}.bin")) for number in range(7)]
+FILES = [
+    ScanFile(sequence="00", stem=str(number), path=Path(f"{number}.bin")) for number in range(7)
+]
 STEMS = [file.stem for file in FILES]
 STEPS = ("prepare", "compute", "finish")
 WAIT_S = 30.0
@@ -134,7 +136,7 @@ def test_no_more_scans_than_the_bound_are_in_memory(batch, readers):
                 most = max(most, len(alive))
             return content
 
-    files = [ScanFile("00", str(number), Path("x.bin")) for number in range(60)]
+    files = [ScanFile(sequence="00", stem=str(number), path=Path("x.bin")) for number in range(60)]
     for attempt in pipeline(Counting(), batch, readers).run(files):
         assert not attempt.error
     gc.collect()

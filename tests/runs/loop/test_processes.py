@@ -122,4 +122,4 @@ def test_a_run_needs_no_temporary_folder(tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.mkdtemp", refuse)
     outcome = run(Write(tmp_path), scans_of("a", "b"), jobs=2)
     assert outcome.done == 2
-    append_attempt(tmp_path / "nowhere" / "0", Attempt(scans_of("a")[0], "a"))
+    append_attempt(tmp_path / "nowhere" / "0", Attempt(file=scans_of("a")[0], result="a"))

@@ -282,7 +282,7 @@ def test_workers_refuse_replaced_weights(world, tmp_path):
     write_weights(weights, seed=1)
     output = OutputRun(world.out, folders=("predictions",))
     job = partial(PredictJob, knn=KnnParameters(), output=output)
-    task = NetworkTask(job, settings, network)
+    task = NetworkTask(job=job, settings=settings, network=network)
     refused(WeightsError, weights, run_over_scans, task, find_scans(world.data), RunOptions(jobs=2))
     assert labels_below(world.out) == {}
 

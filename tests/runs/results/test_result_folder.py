@@ -186,10 +186,10 @@ def test_columns_of_all_results(world, file):
 def test_wrong_is_one_zero_or_nan_and_ranges_may_be_too_large_for_their_squares():
     truth = np.array([CAR, CAR, 0, MOVING_CAR, ROAD], np.uint32)
     label = np.array([CAR, ROAD, CAR, CAR, 0], np.uint32)
-    wrong = ScanResults(make_scan(5), label, truth).wrong(SPACE)
+    wrong = ScanResults(scan=make_scan(5), label=label, truth=truth).wrong(SPACE)
     np.testing.assert_array_equal(wrong, np.float32([0, 1, np.nan, 0, 1]), strict=True)
     points = np.array([[3e30, 4e30, 0], [3e38, 3e38, 3e38], [np.nan, 0, 0]], np.float32)
-    distance = ScanResults(Scan(points, np.zeros(3, np.float32))).range
+    distance = ScanResults(scan=Scan(points, np.zeros(3, np.float32))).range
     np.testing.assert_allclose(distance, [5e30, np.inf, np.nan], rtol=1e-6)
 
 

@@ -27,13 +27,13 @@ from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.runs.summary.scan_warnings import LOOK
 
 SPACE = label_space()
-FILE = ScanFile("08", "000000", Path("000000.bin"))
+FILE = ScanFile(sequence="08", stem="000000", path=Path("000000.bin"))
 SCANS = st.lists(st.lists(st.integers(0, SPACE.class_count - 1), max_size=30), max_size=5)
 
 
 @given(SCANS)
 def test_the_largest_classes_are_those_counted_slowly(scans):
-    summary = RunSummary(SMALL, SPACE)
+    summary = RunSummary(sensor=SMALL, space=SPACE)
     for train_ids in scans:
         labels = np.array(train_ids, np.uint8)
         summary.add(ScanSummary.of_labels(FILE, labels, SPACE))
@@ -62,7 +62,7 @@ def test_labels_of_low_probability_are_doubted():
 def test_hints_about_labels_name_the_folder_of_the_run(caplog):
     finding = Finding("one-class", "80 % of the points are road", LOOK)
     for out, hint in ((None, LOOK), (Path("my out"), f"{LOOK}: `salsanext report 'my out'`")):
-        summary = RunSummary(SMALL, SPACE, out=out)
+        summary = RunSummary(sensor=SMALL, space=SPACE, out=out)
         summary.add_finding(FILE.name, finding)
         assert [warning.hint for warning in summary.warnings()] == [hint]
         assert caplog.messages[-1].endswith(f"hint: {hint}")
@@ -108,9 +108,9 @@ def test_warnings_do_not_depend_on_the_order_of_the_scans(order):
     for number in range(6):
         codes = ("tilted", "height", "of-3")[: number % 3]
         findings = tuple(Finding(code, f"{code} of {number}", "turn it") for code in codes)
-        file = ScanFile("08", f"{number}", Path("scan.bin"))
-        scans.append(ScanSummary(file, ScanCheck(findings)))
-    summary = RunSummary(SMALL)
+        file = ScanFile(sequence="08", stem=f"{number}", path=Path("scan.bin"))
+        scans.append(ScanSummary(file=file, check=ScanCheck(findings)))
+    summary = RunSummary(sensor=SMALL)
     for place in order:
         summary.add(scans[place])
     height, tilted = summary.warnings()
@@ -153,7 +153,9 @@ def traits(scan, of=SMALL):
 
 
 def files(sequence, count):
-    return [ScanFile(sequence, f"{number:06d}", FILE.path) for number in range(count)]
+    return [
+        ScanFile(sequence=sequence, stem=f"{number:06d}", path=FILE.path) for number in range(count)
+    ]
 
 
 def mixed(*traits_of_scans):
@@ -218,9 +220,9 @@ def test_intensities_of_two_scales_are_mixed_but_not_those_of_a_wet_road():
 
 
 def test_a_finished_run_warns_of_mixed_sensors(caplog):
-    summary = RunSummary(SMALL)
+    summary = RunSummary(sensor=SMALL)
     for file, of_scan in zip(files("08", 5), [*OF["of-64"][:4], OF["of-16"][0]], strict=True):
-        summary.add(ScanSummary(file, ScanCheck((), of_scan)))
+        summary.add(ScanSummary(file=file, check=ScanCheck((), of_scan)))
     assert not caplog.messages
     (warning,) = summary.finished().warnings()
     assert (warning.code, warning.scans) == ("mixed-sensors", ["08/000004"])
@@ -239,7 +241,7 @@ def test_labels_that_hardly_agree_with_predictions_are_doubted(right, wrong, sha
 
 
 def test_the_share_of_the_vehicle_is_one_of_points():
-    summary = RunSummary(SMALL, SPACE)
+    summary = RunSummary(sensor=SMALL, space=SPACE)
     for name, count, ego in (("a", 900, 0), ("b", 100, 50)):
         labels = np.ones(count, np.uint8)
         check = ScanCheck(points=count, ego_points=ego)
@@ -257,7 +259,7 @@ def test_the_order_of_workers_does_not_change_the_comparison_with_a_threshold(mo
     population = tuple(traits.values())
     risk = RiskThreshold("error", 0.2, 0.1, None, 12, ("00",), population=population)
     for names in (list(traits), list(traits)[::-1]):
-        summary = RunSummary(SMALL, SPACE, threshold=risk)
+        summary = RunSummary(sensor=SMALL, space=SPACE, threshold=risk)
         summary.unit_traits = {name: traits[name] for name in names}
         summary.names = set(names)
         summary.compare_scans()

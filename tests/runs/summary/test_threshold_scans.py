@@ -42,9 +42,12 @@ def threshold(unit="drive", count=24, **changes):
 def run(count=1, data_set="choose", **of_scans):
     """Return a comparison of scans of different drives."""
     root = Path("/data") / data_set / "sequences"
-    files = [ScanFile(f"{i:02}", "0", root / f"{i:02}/velodyne/0.bin") for i in range(count)]
+    files = [
+        ScanFile(sequence=f"{i:02}", stem="0", path=root / f"{i:02}/velodyne/0.bin")
+        for i in range(count)
+    ]
     of_files = {file.name: traits(file.name, 100 + i, **of_scans) for i, file in enumerate(files)}
-    return ThresholdComparison(files, SMALL, of_files, CLASSES)
+    return ThresholdComparison(files=files, sensor=SMALL, traits=of_files, classes=CLASSES)
 
 
 @pytest.mark.parametrize("count", [1, 2, 5])

@@ -128,7 +128,9 @@ def by_cells(scan: Scan, bands: int, sectors: int, azimuth: float) -> list[bool 
 @pytest.mark.parametrize("azimuth", [0.0, 2.3, -3.1])
 def test_odd_points_lie_in_odd_cells(bands: int, sectors: int, azimuth: float) -> None:
     scan = make_scan(800, bands)
-    odd = Checkerboard(bands, sectors, azimuth, DOWN, UP).odd(scan.points)
+    odd = Checkerboard(bands=bands, sectors=sectors, azimuth=azimuth, fov_down=DOWN, fov_up=UP).odd(
+        scan.points
+    )
     expected = by_cells(scan, bands, sectors, azimuth)
     sure = np.array([each is not None for each in expected])
     assert sure.mean() > 0.98

@@ -33,7 +33,12 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> list[ScanFile]:
 
 
 def samples(files: list[ScanFile], recipe: Recipe) -> Samples:
-    return Samples([Source(files, SPACE, SMALL)], SMALL, recipe, RARE)
+    return Samples(
+        sources=[Source(files=files, space=SPACE, sensor=SMALL)],
+        sensor=SMALL,
+        recipe=recipe,
+        rare=RARE,
+    )
 
 
 def test_a_sample_is_the_normalised_scan_and_its_truth(files: list[ScanFile]) -> None:
@@ -91,7 +96,7 @@ def test_every_scan_is_drawn_once_before_any_is_drawn_again(size: int) -> None:
 @pytest.mark.parametrize("size", [1, 2, 3, 4])
 def test_workers_together_draw_what_one_alone_draws(size: int) -> None:
     plan = SamplingPlan([8], Recipe(epochs=2, batch=5))
-    shares = [list(plan.batches(1, ProcessGroup(rank, size))) for rank in range(size)]
+    shares = [list(plan.batches(1, ProcessGroup(rank=rank, size=size))) for rank in range(size)]
     whole = list(plan.batches(1))
     assert len(whole) == 3
     for batch, *parts in zip(whole, *shares, strict=True):
@@ -112,7 +117,7 @@ class OneThread(Samples):
 
 def test_batches_do_not_depend_on_the_number_of_workers(files: list[ScanFile]) -> None:
     recipe = Recipe(epochs=2, batch=2, crop_width=32, mix=0.5, paste=0.5)
-    one_thread = OneThread([Source(files, SPACE, SMALL)], SMALL, recipe, RARE)
+    one_thread = OneThread([Source(files=files, space=SPACE, sensor=SMALL)], SMALL, recipe, RARE)
     with spelled(CommandLine()):
         alone, helped = (list(batches(one_thread, 0, n)) for n in (0, 1))
     assert len(alone) == len(helped) == 6
@@ -177,7 +182,7 @@ def test_counting_counts_every_point(files: list[ScanFile]) -> None:
         for raw in read_labels(file.label_path):
             expected[SPACE.learning_map[int(raw)]] += 1
     for jobs in (1, 2):
-        scans = count_classes(Source(files, SPACE, SMALL), jobs)
+        scans = count_classes(Source(files=files, space=SPACE, sensor=SMALL), jobs)
         assert [summary.file for summary in scans.summaries] == list(files)
         np.testing.assert_array_equal(scans.points.sum(axis=0), expected)
         own = np.bincount(SPACE.to_train(read_labels(files[1].label_path)), minlength=20)

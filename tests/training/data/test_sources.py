@@ -68,20 +68,28 @@ def roots(tmp_path: Path) -> list[Path]:
 
 def seen(roots: list[Path]) -> tuple[Source, Source]:
     _, files = labelled_split(roots[0], None, "train")
-    plain = Source(files, SPACE, SMALL)
+    plain = Source(files=files, space=SPACE, sensor=SMALL)
     images = [project(plain.read(file, ())[0], SMALL).channels for file in files]
     sensor = with_image_statistics(SMALL, images)
-    return Source(files, SPACE, sensor), further_source(roots[1], SPACE, sensor)
+    return Source(files=files, space=SPACE, sensor=sensor), further_source(roots[1], SPACE, sensor)
 
 
 def test_samples_come_from_all_data_sets_with_their_own_labels(roots: list[Path]) -> None:
     first, second = seen(roots)
     sets = class_sets([first.space, second.space])
     recipe = NOTHING.with_changes(also=0.5)
-    samples = Samples([first, second], first.sensor, recipe, NEVER, sets)
+    samples = Samples(
+        sources=[first, second], sensor=first.sensor, recipe=recipe, rare=NEVER, sets=sets
+    )
     kinds = {index // 4: samples[0, index][1].max() for index in (0, 4)}
     assert kinds == {0: 19, 1: 20}
-    mixed = Samples([first, second], first.sensor, recipe.with_changes(mix=1.0), NEVER, sets)
+    mixed = Samples(
+        sources=[first, second],
+        sensor=first.sensor,
+        recipe=recipe.with_changes(mix=1.0),
+        rare=NEVER,
+        sets=sets,
+    )
     drawn = [mixed[position, 0][1] for position in range(12)]
     assert any((truth == 20).any() for truth in drawn)
     assert not all((truth == 20).any() for truth in drawn)
@@ -103,7 +111,13 @@ def test_a_fitted_sequence_is_seen_as_predict_sees_it(roots: list[Path]) -> None
     channels = match_intensity(image.channels, *quantiles)
     expected = with_filled_gaps(channels, own, first.sensor)
     recipe = NOTHING.with_changes(also=1.0)
-    found = Samples([first, fitted], first.sensor, recipe, NEVER, class_sets([second.space]))[0, 4]
+    found = Samples(
+        sources=[first, fitted],
+        sensor=first.sensor,
+        recipe=recipe,
+        rare=NEVER,
+        sets=class_sets([second.space]),
+    )[0, 4]
     means, stds = (np.array(v)[:, None, None] for v in (SMALL.means, SMALL.stds))
     occupied = expected[0] > 0
     shown = np.where(occupied, found[0] * stds + means, 0)
@@ -113,7 +127,9 @@ def test_a_fitted_sequence_is_seen_as_predict_sees_it(roots: list[Path]) -> None
 def changed(roots: list[Path], **chances: float) -> tuple[np.ndarray, np.ndarray]:
     """Return a sample of the first data set with some changes."""
     first, _ = seen(roots)
-    return Samples([first], first.sensor, NOTHING.with_changes(**chances), NEVER)[5, 1][:2]
+    return Samples(
+        sources=[first], sensor=first.sensor, recipe=NOTHING.with_changes(**chances), rare=NEVER
+    )[5, 1][:2]
 
 
 @pytest.mark.parametrize("key", ["intensity", "mount", "view"])

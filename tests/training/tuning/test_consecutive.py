@@ -13,7 +13,10 @@ PAGE = Path(__file__).parents[3] / "docs/reference/warnings.md"
 
 
 def files(sequence, *stems):
-    return [ScanFile(sequence, stem, Path(f"/{sequence}/{stem}.bin")) for stem in stems]
+    return [
+        ScanFile(sequence=sequence, stem=stem, path=Path(f"/{sequence}/{stem}.bin"))
+        for stem in stems
+    ]
 
 
 @pytest.mark.parametrize(
