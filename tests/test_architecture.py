@@ -44,7 +44,7 @@ LEVELS = (
         "io.weights",
     ),
     ("io.user_caches",),
-    ("runs.network_announcement", "runs.sensor_request"),
+    ("runs.network_announcement", "runs.records", "runs.sensor_request"),
     ("runs.network_settings", "runs.results"),
     ("runs.drives", "runs.fit"),
     ("runs.summary",),
@@ -178,7 +178,7 @@ def test_only_commands_name_options():
 
 def test_training_and_synthesis_can_be_removed():
     """Nothing but their own stages and commands, and the demonstration, may need them."""
-    allowed = {"train", "recipe_changes", "tune", "synth", "demo"}
+    allowed = {"train", "training_scenes", "recipe_changes", "tune", "tune_tables", "synth", "demo"}
     users = {
         module.stem
         for module in MODULES
@@ -238,7 +238,7 @@ def test_percentages_of_messages_have_one_form():
 
 
 def test_stages_are_commands():
-    """One file each, but `view`, which serves the page of `report`."""
+    """One file each, but `view`, which serves the page of `report`, and scenes of `train`."""
     commands = {name.replace("-", "_") for names in COMMANDS.values() for name in names}
     stages = {path.stem for path in (PACKAGE / "commands/stages").glob("*.py")} - {"__init__"}
-    assert stages ^ commands == {"evaluate", "eval", "view"}
+    assert stages ^ commands == {"evaluate", "eval", "view", "training_scenes"}

@@ -19,7 +19,8 @@ from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.wording import argument
 from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.runs.results.paths import COLOURS, ScanFile
-from salsanext_cli.runs.results.result_folder import ResultFolder, scalar_columns
+from salsanext_cli.runs.results.result_folder import ResultFolder
+from salsanext_cli.runs.results.scan_results import scalar_columns
 
 Colours = npt.NDArray[np.uint8]
 Values = npt.NDArray[np.float64]

@@ -28,7 +28,7 @@ from salsanext_cli.report.colours import (
     legend_of,
     map_on_dark,
 )
-from salsanext_cli.runs.results.result_folder import ScanResults, scalar_columns
+from salsanext_cli.runs.results.scan_results import ScanResults, scalar_columns
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -3,11 +3,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import torch
 
-from salsanext_cli.core.classes.label_space import TrainIds
+from salsanext_cli.core.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.geometry.knn import knn_refine
 from salsanext_cli.core.geometry.projection import project
@@ -85,26 +86,12 @@ def validate(
     def logits_of(scans: Sequence[ProjectedTruth]) -> list[Float]:
         return network.backend.logits([s.network.input(s.image.channels) for s in scans])
 
-    def compare(scan: ProjectedTruth, logits_of_pixels: Float) -> ValidatedScan:
-        labels = scan.labels
-        image = scan.image
-        refined = knn_refine(image, logits_of_pixels.argmax(axis=0), space.class_count)
-        usable = np.flatnonzero(space.scored[labels] & (image.pixel_of_point >= 0))
-        every = max(1, len(usable) * len(source.files) // MAX_VALIDATED_POINTS)
-        chosen = usable[::every]
-        columns = logits_of_pixels.reshape(space.class_count, -1)
-        logits_of_points = columns[:, image.pixel_of_point[chosen]]
-        return ValidatedScan(
-            confusion=confusion_matrix(labels, refined, space.class_count),
-            logits=torch.from_numpy(logits_of_points),
-            truth=torch.from_numpy(labels[chosen].astype(np.int64)),
-        )
-
     def gathered(parts: Sequence[torch.Tensor]) -> torch.Tensor:
         """Return the points of all workers, on the CPU."""
         own = torch.cat(list(parts), dim=-1).to(network.device)
         return torch.cat(group.gather(own), dim=-1).cpu()
 
+    compare = partial(_compared, space=space, scans=len(source.files))
     job = Steps(prepare=read, compute=logits_of, finish=compare)
     files = source.files[group.rank :: group.size]
     for scan in network_pipeline(job, network).results(files):
@@ -126,3 +113,22 @@ def validate(
         **{f"iou_{score.name}": score.iou for score in result.classes},
     }
     return row, card
+
+
+def _compared(
+    scan: ProjectedTruth, logits_of_pixels: Float, space: LabelSpace, scans: int
+) -> ValidatedScan:
+    """Compare the labels of a scan, one of a number of scans, with the truth."""
+    labels = scan.labels
+    image = scan.image
+    refined = knn_refine(image, logits_of_pixels.argmax(axis=0), space.class_count)
+    usable = np.flatnonzero(space.scored[labels] & (image.pixel_of_point >= 0))
+    every = max(1, len(usable) * scans // MAX_VALIDATED_POINTS)
+    chosen = usable[::every]
+    columns = logits_of_pixels.reshape(space.class_count, -1)
+    logits_of_points = columns[:, image.pixel_of_point[chosen]]
+    return ValidatedScan(
+        confusion=confusion_matrix(labels, refined, space.class_count),
+        logits=torch.from_numpy(logits_of_points),
+        truth=torch.from_numpy(labels[chosen].astype(np.int64)),
+    )

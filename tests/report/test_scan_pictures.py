@@ -13,7 +13,7 @@ from salsanext_cli import Scan, label_space
 from salsanext_cli.report import scan_pictures
 from salsanext_cli.report.canvas import MARGIN_PX
 from salsanext_cli.report.colours import EMPTY, NOT_JUDGED, WRONG, screen_colours
-from salsanext_cli.runs.results.result_folder import ScanResults
+from salsanext_cli.runs.results.scan_results import ScanResults
 
 RED, GREEN = (255, 0, 0), (0, 255, 0)
 SPACE = label_space()

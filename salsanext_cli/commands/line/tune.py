@@ -123,12 +123,10 @@ def tune_risk(
 
     Example: salsanext tune risk scenes/ safe.safetensors --at-most 5%
     """
-    from rich.console import Group
-    from rich.text import Text
-
+    from salsanext_cli.commands.line.tune_tables import risk_tables
     from salsanext_cli.commands.stages.tune import tune_risk as stage
     from salsanext_cli.io.files.atomic import require_target
-    from salsanext_cli.report.tables import accepted_table, needed_scans_table
+    from salsanext_cli.report.tables import needed_scans_table
     from salsanext_cli.training.tuning.risk_level import TooFewScansError
     from salsanext_cli.training.tuning.risk_record import write_risk_record
 
@@ -155,10 +153,7 @@ def tune_risk(
         write_risk_record(
             record, tuned.fit, source=dataset, weights=fit.settings.path, target=target
         )
-    sentences = (Text(sentence) for sentence in tuned.fit.sentences)
-    accepted = accepted_table(tuned.fit.accepted.classes)
-    needed_scans = needed_scans_table(limit, share_of_units)
-    output.result(tuned.to_dict(), Group(accepted, needed_scans, *sentences))
+    output.result(tuned.to_dict(), risk_tables(tuned.fit))
     _end(output, f"tune risk: {tuned.fit.guarantee} → {target}", target, "--reject risk ")
 
 

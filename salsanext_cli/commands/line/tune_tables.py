@@ -5,14 +5,17 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from rich.console import Group
 from rich.table import Table
+from rich.text import Text
 
 from salsanext_cli.core.errors import counted
-from salsanext_cli.report.tables import percent, table_of
+from salsanext_cli.report.tables import accepted_table, needed_scans_table, percent, table_of
 
 if TYPE_CHECKING:
     # They import torch, which takes a second; a refused command needs none of it.
     from salsanext_cli.training.tuning.error import HeldOutScores
+    from salsanext_cli.training.tuning.risk_report import RiskFit
     from salsanext_cli.training.tuning.temperature import TemperatureFit
 
 
@@ -47,3 +50,13 @@ def error_table(held_out: HeldOutScores) -> Table:
     ]
     headings = ("", "AUROC", "AURC", "NLL", "ECE in %", "wrong of the best 80 %, in %")
     return table_of(headings, rows, title=f"Held-out scans, {counted(held_out.folds, 'fold')}")
+
+
+def risk_tables(fit: RiskFit) -> Group:
+    """Return tables of the accepted labels and of the least numbers of scans, with sentences."""
+    level = fit.threshold
+    return Group(
+        accepted_table(fit.accepted.classes),
+        needed_scans_table(level.at_most, level.confidence),
+        *(Text(sentence) for sentence in fit.sentences),
+    )

@@ -13,11 +13,12 @@ from salsanext_cli.io.formats.field_names import PREFIX
 from salsanext_cli.io.formats.ply import encode_ply
 from salsanext_cli.report.colours import PointColours, common_scales, require_colouring
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
+from salsanext_cli.runs.records.stage_settings import ExportSettings
 from salsanext_cli.runs.results.output_run import OutputRun, output_run
 from salsanext_cli.runs.results.paths import PREDICTION_STAGES, ScanFile
 from salsanext_cli.runs.results.query import ResultQuery
-from salsanext_cli.runs.results.result_folder import ResultFolder, scalar_columns
-from salsanext_cli.runs.results.stage_settings import ExportSettings
+from salsanext_cli.runs.results.result_folder import ResultFolder
+from salsanext_cli.runs.results.scan_results import scalar_columns
 
 log = logging.getLogger(__name__)
 

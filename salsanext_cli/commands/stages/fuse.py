@@ -35,7 +35,8 @@ from salsanext_cli.runs.drives.earlier_fusion import earlier_fusion, other_drive
 from salsanext_cli.runs.drives.scans_of_drive import computed_drive, drive_findings, drive_of_scans
 from salsanext_cli.runs.drives.stored_softmax import stored_softmax
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
-from salsanext_cli.runs.results.digest_files import recorded_scans
+from salsanext_cli.runs.records.digest_files import recorded_scans
+from salsanext_cli.runs.records.stage_settings import FuseSettings, PredictSettings
 from salsanext_cli.runs.results.output_run import OutputRun, output_run
 from salsanext_cli.runs.results.owned_folder import OwnedFolder, foreign_file
 from salsanext_cli.runs.results.paths import (
@@ -51,7 +52,6 @@ from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.results.recorded_origins import recorded_origins
 from salsanext_cli.runs.results.result_folder import ResultFolder
 from salsanext_cli.runs.results.selection import MissingResults, choose, scans_of
-from salsanext_cli.runs.results.stage_settings import FuseSettings, PredictSettings
 from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
 
 FUSED = "fused"  # Folder of the fused labels in the folder of the labels of single scans
@@ -215,10 +215,9 @@ def fuse_results(
 
     Parameters
     ----------
-    out : Path
-        Folder with labels and softmax of single scans.
-    target : Path, optional
-        Folder for the fused labels, `OUT/fused` by default.
+    out, target : Path
+        Folder with labels and softmax of single scans, and folder for the fused labels, by default
+        `OUT/fused`.
     poses : Path, optional
         Poses of the one sequence; by default those in its folder, else they are computed.
     reach : FusionReach
@@ -239,18 +238,12 @@ def fuse_results(
     scans = fusible.scans
     summary = RunSummary(sensor=sensor, space=fusible.space, scans=scans)
     kinds = (DISAGREEMENT, "views")
+    folders = (*kinds, "predictions")
     overwrite = options.overwrite
-    votes = output_run(
-        out, "fuse", fusible.settings_of_votes(reach), kinds, scans, overwrite=overwrite
-    )
-    labels = output_run(
-        target,
-        "fuse",
-        fusible.settings_of_labels(reach, target),
-        (*kinds, "predictions"),
-        scans,
-        overwrite=overwrite,
-    )
+    settings = fusible.settings_of_votes(reach)
+    settings_of_labels = fusible.settings_of_labels(reach, target)
+    votes = output_run(out, "fuse", settings, kinds, scans, overwrite=overwrite)
+    labels = output_run(target, "fuse", settings_of_labels, folders, scans, overwrite=overwrite)
     with votes as single, labels as fused, summary.recorded_in(fused, scans):
 
         def drive_of(name: str) -> Drive:

@@ -17,13 +17,13 @@ from salsanext_cli.core.wording import argument, command, setting
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.formats.npy import read_array
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
+from salsanext_cli.runs.records.stage_settings import RefineSettings
 from salsanext_cli.runs.results.output_run import OutputRun, output_run
 from salsanext_cli.runs.results.paths import ScanFile, find_scans, with_outputs
 from salsanext_cli.runs.results.recorded_origins import sensor_of_result
 from salsanext_cli.runs.results.result_folder import ResultFolder
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.results.selection import choose, space_of
-from salsanext_cli.runs.results.stage_settings import RefineSettings
 from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
 
 

@@ -45,12 +45,12 @@ from salsanext_cli.runs.labelling.scan_description import (
 from salsanext_cli.runs.loop.network_task import NetworkTask
 from salsanext_cli.runs.loop.run import Failure, Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.records.stage_settings import ComputedSettings
 from salsanext_cli.runs.results.manifest import settings_json
 from salsanext_cli.runs.results.named_scans import named_scans, read_names
 from salsanext_cli.runs.results.paths import ScanFile, find_scans
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.results.selection import choose, evenly_spaced, scans_of, space_of
-from salsanext_cli.runs.results.stage_settings import ComputedSettings
 from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.runs.summary.scan_warnings import ScanWarning, log_recorded
 

@@ -17,12 +17,13 @@ from salsanext_cli.report.colours import CLASS_COLOURS, Scales, common_scales, r
 from salsanext_cli.report.scan_pictures import known_views, picture_of_results
 from salsanext_cli.runs.fit.sensor_fit import fitted_view
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
+from salsanext_cli.runs.records.stage_settings import PictureSettings
 from salsanext_cli.runs.results.foreign_labels import warn_of_foreign_labels
 from salsanext_cli.runs.results.output_run import OutputRun, output_run
 from salsanext_cli.runs.results.paths import COLOURINGS, PREDICTION_STAGES, ScanFile
 from salsanext_cli.runs.results.query import ResultQuery
-from salsanext_cli.runs.results.result_folder import ChosenResults, ResultFolder, scalar_columns
-from salsanext_cli.runs.results.stage_settings import PictureSettings
+from salsanext_cli.runs.results.result_folder import ChosenResults, ResultFolder
+from salsanext_cli.runs.results.scan_results import scalar_columns
 
 STAGE: Final = "picture"
 FOLDER = "pictures"

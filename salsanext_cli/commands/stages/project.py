@@ -12,6 +12,7 @@ from salsanext_cli.runs.fit.scan_reading import read_measured
 from salsanext_cli.runs.fit.sensor_fit import fitted_view
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.loop.run_origins import OriginsOfRun
+from salsanext_cli.runs.records.stage_settings import ProjectSettings
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.output_run import OutputRun, output_run
 from salsanext_cli.runs.results.paths import ORIGINS, ScanFile
@@ -23,7 +24,6 @@ from salsanext_cli.runs.results.recorded_origins import (
 )
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.results.selection import choose, scans_of, space_of
-from salsanext_cli.runs.results.stage_settings import ProjectSettings
 from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
 
 FOLDERS = ("range", "pixels")

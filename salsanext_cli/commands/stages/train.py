@@ -283,18 +283,26 @@ def train(
             group=group,
             device=chosen,
         )
-        setup = new.setup(locks, space, sensor, progress)
-        data = setup.data
-        has_validation = bool(data.validation.files)
-        expected = None
-        if not has_validation:
-            cross_validated = CrossValidatedTraining(setup)
-            expected = cross_validated.expectation()
-            setup = cross_validated.setup_of_all_scans(expected)
-        if new.start and not expected:
-            setup = replace(setup, card=inheriting(setup.card, new.start))
-        state = setup.training(data.sources[0].files, data.validation).fit()
-        group.on_main(partial(_add_int8, run, data.sources[0], str(chosen)))
+        return _trained(new.setup(locks, space, sensor, progress), new.start)
+
+
+def _trained(setup: Setup, start: Path | None) -> TrainResult:
+    """Cross-validate scans without a validation split, and train on all scans.
+
+    `start`: initial weights, whose error model the new ones inherit unless they get their own.
+    """
+    run = setup.run
+    data = setup.data
+    has_validation = bool(data.validation.files)
+    expected = None
+    if not has_validation:
+        cross_validated = CrossValidatedTraining(setup)
+        expected = cross_validated.expectation()
+        setup = cross_validated.setup_of_all_scans(expected)
+    if start and not expected:
+        setup = replace(setup, card=inheriting(setup.card, start))
+    state = setup.training(data.sources[0].files, data.validation).fit()
+    setup.group.on_main(partial(_add_int8, run, data.sources[0], str(setup.device)))
     return TrainResult(
         best=run / BEST,
         last=run / LAST,

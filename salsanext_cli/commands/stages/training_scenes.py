@@ -20,7 +20,24 @@ log = logging.getLogger(__name__)
 
 
 def simulated_scenes(folder: Path, count: int, real: Source, jobs: int) -> list[Source]:
-    """Return simulated data sets by kind of sensor, made if need be; none for other classes."""
+    """Return simulated data sets, one for each kind of sensor, made if need be.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder for the data sets.
+    count : int
+        Number of scenes for each kind of sensor.
+    real : Source
+        Scans of the training, whose classes and sensor the simulated ones get.
+    jobs : int
+        Number of worker processes.
+
+    Returns
+    -------
+    list of Source
+        Empty if the simulated classes cannot be merged into those of `real`.
+    """
     if not count:
         return []
     if merged_into(label_space(), real.space) is None:

@@ -27,6 +27,7 @@ from salsanext_cli.runs.loop.network_task import NetworkTask
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.loop.run_origins import OriginsOfRun
 from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.records.stage_settings import UncertaintySettings
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.output_run import OutputRun, output_run
 from salsanext_cli.runs.results.paths import ERROR, ORIGINS, ScanFile
@@ -38,7 +39,6 @@ from salsanext_cli.runs.results.recorded_origins import (
 )
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.results.selection import choose, scans_of, space_of
-from salsanext_cli.runs.results.stage_settings import UncertaintySettings
 from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
 
 METHOD = "sampling"  # Recorded, because earlier versions had another method

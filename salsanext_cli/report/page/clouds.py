@@ -17,7 +17,7 @@ from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.report.colours import FIXED_SCALES, value_range
 from salsanext_cli.report.page.run_results import ShownScan
 from salsanext_cli.report.scan_pictures import UNITS
-from salsanext_cli.runs.results.result_folder import ScanResults
+from salsanext_cli.runs.results.scan_results import ScanResults
 
 MAX_POINTS = 200_000  # Most points of a scan in a page; larger scans are thinned evenly
 FARTHEST_M = 1e4  # Farther points are skipped: they would make 16 bits too coarse

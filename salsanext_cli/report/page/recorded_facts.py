@@ -15,15 +15,15 @@ from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.wording import command, setting
 from salsanext_cli.io.files.reading import fingerprint
 from salsanext_cli.io.weights.card_file import default_weights, named_weights, read_card
-from salsanext_cli.runs.results.manifest import Manifest
-from salsanext_cli.runs.results.paths import ERROR
-from salsanext_cli.runs.results.stage_settings import (
+from salsanext_cli.runs.records.stage_settings import (
     ComputedSettings,
     FuseSettings,
     PredictSettings,
     StageSettings,
     WeightsSettings,
 )
+from salsanext_cli.runs.results.manifest import Manifest
+from salsanext_cli.runs.results.paths import ERROR
 
 SHOWN_DIGITS = 12  # Hexadecimal digits of a SHA-256 on the page
 

@@ -35,7 +35,8 @@ from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.named_scans import named_scans
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.paths import find_outputs, output_path
-from salsanext_cli.runs.results.result_folder import ResultFolder, ScanResults
+from salsanext_cli.runs.results.result_folder import ResultFolder
+from salsanext_cli.runs.results.scan_results import ScanResults
 from salsanext_cli.runs.results.selection import MissingResults
 from salsanext_cli.runs.summary.comparison import ScanComparison, read_softmax
 from salsanext_cli.runs.summary.scan_summary import guarantee_of_run

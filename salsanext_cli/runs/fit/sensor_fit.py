@@ -18,10 +18,10 @@ from salsanext_cli.core.records import Scan
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.runs.fit.scan_sample import MAX_SCANS, ImageOf, OriginsOf, sample_of_files
 from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.records.stage_settings import ComputedSettings
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.paths import ScanFile, find_scans
 from salsanext_cli.runs.results.selection import evenly_spaced
-from salsanext_cli.runs.results.stage_settings import ComputedSettings
 
 Computed = TypeVar("Computed", bound=ComputedSettings)
 

@@ -21,11 +21,11 @@ from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.formats.kitti import encode_bin
 from salsanext_cli.io.poses import line_numbers
 from salsanext_cli.runs.labelling.label_records import IMPORTED
+from salsanext_cli.runs.records.stage_settings import ComputedSettings
 from salsanext_cli.runs.results.layouts import SCAN_FOLDER
 from salsanext_cli.runs.results.manifest import require_same_settings, settings_json
 from salsanext_cli.runs.results.owned_folder import OwnedFolder, foreign_file
 from salsanext_cli.runs.results.paths import ScanFile, find_scans, output_path
-from salsanext_cli.runs.results.stage_settings import ComputedSettings
 from salsanext_cli.runs.summary.scan_warnings import ScanWarning
 from salsanext_cli.version import __version__
 

@@ -94,10 +94,9 @@ def run_over_scans(
     ----------
     task, scans, options
         Work on each scan, all scans, and workers, shard and treatment of failures.
-    is_done, on_result : callable
-        Functions of a scan, whether it has results, and of each result; called in this thread.
-    summary : RunSummary, optional
-        Summary to which the results are added, instead of `on_result`.
+    is_done, on_result, summary
+        Functions of a scan, whether it has results, and of each result, called in this thread;
+        instead of the latter, a summary to which the results are added.
 
     Returns
     -------
@@ -116,14 +115,13 @@ def run_over_scans(
     tried: set[ScanFile] = set()
 
     def report(attempt: Attempt[Any]) -> None:
-        scan = attempt.file
         error = attempt.error
-        log.info("%s: %s", scan.name, error.headline if error else "done")
+        log.info("%s: %s", attempt.file.name, error.headline if error else "done")
         if error is None or options.on_error == "stop":
             on_result(attempt.get())
         else:
-            failures.append(Failure.of(scan, error))
-        tried.add(scan)
+            failures.append(Failure.of(attempt.file, error))
+        tried.add(attempt.file)
         if options.progress:
             options.progress(len(tried), len(todo))
 
@@ -133,21 +131,22 @@ def run_over_scans(
     except WorkersLost as lost:
         for failure in failures:
             log.error("%s", failure.text)
-        names = [scan.name for scan in todo if scan not in tried and not is_done(scan)]
-        missing = f"{len(names)} of {len(todo)} scans are missing: {first_few(names)}"
-        hint = f"{lost.hint}; run again for the rest"
-        raise WorkersLost(lost.subject, f"{lost.problem}; {missing}", hint=hint) from lost
-    failures.sort(key=lambda failure: failure.scan)
-    skipped = len(mine) - len(todo)
-    done = len(tried) - len(failures)
+        missing = [scan for scan in todo if scan not in tried and not is_done(scan)]
+        raise _with_missing(lost, missing, len(todo)) from lost
     return Outcome(
-        skipped=skipped,
-        failures=tuple(failures),
-        done=done,
-        missing=None,
+        skipped=len(mine) - len(todo),
+        failures=tuple(sorted(failures, key=lambda failure: failure.scan)),
+        done=len(tried) - len(failures),
         seconds=time.monotonic() - start,
         summary=summary,
     )
+
+
+def _with_missing(lost: WorkersLost, missing: Sequence[ScanFile], count: int) -> WorkersLost:
+    """Return the error about lost workers with the missing ones of a number of scans."""
+    names = first_few([scan.name for scan in missing])
+    problem = f"{lost.problem}; {len(missing)} of {count} scans are missing: {names}"
+    return WorkersLost(lost.subject, problem, hint=f"{lost.hint}; run again for the rest")
 
 
 def _work(task: Task, scans: Sequence[ScanFile], options: RunOptions, report: Report) -> None:

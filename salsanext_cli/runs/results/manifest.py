@@ -24,7 +24,7 @@ from salsanext_cli.io.files.json_files import read_json, record_of, write_json
 from salsanext_cli.io.files.reading import identity
 from salsanext_cli.io.formats import scan_suffix
 from salsanext_cli.io.sensors import sensor
-from salsanext_cli.runs.results.digest_files import (
+from salsanext_cli.runs.records.digest_files import (
     NO_SCANS,
     RecordedScans,
     digests_of_guarantee,
@@ -32,10 +32,7 @@ from salsanext_cli.runs.results.digest_files import (
     with_names,
     without_names,
 )
-from salsanext_cli.runs.results.paths import COLOURINGS, ERROR, SUFFIX_OF_FOLDER, ScanFile
-from salsanext_cli.runs.results.selection import space_of
-from salsanext_cli.runs.results.setting_differences import differences
-from salsanext_cli.runs.results.stage_settings import (
+from salsanext_cli.runs.records.stage_settings import (
     FuseSettings,
     PictureSettings,
     PredictSettings,
@@ -46,6 +43,9 @@ from salsanext_cli.runs.results.stage_settings import (
     WeightsSettings,
     settings_type,
 )
+from salsanext_cli.runs.results.paths import COLOURINGS, ERROR, SUFFIX_OF_FOLDER, ScanFile
+from salsanext_cli.runs.results.selection import space_of
+from salsanext_cli.runs.results.setting_differences import differences
 from salsanext_cli.version import __version__
 
 Kind = TypeVar("Kind")

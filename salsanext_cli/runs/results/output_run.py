@@ -16,7 +16,8 @@ from salsanext_cli.core.errors import OutputError
 from salsanext_cli.core.wording import setting
 from salsanext_cli.io.files.reading import filled
 from salsanext_cli.io.formats.kitti import encode_labels
-from salsanext_cli.runs.results.digest_files import names_files, with_files
+from salsanext_cli.runs.records.digest_files import names_files, with_files
+from salsanext_cli.runs.records.stage_settings import StageSettings
 from salsanext_cli.runs.results.manifest import (
     Manifest,
     ScanSource,
@@ -33,7 +34,6 @@ from salsanext_cli.runs.results.paths import (
     find_outputs,
     output_path,
 )
-from salsanext_cli.runs.results.stage_settings import StageSettings
 
 
 @dataclass(frozen=True, slots=True)

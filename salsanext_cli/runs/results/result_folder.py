@@ -5,18 +5,16 @@ import logging
 import os
 import shlex
 from collections.abc import Container, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import groupby
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.core.classes.label_space import LabelSpace, RawIds
-from salsanext_cli.core.errors import NoInputError, OutputError, counted, first_few, percentage
-from salsanext_cli.core.geometry.projection import in_sensor_frame, measured_ranges
-from salsanext_cli.core.records import Float, Scan
+from salsanext_cli.core.errors import NoInputError, OutputError, counted, first_few
+from salsanext_cli.core.records import Float
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.uncertainty.kinds import MEANT_BY_UNCERTAINTY, UNCERTAINTY
 from salsanext_cli.core.wording import argument, command, setting
@@ -43,6 +41,7 @@ from salsanext_cli.runs.results.paths import (
 )
 from salsanext_cli.runs.results.query import DATASET_VARIABLE, ResultQuery
 from salsanext_cli.runs.results.recorded_origins import sensor_of_result
+from salsanext_cli.runs.results.scan_results import ScanResults
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.results.selection import (
     MissingResults,
@@ -63,48 +62,6 @@ UNCERTAINTY_SETTINGS = ("method", "samples", "seed", "noise", "weights")
 """Settings of `uncertainty` that an evaluation records."""
 
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ScanResults:
-    """A scan and its results."""
-
-    scan: Scan  # N points
-    label: RawIds | None = None  # (N,) uint32: raw ids without instances, predicted
-    truth: RawIds | None = None  # (N,) uint32: raw ids without instances, from the data set
-    uncertainty: dict[str, Float] = field(default_factory=dict)  # (N,) by kind
-    sensor: Sensor | None = None  # Origin of distances; None for the origin of the scan
-    rejected: npt.NDArray[np.bool_] | None = None  # (N,): unlabelled in a run that rejects labels
-    instance: npt.NDArray[np.uint16] | None = None  # (N,): numbers of objects, 0 for none
-
-    @property
-    def range(self) -> Float:
-        """Distance of every point from the sensor, (N,) float32, metres."""
-        with np.errstate(over="ignore"):  # Distances above the range of float32 become infinite.
-            scan = in_sensor_frame(self.scan, self.sensor) if self.sensor else self.scan
-            return measured_ranges(scan.points)[0].astype(np.float32)
-
-    def wrong(self, space: LabelSpace) -> Float:
-        """Return 1 for wrong labels, 0 for right ones, NaN for points that do not count, (N,)."""
-        if self.label is None or self.truth is None:
-            raise ValueError("a wrong label needs a label and a truth")
-        truth = space.to_train(self.truth, strict=False)
-        wrong = (truth != space.to_train(self.label, strict=False)).astype(np.float32)
-        counts = space.scored[truth]
-        if self.rejected is not None:
-            counts = counts & ~self.rejected
-        return np.where(counts, wrong, np.float32(np.nan))
-
-    def accepted_text(self, space: LabelSpace) -> str:
-        """Return coverage and risk of the accepted labels in words; empty if all are accepted."""
-        if self.rejected is None or self.truth is None:
-            return ""
-        known = space.scored[space.to_train(self.truth, strict=False)]
-        wrong = self.wrong(space)
-        judged = wrong[~np.isnan(wrong)]
-        coverage = len(judged) / max(known.sum(), 1)
-        risk = judged.sum() / max(len(judged), 1)
-        return f"coverage {percentage(coverage)}, risk {percentage(risk)}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -358,21 +315,6 @@ class ResultFolder(Manifest):
 def read_kind(path: Path, kind: str, count: int | None) -> Float:
     """Read one kind of uncertainty of a scan's points (see `read_uncertainty`)."""
     return read_uncertainty(path, count, UNCERTAINTY[kind].most)
-
-
-def scalar_columns(cloud: ScanResults, space: LabelSpace) -> dict[str, npt.NDArray[Any]]:
-    """Return every scalar of the points, (N,), by the name of its property."""
-    columns: dict[str, npt.NDArray[Any]]
-    columns = {"intensity": cloud.scan.intensity, "range": cloud.range}
-    if cloud.label is not None:
-        columns["label"] = cloud.label.astype(np.uint16)
-    if cloud.instance is not None:
-        columns["instance"] = cloud.instance
-    if cloud.truth is not None:
-        columns["truth"] = cloud.truth.astype(np.uint16)
-        if cloud.label is not None:
-            columns["wrong"] = cloud.wrong(space)
-    return columns | cloud.uncertainty
 
 
 def _is_sequence(dataset: Path) -> bool:

@@ -40,7 +40,7 @@ from salsanext_cli.io.files.reading import present
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.formats.kitti import read_labels
 from salsanext_cli.io.formats.npy import read_probabilities
-from salsanext_cli.runs.results.digest_files import NO_SCANS, RecordedScans
+from salsanext_cli.runs.records.digest_files import NO_SCANS, RecordedScans
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.paths import ScanFile, output_path
 from salsanext_cli.runs.results.recorded_origins import sensor_of_result

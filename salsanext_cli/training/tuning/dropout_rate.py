@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import TrainingError
 from salsanext_cli.core.geometry.network_input import noise_of
 from salsanext_cli.core.network.dropout import dropouts
@@ -92,22 +93,9 @@ def fit_dropout(scans: TuningScans, samples: int = SAMPLES) -> Tuned[DropoutFit]
     network = scans.network
     candidates = [with_dropout(network, rate) for rate in rates]
 
-    def objectives_of(scan: LabelledImage) -> ScanObjectives:
-        noise = scan.of_points(aleatoric(scan.network, scan.image))
-        masks = scan_seed(0, scan.file.sequence, scan.file.stem)
-        values = list[float]()
-        for candidate in candidates:
-            fitted = candidate.for_sensor(scan.network.sensor)
-            sampled = sample(fitted, scan.image, samples=samples, seed=masks)
-            variance = scan.of_points(sampled.variance) + noise
-            probabilities = scan.of_points(sampled.probabilities)
-            values.append(objective(probabilities, variance, scan.truth))
-        log.info("%s: %d points", scan.file.name, len(scan.truth))
-        return ScanObjectives(values, len(scan.truth))
-
     job = Steps(
         prepare=scans.read,
-        compute=lambda images: [objectives_of(image) for image in images],
+        compute=lambda images: [_objectives_of(image, candidates, samples) for image in images],
         finish=lambda _, objectives: objectives,
     )
     scored_scans = list(scans.run(job).values())
@@ -133,6 +121,23 @@ def fit_dropout(scans: TuningScans, samples: int = SAMPLES) -> Tuned[DropoutFit]
         points=points,
     )
     return Tuned(card=candidates[best].card if changed else network.card, fit=report)
+
+
+def _objectives_of(
+    scan: LabelledImage, candidates: Sequence[Network], samples: int
+) -> ScanObjectives:
+    """Return the objectives of a scan by networks that differ in their rate."""
+    noise = scan.of_points(aleatoric(scan.network, scan.image))
+    masks = scan_seed(0, scan.file.sequence, scan.file.stem)
+    values = list[float]()
+    for candidate in candidates:
+        fitted = candidate.for_sensor(scan.network.sensor)
+        sampled = sample(fitted, scan.image, samples=samples, seed=masks)
+        variance = scan.of_points(sampled.variance) + noise
+        probabilities = scan.of_points(sampled.probabilities)
+        values.append(objective(probabilities, variance, scan.truth))
+    log.info("%s: %d points", scan.file.name, len(scan.truth))
+    return ScanObjectives(values, len(scan.truth))
 
 
 def _gains(files: Sequence[ScanFile], sums: Double, before: int) -> bool:

@@ -25,9 +25,9 @@ from salsanext_cli.core.engines import device
 from salsanext_cli.io.formats.kitti import write_labels
 from salsanext_cli.runs.loop.run import Failure, Outcome
 from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.records.stage_settings import PredictSettings
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.paths import ScanFile, find_scans
-from salsanext_cli.runs.results.stage_settings import PredictSettings
 from salsanext_cli.runs.summary.scan_summary import RunSummary
 
 

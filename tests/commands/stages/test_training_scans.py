@@ -24,7 +24,7 @@ from salsanext_cli.core.network.card import scan_digest
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import save_with_card
 from salsanext_cli.runs.loop.run import RunOptions
-from salsanext_cli.runs.results.digest_files import with_files
+from salsanext_cli.runs.records.digest_files import with_files
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.paths import find_scans
 from salsanext_cli.runs.results.scan_folders import scan_names

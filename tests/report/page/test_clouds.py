@@ -13,7 +13,7 @@ from scans import SMALL, make_scan
 from salsanext_cli import Scan, label_space, project
 from salsanext_cli.report.page.clouds import NO_VALUE, encode_cloud, scales_of
 from salsanext_cli.report.page.run_results import ShownScan
-from salsanext_cli.runs.results.result_folder import ScanResults
+from salsanext_cli.runs.results.scan_results import ScanResults
 
 SEMANTIC_KITTI = label_space()
 

@@ -5,9 +5,9 @@ import pytest
 from scans import write_sequence
 
 from salsanext_cli.runs.labelling.picked_data_set import PickedDataSet, PickSettings
+from salsanext_cli.runs.records.stage_settings import ComputedSettings
 from salsanext_cli.runs.results.manifest import settings_json
 from salsanext_cli.runs.results.paths import find_scans
-from salsanext_cli.runs.results.stage_settings import ComputedSettings
 
 
 @pytest.mark.parametrize(

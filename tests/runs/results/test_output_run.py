@@ -24,10 +24,10 @@ from salsanext_cli.io.files.reading import fingerprint
 from salsanext_cli.runs.loop.network_task import NetworkTask
 from salsanext_cli.runs.loop.run import RunOptions, run_over_scans
 from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.records.stage_settings import ExportSettings, PredictSettings
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.output_run import OutputRun, output_run
 from salsanext_cli.runs.results.paths import ScanFile, find_scans
-from salsanext_cli.runs.results.stage_settings import ExportSettings, PredictSettings
 
 LABELS = np.full(5, 10, np.uint32)
 

@@ -14,7 +14,8 @@ from salsanext_cli.core.errors import NOTICE, FormatError, LabelError, NoInputEr
 from salsanext_cli.io.formats.kitti import write_labels
 from salsanext_cli.io.formats.ply import write_ply
 from salsanext_cli.runs.results.paths import find_scans
-from salsanext_cli.runs.results.result_folder import ResultFolder, ScanResults, scalar_columns
+from salsanext_cli.runs.results.result_folder import ResultFolder
+from salsanext_cli.runs.results.scan_results import ScanResults, scalar_columns
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 
 

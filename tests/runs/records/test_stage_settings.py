@@ -9,8 +9,8 @@ from scans import refused
 
 from salsanext_cli.core.errors import OutputError
 from salsanext_cli.core.plain_data import plain
+from salsanext_cli.runs.records.stage_settings import settings_type
 from salsanext_cli.runs.results.manifest import RESULT_STAGES, Manifest
-from salsanext_cli.runs.results.stage_settings import settings_type
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from salsanext_cli.core.fusion.reach import FusionReach
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.network.card import AccuracyLine, RiskThreshold
 from salsanext_cli.core.sensors.sensor import Sensor
-from salsanext_cli.runs.results.digest_files import require_digests
+from salsanext_cli.runs.records.digest_files import require_digests
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

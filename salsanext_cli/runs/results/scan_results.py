@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: MIT
+"""A scan with its results, and the values of its points by name."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.core.classes.label_space import LabelSpace, RawIds
+from salsanext_cli.core.errors import percentage
+from salsanext_cli.core.geometry.projection import in_sensor_frame, measured_ranges
+from salsanext_cli.core.records import Float, Scan
+from salsanext_cli.core.sensors.sensor import Sensor
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScanResults:
+    """A scan and its results."""
+
+    scan: Scan  # N points
+    label: RawIds | None = None  # (N,) uint32: raw ids without instances, predicted
+    truth: RawIds | None = None  # (N,) uint32: raw ids without instances, from the data set
+    uncertainty: dict[str, Float] = field(default_factory=dict)  # (N,) by kind
+    sensor: Sensor | None = None  # Origin of distances; None for the origin of the scan
+    rejected: npt.NDArray[np.bool_] | None = None  # (N,): unlabelled in a run that rejects labels
+    instance: npt.NDArray[np.uint16] | None = None  # (N,): numbers of objects, 0 for none
+
+    @property
+    def range(self) -> Float:
+        """Distance of every point from the sensor, (N,) float32, metres."""
+        with np.errstate(over="ignore"):  # Distances above the range of float32 become infinite.
+            scan = in_sensor_frame(self.scan, self.sensor) if self.sensor else self.scan
+            return measured_ranges(scan.points)[0].astype(np.float32)
+
+    def wrong(self, space: LabelSpace) -> Float:
+        """Return 1 for wrong labels, 0 for right ones, NaN for points that do not count, (N,)."""
+        if self.label is None or self.truth is None:
+            raise ValueError("a wrong label needs a label and a truth")
+        truth = space.to_train(self.truth, strict=False)
+        wrong = (truth != space.to_train(self.label, strict=False)).astype(np.float32)
+        counts = space.scored[truth]
+        if self.rejected is not None:
+            counts = counts & ~self.rejected
+        return np.where(counts, wrong, np.float32(np.nan))
+
+    def accepted_text(self, space: LabelSpace) -> str:
+        """Return coverage and risk of the accepted labels in words; empty if all are accepted."""
+        if self.rejected is None or self.truth is None:
+            return ""
+        known = space.scored[space.to_train(self.truth, strict=False)]
+        wrong = self.wrong(space)
+        judged = wrong[~np.isnan(wrong)]
+        coverage = len(judged) / max(known.sum(), 1)
+        risk = judged.sum() / max(len(judged), 1)
+        return f"coverage {percentage(coverage)}, risk {percentage(risk)}"
+
+
+def scalar_columns(cloud: ScanResults, space: LabelSpace) -> dict[str, npt.NDArray[Any]]:
+    """Return every scalar of the points, (N,), by the name of its property."""
+    columns: dict[str, npt.NDArray[Any]]
+    columns = {"intensity": cloud.scan.intensity, "range": cloud.range}
+    if cloud.label is not None:
+        columns["label"] = cloud.label.astype(np.uint16)
+    if cloud.instance is not None:
+        columns["instance"] = cloud.instance
+    if cloud.truth is not None:
+        columns["truth"] = cloud.truth.astype(np.uint16)
+        if cloud.label is not None:
+            columns["wrong"] = cloud.wrong(space)
+    return columns | cloud.uncertainty
