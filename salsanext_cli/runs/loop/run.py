@@ -95,8 +95,7 @@ def run_over_scans(
     task, scans, options
         Work on each scan, all scans, and workers, shard and treatment of failures.
     is_done, on_result, summary
-        Functions of a scan, whether it has results, and of each result, called in this thread;
-        instead of the latter, a summary to which the results are added.
+        Functions of a scan, whether it has results, and of each result; or a summary of results.
 
     Returns
     -------
