@@ -73,7 +73,7 @@ def calibration_result(truth) -> CalibrationScores:
 
 def run_of(out=Path(), rows=(), space=SPACE) -> RunResults:
     """Return the results of a run whose scans have no labels."""
-    reader = ScanComparison(out, space, space, None, SMALL)
+    reader = ScanComparison(out=out, space=space, labels=space, merging=None, sensor=SMALL)
     return RunResults(reader, rows, None, MissingResults())
 
 

@@ -13,7 +13,7 @@ SEQUENCE = "{sequence}"
 ANY = "*"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Layout:
     """Layout of the folders of scans of a data set.
 
@@ -100,14 +100,22 @@ class Layout:
 
 
 LAYOUTS = (
-    Layout("SemanticKITTI", ("sequences", SEQUENCE, SCAN_FOLDER)),
-    Layout("SemanticKITTI", (SEQUENCE, SCAN_FOLDER), is_general=True),
-    Layout("SemanticKITTI", (SCAN_FOLDER, SEQUENCE), has_labels=True, is_general=True),
-    Layout("KITTI raw data", (SEQUENCE, "velodyne_points", "data")),
-    Layout("nuScenes", ("samples", "LIDAR_TOP"), after_drive="__LIDAR_TOP__"),
-    Layout("Argoverse 2", (SEQUENCE, "sensors", "lidar"), scan_suffix=".feather"),
-    Layout("GOOSE", ("lidar", ANY, SEQUENCE), True, "_vls128", "_goose"),
-    Layout("PandaSet", (SEQUENCE, "lidar"), files_beside=("poses.json", "timestamps.json")),
+    Layout(name="SemanticKITTI", parts=("sequences", SEQUENCE, SCAN_FOLDER)),
+    Layout(name="SemanticKITTI", parts=(SEQUENCE, SCAN_FOLDER), is_general=True),
+    Layout(name="SemanticKITTI", parts=(SCAN_FOLDER, SEQUENCE), has_labels=True, is_general=True),
+    Layout(name="KITTI raw data", parts=(SEQUENCE, "velodyne_points", "data")),
+    Layout(name="nuScenes", parts=("samples", "LIDAR_TOP"), after_drive="__LIDAR_TOP__"),
+    Layout(name="Argoverse 2", parts=(SEQUENCE, "sensors", "lidar"), scan_suffix=".feather"),
+    Layout(
+        name="GOOSE",
+        parts=("lidar", ANY, SEQUENCE),
+        has_labels=True,
+        scan_ending="_vls128",
+        label_ending="_goose",
+    ),
+    Layout(
+        name="PandaSet", parts=(SEQUENCE, "lidar"), files_beside=("poses.json", "timestamps.json")
+    ),
 )
 """Known layouts; the first one that fits a folder counts."""
 
