@@ -40,7 +40,7 @@ from salsanext_cli.training.tuning.risk_level import (
     require_scans,
 )
 from salsanext_cli.training.tuning.risk_report import (
-    AcceptedPoints,
+    AcceptedScan,
     ComputedBy,
     FewScansReport,
     HeldOutSequence,
@@ -214,9 +214,9 @@ def _threshold(
     )
 
 
-def _accepted_points(scan: JudgedScan, bins: int) -> AcceptedPoints:
+def _accepted_points(scan: JudgedScan, bins: int) -> AcceptedScan:
     """Return the points of a scan in a number of bins."""
-    return AcceptedPoints(
+    return AcceptedScan(
         scan=scan.file.name,
         digest=scan.digest,
         points=scan.points,

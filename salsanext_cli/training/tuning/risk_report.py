@@ -44,7 +44,7 @@ class HeldOutSequence:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class AcceptedPoints:
+class AcceptedScan:
     """Scored points of a scan below the threshold."""
 
     scan: str  # Name, as sequence/scan
@@ -95,7 +95,7 @@ class RiskFit:
     threshold: RiskThreshold
     accepted: AcceptedLabels  # Of all scans together
     held_out: Sequence[HeldOutSequence]  # Empty for a single sequence
-    scans: Sequence[AcceptedPoints]
+    scans: Sequence[AcceptedScan]
     few: FewScansReport | None  # None for enough scans or drives
     computed_by: ComputedBy
     warnings: Sequence[ScanWarning]  # Reasons to doubt the guarantee

@@ -8,7 +8,7 @@ from scans import refused
 
 from salsanext_cli.core.errors import OutputError
 from salsanext_cli.core.network.card import DIGITS, parted
-from salsanext_cli.runs.results.digest_files import (
+from salsanext_cli.runs.records.digest_files import (
     digests_of_guarantee,
     names_files,
     recorded_scans,
