@@ -8,7 +8,8 @@ from functools import partial
 from pathlib import Path
 
 from salsanext_cli.core.classes.label_space import LabelSpace
-from salsanext_cli.core.errors import NOTICE, UsageError
+from salsanext_cli.core.errors import UsageError
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.wording import argument
 from salsanext_cli.io.sensors import sensor

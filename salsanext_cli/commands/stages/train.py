@@ -14,8 +14,10 @@ import torch
 
 from salsanext_cli.commands.stages.synth import SynthSettings, synthesise
 from salsanext_cli.core.classes.label_space import LabelSpace
-from salsanext_cli.core.errors import NOTICE, UsageError, counted
+from salsanext_cli.core.errors import UsageError
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.texts import counted
 from salsanext_cli.core.wording import setting
 from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.io.weights.card_file import default_weights, named_weights, read_card

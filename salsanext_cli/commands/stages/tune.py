@@ -7,8 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from salsanext_cli.core.errors import NOTICE, WeightsError
+from salsanext_cli.core.errors import WeightsError
 from salsanext_cli.core.network.tuned_settings import KEY_OF
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.io.files.atomic import require_target
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.runs.loop.run import Progress

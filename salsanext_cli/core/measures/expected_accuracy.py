@@ -8,8 +8,8 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from salsanext_cli.core.checks.warning_codes import WarningCode
-from salsanext_cli.core.errors import counted
 from salsanext_cli.core.network.card import AccuracyLine
+from salsanext_cli.core.texts import counted
 
 DEVIATIONS = 3.5
 """Half the width of the interval, in deviations of the line. With 2.0, the interval held for seven
@@ -39,7 +39,8 @@ class ExpectedAccuracy:
         )
         if self.interval is None:
             return f"Accuracy not estimated: {reasons}"
-        low, high = math.floor(100 * self.interval[0]), math.ceil(100 * self.interval[1])
+        low = math.floor(100 * self.interval[0])
+        high = math.ceil(100 * self.interval[1])
         others = f"; not estimated for the others: {reasons}" if reasons else ""
         scans = f" of {counted(self.scans, 'scan')}" if reasons else ""
         source = f"from confidence, without labels{others}"
@@ -75,7 +76,7 @@ def expected_accuracy(
     counts = {code: len(names) for code, names in sorted(withheld.items()) if names}
     if any(code in counts for code in OF_RUN):
         return ExpectedAccuracy(None, None, 0, counts)
-    unlike = set().union(*withheld.values())
+    unlike = {name for names in withheld.values() for name in names}
     covered = [confidence for name, confidence in confidences.items() if name not in unlike]
     if not covered:
         return ExpectedAccuracy(None, None, 0, counts)

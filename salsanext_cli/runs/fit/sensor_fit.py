@@ -159,7 +159,8 @@ def settings_of_network(network: Network) -> StageSettings:
     return StageSettings(
         weights=backend.sha256,
         weights_version=card.version,
-        inherited="; ".join(filter(None, (card.inherited(), card.of_other_width()))) or None,
+        inherited="; ".join(filter(None, (card.inherited(), card.parts_of_default_width())))
+        or None,
         label_space=network.space,
         sensor=network.sensor.without_noise(),
         precision=backend.precision,

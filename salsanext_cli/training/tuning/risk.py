@@ -14,13 +14,14 @@ import numpy.typing as npt
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.engines.backend import PixelPrediction
 from salsanext_cli.core.engines.network import Network
-from salsanext_cli.core.errors import LabelError, TrainingError, first_few, percentage, with_hint
+from salsanext_cli.core.errors import LabelError, TrainingError
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.geometry.projection import points_from_pixels
 from salsanext_cli.core.labelling import predict_pixels, refine_labels
 from salsanext_cli.core.measures.histograms import UNCERTAINTY_BINS, bin_of, highest_of_bins
-from salsanext_cli.core.measures.population import of_units
+from salsanext_cli.core.measures.population import traits_of_units
 from salsanext_cli.core.measures.risk_control import (
+    AcceptedCounts,
     AcceptedLabels,
     enough_drives,
     guarantee,
@@ -34,9 +35,10 @@ from salsanext_cli.core.network.card import RiskThreshold, scan_digest
 from salsanext_cli.core.network.unit_traits import UnitTraits
 from salsanext_cli.core.plain_data import plain
 from salsanext_cli.core.sensors.sensor import FittedView
+from salsanext_cli.core.texts import first_few, percentage, with_hint
 from salsanext_cli.core.uncertainty.error_features import error_probability, knows_error
 from salsanext_cli.core.wording import argument
-from salsanext_cli.io.formats.kitti import read_labels
+from salsanext_cli.io.formats.kitti_labels import read_labels
 from salsanext_cli.runs.fit.scan_reading import PreparedFile, read_prepared
 from salsanext_cli.runs.fit.sensor_fit import labels_depend_on
 from salsanext_cli.runs.loop.job import Steps
@@ -163,15 +165,15 @@ def fit_risk(scans: TuningScans, at_most: float, confidence: float | None = None
     )
     others = _held_out(shares, sequences, units, level)
     confusion = _confusion_of_accepted(counts, bins)
-    of_scans = {s.file.name: (s.points, *s.below[:, bins - 1].tolist()) for s in judged}
-    labels = AcceptedLabels.of_confusion(confusion, space, of_scans)
+    points = {scan.file.name: _accepted_points(scan, bins) for scan in judged}
+    labels = AcceptedLabels.of_confusion(confusion, space, points)
     report = {
         "guarantee": guarantee(risk),
         **plain(risk),
         "accepted": plain(labels),
         "held_out": plain(others),
-        "names": [*of_scans],
-        "of_scans": [[accepted / n, wrong / n] for n, accepted, wrong in of_scans.values()],
+        "names": list(points),
+        "of_scans": [[p.accepted / p.points, p.loss] for p in points.values()],
         "sentences": [*labels.sentences, *_sentences(others)],
         "few": None,
         "computed_by": _computed_by(network),
@@ -202,6 +204,12 @@ def _judged_scans(scans: TuningScans, kind: str, counts: Counts) -> list[JudgedS
     return [*scans.run(steps).values()]
 
 
+def _accepted_points(scan: JudgedScan, bins: int) -> AcceptedCounts:
+    """Return the points of a scan in the bins that are accepted."""
+    accepted, wrong = scan.below[:, bins - 1].tolist()
+    return AcceptedCounts(points=scan.points, accepted=accepted, wrong=wrong)
+
+
 def _confusion_of_accepted(counts: Counts, bins: int) -> Counts:
     """Return the confusion matrix (C, C) of `counts` (C, C, B + 1), with rejected points as 0."""
     confusion: Counts = counts[..., :bins].sum(axis=2)
@@ -214,7 +222,7 @@ def _population(judged: Sequence[JudgedScan], unit: str) -> tuple[UnitTraits, ..
     traits = [scan.traits for scan in judged if scan.traits]
     if unit == "scan":
         return tuple(traits)
-    return of_units(traits, [scan.file.sequence for scan in judged])
+    return traits_of_units(traits, [scan.file.sequence for scan in judged])
 
 
 def _no_threshold(source: Path, kind: str, few: FewUnits | None, level: RiskLevel) -> TrainingError:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from salsanext_cli.core.engines.machine import machine, versions
-from salsanext_cli.core.network.card import parted
+from salsanext_cli.core.network.card import split_digests
 from salsanext_cli.io.files.json_files import write_json
 from salsanext_cli.io.files.reading import fingerprint
 from salsanext_cli.version import __version__
@@ -35,7 +35,7 @@ def write_risk_record(
     scans = [
         {"scan": name, "digest": digest, "accepted": accepted, "accepted_and_wrong": wrong}
         for name, digest, (accepted, wrong) in zip(
-            tuned["names"], parted(tuned["digests"]), tuned["of_scans"], strict=True
+            tuned["names"], split_digests(tuned["digests"]), tuned["of_scans"], strict=True
         )
     ]
     record = {

@@ -18,7 +18,6 @@ from salsanext_cli.commands.stages.models import describe_weights
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.commands.stages.uncertainty import uncertainty
 from salsanext_cli.core.errors import (
-    NOTICE,
     LabelError,
     OutputError,
     TrainingError,
@@ -27,6 +26,7 @@ from salsanext_cli.core.errors import (
 )
 from salsanext_cli.core.measures.expected_accuracy import expected_accuracy
 from salsanext_cli.core.network.card import AccuracyLine
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.uncertainty.error_features import FEATURES
 from salsanext_cli.core.uncertainty.method import UncertaintyMethod
 from salsanext_cli.io.weights.card_file import read_card

@@ -12,7 +12,8 @@ from scans import make_scan, write_bin
 from salsanext_cli.core.errors import FormatError
 from salsanext_cli.io.files.reading import filled, is_folder, present, refusing_damage
 from salsanext_cli.io.formats import SCAN_SUFFIXES, kitti, read_scan
-from salsanext_cli.io.formats.kitti import read_bin, read_labels, write_labels
+from salsanext_cli.io.formats.kitti import read_bin
+from salsanext_cli.io.formats.kitti_labels import read_labels, write_labels
 from salsanext_cli.io.formats.npy import read_array
 
 READERS = dict.fromkeys(SCAN_SUFFIXES, read_scan) | {
