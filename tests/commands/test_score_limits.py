@@ -19,7 +19,8 @@ from salsanext_cli.commands.score_limits import (
     score_values,
 )
 from salsanext_cli.core.errors import UsageError
-from salsanext_cli.core.measures.risk_control import AcceptedCounts, AcceptedLabels, RiskBoundCheck
+from salsanext_cli.core.measures.accepted_labels import AcceptedCounts, AcceptedLabels
+from salsanext_cli.core.measures.risk_control import RiskBoundCheck
 from salsanext_cli.core.measures.scores import confusion_matrix, scores
 from salsanext_cli.core.measures.uncertainty_evaluation import UncertaintyEvaluation
 

@@ -13,8 +13,9 @@ from salsanext_cli.commands.score_limits import MissedLimit, ScoreLimit, missed_
 from salsanext_cli.core.checks.warning_codes import WarningCode
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import LabelError, NoInputError
+from salsanext_cli.core.measures.accepted_labels import AcceptedLabels
 from salsanext_cli.core.measures.counts import BAND_NAMES, ScanCounts, SeparateCounts
-from salsanext_cli.core.measures.risk_control import AcceptedLabels, RiskBoundCheck
+from salsanext_cli.core.measures.risk_control import RiskBoundCheck
 from salsanext_cli.core.measures.scores import Scores, band_scores, scores
 from salsanext_cli.core.measures.uncertainty_evaluation import UncertaintyEvaluation
 from salsanext_cli.core.plain_data import Json, as_json, plain

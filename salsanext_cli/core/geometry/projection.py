@@ -51,10 +51,8 @@ class ImageGeometry(NamedTuple):
 
     Attributes
     ----------
-    fov_down : float32
-        Lower edge of the field of view in radians.
-    fov : float32
-        Extent of the field of view in radians.
+    fov_down, fov : float32
+        Lower edge and extent of the field of view in radians.
     height, width : float32
         Size in pixels.
     drops_outside : bool
@@ -176,7 +174,6 @@ def find_pixels(
     fov = geometry.fov
     height = geometry.height
     width = geometry.width
-    drops_outside = geometry.drops_outside
     for i in range(len(point_range)):
         x = points[3 * i]
         y = points[3 * i + 1]
@@ -191,7 +188,9 @@ def find_pixels(
         u = HALF * (ONE - yaw / PI) * width
         v = (ONE - (pitch - fov_down) / fov) * height
         in_view = (v >= ZERO) & (v <= height)
-        seen = (distance > ZERO) & (distance <= MAX_RANGE_M) & (in_view | (not drops_outside))
+        seen = (
+            (distance > ZERO) & (distance <= MAX_RANGE_M) & (in_view | (not geometry.drops_outside))
+        )
         u = u if u > ZERO else ZERO
         v = v if v > ZERO else ZERO
         u = u if u < width else width - ONE

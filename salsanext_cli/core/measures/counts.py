@@ -13,8 +13,8 @@ import numpy as np
 
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.geometry.projection import measured_ranges
+from salsanext_cli.core.measures.accepted_labels import AcceptedCounts
 from salsanext_cli.core.measures.histograms import Histogram, lack_of_confidence, softmax_entropy
-from salsanext_cli.core.measures.risk_control import AcceptedCounts
 from salsanext_cli.core.measures.scores import Counts, accepted, scored_rows
 from salsanext_cli.core.records import Float, Indices
 from salsanext_cli.core.texts import counted, first_few, percentage, with_hint

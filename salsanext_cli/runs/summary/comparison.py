@@ -16,6 +16,7 @@ from salsanext_cli.core.classes.label_space import LabelSpace, RawIds, TrainIds
 from salsanext_cli.core.classes.merging import ClassMerging
 from salsanext_cli.core.errors import LabelError
 from salsanext_cli.core.geometry.projection import in_sensor_frame
+from salsanext_cli.core.measures.accepted_labels import AcceptedCounts
 from salsanext_cli.core.measures.calibration import SCAN_BINS, reliability
 from salsanext_cli.core.measures.counts import (
     BAND_NAMES,
@@ -31,7 +32,6 @@ from salsanext_cli.core.measures.histograms import (
     error_histogram,
     uncertainty_histogram,
 )
-from salsanext_cli.core.measures.risk_control import AcceptedCounts
 from salsanext_cli.core.measures.scores import confusion_matrix, scores
 from salsanext_cli.core.network.card import is_among
 from salsanext_cli.core.records import Float, Mask, Scan

@@ -25,9 +25,10 @@ from salsanext_cli.core.geometry.projection import measured_ranges
 from salsanext_cli.core.geometry.scan_measures import measures_of
 from salsanext_cli.core.geometry.scan_traits import ScanTraits
 from salsanext_cli.core.labelling import LabelledScan
+from salsanext_cli.core.measures.accepted_labels import AcceptedCounts
 from salsanext_cli.core.measures.expected_accuracy import ExpectedAccuracy, expected_accuracy
 from salsanext_cli.core.measures.population import unit_traits
-from salsanext_cli.core.measures.risk_control import AcceptedCounts, RiskBoundCheck
+from salsanext_cli.core.measures.risk_control import RiskBoundCheck
 from salsanext_cli.core.measures.scores import Counts
 from salsanext_cli.core.network.card import AccuracyLine, RiskThreshold
 from salsanext_cli.core.network.unit_traits import UnitTraits

@@ -18,11 +18,10 @@ from salsanext_cli.core.errors import LabelError, TrainingError
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.geometry.projection import points_from_pixels
 from salsanext_cli.core.labelling import predict_pixels, refine_labels
+from salsanext_cli.core.measures.accepted_labels import AcceptedCounts, AcceptedLabels
 from salsanext_cli.core.measures.histograms import UNCERTAINTY_BINS, bin_of, highest_of_bins
 from salsanext_cli.core.measures.population import traits_of_units
 from salsanext_cli.core.measures.risk_control import (
-    AcceptedCounts,
-    AcceptedLabels,
     enough_drives,
     guarantee,
     held_thresholds,

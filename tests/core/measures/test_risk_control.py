@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from salsanext_cli import label_space
+from salsanext_cli.core.measures.accepted_labels import AcceptedCounts, AcceptedLabels
 from salsanext_cli.core.measures.risk_control import (
-    AcceptedCounts,
-    AcceptedLabels,
     RiskBoundCheck,
     allowed_scans,
     binomial,
