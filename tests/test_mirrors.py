@@ -80,7 +80,7 @@ ELSEWHERE: dict[str, dict[str, str]] = {
         "core/engines/dropout_passes.py": "core/uncertainty/test_monte_carlo.py",
         "core/fitting/ego_fit.py": "core/fitting/test_field_of_view.py",
         "core/fitting/scan_sample.py": "core/fitting/test_sensor_groups.py",
-        "core/fitting/upright_scans.py": "core/fitting/test_places.py",
+        "core/fitting/upright_scans.py": "core/fitting/test_mounting_fit.py",
         "core/fitting/view_fit.py": "core/fitting/test_sensor_groups.py",
         "core/fusion/window.py": "core/fusion/test_votes.py",
         "core/geometry/scan_traits.py": "runs/summary/test_scan_summary.py",
