@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The index of a bag, which rosbags does not offer, has the times of its messages."""
+"""The index of a bag, which rosbags does not document, has the times of its messages."""
 
 from pathlib import Path
 
@@ -11,6 +11,7 @@ from bags import KINDS, START, STEP, TOPIC, messages, structured, text, write_ba
 
 from salsanext_cli.io.bag_index import message_times, storage_count
 
+pytestmark = pytest.mark.private
 POINTS = [structured(seed=seed) for seed in range(3)]
 OTHERS = [("/chatter", START + 1, text), ("/chatter", START + 3 * STEP, text)]
 
