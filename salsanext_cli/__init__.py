@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from salsanext_cli.core.sensors.sensor import Sensor
     from salsanext_cli.core.uncertainty.monte_carlo import sample
     from salsanext_cli.io.formats import read_scan
-    from salsanext_cli.io.formats.kitti import read_labels, write_labels
+    from salsanext_cli.io.formats.kitti_labels import read_labels, write_labels
     from salsanext_cli.io.formats.ply import write_ply
     from salsanext_cli.io.label_spaces import label_space
     from salsanext_cli.io.sensors import sensor
@@ -70,7 +70,7 @@ _HOMES = {
     "core.sensors.sensor": ("Sensor",),
     "core.uncertainty.monte_carlo": ("sample",),
     "io.formats": ("read_scan",),
-    "io.formats.kitti": ("read_labels", "write_labels"),
+    "io.formats.kitti_labels": ("read_labels", "write_labels"),
     "io.formats.ply": ("write_ply",),
     "io.label_spaces": ("label_space",),
     "io.sensors": ("sensor",),

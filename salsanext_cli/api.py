@@ -15,11 +15,12 @@ from salsanext_cli.commands.stages.fuse import by_sequence, require_fusable
 from salsanext_cli.core.api import PointLabels, fitted_to_scan, point_labels, scan_of_arrays
 from salsanext_cli.core.classes.label_space import TrainIds
 from salsanext_cli.core.engines.network import Network
-from salsanext_cli.core.errors import SalsanextError, with_hint
+from salsanext_cli.core.errors import SalsanextError
 from salsanext_cli.core.fusion.drive import Drive
 from salsanext_cli.core.fusion.fuse_drive import fuse_drive
 from salsanext_cli.core.fusion.window import warn_without_movable_classes
 from salsanext_cli.core.records import Float, Scan
+from salsanext_cli.core.texts import with_hint
 from salsanext_cli.drive_labels import DriveLabels, label_in_memory
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.weights.loading import load_network

@@ -14,12 +14,13 @@ import numpy.typing as npt
 from salsanext_cli.core.classes.label_space import TrainIds
 from salsanext_cli.core.engines.backend import PixelPrediction
 from salsanext_cli.core.engines.network import Network
-from salsanext_cli.core.errors import NOTICE, NoInputError
+from salsanext_cli.core.errors import NoInputError
 from salsanext_cli.core.fusion.fuse_drive import VotingScan
 from salsanext_cli.core.fusion.top_classes import top_classes
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.geometry.projection import points_from_pixels
 from salsanext_cli.core.labelling import predict_pixels, refine_labels
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.records import Float, Origin, Origins
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.runs.drives.drive import points_of_drive

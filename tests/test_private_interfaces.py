@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Interfaces of other packages that these do not document, each used in one module.
 
-A weekly job runs this file alone with the newest versions, also those above the bounds of
-`pyproject.toml`. A failure names the module to change before the bound is raised.
+A weekly job runs the tests that are marked `private` with the newest versions, also those above the
+bounds of `pyproject.toml`. A failure names the module to change before the bound is raised.
 """
 
 import re
@@ -29,8 +29,9 @@ from salsanext_cli.io.files import user_cache
 from salsanext_cli.training.fused_step import is_fused, skip_step
 
 pytestmark = pytest.mark.private
-BOUNDED = ("numba", "openvino", "torch", "typer")
+BOUNDED = ("numba", "openvino", "rosbags", "torch", "typer")
 USERS = {
+    "io/bag_index.py": r"message_index_offsets|\.dbconn\b|messages_scan",
     "io/kernel_cache.py": r"numba\.core|\._cache\b",
     "core/engines/conversion.py": r"torch\.jit|openvino\.frontend",
     "training/fused_step.py": r"found_inf",
@@ -53,7 +54,8 @@ def test_one_module_uses_an_interface(user):
 
 def test_the_versions_of_packages_with_such_interfaces_have_a_bound():
     project = Path(__file__).parents[1] / "pyproject.toml"
-    required = tomllib.loads(project.read_text("utf-8"))["project"]["dependencies"]
+    described = tomllib.loads(project.read_text("utf-8"))["project"]
+    required = [*described["dependencies"], *described["optional-dependencies"]["ros"]]
     bounded = {re.split("[<>=]", text)[0] for text in required if "<" in text}
     assert bounded == {*BOUNDED}
 

@@ -19,8 +19,9 @@ from scans import SMALL, labels_below, make_scan, write_bin, write_weights
 import salsanext_cli as sn
 from salsanext_cli.commands.line.console import Output
 from salsanext_cli.commands.stages.predict import predict_scans
-from salsanext_cli.core.errors import FormatError, OutputError, SalsanextError, escaped, printable
+from salsanext_cli.core.errors import FormatError, OutputError, SalsanextError
 from salsanext_cli.core.sensors.sensor import INTENSITY_LEVELS
+from salsanext_cli.core.texts import escaped, printable
 from salsanext_cli.runs.network_settings import NetworkSettings
 
 NAMES = [name for name in sn.__all__ if not name.startswith("__")]

@@ -26,7 +26,7 @@ from salsanext_cli.commands.stages import predict
 from salsanext_cli.core import labelling
 from salsanext_cli.core.checks.scan_checks import UNCHECKED
 from salsanext_cli.core.engines.network import Network
-from salsanext_cli.core.errors import counted
+from salsanext_cli.core.texts import counted
 from salsanext_cli.runs.fit import sensor_fit
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings

@@ -25,10 +25,11 @@ from rich.table import Table
 from benchmarks.speed.speed_hardware import least_seconds
 from benchmarks.speed.speed_turn import take_turn
 from salsanext_cli.core.engines.device import choose_device, choose_precision
-from salsanext_cli.core.errors import SalsanextError, UsageError, WeightsError, counted
+from salsanext_cli.core.errors import SalsanextError, UsageError, WeightsError
 from salsanext_cli.core.geometry.network_input import noise_of
 from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.texts import counted
 from salsanext_cli.io.files.atomic import write_bytes
 from salsanext_cli.io.files.json_files import write_json
 from salsanext_cli.io.formats import read_scan

@@ -21,7 +21,7 @@ import numpy as np
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.labelling import label_scan
 from salsanext_cli.core.measures.scores import Counts, confusion_matrix, scores
-from salsanext_cli.io.formats.kitti import read_labels
+from salsanext_cli.io.formats.kitti_labels import read_labels
 from salsanext_cli.runs.fit.scan_reading import read_measured
 from salsanext_cli.runs.fit.scan_sample import sample_of_files
 from salsanext_cli.runs.fit.sensor_fit import fit_scans

@@ -19,7 +19,8 @@ from salsanext_cli.core.errors import FormatError, LabelError, NoInputError, Usa
 from salsanext_cli.core.records import Scan
 from salsanext_cli.io.files.atomic import write_bytes
 from salsanext_cli.io.formats import read_scan
-from salsanext_cli.io.formats.kitti import encode_bin, encode_labels, read_labels
+from salsanext_cli.io.formats.kitti import encode_bin
+from salsanext_cli.io.formats.kitti_labels import encode_labels, read_labels
 from salsanext_cli.runs.results.paths import find_scans
 
 STEPS_PER_M = 128

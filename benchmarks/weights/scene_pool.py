@@ -27,7 +27,8 @@ from filelock import FileLock, Timeout
 from benchmarks.weights.ray_casting import RayScene
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.io.files.atomic import write_bytes
-from salsanext_cli.io.formats.kitti import encode_bin, encode_labels
+from salsanext_cli.io.formats.kitti import encode_bin
+from salsanext_cli.io.formats.kitti_labels import encode_labels
 from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.runs.loop.pool import end_with_parent

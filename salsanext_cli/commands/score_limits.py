@@ -7,11 +7,13 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from salsanext_cli.core.classes.label_space import LabelSpace
-from salsanext_cli.core.errors import UsageError, did_you_mean, with_hint
+from salsanext_cli.core.errors import UsageError
+from salsanext_cli.core.measures.accepted_labels import AcceptedLabels
 from salsanext_cli.core.measures.counts import EVALUATED_KINDS
-from salsanext_cli.core.measures.risk_control import AcceptedLabels, RiskBoundCheck
+from salsanext_cli.core.measures.risk_control import RiskBoundCheck
 from salsanext_cli.core.measures.scores import Scores
 from salsanext_cli.core.measures.uncertainty_evaluation import UncertaintyEvaluation
+from salsanext_cli.core.texts import did_you_mean, with_hint
 
 FAIL_UNDER, FAIL_OVER = "--fail-under", "--fail-over"
 EXAMPLES = {

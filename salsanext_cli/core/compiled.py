@@ -70,10 +70,18 @@ def parallel_for(work: Callable[[Item], object], items: Sequence[Item]) -> None:
 
 
 def parallel_for_slices(work: Callable[[slice], object], count: int, cost: int = 1) -> None:
-    """Call `work` for slices that cover ``0 … count``, one per thread of `parallel_for`.
+    """Call a function for slices of a range, one per thread of `parallel_for`.
 
-    The result must not depend on their number. Items of a higher `cost` need fewer for a thread.
+    Parameters
+    ----------
+    work : callable
+        Function of a slice. The result must not depend on the number of slices.
+    count : int
+        End of the range ``0 … count`` that the slices cover.
+    cost : int
+        Time per item, relative to that of a point's projection; costly items need fewer for a
+        thread.
     """
     threads = max(1, min(thread_count(), count * cost // MIN_SLICE_ITEMS))
-    borders = [count * part // threads for part in range(threads + 1)]
+    borders = [count * number // threads for number in range(threads + 1)]
     parallel_for(work, [slice(start, stop) for start, stop in pairwise(borders)])

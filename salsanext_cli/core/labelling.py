@@ -193,7 +193,21 @@ def prepare_for(network: Network, projected: ProjectedScan) -> PreparedScan:
 def predict_pixels(
     network: Network, scans: Sequence[PreparedScan], *, softmax: bool = False
 ) -> list[PixelPrediction]:
-    """Predict the pixels of scans together; `softmax` adds the probabilities of all classes."""
+    """Predict the pixels of scans together.
+
+    Parameters
+    ----------
+    network : Network
+        Network of the scans.
+    scans : sequence of PreparedScan
+        Scans that are ready for it.
+    softmax : bool
+        Whether the predictions have the probabilities of all classes.
+
+    Returns
+    -------
+    list of PixelPrediction
+    """
     return network.predict([scan.input for scan in scans], softmax=softmax)
 
 

@@ -13,7 +13,8 @@ from typing import Any
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
-from salsanext_cli.core.errors import MissingDependency, error_text
+from salsanext_cli.core.errors import MissingDependency
+from salsanext_cli.core.texts import error_text
 
 NAME = "salsanext"
 MIN_ROSBAGS_VERSION = (0, 11, 7)
@@ -30,7 +31,8 @@ def import_open3d() -> Any:
     except MissingDependency as error:
         if isinstance(error.__cause__, ModuleNotFoundError):
             raise
-        expected, hint = "the system library libusb-1.0", "apt-get install libusb-1.0-0"
+        expected = "the system library libusb-1.0"
+        hint = "apt-get install libusb-1.0-0"
         raise MissingDependency("open3d", error.problem, expected, hint) from error
 
 
@@ -74,7 +76,7 @@ def require_rosbags() -> None:
 
 def import_openvino() -> Any:
     """Import OpenVINO without its converter."""
-    known = CONVERTER in sys.modules
+    is_loaded = CONVERTER in sys.modules
     sys.modules.setdefault(CONVERTER, None)  # type: ignore[arg-type]
     try:
         return import_module("openvino")
@@ -82,5 +84,5 @@ def import_openvino() -> Any:
         problem = f"cannot be imported: {error_text(error)}"
         raise MissingDependency("openvino", problem, hint="install it again") from error
     finally:
-        if not known:
+        if not is_loaded:
             sys.modules.pop(CONVERTER, None)

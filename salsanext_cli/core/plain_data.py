@@ -15,7 +15,8 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from salsanext_cli.core.errors import SalsanextError, UsageError, did_you_mean, shortened
+from salsanext_cli.core.errors import SalsanextError, UsageError
+from salsanext_cli.core.texts import did_you_mean, shortened
 
 Json = dict[str, Any]
 """JSON object, as `json.loads` returns it."""
@@ -62,7 +63,8 @@ def decoded(kind: Any, value: Any) -> Any:
         types = _types(kind)
         return kind(**{name: decoded(types[name], value[name]) for name in types if name in value})
     if origin is tuple and inner[1:] != (...,):
-        return tuple(decoded(*pair) for pair in zip(inner, value, strict=True))
+        pairs = zip(inner, value, strict=True)
+        return tuple(decoded(member, item) for member, item in pairs)
     if origin in (list, tuple) and isinstance(value, list):
         return origin(decoded(inner[0], item) for item in value)
     if origin in (dict, Mapping) and isinstance(value, dict):
@@ -93,12 +95,14 @@ def _types(kind: type) -> dict[str, Any]:
 
 def refuse_unknown(data: Iterable[str], kind: type, source: object) -> None:
     """Raise `UsageError` if `data` has a key that is not a field of a dataclass."""
-    known = sorted(field.name for field in fields(kind))
-    if unknown := sorted(set(data) - set(known)):
+    keys = sorted(field.name for field in fields(kind))
+    unknown = sorted(set(data) - set(keys))
+    if unknown:
         problem = f"has unknown keys {shortened(', '.join(unknown))}"
-        if hint := did_you_mean(unknown[0], known):
+        hint = did_you_mean(unknown[0], keys)
+        if hint:
             raise UsageError(source, problem, hint=hint)
-        raise UsageError(source, problem, f"keys {', '.join(known)}")
+        raise UsageError(source, problem, f"keys {', '.join(keys)}")
 
 
 def are_numbers(values: object) -> bool:

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Plug-ins: objects of other distributions, found by their entry points."""
 
+from __future__ import annotations
+
 import hashlib
 import logging
 from collections.abc import Callable, Collection
@@ -9,9 +11,13 @@ from importlib.util import find_spec
 from multiprocessing import current_process
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from salsanext_cli.core.errors import error_text, warn_once
+from salsanext_cli.core.notices import warn_once
+from salsanext_cli.core.texts import error_text
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 DISTRIBUTION = "distribution"
 """Key of the plug-in's distribution in the description of a network in weights files."""
@@ -19,7 +25,7 @@ DISTRIBUTION = "distribution"
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PlugIn:
     """Object of another distribution."""
 
@@ -42,38 +48,78 @@ class PlugIn:
         return digest.hexdigest()
 
 
-def load_plug_ins(
-    kind: str,
-    built_in: Collection[str],
-    expected: Any,
-    fault: Callable[[Any, Collection[PlugIn]], str] = lambda *_: "",
-) -> dict[str, PlugIn]:
-    """Import the plug-ins of a kind, by name of their entry point, sorted; warn of unusable ones.
+Fault = Callable[[Any, Collection[PlugIn]], str]
 
-    `kind`: group of entry points without ``salsanext.``, such as formats; `built_in`: names that a
-    plug-in cannot have; `expected`: type of the objects; `fault`: function of an object and the
-    earlier plug-ins that returns a problem with the object, or "".
+
+def no_fault(target: Any, earlier: Collection[PlugIn]) -> str:
+    """Return no problem with an object."""
+    return ""
+
+
+def load_plug_ins(
+    kind: str, built_in: Collection[str], expected: Any, fault: Fault = no_fault
+) -> dict[str, PlugIn]:
+    """Import the plug-ins of a kind, and warn of unusable ones.
+
+    Parameters
+    ----------
+    kind : str
+        Group of entry points without ``salsanext.``, such as formats.
+    built_in : collection of str
+        Names that a plug-in cannot have.
+    expected : type
+        Type of the objects.
+    fault : callable
+        Returns a problem with an object beside the earlier plug-ins, or an empty text.
+
+    Returns
+    -------
+    dict of str to PlugIn
+        Usable plug-ins by name of their entry point, sorted.
     """
     from importlib.metadata import entry_points
 
     accepted: dict[str, PlugIn] = {}
     points = entry_points(group=f"salsanext.{kind}")
     for point in sorted(points, key=attrgetter("name", "dist.name")):
-        dist: Any = point.dist
-        distribution = f"{dist.name} {dist.version}"
-        problem = "the name is taken" if point.name in {*built_in, *accepted} else ""
         try:
-            if not problem:
-                target = point.load()
-                problem = f"it is a {type(target).__name__}, not a {expected.__name__}"
-                if isinstance(target, expected):
-                    problem = fault(target, accepted.values())
-        except (KeyboardInterrupt, MemoryError):
-            raise
-        except BaseException as error:  # noqa: BLE001 - a module may raise anything, or exit
-            problem = f"{type(error).__name__}: {error_text(error)}"
-        if problem and current_process().name == "MainProcess":  # Not again in each worker
-            warn_once(log, f"plug-in {point.name} ({distribution}) is not used: {problem}")
-        elif not problem:
-            accepted[point.name] = PlugIn(point.name, distribution, point.module, target)
+            if point.name in built_in or point.name in accepted:
+                raise _UnusablePlugInError("the name is taken")
+            accepted[point.name] = _loaded_plug_in(point, expected, fault, accepted.values())
+        except _UnusablePlugInError as error:
+            if current_process().name == "MainProcess":  # Not again in each worker
+                named = f"plug-in {point.name} ({_distribution_of(point)})"
+                warn_once(log, f"{named} is not used: {error}")
     return accepted
+
+
+class _UnusablePlugInError(Exception):
+    """A plug-in cannot be used; the text states why."""
+
+
+def _loaded_plug_in(
+    point: EntryPoint, expected: Any, fault: Fault, earlier: Collection[PlugIn]
+) -> PlugIn:
+    """Import the plug-in of an entry point, and check its object."""
+    try:
+        target = point.load()
+        if not isinstance(target, expected):
+            kinds = f"it is a {type(target).__name__}, not a {expected.__name__}"
+            raise _UnusablePlugInError(kinds)
+        problem = fault(target, earlier)
+    except (KeyboardInterrupt, MemoryError, _UnusablePlugInError):
+        raise
+    except BaseException as error:  # a module may raise anything, or exit
+        text = f"{type(error).__name__}: {error_text(error)}"
+        raise _UnusablePlugInError(text) from error
+    if problem:
+        raise _UnusablePlugInError(problem)
+    return PlugIn(
+        name=point.name, distribution=_distribution_of(point), module=point.module, target=target
+    )
+
+
+def _distribution_of(point: EntryPoint) -> str:
+    """Return name and version of the distribution of an entry point."""
+    distribution: Any = point.dist
+    return f"{distribution.name} {distribution.version}"

@@ -24,8 +24,8 @@ Origins = dict[str, Origin]
 """Origins of registered scans, by name of the scan."""
 
 CHANNELS = ("range", "x", "y", "z", "intensity")  # In the published order
-MAX_RANGE_M = MAX_INTENSITY = np.float32(1e6)
-"""Largest range, in metres, and intensity of a measurement in a range image."""
+MAX_RANGE_M = np.float32(1e6)  # Largest range of a measurement in a range image
+MAX_INTENSITY = np.float32(1e6)  # Largest intensity of a measurement in a range image
 
 
 @dataclass(frozen=True, slots=True)

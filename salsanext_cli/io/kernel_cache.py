@@ -20,7 +20,7 @@ from numba.core.caching import FunctionCache
 from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import dumps
 
-from salsanext_cli.core.errors import error_text
+from salsanext_cli.core.texts import error_text
 from salsanext_cli.io.files.user_cache import (
     cache_folder,
     read_checked,

@@ -7,8 +7,9 @@ from functools import cache
 from pathlib import Path
 
 from salsanext_cli.core.classes.label_space import BUILT_IN, KEYS, LabelSpace, built_in
-from salsanext_cli.core.errors import UsageError, did_you_mean
+from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.plug_ins import PlugIn, load_plug_ins
+from salsanext_cli.core.texts import did_you_mean
 from salsanext_cli.io.files.yaml_toml import read_yaml
 
 
@@ -45,8 +46,8 @@ def label_space(name_or_file: str | Path = "semantic-kitti") -> LabelSpace:
         if str(name_or_file) in plug_ins:
             target: LabelSpace = plug_ins[str(name_or_file)].target
             return target
-        names = ", ".join((*BUILT_IN, *map(str, plug_ins.values())))
-        hint = did_you_mean(str(path), (*BUILT_IN, *plug_ins))
+        names = ", ".join(list(BUILT_IN) + [str(plug_in) for plug_in in plug_ins.values()])
+        hint = did_you_mean(str(path), [*BUILT_IN, *plug_ins])
         raise UsageError(path, "no such file", f"a .yaml file or one of {names}", hint) from error
     if not isinstance(data, dict):
         expected = f"a mapping with the keys {', '.join(KEYS)}"

@@ -6,31 +6,54 @@ from pathlib import Path
 
 import numpy as np
 
-from salsanext_cli.core.errors import FormatError, counted
+from salsanext_cli.core.errors import FormatError
 from salsanext_cli.core.fusion.poses import CALIBRATION, POSES, Poses
+from salsanext_cli.core.texts import counted
 from salsanext_cli.core.wording import setting
 from salsanext_cli.io.files.reading import present, reading
 
-KITTI_NUMBERS, TUM_NUMBERS = 12, 8
+KITTI_NUMBERS = 12
+TUM_NUMBERS = 8
 MAX_SHEAR = 1e-2  # Largest difference from 1 of a rotation times its transpose
 MAX_COORDINATE_M = 1e12  # Bound up to which float64 resolves millimetres
 ROUNDED = 1e-12  # Largest difference from 1 of the singular values of an exact rotation
 
 
 def line_numbers(
-    path: Path, lines: int, scans: Sequence[str], wanted: Sequence[str]
+    path: Path, lines: int, scans: Sequence[str], names: Sequence[str]
 ) -> list[list[int]]:
-    """Return the possible line numbers of the `wanted` ones of all sorted `scans` of a sequence.
+    """Return the possible line numbers of scans in a file of poses.
 
     A file with a line for each scan is in the order of their names. In any other file, as KITTI's
     of a whole drive, the name of a scan is the number of its line, counted from 0, or possibly from
-    1 if no scan is named 0. A name beyond the last line counted from 0 is refused.
+    1 if no scan is named 0.
+
+    Parameters
+    ----------
+    path : Path
+        The file, in errors.
+    lines : int
+        Number of its lines.
+    scans : sequence of str
+        Sorted names of all scans of the sequence.
+    names : sequence of str
+        Names of the scans to return the lines of.
+
+    Returns
+    -------
+    list of list of int
+        One or two possible numbers of the line of each name, from 0.
+
+    Raises
+    ------
+    FormatError
+        If a name is beyond the last line counted from 0, or no number.
     """
     if lines == len(scans):
         places = {name: number for number, name in enumerate(scans)}
-        numbers = [places.get(name, -1) for name in wanted]
+        numbers = [places.get(name, -1) for name in names]
     else:
-        numbers = [int(name) if name.isdecimal() else -1 for name in wanted]
+        numbers = [int(name) if name.isdecimal() else -1 for name in names]
     if not all(0 <= number < lines for number in numbers):
         expected = f"one for each of {counted(len(scans), 'scan')}, or names that are line numbers"
         raise FormatError(path, f"has {counted(lines, 'line')}", expected)
@@ -38,15 +61,34 @@ def line_numbers(
     return [numbers, [number - 1 for number in numbers]] if may_count_from_1 else [numbers]
 
 
-def pose_readings(path: Path, scans: Sequence[str], wanted: Sequence[str]) -> list[Poses]:
-    """Read the poses (N, 4, 4) of some of the scans of a sequence, given by sorted stems.
+def pose_readings(path: Path, scans: Sequence[str], names: Sequence[str]) -> list[Poses]:
+    """Read the poses of scans of a sequence.
 
     A line of KITTI is a matrix (3, 4), row by row; a line of TUM is time, position and quaternion
     x, y, z, w. Poses of KITTI are those of the camera if a `calib.txt` in the same folder has
-    ``Tr``, from scan to camera. There is one array for each result of `line_numbers`.
+    ``Tr``, from scan to camera.
+
+    Parameters
+    ----------
+    path : Path
+        File of KITTI or TUM.
+    scans : sequence of str
+        Sorted names of all scans of the sequence.
+    names : sequence of str
+        Names of N scans to read.
+
+    Returns
+    -------
+    list of (N, 4, 4) float64
+        Poses in metres for each result of `line_numbers`.
+
+    Raises
+    ------
+    FormatError
+        If the file is damaged, or contains no rigid poses.
     """
     rows = [line for line in _lines(path) if not line.startswith("#")]
-    possible = line_numbers(path, len(rows), scans, wanted)
+    possible = line_numbers(path, len(rows), scans, names)
     return [_poses_of_lines(path, rows, numbers) for numbers in possible]
 
 
@@ -54,17 +96,25 @@ def _poses_of_lines(path: Path, rows: Sequence[str], numbers: Sequence[int]) -> 
     values = [_numbers(path, number, rows[number]) for number in numbers]
     poses = np.tile(np.eye(4), (len(values), 1, 1))
     for number, row, pose in zip(numbers, values, poses, strict=True):
-        is_kitti, name = len(row) == KITTI_NUMBERS, f"line {number + 1}"
-        if not is_kitti and abs((length := np.linalg.norm(row[4:])) - 1) > MAX_SHEAR:
-            problem = f"{name} has a quaternion of length {length:.3g}"
-            raise FormatError(path, problem, "time, position and quaternion x, y, z, w of length 1")
-        matrix = row if is_kitti else np.column_stack([rotation(*row[4:]), row[1:4]])
+        is_kitti = len(row) == KITTI_NUMBERS
+        name = f"line {number + 1}"
+        matrix = row if is_kitti else _matrix_of_tum(path, name, row)
         pose[:3] = _rigid(path, name, matrix)
     calibration = path.with_name(CALIBRATION)
     if present(calibration) and values and len(values[0]) == KITTI_NUMBERS:
         to_camera = _calibration(calibration)
         poses = np.linalg.inv(to_camera) @ poses @ to_camera
     return poses
+
+
+def _matrix_of_tum(path: Path, name: str, row: Poses) -> Poses:
+    """Return the matrix (3, 4) of a line of TUM; refuse a quaternion of another length than 1."""
+    x, y, z, w = row[4:]
+    length = np.linalg.norm(row[4:])
+    if abs(length - 1) > MAX_SHEAR:
+        problem = f"{name} has a quaternion of length {length:.3g}"
+        raise FormatError(path, problem, "time, position and quaternion x, y, z, w of length 1")
+    return np.column_stack([rotation(x, y, z, w), row[1:4]])
 
 
 def read_fused_poses(path: Path, scans: Sequence[str]) -> Poses:
@@ -103,7 +153,8 @@ def rotation(x: float, y: float, z: float, w: float) -> list[list[float]]:
 def _rigid(path: Path, name: str, row: Poses) -> Poses:
     """Return a pose (3, 4) with the exact rotation that is nearest to the one in a file."""
     pose = row.reshape(3, 4)
-    if (farthest := np.abs(pose[:, 3]).max()) >= MAX_COORDINATE_M:
+    farthest = np.abs(pose[:, 3]).max()
+    if farthest >= MAX_COORDINATE_M:
         problem = f"{name} has a coordinate of {farthest:.3g} m"
         raise FormatError(path, problem, "positions in metres")
     shear = np.abs(pose[:, :3] @ pose[:, :3].T - np.eye(3)).max()

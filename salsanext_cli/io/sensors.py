@@ -33,8 +33,9 @@ def sensor(name_or_file: str | Path, base: Sensor | None = None) -> Sensor:
         return presets()[str(name_or_file)]
     path = Path(name_or_file)
     data = read_toml(path, "sensor", presets() if base is None else ("auto", *presets()))
-    known = (base or presets()["hdl64"]).to_dict()
-    defaults = {key: known[key] for key in OF_IMAGES}
+    base_values = (base or presets()["hdl64"]).to_dict()
+    defaults = {key: base_values[key] for key in OF_IMAGES}
     if base is not None and data.keys().isdisjoint(FIELD_OF_VIEW):
-        defaults |= {key: known[key] for key in (*FIELD_OF_VIEW, *NOISE) if key in known}
+        optional = FIELD_OF_VIEW + NOISE
+        defaults |= {key: base_values[key] for key in optional if key in base_values}
     return Sensor.from_dict({"name": path.stem, **defaults, **data}, path)

@@ -6,9 +6,9 @@ from typing import Any
 
 from rich.table import Table
 
-from salsanext_cli.core.errors import counted, first_few
 from salsanext_cli.core.measures.risk_control import guarantee
 from salsanext_cli.core.network.card import INHERITED
+from salsanext_cli.core.texts import counted, first_few
 from salsanext_cli.io.weights.card_file import DescribedWeights
 from salsanext_cli.report.tables import ABSENT, percent, table_of
 

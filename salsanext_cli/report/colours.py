@@ -14,8 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.core.classes.label_space import LabelSpace
-from salsanext_cli.core.errors import SalsanextError, UsageError, did_you_mean
+from salsanext_cli.core.errors import SalsanextError, UsageError
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.texts import did_you_mean
 from salsanext_cli.core.wording import argument
 from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.runs.results.paths import COLOURS, ScanFile

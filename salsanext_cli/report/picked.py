@@ -14,11 +14,11 @@ import numpy.typing as npt
 from rich.table import Table
 
 from salsanext_cli.core.classes.label_space import LabelSpace
-from salsanext_cli.core.errors import counted
 from salsanext_cli.core.geometry.projection import points_from_pixels
 from salsanext_cli.core.labelling import LabelledScan
 from salsanext_cli.core.measures.scan_choice import Choice
 from salsanext_cli.core.records import Float
+from salsanext_cli.core.texts import counted
 from salsanext_cli.io.formats.ply import encode_ply
 from salsanext_cli.report.tables import ABSENT, table_of
 from salsanext_cli.runs.labelling.picked_data_set import PickedScan

@@ -10,14 +10,14 @@ from rich.table import Table
 from rich.text import Text
 
 from salsanext_cli.core.classes.label_space import LabelSpace
-from salsanext_cli.core.errors import counted, first_few, percentage, printable
 from salsanext_cli.core.measures.calibration import CalibrationScores
 from salsanext_cli.core.measures.risk_control import needed_scans, useful_scans
-from salsanext_cli.core.measures.scores import FREQUENT_POINTS, Scores, band_rows
+from salsanext_cli.core.measures.scores import FREQUENT_POINTS, Scores, band_scores
 from salsanext_cli.core.measures.survey import Survey
 from salsanext_cli.core.measures.uncertainty_evaluation import RankingScores, UncertaintyEvaluation
 from salsanext_cli.core.records import CHANNELS
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.texts import counted, first_few, percentage, printable
 from salsanext_cli.core.wording import share
 from salsanext_cli.runs.labelling.label_records import ImportedScan, LabelImport
 
@@ -81,8 +81,14 @@ def score_table(result: Scores, title: str = "") -> Table:
 def band_table(bands: Mapping[str, Scores]) -> Table:
     """Return a table of mean IoU of the same classes and accuracy by distance band."""
     rows = (
-        (name, percent(mean), percent(band.accuracy), f"{band.points:,}", ", ".join(absent))
-        for name, band, mean, absent in band_rows(bands)
+        (
+            band.name,
+            percent(band.iou_mean_same),
+            percent(band.scores.accuracy),
+            f"{band.scores.points:,}",
+            ", ".join(band.absent),
+        )
+        for band in band_scores(bands)
     )
     headings = ("distance", "mean IoU % of\nthe same classes", "accuracy %", "points")
     return table_of((*headings, "absent classes"), rows, texts=["absent classes"])

@@ -4,7 +4,7 @@
 import logging
 from typing import TYPE_CHECKING
 
-from salsanext_cli.core.errors import NOTICE
+from salsanext_cli.core.notices import NOTICE
 
 if TYPE_CHECKING:
     from salsanext_cli.core.engines.network import Network
@@ -30,7 +30,7 @@ def announce_network(network: "Network", weights: object) -> None:
     if inherited:
         hint = ": run `salsanext tune error`" if inherited.startswith("error") else ""
         log.log(NOTICE, "%s; not fitted to these weights%s", inherited, hint)
-    other_width = network.card.of_other_width()
+    other_width = network.card.parts_of_default_width()
     if other_width:
         width = network.sensor.width
         log.log(NOTICE, "%s; not fitted to images of %d columns", other_width, width)

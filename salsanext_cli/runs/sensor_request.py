@@ -6,7 +6,8 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import replace
 
-from salsanext_cli.core.errors import UsageError, quoted
+from salsanext_cli.core.errors import UsageError
+from salsanext_cli.core.texts import quoted
 from salsanext_cli.core.wording import argument
 
 TYPE_CHECKING = False  # Importing it from `typing` takes time.

@@ -17,7 +17,8 @@ import safetensors.torch
 import torch
 from torch import Tensor, nn
 
-from salsanext_cli.core.errors import TrainingError, error_text
+from salsanext_cli.core.errors import TrainingError
+from salsanext_cli.core.texts import error_text
 from salsanext_cli.core.wording import setting
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.training.fused_step import is_fused

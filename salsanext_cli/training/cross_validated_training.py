@@ -10,8 +10,9 @@ from functools import partial
 import numpy as np
 
 from salsanext_cli.core.engines.network import Network
-from salsanext_cli.core.errors import NOTICE, percentage
 from salsanext_cli.core.network.error_model import ErrorModel
+from salsanext_cli.core.notices import NOTICE
+from salsanext_cli.core.texts import percentage
 from salsanext_cli.core.uncertainty.error_features import FEATURES
 from salsanext_cli.io.weights.loading import network_of_module
 from salsanext_cli.io.weights.weights import read_weights

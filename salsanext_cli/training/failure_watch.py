@@ -16,7 +16,8 @@ import time
 from contextlib import suppress
 from typing import Any
 
-from salsanext_cli.core.errors import SalsanextError, error_text
+from salsanext_cli.core.errors import SalsanextError
+from salsanext_cli.core.texts import error_text
 
 POLL_S = 0.1  # Time between two queries of the store
 LEAVING_S = 0.5  # Time that a worker stays after its last message

@@ -13,8 +13,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from salsanext_cli.core.errors import NOTICE, TrainingError
+from salsanext_cli.core.errors import TrainingError
 from salsanext_cli.core.network.card import WeightsCard
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.wording import setting
 from salsanext_cli.io.weights.loading import network_of_module
 from salsanext_cli.io.weights.weights import encode_weights

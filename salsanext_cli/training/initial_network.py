@@ -11,11 +11,13 @@ from torch import Tensor
 
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.engines.backend import LOGITS
-from salsanext_cli.core.errors import NOTICE, WeightsError, first_few
+from salsanext_cli.core.errors import WeightsError
 from salsanext_cli.core.network.card import INHERITED, WeightsCard
 from salsanext_cli.core.network.registry import build, described
 from salsanext_cli.core.network.segmentation import SegmentationNetwork
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.texts import first_few
 from salsanext_cli.core.uncertainty.error_features import FEATURES
 from salsanext_cli.io.sensors import sensor
 from salsanext_cli.io.weights.card_file import named_weights, read_card

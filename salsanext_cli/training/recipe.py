@@ -10,9 +10,10 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Self
 
-from salsanext_cli.core.errors import UsageError, shortened
+from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.field_rules import FieldRule
 from salsanext_cli.core.plain_data import refuse_unknown
+from salsanext_cli.core.texts import shortened
 from salsanext_cli.core.wording import command, setting
 from salsanext_cli.io.files.reading import present
 from salsanext_cli.io.files.yaml_toml import read_toml

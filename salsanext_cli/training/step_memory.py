@@ -5,8 +5,9 @@ import logging
 import math
 from dataclasses import dataclass
 
-from salsanext_cli.core.errors import TrainingError, with_hint
+from salsanext_cli.core.errors import TrainingError
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.texts import with_hint
 from salsanext_cli.core.wording import setting
 from salsanext_cli.training.memory import Memory
 from salsanext_cli.training.recipe import Recipe

@@ -81,4 +81,4 @@ def test_default_weights_get_an_error_model_of_all_sequences_and_int8_ranges(tmp
         assert error.scores["sequences"] == ["a/08", "a/09", "b/08", "b/09"]
         assert error.scores["points"] > 4 * 1000
     assert narrow.error.scores["error"] != card.error.scores["error"]
-    assert narrow.of_other_width() == f"temperature of images of {SMALL.width} columns"
+    assert narrow.parts_of_default_width() == f"temperature of images of {SMALL.width} columns"

@@ -19,7 +19,8 @@ from salsanext_cli.commands.score_limits import (
     score_values,
 )
 from salsanext_cli.core.errors import UsageError
-from salsanext_cli.core.measures.risk_control import AcceptedLabels, RiskBoundCheck
+from salsanext_cli.core.measures.accepted_labels import AcceptedCounts, AcceptedLabels
+from salsanext_cli.core.measures.risk_control import RiskBoundCheck
 from salsanext_cli.core.measures.scores import confusion_matrix, scores
 from salsanext_cli.core.measures.uncertainty_evaluation import UncertaintyEvaluation
 
@@ -28,8 +29,10 @@ TRUTH = np.array([CAR, CAR, PERSON, PERSON, PERSON, PERSON, ROAD, ROAD])
 PREDICTED = np.array([CAR, 0, PERSON, ROAD, PERSON, PERSON, ROAD, CAR])
 CONFUSION = confusion_matrix(TRUTH, PREDICTED, SPACE.class_count)
 SCORES = scores(CONFUSION, SPACE)
-NOTHING = UncertaintyEvaluation(None, {})
-CHECK = RiskBoundCheck(0.1, None, "scan", 10, 3, 0.08, 0.4)
+NOTHING = UncertaintyEvaluation(calibration=None, kinds={})
+CHECK = RiskBoundCheck(
+    at_most=0.1, confidence=None, unit="scan", units=10, above=3, mean=0.08, worst=0.4
+)
 
 
 def limits_in(text, option):
@@ -111,8 +114,11 @@ def test_scores_are_percentages_by_name():
 
 def test_every_kind_of_score_has_a_value_if_its_results_are_there():
     error = replace(ranking_result([0.1, 0.9], [False, True]), ece=0.03)
-    uncertainty = UncertaintyEvaluation(calibration_result([1, 1, 2]), {"error": error})
-    accepted = AcceptedLabels.of_confusion(CONFUSION, SPACE, {"a/0": (8, 7, 2)})
+    uncertainty = UncertaintyEvaluation(
+        calibration=calibration_result([1, 1, 2]), kinds={"error": error}
+    )
+    counts = {"a/0": AcceptedCounts(points=8, accepted=7, wrong=2)}
+    accepted = AcceptedLabels.of_confusion(CONFUSION, SPACE, counts)
     values = score_values(SCORES, uncertainty, accepted)
     assert {name.partition(".")[0] for name in values} == SCORE_KINDS.keys() - {"guarantee"}
     assert values["ece_of_error"] == pytest.approx(3)

@@ -16,11 +16,12 @@ from command_line import called, only_json
 from scans import SMALL, labels_below, lively, make_scan, refused, write_bin
 
 from salsanext_cli import Scan, label_space, load_network, read_scan
-from salsanext_cli.core.errors import FormatError, UsageError, WeightsError, warn_once
+from salsanext_cli.core.errors import FormatError, UsageError, WeightsError
 from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.network.registry import build, described, plugged_networks
+from salsanext_cli.core.notices import warn_once
 from salsanext_cli.io.formats import plugged_formats
-from salsanext_cli.io.formats.kitti import read_labels
+from salsanext_cli.io.formats.kitti_labels import read_labels
 from salsanext_cli.io.label_spaces import plugged_label_spaces
 from salsanext_cli.io.weights.weights import read_weights, save_weights
 from salsanext_cli.training.initial_network import initial_network

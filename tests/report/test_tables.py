@@ -74,7 +74,7 @@ def ranked(*uncertainty):
 
 
 def tables_of(calibration=None, **kinds):
-    return uncertainty_tables(UncertaintyEvaluation(calibration, kinds))
+    return uncertainty_tables(UncertaintyEvaluation(calibration=calibration, kinds=kinds))
 
 
 def test_a_row_of_calibration_and_one_for_each_kind_with_dashes_where_undefined():
@@ -109,8 +109,17 @@ def tables_of_a_large_data_set(weights):
     described = describe_weights(weights)
     card = replace(described.card, scores={"iou_other-vehicle": 0.5})
     yield card_table(replace(described, card=card))
-    numbers = (4071, 4071, MANY, MANY, 117_000, 131_072, 119.9, 255)
-    survey = Survey(*numbers, classes=Counter({10: MANY}))
+    survey = Survey(
+        scans=4071,
+        labelled=4071,
+        points=MANY,
+        invalid=MANY,
+        smallest=117_000,
+        largest=131_072,
+        farthest=119.9,
+        brightest=255,
+        classes=Counter({10: MANY}),
+    )
     yield survey_tables({"2011_09_26_drive_0001": survey}, survey, space, SMALL)
     counts = dict.fromkeys((*IMPORTED, "unmatched"), 131_072)
     imported = ImportedScan(scan="08/000000", files=(), **counts, scalar="scalar_Classification")

@@ -17,7 +17,9 @@ from salsanext_cli.commands.line.option_fields import (
     selection_option,
 )
 from salsanext_cli.commands.line.option_groups import OPTIONS
-from salsanext_cli.core.errors import UsageError, did_you_mean, notice_once
+from salsanext_cli.core.errors import UsageError
+from salsanext_cli.core.notices import notice_once
+from salsanext_cli.core.texts import did_you_mean
 from salsanext_cli.core.uncertainty.kinds import UNCERTAINTY
 from salsanext_cli.io.formats import RECORDING_SUFFIXES, SCAN_SUFFIXES
 from salsanext_cli.runs.loop.run_options import RunOptions

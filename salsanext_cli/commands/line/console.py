@@ -25,7 +25,9 @@ from salsanext_cli.commands.line.option_fields import option, option_group
 from salsanext_cli.commands.line.option_names import CommandLine
 from salsanext_cli.commands.line.typer_interface import USAGE_ERROR
 from salsanext_cli.commands.line.wrong_values import usage_error
-from salsanext_cli.core.errors import HINT, NOTICE, SalsanextError, UsageError, escaped, printable
+from salsanext_cli.core.errors import SalsanextError, UsageError
+from salsanext_cli.core.notices import NOTICE
+from salsanext_cli.core.texts import HINT, escaped, printable
 from salsanext_cli.core.wording import spelled
 
 if TYPE_CHECKING:

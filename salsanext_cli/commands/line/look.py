@@ -13,7 +13,7 @@ from salsanext_cli.commands.line.console import over_scans, progress
 from salsanext_cli.commands.line.expansion import Without
 from salsanext_cli.commands.line.interruption import ARRIVED
 from salsanext_cli.commands.line.option_fields import argument, names_in, option
-from salsanext_cli.core.errors import counted
+from salsanext_cli.core.texts import counted
 from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.query import ResultQuery, named_label_space

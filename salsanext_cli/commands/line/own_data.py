@@ -9,7 +9,8 @@ from salsanext_cli.commands.line import arguments, console, summary
 from salsanext_cli.commands.line.console import over_scans, print_line, writing
 from salsanext_cli.commands.line.expansion import Shown
 from salsanext_cli.commands.line.option_fields import argument, option, option_group
-from salsanext_cli.core.errors import UsageError, counted, printable, with_hint
+from salsanext_cli.core.errors import UsageError
+from salsanext_cli.core.texts import counted, printable, with_hint
 from salsanext_cli.runs.results.query import named_label_space
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.sensor_request import AUTO, with_names
@@ -48,7 +49,7 @@ def inspect(
     """
     from salsanext_cli.commands.stages.inspect import inspect as stage
     from salsanext_cli.commands.stages.inspect import write_sensor
-    from salsanext_cli.core.fitting.field_of_view import view_text
+    from salsanext_cli.core.fitting.sensor_texts import view_text
     from salsanext_cli.io.stated_fields import stated_fields
     from salsanext_cli.report.tables import survey_tables
 

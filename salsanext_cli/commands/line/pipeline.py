@@ -12,8 +12,9 @@ from salsanext_cli.commands.line import arguments, console, summary
 from salsanext_cli.commands.line.console import over_scans
 from salsanext_cli.commands.line.expansion import Without
 from salsanext_cli.commands.line.option_fields import option, option_group, running_option
-from salsanext_cli.core.errors import UsageError, counted
+from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
+from salsanext_cli.core.texts import counted
 from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.query import ResultQuery, named_label_space

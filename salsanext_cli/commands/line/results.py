@@ -11,8 +11,8 @@ from salsanext_cli.commands.line import arguments, console, summary
 from salsanext_cli.commands.line.console import over_scans
 from salsanext_cli.commands.line.expansion import Without
 from salsanext_cli.commands.line.option_fields import argument, names_in, option, option_group
-from salsanext_cli.core.errors import counted
 from salsanext_cli.core.fusion.reach import FusionReach
+from salsanext_cli.core.texts import counted
 from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.results.query import ResultQuery
 

@@ -6,7 +6,8 @@ import os
 import re
 from collections.abc import Mapping
 
-from salsanext_cli.core.errors import NOTICE, UsageError
+from salsanext_cli.core.errors import UsageError
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.runs.loop.run_options import Shard
 
 OPTION = "--shard"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import typer
 
 from salsanext_cli.commands.line.console import DONE, FAILED, Output, duration_text, print_line
-from salsanext_cli.core.errors import MAX_NAMES_SHOWN, counted, first_few, percentage, with_hint
+from salsanext_cli.core.texts import MAX_NAMES_SHOWN, counted, first_few, percentage, with_hint
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -117,7 +117,7 @@ def _lines(summary: RunSummary | None, following: str | None) -> Iterable[str]:
     """Yield images, unlabelled points, estimated accuracy, largest classes and next command."""
     if summary is not None:
         sensor = summary.sensor
-        from salsanext_cli.core.fitting.field_of_view import ego_text, image_text
+        from salsanext_cli.core.fitting.sensor_texts import ego_text, image_text
 
         images = (image_text(member, summary.trained) for member in sensor.members)
         yield from (f"image: {text}" for text in dict.fromkeys(images))

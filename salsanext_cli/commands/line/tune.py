@@ -12,7 +12,7 @@ from salsanext_cli.commands.line.console import guarded, writing
 from salsanext_cli.commands.line.expansion import Default, Shown, Without, expanded
 from salsanext_cli.commands.line.help import Command, Group
 from salsanext_cli.commands.line.option_fields import argument, option, option_group, running_option
-from salsanext_cli.core.errors import counted, percentage
+from salsanext_cli.core.texts import counted, percentage
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 

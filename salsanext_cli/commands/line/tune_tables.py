@@ -9,7 +9,7 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from salsanext_cli.core.errors import counted
+from salsanext_cli.core.texts import counted
 from salsanext_cli.report.tables import accepted_table, needed_scans_table, percent, table_of
 
 if TYPE_CHECKING:

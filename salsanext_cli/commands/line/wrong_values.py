@@ -5,7 +5,8 @@ import os
 from collections.abc import Sequence
 from typing import Any
 
-from salsanext_cli.core.errors import UsageError, nearest, shortened
+from salsanext_cli.core.errors import UsageError
+from salsanext_cli.core.texts import nearest, shortened
 
 LIKE_OPTION = 0.75  # Least likeness of the name of an option that may be meant
 SAME_PURPOSE = {"--limit": "--subset", "--subset": "--limit"}

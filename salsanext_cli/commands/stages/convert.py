@@ -6,7 +6,8 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from salsanext_cli.core.errors import OutputError, UsageError, counted, first_few, shortened
+from salsanext_cli.core.errors import OutputError, UsageError
+from salsanext_cli.core.texts import counted, first_few, shortened
 from salsanext_cli.core.wording import argument
 from salsanext_cli.io.files.reading import filled
 from salsanext_cli.io.formats import read_scan

@@ -12,12 +12,14 @@ from pathlib import Path
 from salsanext_cli.commands.score_limits import MissedLimit, ScoreLimit, missed_limits, score_values
 from salsanext_cli.core.checks.warning_codes import WarningCode
 from salsanext_cli.core.classes.label_space import LabelSpace
-from salsanext_cli.core.errors import LabelError, NoInputError, counted, escaped
+from salsanext_cli.core.errors import LabelError, NoInputError
+from salsanext_cli.core.measures.accepted_labels import AcceptedLabels
 from salsanext_cli.core.measures.counts import BAND_NAMES, ScanCounts, SeparateCounts
-from salsanext_cli.core.measures.risk_control import AcceptedLabels, RiskBoundCheck
-from salsanext_cli.core.measures.scores import Scores, band_rows, scores
+from salsanext_cli.core.measures.risk_control import RiskBoundCheck
+from salsanext_cli.core.measures.scores import Scores, band_scores, scores
 from salsanext_cli.core.measures.uncertainty_evaluation import UncertaintyEvaluation
 from salsanext_cli.core.plain_data import Json, as_json, plain
+from salsanext_cli.core.texts import counted, escaped
 from salsanext_cli.core.wording import argument
 from salsanext_cli.io.files.json_files import encode_json
 from salsanext_cli.io.files.reading import present
@@ -127,8 +129,9 @@ class Evaluation:
             "unknown_ids": {name: dict(sorted(ids.items())) for name, ids in unknown_ids.items()},
             "scores": self.scores,
             "by_distance": {
-                name: plain(band) | {"iou_mean_same": mean, "absent": absent}
-                for name, band, mean, absent in band_rows(self.by_distance)
+                band.name: plain(band.scores)
+                | {"iou_mean_same": band.iou_mean_same, "absent": band.absent}
+                for band in band_scores(self.by_distance)
             },
             "by_sequence": self.by_sequence,
             "by_scan": dict(sorted(counts.by_scan.items())),

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from salsanext_cli.core.classes.label_space import LabelSpace
-from salsanext_cli.core.errors import NOTICE
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.io.formats.field_names import PREFIX
 from salsanext_cli.io.formats.ply import encode_ply

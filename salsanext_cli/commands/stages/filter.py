@@ -11,15 +11,16 @@ import numpy as np
 
 from salsanext_cli.core.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.core.classes.merging import MOVABLE, named_classes
-from salsanext_cli.core.errors import UsageError, counted, first_few, with_hint
+from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.geometry.projection import measured_ranges, without_ego
 from salsanext_cli.core.measures.filtered_points import FilteredPoints
 from salsanext_cli.core.records import Mask, Scan
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.texts import counted, first_few, with_hint
 from salsanext_cli.core.wording import argument, command, setting
 from salsanext_cli.io.files.reading import filled, present
 from salsanext_cli.io.formats import read_scan
-from salsanext_cli.io.formats.kitti import read_labels
+from salsanext_cli.io.formats.kitti_labels import read_labels
 from salsanext_cli.io.formats.recordings import recording_of
 from salsanext_cli.io.formats.subsets import subsets_of
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from salsanext_cli.core.classes.label_space import LabelSpace
-from salsanext_cli.core.errors import NoInputError, OutputError, SalsanextError, UsageError, counted
+from salsanext_cli.core.errors import NoInputError, OutputError, SalsanextError, UsageError
 from salsanext_cli.core.fusion.drive import Drive
 from salsanext_cli.core.fusion.poses import POSES
 from salsanext_cli.core.fusion.reach import FusionReach
@@ -19,9 +19,10 @@ from salsanext_cli.core.fusion.window import FusionWindow, warn_without_movable_
 from salsanext_cli.core.optional_packages import import_extra
 from salsanext_cli.core.records import Float
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.texts import counted
 from salsanext_cli.core.wording import argument, command, setting
 from salsanext_cli.io.files.json_files import encode_json, read_json
-from salsanext_cli.io.formats.kitti import read_labels
+from salsanext_cli.io.formats.kitti_labels import read_labels
 from salsanext_cli.io.poses import encode_poses
 from salsanext_cli.runs.drives.drive import (
     DRIVE,

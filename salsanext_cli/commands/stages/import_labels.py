@@ -16,13 +16,13 @@ from salsanext_cli.core.errors import (
     OutputError,
     SalsanextError,
     UsageError,
-    first_few,
 )
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.texts import first_few
 from salsanext_cli.core.wording import argument, setting
 from salsanext_cli.io.files.reading import is_folder
 from salsanext_cli.io.formats import read_scan
-from salsanext_cli.io.formats.kitti import encode_labels
+from salsanext_cli.io.formats.kitti_labels import encode_labels
 from salsanext_cli.io.formats.label_scalars import LabelIds
 from salsanext_cli.io.formats.recordings import recording_of
 from salsanext_cli.runs.labelling.edited_files import find_edited, read_edited, scan_of_edited

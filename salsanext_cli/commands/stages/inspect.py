@@ -7,7 +7,7 @@ from pathlib import Path
 
 from salsanext_cli.core.checks.scan_checks import ALONE, check_scan, fit_hint
 from salsanext_cli.core.classes.label_space import LabelSpace
-from salsanext_cli.core.errors import NoInputError, counted
+from salsanext_cli.core.errors import NoInputError
 from salsanext_cli.core.fitting.sensor_groups import sensor_groups
 from salsanext_cli.core.geometry.network_input import NO_INTENSITY
 from salsanext_cli.core.geometry.projection import measured_ranges, project, without_ego
@@ -15,10 +15,11 @@ from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
 from salsanext_cli.core.measures.survey import Survey, survey
 from salsanext_cli.core.plain_data import plain
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.texts import counted
 from salsanext_cli.io.files.atomic import require_absent, write_bytes
 from salsanext_cli.io.files.reading import present
 from salsanext_cli.io.formats import read_scan
-from salsanext_cli.io.formats.kitti import read_labels
+from salsanext_cli.io.formats.kitti_labels import read_labels
 from salsanext_cli.io.weights.card_file import default_weights, read_card
 from salsanext_cli.runs.fit.mixed_sensors import APART
 from salsanext_cli.runs.fit.scan_sample import sample_of_files

@@ -14,14 +14,16 @@ import numpy as np
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.engines.backend import PixelPrediction
 from salsanext_cli.core.engines.network import Network
-from salsanext_cli.core.errors import NOTICE, NoInputError, UsageError, counted
+from salsanext_cli.core.errors import NoInputError, UsageError
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.labelling import refine_labels
 from salsanext_cli.core.measures.scan_choice import choose_scans, require_choice
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.plain_data import plain
+from salsanext_cli.core.texts import counted
 from salsanext_cli.core.uncertainty.monte_carlo import Estimate, require_sampling
 from salsanext_cli.core.wording import argument
-from salsanext_cli.io.formats.kitti import encode_labels
+from salsanext_cli.io.formats.kitti_labels import encode_labels
 from salsanext_cli.report.picked import picked_cloud, picked_csv, picked_scans, scans_of_list
 from salsanext_cli.runs.fit.scan_reading import PreparedFile, read_prepared
 from salsanext_cli.runs.fit.scan_sample import sample_of_files

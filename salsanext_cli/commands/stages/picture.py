@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Final
 
 from salsanext_cli.core.classes.label_space import LabelSpace
-from salsanext_cli.core.errors import NOTICE, UsageError
+from salsanext_cli.core.errors import UsageError
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.wording import argument
 from salsanext_cli.io.sensors import sensor

@@ -16,7 +16,7 @@ from salsanext_cli.core.checks.scan_checks import ScanCheck, check_image
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.engines.backend import PixelPrediction
 from salsanext_cli.core.engines.network import Network
-from salsanext_cli.core.errors import NOTICE, UsageError, WeightsError
+from salsanext_cli.core.errors import UsageError, WeightsError
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.geometry.objects import BOX, Objects, find_objects, fit_boxes
 from salsanext_cli.core.geometry.projection import points_from_pixels
@@ -24,6 +24,7 @@ from salsanext_cli.core.labelling import LabelledScan, predict_pixels, refine_la
 from salsanext_cli.core.measures.risk_control import guarantee
 from salsanext_cli.core.network.card import RiskThreshold
 from salsanext_cli.core.network.tuned_settings import KEY_OF
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.records import Float, Origins
 from salsanext_cli.core.uncertainty.error_features import error_model, error_probability
 from salsanext_cli.core.wording import argument, command, setting, share

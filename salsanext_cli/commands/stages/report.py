@@ -9,10 +9,11 @@ from threading import Lock
 
 import numpy as np
 
-from salsanext_cli.core.errors import NoInputError, OutputError, SalsanextError, escaped
+from salsanext_cli.core.errors import NoInputError, OutputError, SalsanextError
 from salsanext_cli.core.measures.counts import ScanCounts, SeparateCounts
 from salsanext_cli.core.measures.decision import Verdict, verdict
 from salsanext_cli.core.plain_data import plain
+from salsanext_cli.core.texts import escaped
 from salsanext_cli.io.files.atomic import require_target, write_bytes
 from salsanext_cli.report.colours import screen_colours
 from salsanext_cli.report.page.clouds import encode_cloud, scales_of

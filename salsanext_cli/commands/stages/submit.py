@@ -13,19 +13,14 @@ from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 import numpy as np
 
 from salsanext_cli.core.classes.label_space import MOVING, RAW_ID_COUNT, LabelSpace
-from salsanext_cli.core.errors import (
-    LabelError,
-    NoInputError,
-    UsageError,
-    counted,
-    first_few,
-    with_hint,
-)
+from salsanext_cli.core.errors import LabelError, NoInputError, UsageError
+from salsanext_cli.core.texts import counted, first_few, with_hint
 from salsanext_cli.core.wording import argument, command, setting
 from salsanext_cli.io.files.atomic import require_target, writing
 from salsanext_cli.io.files.reading import is_folder, present, reading, size_of
 from salsanext_cli.io.formats import read_scan, scan_suffix
-from salsanext_cli.io.formats.kitti import count_points, read_labels
+from salsanext_cli.io.formats.kitti import count_points
+from salsanext_cli.io.formats.kitti_labels import read_labels
 from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.runs.loop.run_options import Progress
 from salsanext_cli.runs.results.paths import ScanFile, find_outputs

@@ -13,11 +13,13 @@ import numpy as np
 import yaml
 
 from salsanext_cli.core.classes.label_space import RawIds
-from salsanext_cli.core.errors import UsageError, counted
+from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.optional_packages import import_open3d
+from salsanext_cli.core.texts import counted
 from salsanext_cli.core.wording import argument
 from salsanext_cli.io.files.reading import filled
-from salsanext_cli.io.formats.kitti import encode_bin, encode_labels, read_labels
+from salsanext_cli.io.formats.kitti import encode_bin
+from salsanext_cli.io.formats.kitti_labels import encode_labels, read_labels
 from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.runs.loop.run import Progress, RunOptions, run_over_scans
 from salsanext_cli.runs.results.manifest import StageRecord, require_same_settings, settings_json

@@ -13,9 +13,11 @@ import torch
 
 from salsanext_cli.commands.stages.training_scenes import simulated_scenes
 from salsanext_cli.core.classes.label_space import LabelSpace
-from salsanext_cli.core.errors import NOTICE, UsageError, counted
+from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.network.card import WeightsCard
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.texts import counted
 from salsanext_cli.core.wording import setting
 from salsanext_cli.io.weights.card_file import default_weights, named_weights, read_card
 from salsanext_cli.io.weights.loading import network_of_module

@@ -6,7 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from salsanext_cli.commands.stages.synth import SynthSettings, synthesise
-from salsanext_cli.core.errors import NOTICE, counted
+from salsanext_cli.core.notices import NOTICE
+from salsanext_cli.core.texts import counted
 from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.synthesis.lidar import RIGS

@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 from salsanext_cli.core.classes.label_space import LabelSpace
-from salsanext_cli.core.errors import NOTICE, WeightsError
+from salsanext_cli.core.errors import WeightsError
 from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.network.tuned_settings import KEY_OF
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.plain_data import plain
 from salsanext_cli.io.files.atomic import require_target
 from salsanext_cli.io.weights.card_file import read_card

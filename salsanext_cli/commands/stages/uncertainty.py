@@ -11,11 +11,12 @@ import numpy as np
 
 from salsanext_cli.core.engines.backend import PixelPrediction
 from salsanext_cli.core.engines.network import Network
-from salsanext_cli.core.errors import NOTICE, OutputError
+from salsanext_cli.core.errors import OutputError
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.geometry.network_input import noise_of
 from salsanext_cli.core.geometry.projection import points_from_pixels
 from salsanext_cli.core.labelling import refine_labels
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.records import Float, Origins
 from salsanext_cli.core.uncertainty.error_features import error_probability, knows_error
 from salsanext_cli.core.uncertainty.method import UncertaintyMethod

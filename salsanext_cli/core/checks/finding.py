@@ -3,7 +3,7 @@
 
 from typing import NamedTuple
 
-from salsanext_cli.core.errors import with_hint
+from salsanext_cli.core.texts import with_hint
 
 
 class Finding(NamedTuple):

@@ -9,16 +9,17 @@ import numpy.typing as npt
 from salsanext_cli.core.checks.finding import Finding
 from salsanext_cli.core.checks.warning_codes import WarningCode
 from salsanext_cli.core.classes.label_space import LabelSpace
-from salsanext_cli.core.errors import percentage
 from salsanext_cli.core.geometry.scan_traits import MIN_TRAIT_POINTS
+from salsanext_cli.core.texts import percentage
 
 MAX_SHARE = 0.75  # Largest credible share of a class in a scan; an empty crossroads had 0.6
-FEW_CLASSES, MAX_SHARE_OF_FEW = 10, 0.85
-"""The same for at most so many classes, as in `coarse`; right settings gave at most 0.67."""
+FEW_CLASSES = 10  # Label spaces of at most so many classes, class 0 included, are coarse
+MAX_SHARE_OF_FEW = 0.85
+"""The same for few classes, as in `coarse`; right settings gave at most 0.67."""
 MIN_CLASSES = 5
 """One of fewer classes may cover a whole scan. Both numbers include the class "unlabelled"."""
-MIN_CONFIDENCE, MIN_OF_FEW = 0.575, 0.74
-"""Least usual mean of a scan; cities had 0.62 or more, and 0.79 or more in `coarse`."""
+MIN_CONFIDENCE = 0.575  # Least usual mean of a scan; cities had 0.62 or more
+MIN_CONFIDENCE_OF_FEW = 0.74  # The same for few classes; cities had 0.79 or more in `coarse`
 USUAL = "check the sensor and its settings"
 LOOK = "look at the labels"
 """End of the hints about labels, after which a run names the command."""
@@ -52,6 +53,6 @@ def label_findings(
                 f"{percentage(points[largest] / total, 0)} of the points are {space.names[largest]}"
             )
             yield Finding(WarningCode.ONE_CLASS, share, LOOK)
-    if confidence < (MIN_OF_FEW if has_few else MIN_CONFIDENCE):
+    if confidence < (MIN_CONFIDENCE_OF_FEW if has_few else MIN_CONFIDENCE):
         mean = f"the labels have a mean probability of {confidence:.2f}"
         yield Finding(WarningCode.LOW_CONFIDENCE, mean, f"{USUAL}; {LOOK}")

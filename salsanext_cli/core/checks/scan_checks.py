@@ -30,7 +30,7 @@ from salsanext_cli.core.checks.structure_checks import (
 )
 from salsanext_cli.core.checks.training_checks import APART, training_findings
 from salsanext_cli.core.checks.warning_codes import WarningCode
-from salsanext_cli.core.errors import FormatError, counted, percentage
+from salsanext_cli.core.errors import FormatError
 from salsanext_cli.core.geometry.ground import (
     MAX_TILT_DEG,
     TOLERANCE_M,
@@ -53,6 +53,7 @@ from salsanext_cli.core.geometry.scan_traits import (
 from salsanext_cli.core.geometry.sensor_place import USUAL_HEIGHT_M, origin_in_file
 from salsanext_cli.core.records import Double, FileNotes, Float, Scan
 from salsanext_cli.core.sensors.sensor import FITTED_NAME, ORIGIN, UP, Sensor, presets
+from salsanext_cli.core.texts import counted, percentage
 from salsanext_cli.core.wording import argument, command, setting
 
 
@@ -74,8 +75,8 @@ USUAL_RANGES_M = (60.0, 300.0)
 """Largest usual median range and 99 % quantile of ranges; real scans had up to 32 and 104."""
 MIN_FAR_M = 15.0  # Least usual 99 % quantile of ranges; roads had 27 m, a room and a hall 8 and 9
 MIN_MEASURED = 0.4  # Least usual share of measured points; organised clouds had 0.55 or more
-MIN_ROWS, FEW_OF_ROW = 0.35, 0.1
-"""Least usual share of rows with more than a tenth of the mean points; scans had 0.47 or more."""
+FEW_OF_ROW = 0.1  # Least share of the mean points of a row in a row that counts
+MIN_ROWS = 0.35  # Least usual share of rows that count; scans had 0.47 or more
 SECTORS = 64
 MIN_SECTORS = 0.6  # Least share of the directions around with a point; revolutions had 0.89 or more
 FEW_SECTORS = 0.1  # The same for a narrow field of view; solid-state sensors had 0.14 or more
@@ -103,7 +104,21 @@ def columns_hint() -> str:
 
 
 def check_image(channels: Float, sensor: Sensor, trained: Sensor) -> ScanCheck:
-    """Compare a range image (5, H, W) with training; `project` checked its field of view."""
+    """Compare a range image with training; `project` checked its field of view.
+
+    Parameters
+    ----------
+    channels : (5, H, W) float32
+        Range image.
+    sensor : Sensor
+        Sensor of the image.
+    trained : Sensor
+        Sensor of the weights.
+
+    Returns
+    -------
+    ScanCheck
+    """
     occupied = channels[:, channels[0] > 0]
     if occupied.shape[1] < MIN_TRAIT_POINTS:
         return UNCHECKED
@@ -123,8 +138,27 @@ def check_scan(
 ) -> ScanCheck:
     """Check a sample of the points of a scan that is projected for a sensor.
 
-    `source` names the scan in errors. `trained` is the sensor of the weights, if the intensity
-    matters; without quantiles it stands for 0 to 1. `fit` is the hint if a fit may help.
+    Parameters
+    ----------
+    source : object
+        Name of the scan in errors.
+    scan : Scan
+        N points in the frame of their file.
+    sensor : Sensor
+        Sensor that the scan is projected for.
+    trained : Sensor, optional
+        Sensor of the weights, if the intensity matters; without quantiles it stands for 0 to 1.
+    fit : str
+        Hint if a fit of the sensor may help.
+
+    Returns
+    -------
+    ScanCheck
+
+    Raises
+    ------
+    FormatError
+        If the points are not in metres around a sensor.
     """
     sample = in_sensor_frame(few_points(scan), sensor)
     ranges, is_measured = measured_ranges(sample.points)
@@ -194,7 +228,7 @@ def _structure_at_place(
 ) -> tuple[list[Finding], PlaceProblem | None]:
     """Return the signs in the structure of a scan, and what remains of the problem of its place."""
     at_place = misplaced.sensor if misplaced and misplaced.sensor else sensor
-    structure = [*structure_findings(scan, at_place)]
+    structure = list(structure_findings(scan, at_place))
     if _accumulated(structure):
         # Several positions have seen the points: no other one has seen all.
         return structure, None

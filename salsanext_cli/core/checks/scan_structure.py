@@ -19,11 +19,11 @@ from salsanext_cli.core.sensors.sensor import Sensor
 
 MAX_POINTS = 8192  # Points in a sample of a scan
 MIN_SURROUNDING = 5  # Fewest occupied cells, of 3 × 3, that show the surface around a point
-HIDDEN_M, HIDDEN_SHARE = 1.0, 0.05
-"""Least distance of a hidden point behind that surface, in metres and of its range."""
+HIDDEN_M = 1.0  # Least distance of a hidden point behind that surface
+HIDDEN_SHARE = 0.05  # The same as a share of the range of the surface
 MIN_AROUND = 4  # Fewest other occupied cells, of 3 × 5, around a point in the air
-IN_AIR_M, IN_AIR_SHARE = 0.5, 0.05
-"""Least distance of a point in the air in front of them, in metres and of its range."""
+IN_AIR_M = 0.5  # Least distance of a point in the air in front of them
+IN_AIR_SHARE = 0.05  # The same as a share of its range
 NEAR_M = 15.0  # Largest range of a point in the air
 
 

@@ -12,10 +12,10 @@ import numpy as np
 from salsanext_cli.core.checks.finding import Finding
 from salsanext_cli.core.checks.scan_structure import structure_of
 from salsanext_cli.core.checks.warning_codes import WarningCode
-from salsanext_cli.core.errors import percentage
 from salsanext_cli.core.geometry.beam_origin import sharpness
 from salsanext_cli.core.records import FieldSplit, Float, Scan
 from salsanext_cli.core.sensors.sensor import ORIGIN, UP, Sensor
+from salsanext_cli.core.texts import percentage
 
 MAX_HIDDEN = 0.045
 """Largest share of hidden points; single scans had up to 0.037, ten scans in one 0.062 or more."""
@@ -29,8 +29,8 @@ MAX_ROUGHNESS = 0.015
 0.023 or more."""
 MAX_IN_AIR = 0.007
 """Largest share of points in the air; scans had up to 0.004, in light fog and snow 0.009."""
-MAX_SECTORS, SECTORS = 0.6, 64
-"""Largest share of the directions around in a depth image, of so many."""
+SECTORS = 64  # Directions around
+MAX_SECTORS = 0.6  # Largest share of them in a depth image
 MIN_SHARPNESS = 2.0
 """Least sharpness of the rows of a sensor with few directions; a depth image had up to 1.5."""
 SINGLE_SCANS = "label the single scans, then `salsanext fuse`"

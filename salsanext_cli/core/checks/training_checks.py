@@ -5,9 +5,9 @@ from collections.abc import Iterator
 
 from salsanext_cli.core.checks.finding import Finding
 from salsanext_cli.core.checks.warning_codes import WarningCode
-from salsanext_cli.core.errors import first_few, percentage
 from salsanext_cli.core.geometry.network_input import BRIGHT, INTENSITY_FACTOR, NO_INTENSITY
 from salsanext_cli.core.sensors.sensor import OF_IMAGES, Sensor
+from salsanext_cli.core.texts import first_few, percentage
 from salsanext_cli.core.wording import argument, setting
 
 MAX_USUAL_INTENSITY = 2.0  # Upper intensity of the scale 0…1, if that of training is unknown

@@ -11,21 +11,15 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
-from itertools import chain, islice
+from itertools import islice
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import yaml
 
-from salsanext_cli.core.errors import (
-    LabelError,
-    UsageError,
-    did_you_mean,
-    first_few,
-    percentage,
-    shortened,
-)
+from salsanext_cli.core.errors import LabelError, UsageError
+from salsanext_cli.core.texts import did_you_mean, first_few, percentage, shortened
 from salsanext_cli.core.wording import argument, setting
 
 TrainIds = npt.NDArray[np.uint8]
@@ -37,8 +31,14 @@ UNKNOWN = 255  # Train id of unknown raw ids
 SHOWN_DIGITS = 20  # Longest text of an id in an error
 ALTERNATIVES = "learning_alternatives"
 KEYS = (
-    *("labels", "learning_map", "learning_map_inv", "learning_ignore", "color_map", "split"),
-    *(ALTERNATIVES, "movable"),
+    "labels",
+    "learning_map",
+    "learning_map_inv",
+    "learning_ignore",
+    "color_map",
+    "split",
+    ALTERNATIVES,
+    "movable",
 )
 MAX_UNKNOWN_SHARE = 0.1
 """Largest tolerated share of points with unknown ids; other data sets had 0.4 or more."""
@@ -111,22 +111,25 @@ class LabelSpace:
         If the label space does not state them, they are the classes of the movable raw ids of
         SemanticKITTI, provided that most raw ids have its names; else there are none.
         """
-        ids = self._usual_movable_ids() if self.movable_ids is None else self.movable_ids
+        ids = self._movable_ids_of_kitti() if self.movable_ids is None else self.movable_ids
         return np.isin(np.arange(self.class_count), ids)
 
-    def _usual_movable_ids(self) -> tuple[int, ...]:
-        usual = built_in(BUILT_IN[0])
-        same = [self.labels[i] == usual.labels[i] for i in self.labels.keys() & usual.labels]
-        movable = (usual.movable_ids or ()) if 2 * sum(same) > len(same) else ()
-        raw_ids = (i for i, train in usual.learning_map.items() if train in movable)
+    def _movable_ids_of_kitti(self) -> tuple[int, ...]:
+        """Return the train ids of SemanticKITTI's movable raw ids, if most names are its own."""
+        kitti = built_in(BUILT_IN[0])
+        same = [self.labels[i] == kitti.labels[i] for i in self.labels.keys() & kitti.labels]
+        if 2 * sum(same) <= len(same):
+            return ()
+        movable = kitti.movable_ids or ()
+        raw_ids = [i for i, train_id in kitti.learning_map.items() if train_id in movable]
         return tuple(sorted({self.learning_map.get(i, 0) for i in raw_ids} - {0}))
 
     def require_movable(self, subject: str) -> None:
-        """Raise `UsageError` for an option that needs movable classes if there are none."""
+        """Raise `UsageError` about a subject that needs movable classes if there are none."""
         if not self.movable.any():
             problem = f"label space {self.name} has no movable classes"
-            hint = "state their train ids in its yaml file, as `movable: [1, 2]`, and predict"
-            hint = f"{hint} with {setting('classes', 'FILE')}"
+            stated = "state their train ids in its yaml file, as `movable: [1, 2]`"
+            hint = f"{stated}, and predict with {setting('classes', 'FILE')}"
             raise UsageError(subject, problem, "at least one", hint)
 
     def unknown_ids(self, raw: RawIds) -> dict[int, int]:
@@ -136,15 +139,33 @@ class LabelSpace:
         return {int(i): int(n) for i, n in zip(ids, counts, strict=True)}
 
     def to_train(self, raw: RawIds, *, strict: bool = True, source: object = "labels") -> TrainIds:
-        """Map raw ids, uint32 of any shape, to train ids, uint8, without instances.
+        """Map raw ids to train ids, without instances.
 
-        An unknown id raises `LabelError` if `strict`; else it becomes 0, as in the official
-        evaluator, and the caller reports `unknown_ids`. More than `MAX_UNKNOWN_SHARE` of the
-        labelled points always raise it: these are ids of another label space.
+        Parameters
+        ----------
+        raw : uint32 array
+            Raw ids, of any shape.
+        strict : bool
+            Whether an unknown id is an error; else it becomes 0, as in the official evaluator, and
+            the caller reports `unknown_ids`.
+        source : object
+            Name of the labels in errors.
+
+        Returns
+        -------
+        uint8 array
+            Train ids, of the same shape.
+
+        Raises
+        ------
+        LabelError
+            If an id is unknown and `strict` is set, or if more than `MAX_UNKNOWN_SHARE` of the
+            labelled points have unknown ids: these are ids of another label space.
         """
         train: TrainIds = self._train_of_raw[raw & 0xFFFF]
         unknown = train == UNKNOWN
-        if count := np.count_nonzero(unknown):
+        count = np.count_nonzero(unknown)
+        if count:
             certain = count - 2 * count**0.5  # minus two standard errors of a small number
             if strict or certain > MAX_UNKNOWN_SHARE * np.count_nonzero(train):
                 raise self._unknown(raw, source)
@@ -155,10 +176,9 @@ class LabelSpace:
         """Return the error with the commonest unknown ids."""
         counts = self.unknown_ids(raw)
         ids = first_few([f"{i} ({counts[i]}×)" for i in sorted(counts, key=lambda i: -counts[i])])
-        of_labelled = sum(counts.values()) / np.count_nonzero(self._train_of_raw[raw & 0xFFFF])
-        problem = (
-            f"has unknown label ids {ids}: {percentage(of_labelled, 0)} of the labelled points"
-        )
+        labelled = np.count_nonzero(self._train_of_raw[raw & 0xFFFF])
+        share = percentage(sum(counts.values()) / labelled, 0)
+        problem = f"has unknown label ids {ids}: {share} of the labelled points"
         hint = f"set the label space of this data with {argument('label_space')}"
         if (raw & 0xFFFF).max() < self.class_count:
             problem += f"; they are probably train ids, since none is above {self.class_count - 1}"
@@ -189,29 +209,33 @@ class LabelSpace:
 
     def differences(self, other: LabelSpace) -> list[str]:
         """Return descriptions of the differences from another label space, classes first."""
-        tables = [
-            {
-                "train id": dict(enumerate(space.names)),
-                **space.to_dict(),
-                "name": {"": space.name},
-                "movable": dict(enumerate(space.movable.tolist())),
-            }
-            for space in (self, other)
-        ]
-        return [
-            f"{table} {key}: {first.get(key, 'none')} ≠ {second.get(key, 'none')}"
-            for table in dict.fromkeys(chain(*tables))
-            for first, second in [[entries.get(table, {}) for entries in tables]]
-            for key in sorted(first.keys() | second)
-            if first.get(key) != second.get(key)
-        ]
+        tables = self._tables()
+        other_tables = other._tables()
+        texts = []
+        for name in dict.fromkeys([*tables, *other_tables]):
+            entries = tables.get(name, {})
+            other_entries = other_tables.get(name, {})
+            for key in sorted(entries.keys() | other_entries.keys()):
+                if entries.get(key) != other_entries.get(key):
+                    values = f"{entries.get(key, 'none')} ≠ {other_entries.get(key, 'none')}"
+                    texts.append(f"{name} {key}: {values}")
+        return texts
+
+    def _tables(self) -> dict[str, dict[Any, Any]]:
+        """Return all that can differ between label spaces as tables by name, classes first."""
+        return {
+            "train id": dict(enumerate(self.names)),
+            **self.to_dict(),
+            "name": {"": self.name},
+            "movable": dict(enumerate(self.movable.tolist())),
+        }
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data in the form of SemanticKITTI's yaml, which `from_dict` accepts."""
         raw_ids = [self.learning_map_inv[i] for i in range(self.class_count)]
         alternatives = {i: list(several) for i, several in self.alternatives.items()}
-        is_stated = self.movable_ids not in (None, self._usual_movable_ids())
-        return {
+        is_stated = self.movable_ids not in (None, self._movable_ids_of_kitti())
+        data = {
             "name": self.name,
             "labels": self.labels,
             "color_map": dict(zip(raw_ids, self.colours[:, ::-1].tolist(), strict=True)),
@@ -219,17 +243,37 @@ class LabelSpace:
             "learning_map_inv": self.learning_map_inv,
             "learning_ignore": dict(enumerate(self.ignored)),
             "split": {name: list(members) for name, members in self.splits.items()},
-            **({ALTERNATIVES: alternatives} if alternatives else {}),
-            **({"movable": list(self.movable_ids or ())} if is_stated else {}),
         }
+        if alternatives:
+            data[ALTERNATIVES] = alternatives
+        if is_stated:
+            data["movable"] = list(self.movable_ids or ())
+        return data
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], source: object = "label space") -> LabelSpace:
-        """Build a label space from data in the form of SemanticKITTI's yaml."""
+        """Build a label space from data in the form of SemanticKITTI's yaml.
+
+        Parameters
+        ----------
+        data : mapping
+            Tables of `KEYS`, of which only the first three are required.
+        source : object
+            Origin of the data in errors, and the name if the data have none.
+
+        Returns
+        -------
+        LabelSpace
+
+        Raises
+        ------
+        UsageError
+            If the tables are of other types, or contradict each other.
+        """
         try:
             labels = {int(i): str(name) for i, name in data["labels"].items()}
-            learning_map = {int(i): int(train) for i, train in data["learning_map"].items()}
-            inverse = {int(train): int(i) for train, i in data["learning_map_inv"].items()}
+            learning_map = _integers(data["learning_map"])
+            inverse = _integers(data["learning_map_inv"])
             ignored = data.get("learning_ignore", {0: True})
             ignore = {int(train): bool(flag) for train, flag in ignored.items()}
             alternatives = {
@@ -240,28 +284,27 @@ class LabelSpace:
             movable = None if stated is None else tuple(sorted({int(i) for i in _list(stated)}))
             colours = {int(i): _colour(bgr) for i, bgr in data.get("color_map", {}).items()}
             splits = {
-                str(name): tuple(
-                    f"{s:02d}" if isinstance(s, int) else str(s) for s in _list(members)
-                )
+                str(name): tuple(map(_sequence_name, _list(members)))
                 for name, members in data.get("split", {}).items()
             }
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             problem = f"is not a label space: {shortened(error)}"
             raise UsageError(source, problem, f"keys {', '.join(KEYS)}") from error
-        if problem := _contradiction(labels, learning_map, inverse, alternatives, movable or ()):
+        problem = _contradiction(labels, learning_map, inverse, alternatives, movable or ())
+        if problem:
             raise UsageError(source, problem, "a consistent label space")
         ids = range(len(inverse))
         bgr = [colours.get(inverse[i], _spare_colour(i)) for i in ids]
         return cls(
-            str(data.get("name", getattr(source, "stem", source))),
-            labels,
-            learning_map,
-            inverse,
-            tuple(ignore.get(i, i == 0) for i in ids),
-            np.array([colour[::-1] for colour in bgr], np.uint8),
-            splits,
-            alternatives,
-            movable,
+            name=str(data.get("name", getattr(source, "stem", source))),
+            labels=labels,
+            learning_map=learning_map,
+            learning_map_inv=inverse,
+            ignored=tuple(ignore.get(i, i == 0) for i in ids),
+            colours=np.array([colour[::-1] for colour in bgr], np.uint8),
+            splits=splits,
+            alternatives=alternatives,
+            movable_ids=movable,
         )
 
 
@@ -273,26 +316,44 @@ def _contradiction(
     movable: tuple[int, ...],
 ) -> str:
     """Return a description of an inconsistency, empty without one."""
+    train_ids = set(inverse)
     if not inverse or sorted(inverse) != list(range(len(inverse))) or len(inverse) > UNKNOWN:
-        return f"has train ids {_some(inverse)}, not 0…C-1 with C ≤ {UNKNOWN}"
-    if bad := [i for i in (*learning_map, *labels) if not 0 <= i < RAW_ID_COUNT]:
-        return f"has raw ids {_some(bad)} beyond 16 bits"
-    if bad := sorted(set(learning_map.values()) - set(inverse)):
-        return f"has train ids {_some(bad)} in learning_map but not in learning_map_inv"
-    if bad := sorted(set(inverse.values()) - set(labels)):
-        return f"lacks names of raw ids {_some(bad)} in labels"
-    if bad := sorted({*chain(*alternatives.values())} - set(inverse)):
-        return f"has train ids {_some(bad)} in {ALTERNATIVES} but not in learning_map_inv"
-    if bad := sorted({*movable} - ({*inverse} - {0})):
-        return f"has train ids {_some(bad)} in movable, not 1…C-1"
-    if bad := [i for i, several in alternatives.items() if learning_map.get(i) not in several]:
-        return f"lacks the train ids of raw ids {_some(bad)} in their {ALTERNATIVES}"
+        return f"has train ids {_listed(inverse)}, not 0…C-1 with C ≤ {UNKNOWN}"
+    wide = [i for i in [*learning_map, *labels] if not 0 <= i < RAW_ID_COUNT]
+    if wide:
+        return f"has raw ids {_listed(wide)} beyond 16 bits"
+    targets = set(learning_map.values()) - train_ids
+    if targets:
+        return f"has train ids {_listed(targets)} in learning_map but not in learning_map_inv"
+    nameless = set(inverse.values()) - set(labels)
+    if nameless:
+        return f"lacks names of raw ids {_listed(nameless)} in labels"
+    possible = {train_id for several in alternatives.values() for train_id in several}
+    if possible - train_ids:
+        ids = _listed(possible - train_ids)
+        return f"has train ids {ids} in {ALTERNATIVES} but not in learning_map_inv"
+    immovable = set(movable) - (train_ids - {0})
+    if immovable:
+        return f"has train ids {_listed(immovable)} in movable, not 1…C-1"
+    lacking = [i for i, several in alternatives.items() if learning_map.get(i) not in several]
+    if lacking:
+        return f"lacks the train ids of raw ids {_listed(lacking)} in their {ALTERNATIVES}"
     return ""
 
 
-def _some(ids: Iterable[int]) -> str:
+def _listed(ids: Iterable[int]) -> str:
     """Return a short text of ids of any number and size."""
     return first_few([shortened(i, SHOWN_DIGITS) for i in sorted(ids)])
+
+
+def _integers(table: Mapping[Any, Any]) -> dict[int, int]:
+    """Return a table of integers, which YAML may have as texts."""
+    return {int(key): int(value) for key, value in table.items()}
+
+
+def _sequence_name(member: object) -> str:
+    """Return the name of a sequence, which YAML may have as a number."""
+    return f"{member:02d}" if isinstance(member, int) else str(member)
 
 
 def _list(members: object) -> list[Any]:

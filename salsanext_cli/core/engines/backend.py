@@ -45,13 +45,25 @@ class PixelPrediction(NamedTuple):
 
     @classmethod
     def of(cls, softmax: Float, *, keep: bool = False) -> "PixelPrediction":
-        """Reduce a softmax (C, H, W) float32; `keep` puts a copy of it into the prediction."""
+        """Reduce a softmax to a prediction.
+
+        Parameters
+        ----------
+        softmax : (C, H, W) float32
+            Probabilities of all classes.
+        keep : bool
+            Whether the prediction has a copy of them.
+
+        Returns
+        -------
+        PixelPrediction
+        """
         values = argument(softmax, np.float32).reshape(len(softmax), -1)
         labels = np.zeros(values.shape[1], np.uint8)
         confidence = np.empty(values.shape[1], np.float32)
 
-        def reduce(part: slice) -> None:
-            largest(values[:, part], labels[part], confidence[part])
+        def reduce(pixels: slice) -> None:
+            largest(values[:, pixels], labels[pixels], confidence[pixels])
 
         parallel_for_slices(reduce, len(labels))
         size = softmax.shape[1:]
@@ -61,7 +73,17 @@ class PixelPrediction(NamedTuple):
 
 @compiled
 def largest(softmax: Float, labels: TrainIds, confidence: Float) -> None:
-    """Write class and value of the largest value of each column; the labels are 0 before."""
+    """Write class and value of the largest value of each column.
+
+    Parameters
+    ----------
+    softmax : (C, P) float32
+        Probabilities of the classes of P pixels.
+    labels : (P,) uint8
+        Result; 0 before.
+    confidence : (P,) float32
+        Result: the largest probability.
+    """
     confidence[:] = softmax[0]
     for k in range(1, len(softmax)):
         values = softmax[k]
@@ -118,7 +140,21 @@ class Backend(ABC):
     def predict(
         self, images: Sequence[Float], temperature: float, *, softmax: bool = False
     ) -> list[PixelPrediction]:
-        """Predict the pixels of images, their logits divided by a temperature."""
+        """Predict the pixels of images.
+
+        Parameters
+        ----------
+        images : sequence of (1, 5, H, W) float32
+            Inputs of the network.
+        temperature : float
+            Divisor of the logits.
+        softmax : bool
+            Whether the predictions have the probabilities of all classes.
+
+        Returns
+        -------
+        list of PixelPrediction
+        """
 
     @abstractmethod
     def logits(self, images: Sequence[Float]) -> list[Float]:
@@ -128,19 +164,59 @@ class Backend(ABC):
     def sample(
         self, image: Float, seeds: Sequence[int], merging: ClassMerging | None = None
     ) -> Moments:
-        """Return the moments of the softmax over dropout passes, one per seed of the masks."""
+        """Return the moments of the softmax over dropout passes.
+
+        Parameters
+        ----------
+        image : (1, 5, H, W) float32
+            Input of the network.
+        seeds : sequence of int
+            Seed of the masks of each pass.
+        merging : ClassMerging, optional
+            Merging of the classes, whose probabilities are added in each pass.
+
+        Returns
+        -------
+        Moments
+        """
 
     @abstractmethod
     def spread(self, images: Iterable[Float], merging: ClassMerging | None = None) -> Moments:
-        """Return the moments of the softmax over images, without entropies."""
+        """Return the moments of the softmax over images, without entropies.
+
+        Parameters
+        ----------
+        images : iterable of (1, 5, H, W) float32
+            Inputs of the network.
+        merging : ClassMerging, optional
+            Merging of the classes.
+
+        Returns
+        -------
+        Moments
+        """
 
     @abstractmethod
     def run(
         self, name: str, function: Callable[..., Any], *images: Float, exact: bool = False
     ) -> "tuple[Tensor, ...]":
-        """Return ``function(module, *images)``, a tuple of tensors on the device.
+        """Return ``function(module, *images)``.
 
-        The name identifies the function in the cache of graphs; `exact` computes in float32.
+        Parameters
+        ----------
+        name : str
+            Identifies the function in the cache of graphs.
+        function : callable
+            Function of the network in torch and of tensors (1, …) to a tuple of tensors.
+        *images : (1, …) float32
+            Arguments.
+        exact : bool
+            Whether to compute in float32.
+
+        Returns
+        -------
+        tuple of Tensor
+            Results on the device.
         """
 
     def require_finite(self, values: Float, source: object) -> None:

@@ -8,7 +8,8 @@ from functools import cache
 from pathlib import Path
 
 from salsanext_cli.core.engines.registry import computes_int8
-from salsanext_cli.core.errors import UsageError, counted
+from salsanext_cli.core.errors import UsageError
+from salsanext_cli.core.texts import counted
 from salsanext_cli.core.wording import argument, setting
 
 PRECISIONS = ("auto", "float32", "bfloat16", "float16", "int8")
@@ -50,7 +51,26 @@ def choose_device(name: str) -> str:
 
 
 def choose_precision(name: str, device: str, engine: str = "openvino") -> str:
-    """Return the number type of a name on a device; ``"auto"`` is the fastest one."""
+    """Return the number type of a name on a device.
+
+    Parameters
+    ----------
+    name : {"auto", "float32", "bfloat16", "float16", "int8"}
+        Requested number type; ``"auto"`` is the fastest float.
+    device : str
+        ``"cpu"``, ``"cuda"``, ``"cuda:1"`` …
+    engine : str
+        Library that computes, a name of `LIBRARIES`.
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    UsageError
+        If the name is unknown, or device or library do not compute in it.
+    """
     if name not in PRECISIONS:
         expected = ", ".join(PRECISIONS)
         raise UsageError(argument("precision"), f"unknown precision {name}", expected)

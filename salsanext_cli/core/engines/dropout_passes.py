@@ -19,9 +19,10 @@ def softmax_and_entropy(logits: Tensor) -> tuple[Tensor, Tensor]:
 
 def rest_with_factors(module: SegmentationNetwork, *inputs: Tensor) -> tuple[Tensor, Tensor]:
     """Return softmax and entropy from features (B, C, H, W) and factors of channels (B, C)."""
+    features = [tensor for tensor in inputs if tensor.dim() == 4]
     factors = (tensor for tensor in inputs if tensor.dim() == 2)
     with sampling(lambda *_: next(factors)):
-        return softmax_and_entropy(module.rest(*(f for f in inputs if f.dim() == 4)))
+        return softmax_and_entropy(module.rest(*features))
 
 
 @torch.inference_mode()

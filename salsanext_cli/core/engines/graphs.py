@@ -17,9 +17,11 @@ from salsanext_cli.core import caches
 from salsanext_cli.core.engines.backend import LOGITS
 from salsanext_cli.core.engines.device import processor
 from salsanext_cli.core.engines.openvino_runtime import openvino_core
-from salsanext_cli.core.errors import OutputError, WeightsError, error_text, out_of_memory
+from salsanext_cli.core.errors import OutputError, WeightsError
+from salsanext_cli.core.memory import out_of_memory
 from salsanext_cli.core.network.int8_inputs import LEVELS, Int8Input
 from salsanext_cli.core.records import CHANNELS, Float
+from salsanext_cli.core.texts import error_text
 from salsanext_cli.version import __version__
 
 GRAPH_VERSION = 1  # Raise it when the network or the code that makes graphs changes
@@ -72,11 +74,26 @@ def compiled_graph(
     threads: int = 1,
     streams: int = 1,
 ) -> Any:
-    """Return a compiled model, from the cache if possible; else `make` returns the model.
+    """Return a compiled model, from the cache if possible.
 
-    The `repr` of `key` identifies the model. The layers of the range image and of the logits
-    compute in float32 in any precision. `threads` in all compute `streams` calls in parallel,
-    which do not change a bit.
+    The layers of the range image and of the logits compute in float32 in any precision.
+
+    Parameters
+    ----------
+    make : callable
+        Returns the model; called if the cache does not have it.
+    key : object
+        Identifies the model by its `repr`.
+    precision : {"float32", "bfloat16", "int8"}
+        Number type of most layers.
+    threads : int
+        Number of threads in all.
+    streams : int
+        Number of calls that they compute in parallel, which does not change a bit.
+
+    Returns
+    -------
+    openvino.CompiledModel
     """
     import openvino
 
@@ -94,8 +111,8 @@ def compiled_graph(
         blob: BytesIO = core.compile_model(model, "CPU", hints).export_model()
         return blob.getvalue()
 
-    made_by = (__version__, GRAPH_VERSION, openvino.__version__)
-    depends = repr((key, precision, *made_by, processor()))
+    versions = (__version__, GRAPH_VERSION, openvino.__version__)
+    depends = repr((key, precision, *versions, processor()))
     name = f"graphs/{hashlib.sha256(depends.encode()).hexdigest()[:32]}.blob"
     with _COMPILING:
         content = caches.used().cached(name, compile_model)
@@ -131,45 +148,76 @@ def partly_float32(core: Any, model: Any) -> Any:
             openvino.save_model(model, file, compress_to_fp16=False)
             return core.read_model(file.read_bytes(), file.with_suffix(".bin").read_bytes())
     except (OSError, RuntimeError) as error:
-        problem, hint = f"cannot store the network: {error_text(error)}", "free some space"
+        problem = f"cannot store the network: {error_text(error)}"
+        hint = "free some space"
         raise OutputError("folder for temporary files", problem, hint=hint) from error
 
 
 def quantised(model: Any, inputs: Mapping[str, Int8Input], source: object) -> Any:
-    """Quantise inputs and weights of the layers of a converted graph, and return the graph.
+    """Quantise inputs and weights of the layers of a converted graph.
 
-    A layer of `inputs` that the graph does not have raises `WeightsError` with the source.
+    Parameters
+    ----------
+    model : openvino.Model
+        Graph, which is changed.
+    inputs : mapping of str to Int8Input
+        Quantisation of the inputs by name of the layer.
+    source : object
+        Name of the weights in errors.
+
+    Returns
+    -------
+    openvino.Model
+        The graph.
+
+    Raises
+    ------
+    WeightsError
+        If the graph does not have one of the layers.
     """
     from openvino import opset13 as ops
 
-    def rounded(value: Any, limits: tuple[Float, Float], integers: tuple[Any, Any], n: int) -> Any:
-        ends = [ops.constant(np.asarray(end, np.float32)) for end in (*limits, *integers)]
-        return ops.fake_quantize(value, *ends, n).output(0)
+    def constant(limit: Any) -> Any:
+        return ops.constant(np.asarray(limit, np.float32))
 
-    bytes_of: dict[Any, Any] = {}  # Of a value, since several layers may have the same input
+    def rounded(value: Any, limits: tuple[Float, Float], integers: tuple[Any, Any], n: int) -> Any:
+        quantised_value = ops.fake_quantize(
+            value,
+            constant(limits[0]),
+            constant(limits[1]),
+            constant(integers[0]),
+            constant(integers[1]),
+            n,
+        )
+        return quantised_value.output(0)
+
+    inputs_in_bytes: dict[Any, Any] = {}  # By value: several layers may have the same input
     changed: set[str] = set()
     for node in model.get_ordered_ops():
         name = node.get_friendly_name().partition("/")[0].removeprefix(PREFIX)
         if node.get_type_name() != "Convolution" or name not in inputs:
             continue
-        layer, value = inputs[name], node.input(0).get_source_output()
+        layer = inputs[name]
+        value = node.input(0).get_source_output()
         weights = node.input(1).get_source_output().get_node().get_data()
         if len(layer.shifts) != weights.shape[1]:
             break
         key = (value.get_node().get_friendly_name(), value.get_index(), layer)
-        steps, integers = layer.steps.reshape(1, -1, 1, 1), (-layer.zero, LEVELS - 1 - layer.zero)
-        if key not in bytes_of:
+        steps = layer.steps.reshape(1, -1, 1, 1)
+        integers = (-layer.zero, LEVELS - 1 - layer.zero)
+        if key not in inputs_in_bytes:
             limits = (integers[0] * steps, integers[1] * steps)
-            bytes_of[key] = rounded(value, limits, integers, LEVELS)
+            inputs_in_bytes[key] = rounded(value, limits, integers, LEVELS)
         scaled = weights * steps
         most = HEADROOM * np.abs(scaled).max(axis=(1, 2, 3), keepdims=True)
         most = np.maximum(most, np.finfo(np.float32).tiny)
         limits = (-most, most)
-        node.input(0).replace_source_output(bytes_of[key])
+        node.input(0).replace_source_output(inputs_in_bytes[key])
         weights = rounded(ops.constant(scaled), limits, limits, WEIGHT_LEVELS)
         node.input(1).replace_source_output(weights)
         changed.add(name)
-    if missing := sorted(inputs.keys() - changed):
+    missing = sorted(inputs.keys() - changed)
+    if missing:
         problem = f"has int8 ranges of another network, such as of layer {missing[0]}"
         raise WeightsError(source, problem, hint="fit them again with `salsanext tune int8`")
     return model

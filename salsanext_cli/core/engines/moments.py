@@ -23,13 +23,24 @@ class Moments:
     sum_of_entropies: Double
 
     def add(self, softmax: Float, nats: Float | None, merging: ClassMerging | None) -> None:
-        """Add a softmax (C, H, W) and optionally its entropy (H, W), both of unmerged classes."""
+        """Add the softmax of a pass.
+
+        Parameters
+        ----------
+        softmax : (C, H, W) float32
+            Probabilities of unmerged classes.
+        nats : (H, W) float32, optional
+            Their entropy in nats.
+        merging : ClassMerging, optional
+            Merging of the classes before the addition.
+        """
         if merging is not None:
             softmax = merging.add(softmax)
             nats = None if nats is None else entropy(softmax)
         self.count += 1
         values: Float = argument(softmax, np.float32).reshape(-1)
-        total, squares = self.sum.reshape(-1), self.sum_of_squares.reshape(-1)
+        total = self.sum.reshape(-1)
+        squares = self.sum_of_squares.reshape(-1)
         parallel_for_slices(lambda s: _add_up(values[s], total[s], squares[s]), len(values))
         if nats is not None:
             self.sum_of_entropies += nats

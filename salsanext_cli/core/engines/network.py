@@ -75,13 +75,14 @@ class Network:
         The logits are divided by the card's temperature, which preserves their order; the
         probabilities of merged classes are added. `softmax` adds the probabilities of all classes.
         """
-        temperature, merging = self.card.temperature, self.merging
+        temperature = self.card.temperature
+        merging = self.merging
         if merging is None:
             return self.backend.predict(inputs, temperature, softmax=softmax)
-        of_card = self.backend.predict(inputs, temperature, softmax=True)
+        predictions = self.backend.predict(inputs, temperature, softmax=True)
         return [
             PixelPrediction.of(merging.add(cast(Float, pixels.softmax)), keep=softmax)
-            for pixels in of_card
+            for pixels in predictions
         ]
 
     def logits(self, image: RangeImage) -> Float:

@@ -62,9 +62,10 @@ class OpenVinoBackend(Backend):
         from salsanext_cli.core.network.segmentation import SegmentationNetwork as Module
 
         trunk = self.graph("trunk", Module.padded_trunk, [image], self.sampling_precision)
-        moments, (height, width) = self._no_moments(merging), image.shape[-2:]
+        moments = self._no_moments(merging)
+        height, width = image.shape[-2:]
+        inside = (..., slice(height), slice(width))
         for softmax, nats in self._passes(trunk(image), seeds):
-            inside = (..., slice(height), slice(width))
             moments.add(softmax[0][inside], nats[0][inside], merging)
         return moments
 
@@ -99,12 +100,28 @@ class OpenVinoBackend(Backend):
     def graph(
         self, name: str, function: Callable[..., Any], images: Sequence[Float], precision: str
     ) -> Graph:
-        """Return a named function of the module and of images as a graph."""
+        """Return a function of the network as a graph.
+
+        Parameters
+        ----------
+        name : str
+            Identifies the function in the cache.
+        function : callable
+            Function of the network in torch and of tensors.
+        images : sequence of (1, …) float32
+            Examples of these tensors.
+        precision : {"float32", "bfloat16", "int8"}
+            Number type of most layers.
+
+        Returns
+        -------
+        Graph
+        """
 
         def make() -> Any:
             import torch
 
-            model = converted(self.module, function, [*map(torch.from_numpy, images)])
+            model = converted(self.module, function, list(map(torch.from_numpy, images)))
             is_int8 = precision == "int8"
             return quantised(model, self.card.int8, self.name) if is_int8 else model
 
@@ -117,10 +134,11 @@ class OpenVinoBackend(Backend):
         from salsanext_cli.core.engines.dropout_passes import dropout_factors, rest_with_factors
         from salsanext_cli.core.network.dropout import random_masks, require_dropout
 
-        threads, rate = thread_count(), require_dropout(self.module)
+        threads = thread_count()
+        rate = require_dropout(self.module)
 
         def make() -> Any:
-            tensors = [*map(torch.from_numpy, features)]
+            tensors = list(map(torch.from_numpy, features))
             inputs = [*tensors, *dropout_factors(self.module, tensors)]
             return converted(self.module, rest_with_factors, inputs)
 
@@ -139,14 +157,20 @@ class OpenVinoBackend(Backend):
         self, name: str, make: Callable[[], Any], precision: str, streams: int = 1
     ) -> Graph:
         """Return a model, compiled once per thread; `streams` calls run in parallel."""
-        settings = (precision, thread_count(), streams)
-        key = (name, settings, threading.get_ident())
+        threads = thread_count()
+        key = (name, precision, threads, streams, threading.get_ident())
         if key not in self.graphs:
-            model = compiled_graph(make, (name, self.sha256, self.code, *self.size), *settings)
+            identity = (name, self.sha256, self.code, *self.size)
+            model = compiled_graph(make, identity, precision, threads=threads, streams=streams)
             self.graphs[key] = Graph(model)
         return self.graphs[key]
 
     def _no_moments(self, merging: ClassMerging | None) -> Moments:
         space = self.card.space if merging is None else merging.space
-        total, squares = np.zeros((2, space.class_count, *self.size))
-        return Moments(0, total, squares, np.zeros(self.size))
+        size = (space.class_count, *self.size)
+        return Moments(
+            count=0,
+            sum=np.zeros(size),
+            sum_of_squares=np.zeros(size),
+            sum_of_entropies=np.zeros(self.size),
+        )

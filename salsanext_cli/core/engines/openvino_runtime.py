@@ -4,8 +4,9 @@
 from functools import cache
 from typing import Any
 
-from salsanext_cli.core.errors import MissingDependency, error_text
+from salsanext_cli.core.errors import MissingDependency
 from salsanext_cli.core.optional_packages import OPENVINO_ERRORS, import_openvino
+from salsanext_cli.core.texts import error_text
 
 
 @cache

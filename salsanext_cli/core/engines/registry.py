@@ -11,7 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 
-from salsanext_cli.core.errors import MissingDependency, UsageError, warn_once
+from salsanext_cli.core.errors import MissingDependency, UsageError
+from salsanext_cli.core.notices import warn_once
 from salsanext_cli.core.wording import argument, setting
 
 TYPE_CHECKING = False  # Importing it from `typing` takes time.

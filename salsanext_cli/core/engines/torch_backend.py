@@ -69,15 +69,19 @@ class TorchBackend(Backend):
     ) -> list[PixelPrediction]:
         """Predict the pixels of images, their logits divided by a temperature."""
         probabilities = (self.torch_module(self.tensor(images)) / temperature).softmax(dim=1)
-        confidence, labels = probabilities.max(dim=1)
-        reduced = (labels.to(torch.uint8), confidence)
-        arrays = self._to_host(*reduced, *([probabilities] if softmax else []))
-        return [PixelPrediction(*parts) for parts in zip(*arrays, strict=True)]
+        largest, classes = probabilities.max(dim=1)
+        reduced = [classes.to(torch.uint8), largest]
+        if softmax:
+            labels, confidence, copies = self._to_host([*reduced, probabilities])
+            return list(map(PixelPrediction, labels, confidence, copies))
+        labels, confidence = self._to_host(reduced)
+        return list(map(PixelPrediction, labels, confidence))
 
     @torch.inference_mode()
     def logits(self, images: Sequence[Float]) -> list[Float]:
         """Return the logits (C, H, W) float32 of images."""
-        return [*self._to_host(self.torch_module(self.tensor(images)))[0]]
+        (logits,) = self._to_host([self.torch_module(self.tensor(images))])
+        return list(logits)
 
     @torch.inference_mode()
     def sample(
@@ -88,9 +92,8 @@ class TorchBackend(Backend):
 
         def passes(batch: Sequence[int]) -> tuple[Tensor, Tensor | None]:
             with sampling(random_masks([torch.Generator().manual_seed(seed) for seed in batch])):
-                logits = self.torch_module.rest(
-                    *(f.expand(len(batch), -1, -1, -1) for f in features)
-                )
+                repeated = [tensor.expand(len(batch), -1, -1, -1) for tensor in features]
+                logits = self.torch_module.rest(*repeated)
             height, width = image.shape[-2:]
             return softmax_and_entropy(logits.float()[..., :height, :width])
 
@@ -103,7 +106,7 @@ class TorchBackend(Backend):
         def copies(batch: Sequence[Float]) -> tuple[Tensor, Tensor | None]:
             return self.torch_module(self.tensor(batch)).softmax(dim=1), None
 
-        return self._moments(copies, [*images], merging)
+        return self._moments(copies, list(images), merging)
 
     @torch.inference_mode()
     def run(
@@ -111,7 +114,8 @@ class TorchBackend(Backend):
     ) -> tuple[Tensor, ...]:
         """Return ``function(module, *images)``, tensors on the device."""
         module = self.module if exact else self.torch_module
-        outputs: tuple[Tensor, ...] = function(module, *(self.tensor([image]) for image in images))
+        tensors = [self.tensor([image]) for image in images]
+        outputs: tuple[Tensor, ...] = function(module, *tensors)
         return outputs
 
     def tensor(self, images: Sequence[Float]) -> Tensor:
@@ -120,7 +124,7 @@ class TorchBackend(Backend):
         batch = batch.pin_memory() if self._on_gpu else batch
         return batch.to(self.device, memory_format=torch.channels_last, non_blocking=True)
 
-    def _to_host(self, *tensors: Tensor) -> list[Any]:
+    def _to_host(self, tensors: Sequence[Tensor]) -> list[Any]:
         """Return tensors as arrays, copied together."""
         hosts = [torch.empty(t.shape, dtype=t.dtype, pin_memory=self._on_gpu) for t in tensors]
         for host, tensor in zip(hosts, tensors, strict=True):
@@ -151,14 +155,18 @@ class TorchBackend(Backend):
         for sums in batches:
             for tensor, more in zip(total, sums, strict=True):
                 tensor.add_(more)
-        return Moments(len(items), *self._to_host(*total))
+        sums, squares, entropies = self._to_host(total)
+        return Moments(
+            count=len(items), sum=sums, sum_of_squares=squares, sum_of_entropies=entropies
+        )
 
 
 def merged(softmax: Tensor, merging: ClassMerging) -> Tensor:
     """Add the probabilities of merged classes, (B, C, H, W) to (B, K, H, W)."""
-    result = softmax.new_zeros(len(softmax), merging.space.class_count, *softmax.shape[2:])
-    for target, of_class in zip(merging.targets, softmax.unbind(dim=1), strict=True):
-        result[:, target] += of_class
+    size = (len(softmax), merging.space.class_count, *softmax.shape[2:])
+    result = softmax.new_zeros(size)
+    for target, probability in zip(merging.targets, softmax.unbind(dim=1), strict=True):
+        result[:, target] += probability
     # Rounded sums may exceed 1.
     return result.clamp_(max=1)
 
@@ -170,11 +178,20 @@ class Float32Convolution(nn.Conv2d):
     """
 
     def __init__(self, layer: nn.Conv2d, output: torch.dtype) -> None:
-        size = (layer.in_channels, layer.out_channels, layer.kernel_size)
-        geometry = (layer.stride, layer.padding, layer.dilation, layer.groups)
         # On "meta" no weights are drawn: torch's global generator does not change.
-        super().__init__(*size, *geometry, device="meta")  # type: ignore[arg-type]
-        self.weight, self.bias, self.output = layer.weight, layer.bias, output
+        super().__init__(
+            layer.in_channels,
+            layer.out_channels,
+            layer.kernel_size,  # type: ignore[arg-type]
+            layer.stride,  # type: ignore[arg-type]
+            layer.padding,  # type: ignore[arg-type]
+            layer.dilation,  # type: ignore[arg-type]
+            layer.groups,
+            device="meta",
+        )
+        self.weight = layer.weight
+        self.bias = layer.bias
+        self.output = output
         self.train(layer.training)
 
     def forward(self, x: Tensor) -> Tensor:
@@ -189,7 +206,7 @@ class Float32Convolution(nn.Conv2d):
 
 def keep_ends_in_float32(module: nn.Module, hidden: torch.dtype = torch.float32) -> None:
     """Compute the layers of the range image, into `hidden` features, and the logits in float32."""
-    for name, layer in [*module.named_modules()]:
+    for name, layer in list(module.named_modules()):
         if type(layer) is nn.Conv2d and (name == LOGITS or layer.in_channels == len(CHANNELS)):
             parent, _, attribute = name.rpartition(".")
             output = torch.float32 if name == LOGITS else hidden
@@ -201,6 +218,6 @@ def in_precision(module: SegmentationNetwork, dtype: torch.dtype) -> Segmentatio
     short = copy.deepcopy(module).eval()
     keep_ends_in_float32(short, dtype)
     for layer in short.modules():
-        if not isinstance(layer, Float32Convolution) and not [*layer.children()]:
+        if not isinstance(layer, Float32Convolution) and not list(layer.children()):
             layer.to(dtype)
     return short.to(memory_format=torch.channels_last)  # type: ignore[call-overload]

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 from salsanext_cli.core.engines.network import Network
-from salsanext_cli.core.errors import NOTICE, UsageError
+from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.fitting.scan_sample import ScanSample
 from salsanext_cli.core.fitting.view_fit import announce_member, fit_views, joined
 from salsanext_cli.core.geometry.network_input import (
@@ -21,6 +21,7 @@ from salsanext_cli.core.geometry.network_input import (
     intensity_quantiles,
     row_gaps,
 )
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.records import Float
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.wording import argument, setting

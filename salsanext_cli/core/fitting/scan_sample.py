@@ -87,8 +87,10 @@ class ScanSample:
     @classmethod
     def of_scans(cls, scans: Sequence[Scan]) -> ScanSample:
         """Return a sample of scans in memory."""
-        named = enumerate(scans)
-        return cls([ScanInMemory(name=f"scan {number}", scan=scan) for number, scan in named])
+        sources = [
+            ScanInMemory(name=f"scan {number}", scan=scan) for number, scan in enumerate(scans)
+        ]
+        return cls(sources)
 
     @cached_property
     def read(self) -> list[SampledScan]:
@@ -100,12 +102,12 @@ class ScanSample:
         """Readable scans; none if there are range images instead."""
         return [] if self.has_images else [sampled.scan for sampled in self.read]
 
-    def part(self, places: Sequence[int]) -> ScanSample:
+    def subset(self, places: Sequence[int]) -> ScanSample:
         """Return the sample of the readable scans at these places, without another reading."""
         sampled = [self.read[place] for place in places]
-        part = ScanSample([item.source for item in sampled])
-        part.read = sampled
-        return part
+        sample = ScanSample([item.source for item in sampled])
+        sample.read = sampled
+        return sample
 
     def images(self, sensor: Sensor) -> list[Float]:
         """Return the range images (5, H, W) float32 for a sensor of the scans that pass checks."""

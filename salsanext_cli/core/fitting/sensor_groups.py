@@ -84,7 +84,8 @@ def _groups_in_file(scans: Sequence[Scan], numbers: Sequence[int]) -> list[Senso
     members: list[list[int]] = [[] for _ in traits]
     for number, kind in zip(numbers, kinds, strict=True):
         members[kind].append(number)
-    return [SensorGroup(tuple(group), usual) for group, usual in zip(members, traits, strict=True)]
+    pairs = zip(members, traits, strict=True)
+    return [SensorGroup(tuple(group), medians) for group, medians in pairs]
 
 
 def _placed_scan(number: int, scan: Scan, sensor: Sensor) -> _PlacedScan | None:
@@ -101,7 +102,7 @@ def _placed_scan(number: int, scan: Scan, sensor: Sensor) -> _PlacedScan | None:
     traits = traits_of(in_sensor_frame(scan, there))
     if traits is None:
         return None
-    is_far = bool(np.hypot(*place.position[:UPWARDS]) > REGISTERED_M)
+    is_far = bool(place.distance_aside > REGISTERED_M)
     is_moved = place.is_elsewhere and (is_seen_from_elsewhere or is_far)
     return _PlacedScan(number, traits, place.position, is_moved)
 
@@ -114,13 +115,13 @@ def _moving_groups(placed_scans: Sequence[_PlacedScan]) -> list[SensorGroup]:
     moved = [placed for placed in placed_scans if placed.is_moved]
     at_origin = [placed for placed in placed_scans if not placed.is_moved]
     kinds = groups_of([_without_elevations(placed.traits) for placed in moved])
-    of_kinds: list[list[_PlacedScan]] = [[] for _ in {*kinds}]
+    moved_by_kind: list[list[_PlacedScan]] = [[] for _ in set(kinds)]
     for placed, kind in zip(moved, kinds, strict=True):
-        of_kinds[kind].append(placed)
+        moved_by_kind[kind].append(placed)
     moving: list[list[_PlacedScan]] = []
     single: list[_PlacedScan] = []
-    for members in of_kinds:
-        with_origin = [*members, *_like_any(members, at_origin)]
+    for members in moved_by_kind:
+        with_origin = members + _like_any(members, at_origin)
         if not _moves(with_origin):
             single += members
             continue
@@ -128,15 +129,16 @@ def _moving_groups(placed_scans: Sequence[_PlacedScan]) -> list[SensorGroup]:
         at_origin = [placed for placed in at_origin if placed not in with_origin]
     if not moving:
         return []
-    usual = [usual_traits([placed.traits for placed in members]) for members in moving]
     numbers = [[placed.number for placed in members] for members in moving]
     points = np.log([np.median([placed.traits.points for placed in members]) for members in moving])
     for placed in single:
-        numbers[int(np.abs(points - np.log(placed.traits.points)).argmin())].append(placed.number)
-    return [
-        SensorGroup(tuple(sorted(of_group)), traits)
-        for of_group, traits in zip(numbers, usual, strict=True)
-    ]
+        nearest = int(np.abs(points - np.log(placed.traits.points)).argmin())
+        numbers[nearest].append(placed.number)
+    groups = []
+    for members, group_numbers in zip(moving, numbers, strict=True):
+        traits = usual_traits([placed.traits for placed in members])
+        groups.append(SensorGroup(tuple(sorted(group_numbers)), traits))
+    return groups
 
 
 def _without_elevations(traits: ScanTraits) -> ScanTraits:
@@ -151,8 +153,8 @@ def _like_any(
     traits = [placed.traits for placed in members]
     alike = []
     for placed in at_origin:
-        *kinds, kind = groups_of([*traits, placed.traits])
-        if kind in kinds:
+        kinds = groups_of([*traits, placed.traits])
+        if kinds[-1] in kinds[:-1]:
             alike.append(placed)
     return alike
 
@@ -160,5 +162,6 @@ def _like_any(
 def _moves(members: Sequence[_PlacedScan]) -> bool:
     """Return whether the positions of a sensor differ among its scans."""
     positions = np.array([placed.position for placed in members])[:, :UPWARDS]
-    distances = np.hypot(*(positions - np.median(positions, axis=0)).T)
+    aside = positions - np.median(positions, axis=0)
+    distances = np.hypot(aside[:, 0], aside[:, 1])
     return bool(distances.max() > REGISTERED_M)

@@ -7,11 +7,14 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from salsanext_cli.core.errors import NOTICE, counted
-from salsanext_cli.core.fitting.field_of_view import MIN_SCANS, fit_ego, fit_view, view_text
+from salsanext_cli.core.fitting.ego_fit import MIN_SCANS, fit_ego
+from salsanext_cli.core.fitting.field_of_view import fit_view
 from salsanext_cli.core.fitting.scan_sample import ScanSample
 from salsanext_cli.core.fitting.sensor_groups import SensorGroup, sensor_groups
+from salsanext_cli.core.fitting.sensor_texts import view_text
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.sensors.sensor import FIELD_OF_VIEW, FittedView, Sensor
+from salsanext_cli.core.texts import counted
 from salsanext_cli.core.wording import argument
 
 log = logging.getLogger(__name__)
@@ -62,7 +65,7 @@ def fit_views(
         member = sensor.members[number] if sensor.others else sensor
         member_before = earlier.members[number] if earlier and earlier.others else earlier
         fit = _fitted_view(
-            sample.part(group.numbers), member, member_before, view=view, mounting=mounting
+            sample.subset(group.numbers), member, member_before, view=view, mounting=mounting
         )
         fits.append(replace(fit, traits=group.traits))
     return replace(fits[0], others=tuple(fits[1:]))
@@ -71,16 +74,27 @@ def fit_views(
 def _groups_of_members(sample: ScanSample, sensor: Sensor) -> list[SensorGroup]:
     """Return the scans of each member of the sensor of earlier results or of range images."""
     numbers = sample.members_of_scans(sensor)
-    return [
-        SensorGroup(
-            tuple(place for place, other in enumerate(numbers) if other == number), member.traits
-        )
-        for number, member in enumerate(sensor.members)
-    ]
+    groups = []
+    for number, member in enumerate(sensor.members):
+        places = tuple(place for place, other in enumerate(numbers) if other == number)
+        groups.append(SensorGroup(places, member.traits))
+    return groups
 
 
 def announce_member(sample: ScanSample, places: Sequence[int], number: int, count: int) -> None:
-    """Log the scans, at these places of a sample, of one of several sensors."""
+    """Log the scans of one of several sensors.
+
+    Parameters
+    ----------
+    sample : ScanSample
+        Scans of all sensors.
+    places : sequence of int
+        Places of the scans of the sensor in the sample.
+    number : int
+        Number of the sensor, from 0.
+    count : int
+        Number of sensors.
+    """
     if places:
         scans = counted(len(places), "scan")
         name = sample.read[places[0]].source.name
@@ -95,10 +109,11 @@ def _fitted_view(
     if not (view or unknown):
         return sensor
     if earlier is not None:
-        names_of_view: tuple[str, ...] = FIELD_OF_VIEW
-        if mounting:
-            names_of_view = (*(field.name for field in fields(FittedView)), "registered")
-        names = [*(names_of_view if view else ()), *unknown]
+        names = list(unknown)
+        if view and mounting:
+            names += [field.name for field in fields(FittedView)] + ["registered"]
+        elif view:
+            names += FIELD_OF_VIEW
         return replace(sensor, **{name: getattr(earlier, name) for name in names})
     scans = sample.scans
     fitted = fit_view(scans, sensor, mounting=mounting) if view else fit_ego(scans, sensor)
@@ -119,7 +134,17 @@ def fit_sensor(
     view: bool = True,
     mounting: bool = True,
 ) -> Sensor:
-    """Return a sensor fitted to a sample of scans as by `fit_views`; equal members are one."""
+    """Return a sensor fitted to a sample of scans; equal members are one.
+
+    Parameters
+    ----------
+    sample, sensor, earlier, view, mounting
+        As in `fit_views`.
+
+    Returns
+    -------
+    Sensor
+    """
     return joined(fit_views(sample, sensor, earlier, view=view, mounting=mounting).members)
 
 
@@ -133,7 +158,10 @@ def joined(members: Sequence[Sensor]) -> Sensor:
 def is_other_view(view: FittedView, sensor: Sensor) -> bool:
     """Return whether a sensor differs from a fitted one by more than `VIEW_TOLERANCES`."""
     other = FittedView.of(sensor)
-    return other.name != view.name or any(
-        np.abs(np.subtract(getattr(other, name), getattr(view, name))).max() > tolerance
-        for name, tolerance in VIEW_TOLERANCES.items()
-    )
+    if other.name != view.name:
+        return True
+    for name, tolerance in VIEW_TOLERANCES.items():
+        difference = np.subtract(getattr(other, name), getattr(view, name))
+        if np.abs(difference).max() > tolerance:
+            return True
+    return False

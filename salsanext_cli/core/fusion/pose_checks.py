@@ -7,18 +7,22 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.core.errors import FormatError, percentage
+from salsanext_cli.core.errors import FormatError
 from salsanext_cli.core.fusion.poses import CALIBRATION, Points, Poses
 from salsanext_cli.core.records import Double
+from salsanext_cli.core.texts import percentage
 
 Parts = npt.NDArray[np.int64]  # (N,): number of the part of a drive that each scan belongs to
 ReadPoints = Callable[[int], Points]  # From the number of a scan to its measured points (M, 3)
 
-NEAR_M, FAR_M, ABOVE_GROUND_M, GROUND_PERCENTILE = 3.0, 30.0, 0.5, 40
-"""Bounds of the upright points: near, and not on the ground."""
+NEAR_M = 3.0  # Least level distance of upright points
+FAR_M = 30.0  # Largest level distance of upright points
+ABOVE_GROUND_M = 0.5  # Least height of upright points above the ground
+GROUND_PERCENTILE = 40  # Percentile of the heights that is the height of the ground
 THINNED = 2  # One in so many upright points of a scan is compared
 MIN_UPRIGHT = 100  # Fewest upright points of a comparison
-COLUMN_M, COLUMN_HEIGHT_M = 0.5, 2.0  # Edges of the voxels that both scans must have points in
+COLUMN_M = 0.5  # Width of the voxels that both scans must have points in
+COLUMN_HEIGHT_M = 2.0  # Height of these voxels
 GRID = (160, 160, 16)  # Voxels around a scan
 MIN_OVERLAP = 0.4
 """Least overlap of scans that fit: 0.59 or more of consecutive scans of real drives, 0.46 with half
@@ -26,7 +30,8 @@ of the lasers; half of such pairs have less than 0.31 with equal poses, 0.2 with
 OVERLAP_REACH_M = 8.0  # Distance of scans beyond which their overlap falls
 SURE_OVERLAP = 0.75  # Least overlap that needs no comparison with other poses
 MARGIN = 0.1  # Least gain in overlap by another pose, which is then the right one
-COMPARED_M, COMPARED_SCANS = 5.0, 10  # Farthest earlier scan to compare with: drives may be slow
+COMPARED_M = 5.0  # Farthest scan to compare with: drives may be slow
+COMPARED_SCANS = 10  # Earliest scan to compare with, counted back
 OUT_OF_SIGHT_M = 50.0  # Least distance of scans that are not compared
 MAX_MISFIT = 1 / 3  # Largest share of scans between pairs that do not fit
 SAMPLED_PAIRS = 8
@@ -43,14 +48,28 @@ def upright_points(points: Points) -> Points:
 
 
 def overlap(points: Points, others: Points, pose: Poses) -> float:
-    """Return the share of upright points (U, 3) in voxels of the points (V, 3) of another scan.
+    """Return the share of upright points in voxels of the points of another scan.
 
-    The pose (4, 4) leads from the first scan to the second.
+    Parameters
+    ----------
+    points : (U, 3) array
+        Upright points of a scan in metres.
+    others : (V, 3) array
+        Upright points of the other scan in its own frame, in metres.
+    pose : (4, 4) float64
+        Pose that leads from the first scan to the other.
+
+    Returns
+    -------
+    float
+        Share, 0…1.
     """
     grid = np.zeros(GRID, bool)
     # The outermost voxels hold points beyond the grid.
     grid[_voxels(others)] = True
-    grid[[0, -1]] = grid[:, [0, -1]] = grid[:, :, [0, -1]] = False
+    grid[[0, -1]] = False
+    grid[:, [0, -1]] = False
+    grid[:, :, [0, -1]] = False
     near = points[np.hypot(points[:, 0], points[:, 1]) < FAR_M][::THINNED]
     if not len(near):
         return 0.0
@@ -58,7 +77,9 @@ def overlap(points: Points, others: Points, pose: Poses) -> float:
 
 
 def _voxels(points: Points) -> tuple[Parts, ...]:
-    size, grid = np.array([COLUMN_M, COLUMN_M, COLUMN_HEIGHT_M]), np.array(GRID)
+    """Return the indices of the voxel of each point (N, 3), by axis."""
+    size = np.array([COLUMN_M, COLUMN_M, COLUMN_HEIGHT_M])
+    grid = np.array(GRID)
     return tuple(np.clip(np.floor(points / size) + grid // 2, 0, grid - 1).astype(np.int64).T)
 
 
@@ -80,9 +101,22 @@ class CheckedPart:
 def fitting_parts(poses: Poses, read: ReadPoints) -> tuple[Parts, float]:
     """Return the part of a drive that each scan fits, and the misfit.
 
-    The misfit is the share of scans between two that do not fit, but are near by their poses. A
-    single scan that does not fit is a part, after which the part before continues. A scan with few
-    upright points continues the last part, unless it is far.
+    A single scan that does not fit is a part, after which the part before continues. A scan with
+    few upright points continues the last part, unless it is far.
+
+    Parameters
+    ----------
+    poses : (N, 4, 4) float64
+        Poses of the scans in metres.
+    read : callable
+        Returns the measured points (M, 3) of the scan with a number.
+
+    Returns
+    -------
+    parts : (N,) int64
+        Number of the part of each scan.
+    misfit : float
+        Share of scans between two that do not fit, but are near by their poses.
     """
     numbers = np.zeros(len(poses), np.int64)
     parts: list[CheckedPart] = []
@@ -94,25 +128,27 @@ def fitting_parts(poses: Poses, read: ReadPoints) -> tuple[Parts, float]:
             numbers[index] = numbers[index - 1]
             continue
         fitting = (p for p in parts if not is_blank and _fits(p, poses, index, upright))
-        part = next(fitting, None)
-        if part is None:
+        current = next(fitting, None)
+        if current is None:
             if parts and not is_blank:
                 before, _ = parts[0].compared(poses, index)
                 is_near = _apart(poses, before, index) < OUT_OF_SIGHT_M
                 misfit += index - before if is_near else 0
-            part = CheckedPart(numbers.max() + 1 if index else 0)
-        part.scans = [*part.scans[1 - COMPARED_SCANS :], (index, upright)]
-        parts = [part, *(other for other in parts[:2] if other is not part)]
-        numbers[index] = part.number
+            current = CheckedPart(numbers.max() + 1 if index else 0)
+        current.scans = [*current.scans[1 - COMPARED_SCANS :], (index, upright)]
+        parts = [current] + [other for other in parts[:2] if other is not current]
+        numbers[index] = current.number
     return numbers, misfit / max(len(poses) - 1, 1)
 
 
-def _apart(poses: Poses, one: int, other: int) -> float:
-    return float(np.linalg.norm(poses[one, :3, 3] - poses[other, :3, 3]))
+def _apart(poses: Poses, first: int, second: int) -> float:
+    """Return the distance of two scans by their poses in metres."""
+    return float(np.linalg.norm(poses[first, :3, 3] - poses[second, :3, 3]))
 
 
-def _fits(part: CheckedPart, poses: Poses, index: int, upright: Points) -> bool:
-    before, others = part.compared(poses, index)
+def _fits(earlier: CheckedPart, poses: Poses, index: int, upright: Points) -> bool:
+    """Return whether the upright points of a scan fit an earlier part by their poses."""
+    before, others = earlier.compared(poses, index)
     step = np.linalg.inv(poses[before]) @ poses[index]
     if len(others) < MIN_UPRIGHT:
         return _apart(poses, before, index) < OUT_OF_SIGHT_M
@@ -138,7 +174,27 @@ def min_overlap(step: Poses) -> float:
 
 
 def require_fitting(source: object, poses: Poses, read: ReadPoints) -> Parts:
-    """Return the parts of a drive by poses from a file; refuse poses that fit too few scans."""
+    """Return the parts of a drive by poses from a file.
+
+    Parameters
+    ----------
+    source : object
+        Name of the file in errors.
+    poses : (N, 4, 4) float64
+        Poses of the scans in metres.
+    read : callable
+        Returns the measured points (M, 3) of the scan with a number.
+
+    Returns
+    -------
+    (N,) int64
+        Number of the part of each scan.
+
+    Raises
+    ------
+    FormatError
+        If the poses fit too few scans, or are in another unit.
+    """
     parts, misfit = fitting_parts(poses, read)
     if misfit > MAX_MISFIT:
         hint = f"add the {CALIBRATION} of poses of a camera, or remove the file to compute poses"
@@ -162,7 +218,19 @@ def _require_metres(source: object, poses: Poses, read: ReadPoints) -> None:
 
 
 def best_reading(readings: Sequence[Poses], read: ReadPoints) -> int:
-    """Return the number of the reading by which the scans fit best, the first in a tie."""
+    """Return the number of the reading by which the scans fit best, the first in a tie.
+
+    Parameters
+    ----------
+    readings : sequence of (N, 4, 4) float64
+        Possible poses of the same scans.
+    read : callable
+        Returns the measured points (M, 3) of the scan with a number.
+
+    Returns
+    -------
+    int
+    """
     if len(readings) == 1 or len(readings[0]) < 2:
         return 0
     return int(np.argmax(_mean_overlaps(readings, read)))
@@ -173,7 +241,8 @@ def _mean_overlaps(readings: Sequence[Poses], read: ReadPoints) -> Double:
     firsts = np.unique(np.linspace(0, len(readings[0]) - 2, SAMPLED_PAIRS).astype(int))
     shares = np.zeros(len(readings))
     for first in firsts:
-        points, others = (upright_points(read(index)) for index in (first + 1, first))
+        points = upright_points(read(first + 1))
+        others = upright_points(read(first))
         steps = (np.linalg.inv(poses[first]) @ poses[first + 1] for poses in readings)
         shares += [overlap(points, others, step) for step in steps]
     return shares / len(firsts)

@@ -6,4 +6,5 @@ from salsanext_cli.core.records import Double, Float
 Points = Double | Float  # (N, 3), metres
 Poses = Double
 """(N, 4, 4), or (4, 4) for one scan: from the frame of the scan to that of the drive, metres."""
-POSES, CALIBRATION = "poses.txt", "calib.txt"
+POSES = "poses.txt"
+CALIBRATION = "calib.txt"

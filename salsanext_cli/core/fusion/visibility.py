@@ -10,10 +10,12 @@ from salsanext_cli.core.compiled import argument, compiled
 from salsanext_cli.core.geometry.projection import arctan2
 from salsanext_cli.core.records import MAX_RANGE_M, Double, Float, Int
 
-COLUMNS, ROWS = 1024, 256  # Directions of a scan, 0.35° apart, up to 45° up and down
-SAME_PLACE_M, GRAZING = 0.3, 0.1
-"""Largest difference of ranges of the same object, and the share of the range that is added before
-a scan sees through: ranges differ by this within a pixel on flat ground."""
+COLUMNS = 1024  # Directions of a scan around, 0.35° apart
+ROWS = 256  # Directions from 45° down to 45° up
+SAME_PLACE_M = 0.3  # Largest difference of ranges of the same object
+GRAZING = 0.1
+"""Share of the range that is added before a scan sees through: ranges differ by this within a pixel
+on flat ground."""
 
 
 def nearest_ranges(points: Float) -> Float:
@@ -24,9 +26,19 @@ def nearest_ranges(points: Float) -> Float:
 
 
 def seen_by(places: Double, scans: Iterable[tuple[Double, Double, Float]]) -> Int:
-    """Return how many scans see something at places (K, 3), and how many see through: (2, K) int32.
+    """Count the scans that see something at places, and those that see through.
 
-    A scan is its rotation (3, 3), its position (3,) and its `nearest_ranges`.
+    Parameters
+    ----------
+    places : (K, 3) float64
+        Positions in metres.
+    scans : iterable of tuple
+        Rotation (3, 3), position (3,) and `nearest_ranges` of each scan.
+
+    Returns
+    -------
+    (2, K) int32
+        Numbers of scans that see something there, and of those that see something farther away.
     """
     counts = np.zeros((2, len(places)), np.int32)
     for rotation, place, ranges in scans:
@@ -45,7 +57,9 @@ def _direction(x: float, y: float, z: float) -> int:
 @compiled
 def _keep_nearest(points: Float, ranges: Float) -> None:
     for i in range(len(points)):
-        x, y, z = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
+        x = np.float64(points[i, 0])
+        y = np.float64(points[i, 1])
+        z = np.float64(points[i, 2])
         distance = math.sqrt(x * x + y * y + z * z)
         if 0 < distance <= MAX_RANGE_M:
             direction = _direction(x, y, z)

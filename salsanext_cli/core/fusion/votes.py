@@ -8,7 +8,7 @@ point.
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -37,9 +37,20 @@ class VoxelVotes:
 
     @classmethod
     def of_scan(cls, points: Double, probabilities: Float, size: float) -> Self:
-        """Return the votes of labelled points of a scan in voxels with an edge of `size` metres.
+        """Return the votes of the labelled points of a scan.
 
-        Points (N, 3) are float64 metres in the frame of the drive, probabilities (N, C) float32.
+        Parameters
+        ----------
+        points : (N, 3) float64
+            Coordinates in the frame of the drive, metres.
+        probabilities : (N, C) float32
+            Softmax of each point; 1 for class 0 if the point has no label.
+        size : float
+            Edge of the voxels in metres.
+
+        Returns
+        -------
+        VoxelVotes
         """
         keys = keys_of(points, size)
         rows = np.flatnonzero((probabilities[:, 0] < 1) & (keys >= 0))
@@ -73,9 +84,19 @@ class Tally:
 
 
 def keys_of(points: Double, size: float) -> Keys:
-    """Return the key (N,) int64 of the voxel of a size in metres around each point (N, 3).
+    """Return the key of the voxel around each point.
 
-    The key is -1 if the point is NaN, infinite, or `MAX_CELLS` voxels or more from the origin.
+    Parameters
+    ----------
+    points : (N, 3) float64
+        Coordinates in metres.
+    size : float
+        Edge of the voxels in metres.
+
+    Returns
+    -------
+    (N,) int64
+        Key; -1 for a point that is NaN, infinite, or `MAX_CELLS` voxels or more from the origin.
     """
     cells = np.floor(points / size)
     inside = (np.abs(cells) < MAX_CELLS).all(axis=1)
@@ -98,27 +119,72 @@ def _mean_of_voxels(probabilities: Float, rows: Keys, borders: Keys, votes: Vote
             votes[voxel, c] = np.uint16(total[c] / count * SCALE + 0.5)
 
 
-def tally(
-    scan: VoxelVotes,
-    others: Iterable[tuple[VoxelVotes, npt.NDArray[np.uint8]]],
-    stands: npt.NDArray[np.uint8],
-) -> Tally:
+class OtherVotes(NamedTuple):
+    """Votes of another scan, as the kernel takes them.
+
+    Attributes
+    ----------
+    keys : (U,) int64
+        Keys of the voxels that the other scan sees, ascending.
+    votes : (U, C) uint16
+        Mean softmax × `SCALE` in each.
+    counts_for : (C,) uint8
+        1 for the classes that the other scan counts for, else 0.
+    """
+
+    keys: Keys
+    votes: Votes
+    counts_for: npt.NDArray[np.uint8]
+
+
+class VoteSums(NamedTuple):
+    """Running sums in the V voxels of a scan, as the kernel takes them.
+
+    Attributes
+    ----------
+    stands : (V,) uint8
+        1 where an object stands still, so that the other scans count for all classes.
+    total : (V, C) uint32
+        Sums of the votes.
+    counts : (V, C) uint16
+        Number of scans that count for each class.
+    views : (V,) uint16
+        Number of scans that see the voxel.
+    """
+
+    stands: npt.NDArray[np.uint8]
+    total: npt.NDArray[np.uint32]
+    counts: npt.NDArray[np.uint16]
+    views: npt.NDArray[np.uint16]
+
+
+def tally(scan: VoxelVotes, others: Iterable[OtherVotes], stands: npt.NDArray[np.uint8]) -> Tally:
     """Add up the votes of a scan and of others for its points.
 
     A class has the mean vote of the scans that count for it; then the classes are scaled to add up
-    to 1. Each of the others has a mask (C,) of the classes that it counts for. In the voxels of
-    `stands` (V,), it counts for all of them.
+    to 1.
+
+    Parameters
+    ----------
+    scan : VoxelVotes
+        Votes of the scan in V voxels.
+    others : iterable of OtherVotes
+        Votes of the other scans in voxels of the same size.
+    stands : (V,) uint8
+        1 for voxels in which the others count for all classes.
+
+    Returns
+    -------
+    Tally
     """
     total = scan.votes.astype(np.uint32)
     counts = np.ones(total.shape, np.uint16)
     seen = np.ones(len(scan.keys), np.uint16)
-    for other, counted in others:
+    for other in others:
 
-        def add(
-            part: slice, other: VoxelVotes = other, counted: npt.NDArray[np.uint8] = counted
-        ) -> None:
-            sums = stands[part], total[part], counts[part], seen[part]
-            _add(scan.keys[part], other.keys, other.votes, counted, *sums)
+        def add(voxels: slice, other: OtherVotes = other) -> None:
+            sums = VoteSums(stands[voxels], total[voxels], counts[voxels], seen[voxels])
+            _add(scan.keys[voxels], other, sums)
 
         parallel_for_slices(add, len(scan.keys))
     means = total / counts
@@ -130,19 +196,17 @@ def tally(
 
 
 @compiled
-def _add(
-    voxels: Keys,
-    keys: Keys,
-    votes: Votes,
-    counted: npt.NDArray[np.uint8],
-    stands: npt.NDArray[np.uint8],
-    total: npt.NDArray[np.uint32],
-    counts: npt.NDArray[np.uint16],
-    seen: npt.NDArray[np.uint16],
-) -> None:
-    """Add the votes of another scan in the voxels that both see; both keys ascend."""
+def _add(voxels: Keys, other: OtherVotes, sums: VoteSums) -> None:
+    """Add the votes of another scan in the voxels (V,) that both see; both keys ascend."""
     if len(voxels) == 0:
         return
+    keys = other.keys
+    votes = other.votes
+    counts_for = other.counts_for
+    stands = sums.stands
+    total = sums.total
+    counts = sums.counts
+    views = sums.views
     there = np.searchsorted(keys, voxels[0])
     for here in range(len(voxels)):
         while there < len(keys) and keys[there] < voxels[here]:
@@ -150,8 +214,8 @@ def _add(
         if there == len(keys):
             return
         if keys[there] == voxels[here]:
-            seen[here] += 1
+            views[here] += 1
             for c in range(total.shape[1]):
-                counts_here = counted[c] | stands[here]
+                counts_here = counts_for[c] | stands[here]
                 total[here, c] += votes[there, c] * counts_here
                 counts[here, c] += counts_here

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.core.classes.label_space import LabelSpace
-from salsanext_cli.core.errors import SalsanextError, UsageError, warn_once
+from salsanext_cli.core.errors import SalsanextError, UsageError
 from salsanext_cli.core.fusion.drive import Drive
 from salsanext_cli.core.fusion.reach import FusionReach
 from salsanext_cli.core.fusion.visibility import nearest_ranges, seen_by
@@ -17,10 +17,12 @@ from salsanext_cli.core.fusion.votes import (
     MAX_CELLS,
     SCALE,
     VOXEL_SIZES_M,
+    OtherVotes,
     Tally,
     VoxelVotes,
     tally,
 )
+from salsanext_cli.core.notices import warn_once
 from salsanext_cli.core.records import Double, Float, Mask
 
 MOVABLE_SHARE = 0.2  # Least share of votes for movable classes that needs a look by other scans
@@ -48,28 +50,46 @@ class PlacedScan(NamedTuple):
 class FusionWindow:
     """Votes of the scans around one of a drive, which are read once while the window moves.
 
-    `movable` (C,): mask of the movable classes.
+    Parameters
+    ----------
+    drive : Drive
+        Poses of the scans.
+    read : callable
+        Returns points (N, 3) and softmax (N, C) of the scan with a number.
+    reach : FusionReach
+        Scans that vote.
+    movable : (C,) bool
+        Whether each class is movable.
     """
 
     def __init__(self, drive: Drive, read: ReadScan, reach: FusionReach, movable: Mask) -> None:
-        self.poses, self.parts, self.read, self.reach = drive.poses, drive.parts, read, reach
+        self.poses = drive.poses
+        self.parts = drive.parts
+        self.read = read
+        self.reach = reach
         self.places = drive.poses[:, :3, 3] - drive.origins[drive.parts]
         self.seen: dict[int, PlacedScan | SalsanextError] = {}
         self.movable = movable
-        self.counted = {True: np.ones(len(movable), np.uint8), False: (~movable).astype(np.uint8)}
+        self.all_classes = np.ones(len(movable), np.uint8)
+        self.fixed_classes = (~movable).astype(np.uint8)
 
     def tally(self, index: int) -> Tally:
         """Return the votes of the scans of the window for the points of a scan."""
         scan, others = self._around(index)
         tallies = []
         for size, votes in enumerate(scan.votes):
-            counted = [
-                (other.votes[size], self.counted[abs(i - index) <= self.reach.movable_reach])
-                for i, other in others.items()
+            other_votes = [
+                self._other_votes(other.votes[size], abs(i - index)) for i, other in others.items()
             ]
-            tallies.append(tally(votes, counted, self._stands(votes, scan, others)))
-        mean = np.mean([part.probabilities for part in tallies], axis=0)
+            tallies.append(tally(votes, other_votes, self._stands(votes, scan, others)))
+        mean = np.mean([sums.probabilities for sums in tallies], axis=0)
         return Tally(mean, tallies[-1].views)
+
+    def _other_votes(self, votes: VoxelVotes, distance: int) -> OtherVotes:
+        """Return the votes of a scan at a distance in scans, which decides what it counts for."""
+        is_near = distance <= self.reach.movable_reach
+        classes = self.all_classes if is_near else self.fixed_classes
+        return OtherVotes(votes.keys, votes.votes, classes)
 
     def _around(self, index: int) -> tuple[PlacedScan, dict[int, PlacedScan]]:
         """Return a scan, and the readable others in reach in its part."""
@@ -79,7 +99,8 @@ class FusionWindow:
         # Scans out of reach are freed before others are read: the next chunk may lie far away.
         self.seen = {i: self.seen[i] for i in members if i in self.seen}
         self.seen = {i: self.seen[i] if i in self.seen else self._placed(i) for i in members}
-        if isinstance(error := self.seen[index], SalsanextError):
+        error = self.seen[index]
+        if isinstance(error, SalsanextError):
             raise error
         readable = {i: s for i, s in self.seen.items() if not isinstance(s, SalsanextError)}
         return readable.pop(index), readable
@@ -100,10 +121,13 @@ class FusionWindow:
         return stands
 
     def _placed(self, index: int) -> PlacedScan | SalsanextError:
-        place, most = self.places[index], VOXEL_SIZES_M[0] * MAX_CELLS - SCAN_M
+        place = self.places[index]
+        most = VOXEL_SIZES_M[0] * MAX_CELLS - SCAN_M
         try:
-            if not (farthest := np.abs(place).max()) <= most:
-                subject, expected = f"pose of scan {index}", f"at most {most / 1000:.1f} km"
+            farthest = np.abs(place).max()
+            if not farthest <= most:
+                subject = f"pose of scan {index}"
+                expected = f"at most {most / 1000:.1f} km"
                 away = f"is {farthest / 1000:.1f} km from the first scan of its part of the drive"
                 raise UsageError(subject, away, expected, "fuse shorter drives")
             points, softmax = self.read(index)

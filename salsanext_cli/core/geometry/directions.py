@@ -15,8 +15,8 @@ from salsanext_cli.core.geometry.projection import arctan2, upright_rotation
 from salsanext_cli.core.records import MAX_RANGE_M, Double, Float, Int, Scan
 from salsanext_cli.core.sensors.sensor import Sensor
 
-ROWS, COLUMNS = 288, 900
-"""Cells between straight down and straight up, of equal heights on a sphere, and cells around."""
+ROWS = 288  # Cells between straight down and straight up, of equal heights on a sphere
+COLUMNS = 900  # Cells around
 NO_CELL = ROWS * COLUMNS  # Index of the cell of points without a direction
 NEAREST_M = 2.0  # Nearer points belong to the vehicle
 
@@ -59,7 +59,19 @@ def direction_grid(scan: Scan, sensor: Sensor) -> DirectionGrid:
 def find_cells(
     points: Float, origin: Double, rotation: Double, cell_of_point: Int, point_range: Float
 ) -> None:
-    """Write the cell and the range of each point (`DirectionGrid`)."""
+    """Write the cell and the range of each point.
+
+    Parameters
+    ----------
+    points : (3 N,) float32
+        Coordinates in the frame of the file, point by point, in metres.
+    origin : (3,) float64
+        Position of the sensor in this frame, in metres.
+    rotation : (3, 3) float64
+        Rotation that turns the direction up to z.
+    cell_of_point, point_range : (N,) int32, float32
+        Results, as in a `DirectionGrid`.
+    """
     # Without branches the loop is vectorised.
     for i in range(len(point_range)):
         a = points[3 * i]
@@ -86,7 +98,15 @@ def find_cells(
 
 @compiled
 def keep_nearest_range(cell_of_point: Int, point_range: Float, nearest: Float) -> None:
-    """Lower the range of each cell (NO_CELL + 1,) to that of its nearest point."""
+    """Lower the range of each cell to that of its nearest point.
+
+    Parameters
+    ----------
+    cell_of_point, point_range : (N,) int32, float32
+        Cells and ranges of the points, as in a `DirectionGrid`.
+    nearest : (NO_CELL + 1,) float32
+        Range of each cell in metres; the last cell is of points without a direction.
+    """
     # Without branches, which the processor cannot predict, this takes a sixth of the time.
     for i in range(len(cell_of_point)):
         cell = cell_of_point[i]

@@ -101,10 +101,23 @@ def _ranges(points: Double) -> Double:
 
 
 def evenness(points: Double, position: Double, offsets: Sequence[float] = (0.0,)) -> float:
-    """Return how evenly points (N, 3) are spread over the directions from a position (3,), 0…1.
+    """Return how evenly points are spread over the directions from a position.
 
-    It is the share of farther points, divided by their mean number in the cell of a point. The mean
-    over cells that begin at several offsets, 0…1, has less noise.
+    It is the share of farther points, divided by their mean number in the cell of a point.
+
+    Parameters
+    ----------
+    points : (N, 3) float64
+        Coordinates in metres.
+    position : (3,) float64
+        Position in metres.
+    offsets : sequence of float
+        Offsets, 0…1, at which the cells begin; the mean over several has less noise.
+
+    Returns
+    -------
+    float
+        Evenness, 0…1.
     """
     around, upwards, ranges = _directions(points - position)
     far = ranges > VEHICLE_M

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 
 from salsanext_cli.core.geometry.projection import few_points
-from salsanext_cli.core.records import Double, Float, Scan
+from salsanext_cli.core.records import Double, Float, Mask, Scan
 
 MAX_POINTS = 512  # Points near the sensor to find a plane among
 RANGES_M = (2.0, 25.0)  # Their ranges: nearer is the vehicle, farther the ground bends
@@ -30,7 +30,8 @@ SUPPORT_OF_CEILING = 4.0
 """The same for a ground above the sensor; ceilings of simulated rooms had up to 3.7."""
 OBJECT_M = 0.5  # Least distance of objects from the ground
 HEIGHTS_M = (1.0, 2.6)  # Usual heights of a sensor on a vehicle; real scans had 1.4 to 2.1
-AXES, UPWARDS = range(3), 2  # Indices of x, y, z, and of z
+AXES = range(3)  # Indices of x, y, z
+UPWARDS = 2  # Index of z
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,61 +55,121 @@ class Ground:
         return HEIGHTS_M[0] <= self.height <= HEIGHTS_M[1]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _NearPoints:
+    """Sample of the points near the sensor."""
+
+    points: Float  # (K, 3) metres
+    ranges: Float  # (K,) metres
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Planes:
+    """Possible grounds: points x with ``normals @ x = offsets``."""
+
+    normals: Float  # (P, 3): unit normals from the ground to the sensor
+    offsets: Float  # (P,) metres
+    is_low: Mask  # (P,): whether the sensor is on the plane
+
+    def select(self, selection: Mask) -> _Planes:
+        """Return the planes of a mask (P,)."""
+        return _Planes(self.normals[selection], self.offsets[selection], self.is_low[selection])
+
+
 def find_ground(points: Float, max_tilt_deg: float | None = None) -> Ground | None:
-    """Return the plane with most of the points (N, 3) near the sensor and few below, or None.
+    """Return the plane with most of the points near the sensor and few below.
 
     Planes through random triples, the same for every scan, are compared. The best is fitted to its
     points by least squares (Fischler & Bolles 1981). A point counts by its range, since the rings
-    near the sensor have most points. `max_tilt_deg` limits the angle between normal and z. Without
-    it, the ground of a sensor that turns about an axis has any orientation. A sensor with a narrow
-    field of view cannot tell ground from walls, so its ground must be nearly level.
+    near the sensor have most points. Without a limit of the tilt, the ground of a sensor that turns
+    about an axis has any orientation. A sensor with a narrow field of view cannot tell ground from
+    walls, so its ground must be nearly level.
+
+    Parameters
+    ----------
+    points : (N, 3) float32
+        Finite coordinates in metres, around the sensor.
+    max_tilt_deg : float, optional
+        Largest angle between normal and z in degrees.
+
+    Returns
+    -------
+    Ground or None
+        None if there are few points near the sensor, or no plane has enough of them.
     """
+    near = _near_points(points)
+    if near is None:
+        return None
+    planes = _possible_planes(near, max_tilt_deg)
+    if not len(planes.normals):
+        return None
+    # The threads of a matrix product would take the processors from the network.
+    x, y, z = np.ascontiguousarray(near.points.T)
+    normal_x, normal_y, normal_z = planes.normals.T[:, :, None]
+    heights = normal_x * x + normal_y * y + normal_z * z - planes.offsets[:, None]
+    on = _sums(np.abs(heights) < TOLERANCE_M, near.ranges)
+    below = _sums(heights < -TOLERANCE_M, near.ranges)
+    score = on - below
+    score[planes.is_low & (below > on / 2)] = -np.inf
+    best = int(score.argmax())
+    on_plane = np.abs(heights[best]) < TOLERANCE_M
+    share = float(near.ranges[on_plane].sum() / near.ranges.sum())
+    if share < MIN_SHARE or not np.isfinite(score[best]):
+        return None
+    return _fitted_ground(near, on_plane, planes, best, share)
+
+
+def _near_points(points: Float) -> _NearPoints | None:
+    """Return a sample of the points (N, 3) within `RANGES_M`, None for too few."""
     ranges = np.sqrt(np.einsum("nk,nk->n", points, points))
     near = np.flatnonzero((ranges > RANGES_M[0]) & (ranges < RANGES_M[1]))
     if len(near) < MIN_GROUND_POINTS:
         return None
-    chosen = near[:: -(-len(near) // MAX_POINTS)]
-    points, weights = points[chosen], ranges[chosen]
+    step = -(-len(near) // MAX_POINTS)
+    sample = near[::step]
+    return _NearPoints(points[sample], ranges[sample])
+
+
+def _possible_planes(near: _NearPoints, max_tilt_deg: float | None) -> _Planes:
+    """Return the first planes through random triples of points that may be the ground."""
+    points = near.points
     first, second, third = points[(_triples() * len(points)).astype(np.intp)]
-    across, along = (second - first).T, (third - first).T
+    across = (second - first).T
+    along = (third - first).T
     normals = np.stack([across[i - 2] * along[i - 1] - across[i - 1] * along[i - 2] for i in AXES])
     offsets = np.einsum("kp,pk->p", normals, first)
     lengths = np.maximum(np.sqrt(np.einsum("kp,kp->p", normals, normals)), MIN_AREA_M2)
-    axis = _axis_of_rotation(points / weights[:, None])
-    upright = max_tilt_deg is not None or axis is None
+    axis = _axis_of_rotation(points / near.ranges[:, None])
+    is_upright = max_tilt_deg is not None or axis is None
     least = MIN_COSINE if max_tilt_deg is None else np.cos(np.radians(max_tilt_deg))
-    along_axis = np.abs(normals[UPWARDS if axis is None or upright else axis])
+    along_axis = np.abs(normals[UPWARDS if axis is None or is_upright else axis])
     tried = np.flatnonzero(along_axis > least * lengths)[:PLANES]
-    normals, offsets = (normals[:, tried] / lengths[tried]).T, offsets[tried] / lengths[tried]
+    normals = (normals[:, tried] / lengths[tried]).T
+    offsets = offsets[tried] / lengths[tried]
     # The sensor is above. If it is on the plane, the largest coordinate of the normal is positive.
-    low = np.abs(offsets) < MIN_HEIGHT_M
+    is_low = np.abs(offsets) < MIN_HEIGHT_M
     largest = normals[np.arange(len(tried)), np.abs(normals).argmax(axis=1)]
-    turn = np.where(low, np.sign(largest), -np.sign(offsets))
-    normals, offsets = turn[:, None] * normals, turn * offsets
-    if upright:
-        rising = normals[:, UPWARDS] > 0
-        normals, offsets, low = normals[rising], offsets[rising], low[rising]
-    if not len(normals):
-        return None
-    # The threads of a matrix product would take the processors from the network.
-    (x, y, z), (of_x, of_y, of_z) = np.ascontiguousarray(points.T), normals.T[:, :, None]
-    heights = of_x * x + of_y * y + of_z * z - offsets[:, None]
-    on, below = (
-        np.einsum("pn,n->p", part.view(np.int8), weights)
-        for part in (np.abs(heights) < TOLERANCE_M, heights < -TOLERANCE_M)
-    )
-    score = on - below
-    score[low & (below > on / 2)] = -np.inf
-    best = int(score.argmax())
-    on_plane = np.abs(heights[best]) < TOLERANCE_M
-    share = float(weights[on_plane].sum() / weights.sum())
-    if share < MIN_SHARE or not np.isfinite(score[best]):
-        return None
-    centre = np.average(points[on_plane], axis=0, weights=weights[on_plane]).astype(np.float64)
-    normal = np.linalg.svd(points[on_plane] - centre, full_matrices=False)[2][2]
-    normal *= np.sign(normal @ normals[best])
+    turn = np.where(is_low, np.sign(largest), -np.sign(offsets))
+    planes = _Planes(turn[:, None] * normals, turn * offsets, is_low)
+    return planes.select(planes.normals[:, UPWARDS] > 0) if is_upright else planes
+
+
+def _sums(selection: Mask, ranges: Float) -> Float:
+    """Return the sums (P,) of the ranges (K,) of the selected points of each plane (P, K)."""
+    return np.einsum("pn,n->p", selection.view(np.int8), ranges)
+
+
+def _fitted_ground(
+    near: _NearPoints, on_plane: Mask, planes: _Planes, best: int, share: float
+) -> Ground | None:
+    """Return the ground through the points on a plane; None if it is not below the sensor."""
+    points = near.points[on_plane]
+    centre = np.average(points, axis=0, weights=near.ranges[on_plane]).astype(np.float64)
+    normal = np.linalg.svd(points - centre, full_matrices=False)[2][2]
+    normal *= np.sign(normal @ planes.normals[best])
     height = -float(normal @ centre)
-    return Ground(normal, height, share) if low[best] or height > MIN_HEIGHT_M else None
+    is_below = bool(planes.is_low[best]) or height > MIN_HEIGHT_M
+    return Ground(normal, height, share) if is_below else None
 
 
 @cache
@@ -133,11 +194,11 @@ def ground_of(scan: Scan) -> Ground | None:
     level = find_ground(points, MAX_TILT_DEG)
     if ground.tilt_deg > UPSIDE_DOWN_DEG and _is_seen_from_below(points, ground):
         return Ground(-ground.up, -ground.height, ground.share)
-    usual = ground.is_usual or ground.height < MIN_HEIGHT_M
+    is_possible = ground.is_usual or ground.height < MIN_HEIGHT_M
     in_room = level and level.height > TOLERANCE_M and ground.tilt_deg > UPSIDE_DOWN_DEG
     support = SUPPORT_OF_CEILING if in_room else SUPPORT
-    likely = level is None or ground.share > support * level.share
-    return ground if usual and likely else level
+    is_likely = level is None or ground.share > support * level.share
+    return ground if is_possible and is_likely else level
 
 
 def _is_seen_from_below(points: Float, ground: Ground) -> bool:

@@ -10,7 +10,7 @@ The window is periodic in azimuth. Empty pixels and pixels above or below the im
 candidates. A point without a vote takes the label of its pixel.
 """
 
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -27,11 +27,70 @@ BLOCK = 256  # Number of points per block, which fits the fastest cache
 FARTHEST = np.int64(2**63 - 256)  # Candidate farther than all others, with label 0
 
 
-def candidates(parameters: KnnParameters, width: int) -> tuple[Int, Float]:
-    """Return flat offsets and distance factors, (M,) each, of the candidates of another pixel.
+class FramedImage(NamedTuple):
+    """Range image in a frame of half a window: periodic in azimuth, empty above and below.
 
-    The image has `width` columns and a frame of ``window // 2`` pixels. In an image narrower than
-    the window, no pixel is a candidate twice.
+    Attributes
+    ----------
+    ranges : (P,) float32
+        Flat ranges in metres; infinite in empty pixels.
+    labels : (P,) uint8
+        Flat train ids; 0 in empty pixels.
+    is_mixed : (M,) bool
+        Whether the window of a pixel holds another label above 0; begins with the first pixel
+        inside the frame.
+    width : int
+        Columns of the image without its frame.
+    half : int
+        Pixels of the frame on each side.
+    """
+
+    ranges: Float
+    labels: TrainIds
+    is_mixed: Mask
+    width: int
+    half: int
+
+
+class VoteRules(NamedTuple):
+    """Neighbours that vote.
+
+    Attributes
+    ----------
+    offsets : (M,) int32
+        Flat offsets of the candidates from the pixel of the point.
+    weights : (M,) float32
+        Factors of their distances.
+    k : int
+        Number of neighbours, the pixel of the point included.
+    cutoff : float32
+        Largest distance of a neighbour that votes, in metres.
+    """
+
+    offsets: Int
+    weights: Float
+    k: int
+    cutoff: np.float32
+
+
+def candidates(parameters: KnnParameters, width: int) -> tuple[Int, Float]:
+    """Return the candidates of another pixel than that of the point.
+
+    In an image narrower than the window, no pixel is a candidate twice.
+
+    Parameters
+    ----------
+    parameters : KnnParameters
+        Window and Gaussian.
+    width : int
+        Columns of the image, without its frame of ``window // 2`` pixels.
+
+    Returns
+    -------
+    offsets : (M,) int32
+        Flat offsets in the framed image.
+    weights : (M,) float32
+        Factors of their distances.
     """
     half = parameters.window // 2
     dy, dx = np.mgrid[-half : half + 1, -half : half + 1]
@@ -72,7 +131,8 @@ def knn_refine(
         If the labels have another shape than the image or are not train ids.
     """
     labels = _checked_labels(image, np.asarray(pixel_labels), class_count)
-    half, width = parameters.window // 2, image.width
+    half = parameters.window // 2
+    width = image.width
     empty = image.channels[0] <= 0
     ranges = _framed(np.where(empty, np.float32(np.inf), image.channels[0]), half, np.inf)
     labels = _framed(np.where(empty, np.uint8(0), labels), half, 0)
@@ -80,18 +140,18 @@ def knn_refine(
     pixel_of_point = argument(image.pixel_of_point, np.int32)
     point_range = argument(image.point_range, np.float32)
     frame = half * (width + 2 * half) + half
-    mixed = np.empty(labels.size - 2 * frame, np.bool_)
+    is_mixed = np.empty(labels.size - 2 * frame, np.bool_)
     refined = np.empty(len(pixel_of_point), np.uint8)
-    pixels = (ranges, labels, mixed, width, half)
-    rules = (offsets, weights, parameters.k, np.float32(parameters.cutoff))
+    framed = FramedImage(ranges, labels, is_mixed, width, half)
+    rules = VoteRules(offsets, weights, parameters.k, np.float32(parameters.cutoff))
 
-    def mark(part: slice) -> None:
-        mark_mixed(labels, frame + part.start, offsets, mixed[part])
+    def mark(pixels: slice) -> None:
+        mark_mixed(labels, frame + pixels.start, offsets, is_mixed[pixels])
 
-    def refine(part: slice) -> None:
-        refine_points(pixel_of_point[part], point_range[part], *pixels, *rules, refined[part])
+    def refine(points: slice) -> None:
+        refine_points(pixel_of_point[points], point_range[points], framed, rules, refined[points])
 
-    parallel_for_slices(mark, mixed.size)
+    parallel_for_slices(mark, is_mixed.size)
     parallel_for_slices(refine, len(refined))
     return refined
 
@@ -122,38 +182,57 @@ def _checked_labels(image: RangeImage, labels: npt.NDArray[np.generic], count: i
 
 
 @compiled
-def mark_mixed(labels: TrainIds, first: int, offsets: Int, mixed: Mask) -> None:
-    """Write whether the window of a pixel holds another label above 0."""
-    size = len(mixed)
+def mark_mixed(labels: TrainIds, first: int, offsets: Int, is_mixed: Mask) -> None:
+    """Write whether the window of a pixel holds another label above 0.
+
+    Parameters
+    ----------
+    labels : (P,) uint8
+        Flat train ids of a framed image.
+    first : int
+        Index of the first pixel in it.
+    offsets : (M,) int32
+        Flat offsets of the other pixels of the window.
+    is_mixed : (K,) bool
+        Result for K pixels from the first on.
+    """
+    size = len(is_mixed)
     for i in range(size):
-        mixed[i] = False
+        is_mixed[i] = False
     centre = labels[first : first + size]
     for offset in offsets:
         other = labels[first + offset : first + offset + size]
         for i in range(size):
-            mixed[i] |= (other[i] != centre[i]) & (other[i] != 0)
+            is_mixed[i] |= (other[i] != centre[i]) & (other[i] != 0)
 
 
 @compiled
 def refine_points(
-    pixel_of_point: Int,
-    point_range: Float,
-    ranges: Float,
-    labels: TrainIds,
-    mixed: Mask,
-    width: int,
-    half: int,
-    offsets: Int,
-    weights: Float,
-    k: int,
-    cutoff: np.float32,
-    refined: TrainIds,
+    pixel_of_point: Int, point_range: Float, image: FramedImage, rules: VoteRules, refined: TrainIds
 ) -> None:
-    """Write the label of each point: 0 without a pixel, else of its pixel or of the vote."""
+    """Write the label of each point: 0 without a pixel, else of its pixel or of the vote.
+
+    Parameters
+    ----------
+    pixel_of_point : (N,) int32
+        Flat pixel index in the image without a frame; -1 for none.
+    point_range : (N,) float32
+        Range of each point in metres.
+    image : FramedImage
+        Ranges and labels of the pixels.
+    rules : VoteRules
+        Neighbours that vote.
+    refined : (N,) uint8
+        Result.
+    """
+    labels = image.labels
+    is_mixed = image.is_mixed
+    width = image.width
+    half = image.half
     frame = half * (width + 2 * half) + half
     chosen = np.empty(BLOCK, np.int32)
     centre = np.full(BLOCK, frame, np.int32)
-    own_range = np.zeros(BLOCK, np.float32)
+    centre_range = np.zeros(BLOCK, np.float32)
     voted = np.empty(BLOCK, np.int32)
     size = 0
     for i in range(len(refined)):
@@ -161,13 +240,13 @@ def refine_points(
         position = max(pixel, 0)
         position += np.uint32(position) // np.uint32(width) * 2 * half
         refined[i] = labels[position + frame] if pixel >= 0 else 0
-        if pixel >= 0 and mixed[position]:
+        if pixel >= 0 and is_mixed[position]:
             chosen[size] = i
             centre[size] = position + frame
-            own_range[size] = point_range[i]
+            centre_range[size] = point_range[i]
             size += 1
         if size == BLOCK or (size > 0 and i == len(refined) - 1):
-            vote_of_block(centre, own_range, ranges, labels, offsets, weights, k, cutoff, voted)
+            vote_of_block(centre, centre_range, image, rules, voted)
             for j in range(size):
                 refined[chosen[j]] = voted[j]
             size = 0
@@ -175,21 +254,32 @@ def refine_points(
 
 @compiled
 def vote_of_block(
-    centre: Int,
-    own_range: Float,
-    ranges: Float,
-    labels: TrainIds,
-    offsets: Int,
-    weights: Float,
-    k: int,
-    cutoff: np.float32,
-    voted: Int,
+    centre: Int, centre_range: Float, image: FramedImage, rules: VoteRules, voted: Int
 ) -> None:
     """Write the label of each point of a block by the vote of its neighbours.
 
     A candidate is one integer, so that one comparison ranks it. From the highest bit, it holds the
     distance (the bits of a float ≥ 0 are in its order), the place in the window and the label.
+
+    Parameters
+    ----------
+    centre : (BLOCK,) int32
+        Index of the pixel of each point in the framed image.
+    centre_range : (BLOCK,) float32
+        Range of each point in metres.
+    image : FramedImage
+        Ranges and labels of the pixels.
+    rules : VoteRules
+        Neighbours that vote.
+    voted : (BLOCK,) int32
+        Result.
     """
+    ranges = image.ranges
+    labels = image.labels
+    offsets = rules.offsets
+    weights = rules.weights
+    k = rules.k
+    cutoff = rules.cutoff
     distance = np.empty(BLOCK, np.float32)
     distance_bits = distance.view(np.int32)
     label = np.empty(BLOCK, np.int32)
@@ -199,12 +289,13 @@ def vote_of_block(
         for j in range(BLOCK):
             nearest[place, j] = labels[centre[j]] if place == 0 else FARTHEST
     for n in range(len(offsets)):
-        offset, weight = offsets[n], weights[n]
+        offset = offsets[n]
+        weight = weights[n]
         for j in range(BLOCK):
             distance[j] = ranges[centre[j] + offset]
             label[j] = labels[centre[j] + offset]
         for j in range(BLOCK):
-            distance[j] = abs(distance[j] - own_range[j]) * weight
+            distance[j] = abs(distance[j] - centre_range[j]) * weight
             label[j] *= distance[j] <= cutoff
         for j in range(BLOCK):
             candidate[j] = (np.int64(distance_bits[j]) << 32) | (n << 8) | label[j]
@@ -215,16 +306,33 @@ def vote_of_block(
 
 @compiled
 def keep_nearer(nearest: Candidates, candidate: Candidates) -> None:
-    """Put the nearer candidate in this place; the farther becomes the candidate of the next."""
+    """Put the nearer candidate in a place; the farther becomes the candidate of the next.
+
+    Parameters
+    ----------
+    nearest : (BLOCK,) int64
+        Candidate in this place, by point.
+    candidate : (BLOCK,) int64
+        Candidate to compare with it.
+    """
     for j in range(BLOCK):
-        here, new = nearest[j], candidate[j]
-        nearest[j] = min(here, new)
-        candidate[j] = max(here, new)
+        holder = nearest[j]
+        challenger = candidate[j]
+        nearest[j] = min(holder, challenger)
+        candidate[j] = max(holder, challenger)
 
 
 @compiled
 def majority(nearest: Candidates, voted: Int) -> None:
-    """Write the most frequent label above 0, the lowest in a tie; 0 without any."""
+    """Write the most frequent label above 0, the lowest in a tie; 0 without any.
+
+    Parameters
+    ----------
+    nearest : (k, BLOCK) int64
+        Nearest candidates of each point.
+    voted : (BLOCK,) int32
+        Result.
+    """
     voters = np.empty(nearest.shape, np.int32)
     count = np.empty(BLOCK, np.int32)
     for place in range(len(voters)):

@@ -32,7 +32,8 @@ class KnnParameters:
     cutoff: float = 1.0
 
     def __post_init__(self) -> None:
-        window, most = self.window, self.window**2
+        window = self.window
+        most = self.window**2
         is_odd = 1 <= window <= MAX_WINDOW_PX and window % 2 == 1
         conditions = (
             ("window", is_odd, f"an odd number from 1 to {MAX_WINDOW_PX}"),

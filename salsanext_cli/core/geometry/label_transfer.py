@@ -23,8 +23,8 @@ Labels = npt.NDArray[np.uint32]
 class LabelTransfer:
     """Labels of N points, taken from a labelled cloud."""
 
-    labels: Labels  # (N,) uint32: 0 where `known` is not set
-    known: Mask  # (N,) bool: points that have a label of the cloud
+    labels: Labels  # (N,) uint32: 0 where `has_label` is not set
+    has_label: Mask  # (N,) bool: points that have a label of the cloud
     ambiguous: Mask  # (N,) bool: points at which the cloud has several labels
     # (U,) float64: distance of each point of the cloud that is a copy of none to the nearest point,
     # metres; infinite without any
@@ -34,44 +34,65 @@ class LabelTransfer:
     @property
     def missing(self) -> Mask:
         """Points without a copy in the cloud, (N,) bool."""
-        return ~(self.known | self.ambiguous)
+        return ~(self.has_label | self.ambiguous)
 
     def filled(self, label: int) -> Labels:
         """Return the labels (N,) uint32, with `label` for all points without one."""
-        return np.where(self.known, self.labels, np.uint32(label))
+        return np.where(self.has_label, self.labels, np.uint32(label))
 
 
 def transfer_labels(points: Float, cloud: Float, labels: Labels) -> LabelTransfer:
-    """Label each point (N, 3) as its copy in a cloud (M, 3) with labels (M,), in any order.
+    """Label each point as its copy in a cloud, whose points are in any order.
 
     A copy has the same coordinates. Without one, all cloud points within `TOLERANCE_M` are copies.
     A point whose copies have different labels has none.
+
+    Parameters
+    ----------
+    points : (N, 3) float32
+        Points to label, in metres.
+    cloud : (M, 3) float32
+        Labelled points in the same frame, in metres.
+    labels : (M,) uint32
+        Labels of the cloud.
+
+    Returns
+    -------
+    LabelTransfer
     """
-    finite = np.isfinite(points).all(axis=1)
-    of_cloud = np.isfinite(cloud).all(axis=1)
-    cloud, labels = cloud[of_cloud], labels[of_cloud]
-    wanted = points[finite]
-    places = _places(np.concatenate([cloud, wanted]))
-    place_of_cloud, place = np.split(places, [len(cloud)])
+    is_finite = np.isfinite(points).all(axis=1)
+    finite_points = points[is_finite]
+    in_cloud = np.isfinite(cloud).all(axis=1)
+    cloud = cloud[in_cloud]
+    labels = labels[in_cloud]
+    places = _places(np.concatenate([cloud, finite_points]))
+    place_of_cloud, place_of_point = np.split(places, [len(cloud)])
     count = places.max(initial=-1) + 1
-    lowest, highest = np.full(count, NOTHING), np.full(count, -1, np.int64)
+    lowest = np.full(count, NOTHING)
+    highest = np.full(count, -1, np.int64)
     np.minimum.at(lowest, place_of_cloud, labels)
     np.maximum.at(highest, place_of_cloud, labels)
-    low, high = lowest[place], highest[place]
-    alone = low > high
+    low = lowest[place_of_point]
+    high = highest[place_of_point]
+    is_alone = low > high
     # A search tree of thousands of equal points, such as the zeros of no return, is slow.
-    used, first = np.unique(place_of_cloud, return_index=True)
-    index = _nearby(wanted[alone], cloud[first])
-    low[alone] = np.where(index < 0, NOTHING, lowest[used][index]).min(axis=1, initial=NOTHING)
-    high[alone] = np.where(index < 0, -1, highest[used][index]).max(axis=1, initial=-1)
-    of_points, first = np.unique(place, return_index=True)
-    distances = _nearest(cloud[~np.isin(place_of_cloud, of_points)], wanted[first])
+    cloud_places, first = np.unique(place_of_cloud, return_index=True)
+    index = _nearby(finite_points[is_alone], cloud[first])
+    lowest_nearby = np.where(index < 0, NOTHING, lowest[cloud_places][index])
+    highest_nearby = np.where(index < 0, -1, highest[cloud_places][index])
+    low[is_alone] = lowest_nearby.min(axis=1, initial=NOTHING)
+    high[is_alone] = highest_nearby.max(axis=1, initial=-1)
+    has_label = np.zeros(len(points), bool)
+    has_label[is_finite] = low == high
+    ambiguous = np.zeros(len(points), bool)
+    ambiguous[is_finite] = low < high
     transferred = np.zeros(len(points), np.uint32)
-    known, ambiguous = np.zeros((2, len(points)), bool)
-    known[finite], ambiguous[finite] = low == high, low < high
-    transferred[known] = low[low == high]
+    transferred[has_label] = low[low == high]
+    point_places, first = np.unique(place_of_point, return_index=True)
+    is_unused = ~np.isin(place_of_cloud, point_places)
+    distances = _nearest(cloud[is_unused], finite_points[first])
     unmatched = distances[distances > TOLERANCE_M]
-    return LabelTransfer(transferred, known, ambiguous, unmatched, len(cloud))
+    return LabelTransfer(transferred, has_label, ambiguous, unmatched, len(cloud))
 
 
 def _places(points: Float) -> Indices:
@@ -89,8 +110,8 @@ def _nearby(points: Float, others: Float) -> npt.NDArray[np.int64]:
         return np.empty((len(points), 0), np.int64)
     search = _search(others)
     search.hybrid_index(TOLERANCE_M)
-    index, *_ = search.hybrid_search(_tensor(points), TOLERANCE_M, MAX_NEIGHBOURS)
-    return index.numpy()
+    results = search.hybrid_search(_tensor(points), TOLERANCE_M, MAX_NEIGHBOURS)
+    return results[0].numpy()
 
 
 def _nearest(points: Float, others: Float) -> Double:

@@ -11,10 +11,11 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.core.errors import UsageError, percentage
+from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.geometry.projection import measured_ranges, sample_places
 from salsanext_cli.core.records import MAX_INTENSITY, Float
 from salsanext_cli.core.sensors.sensor import INTENSITY_LEVELS, Sensor
+from salsanext_cli.core.texts import percentage
 from salsanext_cli.core.wording import argument
 
 QUANTILE_DIGITS = 6  # Significant digits of a quantile
@@ -35,8 +36,24 @@ GAP_DIGITS = 4
 
 
 def network_input(channels: Float, sensor: Sensor, trained: Sensor) -> Float:
-    """Return channels (5, H, W) as input, (1, 5, H, W) float32, of weights of another sensor."""
-    source, target = sensor.intensity_quantiles, trained.intensity_quantiles
+    """Return the input of weights from channels of another sensor.
+
+    Parameters
+    ----------
+    channels : (5, H, W) float32
+        Range image: range, x, y, z in metres, intensity.
+    sensor : Sensor
+        Sensor of the image, fitted to its scans.
+    trained : Sensor
+        Sensor of the weights.
+
+    Returns
+    -------
+    (1, 5, H, W) float32
+        Normalised channels.
+    """
+    source = sensor.intensity_quantiles
+    target = trained.intensity_quantiles
     if source and target:
         channels = match_intensity(channels, source, target)
     return normalise(with_filled_gaps(channels, sensor, trained), sensor)[None]
@@ -62,13 +79,26 @@ def noise_of(sensor: Sensor) -> tuple[float, float]:
 
 
 def match_intensity(channels: Float, source: Sequence[float], target: Sequence[float]) -> Float:
-    """Return a range image (5, H, W) with the quantiles of its intensity mapped to others.
+    """Return a range image with the quantiles of its intensity mapped to others.
 
     A value of several quantiles becomes the mean of their targets. So `NO_INTENSITY`, the source of
-    an image without intensity, maps everything to the mean. Empty pixels stay 0.
+    an image without intensity, maps everything to the mean.
+
+    Parameters
+    ----------
+    channels : (5, H, W) float32
+        Range image.
+    source, target : sequence of float
+        Quantiles of the intensity at the same levels, of the sensor and of training.
+
+    Returns
+    -------
+    (5, H, W) float32
+        Range image; empty pixels stay 0.
     """
     occupied = np.flatnonzero(channels[0] > 0)
-    if why_no_intensity(*_pixels(channels, occupied[sample_places(len(occupied), SAMPLE)])):
+    points, intensity = _pixels(channels, occupied[sample_places(len(occupied), SAMPLE)])
+    if why_no_intensity(points, intensity):
         source = NO_INTENSITY
     elif source == target:
         return channels
@@ -79,10 +109,23 @@ def match_intensity(channels: Float, source: Sequence[float], target: Sequence[f
 
 
 def on_other_scale(intensity: Float, source: Sequence[float], target: Sequence[float]) -> Float:
-    """Return intensities of any shape as float32, mapped as by `match_intensity`."""
+    """Map intensities as by `match_intensity`.
+
+    Parameters
+    ----------
+    intensity : float32 array
+        Intensities, of any shape.
+    source, target : sequence of float
+        Quantiles at the same levels, of the sensor and of training.
+
+    Returns
+    -------
+    float32 array
+        Of the same shape.
+    """
     values, place = np.unique(np.asarray(source), return_inverse=True)
-    wanted = np.bincount(place, target) / np.bincount(place)
-    return np.interp(intensity, values, wanted).astype(np.float32)
+    targets = np.bincount(place, target) / np.bincount(place)
+    return np.interp(intensity, values, targets).astype(np.float32)
 
 
 def intensity_quantiles(images: Iterable[Float]) -> tuple[float, ...]:
@@ -92,27 +135,32 @@ def intensity_quantiles(images: Iterable[Float]) -> tuple[float, ...]:
     skipped if there are others. Without intensity, the result is `NO_INTENSITY`; without pixels, it
     is empty.
     """
-    seen = [_pixels(channels, np.flatnonzero(channels[0] > 0)) for channels in images]
-    if not any(len(values) for _, values in seen):
+    intensities = []
+    has_pixels = False
+    for channels in images:
+        points, values = _pixels(channels, np.flatnonzero(channels[0] > 0))
+        has_pixels = has_pixels or len(values) > 0
+        if len(values) and not why_no_intensity(points, values):
+            intensities.append(values)
+    if not has_pixels:
         return ()
-    known = [v for points, v in seen if len(v) and not why_no_intensity(points, v)]
-    if not known:
+    if not intensities:
         return NO_INTENSITY
-    enough = [values for values in known if len(values) >= MIN_PIXELS] or known
+    enough = [values for values in intensities if len(values) >= MIN_PIXELS] or intensities
     levels = np.linspace(0, 1, INTENSITY_LEVELS)
     quantiles = np.array([np.quantile(values, levels) for values in enough])
     upper = quantiles[:, round(BRIGHT * (INTENSITY_LEVELS - 1))]
-    usual = np.sort(upper)[len(upper) // 2]
-    if usual > 0:  # Factors have no meaning for decibels.
-        is_usual = (upper * INTENSITY_FACTOR >= usual) & (upper <= usual * INTENSITY_FACTOR)
-        quantiles = quantiles[is_usual]
+    median = np.sort(upper)[len(upper) // 2]
+    if median > 0:  # Factors have no meaning for decibels.
+        is_of_scale = (upper * INTENSITY_FACTOR >= median) & (upper <= median * INTENSITY_FACTOR)
+        quantiles = quantiles[is_of_scale]
     return tuple(float(f"{value:.{QUANTILE_DIGITS}g}") for value in quantiles.mean(axis=0))
 
 
-def _pixels(channels: Float, chosen: npt.NDArray[np.int64]) -> tuple[Float, Float]:
+def _pixels(channels: Float, pixels: npt.NDArray[np.int64]) -> tuple[Float, Float]:
     """Return points (M, 3) and intensities (M,) of the pixels with flat indices (M,)."""
     flat = channels.reshape(len(channels), -1)
-    return flat[1:4, chosen].T, flat[4, chosen]
+    return flat[1:4, pixels].T, flat[4, pixels]
 
 
 def bright_intensity(sensor: Sensor) -> float:
@@ -123,9 +171,23 @@ def bright_intensity(sensor: Sensor) -> float:
 
 
 def why_no_intensity(points: Float, intensity: Float) -> str:
-    """Return why values (N,) of points (N, 3) are not intensities; an empty text if they are."""
+    """Return why values of points are not intensities.
+
+    Parameters
+    ----------
+    points : (N, 3) float32
+        Coordinates in metres.
+    intensity : (N,) float32
+        Values of the points.
+
+    Returns
+    -------
+    str
+        Reason in words; empty if they are intensities.
+    """
     places = sample_places(len(points), SAMPLE)
-    points, intensity = points[places], intensity[places]
+    points = points[places]
+    intensity = intensity[places]
     ranges, measured = measured_ranges(points)
     usable = measured & (np.abs(intensity) <= MAX_INTENSITY)
     if not measured.any():
@@ -134,7 +196,8 @@ def why_no_intensity(points: Float, intensity: Float) -> str:
     if unusable > MAX_UNUSABLE:
         limit = f"NaN or above {MAX_INTENSITY:g}"
         return f"{percentage(unusable, 0)} of the points have no intensity: {limit}"
-    values, ranges = intensity[usable], ranges[usable]
+    values = intensity[usable]
+    ranges = ranges[usable]
     equal = np.unique(values, return_counts=True)[1].max() / len(values)
     if equal > MAX_EQUAL:
         return f"no intensity: {percentage(equal, 0)} of the points have the same value"
@@ -157,26 +220,40 @@ def why_no_intensity(points: Float, intensity: Float) -> str:
 
 def _ranks(values: Float) -> npt.NDArray[np.int64]:
     """Return the numbers of values (N,) that are at most, and at least, each value: (2, N)."""
-    ordered, count = np.sort(values), len(values)
+    ordered = np.sort(values)
+    count = len(values)
     below = np.searchsorted(ordered, values, "left")
     return np.stack([np.searchsorted(ordered, values, "right"), count - below])
 
 
 def dependence(ranks: npt.NDArray[np.int64], on: npt.NDArray[np.number]) -> float:
-    """Return Chatterjee's coefficient (arXiv 1909.10140) of values on others (N,).
+    """Return Chatterjee's coefficient (arXiv 1909.10140) of values on others.
 
-    It is about 0 for independent values and 1 for any function of the others:
-    ``1 - N Σ |r(i+1) - r(i)| / (2 Σ l(i) (N - l(i)))``, in the order of the others. r and l are the
-    `_ranks` of the values, which must not be all equal.
+    It is ``1 - N Σ |r(i+1) - r(i)| / (2 Σ l(i) (N - l(i)))``, in the order of the others, where r
+    and l are the ranks.
+
+    Parameters
+    ----------
+    ranks : (2, N) int64
+        Numbers of values that are at most, and at least, each value; the values are not all equal.
+    on : (N,) array
+        Other values.
+
+    Returns
+    -------
+    float
+        About 0 for independent values, and 1 for any function of the others.
     """
-    (up_to, from_on), count = ranks, len(on)
-    steps = np.abs(np.diff(up_to[np.argsort(on, kind="stable")])).sum()
-    return float(1 - count * steps / (2 * (from_on * (count - from_on)).sum()))
+    rank, rank_from_above = ranks
+    count = len(on)
+    steps = np.abs(np.diff(rank[np.argsort(on, kind="stable")])).sum()
+    return float(1 - count * steps / (2 * (rank_from_above * (count - rank_from_above)).sum()))
 
 
 def row_gaps(images: Iterable[Float]) -> float | None:
     """Return the share of gaps, up to `MAX_GAP` empty pixels of a column; None without pixels."""
-    gaps = occupied = 0
+    gaps = 0
+    occupied = 0
     for channels in images:
         full = channels[0] > 0
         row = np.arange(len(full))[:, None]
@@ -200,12 +277,25 @@ def column_gaps(images: Iterable[Float]) -> float | None:
 
 def fills_rows(sensor: Sensor, trained: Sensor) -> bool:
     """Return whether a sensor has many more gaps than training, so that they are filled."""
-    gaps, usual = sensor.row_gaps, trained.row_gaps
-    return gaps is not None and usual is not None and gaps > usual + MORE_GAPS
+    if sensor.row_gaps is None or trained.row_gaps is None:
+        return False
+    return sensor.row_gaps > trained.row_gaps + MORE_GAPS
 
 
 def with_filled_gaps(channels: Float, sensor: Sensor, trained: Sensor) -> Float:
-    """Return channels (5, H, W), with their gaps filled if `fills_rows` of the sensors."""
+    """Return channels with their gaps filled, if the sensor has many more than training.
+
+    Parameters
+    ----------
+    channels : (5, H, W) float32
+        Range image.
+    sensor, trained : Sensor
+        Sensor of the image, and of the weights.
+
+    Returns
+    -------
+    (5, H, W) float32
+    """
     return fill_rows(channels) if fills_rows(sensor, trained) else channels
 
 
@@ -213,6 +303,7 @@ def fill_rows(channels: Float) -> Float:
     """Return channels (5, H, W) in which empty pixels hold the next point below."""
     filled = channels.copy()
     for rows in range(1, FILLED_ROWS + 1):
-        here, below = filled[:, :-rows], channels[:, rows:]
-        np.copyto(here, below, where=here[0] <= 0)
+        upper = filled[:, :-rows]
+        lower = channels[:, rows:]
+        np.copyto(upper, lower, where=upper[0] <= 0)
     return filled

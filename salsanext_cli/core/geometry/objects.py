@@ -17,10 +17,11 @@ from salsanext_cli.core.geometry.projection import pixels_from_points
 from salsanext_cli.core.records import Float, Int, Mask, RangeImage
 
 Objects = npt.NDArray[np.uint16]
-COLUMNS, ROWS = 6, 4  # Pixels to the right and below that may be neighbours
+COLUMNS = 6  # Pixels to the right that may be neighbours
+ROWS = 4  # Pixels below that may be neighbours
 MAX_COSINE = np.float32(np.cos(np.radians(8.0)))  # Of the least angle between beam and line
-NEAR_M, FAR_M = np.float32(0.4), np.float32(1.5)
-"""Distances below which points are connected at any angle, and above which at none."""
+NEAR_M = np.float32(0.4)  # Distance below which points are connected at any angle
+FAR_M = np.float32(1.5)  # Distance above which points are never connected
 MAX_OBJECTS = np.iinfo(np.uint16).max  # Objects of a scan that have a number in 16 bits
 SAME_M = np.float32(1.0)  # Largest difference in range to the pixel whose object a point joins
 MIN_OBJECT_POINTS = 10
@@ -30,7 +31,9 @@ BOX = ("x", "y", "z", "length", "width", "height", "yaw")
 
 The length is the longer side, except of a car whose front or rear alone was seen.
 """
-LENGTH, WIDTH, YAW = map(BOX.index, ("length", "width", "yaw"))
+LENGTH = BOX.index("length")
+WIDTH = BOX.index("width")
+YAW = BOX.index("yaw")
 NEAREST_M = np.float32(0.05)  # Distance below which points are equally close to a side
 MAX_FITTED = 128  # Points of an object that a box is fitted to
 CAR_WIDTH_M = (1.2, 2.1)
@@ -39,14 +42,29 @@ MOST_POINTS = (0.05, 0.95)  # Labels bleed to a few points beside a car
 
 
 def find_objects(image: RangeImage, labels: TrainIds, things: Mask) -> Objects:
-    """Return the object number of each point, (N,) uint16 from 1; 0 outside `things` (C,)."""
-    wanted = (np.arange(len(things), dtype=np.uint8) * things)[labels]
-    seen = pixels_from_points(wanted, image.point_of_pixel)
+    """Return the number of the object that each point belongs to.
+
+    Parameters
+    ----------
+    image : RangeImage
+        H × W pixels of N points.
+    labels : (N,) uint8
+        Train ids.
+    things : (C,) bool
+        Whether the points of a class are of objects.
+
+    Returns
+    -------
+    (N,) uint16
+        Numbers from 1; 0 for none.
+    """
+    thing_labels = (np.arange(len(things), dtype=np.uint8) * things)[labels]
+    pixel_labels = pixels_from_points(thing_labels, image.point_of_pixel)
     channels = argument(image.channels, np.float32)
-    component = components(channels, seen)
+    component = components(channels, pixel_labels)
     pixels = argument(image.pixel_of_point, np.int32)
     ranges = argument(image.point_range, np.float32)
-    nearest = nearest_pixels(wanted, pixels, ranges, channels, seen)
+    nearest = nearest_pixels(thing_labels, pixels, ranges, channels, pixel_labels)
     inside = np.flatnonzero(nearest >= 0)
     members = component[nearest[inside]]
     _, place, sizes = np.unique(members, return_inverse=True, return_counts=True)
@@ -68,11 +86,25 @@ def root(parent: Int, pixel: int) -> int:
 
 @compiled
 def connected(image: Float, v: int, u: int, row: int, column: int) -> bool:
-    """Return whether the points of two pixels of a range image (5, H, W) are on one surface."""
+    """Return whether the points of two pixels are on one surface.
+
+    Parameters
+    ----------
+    image : (5, H, W) float32
+        Range image.
+    v, u : int
+        Row and column of the first pixel.
+    row, column : int
+        Row and column of the second pixel.
+    """
     if image[0, v, u] > image[0, row, column]:
         v, u, row, column = row, column, v, u
-    x, y, z = image[1, row, column], image[2, row, column], image[3, row, column]
-    dx, dy, dz = x - image[1, v, u], y - image[2, v, u], z - image[3, v, u]
+    x = image[1, row, column]
+    y = image[2, row, column]
+    z = image[3, row, column]
+    dx = x - image[1, v, u]
+    dy = y - image[2, v, u]
+    dz = z - image[3, v, u]
     distance = np.sqrt(dx * dx + dy * dy + dz * dz)
     along = (x * dx + y * dy + z * dz) / image[0, row, column]
     apart: bool = distance > NEAR_M and (distance > FAR_M or along >= MAX_COSINE * distance)
@@ -81,19 +113,35 @@ def connected(image: Float, v: int, u: int, row: int, column: int) -> bool:
 
 @compiled
 def components(image: Float, labels: TrainIds) -> Int:
-    """Return the first pixel of the component of each pixel of an image, (H · W,) int32."""
+    """Return the first pixel of the component of each pixel.
+
+    Parameters
+    ----------
+    image : (5, H, W) float32
+        Range image.
+    labels : (H, W) uint8
+        Train ids of the pixels; 0 for pixels of no object.
+
+    Returns
+    -------
+    (H · W,) int32
+        Flat pixel indices.
+    """
     height, width = labels.shape
     parent = np.arange(height * width).astype(np.int32)
     for v in range(height):
         for u in range(width):
-            for step in range(1, (COLUMNS + ROWS + 1) * (labels[v, u] > 0)):
+            if labels[v, u] == 0:
+                continue
+            for step in range(1, COLUMNS + ROWS + 1):
                 row = v if step <= COLUMNS else v + step - COLUMNS
                 column = (u + step) % width if step <= COLUMNS else u
                 if row >= height or labels[row, column] != labels[v, u]:
                     continue
                 if connected(image, v, u, row, column):
-                    a, b = root(parent, v * width + u), root(parent, row * width + column)
-                    parent[max(a, b)] = min(a, b)
+                    first = root(parent, v * width + u)
+                    second = root(parent, row * width + column)
+                    parent[max(first, second)] = min(first, second)
     for pixel in range(height * width):
         parent[pixel] = root(parent, pixel)
     return parent
@@ -103,20 +151,42 @@ def components(image: Float, labels: TrainIds) -> Int:
 def nearest_pixels(
     labels: TrainIds, pixel_of_point: Int, point_range: Float, image: Float, seen: TrainIds
 ) -> Int:
-    """Return the pixel around each point of the same class and nearest range, (N,) int32, or -1."""
+    """Return the pixel around each point of the same class and nearest range.
+
+    Parameters
+    ----------
+    labels : (N,) uint8
+        Train ids of the points; 0 for points of no object.
+    pixel_of_point : (N,) int32
+        Flat pixel index of each point, -1 for none.
+    point_range : (N,) float32
+        Range of each point in metres.
+    image : (5, H, W) float32
+        Range image.
+    seen : (H, W) uint8
+        Train ids of the pixels; 0 for pixels of no object.
+
+    Returns
+    -------
+    (N,) int32
+        Flat pixel indices; -1 for none.
+    """
     height, width = seen.shape
     nearest = np.full(len(labels), -1, np.int32)
     for i in range(len(labels)):
         if labels[i] == 0 or pixel_of_point[i] < 0:
             continue
-        v, u, least = pixel_of_point[i] // width, pixel_of_point[i] % width, SAME_M
+        v = pixel_of_point[i] // width
+        u = pixel_of_point[i] % width
+        least = SAME_M
         for row in range(max(v - 2, 0), min(v + 3, height)):
             for column in range(u - 2, u + 3):
                 place = row * width + column % width
                 if seen[row, column % width] == labels[i]:
                     difference = abs(image[0, row, column % width] - point_range[i])
                     if difference < least:
-                        least, nearest[i] = difference, place
+                        least = difference
+                        nearest[i] = place
     return nearest
 
 
@@ -147,38 +217,63 @@ def fit_boxes(
     boxes: list[list[float]] = []
     if not len(ends):
         return boxes
-    for part, of_car in zip(np.split(points[inside], ends[:-1]), is_car, strict=True):
-        box = fit_box(part)
-        if of_car and is_end_of_car(part[:, :2] - np.asarray(position, np.float32), box[YAW]):
+    sensor = np.asarray(position, np.float32)
+    for members, is_of_car in zip(np.split(points[inside], ends[:-1]), is_car, strict=True):
+        box = fit_box(members)
+        if is_of_car and is_end_of_car(members[:, :2] - sensor, box[YAW]):
             box = turned_box(box)
         boxes.append(box)
     return boxes
 
 
 def fit_box(points: Float) -> list[float]:
-    """Return the upright `BOX` around points (N, 3) of an object that is seen from one side."""
-    some = points[:: len(points) // MAX_FITTED + 1, :2]
-    c, s = np.cos(ANGLES_RAD).astype(np.float32), np.sin(ANGLES_RAD).astype(np.float32)
-    closest = np.full((len(some), len(c)), np.inf, np.float32)
-    for coordinates in (some @ np.stack([c, s]), some @ np.stack([-s, c])):
+    """Return the upright box around an object that is seen from one side.
+
+    Parameters
+    ----------
+    points : (N, 3) float32
+        Points of the object in metres.
+
+    Returns
+    -------
+    list of float
+        Numbers of `BOX`.
+    """
+    step = len(points) // MAX_FITTED + 1
+    sample = points[::step, :2]
+    c = np.cos(ANGLES_RAD).astype(np.float32)
+    s = np.sin(ANGLES_RAD).astype(np.float32)
+    closest = np.full((len(sample), len(c)), np.inf, np.float32)
+    for coordinates in (sample @ np.stack([c, s]), sample @ np.stack([-s, c])):
         np.minimum(closest, coordinates - coordinates.min(axis=0), out=closest)
         np.minimum(closest, coordinates.max(axis=0) - coordinates, out=closest)
     best = (1 / np.maximum(closest, NEAREST_M)).sum(axis=0).argmax()
-    yaw, c, s = ANGLES_RAD[best], c[best], s[best]
+    yaw = ANGLES_RAD[best]
+    c = c[best]
+    s = s[best]
     turn = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
     turned = points @ turn.T
-    low, high = turned.min(axis=0), turned.max(axis=0)
+    low = turned.min(axis=0)
+    high = turned.max(axis=0)
     length, width, height = high - low
     if width > length:
-        length, width, yaw = width, length, yaw - np.pi / 2
-    return [*((low + high) / 2 @ turn).tolist(), float(length), float(width), float(height), yaw]
+        length, width = width, length
+        yaw = yaw - np.pi / 2
+    centre = (low + high) / 2 @ turn
+    return [*centre.tolist(), float(length), float(width), float(height), yaw]
 
 
 def is_end_of_car(flat: Float, yaw: float) -> bool:
     """Return whether the longer side of the points of a car is its front or rear.
 
-    This side is across the line of sight and as wide as a car. `flat` (N, 2): points in metres from
-    the sensor; `yaw`: angle of the longer side.
+    This side is across the line of sight and as wide as a car.
+
+    Parameters
+    ----------
+    flat : (N, 2) float32
+        x and y of the points from the sensor in metres.
+    yaw : float
+        Angle of the longer side in radians.
     """
     along = np.array([np.cos(yaw), np.sin(yaw)])
     across = np.array([-along[1], along[0]])
@@ -194,6 +289,7 @@ def is_end_of_car(flat: Float, yaw: float) -> bool:
 def turned_box(box: list[float]) -> list[float]:
     """Return a `BOX` whose length is its other side, with a yaw of -90° to 90°."""
     turned = list(box)
-    turned[LENGTH], turned[WIDTH] = box[WIDTH], box[LENGTH]
+    turned[LENGTH] = box[WIDTH]
+    turned[WIDTH] = box[LENGTH]
     turned[YAW] = box[YAW] + np.pi / 2 if box[YAW] <= 0 else box[YAW] - np.pi / 2
     return turned

@@ -17,7 +17,7 @@ import math
 import sys
 from dataclasses import replace
 from functools import cache
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -37,11 +37,33 @@ from salsanext_cli.core.records import (
 )
 from salsanext_cli.core.sensors.sensor import ORIGIN, UP, Sensor
 
-ZERO, HALF, ONE = np.float32(0), np.float32(0.5), np.float32(1)
+ZERO = np.float32(0)
+HALF = np.float32(0.5)
+ONE = np.float32(1)
 PI = np.float32(math.pi)
 TAN_22_5 = math.sqrt(2) - 1
 MAX_POINTS = 4096  # Points in a sample of a scan
 Value = TypeVar("Value", bound=np.generic)
+
+
+class ImageGeometry(NamedTuple):
+    """Field of view and size of a range image, as the kernels take them.
+
+    Attributes
+    ----------
+    fov_down, fov : float32
+        Lower edge and extent of the field of view in radians.
+    height, width : float32
+        Size in pixels.
+    drops_outside : bool
+        Whether points outside the field of view have no pixel.
+    """
+
+    fov_down: np.float32
+    fov: np.float32
+    height: np.float32
+    width: np.float32
+    drops_outside: bool
 
 
 def project(scan: Scan, sensor: Sensor) -> RangeImage:
@@ -64,10 +86,10 @@ def project(scan: Scan, sensor: Sensor) -> RangeImage:
         Pixels of the points, and their channels.
     """
     scan = without_ego(scan, sensor)
-    up, down = math.radians(sensor.fov_up), math.radians(sensor.fov_down)
-    height, width, count = sensor.height, sensor.width, len(scan)
-    fov_down, fov = np.float32(down), np.float32(up - down)
-    view = (fov_down, fov, np.float32(height), np.float32(width), sensor.out_of_view == "drop")
+    height = sensor.height
+    width = sensor.width
+    count = len(scan)
+    geometry = _geometry(sensor)
     points = argument(scan.points, np.float32).reshape(-1)
     intensity = argument(scan.intensity, np.float32)
     pixel_of_point = np.empty(count, np.int32)
@@ -75,13 +97,13 @@ def project(scan: Scan, sensor: Sensor) -> RangeImage:
     point_of_pixel = np.full(height * width, -1, np.int32)
     channels = np.zeros((len(CHANNELS), height * width), np.float32)
 
-    def find(part: slice) -> None:
-        coordinates = points[3 * part.start : 3 * part.stop]
-        find_pixels(coordinates, *view, pixel_of_point[part], point_range[part])
+    def find(numbers: slice) -> None:
+        coordinates = points[3 * numbers.start : 3 * numbers.stop]
+        find_pixels(coordinates, geometry, pixel_of_point[numbers], point_range[numbers])
 
-    def fill(part: slice) -> None:
+    def fill(pixels: slice) -> None:
         fill_channels(
-            point_of_pixel, part.start, part.stop, point_range, points, intensity, channels
+            point_of_pixel, pixels.start, pixels.stop, point_range, points, intensity, channels
         )
 
     parallel_for_slices(find, count)
@@ -92,6 +114,19 @@ def project(scan: Scan, sensor: Sensor) -> RangeImage:
         pixel_of_point,
         point_of_pixel.reshape(height, width),
         point_range,
+    )
+
+
+def _geometry(sensor: Sensor) -> ImageGeometry:
+    """Return the geometry of the images of a sensor."""
+    up = math.radians(sensor.fov_up)
+    down = math.radians(sensor.fov_down)
+    return ImageGeometry(
+        fov_down=np.float32(down),
+        fov=np.float32(up - down),
+        height=np.float32(sensor.height),
+        width=np.float32(sensor.width),
+        drops_outside=sensor.out_of_view == "drop",
     )
 
 
@@ -120,19 +155,32 @@ def arctan2(y: float, x: float) -> float:
 
 @compiled
 def find_pixels(
-    points: Float,
-    fov_down: np.float32,
-    fov: np.float32,
-    height: np.float32,
-    width: np.float32,
-    drop: bool,
-    pixel_of_point: Int,
-    point_range: Float,
+    points: Float, geometry: ImageGeometry, pixel_of_point: Int, point_range: Float
 ) -> None:
-    """Write flat pixel index and range of each point (paper eq. 1)."""
+    """Write flat pixel index and range of each point (paper eq. 1).
+
+    Parameters
+    ----------
+    points : (3 N,) float32
+        Coordinates in the frame of the sensor, point by point, in metres.
+    geometry : ImageGeometry
+        Field of view and size of the image.
+    pixel_of_point : (N,) int32
+        Result: flat pixel index, -1 for none.
+    point_range : (N,) float32
+        Result: range in metres, 0 without a pixel.
+    """
+    fov_down = geometry.fov_down
+    fov = geometry.fov
+    height = geometry.height
+    width = geometry.width
     for i in range(len(point_range)):
-        x, y, z = points[3 * i], points[3 * i + 1], points[3 * i + 2]
-        a, b, c = np.float64(x), np.float64(y), np.float64(z)
+        x = points[3 * i]
+        y = points[3 * i + 1]
+        z = points[3 * i + 2]
+        a = np.float64(x)
+        b = np.float64(y)
+        c = np.float64(z)
         distance = np.float32(math.sqrt(a * a + b * b + c * c))
         slope = np.float64(z / distance)
         yaw = np.float32(arctan2(b, a))
@@ -140,7 +188,9 @@ def find_pixels(
         u = HALF * (ONE - yaw / PI) * width
         v = (ONE - (pitch - fov_down) / fov) * height
         in_view = (v >= ZERO) & (v <= height)
-        seen = (distance > ZERO) & (distance <= MAX_RANGE_M) & (in_view | (not drop))
+        seen = (
+            (distance > ZERO) & (distance <= MAX_RANGE_M) & (in_view | (not geometry.drops_outside))
+        )
         u = u if u > ZERO else ZERO
         v = v if v > ZERO else ZERO
         u = u if u < width else width - ONE
@@ -152,7 +202,17 @@ def find_pixels(
 
 @compiled
 def keep_nearest(pixel_of_point: Int, point_range: Float, point_of_pixel: Int) -> None:
-    """Write the nearest point of each pixel, the first in a tie."""
+    """Write the nearest point of each pixel, the first in a tie.
+
+    Parameters
+    ----------
+    pixel_of_point : (N,) int32
+        Flat pixel index of each point, -1 for none.
+    point_range : (N,) float32
+        Range of each point in metres.
+    point_of_pixel : (H · W,) int32
+        Result, in place of -1 in pixels with a point.
+    """
     for i in range(len(pixel_of_point)):
         pixel = pixel_of_point[i]
         if pixel >= 0:
@@ -171,7 +231,23 @@ def fill_channels(
     intensity: Float,
     channels: Float,
 ) -> None:
-    """Write range, x, y, z and intensity of each pixel's point; empty pixels stay as they are."""
+    """Write range, x, y, z and intensity of each pixel's point; empty pixels stay as they are.
+
+    Parameters
+    ----------
+    point_of_pixel : (H · W,) int32
+        Index of the point of each pixel, -1 where empty.
+    start, stop : int
+        First pixel to fill, and the one after the last.
+    point_range : (N,) float32
+        Range of each point in metres.
+    points : (3 N,) float32
+        Coordinates, point by point, in metres.
+    intensity : (N,) float32
+        Intensity of each point.
+    channels : (5, H · W) float32
+        Result.
+    """
     for pixel in range(start, stop):
         i = point_of_pixel[pixel]
         if i >= 0:
@@ -184,26 +260,71 @@ def fill_channels(
 
 
 def points_from_pixels(
-    of_pixels: npt.NDArray[Value], pixel_of_point: Int, empty: npt.ArrayLike
+    pixel_values: npt.NDArray[Value], pixel_of_point: Int, empty: npt.ArrayLike
 ) -> npt.NDArray[Value]:
-    """Return the value of the pixel of every point, (N,) or (N, C) of (H, W) or (C, H, W)."""
-    flat = of_pixels.reshape(*of_pixels.shape[:-2], -1)
-    of_points: npt.NDArray[Value] = flat.T[pixel_of_point]
-    of_points[pixel_of_point < 0] = empty
-    return of_points
+    """Return the value of the pixel of every point.
+
+    Parameters
+    ----------
+    pixel_values : (H, W) or (C, H, W) array
+        Values of the pixels.
+    pixel_of_point : (N,) int32
+        Flat pixel index of every point, -1 for none.
+    empty : number or (C,) array
+        Value of points without a pixel.
+
+    Returns
+    -------
+    (N,) or (N, C) array
+        Of the same dtype.
+    """
+    flat = pixel_values.reshape((*pixel_values.shape[:-2], -1))
+    point_values: npt.NDArray[Value] = flat.T[pixel_of_point]
+    point_values[pixel_of_point < 0] = empty
+    return point_values
 
 
 def pixels_from_points(
-    of_points: npt.NDArray[Value], point_of_pixel: Int, empty: npt.ArrayLike = 0
+    point_values: npt.NDArray[Value], point_of_pixel: Int, empty: npt.ArrayLike = 0
 ) -> npt.NDArray[Value]:
-    """Return the value of the nearest point of every pixel, (H, W, …) of (N, …)."""
+    """Return the value of the nearest point of every pixel.
+
+    Parameters
+    ----------
+    point_values : (N, …) array
+        Values of the points.
+    point_of_pixel : (H, W) int32
+        Index of the nearest point of every pixel, -1 where empty.
+    empty : number or array
+        Value of empty pixels.
+
+    Returns
+    -------
+    (H, W, …) array
+        Of the same dtype.
+    """
     # Index -1 selects the value that is appended.
-    last = np.full((1, *of_points.shape[1:]), empty, of_points.dtype)
-    return np.concatenate([of_points, last])[point_of_pixel]
+    last = np.full((1, *point_values.shape[1:]), empty, point_values.dtype)
+    return np.concatenate([point_values, last])[point_of_pixel]
 
 
 def measured_ranges(points: Float, farthest: float = sys.float_info.max) -> tuple[Double, Mask]:
-    """Return the ranges of points, (N,) float64 in metres, and a mask of finite ones above 0."""
+    """Return the ranges of points, and which of them are measurements.
+
+    Parameters
+    ----------
+    points : (N, 3) float32
+        Coordinates in metres.
+    farthest : float
+        Largest range of a measurement in metres.
+
+    Returns
+    -------
+    ranges : (N,) float64
+        Distances from the origin in metres.
+    is_measured : (N,) bool
+        Whether a range is finite, above 0 and not beyond the farthest.
+    """
     with np.errstate(invalid="ignore"):  # A signalling NaN
         x, y, z = np.square(points.T, dtype=np.float64)
         ranges = np.sqrt(x + y + z)
@@ -253,7 +374,8 @@ def without_ego(scan: Scan, sensor: Sensor) -> Scan:
 
 def ego_points(points: Float, sensor: Sensor) -> Indices:
     """Return the indices of points (N, 3) in the frame of the sensor, on it or its vehicle."""
-    nearest, box = sensor.min_range or 0.0, np.array(sensor.ego_box or ()).reshape(2, -1)
+    nearest = sensor.min_range or 0.0
+    box = np.array(sensor.ego_box or ()).reshape(2, -1)
     reach = max(nearest, float(np.linalg.norm(np.abs(box).max(axis=0, initial=0))))
     if not reach:
         return np.empty(0, np.intp)

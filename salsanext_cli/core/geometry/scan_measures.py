@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from salsanext_cli.core.errors import percentage
 from salsanext_cli.core.geometry.projection import few_points, in_sensor_frame, measured_ranges
 from salsanext_cli.core.geometry.scan_traits import sines_of
 from salsanext_cli.core.records import Double, Float, Mask, RangeImage, Scan
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.texts import percentage
 
 FULL_ROW = 0.05  # Least share of the columns with a point in a row that counts
 DIGITS = 4
@@ -118,10 +118,10 @@ def _quantiles(values: Float, shares: tuple[float, ...]) -> Double:
 def _change_of_intensity(intensity: Float, seen: Mask) -> float:
     """Return the median change between columns (H, W) as a share of the median, 0 if unknown."""
     pairs = seen[:, 1:] & seen[:, :-1]
-    usual = np.median(intensity[seen]) if seen.any() else 0
-    if usual <= 0 or not pairs.any():
+    median = np.median(intensity[seen]) if seen.any() else 0
+    if median <= 0 or not pairs.any():
         return 0.0
-    return float(np.median(np.abs(np.diff(intensity, axis=1))[pairs]) / usual)
+    return float(np.median(np.abs(np.diff(intensity, axis=1))[pairs]) / median)
 
 
 def _noise_of_ranges(ranges: Float, seen: Mask) -> float:

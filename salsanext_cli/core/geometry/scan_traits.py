@@ -26,7 +26,10 @@ POINTS_FACTOR = 4.0  # The same for all points, whose number depends on the sky
 BRIGHT_FACTOR = 8.0  # The same for intensities: one sensor had up to 5.7 (wet), scales 100 or more
 SHARES_FACTOR = 1.35
 """The same for shares of points, which stay in cut or thinned scans; sensors had 1.4 or more."""
-FACTORS = (*[DENSITY_FACTOR] * NODES, POINTS_FACTOR, BRIGHT_FACTOR, *[SHARES_FACTOR] * NODES)
+FACTORS = [DENSITY_FACTOR] * NODES + [POINTS_FACTOR, BRIGHT_FACTOR] + [SHARES_FACTOR] * NODES
+"""Factors of the columns of `scaled_traits`."""
+POINTS_COLUMN = NODES  # Column of the number of points, behind the points around the nodes
+NUMBERS = slice(NODES + 2)  # The columns before
 DIGITS = 6
 
 
@@ -47,7 +50,23 @@ class ScanTraits:
     def of(
         cls, sines: Float, bright: float, per_point: float, sensor: Sensor | None = None
     ) -> ScanTraits:
-        """Return the traits of points with sines of elevation (M,), of `per_point` points each."""
+        """Return the traits of a sample of points.
+
+        Parameters
+        ----------
+        sines : (M,) float32
+            Sines of elevation of the measured points of the sample.
+        bright : float
+            Upper intensity; 0 if unknown.
+        per_point : float
+            Number of points of the scan that each of them stands for.
+        sensor : Sensor, optional
+            Sensor that was fitted to the scan.
+
+        Returns
+        -------
+        ScanTraits
+        """
         elevations = np.degrees(np.arcsin(sines))
         hats = np.eye(len(NODES_DEG))[:-1]
         below = [np.interp(elevations, NODES_DEG, hat).sum() * per_point for hat in hats]
@@ -57,11 +76,12 @@ class ScanTraits:
     @property
     def compared(self) -> tuple[float, ...]:
         """Numbers (T,) that differ between sensors."""
-        return *self.below, float(self.points), self.bright
+        return (*self.below, float(self.points), self.bright)
 
     def __str__(self) -> str:
         """Describe the scan: ``92,677 points, intensities to 158``."""
-        return f"{self.points:,} points" + f", intensities to {self.bright:.3g}" * bool(self.bright)
+        points = f"{self.points:,} points"
+        return f"{points}, intensities to {self.bright:.3g}" if self.bright else points
 
 
 def sines_of(points: Float) -> Float:
@@ -71,9 +91,25 @@ def sines_of(points: Float) -> Float:
 
 
 def intensity_of(points: Float, intensity: Float) -> tuple[str, float]:
-    """Return why values (N,) of points (N, 3) are not intensities, or the upper intensity."""
+    """Return the upper intensity of points, or why their values are not intensities.
+
+    Parameters
+    ----------
+    points : (N, 3) float32
+        Coordinates in metres.
+    intensity : (N,) float32
+        Values of the points.
+
+    Returns
+    -------
+    reason : str
+        Why they are not intensities; empty if they are.
+    bright : float
+        Upper intensity; 0 without any.
+    """
     finite = intensity[np.isfinite(intensity)]
-    if (reason := why_no_intensity(points, intensity)) or not len(finite):
+    reason = why_no_intensity(points, intensity)
+    if reason or not len(finite):
         return reason, 0.0
     return "", float(np.quantile(finite, BRIGHT))
 
@@ -91,29 +127,46 @@ def traits_of(scan: Scan) -> ScanTraits | None:
 
 
 def groups_of(traits: Sequence[ScanTraits]) -> list[int]:
-    """Return the number of the group of each scan, by sensor; 0 is the largest.
+    """Return the number of the group of each scan, by sensor.
 
     Two groups differ if a gap of one of `FACTORS` divides the scans sorted by that trait. Cut or
     thinned scans, with the same shares of points, belong to one group.
+
+    Parameters
+    ----------
+    traits : sequence of ScanTraits
+        Traits of the scans.
+
+    Returns
+    -------
+    list of int
+        Numbers from 0, the largest group.
     """
-    group_of = np.zeros(len(traits), np.intp)
-    groups: list[int] = []
+    group_of_scan = np.zeros(len(traits), np.intp)
+    groups: list[int] = []  # Of each division, the first one that is like it
     medians: list[tuple[float, ...]] = []
     for number, members in enumerate(_divided(np.array([scan.compared for scan in traits]))):
-        medians.append(usual_traits([traits[i] for i in members]))
-        steps = np.abs(np.diff([scaled_traits([other, medians[-1]]) for other in medians], axis=1))
-        alike = int((steps[:, 0, NODES:] < 1).all(axis=1).argmax())
-        groups.append(groups[alike] if alike < number else number)
-        group_of[members] = groups[-1]
-    ranks = [group for group, _ in Counter(group_of.tolist()).most_common()]
-    return [ranks.index(group) for group in group_of.tolist()]
+        median = usual_traits([traits[i] for i in members])
+        alike = (groups[i] for i, other in enumerate(medians) if _are_alike(other, median))
+        groups.append(next(alike, number))
+        medians.append(median)
+        group_of_scan[members] = groups[-1]
+    ranks = [group for group, _ in Counter(group_of_scan.tolist()).most_common()]
+    return [ranks.index(group) for group in group_of_scan.tolist()]
+
+
+def _are_alike(first: Sequence[float], second: Sequence[float]) -> bool:
+    """Return whether traits (T,) differ only as those of cut or thinned scans do."""
+    first_scaled, second_scaled = scaled_traits([first, second])
+    steps = np.abs(second_scaled - first_scaled)
+    return bool((steps[POINTS_COLUMN:] < 1).all())
 
 
 def _divided(compared: Double) -> list[Indices]:
     """Return the indices of the scans of each group without a gap, by their traits (F, T)."""
     if not len(compared):
         return []
-    values = scaled_traits(compared)[:, : NODES + 2]
+    values = scaled_traits(compared)[:, NUMBERS]
     order = values.argsort(axis=0, kind="stable")
     gaps = np.diff(np.take_along_axis(values, order, axis=0), axis=0) > 1
     keys = np.zeros(values.shape, np.intp)
@@ -123,11 +176,22 @@ def _divided(compared: Double) -> list[Indices]:
     if len(groups) == 1:
         return groups
     # Smaller counts matter without the larger scans of other sensors.
-    return [group[part] for group in groups for part in _divided(compared[group])]
+    return [group[places] for group in groups for places in _divided(compared[group])]
 
 
 def scaled_traits(compared: npt.ArrayLike) -> Double:
-    """Return traits (F, T) float64 of scans on scales where a step of 1 is one of `FACTORS`."""
+    """Return traits of scans on scales where a step of 1 is one of `FACTORS`.
+
+    Parameters
+    ----------
+    compared : (F, T) numbers
+        Traits of each scan, as in `ScanTraits.compared`.
+
+    Returns
+    -------
+    (F, T + NODES) float64
+        The traits, and behind them the shares of the points around the nodes.
+    """
     below, points, bright = np.split(np.array(compared, np.float64), (NODES, NODES + 1), axis=1)
     shares = np.maximum(below / points, MIN_SHARE)
     below = np.maximum(below, MIN_SHARE * points.max())
@@ -143,8 +207,25 @@ def usual_traits(traits: Sequence[ScanTraits]) -> tuple[float, ...]:
 
 
 def kinds_of(scans: Sequence[Scan]) -> tuple[list[int], list[tuple[float, ...]]]:
-    """Return the group of each scan, as of `groups_of`, and the usual traits of each group."""
-    traits = {i: of_scan for i, scan in enumerate(scans) if (of_scan := traits_of(scan))}
+    """Return the groups of scans by sensor.
+
+    Parameters
+    ----------
+    scans : sequence of Scan
+        Scans in the frames of their files.
+
+    Returns
+    -------
+    kinds : list of int
+        Number of the group of each scan, as of `groups_of`; 0 for scans without traits.
+    traits : list of tuple of float
+        Usual traits of each group; empty if no scan shows any.
+    """
+    traits = {}
+    for number, scan in enumerate(scans):
+        scan_traits = traits_of(scan)
+        if scan_traits:
+            traits[number] = scan_traits
     kinds = np.zeros(len(scans), np.intp)
     kinds[list(traits)] = groups_of(list(traits.values()))
     count = kinds.max(initial=0) + 1

@@ -42,15 +42,36 @@ def sensor_of(scan: Scan, sensor: Sensor, origin: Origin | None = None) -> Senso
 
 
 def member_of(scan: Scan, sensor: Sensor, origin: Origin | None = None) -> int:
-    """Return the number of the member of a fitted sensor that saw a scan, as of `sensor_of`."""
+    """Return the number of the member of a fitted sensor that saw a scan.
+
+    Parameters
+    ----------
+    scan, sensor, origin
+        As in `sensor_of`.
+
+    Returns
+    -------
+    int
+        Number in `Sensor.members`.
+    """
     return _likeliest_member(scan, sensor, origin).number if sensor.others else 0
 
 
 def origin_of_scan(scan: Scan, sensor: Sensor, origin: Origin | None = None) -> Origin | None:
-    """Return the origin of a scan that its member and its projection depend on, in metres.
+    """Return the origin of a scan that its member and its projection depend on.
 
-    It is the one that is given, else that of the points; None unless scans of a member are
-    registered. `sensor_of` with it returns the same member now and in later stages.
+    `sensor_of` with it returns the same member now and in later stages.
+
+    Parameters
+    ----------
+    scan, sensor, origin
+        As in `sensor_of`.
+
+    Returns
+    -------
+    tuple of float or None
+        The requested origin, else that of the points, in metres; None unless scans of a member are
+        registered.
     """
     if not sensor.has_registered or origin is not None:
         return origin
@@ -81,12 +102,12 @@ def _likeliest_member(scan: Scan, sensor: Sensor, origin: Origin | None) -> _Mem
     in_file = traits_of(scan)
     if in_file is None:
         return _Member(0, members[0])
-    of_scan = [
-        (traits_of(in_sensor_frame(scan, member)) if member.registered else None) or in_file
-        for member in members
-    ]
-    of_members = [member.traits for member in sensor.members]
-    values = scaled_traits([*(traits.compared for traits in of_scan), *of_members])
+    scan_traits = []
+    for member in members:
+        in_frame = traits_of(in_sensor_frame(scan, member)) if member.registered else None
+        scan_traits.append((in_frame or in_file).compared)
+    member_traits = [member.traits for member in sensor.members]
+    values = scaled_traits(scan_traits + member_traits)
     differences = np.abs(values[: len(members)] - values[len(members) :]).sum(axis=1)
     number = int(differences.argmin())
     return _Member(number, members[number])

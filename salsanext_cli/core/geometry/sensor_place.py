@@ -34,8 +34,10 @@ FARTHEST_M = 80.0  # Farther points do not help
 USUAL_HEIGHT_M = 1.85  # Assumed unless the beams show the height; too high costs less than too low
 CROWD_M = 6.0  # Size of the cells whose points are counted, to begin near the sensor
 CROWDS = 3  # Fullest cells from which a search begins
-REACH_M, COARSE_M = 24.0, 6.0  # Reach and step of the first grid around a crowd
-MIDDLE_M, FINE_M = 0.5, 0.1  # Last steps with few and with many points
+REACH_M = 24.0  # Reach of the first grid around a crowd
+COARSE_M = 6.0  # Step of this grid
+MIDDLE_M = 0.5  # Last step with few points
+FINE_M = 0.1  # Last step with many points
 ABOVE_M = 0.5  # Least height of objects above the ground
 FLIP = np.diag([1.0, -1.0, -1.0])  # Turns z from down to up
 
@@ -56,24 +58,41 @@ class SensorPlace:
     shows_beams: bool  # Whether the height is that of the beams, else it is the usual one
 
     @property
+    def distance_aside(self) -> float:
+        """Level distance from the origin in metres."""
+        return float(np.hypot(self.position[0], self.position[1]))
+
+    @property
     def is_elsewhere(self) -> bool:
         """Whether the sensor is not where it is expected, at the origin with z up."""
-        if self.up[UPWARDS] < 0 or np.hypot(*self.position[:UPWARDS]) > MIN_OFFSET_M:
+        if self.up[UPWARDS] < 0 or self.distance_aside > MIN_OFFSET_M:
             return True
         return self.shows_beams and bool(np.linalg.norm(self.position) > MIN_OFFSET_OF_BEAMS_M)
 
 
 def find_place(scan: Scan, *, verified: bool = True) -> SensorPlace | None:
-    """Return position and direction up of the sensor of a scan, or None if they do not show.
+    """Return position and direction up of the sensor of a scan.
 
-    The frame may have its origin anywhere within kilometres, and z up or down. Without `verified`,
-    the best position is returned even if nothing proves it.
+    The frame may have its origin anywhere within kilometres, and z up or down.
+
+    Parameters
+    ----------
+    scan : Scan
+        Scan in the frame of its file.
+    verified : bool
+        Whether the points must prove the position; else the best one is returned.
+
+    Returns
+    -------
+    SensorPlace or None
+        None if the points do not show it.
     """
     many = measured_positions(few_points(scan, MANY_POINTS))
     if len(many) < MIN_POINTS:
         return None
     few = _thinned(many, FEW_POINTS)
-    views = [view for crowd in _crowds(few) if (view := _view_from(few, crowd))]
+    candidates = [_view_from(few, crowd) for crowd in _crowds(few)]
+    views = [view for view in candidates if view]
     if not views:
         return None
     best = max(views, key=lambda view: evenness(view.upright(few), view.seen_from))
@@ -102,7 +121,22 @@ def placed_sensor(scan: Scan, sensor: Sensor) -> Sensor:
 def origin_in_file(
     position: Double, sensor: Sensor, digits: int = ORIGIN_DIGITS
 ) -> tuple[float, ...]:
-    """Return a position (3,) in the frame of a sensor as an `origin` in that of its files."""
+    """Return a position in the frame of a sensor as an `origin` in that of its files.
+
+    Parameters
+    ----------
+    position : (3,) float64
+        Position in metres.
+    sensor : Sensor
+        Sensor whose mounting leads from the files to the frame.
+    digits : int
+        Digits behind the decimal point.
+
+    Returns
+    -------
+    tuple of float
+        Three coordinates in metres.
+    """
     rotation = upright_rotation(np.asarray(sensor.up))
     origin = np.asarray(sensor.origin) + rotation.T @ position
     rounded: list[float] = (origin.round(digits) + 0.0).tolist()
@@ -213,7 +247,7 @@ def _origin_of_beams(view: _View, place: SensorPlace, points: Double) -> Double 
     objects = points[heights > ABOVE_M] @ axes.T
     on_ground = place.position - place.up * USUAL_HEIGHT_M
     starts = [on_ground]
-    if np.hypot(*place.position[:UPWARDS]) < NEARBY_M:
+    if place.distance_aside < NEARBY_M:
         # The sensor may be right above the origin.
         starts.append(place.up * (place.up @ on_ground))
     origins = [find_origin_over(objects, axes @ start) for start in starts]

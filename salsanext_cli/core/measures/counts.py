@@ -12,27 +12,29 @@ from typing import Any, TypeVar
 import numpy as np
 
 from salsanext_cli.core.classes.label_space import LabelSpace
-from salsanext_cli.core.errors import counted, first_few, percentage, with_hint
 from salsanext_cli.core.geometry.projection import measured_ranges
+from salsanext_cli.core.measures.accepted_labels import AcceptedCounts
 from salsanext_cli.core.measures.histograms import Histogram, lack_of_confidence, softmax_entropy
 from salsanext_cli.core.measures.scores import Counts, accepted, scored_rows
 from salsanext_cli.core.records import Float, Indices
+from salsanext_cli.core.texts import counted, first_few, percentage, with_hint
 from salsanext_cli.core.uncertainty.kinds import UNCERTAINTY
 from salsanext_cli.core.wording import argument
 
 SOFTMAX = "probabilities"  # Folder of the softmax, and key of the histograms of its confidence
 OF_SOFTMAX = {"least_confidence": lack_of_confidence, "softmax_entropy": softmax_entropy}
 """Uncertainties computed from the probabilities if no file has them or classes are merged."""
-EVALUATED_KINDS = (*dict.fromkeys((*OF_SOFTMAX, *UNCERTAINTY)),)  # In the order of reports
+EVALUATED_KINDS = tuple(dict.fromkeys([*OF_SOFTMAX, *UNCERTAINTY]))  # In the order of reports
 OF_ERROR = "error calibration"  # Key of the histogram of the error as a probability
-MIN_ACCURACY, MIN_JUDGED = 0.2, 10_000
-"""Least accuracy, over at least so many points, of labels with the same raw ids as the predictions.
-Other ids had 0.02, the default weights have 0.75 or more in cities."""
+MIN_ACCURACY = 0.2
+"""Least accuracy of labels with the same raw ids as the predictions; other ids had 0.02, the
+default weights 0.75 or more in cities."""
+MIN_JUDGED = 10_000  # Fewest points that show the accuracy
 BAND_STARTS_M = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0)  # The last band has no end
 BAND_NAMES = ("0–10 m", "10–20 m", "20–30 m", "30–40 m", "40–50 m", "over 50 m")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ScanScores:
     """Scores of one scan, as in `Scores`."""
 
@@ -41,7 +43,7 @@ class ScanScores:
     iou_mean_present: float
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class ScanCounts:
     """Counts over scans."""
 
@@ -50,14 +52,14 @@ class ScanCounts:
     # Number of points by raw id that the label space lacks
     unknown_truth: Counter[int] = field(default_factory=Counter)
     unknown_predictions: Counter[int] = field(default_factory=Counter)
-    scans: int = 0  # Number of scans counted, and of those that the weights were trained on
-    trained_on: int = 0
+    scans: int = 0  # Number of scans counted
+    trained_on: int = 0  # Number of those that the weights were trained on
     skipped: int = 0  # Number of scans not counted because the weights were trained on them
     calibrated: int = 0  # Number of scans that the threshold of their rejection was chosen on
     missing: list[str] = field(default_factory=list)  # Names of scans without predictions
     files: Counter[str] = field(default_factory=Counter)  # Number of scans with a file, by folder
-    # Scored, accepted and wrong points of each scan of a run that rejected labels, by name
-    accepted: dict[str, tuple[int, int, int]] = field(default_factory=dict)
+    # Points of each scan of a run that rejected labels, by name
+    accepted: dict[str, AcceptedCounts] = field(default_factory=dict)
     calibration_errors: list[float] = field(default_factory=list)  # Of each scan with a softmax
     # By kind of uncertainty, `SOFTMAX` for the confidence, or `OF_ERROR`
     histograms: dict[str, Histogram] = field(default_factory=dict)
@@ -66,10 +68,10 @@ class ScanCounts:
 
     @classmethod
     def none(cls, space: LabelSpace, by_distance: bool = False) -> ScanCounts:
-        """Return the counts of no scan."""
-        none = np.zeros((space.class_count, space.class_count), np.int64)
-        bands = tuple(none.copy() for _ in BAND_NAMES) if by_distance else ()
-        return cls(none, bands)
+        """Return the counts of no scan, with or without bands of distance."""
+        empty = np.zeros((space.class_count, space.class_count), np.int64)
+        bands = tuple(empty.copy() for _ in BAND_NAMES) if by_distance else ()
+        return cls(confusion=empty, bands=bands)
 
     def add(self, other: ScanCounts) -> None:
         """Add the counts of other scans, which are used up."""
@@ -106,7 +108,8 @@ class ScanCounts:
                 yield f"{source}: unknown ids {listed} count as unlabelled"
         matrix = scored_rows(self.confusion, space)
         matrix = accepted(matrix) if self.accepted else matrix
-        points, right = int(matrix.sum()), int(np.trace(matrix))
+        points = int(matrix.sum())
+        right = int(np.trace(matrix))
         if points >= MIN_JUDGED and right < MIN_ACCURACY * points:
             labelled = f"{percentage(right / points)} of the labelled points"
             agreement = f"labels and predictions agree on {labelled}"

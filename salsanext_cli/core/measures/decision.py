@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from salsanext_cli.core.checks.warning_codes import WarningCode
-from salsanext_cli.core.errors import counted, percentage
 from salsanext_cli.core.measures.expected_accuracy import OF_RUN, ExpectedAccuracy
+from salsanext_cli.core.texts import counted, percentage
 from salsanext_cli.core.wording import command, setting
 
 DOUBTFUL = 0.1

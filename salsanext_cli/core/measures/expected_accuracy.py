@@ -8,8 +8,8 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from salsanext_cli.core.checks.warning_codes import WarningCode
-from salsanext_cli.core.errors import counted
 from salsanext_cli.core.network.card import AccuracyLine
+from salsanext_cli.core.texts import counted
 
 DEVIATIONS = 3.5
 """Half the width of the interval, in deviations of the line. With 2.0, the interval held for seven
@@ -22,7 +22,7 @@ WITHHELD_FOR = tuple(code for code in WarningCode if code.withholds_estimate)
 EDGE = 1e-6  # Mean confidences closer to 0 or 1 have no useful logit
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class ExpectedAccuracy:
     """Estimated accuracy of some scans of a run, or the warnings that forbid an estimate."""
 
@@ -39,7 +39,8 @@ class ExpectedAccuracy:
         )
         if self.interval is None:
             return f"Accuracy not estimated: {reasons}"
-        low, high = math.floor(100 * self.interval[0]), math.ceil(100 * self.interval[1])
+        low = math.floor(100 * self.interval[0])
+        high = math.ceil(100 * self.interval[1])
         others = f"; not estimated for the others: {reasons}" if reasons else ""
         scans = f" of {counted(self.scans, 'scan')}" if reasons else ""
         source = f"from confidence, without labels{others}"
@@ -69,23 +70,20 @@ def expected_accuracy(
     """
     if line is None or not confidences:
         return None
-    withheld: dict[str, set[str]] = {}
-    for code in WITHHELD_FOR:
-        names = set(warnings.get(code, ()))
-        # A warning about the whole run may concern scans of an earlier run.
-        withheld[code] = names if code in OF_RUN else names & confidences.keys()
+    withheld: dict[str, set[str]] = {code: {*warnings.get(code, ())} for code in WITHHELD_FOR}
+    for code in withheld.keys() - {*OF_RUN}:
+        withheld[code] &= confidences.keys()
     counts = {code: len(names) for code, names in sorted(withheld.items()) if names}
-    unlike = set[str]().union(*withheld.values())
+    if any(code in counts for code in OF_RUN):
+        return ExpectedAccuracy(None, None, 0, counts)
+    unlike = {name for names in withheld.values() for name in names}
     covered = [confidence for name, confidence in confidences.items() if name not in unlike]
-    if not covered or any(code in counts for code in OF_RUN):
-        return ExpectedAccuracy(accuracy=None, interval=None, scans=0, withheld=counts)
+    if not covered:
+        return ExpectedAccuracy(None, None, 0, counts)
     # Rounded, since the order of the scans is that of the workers.
     mean = min(max(round(math.fsum(covered) / len(covered), 6), EDGE), 1 - EDGE)
     logit = line.slope * math.log(mean / (1 - mean)) + line.offset
     accuracy = (1 + math.tanh(logit / 2)) / 2  # The logistic function, without overflow
     margin = DEVIATIONS * line.deviation
-    lowest = round(max(accuracy - margin, 0), 4)
-    highest = round(min(accuracy + margin, 1), 4)
-    return ExpectedAccuracy(
-        accuracy=round(accuracy, 4), interval=(lowest, highest), scans=len(covered), withheld=counts
-    )
+    interval = (round(max(accuracy - margin, 0), 4), round(min(accuracy + margin, 1), 4))
+    return ExpectedAccuracy(round(accuracy, 4), interval, len(covered), counts)

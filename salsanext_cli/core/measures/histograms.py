@@ -28,7 +28,8 @@ MIN_PROBABILITY = 2.0**-24
 CONFIDENCES = np.arange(int(np.float16(1).view(np.uint16)) + 1).astype(np.uint16).view(np.float16)
 """Every float16 from 0 to 1, ascending: the bit patterns of numbers above 0 are in their order."""
 BINS_PER_OCTAVE = 128
-LOWEST, HIGHEST = -48, 8  # Exponents of two of the first and the last bin
+LOWEST = -48  # Exponent of two of the first bin
+HIGHEST = 8  # Exponent of two of the last bin
 # One bin for everything below the lowest, then 128 per octave; the last is open.
 UNCERTAINTY_BINS = 1 + (HIGHEST - LOWEST) * BINS_PER_OCTAVE
 BFLOAT16_SHIFT = 16  # Bits of a float32 that a bfloat16 does not have
@@ -51,7 +52,7 @@ def softmax_entropy(probabilities: npt.NDArray[Any]) -> Float:
     return np.maximum(entropy, 0)
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class Histogram:
     """Histogram of the points of some scans, and sums of values over them."""
 
@@ -80,24 +81,37 @@ class Histogram:
 def confidence_histogram(probabilities: npt.NDArray[Any], truth: npt.NDArray[Any]) -> Histogram:
     """Count points by confidence, in a bin for each of `CONFIDENCES`, with sums of their errors.
 
-    `probabilities` (N, C), NaN for points to skip; `truth` (N,): train ids. `nll`: negative
-    log-likelihood of the true class in nats, 0…16.6; `brier`: Σ_c (p_c − [c is true])², 0…2.
+    Parameters
+    ----------
+    probabilities : (N, C) array
+        Softmax of the points, NaN for points to skip.
+    truth : (N,) array
+        True train ids.
+
+    Returns
+    -------
+    Histogram
+        With the sums `nll`, the negative log-likelihood of the true class in nats, 0…16.6, and
+        `brier`, Σ_c (p_c − [c is true])², 0…2.
     """
     exact = probabilities.astype(np.float64)
     rows = np.arange(len(exact))
-    of_truth, predicted = exact[rows, truth], exact.argmax(axis=1)
+    true_probability = exact[rows, truth]
+    predicted = exact.argmax(axis=1)
     confidence = exact[rows, predicted].astype(np.float16)
-    nll = -np.log(np.maximum(of_truth, MIN_PROBABILITY))
-    brier = np.einsum("nc,nc->n", exact, exact) - 2 * of_truth + 1
-    known, bins = ~np.isnan(confidence), confidence.view(np.uint16)
+    nll = -np.log(np.maximum(true_probability, MIN_PROBABILITY))
+    brier = np.einsum("nc,nc->n", exact, exact) - 2 * true_probability + 1
+    has_value = ~np.isnan(confidence)
+    bins = confidence.view(np.uint16)
     sums = {"nll": nll, "brier": brier}
-    return _histogram(len(CONFIDENCES), known, predicted != truth, bins, sums)
+    return _histogram(len(CONFIDENCES), has_value, predicted != truth, bins, sums)
 
 
 def uncertainty_histogram(uncertainty: npt.NDArray[Any], wrong: Mask) -> Histogram:
     """Count the points of a scan by uncertainty (N,), 0 and above; skip NaN."""
     values = uncertainty.astype(np.float64)
-    bins, sums = bin_of(uncertainty), {"uncertainty": values}
+    bins = bin_of(uncertainty)
+    sums = {"uncertainty": values}
     return _histogram(UNCERTAINTY_BINS, ~np.isnan(values), wrong, bins, sums)
 
 
@@ -109,13 +123,22 @@ def error_histogram(error: npt.NDArray[Any], wrong: Mask) -> Histogram:
 
 
 def _histogram(
-    bin_count: int, known: Mask, wrong: Mask, bins: npt.NDArray[Any], values: Mapping[str, Ratios]
+    bin_count: int,
+    has_value: Mask,
+    wrong: Mask,
+    bins: npt.NDArray[Any],
+    values: Mapping[str, Ratios],
 ) -> Histogram:
-    """Count the known points of a scan, all arrays (N,)."""
-    cell = np.where(wrong, bin_count, 0)[known] + bins[known]
+    """Count the points of a scan that have a value, all arrays (N,)."""
+    cell = np.where(wrong, bin_count, 0)[has_value] + bins[has_value]
     counts = np.bincount(cell, minlength=2 * bin_count).reshape(2, bin_count)
-    sums = {name: [float(of_points[known].sum())] for name, of_points in values.items()}
-    return Histogram(counts, sums, int(len(cell) > 0), len(known) - len(cell))
+    sums = {name: [float(numbers[has_value].sum())] for name, numbers in values.items()}
+    return Histogram(
+        counts=counts,
+        scan_sums=sums,
+        scans=int(len(cell) > 0),
+        without_value=len(has_value) - len(cell),
+    )
 
 
 def bin_of(uncertainty: npt.NDArray[Any]) -> Indices:

@@ -18,11 +18,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from salsanext_cli.core.errors import percentage
 from salsanext_cli.core.geometry.scan_measures import MEASURES, compared_measures
 from salsanext_cli.core.measures.scores import Counts
 from salsanext_cli.core.network.unit_traits import UnitTraits
 from salsanext_cli.core.records import Double, Float
+from salsanext_cli.core.texts import percentage
 
 PERMUTATIONS = 999
 LIKELY = 0.01
@@ -37,8 +37,8 @@ Of 4 000 choices of 24 simulated drives and another one, 12 were below. The limi
 usual deviation; PandaSet had 6.9 or more, 16 % of a circle 35, SemanticKITTI up to 2.4."""
 MOST_WITH_CODE = 0.5  # Share of the units with a new code above which it tells scans apart
 EDGE = 1e-4  # Least distance of an uncertainty from 0 and 1, whose logits are infinite
-LEAST_UNCERTAINTY, LEAST_SHARE = 0.3, 0.05
-"""Least usual deviations of the logit of an uncertainty and of the root of a share."""
+LEAST_UNCERTAINTY = 0.3  # Least usual deviation of the logit of an uncertainty
+LEAST_SHARE = 0.05  # Least usual deviation of the root of a share
 DIGITS = 4
 STEPS = 10_001  # Of the integral of a density
 
@@ -88,8 +88,8 @@ def unit_traits(
     UnitTraits
     """
     shares = class_points[1:] / max(class_points[1:].sum(), 1)
-    known = uncertainty[~np.isnan(uncertainty)]
-    mean = float(known.mean(dtype=np.float64)) if known.size else 1.0
+    values = uncertainty[~np.isnan(uncertainty)]
+    mean = float(values.mean(dtype=np.float64)) if values.size else 1.0
     return UnitTraits(
         unit=unit,
         uncertainty=round(mean, DIGITS),
@@ -99,7 +99,7 @@ def unit_traits(
     )
 
 
-def of_units(traits: Sequence[UnitTraits], units: Sequence[str]) -> tuple[UnitTraits, ...]:
+def traits_of_units(traits: Sequence[UnitTraits], units: Sequence[str]) -> tuple[UnitTraits, ...]:
     """Return the mean traits of each unit, such as a drive, in the order of their names.
 
     A unit has the codes that most of its scans have.
@@ -178,15 +178,16 @@ def population_difference(
     """
     if not before or not now:
         return None
-    if not have_measures([*before, *now]):
-        before, now = _without_measures(before), _without_measures(now)
-    traits = _compared([*before, *now])
+    all_units = [*before, *now]
+    if not have_measures(all_units):
+        all_units = _without_measures(all_units)
+    traits = _compared(all_units)
     count = len(before)
     if are_comparable(count, len(now)):
         largest, chance = _by_permutation(traits, count)
         likely = LIKELY
     elif count > 1:
-        least = [LEAST_UNCERTAINTY, *[LEAST_SHARE] * len(names)]
+        least = [LEAST_UNCERTAINTY] + [LEAST_SHARE] * len(names)
         least += [measure.least_spread for measure in MEASURES]
         largest, chance = _by_prediction(traits, count, np.array(least[: traits.shape[1]]))
         likely = LIKELY_OF_FEW
@@ -194,10 +195,13 @@ def population_difference(
         return None
     if chance > likely:
         return None
-    trait = ("uncertainty", *names, *(measure.name for measure in MEASURES))[largest]
-    means = [_plain(group)[:, largest].mean() for group in (before, now)]
+    trait_names = ["uncertainty", *names] + [measure.name for measure in MEASURES]
+    values = _plain(all_units)[:, largest]
     return PopulationDifference(
-        trait=trait, before=float(means[0]), now=float(means[1]), chance=chance
+        trait=trait_names[largest],
+        before=float(values[:count].mean()),
+        now=float(values[count:].mean()),
+        chance=chance,
     )
 
 
@@ -221,7 +225,8 @@ def _by_prediction(traits: Double, count: int, least: Double) -> tuple[int, floa
 
     `least` (T,): least usual deviations. The new units count as one.
     """
-    before, now = traits[:count], traits[count:].mean(axis=0)
+    before = traits[:count]
+    now = traits[count:].mean(axis=0)
     spread = np.maximum(before.std(axis=0, ddof=1), least)
     deviations = np.abs(now - before.mean(axis=0)) / (spread * math.sqrt(1 + 1 / count))
     largest = int(deviations.argmax())

@@ -8,20 +8,18 @@ drive is the mean of its scans. Arrays of losses are (n, T): scans or drives by 
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.core.classes.label_space import LabelSpace
-from salsanext_cli.core.errors import counted, first_few, percentage
-from salsanext_cli.core.measures.scores import Counts, Ratios, scored_rows
+from salsanext_cli.core.measures.accepted_labels import AcceptedCounts
+from salsanext_cli.core.measures.scores import Ratios
 from salsanext_cli.core.network.card import RiskThreshold
+from salsanext_cli.core.texts import counted, first_few, percentage
 
-PEOPLE = ("person", "bicyclist", "motorcyclist", "person-or-cycle")
-"""Classes whose points are of people."""
 RISK_BOUND_EXCEEDED = (
     "the share of accepted and wrong points exceeds the limit of the guarantee: by chance, in the "
     "choice of these scans or of those that the threshold was chosen on, or because location, "
@@ -31,9 +29,19 @@ RISK_BOUND_EXCEEDED = (
 
 
 def means_of_units(losses: Ratios, units: npt.NDArray[Any]) -> Ratios:
-    """Return the mean of each unit, such as a drive, in sorted order: (n, …) to (U, …).
+    """Return the mean loss of each unit, such as a drive.
 
-    `units` (n,): name of the unit of each scan.
+    Parameters
+    ----------
+    losses : (n, …) float64
+        Losses of the scans.
+    units : (n,) array
+        Name of the unit of each scan.
+
+    Returns
+    -------
+    (U, …) float64
+        In the sorted order of the names.
     """
     return np.stack([losses[units == unit].mean(axis=0) for unit in np.unique(units)])
 
@@ -41,13 +49,27 @@ def means_of_units(losses: Ratios, units: npt.NDArray[Any]) -> Ratios:
 def held_thresholds(
     losses: Ratios, at_most: float, confidence: float | None = None, scans: int | None = None
 ) -> int:
-    """Return the number of thresholds that hold a level, `at_most`.
+    """Return the number of thresholds that hold a level.
 
     Without a confidence they bound the expected loss of a new scan: (Σ losses + 1) / (n + 1) ≤
     level, conformal risk control (Angelopoulos et al. 2022, arXiv 2208.02814, eq. 4) of a loss of
     at most 1. The expectation is also over the choice of the n scans. Otherwise, with this
     confidence over that choice, at most a share 1 − confidence of all scans has a larger loss.
-    `scans`: the number n, if it is not that of the losses.
+
+    Parameters
+    ----------
+    losses : (n, T) float64
+        Losses of scans or drives by rising threshold, 0…1.
+    at_most : float
+        The level, 0…1.
+    confidence : float, optional
+        Confidence, 0…1; None bounds the expected loss.
+    scans : int, optional
+        The number n, if it is not that of the losses.
+
+    Returns
+    -------
+    int
     """
     n = scans or len(losses)
     if confidence is None:
@@ -67,7 +89,21 @@ def allowed_scans(scans: int, confidence: float) -> int:
 
 
 def binomial(most: int, count: int, chance: float) -> float:
-    """Return the probability of at most `most` of `count` events, each of a chance in (0, 1]."""
+    """Return the probability of at most so many events.
+
+    Parameters
+    ----------
+    most : int
+        Largest number of events.
+    count : int
+        Number of trials.
+    chance : float
+        Probability of an event in a trial, above 0 and at most 1.
+
+    Returns
+    -------
+    float
+    """
     if most >= count or chance >= 1:
         return float(most >= count)
     logs = (
@@ -111,7 +147,23 @@ def useful_scans(at_most: float, confidence: float | None) -> int:
 
 
 def likely_thresholds(losses: Ratios, at_most: float, confidence: float | None, scans: int) -> int:
-    """Return the number of thresholds that so many scans would hold if their losses were these."""
+    """Return the number of thresholds that a number of scans would hold if their losses were these.
+
+    Parameters
+    ----------
+    losses : (n, T) float64
+        Losses of scans or drives by rising threshold, 0…1.
+    at_most : float
+        Level of the guarantee, 0…1.
+    confidence : float, optional
+        Confidence, 0…1; None bounds the expected loss.
+    scans : int
+        Number of scans.
+
+    Returns
+    -------
+    int
+    """
     if confidence is None:
         return held_thresholds(losses, at_most, scans=scans)
     above = (losses > at_most).mean(axis=0)
@@ -133,79 +185,17 @@ def needed_drives(at_most: float, confidence: float | None) -> int:
     return least(at_most, confidence)
 
 
-@dataclass(frozen=True, slots=True)
-class AcceptedLabels:
-    """Coverage and risk of the labels of a run that rejected some, over scored points."""
-
-    points: int
-    accepted: int  # Number of points with a label, and of wrong ones among them
-    wrong: int
-    people: int  # Number of points of people, and of those accepted as something else
-    missed_people: int
-    # Accepted and wrong points by predicted class, people first
-    classes: dict[str, tuple[int, int]]
-    # Name, points, accepted and wrong points of the scan with the largest share of wrong points
-    worst: tuple[str, int, int, int]
-
-    @classmethod
-    def of_confusion(
-        cls, confusion: Counts, space: LabelSpace, scans: Mapping[str, tuple[int, int, int]]
-    ) -> Self:
-        """Count the points whose predicted class is not 0; `scans`: as `worst`, by name."""
-        matrix = scored_rows(confusion, space)
-        accepted, right = matrix[:, 1:].sum(axis=0), matrix.diagonal()[1:]
-        rows = zip(space.names[1:], accepted.tolist(), (accepted - right).tolist(), strict=True)
-        classes = {name: (count, wrong) for name, count, wrong in rows if count}
-        people = np.isin(space.names, PEOPLE)
-        worst = max(scans, key=lambda name: scans[name][2] / max(scans[name][0], 1))
-        return cls(
-            points=int(matrix.sum()),
-            accepted=int(accepted.sum()),
-            wrong=int((accepted - right).sum()),
-            people=int(matrix[people].sum()),
-            missed_people=int(matrix[people][:, 1:][:, ~people[1:]].sum()),
-            classes=dict(sorted(classes.items(), key=lambda item: item[0] not in PEOPLE)),
-            worst=(worst, *scans[worst]),
-        )
-
-    @property
-    def coverage(self) -> float:
-        """Share of the points that is accepted, 0…1."""
-        return self.accepted / max(self.points, 1)
-
-    @property
-    def risk(self) -> float:
-        """Share of the accepted points that is wrong, 0…1."""
-        return self.wrong / max(self.accepted, 1)
-
-    @property
-    def sentences(self) -> Iterator[str]:
-        """Coverage, risk, the worst scan and missed people."""
-        of_all = f"{percentage(self.wrong / max(self.points, 1))} of all"
-        yield (
-            f"accepted, all scans together: {percentage(self.coverage)} of {self.points:,} points, "
-            f"{percentage(self.risk)} of these are wrong ({of_all})"
-        )
-        name, points, accepted, wrong = self.worst
-        of_accepted = f"{percentage(wrong / max(accepted, 1))} of the {accepted:,} accepted"
-        loss = f"{percentage(wrong / max(points, 1))} of its points are accepted and wrong"
-        yield f"worst scan: {name}, {loss} ({of_accepted})"
-        if self.people:
-            missed = f"{self.missed_people:,} of {self.people:,} points of people"
-            yield f"missed people: {missed} are accepted, but not as people"
-
-
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RiskBoundCheck:
     """Guarantee about scans or drives, and their losses, which are shares of scored points."""
 
-    at_most: float
+    at_most: float  # Level of the guarantee, 0…1
     confidence: float | None  # None if the guarantee is about the mean loss
     unit: str  # "scan" or "drive"
-    units: int  # Number of scans or drives, and of those with a larger loss
-    above: int
-    mean: float  # Mean and largest loss
-    worst: float
+    units: int  # Number of scans or drives
+    above: int  # Number of those with a loss above the level
+    mean: float  # Mean loss, 0…1
+    worst: float  # Largest loss, 0…1
     scope: str = ""  # Scans that the guarantee covers, in words
     are_others: bool = False  # Whether the scans are evidently not such; False proves nothing
     incomparable: str = ""  # Why no comparison could show that they are not such
@@ -214,15 +204,31 @@ class RiskBoundCheck:
     def of_scans(
         cls,
         guaranteed: RiskThreshold | None,
-        scans: Mapping[str, tuple[int, int, int]],
+        scans: Mapping[str, AcceptedCounts],
         *,
         are_others: bool = False,
     ) -> Self | None:
-        """Compare with scored, accepted and wrong points of scans by name; None without either."""
-        judged = {name: wrong / points for name, (points, _, wrong) in scans.items() if points}
+        """Compare a guarantee with the points of scans.
+
+        Parameters
+        ----------
+        guaranteed : RiskThreshold, optional
+            Threshold of the run with its guarantee.
+        scans : mapping of str to AcceptedCounts
+            Points of each scan by its name.
+        are_others : bool
+            Whether the scans are evidently not such as the guarantee covers.
+
+        Returns
+        -------
+        RiskBoundCheck or None
+            None without a guarantee, or without scored points.
+        """
+        judged = {name: scan.loss for name, scan in scans.items() if scan.points}
         if guaranteed is None or not judged:
             return None
-        losses, unit = np.array([*judged.values()]), guaranteed.unit
+        losses = np.array(list(judged.values()))
+        unit = guaranteed.unit
         if unit == "drive":
             drives = np.array([name.rpartition("/")[0] for name in judged])
             losses = means_of_units(losses, drives)

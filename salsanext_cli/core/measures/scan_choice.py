@@ -26,14 +26,13 @@ the scans that are a spread apart.
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Choice:
-    """A chosen scan."""
+    """A chosen scan; NaN and None if there is no earlier one."""
 
     scan: int  # Its index among the scans to choose from
     uncertainty: float
     uncertainty_rank: int  # From 1, the most uncertain scan
-    # To the nearest earlier scan; 1 is the RMS distance between two scans; NaN for the first one
-    distance: float
-    nearest: int | None  # Index of that scan, None for the first one
+    distance: float  # To the nearest earlier scan; 1 is the RMS distance between two scans
+    nearest: int | None  # Index of that scan
 
 
 def choose_scans(
@@ -41,17 +40,32 @@ def choose_scans(
 ) -> list[Choice]:
     """Choose the scans most worth labelling, the most valuable first.
 
-    They are chosen by uncertainty times distance, among scans far enough from all chosen ones. The
-    weights of the `features` (S, F) are equal; `uncertainty` (S,) is at least 0; the indices in
-    `labelled` count as chosen before all others and are not returned.
+    They are chosen by uncertainty times distance, among scans far enough from all chosen ones.
+
+    Parameters
+    ----------
+    features : (S, F) numbers
+        Features of the scans, which have equal weights.
+    uncertainty : (S,) numbers
+        Uncertainty of each scan, at least 0.
+    count : int
+        Largest number of scans to choose.
+    labelled : sequence of int
+        Indices of scans that count as chosen before all others and are not returned.
+
+    Returns
+    -------
+    list of Choice
     """
     weights = np.asarray(uncertainty, np.float64)
-    points, total = standardised(features), min(len(labelled) + count, len(weights))
+    points = standardised(features)
+    total = min(len(labelled) + count, len(weights))
     least = SHARE_OF_SPREAD * spread(points, total)
     ranks = np.empty(len(weights), np.intp)
     ranks[np.argsort(-weights, kind="stable")] = np.arange(1, len(weights) + 1)
     left = ~np.isin(np.arange(len(weights)), labelled)
-    apart, nearest = np.full(len(weights), math.inf), np.zeros(len(weights), np.intp)
+    apart = np.full(len(weights), math.inf)
+    nearest = np.zeros(len(weights), np.intp)
     chosen = []
     for number in range(total):
         if number < len(labelled):
@@ -64,15 +78,14 @@ def choose_scans(
             levels = (unlike & (apart >= least), unlike, left)
             eligible = next(level for level in levels if level.any())
             scan = int(np.where(eligible, score, -math.inf).argmax())
-            chosen.append(
-                Choice(
-                    scan=scan,
-                    uncertainty=float(weights[scan]),
-                    uncertainty_rank=int(ranks[scan]),
-                    distance=float(apart[scan]) if number else math.nan,
-                    nearest=int(nearest[scan]) if number else None,
-                )
+            choice = Choice(
+                scan=scan,
+                uncertainty=float(weights[scan]),
+                uncertainty_rank=int(ranks[scan]),
+                distance=float(apart[scan]) if number else math.nan,
+                nearest=int(nearest[scan]) if number else None,
             )
+            chosen.append(choice)
         left[scan] = False
         distance = distances(points, scan)
         nearest[distance < apart] = scan
@@ -107,7 +120,8 @@ def distances(points: Double, scan: int) -> Double:
 def spread(points: Double, count: int) -> float:
     """Return the least distance of a farthest-first choice; infinite for one scan."""
     apart = np.full(len(points), math.inf)
-    scan, least = int(np.linalg.norm(points, axis=1).argmin()), math.inf  # Nearest to the mean
+    scan = int(np.linalg.norm(points, axis=1).argmin())  # Nearest to the mean
+    least = math.inf
     for _ in range(count - 1):
         apart = np.minimum(apart, distances(points, scan))
         scan = int(apart.argmax())

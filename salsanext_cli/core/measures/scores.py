@@ -35,7 +35,20 @@ FREQUENT_POINTS = 500  # Of a class; the IoU of fewer is mostly chance
 def confusion_matrix(
     truth: npt.NDArray[Any], predicted: npt.NDArray[Any], class_count: int
 ) -> Counts:
-    """Count pairs of train ids, including ignored ones: (C, C) int64."""
+    """Count pairs of train ids, including ignored ones.
+
+    Parameters
+    ----------
+    truth, predicted : integer arrays
+        Train ids 0…C-1, of the same shape.
+    class_count : int
+        C, the number of classes.
+
+    Returns
+    -------
+    (C, C) int64
+        Points by true and predicted train id.
+    """
     size = (class_count, class_count)
     cell = np.ravel_multi_index((truth.ravel(), predicted.ravel()), size)
     return np.bincount(cell, minlength=class_count**2).reshape(size)
@@ -51,10 +64,10 @@ def accepted(confusion: Counts) -> Counts:
     return np.where(np.arange(len(confusion)) > 0, confusion, 0)
 
 
-def ratio(part: Counts, whole: Counts) -> Ratios:
+def ratio(numerator: Counts, denominator: Counts) -> Ratios:
     """Divide counts; NaN where there is nothing to divide by."""
-    quotient: Ratios = np.full(whole.shape, np.nan)
-    np.divide(part, whole, out=quotient, where=whole > 0)
+    quotient: Ratios = np.full(denominator.shape, np.nan)
+    np.divide(numerator, denominator, out=quotient, where=denominator > 0)
     return quotient
 
 
@@ -72,7 +85,7 @@ class ClassScore:
     predicted: int  # Number of labelled points predicted as this class
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Scores:
     """Scores of a set of points; shares are 0…1."""
 
@@ -91,28 +104,72 @@ class Scores:
         return yaml.safe_dump(numbers, default_flow_style=False, allow_unicode=True)
 
 
-def band_rows(bands: Mapping[str, Scores]) -> list[tuple[str, Scores, float, list[str]]]:
-    """Return name, scores, mean IoU of the same classes, and absent classes of each band.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BandScores:
+    """Scores of the points in a band of distances."""
 
-    The same classes are in the truth of every band with points; absent classes are in other bands
-    only.
+    name: str
+    scores: Scores
+    iou_mean_same: float  # Mean IoU over the classes in the truth of every band with points
+    absent: list[str]  # Names of the classes in the truth of other bands only
+
+
+def band_scores(bands: Mapping[str, Scores]) -> list[BandScores]:
+    """Return the scores of bands of distances, which are compared over the same classes.
+
+    Parameters
+    ----------
+    bands : mapping of str to Scores
+        Scores by name of the band.
+
+    Returns
+    -------
+    list of BandScores
     """
-    held = {name: {c.name for c in band.classes if c.points} for name, band in bands.items()}
-    every = set[str]().union(*held.values())
-    same = every.intersection(*filter(None, held.values()))
-    rows = []
+    present = {name: {c.name for c in band.classes if c.points} for name, band in bands.items()}
+    every = {name for names in present.values() for name in names}
+    same = {name for name in every if all(name in names for names in present.values() if names)}
+    results = []
     for name, band in bands.items():
-        ious = [c.iou for c in band.classes if c.name in same & held[name]]
-        rows.append((name, band, _mean(np.array(ious)), sorted(every - held[name])))
-    return rows
+        ious = [c.iou for c in band.classes if c.name in same & present[name]]
+        absent = sorted(every - present[name])
+        mean = _mean(np.array(ious))
+        results.append(BandScores(name=name, scores=band, iou_mean_same=mean, absent=absent))
+    return results
 
 
-def largest_confusions(matrix: Counts, most: int) -> list[tuple[int, int, int]]:
-    """Return the largest cells off the diagonal of counts (C, C): row, column and points."""
-    off = np.where(np.eye(len(matrix), dtype=bool), 0, matrix)
-    largest = np.argsort(-off, axis=None, kind="stable")[:most]
-    rows, columns = np.unravel_index(largest[off.ravel()[largest] > 0], off.shape)
-    return list(zip(rows.tolist(), columns.tolist(), off[rows, columns].tolist(), strict=True))
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Confusion:
+    """Points of one class that were predicted as another."""
+
+    true: int  # Train id
+    predicted: int  # Train id
+    points: int
+
+
+def largest_confusions(matrix: Counts, most: int) -> list[Confusion]:
+    """Return the most frequent confusions, the first of them the largest.
+
+    Parameters
+    ----------
+    matrix : (C, C) int64
+        Points by true and predicted train id.
+    most : int
+        Largest number of confusions to return.
+
+    Returns
+    -------
+    list of Confusion
+    """
+    off_diagonal = np.where(np.eye(len(matrix), dtype=bool), 0, matrix)
+    largest = np.argsort(-off_diagonal, axis=None, kind="stable")[:most]
+    confusions = []
+    for cell in largest.tolist():
+        true, predicted = divmod(cell, len(matrix))
+        points = int(off_diagonal[true, predicted])
+        if points:
+            confusions.append(Confusion(true=true, predicted=predicted, points=points))
+    return confusions
 
 
 def scores(confusion: Counts, space: LabelSpace) -> Scores:
@@ -128,6 +185,19 @@ def scores(confusion: Counts, space: LabelSpace) -> Scores:
     iou_official = hits / (union + EPSILON)
     precision = ratio(hits, predictions)
     recall = ratio(hits, truths)
+    classes = [
+        ClassScore(
+            name=space.names[i],
+            train_id=i,
+            iou=float(iou[i]),
+            iou_official=float(iou_official[i]),
+            precision=float(precision[i]),
+            recall=float(recall[i]),
+            points=int(truths[i]),
+            predicted=int(predictions[i]),
+        )
+        for i in np.flatnonzero(scored).tolist()
+    ]
     return Scores(
         accuracy=float(hits.sum() / points) if points else math.nan,
         accuracy_official=float(hits.sum() / (matrix[:, scored].sum() + EPSILON)),
@@ -135,19 +205,7 @@ def scores(confusion: Counts, space: LabelSpace) -> Scores:
         iou_mean_present=_mean(iou[scored & (truths > 0)]),
         iou_mean_frequent=_mean(iou[scored & (truths >= FREQUENT_POINTS)]),
         points=points,
-        classes=tuple(
-            ClassScore(
-                name=space.names[i],
-                train_id=i,
-                iou=float(iou[i]),
-                iou_official=float(iou_official[i]),
-                precision=float(precision[i]),
-                recall=float(recall[i]),
-                points=int(truths[i]),
-                predicted=int(predictions[i]),
-            )
-            for i in np.flatnonzero(scored).tolist()
-        ),
+        classes=tuple(classes),
     )
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field, fields
 from operator import add
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +22,7 @@ EXTREMES = {"smallest": min, "largest": max, "farthest": max, "brightest": max}
 """Fields of a survey that are not added up."""
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class Survey:
     """Running counts over scans; adding two gives the counts of both."""
 
@@ -29,21 +30,25 @@ class Survey:
     labelled: int = 0  # Scans with labels
     points: int = 0
     invalid: int = 0  # Points without a measurement (origin, NaN, infinite)
-    smallest: int = np.iinfo(np.int64).max  # Fewest and most points of a scan
-    largest: int = 0
-    farthest: float = 0.0  # Largest range in metres and largest intensity
-    brightest: float = 0.0
+    smallest: int = np.iinfo(np.int64).max  # Fewest points of a scan
+    largest: int = 0  # Most points of a scan
+    farthest: float = 0.0  # Largest range in metres
+    brightest: float = 0.0  # Largest intensity
     # (ELEVATION_BINS,) int64: points by elevation from -90° to 90°
     elevations: Counts = field(default_factory=lambda: np.zeros(ELEVATION_BINS, np.int64))
     pixels: int = 0  # Occupied pixels of the range images
-    # (5,) float64: sums over occupied pixels of each channel and of its square
+    # (5,) float64: sums of each channel over occupied pixels
     sums: Ratios = field(default_factory=lambda: np.zeros(len(CHANNELS)))
+    # (5,) float64: sums of its square over occupied pixels
     squares: Ratios = field(default_factory=lambda: np.zeros(len(CHANNELS)))
     classes: Counter[int] = field(default_factory=Counter)  # Points by raw id, without instance
 
     def __add__(self, other: Survey) -> Survey:
-        names = (field.name for field in fields(self))
-        return Survey(*(EXTREMES.get(n, add)(getattr(self, n), getattr(other, n)) for n in names))
+        values: dict[str, Any] = {}
+        for name in (counted.name for counted in fields(self)):
+            combine = EXTREMES.get(name, add)
+            values[name] = combine(getattr(self, name), getattr(other, name))
+        return Survey(**values)
 
     @property
     def means(self) -> tuple[float, ...]:
@@ -84,13 +89,29 @@ class Survey:
 
 
 def survey(scan: Scan, image: RangeImage, raw: RawIds | None) -> Survey:
-    """Count one scan, its range image and its labels if there are any."""
+    """Count one scan.
+
+    Parameters
+    ----------
+    scan : Scan
+        N points in the frame of their file.
+    image : RangeImage
+        Its range image.
+    raw : (N,) uint32, optional
+        Raw ids of its labels.
+
+    Returns
+    -------
+    Survey
+    """
     ranges, measured = measured_ranges(scan.points)
-    ranges, z = ranges[measured], scan.points[measured, 2]
+    ranges = ranges[measured]
+    z = scan.points[measured, 2]
     elevations = np.degrees(np.arcsin(z / ranges))
     occupied = image.channels[:, image.channels[0] > 0].astype(np.float64)
     bright = scan.intensity[np.isfinite(scan.intensity)]
-    ids, counts = np.unique([] if raw is None else raw & np.uint32(0xFFFF), return_counts=True)
+    classes: RawIds | list[int] = [] if raw is None else raw & np.uint32(0xFFFF)
+    ids, counts = np.unique(classes, return_counts=True)
     return Survey(
         scans=1,
         labelled=int(raw is not None),

@@ -12,7 +12,6 @@ from typing import Self
 
 import numpy as np
 
-from salsanext_cli.core.errors import percentage
 from salsanext_cli.core.measures.calibration import (
     CalibrationScores,
     Reliability,
@@ -23,6 +22,7 @@ from salsanext_cli.core.measures.counts import EVALUATED_KINDS, OF_ERROR, SOFTMA
 from salsanext_cli.core.measures.histograms import Histogram, highest_of_bins
 from salsanext_cli.core.measures.scores import Counts, Ratios
 from salsanext_cli.core.plain_data import plain
+from salsanext_cli.core.texts import percentage
 from salsanext_cli.core.uncertainty.kinds import UNCERTAINTY
 from salsanext_cli.core.wording import argument
 
@@ -35,7 +35,7 @@ SERIES_FROM = 16  # Harmonic numbers from here on: their series is exact to the 
 KINDS_OF_THRESHOLD = ("error", "entropy")  # A threshold is suggested for the first available
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RankingScores:
     """Scores of a kind of uncertainty as a detector of wrong points; NaN where undefined."""
 
@@ -53,15 +53,27 @@ class RankingScores:
     without_value: int  # Number of points
     risk_coverage: Ratios  # (100,): share of wrong points among the least uncertain 1 %, … 100 %
     thresholds: Ratios  # (100,) float64: largest uncertainty of these points, at most 1 % too large
-    # Only for the error, which is a probability: expected calibration error, 0…1, and its diagram
-    ece: float | None = None
-    reliability: Reliability | None = None
+    ece: float | None = None  # Expected calibration error, 0…1; only of the error, a probability
+    reliability: Reliability | None = None  # Its diagram
 
 
 def ranking_scores(histogram: Histogram, diagram: Reliability | None = None) -> RankingScores:
-    """Divide the counts of an `uncertainty_histogram`; `diagram`: of the error only."""
+    """Divide the counts of an `uncertainty_histogram`.
+
+    Parameters
+    ----------
+    histogram : Histogram
+        Right and wrong points by uncertainty.
+    diagram : Reliability, optional
+        Reliability of the error; None for other kinds of uncertainty.
+
+    Returns
+    -------
+    RankingScores
+    """
     right, wrong = histogram.counts
-    points, errors = int(histogram.counts.sum()), int(wrong.sum())
+    points = int(histogram.counts.sum())
+    errors = int(wrong.sum())
     area = aurc(right, wrong)
     # In the best order, every wrong point is more uncertain than every right one.
     excess = area - aurc(np.array([right.sum(), 0]), np.array([0, errors]))
@@ -111,9 +123,12 @@ def aurc(right: Counts, wrong: Counts) -> float:
     held = tied > 0
     if not held.any():
         return math.nan
-    tied, errors = tied[held], wrong[held]
-    reached, errors_before = tied.cumsum(), errors.cumsum() - errors
-    before, rate = reached - tied, errors / tied
+    tied = tied[held]
+    errors = wrong[held]
+    reached = tied.cumsum()
+    errors_before = errors.cumsum() - errors
+    before = reached - tied
+    rate = errors / tied
     inverse = _harmonic(reached) - _harmonic(before)
     return float((errors + (errors_before - before * rate) * inverse).sum() / reached[-1])
 
@@ -121,7 +136,22 @@ def aurc(right: Counts, wrong: Counts) -> float:
 def risk_coverage(
     right: Counts, wrong: Counts, coverage: Ratios = COVERAGE
 ) -> tuple[Ratios, Ratios]:
-    """Return risks and thresholds (K,) at coverages (K,), float64; NaN without points."""
+    """Return risks and thresholds at coverages.
+
+    Parameters
+    ----------
+    right, wrong : (B,) int64
+        Points in bins of ascending uncertainty.
+    coverage : (K,) float64
+        Shares of the least uncertain points, 0…1.
+
+    Returns
+    -------
+    risk : (K,) float64
+        Share of wrong points among these; NaN without points.
+    thresholds : (K,) float64
+        Largest uncertainty of these points; NaN without points.
+    """
     reached = (right + wrong).cumsum()
     accepted = coverage * reached[-1]
     if not reached[-1]:
@@ -157,38 +187,43 @@ class AcceptedPoints:
     @property
     def sentence(self) -> str:
         """Suggested threshold in words."""
-        kind, of_all = self.kind, _percent(self.risk_of_all)
+        kind = self.kind
+        risk_of_all = _percent(self.risk_of_all)
         noun = "accepted points" if self.of_accepted else "points"
         if math.isnan(self.threshold):
-            return f"no threshold of {kind} helps: {of_all} of {self.points:,} {noun} are wrong"
+            return (
+                f"no threshold of {kind} helps: {risk_of_all} of {self.points:,} {noun} are wrong"
+            )
         unit = UNCERTAINTY[kind].unit if kind in UNCERTAINTY else ""
         below = f"{kind} below {self.threshold:.4g} {unit}".rstrip()
         # 99.96 % is not 100 %.
         accepted = f"the {percentage(min(self.coverage, 0.999), figures=3)} of {noun} with {below}"
         risk = _percent(self.risk)
-        if self.risk < self.risk_of_all and risk != of_all:
-            return f"accept {accepted}: {risk} of them are wrong instead of {of_all}"
-        return (
-            f"{kind} does not detect wrong points: {risk} of {accepted} are wrong, {of_all} of all"
-        )
+        if self.risk < self.risk_of_all and risk != risk_of_all:
+            return f"accept {accepted}: {risk} of them are wrong instead of {risk_of_all}"
+        shares = f"{risk} of {accepted} are wrong, {risk_of_all} of all"
+        return f"{kind} does not detect wrong points: {shares}"
 
 
 def accepted_points(kind: str, histogram: Histogram) -> AcceptedPoints:
     """Find the threshold whose coverage is nearest to `PERCENT_ACCEPTED`, ties together."""
     right, wrong = histogram.counts
     tied = right + wrong
-    reached, errors = tied.cumsum(), wrong.cumsum()
-    points, risk_of_all = int(reached[-1]), float(errors[-1] / reached[-1])
+    reached = tied.cumsum()
+    errors = wrong.cumsum()
+    points = int(reached[-1])
+    risk_of_all = float(errors[-1] / reached[-1])
     held = np.flatnonzero(tied)
     if risk_of_all in (0, 1) or len(held) == 1:
         return AcceptedPoints(kind, points, risk_of_all)
     nearest = np.abs(100 * reached[held[:-1]] - PERCENT_ACCEPTED * points).argmin()
     last, following = held[nearest : nearest + 2]
+    highest = highest_of_bins()
     return AcceptedPoints(
         kind=kind,
         points=points,
         risk_of_all=risk_of_all,
-        threshold=_between(*highest_of_bins()[[last, following - 1]]),
+        threshold=_between(highest[last], highest[following - 1]),
         coverage=float(reached[last] / points),
         risk=float(errors[last] / reached[last]),
     )
@@ -206,7 +241,16 @@ def _percent(share: float) -> str:
     return percentage(share) if share >= 0.01 else percentage(share, figures=2)
 
 
-@dataclass(frozen=True, slots=True)
+def _suggested_threshold(counts: ScanCounts) -> AcceptedPoints | None:
+    """Return the threshold of the first of `KINDS_OF_THRESHOLD` that all scans have."""
+    for kind in KINDS_OF_THRESHOLD:
+        histogram = counts.histograms.get(kind)
+        if counts.files[f"uncertainty/{kind}"] == counts.scans and histogram and histogram.scans:
+            return accepted_points(kind, histogram)
+    return None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class UncertaintyEvaluation:
     """Evaluation of the probabilities and uncertainties of predictions."""
 
@@ -217,10 +261,13 @@ class UncertaintyEvaluation:
     @classmethod
     def of_counts(cls, counts: ScanCounts) -> Self:
         """Divide the counts of all scans; warn of files that only some of the scans have."""
-        for folder in (SOFTMAX, *(f"uncertainty/{kind}" for kind in UNCERTAINTY)):
-            if 0 < (known := counts.files[folder]) < counts.scans:
-                log.warning("only %d of %d scans have %s", known, counts.scans, folder)
-        histograms, softmax, diagram = counts.histograms, None, None
+        for folder in [SOFTMAX] + [f"uncertainty/{kind}" for kind in UNCERTAINTY]:
+            files = counts.files[folder]
+            if 0 < files < counts.scans:
+                log.warning("only %d of %d scans have %s", files, counts.scans, folder)
+        histograms = counts.histograms
+        softmax = None
+        diagram = None
         if SOFTMAX in histograms:
             softmax = calibration_scores(histograms[SOFTMAX], counts.calibration_errors)
         if OF_ERROR in histograms:
@@ -230,7 +277,8 @@ class UncertaintyEvaluation:
             for kind in EVALUATED_KINDS
             if kind in histograms
         }
-        error, confidence = kinds.get("error"), kinds.get("least_confidence")
+        error = kinds.get("error")
+        confidence = kinds.get("least_confidence")
         if counts.accepted:
             error = None  # Only accepted points have it, all points have the softmax.
         if error and confidence and error.aurc > confidence.aurc:
@@ -238,19 +286,10 @@ class UncertaintyEvaluation:
             log.warning(text, argument("reject"))
         if error and error.ece and softmax and error.ece > softmax.ece:
             log.warning("the error is calibrated worse than the softmax: do not read it as a share")
-        accepted = next(
-            (
-                accepted_points(kind, histogram)
-                for kind in KINDS_OF_THRESHOLD
-                if counts.files[f"uncertainty/{kind}"] == counts.scans
-                and (histogram := histograms.get(kind))
-                and histogram.scans
-            ),
-            None,
-        )
+        accepted = _suggested_threshold(counts)
         if accepted and counts.accepted:
             accepted = replace(accepted, of_accepted=True)
-        return cls(softmax, kinds, accepted)
+        return cls(calibration=softmax, kinds=kinds, accepted=accepted)
 
     def to_json(self) -> dict[str, object]:
         """Return plain data for JSON; null stands for NaN and for absent parts."""

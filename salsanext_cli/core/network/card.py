@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass, field, replace
 import numpy as np
 
 from salsanext_cli.core.classes.label_space import LabelSpace
-from salsanext_cli.core.errors import UsageError, WeightsError, error_text, shortened
+from salsanext_cli.core.errors import UsageError, WeightsError
 from salsanext_cli.core.network.error_model import ErrorModel, valid_temperature
 from salsanext_cli.core.network.int8_inputs import Int8Input
 from salsanext_cli.core.network.tuned_settings import KEY_OF
@@ -21,12 +21,13 @@ from salsanext_cli.core.network.unit_traits import UnitTraits
 from salsanext_cli.core.plain_data import Json, decoded, plain
 from salsanext_cli.core.records import Scan
 from salsanext_cli.core.sensors.sensor import FittedView, Sensor
+from salsanext_cli.core.texts import error_text, shortened
 from salsanext_cli.version import __version__
 
 KEY = "salsanext"  # The only key: safetensors writes several keys in random order
 FORMAT = "salsanext-2"
 TABLES = ("architecture", "label_space", "sensor", "recipe", "scores")  # Mappings of a card
-OF_ERROR = re.compile(r"The error is fitted to ([^.]*)\. ?")
+ERROR_SENTENCE = re.compile(r"The error is fitted to ([^.]*)\. ?")
 """Sentence on the error model in the description of older files, such as the default weights."""
 INHERITED = "inherited_from"  # Key of an error model: names the weights that it was fitted to
 DIGITS = 24  # Of a digest: two of 20 000 scans agree by chance once in 10¹¹ cases
@@ -34,17 +35,27 @@ DIGITS = 24  # Of a digest: two of 20 000 scans agree by chance once in 10¹¹ c
 
 def scan_digest(scan: Scan) -> str:
     """Return the digest of a scan: number of its points, then digest of their coordinates."""
-    of_points = hashlib.sha256(np.ascontiguousarray(scan.points).data).hexdigest()
-    return f"{len(scan):08x}{of_points}"[:DIGITS]
+    coordinates = hashlib.sha256(np.ascontiguousarray(scan.points).data).hexdigest()
+    return f"{len(scan):08x}{coordinates}"[:DIGITS]
 
 
 def is_among(digests: Collection[str], count: int, read: Callable[[], Scan]) -> bool:
-    """Return whether digests contain a scan; `read` is called only if its number of points fits."""
+    """Return whether digests contain a scan.
+
+    Parameters
+    ----------
+    digests : collection of str
+        Digests of `scan_digest`.
+    count : int
+        Number of points of the scan.
+    read : callable
+        Returns the scan; called only if a digest begins with its number of points.
+    """
     fits = any(digest.startswith(f"{count:08x}") for digest in digests)
     return fits and scan_digest(read()) in digests
 
 
-def parted(text: object) -> list[str]:
+def split_digests(text: object) -> list[str]:
     """Return the digests that a text joins; anything else raises `ValueError`."""
     if not isinstance(text, str) or not re.fullmatch(f"([0-9a-f]{{{DIGITS}}})*", text):
         raise ValueError("no digests of scans")
@@ -75,7 +86,7 @@ class RiskThreshold:
     def __post_init__(self) -> None:
         if not all(map(math.isfinite, (self.threshold, self.at_most))):
             raise ValueError(f"risk has threshold {self.threshold} and limit {self.at_most}")
-        parted(self.digests)  # Raises an error for other text.
+        split_digests(self.digests)  # Raises an error for other text.
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,16 +127,17 @@ class FittedParts:
 
     def to_dict(self) -> Json:
         """Return plain data without absent parts."""
-        return {name: part for name in PARTS if (part := plain(getattr(self, name))) is not None}
+        values = {name: plain(getattr(self, name)) for name in PARTS}
+        return {name: value for name, value in values.items() if value is not None}
 
     @classmethod
     def from_dict(cls, data: Json, source: object) -> FittedParts:
         """Read the result of `to_dict`; invalid data raise a `ValueError` or the like."""
-        parts: Json = {name: data[name] for name in PARTS if name in data}
-        if "risk" in parts:
-            parts["risk"] = _renamed(parts["risk"], source)
-        temperature = valid_temperature(parts.pop("temperature"))
-        fitted = {name: decoded(FITTED[name], part) for name, part in parts.items()}
+        values: Json = {name: data[name] for name in PARTS if name in data}
+        if "risk" in values:
+            values["risk"] = _with_current_keys(values["risk"], source)
+        temperature = valid_temperature(values.pop("temperature"))
+        fitted = {name: decoded(FITTED[name], value) for name, value in values.items()}
         return cls(temperature, **fitted)
 
 
@@ -185,17 +197,23 @@ class WeightsCard:
         fitted = {name: getattr(parts, name) for name in PARTS}
         return replace(self, sensor=self.sensor.resized(width=width), of_widths=others, **fitted)
 
-    def of_other_width(self) -> str:
+    def parts_of_default_width(self) -> str:
         """Name the parts that were fitted to images of the default width instead; "" for none."""
-        default, names = (
-            self.trained_widths[0],
-            ("temperature", "error model", "estimated accuracy"),
-        )
+        default = self.trained_widths[0]
         if self.sensor.width == default:
             return ""
-        used, others = self.parts.to_dict(), self.substitutes.to_dict()
-        pairs = zip(("temperature", "error", "accuracy"), names, strict=True)
-        same = [name for key, name in pairs if key in used and used[key] == others.get(key)]
+        titles = {
+            "temperature": "temperature",
+            "error": "error model",
+            "accuracy": "estimated accuracy",
+        }
+        parts = self.parts.to_dict()
+        substitutes = self.substitutes.to_dict()
+        same = [
+            title
+            for key, title in titles.items()
+            if key in parts and parts[key] == substitutes.get(key)
+        ]
         return f"{', '.join(same)} of images of {default} columns" if same else ""
 
     def inherited(self) -> str:
@@ -204,7 +222,7 @@ class WeightsCard:
             "error model": self.error and self.error.scores.get(INHERITED),
             "estimated accuracy": self.accuracy and self.accuracy.inherited_from,
         }
-        origins = {part: shortened(name) for part, name in parts.items() if name}
+        origins = {title: shortened(name) for title, name in parts.items() if name}
         names = " and ".join(dict.fromkeys(origins.values()))
         return f"{' and '.join(origins)} of {names}" if origins else ""
 
@@ -223,15 +241,16 @@ class WeightsCard:
             "recipe": dict(self.recipe),
             "scores": dict(self.scores),
         }
-        known = {name: plain(part) for name in FITTED if (part := getattr(self, name))}
-        known |= {
+        optional = {name: plain(getattr(self, name)) for name in FITTED}
+        optional |= {
             "trained_on": "".join(sorted(self.trained_on)),
             "weights_version": self.version,
             "tensors_sha256": self.tensors_sha256,
             "widths": list(self.widths),
             "of_widths": {width: plain(parts) for width, parts in sorted(self.of_widths.items())},
         }
-        return {KEY: json.dumps(values | {name: part for name, part in known.items() if part})}
+        values |= {name: value for name, value in optional.items() if value}
+        return {KEY: json.dumps(values)}
 
     @classmethod
     def from_metadata(cls, metadata: Mapping[str, str], source: object) -> WeightsCard:
@@ -240,23 +259,29 @@ class WeightsCard:
             values = json.loads(metadata.get(KEY, "{}"))
             if not isinstance(values, dict):
                 raise TypeError(f"{KEY} is not a table")
-            if (version_of_format := values.get("format")) is None:
+            version_of_format = values.get("format")
+            if version_of_format is None:
                 hint = "convert a published checkpoint with `salsanext import-weights`"
                 raise WeightsError(source, "has no metadata of salsanext", hint=hint)
             if version_of_format != FORMAT:
-                problem, hint = f"has format {shortened(version_of_format)}", "update salsanext"
+                problem = f"has format {shortened(version_of_format)}"
+                hint = "update salsanext"
                 raise WeightsError(source, problem, FORMAT, hint)
             fitted = [name for name in FITTED if name in values]
-            if bad := [key for key in (*TABLES, *fitted) if not isinstance(values[key], dict)]:
+            bad = [key for key in (*TABLES, *fitted) if not isinstance(values[key], dict)]
+            if bad:
                 raise TypeError(f"{bad[0]} is not a table")
             if "risk" in fitted:
-                values["risk"] = _renamed(values["risk"], source)
-            if type(version := values.get("weights_version", 1)) is not int or version < 1:
+                values["risk"] = _with_current_keys(values["risk"], source)
+            version = values.get("weights_version", 1)
+            if type(version) is not int or version < 1:
                 raise ValueError(f"weights_version is {shortened(version)}")
-            description, error = str(values["description"]), values.get("error")
-            if error and (statement := OF_ERROR.search(description)):
+            description = str(values["description"])
+            error = values.get("error")
+            statement = ERROR_SENTENCE.search(description)
+            if error and statement:
                 # The sentence must go when the error model is replaced.
-                description = OF_ERROR.sub("", description)
+                description = ERROR_SENTENCE.sub("", description)
                 error["scores"] = {"fitted_to": statement[1], **error["scores"]}
             sensor = Sensor.from_dict(values["sensor"], source)
             return cls(
@@ -268,7 +293,7 @@ class WeightsCard:
                 description=description,
                 temperature=valid_temperature(values["temperature"]),
                 **{name: decoded(FITTED[name], values[name]) for name in fitted},
-                trained_on=frozenset(parted(values.get("trained_on", ""))),
+                trained_on=frozenset(split_digests(values.get("trained_on", ""))),
                 version=values.get("weights_version"),
                 tensors_sha256=_sha256(values.get("tensors_sha256", "")),
                 widths=_checked_widths(values.get("widths", []), sensor.width),
@@ -299,14 +324,16 @@ def _checked_widths(widths: object, default: int) -> tuple[int, ...]:
     return tuple(widths)
 
 
-def _renamed(risk: Json, source: object) -> Json:
+def _with_current_keys(risk: Json, source: object) -> Json:
     """Return a threshold of an early version with the keys of this one."""
     if risk.pop("classes", None):
         hint = "run `salsanext tune risk` on the weights that it was chosen for"
         raise WeightsError(source, "has thresholds of classes", "one for all classes", hint)
-    if view := risk.pop("view", None):
+    view = risk.pop("view", None)
+    if view:
         risk["views"] = [view, *risk.pop("other_views", ())]
     settings = risk.get("settings", {})
-    if "width" in (sensor := settings.get(KEY_OF["sensor"], {})):
+    sensor = settings.get(KEY_OF["sensor"], {})
+    if "width" in sensor:
         settings[KEY_OF["width"]] = sensor.pop("width")
     return risk

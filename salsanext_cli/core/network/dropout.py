@@ -41,8 +41,10 @@ def dropouts(module: nn.Module) -> list[ChannelDropout]:
 
 def require_dropout(module: nn.Module) -> float:
     """Return the dropout rate; raise `WeightsError` if it is 0."""
-    if not (layers := dropouts(module)):
-        expected, hint = "a dropout rate above 0", "run `salsanext tune dropout`"
+    layers = dropouts(module)
+    if not layers:
+        expected = "a dropout rate above 0"
+        hint = "run `salsanext tune dropout`"
         raise WeightsError("weights", "the network has no dropout", expected, hint)
     return layers[0].rate
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from salsanext_cli.core.compiled import argument, compiled, parallel_for_slices
-from salsanext_cli.core.errors import shortened
 from salsanext_cli.core.records import Float
+from salsanext_cli.core.texts import shortened
 
 TEMPERATURES = (1e-3, 1e3)
 """Lowest and highest; beyond, the logits of float32 overflow or all classes become equal."""
@@ -28,21 +28,49 @@ def valid_temperature(value: Any) -> float:
 
 
 def last_values(rows: Float, layers: Sequence[tuple[Float, Float]]) -> Float:
-    """Return an `ErrorModel`'s last value for rows (N, F), (N,) float32; NaN for rows with NaN."""
+    """Return the last value of an `ErrorModel` for rows of features.
+
+    Parameters
+    ----------
+    rows : (N, F) float32
+        Features.
+    layers : sequence of pairs
+        Weights (I, O) and biases (O,) of each layer.
+
+    Returns
+    -------
+    (N,) float32
+        Values; NaN for rows with NaN.
+    """
     rows = argument(rows, np.float32)
     arrays = tuple((argument(w, np.float32), argument(b, np.float32)) for w, b in layers)
     values = np.empty(len(rows), np.float32)
-    parallel_for_slices(lambda part: compute_rows(rows[part], arrays, values[part]), len(rows))
+
+    def compute(numbers: slice) -> None:
+        compute_rows(rows[numbers], arrays, values[numbers])
+
+    parallel_for_slices(compute, len(rows))
     return values
 
 
 @compiled
 def compute_rows(rows: Float, layers: tuple[tuple[Float, Float], ...], last: Float) -> None:
-    """Write the result of `last_values`, block by block; a layer's values are (O, BLOCK)."""
+    """Write the result of `last_values`, block by block.
+
+    Parameters
+    ----------
+    rows : (N, F) float32
+        Features.
+    layers : tuple of pairs
+        Weights (I, O) and biases (O,) of each layer.
+    last : (N,) float32
+        Result.
+    """
     widest = rows.shape[1]
     for _, bias in layers:
         widest = max(widest, len(bias))
-    before, after = np.zeros((2, widest, BLOCK), np.float32)
+    before = np.zeros((widest, BLOCK), np.float32)
+    after = np.zeros((widest, BLOCK), np.float32)
     for start in range(0, len(rows), BLOCK):
         count = min(BLOCK, len(rows) - start)
         for i in range(count):
@@ -53,7 +81,8 @@ def compute_rows(rows: Float, layers: tuple[tuple[Float, Float], ...], last: Flo
                 values = after[j]
                 values[:] = bias[j]
                 for k in range(len(weight)):
-                    factor, column = weight[k, j], before[k]
+                    factor = weight[k, j]
+                    column = before[k]
                     for i in range(BLOCK):
                         values[i] += factor * column[i]
                 if number < len(layers) - 1:
@@ -77,7 +106,7 @@ class ErrorModel:
     temperature: float | None = None
 
     def __post_init__(self) -> None:
-        sizes = [len(self.features), *(len(bias) for _, bias in self.layers)]
+        sizes = [len(self.features)] + [len(bias) for _, bias in self.layers]
         if not self.layers or sizes[-1] != 1:
             raise ValueError("the error model does not have one output")
         for (weight, bias), size in zip(self.layers, pairwise(sizes), strict=True):
@@ -98,7 +127,9 @@ class ErrorModel:
         """Return plain data that `from_dict` accepts; numbers have seven digits."""
         layers = [[_rounded(weight), _rounded(bias)] for weight, bias in self.layers]
         data = {"features": list(self.features), "layers": layers, "scores": dict(self.scores)}
-        return data | ({"temperature": self.temperature} if self.temperature else {})
+        if self.temperature:
+            data["temperature"] = self.temperature
+        return data
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> ErrorModel:
@@ -107,7 +138,8 @@ class ErrorModel:
             (np.array(weight, np.float32), np.array(bias, np.float32))
             for weight, bias in data["layers"]
         ]
-        names, scores = tuple(map(str, data["features"])), dict(data["scores"])
+        names = tuple(map(str, data["features"]))
+        scores = dict(data["scores"])
         temperature = data.get("temperature")
         return cls(names, layers, scores, temperature and valid_temperature(temperature))
 

@@ -5,11 +5,12 @@ from collections.abc import Callable, Mapping
 from functools import cache
 from typing import Any
 
-from salsanext_cli.core.errors import UsageError, error_text, shortened
+from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.network.salsanext import SalsaNext
 from salsanext_cli.core.network.segmentation import SegmentationNetwork
 from salsanext_cli.core.network.weights_names import PAPER_NETWORKS, paper_networks_hint
 from salsanext_cli.core.plug_ins import DISTRIBUTION, PlugIn, load_plug_ins
+from salsanext_cli.core.texts import error_text, shortened
 
 NUMBERS = frozenset({"class_count", "dropout"})  # Of a network, in a weights file
 ARCHITECTURES: dict[str, Callable[..., SegmentationNetwork]] = {"salsanext": SalsaNext}
@@ -29,33 +30,52 @@ def plug_in_of(name: object) -> PlugIn | None:
 def described(name: str, **numbers: float) -> dict[str, Any]:
     """Return an architecture as weights files hold it: the name, its distribution, the numbers."""
     plug_in = plug_in_of(name)
-    return {"name": name, **({DISTRIBUTION: plug_in.distribution} if plug_in else {}), **numbers}
+    origin = {DISTRIBUTION: plug_in.distribution} if plug_in else {}
+    return {"name": name} | origin | numbers
 
 
 def build(architecture: Mapping[str, Any], source: object = "architecture") -> SegmentationNetwork:
-    """Build a network; `UsageError` about the source if it is unknown, or refuses the numbers.
+    """Build a network.
 
-    An architecture is such as ``{"name": "salsanext", "class_count": 20, "dropout": 0.2}``. The
-    distribution of a plug-in only serves an error where it is not installed.
+    Parameters
+    ----------
+    architecture : mapping
+        Name and numbers, such as ``{"name": "salsanext", "class_count": 20, "dropout": 0.2}``. The
+        distribution of a plug-in only serves an error where it is not installed.
+    source : object
+        Origin of the architecture in errors.
+
+    Returns
+    -------
+    SegmentationNetwork
+
+    Raises
+    ------
+    UsageError
+        If the network is unknown, or refuses the numbers.
     """
     numbers = dict(architecture)
-    name, distribution = numbers.pop("name", None), numbers.pop(DISTRIBUTION, None)
+    name = numbers.pop("name", None)
+    distribution = numbers.pop(DISTRIBUTION, None)
     if not isinstance(name, str):
         raise UsageError(source, f"has the architecture {shortened(name)}", "a name")
     plug_in = plug_in_of(name)
     if name not in ARCHITECTURES and plug_in is None:
-        problem, hint = f"has the unknown architecture {shortened(name)}", ""
+        problem = f"has the unknown architecture {shortened(name)}"
+        hint = ""
         if distribution:
             problem += f" of the plug-in {shortened(distribution)}"
             hint = f"install {shortened(distribution)} in this environment"
         elif name.startswith(PAPER_NETWORKS):
             hint = paper_networks_hint()
-        known = (*ARCHITECTURES, *map(str, plugged_networks().values()))
-        raise UsageError(source, problem, " or ".join(known), hint)
+        names = list(ARCHITECTURES) + [str(other) for other in plugged_networks().values()]
+        raise UsageError(source, problem, " or ".join(names), hint)
     try:
-        if unknown := sorted(numbers.keys() - NUMBERS):
+        unknown = sorted(numbers.keys() - NUMBERS)
+        if unknown:
             raise TypeError(f"no {', '.join(unknown)}")
-        network = (plug_in.target if plug_in else ARCHITECTURES[name])(**numbers)
+        constructor = plug_in.target if plug_in else ARCHITECTURES[name]
+        network = constructor(**numbers)
         if not isinstance(network, SegmentationNetwork):
             raise TypeError(f"a SegmentationNetwork, not a {type(network).__name__}")
     except (TypeError, ValueError) as error:

@@ -127,14 +127,18 @@ class SalsaNext(SegmentationNetwork):
         super().__init__()
         self.levels = len(decoder_widths)
         self.stride = (2**self.levels, 2**self.levels)
-        channels = pairwise((len(CHANNELS), *(3 * [context_width])))
-        self.context = nn.Sequential(*(ContextBlock(*pair) for pair in channels))
-        for number, pair in enumerate(pairwise((context_width, *widths)), 1):
-            self.add_module(f"block{number}", ResidualBlock(*pair))
+        self.context = nn.Sequential(
+            ContextBlock(len(CHANNELS), context_width),
+            ContextBlock(context_width, context_width),
+            ContextBlock(context_width, context_width),
+        )
+        for number, (inputs, outputs) in enumerate(pairwise([context_width, *widths]), 1):
+            self.add_module(f"block{number}", ResidualBlock(inputs, outputs))
         for number in range(1, self.levels + 1):
             self.add_module(f"down{number}", average_pooling(dropout if number > 1 else 0.0))
         self.bottom = ChannelDropout(dropout)
-        width, skips = widths[-1], reversed(widths[:-1])
+        width = widths[-1]
+        skips = reversed(widths[:-1])
         for number, (skip, outputs) in enumerate(zip(skips, decoder_widths, strict=True), 1):
             rate = dropout if number < self.levels else 0.0
             self.add_module(f"up{number}", UpBlock(width, skip, outputs, rate))

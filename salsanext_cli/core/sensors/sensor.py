@@ -14,9 +14,10 @@ from operator import lt
 from pathlib import Path
 from typing import Any
 
-from salsanext_cli.core.errors import UsageError, quoted, shortened
+from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.field_rules import FieldRule
 from salsanext_cli.core.plain_data import are_numbers, refuse_unknown
+from salsanext_cli.core.texts import quoted, shortened
 from salsanext_cli.core.wording import command, setting
 
 MAX_PIXELS = 1 << 21  # Largest range image: 64×32768, eight times the finest sensor
@@ -42,8 +43,18 @@ UP = (0.0, 0.0, 1.0)  # Direction of the z axis, away from the ground
 ORIGIN = (0.0, 0.0, 0.0)
 FITTED_NAME = "fitted"  # Name of a sensor whose field of view or mounting was fitted to scans
 OPTIONAL = (
-    *(*NOISE, "columns", "up", "origin", "intensity_quantiles", "row_gaps", "min_range", "ego_box"),
-    *("registered", "traits", "others", "intensity_field"),
+    *NOISE,
+    "columns",
+    "up",
+    "origin",
+    "intensity_quantiles",
+    "row_gaps",
+    "min_range",
+    "ego_box",
+    "registered",
+    "traits",
+    "others",
+    "intensity_field",
 )
 """Fields that are only written if their value is not the default."""
 
@@ -157,19 +168,21 @@ class Sensor:
         """Return plain data that `from_dict` accepts, without the defaults of `OPTIONAL`."""
         values = asdict(self) | {"others": tuple(other.to_dict(without) for other in self.others)}
         optional = [field for field in fields(self) if field.name in OPTIONAL]
-        usual = [field.name for field in optional if values[field.name] == field.default]
-        return {k: value for k, value in values.items() if k not in usual and k not in without}
+        omitted = {field.name for field in optional if values[field.name] == field.default}
+        omitted.update(without)
+        return {key: value for key, value in values.items() if key not in omitted}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], source: object = "sensor") -> Sensor:
         """Build a sensor from plain data; an unknown or missing key raises `UsageError`."""
         refuse_unknown(data, cls, source)
-        if missing := [f.name for f in fields(cls) if f.default is MISSING and f.name not in data]:
+        missing = [f.name for f in fields(cls) if f.default is MISSING and f.name not in data]
+        if missing:
             inspect = command("salsanext inspect SCANS", setting("fit", "FILE.toml"))
             hint = f"estimate them with `{inspect}`"
             if isinstance(source, Path) and data.keys().isdisjoint(FIELD_OF_VIEW):
-                settings = (setting("sensor", source), setting("fit", "NEW.toml"))
-                inspect = command("salsanext inspect SCANS", *settings)
+                file = setting("sensor", source)
+                inspect = command("salsanext inspect SCANS", file, setting("fit", "NEW.toml"))
                 hint = f"run `{inspect}`, then use NEW.toml"
             expected = "a sensor with fov_up, fov_down, height, width"
             raise UsageError(source, f"lacks {', '.join(missing)}", expected, hint)
@@ -185,8 +198,8 @@ class Sensor:
         """Return a TOML file that `sensor` reads; size and normalisation only with `images`."""
         values = self.to_dict(("name",) if images else ("name", *OF_IMAGES))
         # JSON of texts, numbers and lists of numbers is TOML as well.
-        known = {key: value for key, value in values.items() if value is not None}
-        return "".join(f"{key} = {json.dumps(value)}\n" for key, value in known.items())
+        lines = [f"{k} = {json.dumps(value)}\n" for k, value in values.items() if value is not None]
+        return "".join(lines)
 
     def view(self) -> dict[str, Any]:
         """Return plain data of all fields but name, noise and statistics of scans."""
@@ -226,7 +239,8 @@ def are_columns(names: tuple[str, ...]) -> bool:
 
 def is_field(name: object) -> bool:
     """Return whether a value can be the name of a column with the intensity."""
-    return isinstance(name, str) and name == name.strip() and name not in (*"xyz", UNUSED_COLUMN)
+    reserved = ("x", "y", "z", UNUSED_COLUMN)
+    return isinstance(name, str) and name == name.strip() and name not in reserved
 
 
 def is_box(values: Any) -> bool:

@@ -37,11 +37,25 @@ def leaky_relu_moments(mean: Tensor, variance: Tensor, slope: float) -> tuple[Te
         mean     = LeakyReLU(m) + (1 − a) √v e
         variance = v [a² + (1 − a²) p − (1 − a)² e (τ + e)]     p = 1 − q if m > 0, else q
 
-    Nothing cancels, unlike in E[y²] − E[y]², which is 0 in float32 for m = 10, v = 10⁻⁶. The slope
-    a is from 0 to 1; half precision is computed in float32.
+    Nothing cancels, unlike in E[y²] − E[y]², which is 0 in float32 for m = 10, v = 10⁻⁶. Half
+    precision is computed in float32.
+
+    Parameters
+    ----------
+    mean, variance : Tensor
+        Moments m and v, of the same shape.
+    slope : float
+        Slope a below 0, from 0 to 1.
+
+    Returns
+    -------
+    mean, variance : Tensor
+        Moments of the result, of the same shape and dtype.
     """
-    dtype, wide = mean.dtype, torch.promote_types(mean.dtype, torch.float32)
-    m, v = mean.to(wide), variance.to(wide)
+    dtype = mean.dtype
+    wide = torch.promote_types(mean.dtype, torch.float32)
+    m = mean.to(wide)
+    v = variance.to(wide)
     deviation = v.sqrt()
     far = m.abs().div_(deviation.clamp(min=MIN_DIVISOR)).clamp_(max=MAX_DEVIATIONS)
     beyond = torch.special.erfc(far * math.sqrt(0.5)).mul_(0.5)
@@ -66,21 +80,38 @@ def softmax_moments(mean: Tensor, variance: Tensor, dim: int) -> tuple[Tensor, T
 
     The means p are divided by their sum; each variance keeps its share of p (1 − p), which no
     variable between 0 and 1 exceeds. For variance 0, the means are the plain softmax.
+
+    Parameters
+    ----------
+    mean, variance : Tensor
+        Moments of the logits, of the same shape.
+    dim : int
+        Dimension of the classes.
+
+    Returns
+    -------
+    mean, variance : Tensor
+        Moments of the softmax, of the same shape and dtype.
     """
     wide = torch.promote_types(mean.dtype, torch.float32)
-    m, v = (t.to(wide).movedim(dim, 0) for t in (mean, variance))
-    columns = [t.reshape(len(m), -1) for t in (m, v)]
+    m = mean.to(wide).movedim(dim, 0)
+    v = variance.to(wide).movedim(dim, 0)
     on_cpu = m.device.type == "cpu"
     step = max(1, (CHUNK_SIZE if on_cpu else m.numel()) // len(m))
-    chunks = [*zip(*(torch.split(c, step, dim=1) for c in columns), strict=True)]
-    parts = [chunks[0]] * len(chunks)
+    mean_chunks = torch.split(m.reshape(len(m), -1), step, dim=1)
+    variance_chunks = torch.split(v.reshape(len(v), -1), step, dim=1)
+    means = list(mean_chunks)
+    variances = list(variance_chunks)
 
     def compute(number: int) -> None:
-        parts[number] = _softmax(*chunks[number])
+        chunk_mean, chunk_variance = _softmax(mean_chunks[number], variance_chunks[number])
+        means[number] = chunk_mean
+        variances[number] = chunk_variance
 
-    parallel_for(compute, range(len(chunks)))
-    results = (torch.cat(part, dim=1).view(m.shape) for part in zip(*parts, strict=True))
-    return tuple(t.movedim(0, dim).to(mean.dtype) for t in results)  # type: ignore[return-value]
+    parallel_for(compute, range(len(means)))
+    softmax_mean = torch.cat(means, dim=1).view(m.shape).movedim(0, dim)
+    softmax_variance = torch.cat(variances, dim=1).view(m.shape).movedim(0, dim)
+    return softmax_mean.to(mean.dtype), softmax_variance.to(mean.dtype)
 
 
 def _softmax(m: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
@@ -94,7 +125,8 @@ def _softmax(m: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
     total = probability.sum(dim=0)
     others = _sum_of_others(probability, probability.masked_fill(is_best, 0), is_best)
     share = variance / complement.clamp(min=MIN_DIVISOR)
-    mean, rest = probability / total, others / total
+    mean = probability / total
+    rest = others / total
     return mean, _consistent(mean, share * rest / total).minimum(mean * rest)
 
 
@@ -102,23 +134,27 @@ def logistic_moments(d: Tensor, variance: Tensor) -> tuple[Tensor, Tensor, Tenso
     """Return mean, 1 − mean and variance of the logistic function of N(d, variance)."""
     # Differences from the smaller of logistic(d) and 1 − logistic(d) keep the digits of a
     # confident class.
-    near, deviation = -d.abs(), variance.sqrt()
-    small, large = torch.sigmoid(near), torch.sigmoid(-near)
+    near = -d.abs()
+    deviation = variance.sqrt()
+    small = torch.sigmoid(near)
+    large = torch.sigmoid(-near)
     slope = small * large
-    first, second = torch.zeros_like(d), torch.zeros_like(d)
+    first = torch.zeros_like(d)
+    second = torch.zeros_like(d)
     nodes, weights = np.polynomial.hermite_e.hermegauss(NODES)
     # The nodes are symmetric: one half gives steps up and down.
     half = slice(NODES // 2, None)
     pairs = zip(nodes[half].tolist(), (weights / weights.sum())[half].tolist(), strict=True)
     for node, weight in pairs:
         step = deviation * node
-        part = torch.expm1(-step).neg_()
-        fall = slope * part / (1 - small * part)
-        near_rise = slope * part / (1 - large * part)
+        decay = torch.expm1(-step).neg_()
+        fall = slope * decay / (1 - small * decay)
+        near_rise = slope * decay / (1 - large * decay)
         rise = torch.where(step < 1, near_rise, torch.sigmoid(near + step) - small)
         first.add_(rise - fall, alpha=weight)
         second.add_(rise.square_() + fall.square_(), alpha=weight)
-    small, large = (small + first).clamp_(0, 1), (large - first).clamp_(0, 1)
+    small = (small + first).clamp_(0, 1)
+    large = (large - first).clamp_(0, 1)
     spread = (second - first.square()).clamp_(min=0)
     return torch.where(d > 0, large, small), torch.where(d > 0, small, large), spread
 
@@ -215,7 +251,8 @@ class Gaussian:
 
     def softmax(self, dim: int) -> Gaussian:
         """Return the moments of the softmax over a dimension."""
-        return Gaussian(*softmax_moments(self.mean, self.variance, dim))
+        mean, variance = softmax_moments(self.mean, self.variance, dim)
+        return Gaussian(mean, variance)
 
 
 def _linear(function: Callable[..., Tensor]) -> Callable[..., Gaussian]:
@@ -251,7 +288,8 @@ def _batch_norm(
 
 
 def _leaky_relu(x: Gaussian, negative_slope: float = 0.01, inplace: bool = False) -> Gaussian:
-    return Gaussian(*leaky_relu_moments(x.mean, x.variance, negative_slope))
+    mean, variance = leaky_relu_moments(x.mean, x.variance, negative_slope)
+    return Gaussian(mean, variance)
 
 
 def _avg_pool2d(x: Gaussian, kernel: int, stride: int, padding: int, *count: Any) -> Gaussian:
@@ -269,8 +307,9 @@ def _dropout2d(x: Gaussian, p: float, training: bool, inplace: bool = False) -> 
     return x
 
 
-def _concatenate(parts: Sequence[Gaussian], dim: int = 0) -> Gaussian:
-    means, variances = zip(*((part.mean, part.variance) for part in parts), strict=True)
+def _concatenate(gaussians: Sequence[Gaussian], dim: int = 0) -> Gaussian:
+    means = [gaussian.mean for gaussian in gaussians]
+    variances = [gaussian.variance for gaussian in gaussians]
     return Gaussian(torch.cat(means, dim), torch.cat(variances, dim))
 
 

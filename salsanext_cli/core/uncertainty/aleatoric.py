@@ -27,10 +27,26 @@ def _along_ray(channels: Float) -> Float:
 
 
 def noisy_copies(image: RangeImage, sensor: Sensor, seed: int) -> Iterator[Float]:
-    """Yield channels (5, H, W) float32 endlessly, with the noise of the sensor along each ray."""
+    """Yield noisy copies of a range image endlessly.
+
+    Parameters
+    ----------
+    image : RangeImage
+        H × W pixels.
+    sensor : Sensor
+        Sensor with its noise along each ray and of its intensity.
+    seed : int
+        Seed of the noise.
+
+    Yields
+    ------
+    (5, H, W) float32
+        Channels.
+    """
     range_noise, intensity_noise = noise_of(sensor)
     random = np.random.default_rng(seed)
-    occupied, step = image.channels[0] > 0, _along_ray(image.channels)
+    occupied = image.channels[0] > 0
+    step = _along_ray(image.channels)
     while True:
         along, bright = random.standard_normal((2, *occupied.shape), np.float32)
         copy = image.channels.copy()
@@ -51,7 +67,21 @@ def input_variance(channels: Float, sensor: Sensor) -> Float:
 
 
 def noise_variance(network: Network, image: RangeImage, seed: int) -> Float:
-    """Return the unbiased variance (C, H, W) of the softmax over noisy copies."""
+    """Return the unbiased variance of the softmax over noisy copies.
+
+    Parameters
+    ----------
+    network : Network
+        Network for the sensor of the image.
+    image : RangeImage
+        H × W pixels.
+    seed : int
+        Seed of the noise.
+
+    Returns
+    -------
+    (C, H, W) float32
+    """
     copies = islice(noisy_copies(image, network.sensor, seed), COPIES)
     moments = network.backend.spread(map(network.input, copies), network.merging)
     return (moments.variance() * (COPIES / (COPIES - 1))).astype(np.float32)
@@ -62,8 +92,8 @@ def aleatoric(network: Network, image: RangeImage) -> Float:
     filled = with_filled_gaps(image.channels, network.sensor, network.card.sensor)
     variance = input_variance(filled, network.sensor)[None]
     mean = network.input(image.channels)
-    moments = network.backend.run("moments", _moments, mean, variance, exact=True)
-    softmax = Gaussian(*moments).softmax(dim=1)
+    logits, logits_variance = network.backend.run("moments", _moments, mean, variance, exact=True)
+    softmax = Gaussian(logits, logits_variance).softmax(dim=1)
     return softmax.variance[0].cpu().numpy()
 
 

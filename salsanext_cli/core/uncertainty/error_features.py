@@ -4,6 +4,9 @@
 They are independent of the classes, and all but the height of the sensor.
 """
 
+from dataclasses import dataclass
+from enum import IntEnum
+
 import numpy as np
 
 from salsanext_cli.core import wording
@@ -16,23 +19,43 @@ from salsanext_cli.core.geometry.objects import root
 from salsanext_cli.core.network.error_model import ErrorModel
 from salsanext_cli.core.records import Float, Int, Mask, RangeImage
 
-ROWS, COLUMNS, STEP = 4, 8, 2
-"""Rows and columns of the window on each side, and the step between them."""
-NEAR_M, NEAR_SHARE = 1.0, 0.05  # Ranges of one surface differ by less, in metres or relatively
+ROWS = 4  # Rows of the window above the pixel, and as many below
+COLUMNS = 8  # Columns of the window on each side
+STEP = 2  # Step between rows and between columns of the window
+NEAR_M = 1.0  # Ranges of one surface differ by less, in metres, or by less than
+NEAR_SHARE = 0.05  # this share of the range
 COST = 8  # Time of a window relative to the projection of a point
 
 
 def label_support(image: RangeImage, probabilities: Float, labels: TrainIds, pixels: Int) -> Float:
-    """Return the mean probability (M,) of labels (M,) around pixels (M,) at their range.
+    """Return the mean probability of labels around pixels, at the range of these.
 
     The window has every second row and column of 9 × 17 pixels; narrow images repeat columns.
+
+    Parameters
+    ----------
+    image : RangeImage
+        H × W pixels.
+    probabilities : (C, H, W) float32
+        Softmax of the pixels.
+    labels : (M,) uint8
+        Train ids.
+    pixels : (M,) int32
+        Flat index of the occupied pixel of each label.
+
+    Returns
+    -------
+    (M,) float32
+        Probabilities, 0…1.
     """
-    ranges, softmax = argument(image.channels[0], np.float32), argument(probabilities, np.float32)
-    labels, pixels = argument(labels, np.uint8), argument(pixels, np.int32)
+    ranges = argument(image.channels[0], np.float32)
+    softmax = argument(probabilities, np.float32)
+    labels = argument(labels, np.uint8)
+    pixels = argument(pixels, np.int32)
     support = np.empty(len(labels), np.float32)
 
-    def describe(part: slice) -> None:
-        mean_in_windows(ranges, softmax, labels[part], pixels[part], support[part])
+    def describe(places: slice) -> None:
+        mean_in_windows(ranges, softmax, labels[places], pixels[places], support[places])
 
     parallel_for_slices(describe, len(labels), COST)
     return support
@@ -42,31 +65,55 @@ def label_support(image: RangeImage, probabilities: Float, labels: TrainIds, pix
 def mean_in_windows(
     ranges: Float, probabilities: Float, labels: TrainIds, pixels: Int, support: Float
 ) -> None:
-    """Write the result of `label_support`."""
+    """Write the result of `label_support`.
+
+    Parameters
+    ----------
+    ranges : (H, W) float32
+        Ranges of the pixels in metres, 0 where empty.
+    probabilities, labels, pixels
+        As in `label_support`.
+    support : (M,) float32
+        Result.
+    """
     height, width = ranges.shape
     # A table: a division for each pixel of a window would take longer than the rest.
     columns = np.arange(-COLUMNS, width + COLUMNS) % width
     for i in range(len(labels)):
-        v, u = pixels[i] // width, pixels[i] % width
-        centre, of_label = ranges[v, u], probabilities[labels[i]]
+        v = pixels[i] // width
+        u = pixels[i] % width
+        centre = ranges[v, u]
+        label_probability = probabilities[labels[i]]
         most = max(NEAR_M, NEAR_SHARE * centre)
-        count, total = 0, 0.0
+        count = 0
+        total = 0.0
         for row in range(v - ROWS, v + ROWS + 1, STEP):
             if 0 <= row < height:
                 for column in columns[u : u + 2 * COLUMNS + 1 : STEP]:
                     if ranges[row, column] > 0 and abs(ranges[row, column] - centre) <= most:
                         count += 1
-                        total += of_label[row, column]
+                        total += label_probability[row, column]
         support[i] = total / count
 
 
 @compiled
 def mean_of_regions(occupied: Mask, classes: TrainIds, values: Float, means: Float) -> None:
-    """Write the mean (H, W) of a value over the region of each pixel; empty pixels are unchanged.
+    """Write the mean of a value over the region of each pixel.
 
     A region consists of occupied pixels of one class. Neighbours are adjacent, also diagonally and
     around the image, or have one pixel of their row or column in between. This is union-find with
     the lowest pixel as the root.
+
+    Parameters
+    ----------
+    occupied : (H, W) bool
+        Whether a pixel has a point.
+    classes : (H, W) uint8
+        Train ids.
+    values : (H, W) float32
+        Values to average.
+    means : (H, W) float32
+        Result; an empty pixel has its own value.
     """
     height, width = occupied.shape
     parent = np.arange(height * width)
@@ -75,12 +122,15 @@ def mean_of_regions(occupied: Mask, classes: TrainIds, values: Float, means: Flo
             if not occupied[v, u]:
                 continue
             for dv, du in ((0, -1), (0, -2), (-1, -1), (-1, 0), (-1, 1), (-2, 0)):
-                row, column = v + dv, (u + du) % width
+                row = v + dv
+                column = (u + du) % width
                 if row < 0 or not occupied[row, column] or classes[row, column] != classes[v, u]:
                     continue
-                one, other = root(parent, v * width + u), root(parent, row * width + column)
-                parent[max(one, other)] = min(one, other)
-    count, total = np.zeros(parent.size), np.zeros(parent.size)
+                first = root(parent, v * width + u)
+                second = root(parent, row * width + column)
+                parent[max(first, second)] = min(first, second)
+    count = np.zeros(parent.size)
+    total = np.zeros(parent.size)
     for i in range(parent.size):
         # A parent is lower than its child, so it has its root already.
         parent[i] = parent[parent[i]]
@@ -88,6 +138,20 @@ def mean_of_regions(occupied: Mask, classes: TrainIds, values: Float, means: Flo
         total[parent[i]] += values[i // width, i % width]
     for i in range(parent.size):
         means[i // width, i % width] = total[parent[i]] / count[parent[i]]
+
+
+class Feature(IntEnum):
+    """Columns of the features, in the order of `FEATURES`."""
+
+    LABEL_PROBABILITY = 0
+    LARGEST_PROBABILITY = 1
+    MARGIN = 2
+    ENTROPY = 3
+    LABEL_SUPPORT = 4
+    REGION_PROBABILITY = 5
+    LOG_RANGE_BEYOND_PIXEL = 6
+    LOG_RANGE = 7
+    HEIGHT = 8
 
 
 FEATURES = (
@@ -101,52 +165,87 @@ FEATURES = (
     "log range",
     "height above the sensor",
 )
+"""Names in weights files."""
 NEAREST_M = 0.5  # Lower bound of ranges in logarithms
 
 
 def error_features(image: RangeImage, probabilities: Float, labels: TrainIds) -> Float:
-    """Return the features of points, (N, 9) float32, NaN without a pixel; labels after kNN."""
+    """Return the features of points.
+
+    Parameters
+    ----------
+    image : RangeImage
+        H × W pixels of N points.
+    probabilities : (C, H, W) float32
+        Softmax of the pixels.
+    labels : (N,) uint8
+        Train ids of the points, after kNN.
+
+    Returns
+    -------
+    (N, 9) float32
+        Columns of `Feature`; NaN for points without a pixel.
+    """
     # Most points have the label of their pixel and are described once per pixel, others alone.
-    classes, table = _of_pixels(image, probabilities)
+    pixel_features = _features_of_pixels(image, probabilities)
     features = np.empty((len(labels), len(FEATURES)), np.float32)
     differs = np.empty(len(labels), bool)
 
-    def gather(part: slice) -> None:
-        pixels, log_range = image.pixel_of_point[part], _log_range(image.point_range[part])
-        table.take(pixels, 0, features[part], "clip")
-        features[part, 6] = log_range - features[part, 7]
-        features[part, 7] = log_range
-        differs[part] = labels[part] != classes.take(pixels, mode="clip")
+    def gather(points: slice) -> None:
+        pixels = image.pixel_of_point[points]
+        log_range = _log_range(image.point_range[points])
+        rows = features[points]
+        pixel_features.table.take(pixels, 0, rows, "clip")
+        rows[:, Feature.LOG_RANGE_BEYOND_PIXEL] = log_range - rows[:, Feature.LOG_RANGE]
+        rows[:, Feature.LOG_RANGE] = log_range
+        differs[points] = labels[points] != pixel_features.classes.take(pixels, mode="clip")
 
     parallel_for_slices(gather, len(labels))
     other = np.flatnonzero(differs & (image.pixel_of_point >= 0))
-    other_labels, pixels = labels[other], image.pixel_of_point[other]
-    features[other, 0] = probabilities.reshape(len(probabilities), -1)[other_labels, pixels]
-    features[other, 4] = label_support(image, probabilities, other_labels, pixels)
+    other_labels = labels[other]
+    pixels = image.pixel_of_point[other]
+    flat = probabilities.reshape(len(probabilities), -1)
+    features[other, Feature.LABEL_PROBABILITY] = flat[other_labels, pixels]
+    support = label_support(image, probabilities, other_labels, pixels)
+    features[other, Feature.LABEL_SUPPORT] = support
     features[image.pixel_of_point < 0] = np.nan
     return features
 
 
-def _of_pixels(image: RangeImage, probabilities: Float) -> tuple[TrainIds, Float]:
-    """Return the class of each pixel, (H · W,), and features of its nearest point, (H · W, 9)."""
-    largest, second, means = np.zeros((3, *probabilities.shape[1:]), np.float32)
-    classes = np.zeros(largest.shape, np.uint8)
-    for train_id, of_class in enumerate(probabilities):
-        np.copyto(classes, train_id, where=of_class > largest)
-        np.maximum(second, np.minimum(largest, of_class), out=second)
-        np.maximum(largest, of_class, out=largest)
+@dataclass(frozen=True, slots=True, eq=False)
+class _PixelFeatures:
+    """Features of the nearest point of each of P = H · W pixels, with the label of its pixel."""
+
+    classes: TrainIds  # (P,)
+    table: Float  # (P, 9): columns of `Feature`
+
+
+def _features_of_pixels(image: RangeImage, probabilities: Float) -> _PixelFeatures:
+    """Return the features of the pixels by their softmax (C, H, W)."""
+    size = probabilities.shape[1:]
+    largest = np.zeros(size, np.float32)
+    second = np.zeros(size, np.float32)
+    classes = np.zeros(size, np.uint8)
+    for train_id, probability in enumerate(probabilities):
+        np.copyto(classes, train_id, where=probability > largest)
+        np.maximum(second, np.minimum(largest, probability), out=second)
+        np.maximum(largest, probability, out=largest)
+    has_point = image.channels[0] > 0
+    occupied = np.flatnonzero(has_point).astype(np.int32)
+    labels = classes.reshape(-1)[occupied]
+    region_means = np.zeros(size, np.float32)
+    mean_of_regions(has_point, classes, largest, region_means)
     table = np.zeros((classes.size, len(FEATURES)), np.float32)
-    table[:, 0] = table[:, 1] = largest.reshape(-1)
-    table[:, 2] = (largest - second).reshape(-1)
-    table[:, 3] = entropy(probabilities).reshape(-1)
-    occupied = np.flatnonzero(image.channels[0] > 0).astype(np.int32)
-    of_pixel = classes.reshape(-1)[occupied]
-    table[occupied, 4] = label_support(image, probabilities, of_pixel, occupied)
-    mean_of_regions(image.channels[0] > 0, classes, largest, means)
-    table[:, 5] = means.reshape(-1)
-    table[:, 7] = _log_range(image.channels[0]).reshape(-1)
-    table[:, 8] = image.channels[3].reshape(-1)
-    return classes.reshape(-1), table
+    table[:, Feature.LABEL_PROBABILITY] = largest.reshape(-1)
+    table[:, Feature.LARGEST_PROBABILITY] = largest.reshape(-1)
+    table[:, Feature.MARGIN] = (largest - second).reshape(-1)
+    table[:, Feature.ENTROPY] = entropy(probabilities).reshape(-1)
+    support = label_support(image, probabilities, labels, occupied)
+    table[occupied, Feature.LABEL_SUPPORT] = support
+    table[:, Feature.REGION_PROBABILITY] = region_means.reshape(-1)
+    table[:, Feature.LOG_RANGE] = _log_range(image.channels[0]).reshape(-1)
+    table[:, Feature.HEIGHT] = image.channels[3].reshape(-1)
+    return _PixelFeatures(classes.reshape(-1), table)
 
 
 def _log_range(metres: Float) -> Float:
@@ -160,8 +259,9 @@ def knows_error(network: Network) -> bool:
 
 
 def error_model(network: Network) -> ErrorModel:
-    """Return the error model of weights."""
-    model, weights = network.card.error, network.backend.name
+    """Return the error model of weights; raise the errors of `error_probability`."""
+    model = network.card.error
+    weights = network.backend.name
     hint = "fit one to labelled scans with `salsanext tune error DATASET WEIGHTS_OUT`"
     if model is None:
         raise WeightsError(weights, "has no error model", hint=hint)
@@ -176,14 +276,46 @@ def error_model(network: Network) -> ErrorModel:
 def error_probability(
     network: Network, image: RangeImage, probabilities: Float, labels: TrainIds
 ) -> Float:
-    """Return the probability that a point's label is wrong, (N,) float32, NaN without a pixel."""
+    """Return the probability that a point's label is wrong.
+
+    Parameters
+    ----------
+    network : Network
+        Network with an error model.
+    image, probabilities, labels
+        As in `error_features`; the softmax at the temperature of the weights.
+
+    Returns
+    -------
+    (N,) float32
+        Probabilities, 0…1; NaN without a pixel.
+
+    Raises
+    ------
+    WeightsError
+        If the weights have no error model of these features.
+    UsageError
+        If classes are merged.
+    """
     return error_model(network).probability(features_of(network, image, probabilities, labels))
 
 
 def features_of(
     network: Network, image: RangeImage, probabilities: Float, labels: TrainIds
 ) -> Float:
-    """Return `error_features` of the softmax at the temperature of the network's error model."""
+    """Return `error_features` of the softmax at the temperature of the network's error model.
+
+    Parameters
+    ----------
+    network : Network
+        Network, perhaps with an error model.
+    image, probabilities, labels
+        As in `error_features`; the softmax at the temperature of the weights.
+
+    Returns
+    -------
+    (N, 9) float32
+    """
     card = network.card
     if card.error and card.error.temperature not in (None, card.temperature):
         exponent = np.float32(card.temperature / card.error.temperature)

@@ -65,7 +65,18 @@ class UncertaintyMethod:
     def estimate(self, network: Network, image: RangeImage, sequence: str, stem: str) -> Estimate:
         """Return the prediction for a scan and the uncertainty of its pixels.
 
-        `sequence` and `stem`, the names of the sequence and of the scan, decide the masks.
+        Parameters
+        ----------
+        network : Network
+            Network for the sensor of the scan.
+        image : RangeImage
+            H × W pixels.
+        sequence, stem : str
+            Names of the sequence and of the scan, which decide the masks and the noise.
+
+        Returns
+        -------
+        Estimate
         """
         seed = scan_seed(self.seed, sequence, stem)
         estimate = sample(network, image, samples=self.samples, seed=seed)

@@ -86,7 +86,8 @@ def sample(network: Network, image: RangeImage, *, samples: int, seed: int) -> E
     require_sampling(network, samples)
     seeds = [pass_seed(seed, number) for number in range(samples)]
     moments = network.backend.sample(network.input(image.channels), seeds, network.merging)
-    mean, variance = moments.mean(), moments.variance()
+    mean = moments.mean()
+    variance = moments.variance()
     total = entropy(mean)
     information = np.maximum(total - moments.sum_of_entropies / moments.count, 0)
     uncertainty = Uncertainty(

@@ -34,8 +34,26 @@ def writing(
 ) -> Iterator[BinaryIO]:
     """Open a file for writing that gets its name, or replaces an older file, when it is complete.
 
-    A `durable` file survives a power cut; without `overwrite`, a file that got the name meanwhile
-    raises `OutputError`; `before_rename` is called with the status of the complete file.
+    Parameters
+    ----------
+    path : Path or str
+        Name of the complete file.
+    durable : bool
+        Whether the file must survive a power cut.
+    overwrite : bool
+        Whether it may replace a file that got the name meanwhile.
+    before_rename : callable, optional
+        Called with the status of the complete file.
+
+    Yields
+    ------
+    BinaryIO
+        The open file.
+
+    Raises
+    ------
+    OutputError
+        If the system refuses to write it, or it may not replace another.
     """
     path = Path(path)
     # Process ids are not unique: machines of a cluster share the folder.
@@ -82,7 +100,22 @@ def require_writable(folder: Path) -> None:
 
 
 def require_target(target: Path, overwrite: bool, suffix: str = WEIGHTS_SUFFIX) -> None:
-    """Refuse the name of a result before the work for it begins."""
+    """Refuse the name of a result before the work for it begins.
+
+    Parameters
+    ----------
+    target : Path
+        Name of the result.
+    overwrite : bool
+        Whether it may replace a file.
+    suffix : str
+        Suffix that the name must have.
+
+    Raises
+    ------
+    OutputError
+        If the suffix is another one, the file exists, or its folder cannot be written.
+    """
     if target.suffix != suffix:
         problem = f"has the suffix {target.suffix}" if target.suffix else "has no suffix"
         raise OutputError(target, problem, suffix)
@@ -103,7 +136,8 @@ def require_absent(path: Path, overwrite: bool) -> None:
 def refusal(path: Path, error: OSError) -> OutputError:
     """Return the error of a file that the system refuses to write."""
     way = "free some space" if error.errno in FULL else "change its permissions"
-    problem, hint = f"cannot be written: {reason(error)}", f"{way} or choose another output folder"
+    problem = f"cannot be written: {reason(error)}"
+    hint = f"{way} or choose another output folder"
     return OutputError(path, problem, "a writable folder", hint)
 
 
@@ -141,7 +175,8 @@ def append_line(path: Path, line: bytes, *, durable: bool = False) -> None:
         # One unbuffered write does not mix with those of other processes. A line end comes first,
         # too: the line before may have been cut off.
         with path.open("ab", buffering=0) as file:
-            if file.write(content := b"\n" + line + b"\n") != len(content):
+            content = b"\n" + line + b"\n"
+            if file.write(content) != len(content):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             if durable:
                 os.fsync(file.fileno())

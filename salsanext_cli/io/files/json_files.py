@@ -8,8 +8,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TypeVar
 
-from salsanext_cli.core.errors import OutputError, error_text
+from salsanext_cli.core.errors import OutputError
 from salsanext_cli.core.plain_data import MALFORMED, Json, decoded, plain
+from salsanext_cli.core.texts import error_text
 from salsanext_cli.io.files.atomic import write_bytes
 from salsanext_cli.io.files.reading import present, reading
 

@@ -12,15 +12,16 @@ from tempfile import TemporaryDirectory, gettempdir
 
 from filelock import FileLock, Timeout
 
-from salsanext_cli.core.errors import OutputError, warn_once
+from salsanext_cli.core.errors import OutputError
+from salsanext_cli.core.notices import warn_once
 from salsanext_cli.io.files.atomic import refusal
 from salsanext_cli.io.files.reading import reason
 
 UNSUPPORTED = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL)
 """Error numbers of file systems without locks."""
 
-PREFIX, LOCK = ".salsanext-", ".lock"
-"""Start of the names of temporary folders, and the file in each that its process has locked."""
+PREFIX = ".salsanext-"  # Start of the names of temporary folders
+LOCK = ".lock"  # File in each of them that its process has locked
 STALE_AFTER_S = 3600.0  # Age of a lock file from which its folder may be removed
 
 log = logging.getLogger(__name__)
@@ -30,17 +31,33 @@ log = logging.getLogger(__name__)
 def locked(path: Path, timeout_s: float = 0.0, *, stage: str = "") -> Iterator[None]:
     """Lock a file, which is created and removed, while the body runs.
 
-    On a file system without locks the body runs unlocked. The error names the `stage`, if any, that
-    fills the folder.
+    On a file system without locks the body runs unlocked.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    timeout_s : float
+        Time to wait for another process, in seconds.
+    stage : str
+        Stage that fills the folder, for errors; empty for none.
+
+    Raises
+    ------
+    OutputError
+        If another process has locked it, or it cannot be created.
     """
     lock = FileLock(path, timeout=timeout_s, fallback_to_soft=False)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         lock.acquire()
     except Timeout as error:
-        subject, problem, hint = path, "is locked by another process", "wait until it has ended"
+        subject = path
+        problem = "is locked by another process"
+        hint = "wait until it has ended"
         if stage:
-            subject, problem = path.parent, f"is in use by another run of `{stage}`"
+            subject = path.parent
+            problem = f"is in use by another run of `{stage}`"
             hint += ", or use another folder"
         raise OutputError(subject, problem, hint=hint) from error
     except OSError as error:

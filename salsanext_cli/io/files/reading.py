@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.core.errors import FormatError, SalsanextError, error_text
+from salsanext_cli.core.errors import FormatError, SalsanextError
+from salsanext_cli.core.texts import error_text
 
 PANIC = "PanicException"  # Error of libraries in Rust: a BaseException that cannot be imported
 
@@ -35,15 +36,24 @@ def reading(path: Path | str) -> Iterator[BufferedReader]:
 
 @contextmanager
 def refusing_damage(path: Path, expected: str, hint: str = "") -> Iterator[None]:
-    """Turn the errors of a library at a damaged file into a `FormatError`."""
+    """Turn the errors of a library at a damaged file into a `FormatError`.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    expected : str
+        Content that is required, in words.
+    hint : str
+        What the user can do.
+    """
     try:
         yield
     except SalsanextError:
         raise
     except BaseException as error:
-        if isinstance(error, MemoryError | NameError | ImportError) or (
-            not isinstance(error, Exception) and type(error).__name__ != PANIC
-        ):
+        is_of_library = isinstance(error, Exception) or type(error).__name__ == PANIC
+        if not is_of_library or isinstance(error, MemoryError | NameError | ImportError):
             raise
         problem = f"is damaged or cut off: {error_text(error)}"
         if isinstance(error, OSError) and error.errno:  # of the system, not of a library
@@ -54,7 +64,29 @@ def refusing_damage(path: Path, expected: str, hint: str = "") -> Iterator[None]
 def read_values(
     file: BufferedIOBase, path: Path, dtype: npt.DTypeLike, count: int
 ) -> npt.NDArray[Any]:
-    """Read values (count,) from the current position of an open file that is long enough."""
+    """Read values from the current position of an open file that is long enough.
+
+    Parameters
+    ----------
+    file : BufferedIOBase
+        The open file.
+    path : Path
+        Its path, for errors.
+    dtype : dtype
+        Type of the values.
+    count : int
+        Number of values.
+
+    Returns
+    -------
+    (count,) array
+        Of the dtype.
+
+    Raises
+    ------
+    FormatError
+        If the file has become shorter.
+    """
     values = np.empty(count * np.dtype(dtype).itemsize, np.uint8)
     if file.readinto(values.data) != len(values):
         raise FormatError(path, "changed while it was read", hint="wait until it is complete")
@@ -68,7 +100,8 @@ def present(path: Path) -> bool:
 
 def filled(path: Path) -> bool:
     """Return whether a file exists and has content; a power cut can leave it empty."""
-    return bool((status := _status(path)) and status.st_size > 0)
+    status = _status(path)
+    return status is not None and status.st_size > 0
 
 
 def _status(path: Path) -> os.stat_result | None:

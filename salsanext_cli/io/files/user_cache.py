@@ -10,7 +10,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-from salsanext_cli.core.errors import OutputError, error_text
+from salsanext_cli.core.errors import OutputError
+from salsanext_cli.core.texts import error_text
 from salsanext_cli.io.files.atomic import sweep_stale, writing
 from salsanext_cli.version import __version__
 
@@ -49,7 +50,8 @@ def check_once(name: str, check: Callable[[], object]) -> None:
 
 def store(name: str, content: bytes) -> bytes:
     """Write a cached file, replacing an older one, and return its content."""
-    if folder := cache_folder():
+    folder = cache_folder()
+    if folder:
         write_checked(Path(folder, name), content)
     return content
 

@@ -8,15 +8,21 @@ from typing import Any
 
 import yaml
 
-from salsanext_cli.core.errors import FormatError, UsageError, did_you_mean, error_text
+from salsanext_cli.core.errors import FormatError, UsageError
+from salsanext_cli.core.texts import did_you_mean, error_text
 from salsanext_cli.io.files.reading import reading
 
-MAX_YAML_BYTES, MAX_TOML_BYTES = 1 << 18, 1 << 14
-"""Largest files; the time to read some texts is quadratic in their length."""
+MAX_YAML_BYTES = 1 << 18  # The time to read some texts is quadratic in their length.
+MAX_TOML_BYTES = 1 << 14
 MAX_LINE_CHARACTERS = 1000  # A TOML key of thousands of parts takes hundreds of megabytes
 MAX_NESTED_BRACKETS = 20  # Each YAML bracket makes later characters slower to read
 YAML_ERRORS = (
-    *(yaml.YAMLError, ArithmeticError, AttributeError, LookupError, TypeError, ValueError),
+    yaml.YAMLError,
+    ArithmeticError,
+    AttributeError,
+    LookupError,
+    TypeError,
+    ValueError,
     RecursionError,
 )
 """Errors of PyYAML, including those of invalid dates and numbers."""
@@ -49,7 +55,27 @@ def read_yaml(path: Path, expected: str) -> Any:
 
 
 def read_toml(path: Path, kind: str, presets: Iterable[str]) -> dict[str, Any]:
-    """Read the TOML file of a setting, such as a "sensor", that is not a preset."""
+    """Read the TOML file of a setting that is not a preset.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    kind : str
+        Kind of the setting, such as "sensor", for errors.
+    presets : iterable of str
+        Names of the presets, for errors.
+
+    Returns
+    -------
+    dict
+        Content of the file.
+
+    Raises
+    ------
+    UsageError
+        If there is no such file, or it is no TOML.
+    """
     expected = f"a TOML file with the keys of a {kind}"
     try:
         text = _text(path, MAX_TOML_BYTES, expected)

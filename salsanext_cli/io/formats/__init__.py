@@ -6,7 +6,7 @@ The functions of a built-in format are imported when they are first used.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import cache, partial
@@ -35,8 +35,9 @@ class Format:
     suffixes : tuple of str
         Suffixes of the files, in lower case, such as ``.pcd``; longer ones first.
     read : callable
-        Reader: path, names of the columns (``--columns``, may be empty) and divisor of the
-        intensity to `Scan`. It raises `FormatError` for a file of another format.
+        Reader: path, names of the columns (may be empty) and divisor of the intensity to `Scan`.
+        It raises `FormatError` for a file of another format. Readers of this package also take
+        the name of the column with the intensity (`Sensor.intensity_field`).
     magic : tuple of bytes
         First bytes of the files; empty if they vary.
     is_table : bool
@@ -57,50 +58,90 @@ class Format:
     label_columns: Callable[[Path], Columns] | None = None
 
 
-def _call(function: str, *arguments: Any) -> Any:
-    """Import a function of this package, such as ``kitti:read_bin``, and call it."""
-    module, _, name = function.partition(":")
-    return getattr(import_module(f"{__name__}.{module}"), name)(*arguments)
+def _imported(module: str, name: str) -> Callable[..., Any]:
+    """Return a function of a module of this package, which is imported at the first call."""
+    return partial(_call, module, name)
+
+
+def _call(module: str, name: str, *arguments: Any) -> Any:
+    function: Callable[..., Any] = getattr(import_module(f"{__name__}.{module}"), name)
+    return function(*arguments)
+
+
+def _reader_of_columns(module: str, name: str) -> Callable[..., Scan]:
+    """Return the reader of scans by a function that reads columns."""
+    return partial(_read_columns, module, name)
 
 
 def _read_columns(
-    function: str, path: Path, names: Names, intensity_scale: float, intensity_field: str = ""
+    module: str,
+    name: str,
+    path: Path,
+    names: Names,
+    intensity_scale: float,
+    intensity_field: str = "",
 ) -> Scan:
-    columns = _call(function, path, names)
-    return _call("columns:scan_of", columns, path, intensity_scale, intensity_field)
-
-
-def _built_in(
-    suffixes: str, reader: str, *magic: bytes, labels: str = "", subset: str = "", **flags: bool
-) -> Format:
-    """Return a format by the names of functions: the reader returns a scan or its columns.
-
-    It also takes a fourth argument, the name of the intensity (`Sensor.intensity_field`).
-    """
-    return Format(
-        suffixes=tuple(suffixes.split()),
-        read=partial(_call if ":read_" in reader else _read_columns, reader),
-        magic=magic,
-        subset=partial(_call, f"subsets:{subset}_subset") if subset else None,
-        label_columns=partial(_call, labels) if labels else None,
-        **flags,
-    )
+    columns = _call(module, name, path, names)
+    return _call("columns", "scan_of", columns, path, intensity_scale, intensity_field)
 
 
 FORMATS: Mapping[str, Format] = {
-    "bin": _built_in(".pcd.bin .bin", "kitti:read_bin", subset="bin"),
-    "pcd": _built_in(
-        *(".pcd", "pcd:read_pcd", b"# .PCD", b"VERSION "), labels="pcd:pcd_columns", subset="pcd"
+    "bin": Format(
+        suffixes=(".pcd.bin", ".bin"),
+        read=_imported("kitti", "read_bin"),
+        subset=_imported("subsets", "bin_subset"),
     ),
-    "ply": _built_in(".ply", "ply:ply_columns", b"ply", labels="ply:ply_columns", subset="ply"),
-    "xyz": _built_in(".xyz", "tables.text:read_text", subset="text"),
-    "npy": _built_in(".npy", "npy:npy_columns", b"\x93NUMPY", subset="npy", is_table=True),
-    "npz": _built_in(".npz", "npy:npz_columns", b"PK\x03\x04", subset="npz", is_table=True),
-    "feather": _built_in(
-        ".feather", "tables.arrow:feather_columns", b"ARROW1", b"FEA1", is_table=True
+    "pcd": Format(
+        suffixes=(".pcd",),
+        read=_imported("pcd", "read_pcd"),
+        magic=(b"# .PCD", b"VERSION "),
+        subset=_imported("subsets", "pcd_subset"),
+        label_columns=_imported("pcd", "pcd_columns"),
     ),
-    "parquet": _built_in(".parquet", "tables.arrow:parquet_columns", b"PAR1", is_table=True),
-    "text": _built_in(".csv .txt .asc .pts", "tables.text:read_text", subset="text", is_table=True),
+    "ply": Format(
+        suffixes=(".ply",),
+        read=_reader_of_columns("ply", "ply_columns"),
+        magic=(b"ply",),
+        subset=_imported("subsets", "ply_subset"),
+        label_columns=_imported("ply", "ply_columns"),
+    ),
+    "xyz": Format(
+        suffixes=(".xyz",),
+        read=_imported("tables.text", "read_text"),
+        subset=_imported("subsets", "text_subset"),
+    ),
+    "npy": Format(
+        suffixes=(".npy",),
+        read=_reader_of_columns("npy", "npy_columns"),
+        magic=(b"\x93NUMPY",),
+        is_table=True,
+        subset=_imported("subsets", "npy_subset"),
+    ),
+    "npz": Format(
+        suffixes=(".npz",),
+        read=_reader_of_columns("npy", "npz_columns"),
+        magic=(b"PK\x03\x04",),
+        is_table=True,
+        subset=_imported("subsets", "npz_subset"),
+    ),
+    "feather": Format(
+        suffixes=(".feather",),
+        read=_reader_of_columns("tables.arrow", "feather_columns"),
+        magic=(b"ARROW1", b"FEA1"),
+        is_table=True,
+    ),
+    "parquet": Format(
+        suffixes=(".parquet",),
+        read=_reader_of_columns("tables.arrow", "parquet_columns"),
+        magic=(b"PAR1",),
+        is_table=True,
+    ),
+    "text": Format(
+        suffixes=(".csv", ".txt", ".asc", ".pts"),
+        read=_imported("tables.text", "read_text"),
+        is_table=True,
+        subset=_imported("subsets", "text_subset"),
+    ),
 }
 """Built-in formats by name, in the order of precedence in a folder; plug-ins come last."""
 SCAN_SUFFIXES = tuple(suffix for form in FORMATS.values() for suffix in form.suffixes)
@@ -123,8 +164,9 @@ def plugged_formats() -> Mapping[str, PlugIn]:
 
 def _fault(target: Format, others: Collection[PlugIn]) -> str:
     """Return why a format cannot be added to others; empty if it can."""
-    taken = (*SCAN_SUFFIXES, *RECORDING_SUFFIXES, *OTHER_SUFFIXES)
-    taken += tuple(suffix for other in others for suffix in other.target.suffixes)
+    taken = SCAN_SUFFIXES + RECORDING_SUFFIXES + OTHER_SUFFIXES
+    for other in others:
+        taken += other.target.suffixes
     wrong = [s for s in target.suffixes if s[:1] != "." or s != s.lower() or s.endswith(taken)]
     return f"its suffix {wrong[0]} is taken, or not in lower case with a dot" if wrong else ""
 
@@ -133,13 +175,20 @@ def _find(name: str) -> tuple[str, Format | None]:
     """Return suffix and format of a file name; import plug-ins only if no built-in fits."""
     lower = name.lower()
     for form in FORMATS.values():
-        if suffix := next(filter(lower.endswith, form.suffixes), ""):
+        suffix = _suffix_among(form.suffixes, lower)
+        if suffix:
             return suffix, form
     # Scans of a recording have no suffix.
     for plug_in in plugged_formats().values() if "." in lower else ():
-        if suffix := next(filter(lower.endswith, plug_in.target.suffixes), ""):
+        suffix = _suffix_among(plug_in.target.suffixes, lower)
+        if suffix:
             return suffix, plug_in.target
     return "", None
+
+
+def _suffix_among(suffixes: Sequence[str], name: str) -> str:
+    """Return the first of the suffixes that a name has; empty for none."""
+    return next((suffix for suffix in suffixes if name.endswith(suffix)), "")
 
 
 def scan_suffix(name: str) -> str:
@@ -188,15 +237,15 @@ def _plugged_kind(path: Path) -> PlugIn | None:
     return next((p for p in plug_ins if start.startswith(p.target.magic)), None)
 
 
-def _read(form: Format, path: Path, settings: tuple[Names, float], field: str) -> Scan:
+def _read(form: Format, path: Path, names: Names, scale: float, field: str) -> Scan:
     """Read a scan; only built-in formats take the name of the intensity."""
     if not field:
-        return form.read(path, *settings)
+        return form.read(path, names, scale)
     if form not in FORMATS.values():
         hint = f"omit {argument('intensity_field')}"
         raise FormatError(path, "is of a plug-in, which chooses the intensity by itself", hint=hint)
     reader: Callable[..., Scan] = form.read
-    return reader(path, *settings, field)
+    return reader(path, names, scale, field)
 
 
 def read_scan(path: Path | str, sensor: Sensor | None = None) -> Scan:
@@ -229,12 +278,12 @@ def read_scan(path: Path | str, sensor: Sensor | None = None) -> Scan:
     field = "" if sensor is None else sensor.intensity_field
     form = format_of(path.name)
     if form is None:
-        if _call("recordings:recording_of", path) in (None, path):
+        if _call("recordings", "recording_of", path) in (None, path):
             raise FormatError(path, "unknown scan format", f"a {suffixes_in_words()} file")
-        return _read_columns("recordings:recorded_columns", path, names, scale, field)
+        return _read_columns("recordings", "recorded_columns", path, names, scale, field)
     try:
         with errors_of_plug_ins(path):
-            scan = _read(form, path, (names, scale), field)
+            scan = _read(form, path, names, scale, field)
             if not isinstance(scan, import_module("salsanext_cli.core.records").Scan):
                 raise TypeError(f"its reader returned a {type(scan).__name__}, not a Scan")
             return scan

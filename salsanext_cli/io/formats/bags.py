@@ -2,28 +2,27 @@
 """ROS bags, read without ROS: ROS 1 `.bag`, ROS 2 `.mcap`, `.db3` and folders of them."""
 
 import re
-import struct
 import weakref
-from collections.abc import Iterator
 from contextlib import suppress
-from itertools import chain, islice
+from itertools import islice
 from operator import attrgetter
 from pathlib import Path
 from threading import Lock
 from typing import Any
 
-from salsanext_cli.core.errors import FormatError, NoInputError, shortened
+from salsanext_cli.core.errors import FormatError, NoInputError
 from salsanext_cli.core.optional_packages import require_rosbags
+from salsanext_cli.core.texts import shortened
+from salsanext_cli.io.bag_index import message_times, storage_count
 from salsanext_cli.io.files.reading import filled, reading, refusing_damage
 from salsanext_cli.io.formats.cloud_messages import CLOUD_MESSAGES, point_count, register_livox
 from salsanext_cli.io.formats.columns import Columns
 from salsanext_cli.io.formats.mcap import require_ros2
 
-INDEX_ENTRY = struct.Struct("<QQ")  # Time and offset of a message, in the index of an MCAP chunk
 MCAP = ".mcap"
 MAX_SHOWN = 500  # Characters of a list of topics in an error
 PACKETS = re.compile("packet|(velodyne|rslidar|pandar)scan", re.IGNORECASE)  # Types of messages
-OF_PACKETS = "play the bag with the driver of the sensor, and record the clouds that it publishes"
+PACKETS_HINT = "play the bag with the driver of the sensor, and record the clouds that it publishes"
 EXPECTED = "a ROS bag"
 HINT = "repair it with `rosbag reindex`, `ros2 bag reindex` or `mcap recover`"
 
@@ -36,13 +35,15 @@ class Bag:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
 
-        self.path, self._lock = path, Lock()
+        self.path = path
+        self._lock = Lock()
         for file in files:
             # The library would block at a pipe and hide the errors of the system.
             with reading(file):
                 log = file.with_name(f"{file.name}-wal")
             if filled(log):
-                problem, hint = "is not yet in the database", f"open {file.name} with sqlite3 once"
+                problem = "is not yet in the database"
+                hint = f"open {file.name} with sqlite3 once"
                 raise FormatError(log, problem, "a closed bag", hint)
             if file.suffix.lower() == MCAP:
                 require_ros2(file)
@@ -55,12 +56,8 @@ class Bag:
             # The garbage collector would close it with a warning.
             weakref.finalize(self, self.reader.close)
             # Metadata that names a storage twice yields its clouds twice.
-            if len(getattr(self._storage(), "storages", ())) >= len(files):
+            if storage_count(self.reader) >= len(files):
                 raise ValueError("its metadata names more files than there are")
-
-    def _storage(self) -> Any:
-        (reader,) = self.reader.readers
-        return getattr(reader, "storage", reader)
 
     def topics(self) -> dict[str, str]:
         """Return the message type of every topic with messages, sorted."""
@@ -76,14 +73,16 @@ class Bag:
         kinds = self.topics()
         topics = ", ".join(f"{topic} ({kind})" for topic, kind in kinds.items())
         problem = f"has no point clouds, but {shortened(topics, MAX_SHOWN)}"
-        hint = OF_PACKETS if any(map(PACKETS.search, kinds.values())) else ""
+        hint = PACKETS_HINT if any(map(PACKETS.search, kinds.values())) else ""
         expected = "clouds, such as sensor_msgs/PointCloud2"
         return NoInputError(self.path, problem if topics else "has no messages", expected, hint)
 
     def times(self, topic: str) -> list[int]:
         """Return the recording times of the clouds of a topic in nanoseconds, sorted."""
         with self._lock, refusing_damage(self.path, EXPECTED, HINT):
-            return sorted(_indexed_times(self._storage(), topic))
+            return sorted(
+                message_times(self.reader, lambda connection: _is_cloud(connection, topic))
+            )
 
     def point_count(self, topic: str) -> int:
         """Return the largest number of points in the first, middle and last cloud of a topic."""
@@ -100,13 +99,35 @@ class Bag:
         return max(counts)
 
     def columns(self, topic: str, time: int, number: int, path: Path) -> Columns:
-        """Read the cloud of a topic and a time; `number` counts clouds of the same time from 0."""
+        """Read the cloud of a topic and a time.
+
+        Parameters
+        ----------
+        topic : str
+            Topic of point clouds.
+        time : int
+            Recording time in nanoseconds.
+        number : int
+            Number of the cloud among those of the same time, from 0.
+        path : Path
+            Path of the scan, for errors.
+
+        Returns
+        -------
+        Columns
+            Values (N,) of each field, by name.
+
+        Raises
+        ------
+        FormatError
+            If there is no such cloud, or it is damaged.
+        """
         message, kind = self._message(topic, time, number, path)
         return CLOUD_MESSAGES[kind](message, path)
 
     def _message(self, topic: str, time: int, number: int, path: Path) -> tuple[Any, str]:
         """Return the message of a topic and a time, and its type; `path` is for errors."""
-        clouds = _connections_of(self.reader, topic)
+        clouds = [c for c in self.reader.connections if _is_cloud(c, topic)]
         with refusing_damage(path, EXPECTED, HINT):
             with self._lock:
                 messages = self.reader.messages(clouds, time, time + 1)
@@ -117,38 +138,6 @@ class Bag:
             return self.reader.deserialize(raw, connection.msgtype), connection.msgtype
 
 
-def _connections_of(reader: Any, topic: str) -> list[Any]:
-    """Return the connections of a reader with clouds of a topic."""
-    of_topic = [connection for connection in reader.connections if connection.topic == topic]
-    return [connection for connection in of_topic if connection.msgtype in CLOUD_MESSAGES]
-
-
-def _indexed_times(storage: Any, topic: str) -> Iterator[int]:
-    """Yield the times of the clouds of a topic in nanoseconds, unordered, from the indices."""
-    connections = _connections_of(storage, topic)
-    keys = [connection.id for connection in connections]
-    if hasattr(storage, "storages"):  # a folder of files
-        yield from chain.from_iterable(_indexed_times(part, topic) for part in storage.storages)
-    elif hasattr(storage, "indexes"):  # ROS 1
-        yield from (entry.time for key in keys for entry in storage.indexes[key])
-    elif hasattr(storage, "dbconn"):  # SQLite
-        marks = ",".join("?" * len(keys))
-        query = f"SELECT timestamp FROM messages WHERE topic_id IN ({marks})"
-        yield from (time for (time,) in storage.dbconn.execute(query, keys))
-    elif storage.chunks:  # MCAP
-        for chunk in storage.chunks:
-            yield from chain.from_iterable(_times_of_chunk(storage, chunk, key) for key in keys)
-    else:
-        # A file without chunks has no index.
-        yield from (time for _, time, _ in storage.messages_scan(connections))
-
-
-def _times_of_chunk(storage: Any, chunk: Any, key: int) -> Iterator[int]:
-    """Yield the times of the messages of a channel from the index of an MCAP chunk."""
-    if (offset := chunk.message_index_offsets.get(key)) is None:
-        return
-    storage.bio.seek(offset)
-    op, _, channel, size = struct.unpack("<BQHI", storage.bio.read(15))
-    if (op, channel) != (0x07, key):
-        raise ValueError("the index of a chunk is misplaced")
-    yield from (time for time, _ in INDEX_ENTRY.iter_unpack(storage.bio.read(size)))
+def _is_cloud(connection: Any, topic: str) -> bool:
+    """Return whether a connection has clouds of a topic."""
+    return connection.topic == topic and connection.msgtype in CLOUD_MESSAGES

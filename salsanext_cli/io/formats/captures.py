@@ -58,7 +58,7 @@ def maker_of(path: Path) -> str:
         if not is_capture(file) and not has_metadata:
             file.seek(0)
             raise _no_capture_error(path, file.read(4))
-        packets = [*islice(udp_packets(file), MAX_PACKETS)]
+        packets = list(islice(udp_packets(file), MAX_PACKETS))
     counts = Counter(filter(None, map(_maker_of_packet, packets)))
     if counts:
         return counts.most_common(1)[0][0]

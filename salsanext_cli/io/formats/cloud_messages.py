@@ -81,7 +81,7 @@ def columns_of_fields(message: Any, path: Path) -> Columns:
                 fields.setdefault(field.name, (order + TYPES[field.datatype], field.offset))
         point = np.dtype(
             {
-                "names": [*fields],
+                "names": list(fields),
                 "formats": [kind for kind, _ in fields.values()],
                 "offsets": [offset for _, offset in fields.values()],
                 "itemsize": step,

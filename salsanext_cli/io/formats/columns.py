@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.core.errors import FormatError, counted
+from salsanext_cli.core.errors import FormatError
 from salsanext_cli.core.records import Double, FileNotes, Float, Scan, normalised_intensity
 from salsanext_cli.core.sensors.sensor import MAX_COLUMNS, UNUSED_COLUMN
+from salsanext_cli.core.texts import counted
 from salsanext_cli.core.wording import argument, setting
 from salsanext_cli.io.formats.field_names import AxisFields, fields_beside, intensity_among
 from salsanext_cli.io.formats.split_fields import split_field
@@ -52,7 +53,7 @@ def scan_of(
     require_near_origin(points, path)
     require_no_matrix(points, path)
     numbers = _numbers(columns)
-    name = intensity_among([*numbers], intensity_field, path)
+    name = intensity_among(list(numbers), intensity_field, path)
     intensity = np.zeros(len(points), np.float32) if name is None else numbers[name]
     fields = tuple(field for field in fields_beside([*numbers, *unread]) if field != name)
     scaled = normalised_intensity(intensity, intensity_scale)
@@ -62,7 +63,7 @@ def scan_of(
 def coordinates(columns: Columns, path: Path) -> Float:
     """Return the columns x, y, z, in upper or lower case, as points (N, 3) float32 in metres."""
     numbers = _numbers(columns)
-    axes = AxisFields.among([*numbers] or [*columns], path)
+    axes = AxisFields.among(list(numbers) or list(columns), path)
     # Values beyond float32 become infinity, and signalling NaNs are valid: no measurements.
     with np.errstate(over="ignore", invalid="ignore"):
         pairs = zip(axes.names, axes.metres, strict=True)
@@ -78,13 +79,47 @@ def _numbers(columns: Columns) -> Columns:
 
 
 def unnamed_columns(table: npt.NDArray[Any], names: tuple[str, ...], path: Path) -> Columns:
-    """Return the columns of a table (N, C) by the names of a sensor, else the usual ones."""
+    """Return the columns of a table without names.
+
+    Parameters
+    ----------
+    table : (N, C) array
+        Values.
+    names : tuple of str
+        Names of the columns as a sensor states them; empty for the usual ones.
+    path : Path
+        The file, for errors.
+
+    Returns
+    -------
+    Columns
+        Values (N,) of the named columns.
+    """
     names = columns_of_width(table.shape[1], names, path)
     return {name: table[:, i] for i, name in enumerate(names) if name != UNUSED_COLUMN}
 
 
 def columns_of_width(count: int, names: tuple[str, ...], path: Path) -> tuple[str, ...]:
-    """Return the names of columns: a sensor's, else `USUAL_COLUMNS` and at most one more."""
+    """Return the names of columns: those of a sensor, else `USUAL_COLUMNS` and at most one more.
+
+    Parameters
+    ----------
+    count : int
+        Number of columns.
+    names : tuple of str
+        Names as a sensor states them; empty for the usual ones.
+    path : Path
+        The file, for errors.
+
+    Returns
+    -------
+    tuple of str
+
+    Raises
+    ------
+    FormatError
+        If the number of columns does not fit.
+    """
     problem = f"has {counted(count, 'column')}"
     if names and count != len(names):
         expected = f"{len(names)}: {', '.join(names)}"
@@ -127,7 +162,8 @@ def require_near_origin(points: Float | Double, path: Path) -> None:
     for axis, values in zip("xy", points.T, strict=False):
         if (np.abs(values) <= MAX_DISTANCE_M).any():
             continue
-        if len(finite := values[np.isfinite(values)]):
+        finite = values[np.isfinite(values)]
+        if len(finite):
             problem = f"has map coordinates: {axis} from {finite.min():.0f} to {finite.max():.0f}"
             hint = "subtract the position of the sensor from the coordinates"
             raise FormatError(path, problem, "metres from a sensor at the origin", hint)

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from itertools import chain
 from typing import Self
 
-from salsanext_cli.core.errors import FormatError, notice_once, shortened
+from salsanext_cli.core.errors import FormatError
+from salsanext_cli.core.notices import notice_once
+from salsanext_cli.core.texts import shortened
 from salsanext_cli.core.wording import argument, setting
 
 AXES = ("x", "y", "z")
@@ -51,11 +53,14 @@ class FieldName:
     @classmethod
     def parsed(cls, name: str) -> Self:
         """Take a name apart, such as ``X1 (mm)``, ``scalar_Intensity`` or ``attr.reflectance``."""
-        plain, unit = name.strip(" \t\"'").lower(), ""
+        plain = name.strip(" \t\"'").lower()
+        unit = ""
         if len(plain) > MAX_NAME_CHARACTERS:
             return cls(plain, unit)
-        if match := UNIT.fullmatch(plain) or UNIT_OF_AXIS.fullmatch(plain):
-            plain, unit = match[1], match[2].strip()
+        match = UNIT.fullmatch(plain) or UNIT_OF_AXIS.fullmatch(plain)
+        if match:
+            plain = match[1]
+            unit = match[2].strip()
         group, _, last = plain.rpartition(".")
         if last:
             plain = last
@@ -125,7 +130,27 @@ def _axes_of(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def intensity_among(names: Sequence[str], requested: str, path: object) -> str | None:
-    """Return the name of the intensity: the requested one, else a usual one; None without any."""
+    """Return the name of the intensity.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Names of the fields of a file.
+    requested : str
+        Requested name; empty for a usual one.
+    path : object
+        The file, for errors.
+
+    Returns
+    -------
+    str or None
+        None if no name was requested and none is usual.
+
+    Raises
+    ------
+    FormatError
+        If no single field has the requested name.
+    """
     if not requested:
         bare = _by_plain_name(name for name in names if not FieldName.parsed(name).group)
         # A name without a group takes precedence, whichever of the usual ones it is.

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Headerless little-endian files of KITTI and nuScenes: scans, `.bin`, and labels, `.label`.
+"""Headerless little-endian files of scans, `.bin`, of KITTI and nuScenes.
 
 Files of anything but points are refused.
 """
 
-import re
 from dataclasses import dataclass
 from io import BufferedReader
 from pathlib import Path
@@ -13,14 +12,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.core.classes.label_space import RawIds
-from salsanext_cli.core.errors import FormatError, LabelError, counted, notice_once
+from salsanext_cli.core.errors import FormatError
+from salsanext_cli.core.notices import notice_once
 from salsanext_cli.core.records import Float, Scan, normalised_intensity
 from salsanext_cli.core.sensors.sensor import UNUSED_COLUMN
 from salsanext_cli.core.wording import argument, setting
-from salsanext_cli.io.files.atomic import write_bytes
 from salsanext_cli.io.files.reading import read_values, reading, size_of
-from salsanext_cli.io.formats import FORMATS
 from salsanext_cli.io.formats.columns import (
     columns_of_width,
     names_to_try,
@@ -34,6 +31,7 @@ from salsanext_cli.io.formats.evidence.column_evidence import (
     evident_count,
     have_signs_of_coordinates,
 )
+from salsanext_cli.io.formats.evidence.file_kinds import TEXT_BYTES, TEXT_SUFFIX, other_kind
 from salsanext_cli.io.formats.evidence.plane_evidence import are_planes
 from salsanext_cli.io.formats.evidence.value_types import (
     are_coordinates,
@@ -50,7 +48,6 @@ REWRITE = "rewrite it as float32 x, y, z, intensity"
 REWRITE_FLOAT16 = "np.fromfile(FILE, np.float16).astype(np.float32).tofile(NEW) converts it"
 REWRITE_ROWS = "np.fromfile(FILE, np.float32).reshape(COLUMNS, -1).T.tofile(NEW) converts it"
 FLOAT32_BYTES = 4
-MAX_CLASS = 0xFFFF  # Largest label of four bytes without an instance
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +68,29 @@ def read_bin(
     intensity_scale: float = 1.0,
     intensity_field: str = "",
 ) -> Scan:
-    """Read a scan of x, y, z, intensity and, in `.pcd.bin` files, ring, or of `columns`."""
+    """Read a scan.
+
+    Parameters
+    ----------
+    path : Path
+        The `.bin` file.
+    columns : tuple of str
+        Names of its columns; by default x, y, z, intensity and, in `.pcd.bin` files, ring.
+    intensity_scale : float
+        Divisor of the intensity.
+    intensity_field : str
+        Name of the column with the intensity; by default the usual one.
+
+    Returns
+    -------
+    Scan
+        N points, in the order of the file.
+
+    Raises
+    ------
+    FormatError
+        If the file is damaged, or contains anything but points.
+    """
     if intensity_field and not columns:
         problem = f"has no names, so no {argument('intensity_field')}"
         hint = f"name the columns: {setting('columns', 'x,y,z,intensity')} for example"
@@ -106,7 +125,8 @@ def read_table(path: Path, columns: tuple[str, ...] = ()) -> BinTable:
             raise FormatError(path, "is stored column by column", expected, REWRITE_ROWS)
         notice_once(f".bin files that store {width} columns one after the other are read as rows")
         return BinTable(np.ascontiguousarray(values.reshape(width, -1).T), is_planar=True)
-    if count := evident_count(rounded, width):
+    count = evident_count(rounded, width)
+    if count:
         if are_coordinates(rounded[:, None]):
             raise _other_count(path, count, width)
         raise _no_coordinates(path, width)
@@ -162,12 +182,19 @@ def _size_of_values(file: BufferedReader, path: Path, width: int) -> int:
     size = size_of(file)
     if size == 0:
         raise FormatError(path, "is empty", _multiple_of(width), "copy it again, or remove it")
-    if kind := other_kind(file.read(TEXT_BYTES)):
-        is_suffix = kind.startswith(".")
-        hint = f"rename it to {kind} if it contains points" if is_suffix else REWRITE
-        name = "text" if kind == TEXT_SUFFIX else f"a {kind} file" if is_suffix else kind
-        raise FormatError(path, f"is {name}", f"{width} float32 per point", hint)
+    kind = other_kind(file.read(TEXT_BYTES))
+    if kind:
+        raise _other_kind_error(path, kind, width)
     return size
+
+
+def _other_kind_error(path: Path, kind: str, width: int) -> FormatError:
+    """Return the error of a file of another kind, which is a suffix or a name."""
+    expected = f"{width} float32 per point"
+    if not kind.startswith("."):
+        return FormatError(path, f"is {kind}", expected, REWRITE)
+    name = "text" if kind == TEXT_SUFFIX else f"a {kind} file"
+    return FormatError(path, f"is {name}", expected, f"rename it to {kind} if it contains points")
 
 
 def _multiple_of(width: int, itemsize: int = 4) -> str:
@@ -183,10 +210,11 @@ def _no_coordinates(path: Path, width: int) -> FormatError:
 def _other_count(path: Path, count: int, expected: int) -> FormatError:
     """Return the error of a file with another number of columns, with names to try."""
     hint = f"name its columns, for example with {setting('columns', names_to_try(count))}"
+    suffixes = {COLUMNS: ".bin", COLUMNS_WITH_RING: ".pcd.bin"}
     if count == usual_width(path):
         hint = f"omit {argument('columns')}"
-    elif suffix := {COLUMNS: ".bin", COLUMNS_WITH_RING: ".pcd.bin"}.get(count):
-        hint = f"rename it to {suffix}, or {hint}"
+    elif count in suffixes:
+        hint = f"rename it to {suffixes[count]}, or {hint}"
     return FormatError(path, f"has {count} columns", f"{expected} per point", hint)
 
 
@@ -214,94 +242,3 @@ def _sampled_pairs(file: BufferedReader, path: Path, size: int) -> Float:
 def encode_bin(scan: Scan) -> bytes:
     """Return the content of a `.bin` file: float32 x, y, z, intensity of each point."""
     return np.column_stack([scan.points, scan.intensity]).astype("<f4", copy=False).tobytes()
-
-
-def read_labels(path: Path, count: int | None = None) -> RawIds:
-    """Read the raw ids of the points of a scan.
-
-    Parameters
-    ----------
-    path : Path
-        The `.label` file.
-    count : int, optional
-        Number of points of the scan; then labels of one or two bytes are recognised too.
-
-    Returns
-    -------
-    (N,) uint32
-        Class in the low 16 bits, instance in the high 16.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read or is cut off.
-    LabelError
-        If there are not `count` labels.
-    """
-    with reading(path) as file:
-        size = size_of(file)
-        if size % 4 and (count is None or size not in (count, 2 * count)):
-            expected = "a multiple of 4: one uint32 per point"
-            raise FormatError(path, f"has {size} bytes", expected, "copy it again")
-        raw = _labels(read_values(file, path, np.uint8, size), count or 0)
-    if count is not None and len(raw) != count:
-        expected = f"{count:,}, one per point of the scan"
-        hint = "use the labels that belong to this scan"
-        raise LabelError(path, f"has {counted(len(raw), 'label')}", expected, hint)
-    return raw
-
-
-def _labels(content: npt.NDArray[np.uint8], count: int) -> RawIds:
-    """Return labels of two bytes or one if the size is that of `count`, else of four."""
-    narrow = {2 * count: "<u2", count: "<u1"}.get(content.size)
-    wide = content[: content.size // 4 * 4].view("<u4").astype(np.uint32, copy=False)
-    # Classes of four bytes, without instances, of half or a quarter of the points.
-    of_fewer = content.size % 4 == 0 and wide.any() and wide.max() <= MAX_CLASS
-    if narrow is None or of_fewer:
-        return wide
-    return content.view(narrow).astype(np.uint32)
-
-
-def encode_labels(raw: RawIds) -> bytes:
-    """Return the content of a `.label` file: the raw id of each point as uint32."""
-    return raw.astype("<u4", copy=False).tobytes()
-
-
-def write_labels(path: Path, raw: RawIds) -> None:
-    """Write the raw ids of the points of a scan.
-
-    Parameters
-    ----------
-    path : Path
-        The `.label` file.
-    raw : (N,) integers
-        Raw ids, written as uint32.
-    """
-    write_bytes(path, encode_labels(raw))
-
-
-MAGIC = {
-    **{magic: form.suffixes[0] for form in FORMATS.values() for magic in form.magic},
-    b"\x1f\x8b": "a gzip file",
-    b"#ROSBAG": ".bag",
-    b"\x89MCAP0": ".mcap",
-    b"ASTM-E57": "an E57 file",
-    b"LASF": "a LAS file",
-    b"\x00\x01\x00\x00": "a message of ROS 2",  # in CDR, little endian
-}
-"""Suffixes or names of other formats by their first bytes."""
-TEXT_SUFFIX = ".csv"
-TERRASCAN = b"\xa1\xce\x0e\x00CXYZ"  # Bytes 8 to 16 of files of TerraScan
-TEXT_BYTES = 4096  # Size of the start of a file that shows whether it is text
-MIN_TEXT_BYTES = 256  # Size from which float32 values contain bytes that do not occur in text
-MIN_ASCII_BYTES = 16  # The same for ASCII, which is hardly ever coordinates in metres
-CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1a\x1c-\x1f\x7f]")  # Bytes that do not occur in text
-
-
-def other_kind(start: bytes) -> str | None:
-    """Return suffix or name of another format, or of text, by the first bytes; None without one."""
-    of_magic = (kind for magic, kind in MAGIC.items() if start.startswith(magic))
-    least = MIN_ASCII_BYTES if start.isascii() else MIN_TEXT_BYTES
-    is_text = len(start) >= least and not CONTROL.search(start)
-    other = TEXT_SUFFIX if is_text else "a TerraScan file" if start[8:16] == TERRASCAN else None
-    return next(of_magic, other)

@@ -13,8 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.core.classes.label_space import LabelSpace, RawIds
-from salsanext_cli.core.errors import FormatError, LabelError, UsageError, quoted, shortened
-from salsanext_cli.core.records import Float
+from salsanext_cli.core.errors import FormatError, LabelError, UsageError
+from salsanext_cli.core.records import Float, Mask
+from salsanext_cli.core.texts import quoted, shortened
 from salsanext_cli.core.wording import argument, setting
 from salsanext_cli.io.files.yaml_toml import read_yaml
 from salsanext_cli.io.formats import errors_of_plug_ins, format_of, suffixes_in_words
@@ -23,11 +24,22 @@ from salsanext_cli.io.formats.field_names import PREFIX, listed
 
 LABEL_READER = attrgetter("label_columns")  # Of a format; None without one
 LABEL_NAMES = (
-    *("label", "labels", "class", "classes", "class_id", "classification", "category"),
-    *("semantic", "semantics", "semantic_label", "sem_class", "sem_label", "segmentation"),
+    "label",
+    "labels",
+    "class",
+    "classes",
+    "class_id",
+    "classification",
+    "category",
+    "semantic",
+    "semantics",
+    "semantic_label",
+    "sem_class",
+    "sem_label",
+    "segmentation",
 )
 """Names of label scalars, in lower case, without the prefix."""
-OF_ASPRS = "classification"  # Scalar of LAS, with classes of the ASPRS
+ASPRS_SCALAR = "classification"  # Scalar of LAS, with classes of the ASPRS
 ASPRS_CLASSES = range(2, 23)  # Classes that the ASPRS defines; 0 and 1 are unassigned
 NO_VALUE = np.iinfo(np.int64).min  # Id of a point without a value, which programs write as NaN
 MAX_ID = 0xFFFFFFFF  # Largest id of a label file, with the instance in its upper 16 bits
@@ -58,7 +70,7 @@ class LabelledCloud:
         name = _label_column(columns, scalar, path)
         ids = whole_numbers(columns[name], path, name)
         largest = int(ids.max(initial=0))
-        if scalar is None and _plain(name) == OF_ASPRS and largest in ASPRS_CLASSES:
+        if scalar is None and _plain(name) == ASPRS_SCALAR and largest in ASPRS_CLASSES:
             problem = f"has {name} up to {largest}, probably classes of the ASPRS"
             hint = f"for raw ids, or with {argument('ids')}, add {setting('scalar', name)}"
             raise LabelError(path, problem, "raw ids of the label space", hint)
@@ -93,26 +105,59 @@ def _plain(name: str) -> str:
 
 
 def whole_numbers(values: npt.NDArray[Any], path: Path, name: str) -> Ids:
-    """Return labels (M,) of any real dtype as integers, `NO_VALUE` for NaN."""
+    """Return labels as integers.
+
+    Parameters
+    ----------
+    values : (M,) array
+        Labels of any real dtype.
+    path : Path
+        The file, in errors.
+    name : str
+        Name of the scalar, in errors.
+
+    Returns
+    -------
+    (M,) int64
+        Ids; `NO_VALUE` for NaN.
+
+    Raises
+    ------
+    LabelError
+        If a label is no whole number, or too large.
+    """
     has_value = ~np.isnan(values)
-    largest, rounding, hint = MAX_ID, "", ""
-    if values.dtype.kind == "f" and (exact := 2 ** (np.finfo(values.dtype).nmant + 1)) < MAX_ID:
-        largest, hint = exact, "export integers, or classes without instances"
-        rounding = f", since {values.dtype.itemsize * 8}-bit floats round larger ones"
-    possible = (values >= -largest) & (values <= largest)
-    conditions = (
-        (values == np.rint(values), "a whole number", ""),
-        (possible, f"a number up to {largest}{rounding}", hint),
-    )
-    for sound, expected, advice in conditions:
-        if (wrong := has_value & ~sound).any():
-            first, count = int(wrong.argmax()), int(wrong.sum())
-            others = f", and {count - 1:,} more" if count > 1 else ""
-            problem = f"has {name} {values[first]} at point {first}{others}"
-            raise LabelError(path, problem, expected, advice)
+    is_broken = has_value & (values != np.rint(values))
+    if is_broken.any():
+        raise LabelError(path, _wrong_values(values, is_broken, name), "a whole number")
+    largest = _largest_exact(values.dtype)
+    is_beyond = has_value & ~((values >= -largest) & (values <= largest))
+    if is_beyond.any():
+        expected = f"a number up to {largest}"
+        hint = ""
+        if largest < MAX_ID:
+            expected += f", since {values.dtype.itemsize * 8}-bit floats round larger ones"
+            hint = "export integers, or classes without instances"
+        raise LabelError(path, _wrong_values(values, is_beyond, name), expected, hint)
     ids = np.full(len(values), NO_VALUE, np.int64)
     ids[has_value] = values[has_value].astype(np.int64)
     return ids
+
+
+def _largest_exact(dtype: np.dtype[Any]) -> int:
+    """Return the largest id that a dtype holds, at most `MAX_ID`, with all smaller ones."""
+    if dtype.kind != "f":
+        return MAX_ID
+    exact: int = 2 ** (np.finfo(dtype).nmant + 1)
+    return min(exact, MAX_ID)
+
+
+def _wrong_values(values: npt.NDArray[Any], is_wrong: Mask, name: str) -> str:
+    """Return the first wrong value of a scalar and the number of further ones in words."""
+    first = int(is_wrong.argmax())
+    count = int(is_wrong.sum())
+    others = f", and {count - 1:,} more" if count > 1 else ""
+    return f"has {name} {values[first]} at point {first}{others}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,9 +188,9 @@ class LabelIds:
     def to_raw(self, ids: Ids) -> RawIds:
         """Return the raw ids (M,) of known ids, with their instances in the upper 16 bits."""
         unique, index = np.unique(_classes(ids), return_inverse=True)
-        of_class = [self.raw_of.get(i, self.unlabelled) for i in unique.tolist()]
+        raw_ids = [self.raw_of.get(i, self.unlabelled) for i in unique.tolist()]
         instances = np.where(ids > 0, ids, 0) & ~CLASS_BITS
-        return (np.array(of_class, np.int64)[index] | instances).astype(np.uint32)
+        return (np.array(raw_ids, np.int64)[index] | instances).astype(np.uint32)
 
     def described(self) -> str:
         """Return all known ids and their names on one line."""

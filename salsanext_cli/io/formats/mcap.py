@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from io import BufferedReader
 from pathlib import Path
 
-from salsanext_cli.core.errors import FormatError, first_few
+from salsanext_cli.core.errors import FormatError
+from salsanext_cli.core.texts import first_few
 from salsanext_cli.io.files.reading import reading, size_of
 
 MAGIC = b"\x89MCAP0\r\n"

@@ -14,8 +14,10 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib import format as npy
 
-from salsanext_cli.core.errors import FormatError, first_few, notice_once, shortened
+from salsanext_cli.core.errors import FormatError
+from salsanext_cli.core.notices import notice_once
 from salsanext_cli.core.records import Float, Mask
+from salsanext_cli.core.texts import first_few, shortened
 from salsanext_cli.core.wording import argument, setting
 from salsanext_cli.io.files.reading import read_values, reading, refusing_damage, size_of
 from salsanext_cli.io.formats.columns import Columns, columns_of_width, unnamed_columns
@@ -38,10 +40,32 @@ Arrays = dict[str, npt.NDArray[Any]]
 
 
 def load_array(file: BufferedIOBase, size: int, path: Path, expected: str) -> npt.NDArray[Any]:
-    """Read the array, of any dtype but objects, of a `.npy` file of `size` bytes."""
+    """Read the array of a `.npy` file, of any dtype but objects.
+
+    Parameters
+    ----------
+    file : BufferedIOBase
+        The open file.
+    size : int
+        Its size in bytes.
+    path : Path
+        Its path, for errors.
+    expected : str
+        Content that is required, in words.
+
+    Returns
+    -------
+    ndarray
+
+    Raises
+    ------
+    FormatError
+        If the file is damaged, or contains objects.
+    """
     with refusing_damage(path, expected):
         # A header of version 1 has at most 64 kB; those of later versions may state gigabytes.
-        if (version := npy.read_magic(file)) != (1, 0):
+        version = npy.read_magic(file)
+        if version != (1, 0):
             number = ".".join(map(str, version))
             raise FormatError(path, f"has .npy version {number}", f"{expected} of version 1.0")
         with warnings.catch_warnings():
@@ -52,7 +76,8 @@ def load_array(file: BufferedIOBase, size: int, path: Path, expected: str) -> np
         if dtype.hasobject or not dtype.itemsize:
             raise FormatError(path, f"is a .npy file of {shortened(str(dtype))}", expected)
         # Compare before allocating: a header can state any amount of memory.
-        stated, actual = math.prod(shape) * dtype.itemsize, size - file.tell()
+        stated = math.prod(shape) * dtype.itemsize
+        actual = size - file.tell()
         if actual != stated:
             raise FormatError(path, f"has {actual} bytes of data", str(stated), "copy it again")
         values = read_values(file, path, dtype, math.prod(shape))
@@ -60,7 +85,26 @@ def load_array(file: BufferedIOBase, size: int, path: Path, expected: str) -> np
 
 
 def read_array(path: Path, dtype: npt.DTypeLike, shape: tuple[int | None, ...]) -> npt.NDArray[Any]:
-    """Read a `.npy` file of a required dtype and shape, in which None stands for any length."""
+    """Read a `.npy` file of a required dtype and shape.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    dtype : dtype
+        Required dtype.
+    shape : tuple of int or None
+        Required lengths; None stands for any.
+
+    Returns
+    -------
+    ndarray
+
+    Raises
+    ------
+    FormatError
+        If the array has another dtype or shape, or the file is damaged.
+    """
     required = np.dtype(dtype)
     expected = f"a .npy file of {required} {_words(shape)}"
     array = load_npy(path, expected)
@@ -94,7 +138,26 @@ def _words(shape: tuple[int | None, ...]) -> str:
 
 
 def read_probabilities(path: Path, count: int, class_count: int) -> npt.NDArray[np.float16]:
-    """Read the softmax of the points of a scan, (count, class_count) float16."""
+    """Read the softmax of the points of a scan.
+
+    Parameters
+    ----------
+    path : Path
+        The `.npy` file.
+    count : int
+        N, the number of points of the scan.
+    class_count : int
+        C, the number of classes.
+
+    Returns
+    -------
+    (N, C) float16
+
+    Raises
+    ------
+    FormatError
+        If the file has another shape, or the numbers are no probabilities.
+    """
     softmax = read_array(path, np.float16, (count, class_count))
     sums = np.einsum("nc->n", softmax, dtype=np.float32)
     # NaN fails all comparisons.
@@ -106,7 +169,27 @@ def read_probabilities(path: Path, count: int, class_count: int) -> npt.NDArray[
 
 
 def read_uncertainty(path: Path, count: int | None, highest: float = math.inf) -> Float:
-    """Read one kind of uncertainty, 0 to `highest`, (count,) float32; NaN without a pixel."""
+    """Read one kind of uncertainty of the points of a scan.
+
+    Parameters
+    ----------
+    path : Path
+        The `.npy` file.
+    count : int, optional
+        N, the number of points of the scan; None for any.
+    highest : float
+        Largest possible value.
+
+    Returns
+    -------
+    (N,) float32
+        Values from 0 on; NaN without a pixel.
+
+    Raises
+    ------
+    FormatError
+        If the file has another shape, or a value is impossible.
+    """
     values: Float = read_array(path, np.float32, (count,))
     expected = f"finite numbers from 0 to {highest:g}, or NaN for a point without a pixel"
     unsound = (values < 0) | np.isinf(values) | (values > highest)
@@ -139,9 +222,9 @@ def npz_columns(path: Path, names: tuple[str, ...]) -> Columns:
             named = f"name them with {argument('columns')} if they are used"
             notice_once(f"integers in arr_3 are ignored; {named}")
         notice_once(f"arrays without names are read as {', '.join(single)}")
-    elif not has_bare_axes([*single]) and (_tables(arrays) or not has_axes([*single])):
+    elif not has_bare_axes(list(single)) and (_tables(arrays) or not has_axes(list(single))):
         table = _columns(_table(arrays, path), names, path)
-        if not names and [*table] == ["x", "y", "z"]:
+        if not names and list(table) == ["x", "y", "z"]:
             single = _beside_points(single, len(table["x"]))
         single |= table
     used = {*single} - {*fields_beside(single)} | {*_intensities(single)}
@@ -163,7 +246,7 @@ def _intensities(columns: Arrays) -> list[str]:
 def _beside_points(single: Arrays, count: int) -> Arrays:
     """Return the columns beside x, y, z; a single unnamed one of floats is the intensity."""
     unnamed = [n for n, values in single.items() if UNNAMED.fullmatch(n) and len(values) == count]
-    if unnamed == [*single] and len(unnamed) == 1 and single[unnamed[0]].dtype.kind == "f":
+    if unnamed == list(single) and len(unnamed) == 1 and single[unnamed[0]].dtype.kind == "f":
         notice_once("an array without a name beside x, y, z is read as intensity")
         return {"intensity": single[unnamed[0]]}
     if unnamed:

@@ -31,7 +31,8 @@ class OusterRecording:
         import_extra("ouster.sdk", "ouster")
         from ouster.sdk import open_source
 
-        self.path, self._lock = path, Lock()
+        self.path = path
+        self._lock = Lock()
         is_pcap = path.suffix.lower() == ".pcap"
         with reading(path) as file:
             if is_pcap and is_cut(file):
@@ -43,7 +44,8 @@ class OusterRecording:
                 self._source = open_source(str(path), collate=False, index=True)
             except Exception as error:
                 if "Duplicate" in str(error):
-                    problem, expected = "has several sensors on one port", "a port for each sensor"
+                    problem = "has several sensors on one port"
+                    expected = "a port for each sensor"
                     raise FormatError(path, problem, expected, "record them again") from error
                 raise
             unit = NS_PER_PCAP_TIME if is_pcap else 1
@@ -68,7 +70,7 @@ class OusterRecording:
 
     def point_count(self, topic: str) -> int:
         """Return the number of rays in a frame of a sensor."""
-        form = self._source.sensor_info[[*self._times].index(topic)].format
+        form = self._source.sensor_info[list(self._times).index(topic)].format
         return int(form.pixels_per_column * form.columns_per_frame)
 
     def columns(self, topic: str, time: int, number: int, path: Path) -> Columns:
@@ -79,13 +81,14 @@ class OusterRecording:
         if number >= len(places):
             raise FormatError(path, "no such scan", "a scan that the recording lists")
         with refusing_damage(path, EXPECTED, HINT), self._lock:
-            of_sensor = self._source.single([*self._times].index(topic))
+            frames = self._source.single(list(self._times).index(topic))
             try:
-                frame = of_sensor[places[number]][0]
+                frame = frames[places[number]][0]
             except IndexError as error:
                 problem = "has a scan with a wrong checksum"
                 raise FormatError(path, problem, EXPECTED, REWRITE) from error
-            distances, reflectivity = frame.field("RANGE"), frame.field("REFLECTIVITY")
+            distances = frame.field("RANGE")
+            reflectivity = frame.field("REFLECTIVITY")
             if distances.any() and not reflectivity[distances > 0].any():
                 problem = "has only reflectivities of 0, so it is not decoded correctly"
                 raise FormatError(path, problem, EXPECTED, REWRITE)

@@ -19,7 +19,9 @@ MAGICS = {
 """First bytes of a capture: order of its bytes, and nanoseconds per unit of the times."""
 PCAPNG = b"\x0a\x0d\x0d\x0a"
 """First bytes of the newer format, which Wireshark writes unless told otherwise."""
-ETHERNET, RAW_IP, LINUX_COOKED = 1, 101, 113
+ETHERNET = 1
+RAW_IP = 101
+LINUX_COOKED = 113
 LINK_HEADERS = {0: 4, ETHERNET: 14, RAW_IP: 0, LINUX_COOKED: 16}
 """Bytes before the IP header by type of the link."""
 VLAN = b"\x81\x00"
@@ -78,8 +80,8 @@ def udp_packets(file: BufferedReader) -> Iterator[UdpPacket]:
     record = struct.Struct(order + "IIII")
     place = FILE_HEADER
     size = size_of(file)
-    while len(head := file.read(RECORD_HEADER)) == RECORD_HEADER:
-        seconds, parts, stored, _ = record.unpack(head)
+    while place + RECORD_HEADER <= size:
+        seconds, parts, stored, _ = record.unpack(file.read(RECORD_HEADER))
         place += RECORD_HEADER
         if place + stored > size:
             return

@@ -15,9 +15,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from salsanext_cli.core.errors import FormatError, error_text, notice_once, shortened, warn_once
+from salsanext_cli.core.errors import FormatError
+from salsanext_cli.core.notices import notice_once, warn_once
 from salsanext_cli.core.optional_packages import import_open3d
 from salsanext_cli.core.records import Double, Scan
+from salsanext_cli.core.texts import error_text, shortened
 from salsanext_cli.io.files.reading import read_values, reading, refusing_damage, size_of
 from salsanext_cli.io.formats.columns import Columns, scan_of
 from salsanext_cli.io.formats.tables.text import require_decimal_points
@@ -171,7 +173,8 @@ def _fault(number: int, words: list[str], width: int) -> str:
 
 def _read_binary(file: BufferedReader, path: Path, header: Header) -> Columns:
     stated = header.point_count * header.point.itemsize
-    if (actual := size_of(file) - file.tell()) < stated:
+    actual = size_of(file) - file.tell()
+    if actual < stated:
         raise ValueError(f"{actual} bytes of data, not {stated}")
     points = read_values(file, path, header.point, header.point_count)
     return {name: points[name] for name in header.scalars}
@@ -179,7 +182,7 @@ def _read_binary(file: BufferedReader, path: Path, header: Header) -> Columns:
 
 def read_compressed(file: BufferedIOBase, header: Header) -> Columns:
     """Unpack compressed columns with open3d, which omits or converts some."""
-    if header.scalars != [*(header.point.names or ())]:
+    if header.scalars != list(header.point.names or ()):
         raise ValueError("compressed PCD data with fields of several values")
     sizes = np.frombuffer(file.read(8), "<u4")
     stated = header.point_count * header.point.itemsize
@@ -209,15 +212,18 @@ def read_header(file: BufferedIOBase, path: Path) -> Header:
     kinds = [kind.upper() for kind in entries.get("TYPE", ())]
     if "D" in kinds:
         notice_once("TYPE D in .pcd files is read as F")
-    if lacking := [key for key in ("FIELDS", "SIZE", "TYPE", "DATA") if not entries.get(key)]:
+    lacking = [key for key in ("FIELDS", "SIZE", "TYPE", "DATA") if not entries.get(key)]
+    if lacking:
         raise _unusable(path, f"no line {', '.join(lacking)}")
-    names, sizes = entries["FIELDS"], entries["SIZE"]
+    names = entries["FIELDS"]
+    sizes = entries["SIZE"]
     counts = entries.get("COUNT", ["1"] * len(names))
     if not len(names) == len(kinds) == len(sizes) == len(counts):
         numbers = f"{len(names)} FIELDS, {len(sizes)} SIZE, {len(kinds)} TYPE, {len(counts)} COUNT"
         raise _unusable(path, numbers)
     fields = list(zip(names, kinds, sizes, counts, strict=True))
-    if unknown := [f"{kind} {size}" for _, kind, size, _ in fields if kind + size not in TYPES]:
+    unknown = [f"{kind} {size}" for _, kind, size, _ in fields if kind + size not in TYPES]
+    if unknown:
         raise _unusable(path, f"TYPE and SIZE {shortened(unknown[0])}")
     try:
         point = np.dtype(

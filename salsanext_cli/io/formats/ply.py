@@ -49,7 +49,8 @@ def read_ply(path: Path, content: bytes) -> Any:
             raise ValueError("its header states more than it contains")
         if not any(name == b"vertex" for name, _ in elements):
             raise FormatError(path, "has no vertices", "a PLY file with an element vertex")
-        head, body = BLANKS.sub(b"", content[:end]), content[end:]
+        head = BLANKS.sub(b"", content[:end])
+        body = content[end:]
         if ASCII.search(head):
             body = BLANK_LINES.sub(b"", body)
         return plyfile.PlyData.read(io.BytesIO(head + body))

@@ -5,14 +5,18 @@ The path of a scan treats recording and topic as folders:
 ``drive.bag/velodyne_points/1612345678000000000``.
 """
 
+from __future__ import annotations
+
 import os
 import re
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import groupby
 from pathlib import Path
 from typing import Protocol
 
-from salsanext_cli.core.errors import FormatError, NoInputError, UsageError, counted, shortened
+from salsanext_cli.core.errors import FormatError, NoInputError, UsageError
+from salsanext_cli.core.texts import counted, shortened
 from salsanext_cli.core.wording import part
 from salsanext_cli.io.files.reading import identity, is_folder, present
 from salsanext_cli.io.formats import BAG_SUFFIXES, RECORDING_SUFFIXES
@@ -43,7 +47,7 @@ def files_of(recording: Path) -> list[Path]:
 
 def recording_of(path: Path) -> Path | None:
     """Return the recording that a path is or leads into; None for any other path."""
-    existing = next((part for part in (path, *path.parents) if present(part)), None)
+    existing = next((place for place in [path, *path.parents] if present(place)), None)
     return existing if existing is not None and is_recording(existing) else None
 
 
@@ -68,33 +72,62 @@ class Recording(Protocol):
         """Return the usual number of points of a cloud of a topic."""
 
     def columns(self, topic: str, time: int, number: int, path: Path) -> Columns:
-        """Read the cloud of a topic and a time; `number` counts clouds of the same time from 0.
+        """Read the cloud of a topic and a time.
 
-        `path` is the path of the scan, for errors.
+        Parameters
+        ----------
+        topic : str
+            Topic of point clouds.
+        time : int
+            Time in nanoseconds.
+        number : int
+            Number of the cloud among those of the same time, from 0.
+        path : Path
+            Path of the scan, for errors.
+
+        Returns
+        -------
+        Columns
+            Values (N,) of each field, by name.
         """
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _OpenRecording:
+    """Recording that is open, where it lies, and its topics."""
+
+    folder: Path  # Path of the recording, which is a folder of its topics
+    recording: Recording
+    topics: dict[str, str]  # Topics of point clouds by the names of their folders
 
 
 def recorded_paths(path: Path) -> list[Path]:
     """Return the paths of the scans in a recording, a topic or a scan of it, sorted by time."""
-    folder, recording, clouds = _opened(path)
-    inside = "/".join(path.relative_to(folder).parts) or _only_topic(folder, recording, clouds)
-    topic, name = (inside, "") if inside in clouds else inside.rpartition("/")[::2]
+    opened = _open_recording(path)
+    folder = opened.folder
+    clouds = opened.topics
+    inside = "/".join(path.relative_to(folder).parts) or _only_topic(opened)
+    topic = inside
+    name = ""
+    if inside not in clouds:
+        topic, _, name = inside.rpartition("/")
     if topic not in clouds:
         listed = shortened(", ".join(clouds.values()), MAX_SHOWN)
         raise NoInputError(folder, f"has no clouds of topic {inside}", f"one of {listed}")
-    names = _names(recording.times(clouds[topic]))
+    names = _names(opened.recording.times(clouds[topic]))
     if name and name not in names:
         raise NoInputError(path, "no such scan", f"one of the {len(names)} of the recording")
     return [folder / topic / stem for stem in names if name in ("", stem)]
 
 
-def _only_topic(folder: Path, recording: Recording, clouds: dict[str, str]) -> str:
-    """Return the only topic of point clouds of a recording."""
-    if len(clouds) == 1:
-        return next(iter(clouds))
-    if clouds:
-        raise _several_topics(folder, recording, [*clouds.values()])
-    raise recording.without_clouds()
+def _only_topic(opened: _OpenRecording) -> str:
+    """Return the folder of the only topic of point clouds of a recording."""
+    if len(opened.topics) == 1:
+        return next(iter(opened.topics))
+    if opened.topics:
+        topics = list(opened.topics.values())
+        raise _several_topics(opened.folder, opened.recording, topics)
+    raise opened.recording.without_clouds()
 
 
 def _several_topics(folder: Path, recording: Recording, topics: list[str]) -> UsageError:
@@ -118,22 +151,26 @@ def _names(times: list[int]) -> list[str]:
 
 def recorded_columns(path: Path, _: tuple[str, ...] = ()) -> Columns:
     """Read a scan of a recording, whose path is one of the `recorded_paths`."""
-    folder, recording, clouds = _opened(path)
-    topic = "/".join(path.parent.relative_to(folder).parts)
+    opened = _open_recording(path)
+    topic = "/".join(path.parent.relative_to(opened.folder).parts)
     match = NAME.fullmatch(path.name)
-    if topic not in clouds or match is None:
+    if topic not in opened.topics or match is None:
         raise FormatError(path, "no such scan", "a scan that the recording lists")
-    return recording.columns(clouds[topic], int(match[1]), int(match[2] or 0), path)
+    time = int(match[1])
+    number = int(match[2] or 0)
+    return opened.recording.columns(opened.topics[topic], time, number, path)
 
 
-def _opened(path: Path) -> tuple[Path, Recording, dict[str, str]]:
-    """Return path and recording of a path, which stays open, and its topics by their folders."""
+def _open_recording(path: Path) -> _OpenRecording:
+    """Return the recording that a path is or leads into, which stays open."""
     folder = recording_of(path)
     if folder is None:
         raise FormatError(path, "no such recording", "a recording or a scan in one")
     # An open file of a forked process has one position in both.
-    recording = _recording(folder, (os.getpid(), *map(identity, files_of(folder))))
-    return folder, recording, {topic.strip("/"): topic for topic in recording.cloud_topics()}
+    versions = [identity(file) for file in files_of(folder)]
+    recording = _recording(folder, (os.getpid(), *versions))
+    topics = {topic.strip("/"): topic for topic in recording.cloud_topics()}
+    return _OpenRecording(folder=folder, recording=recording, topics=topics)
 
 
 @lru_cache(maxsize=1)

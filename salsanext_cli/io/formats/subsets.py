@@ -4,14 +4,16 @@
 import io
 import re
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.core.errors import FormatError, LabelError, counted
+from salsanext_cli.core.errors import FormatError, LabelError
 from salsanext_cli.core.records import Mask
+from salsanext_cli.core.texts import counted
 from salsanext_cli.io.files.reading import reading, refusing_damage
 from salsanext_cli.io.formats import errors_of_plug_ins, format_of, kitti, npy, pcd, ply
 from salsanext_cli.io.formats.tables.text import BYTE_ORDER_MARK
@@ -34,7 +36,8 @@ def subsets_of(path: Path, names: tuple[str, ...] = ()) -> Subset:
     """
     form = format_of(path.name)
     if form is None or form.subset is None:
-        expected, hint = "another format, such as .ply", "write the scans as .bin or .npy first"
+        expected = "another format, such as .ply"
+        hint = "write the scans as .bin or .npy first"
         raise FormatError(path, "is of a format that cannot be written", expected, hint)
     with errors_of_plug_ins(path):
         subset = form.subset(path, names)
@@ -45,8 +48,13 @@ def npy_subset(path: Path, names: tuple[str, ...]) -> Subset:
     """Read a `.npy` table; an organised cloud becomes one row."""
     table = npy.rows_of(npy.load_npy(path, npy.EXPECTED))
     if npy.is_transposed(table, len(names)):
-        return lambda mask: _written(np.save, _masked(table.T, mask, path).T)
-    return lambda mask: _written(np.save, _masked(table, mask, path))
+        return lambda mask: _npy_content(_masked(table.T, mask, path).T)
+    return lambda mask: _npy_content(_masked(table, mask, path))
+
+
+def _npy_content(table: npt.NDArray[Any]) -> bytes:
+    """Return the content of a `.npy` file."""
+    return _saved(lambda file: np.save(file, table))
 
 
 def npz_subset(path: Path, _: tuple[str, ...]) -> Subset:
@@ -54,22 +62,24 @@ def npz_subset(path: Path, _: tuple[str, ...]) -> Subset:
     arrays, compressed = npy.npz_arrays(path)
 
     def subset(mask: Mask) -> bytes:
-        of_points = {n: array[mask] for n, array in arrays.items() if array.shape[:1] == mask.shape}
-        of_points |= {
-            name: array[:, mask]
-            for name, array in arrays.items()
-            if array.ndim == 2 and array.shape[1:] == mask.shape != array.shape[:1]
-        }
-        _masked(mask[: len(mask) * bool(of_points)], mask, path)
-        return _written(np.savez_compressed if compressed else np.savez, **arrays | of_points)
+        masked = {}
+        for name, array in arrays.items():
+            if array.shape[:1] == mask.shape:
+                masked[name] = array[mask]
+            elif array.ndim == 2 and array.shape[1:] == mask.shape:
+                masked[name] = array[:, mask]
+        if not masked and len(mask):
+            raise _other_number(0, len(mask), path)
+        save: Callable[..., None] = np.savez_compressed if compressed else np.savez
+        return _saved(lambda file: save(file, **arrays | masked))
 
     return subset
 
 
-def _written(write: Callable[..., object], *arguments: Any, **options: Any) -> bytes:
-    """Return the content that a function writes into its first argument, a file."""
+def _saved(save: Callable[[io.BytesIO], object]) -> bytes:
+    """Return the content that a function saves into a file."""
     with io.BytesIO() as buffer:
-        write(buffer, *arguments, **options)
+        save(buffer)
         return buffer.getvalue()
 
 
@@ -82,13 +92,13 @@ def bin_subset(path: Path, names: tuple[str, ...]) -> Subset:
 def pcd_subset(path: Path, _: tuple[str, ...]) -> Subset:
     """Read a PCD file."""
     with refusing_damage(path, "a complete .pcd file"):
-        return _rows_subset(path, *_pcd_parts(_content(path), path))
+        return _rows_subset(path, _pcd_rows(_content(path), path))
 
 
 def ply_subset(path: Path, _: tuple[str, ...]) -> Subset:
     """Read a PLY file."""
     with refusing_damage(path, "a complete .ply file"):
-        return _rows_subset(path, *_ply_parts(_content(path), path))
+        return _rows_subset(path, _ply_rows(_content(path), path))
 
 
 def text_subset(path: Path, _: tuple[str, ...]) -> Subset:
@@ -99,8 +109,8 @@ def text_subset(path: Path, _: tuple[str, ...]) -> Subset:
         layout = layout_of(content[mark:])
     start = mark + layout.start
     number = NUMBERS if layout.count is None else NUMBER_ALONE
-    body = without_comments(content[start:])
-    return _rows_subset(path, content[:start], body, 0, number)
+    rows = _Rows(header=content[:start], body=without_comments(content[start:]), width=0)
+    return _rows_subset(path, rows, number)
 
 
 def _content(path: Path) -> bytes:
@@ -108,13 +118,19 @@ def _content(path: Path) -> bytes:
         return file.read()
 
 
-def _rows_subset(
-    path: Path, head: bytes, body: bytes, width: int, number: re.Pattern[bytes] = NUMBERS
-) -> Subset:
-    """Return the function for rows of `width` bytes, or lines if 0, after a header.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Rows:
+    """Content of a file of one row per point."""
 
-    `number` matches the header up to the number of points.
-    """
+    header: bytes
+    body: bytes
+    width: int  # Bytes of a row; 0 for lines
+
+
+def _rows_subset(path: Path, content: _Rows, number: re.Pattern[bytes] = NUMBERS) -> Subset:
+    """Return the function for a file of rows; `number` matches its header up to their number."""
+    body = content.body
+    width = content.width
     if width:
         rows = np.frombuffer(body[: len(body) // width * width], f"V{width}")
     else:
@@ -123,28 +139,36 @@ def _rows_subset(
     def subset(mask: Mask) -> bytes:
         remaining = _masked(rows, mask, path)
         points = remaining.tobytes() if width else b"".join(remaining)
-        return number.sub(rb"\g<1>%d" % len(remaining), head) + points
+        return number.sub(rb"\g<1>%d" % len(remaining), content.header) + points
 
     return subset
 
 
 def _masked(rows: npt.NDArray[Any], mask: Mask, path: Path) -> npt.NDArray[Any]:
+    """Return the rows (N, …) of a mask; refuse a mask of another length."""
     if len(rows) != len(mask):
-        expected = f"{len(mask):,}, the number of labels"
-        raise LabelError(path, f"has {counted(len(rows), 'point')}", expected, "predict again")
+        raise _other_number(len(rows), len(mask), path)
     return rows[mask]
 
 
-def _pcd_parts(content: bytes, path: Path) -> tuple[bytes, bytes, int]:
-    """Return header, points, and bytes per point; 0 for lines."""
+def _other_number(points: int, labels: int, path: Path) -> LabelError:
+    """Return the error of a file with another number of points than labels."""
+    expected = f"{labels:,}, the number of labels"
+    return LabelError(path, f"has {counted(points, 'point')}", expected, "predict again")
+
+
+def _pcd_rows(content: bytes, path: Path) -> _Rows:
+    """Return the header of a PCD file for one row, and its points."""
     file = io.BytesIO(content)
     header = pcd.read_header(file, path)
-    start, width = file.tell(), header.point.itemsize
+    start = file.tell()
+    width = header.point.itemsize
     head = ROWS_OF_PCD.sub(rb"\g<1>1", content[:start])
     if header.kind == "ascii":
-        return head, content[start:], 0
+        return _Rows(header=head, body=content[start:], width=0)
     if header.kind == "binary":
-        return head, content[start : start + header.point_count * width], width
+        end = start + header.point_count * width
+        return _Rows(header=head, body=content[start:end], width=width)
     columns = pcd.read_compressed(file, header)
     points = np.zeros(header.point_count, header.point)
     for name in header.scalars:
@@ -153,17 +177,22 @@ def _pcd_parts(content: bytes, path: Path) -> tuple[bytes, bytes, int]:
             hint = "rewrite it as binary, for example with pcl_convert_pcd_ascii_binary"
             raise FormatError(path, problem, "binary or ascii", hint)
         points[name] = columns[name]
-    return COMPRESSED_PCD.sub(rb"\1", head), points.tobytes(), width
+    head = COMPRESSED_PCD.sub(rb"\1", head)
+    return _Rows(header=head, body=points.tobytes(), width=width)
 
 
-def _ply_parts(content: bytes, path: Path) -> tuple[bytes, bytes, int]:
-    """Return header, vertices, and bytes per vertex; 0 for lines."""
-    data, end = ply.read_ply(path, content), END_OF_PLY.search(content)
+def _ply_rows(content: bytes, path: Path) -> _Rows:
+    """Return the header and the vertices of a PLY file."""
+    data = ply.read_ply(path, content)
+    end = END_OF_PLY.search(content)
     vertices = data["vertex"]
     others = [element.name for element in data if element is not vertices and element.count]
     if others or vertices.data.dtype.hasobject or end is None:
         problem = f"also contains {', '.join(others) or 'lists'}"
         raise FormatError(path, problem, "points only", "save only the points, in CloudCompare")
-    width = 0 if data.text else vertices.data.itemsize
+    head = content[: end.end()]
     body = content[end.end() :]
-    return content[: end.end()], body[: width * vertices.count] if width else body, width
+    if data.text:
+        return _Rows(header=head, body=body, width=0)
+    width = vertices.data.itemsize
+    return _Rows(header=head, body=body[: width * vertices.count], width=width)

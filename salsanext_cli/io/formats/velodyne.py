@@ -14,8 +14,10 @@ from typing import Any
 import numpy as np
 import yaml
 
-from salsanext_cli.core.errors import FormatError, NoInputError, counted, error_text, notice_once
+from salsanext_cli.core.errors import FormatError, NoInputError
+from salsanext_cli.core.notices import notice_once
 from salsanext_cli.core.optional_packages import import_extra
+from salsanext_cli.core.texts import counted, error_text
 from salsanext_cli.io.files.reading import reading, refusing_damage
 from salsanext_cli.io.formats.captures import VELODYNE_BYTES
 from salsanext_cli.io.formats.columns import Columns
@@ -149,7 +151,8 @@ def _whole_revolutions(revolutions: list[Revolution], path: Path) -> list[Revolu
         for number, revolution in enumerate(revolutions)
         if revolution.span >= least or 0 < number < len(revolutions) - 1
     ]
-    if cut := len(revolutions) - len(whole):
+    cut = len(revolutions) - len(whole)
+    if cut:
         notice_once(f"{path}: skipped at the ends: {counted(cut, 'incomplete revolution')}")
     return whole
 

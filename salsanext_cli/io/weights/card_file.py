@@ -10,7 +10,7 @@ from pathlib import Path
 
 import safetensors
 
-from salsanext_cli.core.errors import FormatError, WeightsError, nearest, shortened
+from salsanext_cli.core.errors import FormatError, WeightsError
 from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.network.weights_names import (
     DEFAULT_NAME,
@@ -18,6 +18,7 @@ from salsanext_cli.core.network.weights_names import (
     paper_networks_hint,
 )
 from salsanext_cli.core.plain_data import plain
+from salsanext_cli.core.texts import nearest, shortened
 from salsanext_cli.io.files.atomic import WEIGHTS_SUFFIX
 from salsanext_cli.io.files.reading import fingerprint, is_folder, present, reading, refusing_damage
 
@@ -27,7 +28,8 @@ ONNX_SUFFIX = ".onnx"
 def read_card(path: Path) -> WeightsCard:
     """Read only the metadata of a weights file."""
     if path.suffix == ONNX_SUFFIX:
-        problem, hint = "is an ONNX model", "use the weights from which it was exported"
+        problem = "is an ONNX model"
+        hint = "use the weights from which it was exported"
         raise WeightsError(path, problem, "a .safetensors file", hint)
     try:
         with (
@@ -37,12 +39,14 @@ def read_card(path: Path) -> WeightsCard:
         ):
             metadata = file.metadata() or {}
     except FormatError as error:
-        problem, hint = error.problem, "copy it again"
+        problem = error.problem
+        hint = "copy it again"
         if not present(path):
             problem = "no such file"
             hint = hint_for_missing(path)
         elif is_folder(path):
-            problem, hint = "is a folder", "name the file in it"
+            problem = "is a folder"
+            hint = "name the file in it"
         elif path.suffix != WEIGHTS_SUFFIX:
             hint = "convert a published checkpoint with `salsanext import-weights`"
         raise WeightsError(path, problem, "a .safetensors file", hint) from error

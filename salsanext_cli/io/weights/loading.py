@@ -64,17 +64,18 @@ def load_network(
     card = read_card(file)
     merging = ClassMerging.needed(card.space, classes)
     sensor = sensor or card.sensor
-    sha256, chosen = fingerprint(file), choose_device(device)
-    library = choose_engine(engine, chosen)
+    sha256 = fingerprint(file)
+    device = choose_device(device)
+    library = choose_engine(engine, device)
     is_built_in = card.architecture.get("name") == "salsanext"
     backend = LIBRARIES[library].backend_class()(
-        lambda: _read_module(file, chosen, sha256),
-        card.at_width(sensor.width),
-        (sensor.height, sensor.width),
-        chosen,
-        _number_type(precision, chosen, library, file, card),
-        "default weights" if path is None else str(path),
-        sha256,
+        load_module=lambda: _read_module(file, device, sha256),
+        card=card.at_width(sensor.width),
+        size=(sensor.height, sensor.width),
+        device=device,
+        precision=_number_type(precision, device, library, file, card),
+        name="default weights" if path is None else str(path),
+        sha256=sha256,
         code="" if is_built_in else _code_of_plug_in(card),
     )
     if backend.needs_module or not is_built_in:
@@ -99,7 +100,8 @@ def network_of_module(module: "SegmentationNetwork", card: WeightsCard, device: 
     from salsanext_cli.core.engines.torch_backend import TorchBackend
 
     size = (card.sensor.height, card.sensor.width)
-    return Network(TorchBackend(lambda: module, card, size, device), card.sensor)
+    backend = TorchBackend(load_module=lambda: module, card=card, size=size, device=device)
+    return Network(backend, card.sensor)
 
 
 def _code_of_plug_in(card: WeightsCard) -> str:

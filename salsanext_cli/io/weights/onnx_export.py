@@ -16,7 +16,8 @@ from salsanext_cli.core.optional_packages import import_extra
 from salsanext_cli.core.records import CHANNELS, Float
 
 OPSET = 17  # The latest that TensorRT 8.6 reads; OpenVINO and ONNX Runtime read later ones too
-INPUT, OUTPUT = "image", "logits"
+INPUT = "image"
+OUTPUT = "logits"
 TOLERANCE = 1e-3  # Largest difference from torch, relative to the largest logit
 
 
@@ -26,7 +27,8 @@ class _Traced(nn.Module):
     def __init__(self, module: SegmentationNetwork, height: int, width: int) -> None:
         super().__init__()
         self.module = module
-        self.height, self.width = height, width
+        self.height = height
+        self.width = width
         self.columns = torch.arange(width + -width % module.stride[1]) % width
         self.rows = -height % module.stride[0]
 
@@ -35,16 +37,32 @@ class _Traced(nn.Module):
             image = image[..., self.columns]
         if self.rows:
             image = nn.functional.pad(image, (0, 0, 0, self.rows))
-        logits: Tensor = self.module.rest(*self.module.trunk(image))
+        features = self.module.trunk(image)
+        logits: Tensor = self.module.rest(*features)
         if self.rows:
             logits = logits[..., : self.height, :]
         return logits[..., : self.width] if len(self.columns) != self.width else logits
 
 
 def exported(module: SegmentationNetwork, card: WeightsCard, *, dynamic_width: bool = False) -> Any:
-    """Return a network as an ONNX model, for one width or for every multiple of its stride."""
+    """Return a network as an ONNX model.
+
+    Parameters
+    ----------
+    module : SegmentationNetwork
+        Network in torch.
+    card : WeightsCard
+        Its card, which the model contains.
+    dynamic_width : bool
+        Whether the model takes images of every multiple of the stride, not of one width.
+
+    Returns
+    -------
+    onnx.ModelProto
+    """
     package = import_extra("onnx", "onnx")
-    height, width = card.sensor.height, card.sensor.width
+    height = card.sensor.height
+    width = card.sensor.width
     if dynamic_width:
         width += -width % module.stride[1]
     traced = _Traced(module, height, width)
@@ -78,7 +96,27 @@ def run(content: bytes, image: Float) -> Float:
 
 
 def difference(content: bytes, module: SegmentationNetwork, card: WeightsCard) -> float:
-    """Return the largest difference from the logits of torch, relative to the largest logit."""
+    """Compare the logits of ONNX Runtime with those of torch.
+
+    Parameters
+    ----------
+    content : bytes
+        ONNX model.
+    module : SegmentationNetwork
+        Network in torch.
+    card : WeightsCard
+        Its card.
+
+    Returns
+    -------
+    float
+        Largest difference, relative to the largest logit.
+
+    Raises
+    ------
+    WeightsError
+        If it exceeds `TOLERANCE`.
+    """
     size = (1, len(CHANNELS), card.sensor.height, card.sensor.width)
     image = np.random.default_rng(0).standard_normal(size, np.float32)
     with torch.inference_mode():

@@ -12,7 +12,8 @@ from typing import Any, Self
 import torch
 from torch import Tensor
 
-from salsanext_cli.core.errors import WeightsError, shortened
+from salsanext_cli.core.errors import WeightsError
+from salsanext_cli.core.texts import shortened
 from salsanext_cli.io.files.reading import reason
 
 UNITS = {"conv2": "narrow.0", "bn1": "narrow.2", "conv3": "middle.0", "bn2": "middle.2"}
@@ -28,8 +29,18 @@ STACKS = (
     (re.compile(r"upBlock(\d)\.(\w+)\.(\w+)"), "up{number}.stack", UP_UNITS),
 )
 UNREADABLE = (
-    *(ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, MemoryError),
-    *(RecursionError, RuntimeError, TypeError, ValueError, UnpicklingError, struct.error),
+    ArithmeticError,
+    AssertionError,
+    AttributeError,
+    EOFError,
+    LookupError,
+    MemoryError,
+    RecursionError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+    UnpicklingError,
+    struct.error,
 )
 """Errors of `torch.load` in files of other programs."""
 MAX_IGNORED = 64  # Largest number of classes and functions that a checkpoint may name

@@ -66,6 +66,6 @@ def _digest(file: BinaryIO) -> str:
     tensors = json.loads(file.read(length))
     tensors.pop(METADATA, None)
     digest = hashlib.sha256(json.dumps(tensors, sort_keys=True).encode())
-    while piece := file.read(PIECE_BYTES):
+    for piece in iter(lambda: file.read(PIECE_BYTES), b""):
         digest.update(piece)
     return digest.hexdigest()

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Weights files: tensors of a network, and the card that describes them."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,10 +10,11 @@ import safetensors.torch
 import torch
 from torch import Tensor, nn
 
-from salsanext_cli.core.errors import UsageError, WeightsError, error_text, first_few, shortened
+from salsanext_cli.core.errors import UsageError, WeightsError
 from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.network.registry import build
 from salsanext_cli.core.network.segmentation import SegmentationNetwork
+from salsanext_cli.core.texts import error_text, first_few, shortened
 from salsanext_cli.io.files.atomic import write_bytes, writing
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.tensor_digest import require_intact, tensor_digest
@@ -41,7 +42,26 @@ def _encoded(tensors: dict[str, Tensor], card: WeightsCard) -> bytes:
 def save_with_card(
     source: Path, target: Path, card: WeightsCard, *, overwrite: bool = True
 ) -> None:
-    """Write a weights file with another card; the tensors, which are checked, stay bit for bit."""
+    """Write a weights file with another card; the tensors, which are checked, stay bit for bit.
+
+    Parameters
+    ----------
+    source : Path
+        Weights file with the tensors.
+    target : Path
+        Name of the new file.
+    card : WeightsCard
+        Its card.
+    overwrite : bool
+        Whether it may replace a file.
+
+    Raises
+    ------
+    WeightsError
+        If the tensors are damaged.
+    OutputError
+        If the file cannot be written, or may not replace another.
+    """
     tensors = safetensors.torch.load_file(source)
     require_intact(source, read_card(source).tensors_sha256)
     with writing(target, durable=True, overwrite=overwrite) as file:
@@ -67,7 +87,8 @@ def read_weights(path: Path) -> tuple[SegmentationNetwork, WeightsCard]:
             module = build({**card.architecture, "class_count": count}, path)
     except UsageError as error:
         raise WeightsError(path, error.problem, error.expected, error.hint) from error
-    if (classes := card.architecture.get("class_count")) != count:
+    classes = card.architecture.get("class_count")
+    if classes != count:
         problem = f"has {shortened(classes)} outputs for the {count} classes of {card.space.name}"
         raise WeightsError(path, problem, "one output per class")
     try:
@@ -80,16 +101,36 @@ def read_weights(path: Path) -> tuple[SegmentationNetwork, WeightsCard]:
 
 
 def load_tensors(module: nn.Module, tensors: Mapping[str, Tensor], source: object) -> None:
-    """Put tensors into a network, float32; names, shapes and values are checked."""
+    """Put tensors into a network.
+
+    Parameters
+    ----------
+    module : Module
+        Network, whose tensors become float32.
+    tensors : mapping of str to Tensor
+        Tensors by name.
+    source : object
+        Origin of the tensors in errors.
+
+    Raises
+    ------
+    WeightsError
+        If a name, a shape or a value is wrong.
+    """
     expected = module.state_dict()
-    for names, problem in (
-        (expected.keys() - tensors.keys(), "lacks tensors"),
-        (tensors.keys() - expected.keys(), "has unknown tensors"),
-    ):
-        if names:
-            raise WeightsError(source, f"{problem}: {shortened(first_few(sorted(names)))}")
+    missing = expected.keys() - tensors.keys()
+    if missing:
+        raise WeightsError(source, f"lacks tensors: {_listed(missing)}")
+    unknown = tensors.keys() - expected.keys()
+    if unknown:
+        raise WeightsError(source, f"has unknown tensors: {_listed(unknown)}")
     checked = {name: _checked(name, t, expected[name], source) for name, t in tensors.items()}
     module.load_state_dict(checked, assign=True)
+
+
+def _listed(names: Iterable[str]) -> str:
+    """Return the first of the names of tensors in a short text."""
+    return shortened(first_few(sorted(names)))
 
 
 def _checked(name: str, tensor: Tensor, expected: Tensor, source: object) -> Tensor:

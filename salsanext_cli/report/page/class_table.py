@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from salsanext_cli.core.classes.label_space import LabelSpace
-from salsanext_cli.core.errors import counted
 from salsanext_cli.core.measures.scores import Counts
+from salsanext_cli.core.texts import counted
 from salsanext_cli.report.colours import Colours
 from salsanext_cli.report.page.run_results import Comparison
 from salsanext_cli.report.tables import percent

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from salsanext_cli.core.classes.label_space import LabelSpace
-from salsanext_cli.core.errors import counted
 from salsanext_cli.core.measures.scores import Counts, largest_confusions, scored_rows
+from salsanext_cli.core.texts import counted
 from salsanext_cli.report.page.scan_row import ScanRow
 from salsanext_cli.report.tables import percent
 
@@ -52,9 +52,9 @@ def largest_confusions_in_words(confusion: Counts, space: LabelSpace) -> list[st
     names = space.names
     truths = matrix.sum(axis=1).tolist()
     return [
-        f"{names[true]} taken for {names[predicted]}: "
-        f"{percent(points / truths[true], 1, ' %')} of {counted(truths[true], 'point')}"
-        for true, predicted, points in largest_confusions(matrix, MAX_CONFUSIONS)
+        f"{names[c.true]} taken for {names[c.predicted]}: "
+        f"{percent(c.points / truths[c.true], 1, ' %')} of {counted(truths[c.true], 'point')}"
+        for c in largest_confusions(matrix, MAX_CONFUSIONS)
     ]
 
 

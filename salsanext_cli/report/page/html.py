@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from salsanext_cli.core.errors import escaped
+from salsanext_cli.core.texts import escaped
 from salsanext_cli.report.colours import screen_colours
 from salsanext_cli.report.page.class_table import class_table
 from salsanext_cli.report.page.clouds import Scale, encode_cloud

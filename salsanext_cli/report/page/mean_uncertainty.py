@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from salsanext_cli.core.errors import percentage
+from salsanext_cli.core.texts import percentage
 from salsanext_cli.core.uncertainty.kinds import UNCERTAINTY
 
 TITLES = {"error": "probability of error", "least_confidence": "1 − confidence"}

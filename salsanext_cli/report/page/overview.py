@@ -7,9 +7,9 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from salsanext_cli.core.errors import counted, percentage
 from salsanext_cli.core.measures.decision import ADVICE, DOUBTFUL, Evidence, verdict
 from salsanext_cli.core.measures.expected_accuracy import ExpectedAccuracy
+from salsanext_cli.core.texts import counted, percentage
 from salsanext_cli.core.wording import argument
 from salsanext_cli.report.page.decision_command import decision_command
 from salsanext_cli.report.page.run_results import Comparison, RunResults
@@ -98,7 +98,7 @@ def _score_tiles(compared: Comparison) -> Iterator[Tile]:
     scans = f"{counted(compared.counts.scans, 'scan')} {which}"
     labelled = counted(scores.points, "labelled point")
     if labels := compared.accepted:
-        points = sum(counts[0] for counts in compared.counts.accepted.values())
+        points = sum(scan.points for scan in compared.counts.accepted.values())
         coverage = f"coverage: accepted of {counted(points, 'labelled point')}, {scans}"
         yield Tile(percent(labels.coverage, 1, " %"), coverage)
         risk = f"risk: wrong of {counted(scores.points, 'accepted point')}"

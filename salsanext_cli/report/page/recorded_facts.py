@@ -8,10 +8,11 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
-from salsanext_cli.core.errors import SalsanextError, shortened
-from salsanext_cli.core.fitting.field_of_view import view_text
+from salsanext_cli.core.errors import SalsanextError
+from salsanext_cli.core.fitting.sensor_texts import view_text
 from salsanext_cli.core.measures.risk_control import guarantee
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.texts import shortened
 from salsanext_cli.core.wording import command, setting
 from salsanext_cli.io.files.reading import fingerprint
 from salsanext_cli.io.weights.card_file import default_weights, named_weights, read_card

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 
-from salsanext_cli.core.errors import counted, first_few
+from salsanext_cli.core.texts import counted, first_few
 from salsanext_cli.runs.results.owned_folder import OwnedFolder, Texts
 from salsanext_cli.runs.results.paths import PREDICTION_STAGES, ScanFile
 

@@ -12,7 +12,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from salsanext_cli.core.errors import printable
+from salsanext_cli.core.texts import printable
 
 FOLDER = resources.files("salsanext_cli.report.page")
 PAGE = "page.html"

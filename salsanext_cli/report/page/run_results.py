@@ -15,15 +15,16 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.core.classes.label_space import LabelSpace
-from salsanext_cli.core.errors import counted, percentage
 from salsanext_cli.core.geometry.objects import BOX
+from salsanext_cli.core.measures.accepted_labels import AcceptedLabels
 from salsanext_cli.core.measures.counts import SOFTMAX, ScanCounts
 from salsanext_cli.core.measures.decision import Evidence
 from salsanext_cli.core.measures.expected_accuracy import ExpectedAccuracy, expected_accuracy
 from salsanext_cli.core.measures.histograms import lack_of_confidence
-from salsanext_cli.core.measures.risk_control import AcceptedLabels, RiskBoundCheck
+from salsanext_cli.core.measures.risk_control import RiskBoundCheck
 from salsanext_cli.core.measures.scores import Scores, accepted, scores
 from salsanext_cli.core.measures.uncertainty_evaluation import UncertaintyEvaluation
+from salsanext_cli.core.texts import counted, percentage
 from salsanext_cli.core.uncertainty.kinds import MEANT_BY_UNCERTAINTY, UNCERTAINTY
 from salsanext_cli.core.wording import argument, command, setting
 from salsanext_cli.io.files.reading import present, reading, refusing_damage

@@ -6,7 +6,7 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from pathlib import Path
 
-from salsanext_cli.core.errors import counted
+from salsanext_cli.core.texts import counted
 from salsanext_cli.report.page.run_results import RunResults
 from salsanext_cli.runs.results.layouts import SCAN_FOLDER
 from salsanext_cli.runs.results.owned_folder import OwnedFolder

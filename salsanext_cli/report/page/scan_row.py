@@ -17,7 +17,7 @@ from salsanext_cli.core.measures.scores import Counts, accepted, scored_rows
 from salsanext_cli.core.records import Float
 from salsanext_cli.core.uncertainty.kinds import UNCERTAINTY
 from salsanext_cli.io.files.reading import present
-from salsanext_cli.io.formats.kitti import read_labels
+from salsanext_cli.io.formats.kitti_labels import read_labels
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.paths import ScanFile, output_path
 from salsanext_cli.runs.results.result_folder import read_kind

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from salsanext_cli.core.errors import NOTICE, FormatError, OutputError, SalsanextError, percentage
+from salsanext_cli.core.errors import FormatError, OutputError, SalsanextError
 from salsanext_cli.core.fusion.drive import Drive
 from salsanext_cli.core.fusion.pose_checks import (
     MAX_MISFIT,
@@ -20,8 +20,10 @@ from salsanext_cli.core.fusion.pose_checks import (
 from salsanext_cli.core.fusion.poses import POSES, Poses
 from salsanext_cli.core.geometry.projection import in_sensor_frame
 from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.records import Float, Origin
 from salsanext_cli.core.sensors.sensor import UP, Sensor
+from salsanext_cli.core.texts import percentage
 from salsanext_cli.core.wording import setting
 from salsanext_cli.io.files.json_files import read_json
 from salsanext_cli.io.files.reading import present, refusing_damage

@@ -9,10 +9,10 @@ import numpy as np
 
 from salsanext_cli.core.checks.finding import Finding
 from salsanext_cli.core.checks.warning_codes import WarningCode
-from salsanext_cli.core.errors import NOTICE
 from salsanext_cli.core.fusion.drive import Drive
 from salsanext_cli.core.fusion.poses import POSES
 from salsanext_cli.core.fusion.registration import register
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.runs.drives.drive import (
     OriginOf,

@@ -181,7 +181,7 @@ def settings_of_network(network: Network, kind: type[Computed]) -> Computed:
     """
     backend = network.backend
     card = network.card
-    inherited = [text for text in (card.inherited(), card.of_other_width()) if text]
+    inherited = [text for text in (card.inherited(), card.parts_of_default_width()) if text]
     return kind(
         weights=backend.sha256,
         weights_version=card.version,

@@ -11,13 +11,14 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.core.classes.label_space import LabelSpace, RawIds
-from salsanext_cli.core.errors import LabelError, NoInputError, counted, first_few
+from salsanext_cli.core.errors import LabelError, NoInputError
 from salsanext_cli.core.geometry.label_transfer import TOLERANCE_M, LabelTransfer, transfer_labels
 from salsanext_cli.core.records import Float
+from salsanext_cli.core.texts import counted, first_few
 from salsanext_cli.core.wording import argument
 from salsanext_cli.io.files.reading import is_folder, present
 from salsanext_cli.io.formats import format_of, suffixes_in_words
-from salsanext_cli.io.formats.kitti import read_labels
+from salsanext_cli.io.formats.kitti_labels import read_labels
 from salsanext_cli.io.formats.label_scalars import (
     LABEL_READER,
     LabelIds,
@@ -148,7 +149,7 @@ def read_edited(
         files=(str(path),),
         points=len(raw),
         labelled=labelled,
-        unlabelled=int(transfer.known.sum()) - labelled,
+        unlabelled=int(transfer.has_label.sum()) - labelled,
         ambiguous=int(transfer.ambiguous.sum()),
         missing=int(transfer.missing.sum()),
         unmatched=len(transfer.unmatched),

@@ -19,9 +19,10 @@ from pathlib import Path
 import numpy as np
 
 from salsanext_cli.core.classes.label_space import LabelSpace
-from salsanext_cli.core.errors import LabelError, SalsanextError, counted
+from salsanext_cli.core.errors import LabelError, SalsanextError
 from salsanext_cli.core.measures.scores import Counts
 from salsanext_cli.core.plain_data import MALFORMED, decoded, plain
+from salsanext_cli.core.texts import counted
 from salsanext_cli.io.files.atomic import append_line
 from salsanext_cli.io.files.json_files import read_json
 from salsanext_cli.io.files.reading import fingerprint, present, reading

@@ -8,8 +8,9 @@ from contextlib import closing
 from dataclasses import dataclass
 from typing import Any
 
-from salsanext_cli.core.errors import SalsanextError, WorkersLost, first_few, with_hint
+from salsanext_cli.core.errors import SalsanextError, WorkersLost
 from salsanext_cli.core.measures.filtered_points import FilteredPoints
+from salsanext_cli.core.texts import first_few, with_hint
 from salsanext_cli.runs.loop.job import Attempt, Task
 from salsanext_cli.runs.loop.pipeline import Report, opened
 from salsanext_cli.runs.loop.run_options import Progress, RunOptions

@@ -9,7 +9,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from salsanext_cli.core.errors import NOTICE, SalsanextError
+from salsanext_cli.core.errors import SalsanextError
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.records import Origins
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.runs.results.output_run import OutputRun

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from salsanext_cli.core.errors import OutputError
-from salsanext_cli.core.network.card import parted
+from salsanext_cli.core.network.card import split_digests
 from salsanext_cli.io.files.atomic import write_bytes
 from salsanext_cli.io.files.reading import present, reading
 
@@ -44,7 +44,7 @@ NO_SCANS = RecordedScans()
 def require_digests(text: object) -> None:
     """Raise `ValueError` for a text that is neither joined digests nor the name of their file."""
     if not (isinstance(text, str) and NAME.fullmatch(text)):
-        parted(text)
+        split_digests(text)
 
 
 def with_files(settings: Mapping[Any, object], folder: Path) -> dict[str, object]:
@@ -54,7 +54,7 @@ def with_files(settings: Mapping[Any, object], folder: Path) -> dict[str, object
         if NAME.fullmatch(text):
             return text
         path = folder / _name_of(text)
-        lines = "".join(f"{digest}\n" for digest in parted(text)).encode("ascii")
+        lines = "".join(f"{digest}\n" for digest in split_digests(text)).encode("ascii")
         if not present(path) or path.read_bytes() != lines:
             write_bytes(path, lines, durable=True)
         return path.name
@@ -108,7 +108,7 @@ def recorded_scans(text: str, record: Path) -> RecordedScans:
     """
     named = NAME.fullmatch(text)
     if named is None:
-        return RecordedScans(frozenset(parted(text)))
+        return RecordedScans(frozenset(split_digests(text)))
     path = record.with_name(text)
     if not present(path):
         return RecordedScans(missing=path)
@@ -118,7 +118,7 @@ def recorded_scans(text: str, record: Path) -> RecordedScans:
         problem = "contains other digests than its name states"
         hint = f"copy it from the folder that {record.name} comes from, or delete it"
         raise OutputError(path, problem, f"the file that {record.name} names", hint)
-    return RecordedScans(frozenset(parted(joined)))
+    return RecordedScans(frozenset(split_digests(joined)))
 
 
 def names_files(settings: Mapping[Any, object]) -> bool:

@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 from salsanext_cli.core.classes.label_space import LabelSpace
-from salsanext_cli.core.errors import LabelError, SalsanextError, with_hint
+from salsanext_cli.core.errors import LabelError, SalsanextError
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.texts import with_hint
 from salsanext_cli.io.files.reading import present
 from salsanext_cli.io.formats import read_scan
-from salsanext_cli.io.formats.kitti import read_labels
+from salsanext_cli.io.formats.kitti_labels import read_labels
 from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.runs.results.selection import evenly_spaced
 

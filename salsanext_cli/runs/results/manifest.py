@@ -15,10 +15,11 @@ from typing import Literal, TypeVar, overload
 
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.classes.merging import ClassMerging, contradiction
-from salsanext_cli.core.errors import LabelError, OutputError, first_few
+from salsanext_cli.core.errors import LabelError, OutputError
 from salsanext_cli.core.network.card import RiskThreshold
 from salsanext_cli.core.plain_data import Json, as_json, decoded, plain
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.texts import first_few
 from salsanext_cli.core.wording import argument, command, setting
 from salsanext_cli.io.files.json_files import read_json, record_of, write_json
 from salsanext_cli.io.files.reading import identity

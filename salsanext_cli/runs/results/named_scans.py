@@ -4,7 +4,8 @@
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from salsanext_cli.core.errors import FormatError, UsageError, did_you_mean, first_few
+from salsanext_cli.core.errors import FormatError, UsageError
+from salsanext_cli.core.texts import did_you_mean, first_few
 from salsanext_cli.io.files.reading import reading
 from salsanext_cli.runs.results.paths import ScanFile
 

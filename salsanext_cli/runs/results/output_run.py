@@ -15,7 +15,7 @@ from salsanext_cli.core.classes.label_space import RawIds
 from salsanext_cli.core.errors import OutputError
 from salsanext_cli.core.wording import setting
 from salsanext_cli.io.files.reading import filled
-from salsanext_cli.io.formats.kitti import encode_labels
+from salsanext_cli.io.formats.kitti_labels import encode_labels
 from salsanext_cli.runs.records.digest_files import names_files, with_files
 from salsanext_cli.runs.records.stage_settings import StageSettings
 from salsanext_cli.runs.results.manifest import (

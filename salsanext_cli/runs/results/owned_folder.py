@@ -20,7 +20,8 @@ from pathlib import Path
 from urllib.parse import quote_from_bytes, unquote_to_bytes
 from uuid import uuid4
 
-from salsanext_cli.core.errors import OutputError, first_few
+from salsanext_cli.core.errors import OutputError
+from salsanext_cli.core.texts import first_few
 from salsanext_cli.io.files.atomic import MARK, append_line, refusal, sweep, sweep_stale, writing
 from salsanext_cli.io.files.json_files import read_record, write_json
 from salsanext_cli.io.files.locks import locked

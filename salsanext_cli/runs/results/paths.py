@@ -10,7 +10,9 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from salsanext_cli.core.errors import NoInputError, OutputError, first_few, notice_once
+from salsanext_cli.core.errors import NoInputError, OutputError
+from salsanext_cli.core.notices import notice_once
+from salsanext_cli.core.texts import first_few
 from salsanext_cli.core.uncertainty.kinds import UNCERTAINTY
 from salsanext_cli.io.files.reading import present, reason
 from salsanext_cli.io.formats import is_table, scan_suffix, suffixes_in_words

@@ -13,14 +13,15 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.core.classes.label_space import LabelSpace, RawIds
-from salsanext_cli.core.errors import NoInputError, OutputError, counted, first_few
+from salsanext_cli.core.errors import NoInputError, OutputError
 from salsanext_cli.core.records import Float
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.texts import counted, first_few
 from salsanext_cli.core.uncertainty.kinds import MEANT_BY_UNCERTAINTY, UNCERTAINTY
 from salsanext_cli.core.wording import argument, command, setting
 from salsanext_cli.io.files.reading import is_folder, present
 from salsanext_cli.io.formats import read_scan
-from salsanext_cli.io.formats.kitti import read_labels
+from salsanext_cli.io.formats.kitti_labels import read_labels
 from salsanext_cli.io.formats.npy import read_uncertainty
 from salsanext_cli.io.formats.recordings import recording_of
 from salsanext_cli.runs.results.layouts import SCAN_FOLDER

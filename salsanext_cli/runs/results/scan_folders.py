@@ -10,7 +10,8 @@ from functools import cache, cached_property
 from operator import attrgetter
 from pathlib import Path
 
-from salsanext_cli.core.errors import MAX_NAMES_SHOWN, FormatError, NoInputError, first_few
+from salsanext_cli.core.errors import FormatError, NoInputError
+from salsanext_cli.core.texts import MAX_NAMES_SHOWN, first_few
 from salsanext_cli.io.files.reading import is_folder
 from salsanext_cli.io.formats import RECORDING_SUFFIXES, SCAN_SUFFIXES, is_table, scan_suffix
 from salsanext_cli.io.formats.recordings import is_recording

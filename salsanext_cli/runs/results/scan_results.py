@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.core.classes.label_space import LabelSpace, RawIds
-from salsanext_cli.core.errors import percentage
 from salsanext_cli.core.geometry.projection import in_sensor_frame, measured_ranges
 from salsanext_cli.core.records import Float, Scan
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.texts import percentage
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,15 +12,9 @@ import numpy as np
 
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.classes.merging import ClassMerging, is_merged
-from salsanext_cli.core.errors import (
-    NOTICE,
-    NoInputError,
-    UsageError,
-    counted,
-    first_few,
-    warn_once,
-    with_hint,
-)
+from salsanext_cli.core.errors import NoInputError, UsageError
+from salsanext_cli.core.notices import NOTICE, warn_once
+from salsanext_cli.core.texts import counted, first_few, with_hint
 from salsanext_cli.core.wording import argument
 from salsanext_cli.io.files.reading import is_folder, present
 from salsanext_cli.io.formats.recordings import recording_of

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from salsanext_cli.core.classes.label_space import LabelSpace
-from salsanext_cli.core.errors import first_few, shortened
+from salsanext_cli.core.texts import first_few, shortened
 from salsanext_cli.core.wording import argument, setting
 
 ARGUMENT_OF = {

@@ -14,8 +14,9 @@ import numpy.typing as npt
 
 from salsanext_cli.core.classes.label_space import LabelSpace, RawIds, TrainIds
 from salsanext_cli.core.classes.merging import ClassMerging
-from salsanext_cli.core.errors import LabelError, with_hint
+from salsanext_cli.core.errors import LabelError
 from salsanext_cli.core.geometry.projection import in_sensor_frame
+from salsanext_cli.core.measures.accepted_labels import AcceptedCounts
 from salsanext_cli.core.measures.calibration import SCAN_BINS, reliability
 from salsanext_cli.core.measures.counts import (
     BAND_NAMES,
@@ -35,10 +36,11 @@ from salsanext_cli.core.measures.scores import confusion_matrix, scores
 from salsanext_cli.core.network.card import is_among
 from salsanext_cli.core.records import Float, Mask, Scan
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.texts import with_hint
 from salsanext_cli.core.uncertainty.kinds import UNCERTAINTY
 from salsanext_cli.io.files.reading import present
 from salsanext_cli.io.formats import read_scan
-from salsanext_cli.io.formats.kitti import read_labels
+from salsanext_cli.io.formats.kitti_labels import read_labels
 from salsanext_cli.io.formats.npy import read_probabilities
 from salsanext_cli.runs.records.digest_files import NO_SCANS, RecordedScans
 from salsanext_cli.runs.results.manifest import Manifest
@@ -138,9 +140,11 @@ class ScanComparison:
         values |= self._uncertainties(scan, scored, counts)
         if self.rejects:
             labelled = predicted[scored] != 0
-            accepted_points = int(labelled.sum())
-            wrong_points = int((labelled & wrong).sum())
-            counts.accepted[scan.name] = len(labelled), accepted_points, wrong_points
+            counts.accepted[scan.name] = AcceptedCounts(
+                points=len(labelled),
+                accepted=int(labelled.sum()),
+                wrong=int((labelled & wrong).sum()),
+            )
             counts.calibrated = int(is_among(self.chosen_on.digests, len(scored), read))
             values = {kind: np.where(labelled, v, np.nan) for kind, v in values.items()}
         for kind, of_points in values.items():

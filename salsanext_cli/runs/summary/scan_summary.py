@@ -20,21 +20,24 @@ from salsanext_cli.core.checks.scan_checks import UNCHECKED, ScanCheck
 from salsanext_cli.core.checks.warning_codes import WarningCode
 from salsanext_cli.core.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.core.engines.network import Network
-from salsanext_cli.core.errors import NOTICE, SalsanextError, counted, first_few
+from salsanext_cli.core.errors import SalsanextError
 from salsanext_cli.core.geometry.projection import measured_ranges
 from salsanext_cli.core.geometry.scan_measures import measures_of
 from salsanext_cli.core.geometry.scan_traits import ScanTraits
 from salsanext_cli.core.labelling import LabelledScan
+from salsanext_cli.core.measures.accepted_labels import AcceptedCounts
 from salsanext_cli.core.measures.expected_accuracy import ExpectedAccuracy, expected_accuracy
 from salsanext_cli.core.measures.population import unit_traits
 from salsanext_cli.core.measures.risk_control import RiskBoundCheck
 from salsanext_cli.core.measures.scores import Counts
 from salsanext_cli.core.network.card import AccuracyLine, RiskThreshold
 from salsanext_cli.core.network.unit_traits import UnitTraits
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.records import Float, Mask
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.texts import counted, first_few
 from salsanext_cli.io.files.reading import present
-from salsanext_cli.io.formats.kitti import read_labels
+from salsanext_cli.io.formats.kitti_labels import read_labels
 from salsanext_cli.runs.fit.mixed_sensors import mixed_sensors
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.output_run import OutputRun
@@ -357,7 +360,7 @@ class RunSummary:
 
 
 def guarantee_of_run(
-    out: Path, space: LabelSpace, losses: Mapping[str, tuple[int, int, int]]
+    out: Path, space: LabelSpace, losses: Mapping[str, AcceptedCounts]
 ) -> RiskBoundCheck | None:
     """Compare the guarantee of a run with labels; None if the run has none.
 
@@ -367,8 +370,8 @@ def guarantee_of_run(
         Output folder of `predict --reject risk`.
     space : LabelSpace
         Classes of the labels.
-    losses : mapping of str to tuple of int
-        Scored, accepted and wrong points of each scan by name.
+    losses : mapping of str to AcceptedCounts
+        Points of each scan by name.
 
     Returns
     -------

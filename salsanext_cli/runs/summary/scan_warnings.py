@@ -11,7 +11,7 @@ from pathlib import Path
 
 from salsanext_cli.core.checks.finding import Finding
 from salsanext_cli.core.checks.label_checks import LOOK
-from salsanext_cli.core.errors import first_few
+from salsanext_cli.core.texts import first_few
 
 log = logging.getLogger(__name__)
 

@@ -6,18 +6,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from salsanext_cli.core.errors import counted, first_few
 from salsanext_cli.core.fitting.view_fit import is_other_view
 from salsanext_cli.core.measures.population import (
     are_comparable,
     have_measures,
     new_codes,
-    of_units,
     population_difference,
+    traits_of_units,
 )
 from salsanext_cli.core.network.card import RiskThreshold
 from salsanext_cli.core.network.unit_traits import UnitTraits
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.texts import counted, first_few
 from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.runs.results.selection import data_set_of
 
@@ -45,7 +45,7 @@ class ThresholdComparison:
         if not now or not risk.population:
             return ""
         if risk.unit == "drive":
-            now = of_units(now, [name.rpartition("/")[0] for name in traits])
+            now = traits_of_units(now, [name.rpartition("/")[0] for name in traits])
         codes = new_codes(risk.population, now) if have_measures(risk.population) else []
         if codes:
             return f"{UNLIKE}: they have the warning {first_few(codes)}"

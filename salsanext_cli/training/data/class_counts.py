@@ -19,11 +19,13 @@ from torch import Tensor
 
 from salsanext_cli.core.checks.scan_checks import check_scan
 from salsanext_cli.core.classes.label_space import LabelSpace
-from salsanext_cli.core.errors import NOTICE, TrainingError, counted
+from salsanext_cli.core.errors import TrainingError
 from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
-from salsanext_cli.core.network.card import parted, scan_digest
+from salsanext_cli.core.network.card import scan_digest, split_digests
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.plain_data import MALFORMED, decoded
 from salsanext_cli.core.records import Double, Mask
+from salsanext_cli.core.texts import counted
 from salsanext_cli.io.files.json_files import encode_json, read_json
 from salsanext_cli.io.files.reading import identity
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
@@ -206,7 +208,7 @@ def _cached(
         return ClassCounts(
             points=np.array([known["points"][name] for name in names], np.int64),
             warnings=decoded(list[ScanWarning], known["warnings"]),
-            digests=dict(zip(files, parted(known["scans"]), strict=True)),
+            digests=dict(zip(files, split_digests(known["scans"]), strict=True)),
         )
     except (*MALFORMED, LookupError, OverflowError):
         return None

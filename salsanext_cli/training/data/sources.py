@@ -12,16 +12,18 @@ import numpy as np
 
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.classes.merging import ClassMerging, is_merged
-from salsanext_cli.core.errors import NOTICE, LabelError, NoInputError, counted, first_few
+from salsanext_cli.core.errors import LabelError, NoInputError
 from salsanext_cli.core.fitting.field_of_view import fit_view
 from salsanext_cli.core.geometry.network_input import on_other_scale, with_image_statistics
 from salsanext_cli.core.geometry.projection import ego_points, in_sensor_frame, project
 from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.records import Float
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.texts import counted, first_few
 from salsanext_cli.core.wording import setting
 from salsanext_cli.io.formats import read_scan
-from salsanext_cli.io.formats.kitti import read_labels
+from salsanext_cli.io.formats.kitti_labels import read_labels
 from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.runs.fit.scan_sample import sample_of_files
 from salsanext_cli.runs.labelling.label_records import pre_labelled_scans

@@ -11,13 +11,14 @@ import numpy as np
 
 from salsanext_cli.core.engines.backend import PixelPrediction
 from salsanext_cli.core.engines.network import Network
-from salsanext_cli.core.errors import TrainingError, counted, first_few
+from salsanext_cli.core.errors import TrainingError
 from salsanext_cli.core.geometry.knn import knn_refine
 from salsanext_cli.core.measures.calibration import reliability
 from salsanext_cli.core.measures.histograms import error_histogram, uncertainty_histogram
 from salsanext_cli.core.measures.uncertainty_evaluation import accepted_points, ranking_scores
 from salsanext_cli.core.network.error_model import ErrorModel
 from salsanext_cli.core.records import Float, Mask
+from salsanext_cli.core.texts import counted, first_few
 from salsanext_cli.core.uncertainty.error_features import FEATURES, features_of, knows_error
 from salsanext_cli.core.uncertainty.monte_carlo import scan_seed
 from salsanext_cli.runs.loop.job import Steps

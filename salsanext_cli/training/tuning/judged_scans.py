@@ -19,7 +19,7 @@ from salsanext_cli.core.measures.scores import Counts, Ratios
 from salsanext_cli.core.network.card import scan_digest
 from salsanext_cli.core.network.unit_traits import UnitTraits
 from salsanext_cli.core.uncertainty.error_features import error_probability
-from salsanext_cli.io.formats.kitti import read_labels
+from salsanext_cli.io.formats.kitti_labels import read_labels
 from salsanext_cli.runs.fit.scan_reading import PreparedFile, read_prepared
 from salsanext_cli.runs.loop.job import Steps
 from salsanext_cli.runs.results.paths import ScanFile

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.core.errors import TrainingError, first_few, percentage, with_hint
+from salsanext_cli.core.errors import TrainingError
+from salsanext_cli.core.measures.accepted_labels import AcceptedLabels
 from salsanext_cli.core.measures.histograms import UNCERTAINTY_BINS, highest_of_bins
-from salsanext_cli.core.measures.population import of_units
+from salsanext_cli.core.measures.population import traits_of_units
 from salsanext_cli.core.measures.risk_control import (
-    AcceptedLabels,
     enough_drives,
     held_thresholds,
     likely_thresholds,
@@ -25,6 +25,7 @@ from salsanext_cli.core.measures.scores import Counts, Ratios
 from salsanext_cli.core.network.card import RiskThreshold
 from salsanext_cli.core.network.unit_traits import UnitTraits
 from salsanext_cli.core.sensors.sensor import FittedView
+from salsanext_cli.core.texts import first_few, percentage, with_hint
 from salsanext_cli.core.uncertainty.error_features import knows_error
 from salsanext_cli.core.wording import argument
 from salsanext_cli.runs.fit.sensor_fit import labels_depend_on
@@ -132,7 +133,7 @@ def fit_risk(scans: TuningScans, level: RiskLevel) -> Tuned[RiskFit]:
     labels = AcceptedLabels.of_confusion(
         _confusion_of_accepted(counts, bins),
         scans.space,
-        {scan.scan: (scan.points, scan.accepted, scan.wrong) for scan in points},
+        {scan.scan: scan.counts for scan in points},
     )
     threshold = _threshold(scans, judged, kind, unit, level, bins)
     others = held_out_sequences(shares, level)
@@ -237,7 +238,7 @@ def _population(judged: Sequence[JudgedScan], unit: str) -> tuple[UnitTraits, ..
     traits = [scan.traits for scan in judged if scan.traits]
     if unit == "scan":
         return tuple(traits)
-    return of_units(traits, [scan.file.sequence for scan in judged])
+    return traits_of_units(traits, [scan.file.sequence for scan in judged])
 
 
 def _no_threshold(source: Path, kind: str, few: FewUnits | None, level: RiskLevel) -> TrainingError:

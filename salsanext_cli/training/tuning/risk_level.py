@@ -6,13 +6,14 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from salsanext_cli.core.errors import TrainingError, UsageError, counted, percentage, with_hint
+from salsanext_cli.core.errors import TrainingError, UsageError
 from salsanext_cli.core.measures.risk_control import (
     allowed_scans,
     needed_scans,
     share_left,
     useful_scans,
 )
+from salsanext_cli.core.texts import counted, percentage, with_hint
 from salsanext_cli.core.wording import argument, share
 
 log = logging.getLogger(__name__)

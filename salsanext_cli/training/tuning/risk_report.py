@@ -5,10 +5,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from salsanext_cli.core.engines.network import Network
-from salsanext_cli.core.errors import percentage
-from salsanext_cli.core.measures.risk_control import AcceptedLabels, guarantee
+from salsanext_cli.core.measures.accepted_labels import AcceptedCounts, AcceptedLabels
+from salsanext_cli.core.measures.risk_control import guarantee
 from salsanext_cli.core.network.card import RiskThreshold
 from salsanext_cli.core.plain_data import plain
+from salsanext_cli.core.texts import percentage
 from salsanext_cli.runs.summary.scan_warnings import ScanWarning
 from salsanext_cli.training.tuning.risk_level import RiskLevel
 
@@ -52,6 +53,11 @@ class AcceptedScan:
     points: int  # All scored points
     accepted: int
     wrong: int  # Accepted and wrong
+
+    @property
+    def counts(self) -> AcceptedCounts:
+        """Numbers of the points."""
+        return AcceptedCounts(points=self.points, accepted=self.accepted, wrong=self.wrong)
 
     @property
     def share_accepted(self) -> float:

@@ -8,8 +8,9 @@ from pathlib import Path
 
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.engines.network import Network
-from salsanext_cli.core.errors import LabelError, NoInputError, TrainingError, counted, first_few
+from salsanext_cli.core.errors import LabelError, NoInputError, TrainingError
 from salsanext_cli.core.network.card import WeightsCard, scan_digest
+from salsanext_cli.core.texts import counted, first_few
 from salsanext_cli.core.wording import argument
 from salsanext_cli.io.files.reading import present
 from salsanext_cli.io.formats import read_scan

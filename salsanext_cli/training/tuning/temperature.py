@@ -12,11 +12,12 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from salsanext_cli.core.errors import NOTICE, TrainingError, WeightsError
+from salsanext_cli.core.errors import TrainingError, WeightsError
 from salsanext_cli.core.measures.calibration import reliability
 from salsanext_cli.core.measures.histograms import confidence_histogram
 from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.network.error_model import TEMPERATURES
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.records import Float
 from salsanext_cli.core.uncertainty.monte_carlo import scan_seed
 from salsanext_cli.runs.loop.job import Steps

@@ -19,7 +19,8 @@ from salsanext_cli import __version__
 from salsanext_cli.__main__ import main
 from salsanext_cli.commands.line import console, help, removed
 from salsanext_cli.commands.line.app import COMMANDS
-from salsanext_cli.core.errors import FormatError, UsageError, with_hint
+from salsanext_cli.core.errors import FormatError, UsageError
+from salsanext_cli.core.texts import with_hint
 
 ROOT = Path(__file__).parents[3]
 HEAVY = ("torch", "open3d", "numba", "matplotlib", "numpy", "scipy", "pandas", "joblib", "rich")

@@ -22,7 +22,7 @@ from salsanext_cli.commands.line.summary import (
     print_failures,
 )
 from salsanext_cli.core.engines import device
-from salsanext_cli.io.formats.kitti import write_labels
+from salsanext_cli.io.formats.kitti_labels import write_labels
 from salsanext_cli.runs.loop.run import Failure, Outcome
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.records.stage_settings import PredictSettings

@@ -13,7 +13,8 @@ from scans import files_below, make_scan, refused, write_array, write_bin
 
 from salsanext_cli import LabelSpace, Scan, label_space, sensor, write_labels
 from salsanext_cli.commands.line.summary import _as_data, _rejection_lines
-from salsanext_cli.commands.stages.filter import filter_scans, named_classes
+from salsanext_cli.commands.stages.filter import filter_scans
+from salsanext_cli.core.classes.merging import named_classes
 from salsanext_cli.core.errors import NoInputError, OutputError, UsageError
 from salsanext_cli.core.geometry.scan_traits import traits_of
 from salsanext_cli.core.measures.filtered_points import FilteredPoints

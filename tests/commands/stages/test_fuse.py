@@ -19,7 +19,6 @@ from salsanext_cli.commands.stages.evaluate import evaluate
 from salsanext_cli.commands.stages.fuse import fuse_results
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.core.errors import (
-    NOTICE,
     FormatError,
     NoInputError,
     OutputError,
@@ -27,6 +26,7 @@ from salsanext_cli.core.errors import (
     UsageError,
 )
 from salsanext_cli.core.fusion.window import FusionWindow
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.wording import spelled
 from salsanext_cli.io.poses import encode_poses, read_fused_poses
 from salsanext_cli.runs.loop.run import RunOptions

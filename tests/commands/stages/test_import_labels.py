@@ -12,7 +12,7 @@ from scans import files_below, refused, write_sequence
 from salsanext_cli import label_space, read_labels, read_scan, write_labels
 from salsanext_cli.commands.stages.import_labels import import_labels
 from salsanext_cli.core.errors import NoInputError
-from salsanext_cli.io.formats.kitti import encode_labels
+from salsanext_cli.io.formats.kitti_labels import encode_labels
 from salsanext_cli.runs.labelling.label_records import pre_labelled_scans
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.paths import find_scans

@@ -17,9 +17,9 @@ from salsanext_cli import LabelSpace, label_space, load_network, project, read_l
 from salsanext_cli.commands.stages.models import describe_weights
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.commands.stages.train import TrainResult, train
-from salsanext_cli.core.errors import NOTICE
 from salsanext_cli.core.network.card import AccuracyLine, WeightsCard
 from salsanext_cli.core.network.error_model import ErrorModel
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.uncertainty.error_features import FEATURES
 from salsanext_cli.io.files.reading import fingerprint
 from salsanext_cli.io.weights.card_file import read_card

@@ -23,7 +23,6 @@ from salsanext_cli import (
 from salsanext_cli.commands.stages import pick as stage
 from salsanext_cli.commands.stages.pick import pick
 from salsanext_cli.core.errors import (
-    NOTICE,
     FormatError,
     NoInputError,
     OutputError,
@@ -31,6 +30,7 @@ from salsanext_cli.core.errors import (
     WeightsError,
 )
 from salsanext_cli.core.measures.scan_choice import choose_scans
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.runs.labelling.scan_description import DescribeJob
 from salsanext_cli.runs.loop.pipeline import Pipeline
 from salsanext_cli.runs.loop.run import RunOptions

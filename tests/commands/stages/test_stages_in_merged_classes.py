@@ -23,7 +23,7 @@ from salsanext_cli.core.errors import OutputError, UsageError
 from salsanext_cli.core.measures.histograms import confidence_histogram
 from salsanext_cli.core.measures.scores import confusion_matrix
 from salsanext_cli.core.uncertainty.method import UncertaintyMethod
-from salsanext_cli.io.formats.kitti import write_labels
+from salsanext_cli.io.formats.kitti_labels import write_labels
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.results.result_folder import ResultFolder

@@ -18,7 +18,6 @@ from tiny_network import TinyNetwork
 from salsanext_cli import LabelSpace, label_space, load_network, project, read_scan, write_labels
 from salsanext_cli.commands.stages.train import train
 from salsanext_cli.core.errors import (
-    NOTICE,
     LabelError,
     NoInputError,
     OutputError,
@@ -30,6 +29,7 @@ from salsanext_cli.core.geometry.network_input import intensity_quantiles, row_g
 from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.network.registry import ARCHITECTURES
 from salsanext_cli.core.network.salsanext import SalsaNext
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import save_weights
 from salsanext_cli.runs.results.owned_folder import OwnedFolder

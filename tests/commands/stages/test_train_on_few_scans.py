@@ -20,10 +20,11 @@ from salsanext_cli.commands.stages import training_scenes
 from salsanext_cli.commands.stages.import_labels import import_labels
 from salsanext_cli.commands.stages.synth import SynthSettings
 from salsanext_cli.commands.stages.train import TrainResult, train
-from salsanext_cli.core.errors import NOTICE, LabelError, NoInputError
+from salsanext_cli.core.errors import LabelError, NoInputError
 from salsanext_cli.core.network.card import WeightsCard, scan_digest
 from salsanext_cli.core.network.error_model import ErrorModel
 from salsanext_cli.core.network.registry import ARCHITECTURES
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.uncertainty.error_features import FEATURES
 from salsanext_cli.io.files.json_files import write_json
 from salsanext_cli.io.files.reading import fingerprint

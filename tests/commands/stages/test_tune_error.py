@@ -3,8 +3,9 @@
 
 import json
 import shutil
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,6 @@ from salsanext_cli.commands.stages.models import describe_weights
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.commands.stages.uncertainty import uncertainty
 from salsanext_cli.core.errors import (
-    NOTICE,
     LabelError,
     OutputError,
     TrainingError,
@@ -26,29 +26,37 @@ from salsanext_cli.core.errors import (
 )
 from salsanext_cli.core.measures.expected_accuracy import expected_accuracy
 from salsanext_cli.core.network.card import AccuracyLine
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.uncertainty.error_features import FEATURES
 from salsanext_cli.core.uncertainty.method import UncertaintyMethod
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import save_with_card
 from salsanext_cli.runs.loop.run import RunOptions
-from salsanext_cli.runs.results.paths import ERROR, find_scans, output_path
+from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.results.paths import ERROR, ScanFile, find_scans, output_path
 from salsanext_cli.runs.results.result_folder import ResultFolder
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.training.tuning import error_training
 
 ALL = ScanSelection()
+SPACE = label_space()
 
 
-@pytest.fixture
-def far_is_wrong(world: World, tmp_path) -> World:
+def label_far_points_wrongly(world: World) -> World:
     """Label all scans as the network does, except points beyond their median range."""
-    predict_scans(world.data, tmp_path / "truth", settings=world.network)
+    truth = world.out.with_name("truth")
+    predict_scans(world.data, truth, settings=world.network)
     for file in find_scans(world.data):
-        path = output_path(tmp_path / "truth", file.sequence, "predictions", file.stem)
+        path = output_path(truth, file.sequence, "predictions", file.stem)
         labels, far = read_labels(path).copy(), is_far(file.path)
         labels[far] = np.where(labels[far] == 10, 40, 10)
         write_labels(file.label_path, labels)
     return world
+
+
+@pytest.fixture
+def far_is_wrong(world: World) -> World:
+    return label_far_points_wrongly(world)
 
 
 def is_far(scan: Path) -> np.ndarray:
@@ -73,62 +81,131 @@ def test_labels_of_several_classes_are_skipped_and_counted(world: World, target)
     assert again == tuned
 
 
-def test_wrong_points_have_a_high_error_on_held_out_scans(far_is_wrong, target, tmp_path):
-    world = far_is_wrong
+@dataclass(frozen=True, kw_only=True)
+class FittedRuns:
+    """Weights with an error model, a run that writes the errors, and one that rejects by them."""
+
+    world: World
+    """Its output folder has the errors of all labels."""
+    target: Path
+    tuned: dict[str, Any]
+    """Report of `tune error`."""
+    rejecting: Path
+    """Output folder of the run that rejects labels above an error of 0.5."""
+    rejected_points: int
+
+    @property
+    def network(self) -> NetworkSettings:
+        return replace(self.world.network, weights=self.target)
+
+    @property
+    def scans(self) -> list[ScanFile]:
+        return find_scans(self.world.data)
+
+    def errors(self) -> list[np.ndarray]:
+        """Return the errors (N,) of each scan."""
+        return [np.load(self.world.result(ERROR, scan.sequence, scan.stem)) for scan in self.scans]
+
+    def scored(self) -> list[np.ndarray]:
+        """Return which points of each scan have a scored class."""
+        return [SPACE.scored[SPACE.to_train(read_labels(scan.label_path))] for scan in self.scans]
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory, weights: Path) -> FittedRuns:
+    folder = tmp_path_factory.mktemp("error")
+    world = label_far_points_wrongly(World.made(folder, weights))
+    target, rejecting = folder / "tuned.safetensors", folder / "rejecting"
     tuned = world.tune("error", target)
+    network = replace(world.network, weights=target)
+    predict_scans(world.data, world.out, settings=network, extras=(ERROR,))
+    outcome = predict_scans(world.data, rejecting, settings=network, reject=0.5)
+    return FittedRuns(
+        world=world,
+        target=target,
+        tuned=tuned,
+        rejecting=rejecting,
+        rejected_points=outcome.rejected_points,
+    )
+
+
+FEW_PASSES = UncertaintyMethod(samples=2, aleatoric="none")
+
+
+def test_the_report_has_the_scores_on_held_out_scans(runs):
+    tuned = runs.tuned
     assert (tuned["scans"], tuned["sequences"], tuned["folds"]) == (3, ["00", "08"], 2)
     assert tuned["error"]["auroc"] > 0.97 > tuned["confidence"]["auroc"]
     assert tuned["error"]["aurc"] < tuned["confidence"]["aurc"]
-    stored = read_card(target).error
+    assert tuned["changed"]
+
+
+def test_the_card_has_the_model_and_its_scores(runs):
+    stored, tuned = read_card(runs.target).error, runs.tuned
     assert stored.features == FEATURES
     about_the_run = {"stage", "changed", "skipped", "weights"}
-    assert tuned["changed"]
     assert stored.scores == {key: tuned[key] for key in tuned.keys() - about_the_run}
-    assert describe_weights(target).to_dict()["error"] == stored.scores
-    network = replace(world.network, weights=target)
-    predict_scans(world.data, world.out, settings=network, extras=(ERROR,))
-    error = np.load(world.result(ERROR))
+    assert describe_weights(runs.target).to_dict()["error"] == stored.scores
+
+
+def test_errors_are_probabilities_and_high_where_labels_are_wrong(runs):
+    error = np.load(runs.world.result(ERROR))
     known = ~np.isnan(error)
     assert ((error >= 0) & (error <= 1))[known].all()
-    far = is_far(world.scan())[known]
+    far = is_far(runs.world.scan())[known]
     assert error[known][far].mean() > 0.8 > 0.2 > error[known][~far].mean()
-    few = tmp_path / "few"
-    rejected = predict_scans(world.data, few, settings=network, reject=0.5).rejected_points
-    above = [np.load(path) > 0.5 for path in world.out.rglob("error/*.npy")]
-    assert rejected == sum(of_scan.sum() for of_scan in above)
-    labels = read_labels(world.result("predictions"))
-    accepted = read_labels(few / "sequences/08/predictions/000000.label")
+    judged = evaluate(runs.scans, runs.world.out, SPACE).uncertainty.kinds["error"]
+    assert judged.ece < 0.1
+
+
+def test_labels_above_an_error_are_rejected(runs):
+    assert runs.rejected_points == sum((error > 0.5).sum() for error in runs.errors())
+    labels = read_labels(runs.world.result("predictions"))
+    accepted = read_labels(runs.rejecting / "sequences/08/predictions/000000.label")
+    error = np.load(runs.world.result(ERROR))
     np.testing.assert_array_equal(accepted, np.where(error > 0.5, 0, labels))
-    with refused(OutputError, few / "predict.json"):
-        predict_scans(world.data, few, settings=network, reject=0.4)
-    assert ResultFolder(few).provenance(ALL)["reject"] == 0.5
-    # Rejected points are misses, but do not count in the scores of the error.
-    space, scans = label_space(), find_scans(world.data)
-    kinds = [evaluate(scans, out, space).uncertainty.kinds for out in (few, world.out)]
+
+
+def test_a_folder_has_one_limit_of_the_error(runs):
+    with refused(OutputError, runs.rejecting / "predict.json"):
+        predict_scans(runs.world.data, runs.rejecting, settings=runs.network, reject=0.4)
+    assert ResultFolder(runs.rejecting).provenance(ALL)["reject"] == 0.5
+
+
+def test_rejected_points_do_not_count_in_the_scores_of_the_error(runs):
+    """They are misses of the labels."""
+    kinds = [
+        evaluate(runs.scans, out, SPACE).uncertainty.kinds
+        for out in (runs.rejecting, runs.world.out)
+    ]
     judged, whole = (of_run["error"] for of_run in kinds)
-    scored = [space.scored[space.to_train(read_labels(scan.label_path))] for scan in scans]
-    errors = [np.load(world.result(ERROR, scan.sequence, scan.stem)) for scan in scans]
-    lost = sum((of_scan[s] > 0.5).sum() for of_scan, s in zip(errors, scored, strict=True))
+    pairs = list(zip(runs.errors(), runs.scored(), strict=True))
+    lost = sum((error[scored] > 0.5).sum() for error, scored in pairs)
     assert judged.points == whole.points - lost < whole.points
     assert judged.wrong < whole.wrong - 0.5 * lost
-    results = ResultFolder(few).read(scans[0], truth_in=(space, space))
-    np.testing.assert_array_equal(np.isnan(results.wrong(space)), ~scored[0] | (errors[0] > 0.5))
-    whole = evaluate(scans, world.out, space).uncertainty.kinds["error"]
-    assert whole.ece < 0.1
-    # Errors belong to their labels.
-    some = UncertaintyMethod(samples=2, aleatoric="none")
-    uncertainty(world.data, world.out, settings=network, method=some)
-    np.testing.assert_array_equal(np.load(world.result(ERROR)), error)
-    # Passes of dropout change the labels, not the model.
-    other = tmp_path / "uncertain"
-    uncertainty(world.data, other, settings=network, method=some)
-    assert {p.name for p in (other / "sequences/08/uncertainty").iterdir()} >= {"error", "entropy"}
-    # The errors of replaced labels are removed.
-    predict_scans(world.data, other, settings=network, options=RunOptions(overwrite=True))
-    assert (other / "sequences/08/uncertainty/entropy/000000.npy").exists()
-    assert not list(other.rglob("error/*.npy"))
-    uncertainty(world.data, other, settings=network, method=some)
-    assert not list(other.rglob("error/*.npy"))
+    error, scored = pairs[0]
+    results = ResultFolder(runs.rejecting).read(runs.scans[0], truth_in=(SPACE, SPACE))
+    np.testing.assert_array_equal(np.isnan(results.wrong(SPACE)), ~scored | (error > 0.5))
+
+
+def test_errors_stay_with_their_labels_when_uncertainty_follows(runs, tmp_path):
+    out = tmp_path / "copy"
+    shutil.copytree(runs.world.out, out)
+    before = np.load(runs.world.result(ERROR))
+    uncertainty(runs.world.data, out, settings=runs.network, method=FEW_PASSES)
+    np.testing.assert_array_equal(np.load(output_path(out, "08", ERROR, "000000")), before)
+
+
+def test_errors_of_replaced_labels_are_removed(runs, tmp_path):
+    """Passes of dropout change the labels, not the model."""
+    out, data, network = tmp_path / "uncertain", runs.world.data, runs.network
+    uncertainty(data, out, settings=network, method=FEW_PASSES)
+    assert {p.name for p in (out / "sequences/08/uncertainty").iterdir()} >= {"error", "entropy"}
+    predict_scans(data, out, settings=network, options=RunOptions(overwrite=True))
+    assert (out / "sequences/08/uncertainty/entropy/000000.npy").exists()
+    assert not list(out.rglob("error/*.npy"))
+    uncertainty(data, out, settings=network, method=FEW_PASSES)
+    assert not list(out.rglob("error/*.npy"))
 
 
 def test_weights_without_it_are_refused(world: World) -> None:

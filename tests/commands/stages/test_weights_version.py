@@ -13,7 +13,7 @@ from salsanext_cli.commands.stages.import_weights import import_weights
 from salsanext_cli.commands.stages.models import describe_weights
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.commands.stages.tune import tune_temperature
-from salsanext_cli.core.errors import NOTICE
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.io.files.reading import fingerprint
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import save_with_card

@@ -103,7 +103,7 @@ def test_parts_of_another_width_are_named(mixed, caplog):
     expected = f"temperature, estimated accuracy of images of {WIDE} columns"
     assert f"{expected}; not fitted to images of 32 columns" in caplog.text
     assert Manifest(mixed.out).settings("predict").inherited == expected
-    assert read_card(mixed.network.path).at_width(NARROW).of_other_width() == ""
+    assert read_card(mixed.network.path).at_width(NARROW).parts_of_default_width() == ""
 
 
 def test_a_threshold_holds_for_the_width_that_it_was_chosen_at(mixed, target):

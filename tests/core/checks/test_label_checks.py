@@ -9,13 +9,16 @@ from salsanext_cli.core.checks.label_checks import (
     MAX_SHARE,
     MAX_SHARE_OF_FEW,
     MIN_CONFIDENCE,
-    MIN_OF_FEW,
+    MIN_CONFIDENCE_OF_FEW,
     label_findings,
 )
 from salsanext_cli.core.checks.warning_codes import WarningCode
 
 TOTAL = 100_000
-SPACES = {"semantic-kitti": (MAX_SHARE, MIN_CONFIDENCE), "coarse": (MAX_SHARE_OF_FEW, MIN_OF_FEW)}
+SPACES = {
+    "semantic-kitti": (MAX_SHARE, MIN_CONFIDENCE),
+    "coarse": (MAX_SHARE_OF_FEW, MIN_CONFIDENCE_OF_FEW),
+}
 """Limits of the share and of the confidence, by label space."""
 
 

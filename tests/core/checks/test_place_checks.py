@@ -10,7 +10,7 @@ from street_scans import HEIGHT, moved, street
 
 from salsanext_cli import Scan, read_scan
 from salsanext_cli.core.checks.scan_checks import check_scan
-from salsanext_cli.core.fitting import mounting_fit
+from salsanext_cli.core.fitting import upright_scans
 from salsanext_cli.core.fitting.field_of_view import fit_view
 from salsanext_cli.core.fitting.mounting_fit import fit_mounting
 from salsanext_cli.core.geometry.beam_origin import PROVING_SHARPNESS, sharpness_at_origin
@@ -101,7 +101,7 @@ def test_scans_without_doubt_are_not_at_the_origin(monkeypatch):
     def is_uneven(scan: Scan) -> bool:
         return not np.array_equal(scan.points, calm) and is_out_of_place(scan)
 
-    monkeypatch.setattr(mounting_fit, "is_out_of_place", is_uneven)
+    monkeypatch.setattr(upright_scans, "is_out_of_place", is_uneven)
     sensor = fit_mounting(scans, SMALL)
     assert not sensor.registered
     assert sensor.origin == pytest.approx((16, 12, 0), abs=0.6)

@@ -4,7 +4,7 @@
 import pytest
 
 from salsanext_cli.core.engines import device, openvino_runtime
-from salsanext_cli.core.errors import warn_once
+from salsanext_cli.core.notices import warn_once
 
 
 @pytest.fixture

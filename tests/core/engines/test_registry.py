@@ -18,7 +18,8 @@ from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.core.engines import registry
 from salsanext_cli.core.engines.registry import LIBRARIES, Library, choose_engine, computes_int8
 from salsanext_cli.core.engines.torch_backend import TorchBackend
-from salsanext_cli.core.errors import MissingDependency, UsageError, warn_once
+from salsanext_cli.core.errors import MissingDependency, UsageError
+from salsanext_cli.core.notices import warn_once
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.manifest import Manifest
 

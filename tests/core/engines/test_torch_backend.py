@@ -15,7 +15,7 @@ from salsanext_cli.core.engines.torch_backend import (
     keep_ends_in_float32,
     set_up_cuda,
 )
-from salsanext_cli.core.errors import out_of_memory
+from salsanext_cli.core.memory import out_of_memory
 from salsanext_cli.core.network.card import WeightsCard
 
 

@@ -11,12 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from salsanext_cli import LabelSpace, Scan, label_space
-from salsanext_cli.core.errors import UsageError, warn_once
+from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.fusion.drive import Drive
 from salsanext_cli.core.fusion.reach import FusionReach
 from salsanext_cli.core.fusion.top_classes import LEVELS, STORED, softmax_of, top_classes
 from salsanext_cli.core.fusion.votes import MAX_CELLS, SCALE, VOXEL_SIZES_M, keys_of
 from salsanext_cli.core.fusion.window import FusionWindow, warn_without_movable_classes
+from salsanext_cli.core.notices import warn_once
 
 CLASSES = 20
 CAR, PERSON, ROAD = 1, 6, 9

@@ -30,7 +30,9 @@ def slow_transfer(points, cloud, labels):
 def as_listed(found):
     return [
         "several" if ambiguous else int(label) if known else None
-        for label, known, ambiguous in zip(found.labels, found.known, found.ambiguous, strict=True)
+        for label, known, ambiguous in zip(
+            found.labels, found.has_label, found.ambiguous, strict=True
+        )
     ]
 
 

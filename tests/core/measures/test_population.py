@@ -15,8 +15,8 @@ from salsanext_cli.core.measures.population import (
     LIKELY,
     are_comparable,
     new_codes,
-    of_units,
     population_difference,
+    traits_of_units,
     unit_traits,
     upper_tail,
 )
@@ -145,7 +145,7 @@ def test_a_code_that_most_new_units_have_tells_them_apart():
     seen = [replace(unit, codes=("part-of-circle", "sparse")) for unit in drawn[3:5]]
     assert new_codes(before, [*seen, drawn[5]]) == ("part-of-circle",)
     assert new_codes(before, [seen[0], drawn[5]]) == ()
-    (drive,) = of_units([*seen, drawn[5]], ["a"] * 3)
+    (drive,) = traits_of_units([*seen, drawn[5]], ["a"] * 3)
     assert drive.codes == ("part-of-circle", "sparse")
 
 
@@ -164,7 +164,7 @@ def test_drives_have_the_mean_of_their_scans():
         UnitTraits(unit=str(i), uncertainty=c, class_shares=(c, 1 - c))
         for i, c in enumerate((0.2, 0.4, 0.9))
     ]
-    drives = of_units(scans, ["b", "b", "a"])
+    drives = traits_of_units(scans, ["b", "b", "a"])
     assert [drive.unit for drive in drives] == ["a", "b"]
     assert [drive.uncertainty for drive in drives] == pytest.approx([0.9, 0.3])
     assert drives[1].class_shares == pytest.approx((0.3, 0.7))

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from salsanext_cli import label_space
+from salsanext_cli.core.measures.accepted_labels import AcceptedCounts, AcceptedLabels
 from salsanext_cli.core.measures.risk_control import (
-    AcceptedLabels,
     RiskBoundCheck,
     allowed_scans,
     binomial,
@@ -21,6 +21,7 @@ from salsanext_cli.core.measures.risk_control import (
 )
 from salsanext_cli.core.measures.scores import confusion_matrix
 from salsanext_cli.core.network.card import RiskThreshold
+from salsanext_cli.core.plain_data import plain
 
 DRAWS = 2000
 
@@ -186,18 +187,28 @@ def test_the_number_of_needed_scans_is_the_least(level, confidence):
     assert held_thresholds(lossless[: fewest - 1], level, confidence) == 0
 
 
+def accepted(scans):
+    """Return points of scans by name from numbers of scored, accepted and wrong ones."""
+    return {
+        name: AcceptedCounts(points=points, accepted=with_label, wrong=wrong)
+        for name, (points, with_label, wrong) in scans.items()
+    }
+
+
 def test_accepted_labels_are_counted():
     space = label_space()
     car, person, rider, road = map(space.names.index, ("car", "person", "bicyclist", "road"))
     truth = np.array([0, car, car, person, person, person, road, rider])
     predicted = np.array([car, car, 0, road, person, 0, road, person])
     confusion = confusion_matrix(truth, predicted, space.class_count)
-    scans = {"a/0": (20, 4, 2), "a/1": (30, 1, 1), "a/2": (0, 0, 0)}
+    scans = accepted({"a/0": (20, 4, 2), "a/1": (30, 1, 1), "a/2": (0, 0, 0)})
     labels = AcceptedLabels.of_confusion(confusion, space, scans)
     assert (labels.points, labels.accepted, labels.wrong) == (7, 5, 2)
     assert (labels.people, labels.missed_people) == (4, 1)
     assert list(labels.classes.items()) == [("person", (2, 1)), ("car", (1, 0)), ("road", (2, 1))]
-    assert labels.worst == ("a/0", 20, 4, 2)
+    assert labels.worst_scan == "a/0"
+    assert labels.worst == AcceptedCounts(points=20, accepted=4, wrong=2)
+    assert plain(labels)["worst"] == ["a/0", 20, 4, 2]
     first = next(labels.sentences)
     assert "71.4 %" in first
     assert "40.0 %" in first
@@ -205,6 +216,7 @@ def test_accepted_labels_are_counted():
 
 RISK = RiskThreshold("error", 0.25, 0.05, None, 20, ("00", "08"))
 SCANS = {"a/0": (100, 50, 8), "a/1": (200, 50, 4), "a/2": (0, 0, 0)}
+"""Scored, accepted and wrong points."""
 
 
 @pytest.mark.parametrize(
@@ -217,14 +229,14 @@ SCANS = {"a/0": (100, 50, 8), "a/1": (200, 50, 4), "a/2": (0, 0, 0)}
     ],
 )
 def test_losses_are_compared_with_the_guarantee(change, more, numbers, is_exceeded):
-    check = RiskBoundCheck.of_scans(replace(RISK, **change), SCANS | more)
+    check = RiskBoundCheck.of_scans(replace(RISK, **change), accepted(SCANS | more))
     assert (check.units, check.above, check.mean, check.worst) == numbers
     assert bool(check.warning) == is_exceeded
     assert f"{100 * check.worst:.1f} % in the worst" in check.sentence
 
 
 def test_no_points_are_no_check_of_a_guarantee():
-    assert RiskBoundCheck.of_scans(RISK, {"a/2": (0, 0, 0)}) is None
+    assert RiskBoundCheck.of_scans(RISK, accepted({"a/2": (0, 0, 0)})) is None
 
 
 def test_a_guarantee_states_its_scope():
@@ -242,7 +254,7 @@ def test_a_guarantee_states_its_scope():
 
 
 def test_scans_that_cannot_be_compared_are_not_called_guaranteed():
-    check = RiskBoundCheck.of_scans(RISK, SCANS)
+    check = RiskBoundCheck.of_scans(RISK, accepted(SCANS))
     assert check.sentence.startswith("guaranteed for scans ")
     assert "guaranteed" not in replace(check, incomparable="1 drive").sentence
     # Evidence that they are others says more.

@@ -13,7 +13,8 @@ import filelock
 import pytest
 from scans import refused
 
-from salsanext_cli.core.errors import OutputError, warn_once
+from salsanext_cli.core.errors import OutputError
+from salsanext_cli.core.notices import warn_once
 from salsanext_cli.io.files.locks import LOCK, PREFIX, STALE_AFTER_S, locked, temporary_folder
 
 KILLED = """

@@ -11,8 +11,9 @@ from scans import make_scan, write_bin
 
 from salsanext_cli.core.errors import FormatError
 from salsanext_cli.io.files.reading import filled, is_folder, present, refusing_damage
-from salsanext_cli.io.formats import SCAN_SUFFIXES, kitti, read_scan
-from salsanext_cli.io.formats.kitti import read_bin, read_labels, write_labels
+from salsanext_cli.io.formats import SCAN_SUFFIXES, kitti, kitti_labels, read_scan
+from salsanext_cli.io.formats.kitti import read_bin
+from salsanext_cli.io.formats.kitti_labels import read_labels, write_labels
 from salsanext_cli.io.formats.npy import read_array
 
 READERS = dict.fromkeys(SCAN_SUFFIXES, read_scan) | {
@@ -90,6 +91,7 @@ def test_shorter_while_it_is_read(tmp_path, monkeypatch, name, read):
     """A program that rewrites the file truncates it for a moment."""
     write_bin(tmp_path / "a.bin", make_scan(10))
     write_labels(tmp_path / "a.label", np.zeros(10, np.uint32))
-    monkeypatch.setattr(kitti, "size_of", lambda file: 16 + os.fstat(file.fileno()).st_size)
+    for module in (kitti, kitti_labels):
+        monkeypatch.setattr(module, "size_of", lambda file: 16 + os.fstat(file.fileno()).st_size)
     with pytest.raises(FormatError, match="changed while it was read"):
         read(tmp_path / name)

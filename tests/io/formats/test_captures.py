@@ -9,13 +9,8 @@ import pytest
 from captures import START_NS, STEP_NS, Sent, vlp16, vlp16_points, write_capture
 
 from salsanext_cli import read_scan
-from salsanext_cli.core.errors import (
-    NOTICE,
-    FormatError,
-    MissingDependency,
-    UsageError,
-    notice_once,
-)
+from salsanext_cli.core.errors import FormatError, MissingDependency, UsageError
+from salsanext_cli.core.notices import NOTICE, notice_once
 from salsanext_cli.io.formats.captures import HESAI, LIVOX, OUSTER, ROBOSENSE, VELODYNE, maker_of
 from salsanext_cli.runs.results.paths import find_scans
 

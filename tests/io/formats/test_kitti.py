@@ -13,9 +13,11 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scans import make_scan, real_columns, real_scans
 
-from salsanext_cli.core.errors import NOTICE, FormatError, LabelError, notice_once
+from salsanext_cli.core.errors import FormatError, LabelError
+from salsanext_cli.core.notices import NOTICE, notice_once
 from salsanext_cli.io.files.reading import read_values
 from salsanext_cli.io.formats import kitti
+from salsanext_cli.io.formats.kitti_labels import read_labels, write_labels
 
 
 @pytest.mark.parametrize("count", [40, 41, 42, 43])
@@ -48,7 +50,7 @@ def test_no_real_scan_is_refused(real_data, tmp_path):
         assert len(scan) == path.stat().st_size // (4 * columns)
         labels = path.parent.parent / "labels" / f"{path.stem}.label"
         if labels.exists():
-            raw = kitti.read_labels(labels, len(scan))
+            raw = read_labels(labels, len(scan))
             assert raw.any()
             assert raw.max() < 33 or "nuscenes" not in str(path)
 
@@ -79,14 +81,14 @@ def test_a_real_scan_with_other_columns_is_refused_with_names_to_try(real_data, 
 @given(hnp.arrays(np.uint32, st.integers(0, 50)))
 def test_labels_survive_the_round_trip(tmp_path_factory, raw):
     path = tmp_path_factory.mktemp("label") / "s.label"
-    kitti.write_labels(path, raw)
+    write_labels(path, raw)
     assert path.read_bytes() == b"".join(struct.pack("<I", value) for value in raw.tolist())
-    np.testing.assert_array_equal(kitti.read_labels(path, len(raw)), raw)
+    np.testing.assert_array_equal(read_labels(path, len(raw)), raw)
     with pytest.raises(LabelError, match=rf"{len(raw)} labels? \(expected {len(raw) + 53}"):
-        kitti.read_labels(path, len(raw) + 53)
+        read_labels(path, len(raw) + 53)
     path.write_bytes(path.read_bytes() + b"cut")
     with pytest.raises(FormatError, match=f"{4 * len(raw) + 3} bytes"):
-        kitti.read_labels(path)
+        read_labels(path)
 
 
 @pytest.mark.parametrize("kind", ["<u4", "<u2", "u1"])
@@ -94,20 +96,20 @@ def test_labels_of_one_two_or_four_bytes(tmp_path, kind):
     path = tmp_path / "s.label"
     raw = np.arange(100, dtype=kind)
     path.write_bytes(raw.tobytes())
-    read = kitti.read_labels(path, 100)
+    read = read_labels(path, 100)
     assert read.dtype == np.uint32
     np.testing.assert_array_equal(read, raw)
     with pytest.raises(LabelError, match=r"\d+ labels \(expected 99"):
-        kitti.read_labels(path, 99)
+        read_labels(path, 99)
     if raw.itemsize < 4:
         path.write_bytes(np.arange(25 * raw.itemsize, dtype="<u4").tobytes())
         with pytest.raises(LabelError, match=r"\d+ labels \(expected 100"):
-            kitti.read_labels(path, 100)
+            read_labels(path, 100)
         path.write_bytes(bytes(100 * raw.itemsize))
-        assert not kitti.read_labels(path, 100).any()
+        assert not read_labels(path, 100).any()
     path.write_bytes(raw.tobytes())
     # Without the number of points they are four.
-    assert len(kitti.read_labels(path)) == raw.nbytes // 4
+    assert len(read_labels(path)) == raw.nbytes // 4
 
 
 SCAN = make_scan(3000)

@@ -12,7 +12,8 @@ from scans import SMALL, make_scan
 
 from salsanext_cli import read_scan
 from salsanext_cli.core.checks.scan_checks import check_scan
-from salsanext_cli.core.errors import NOTICE, FormatError, notice_once
+from salsanext_cli.core.errors import FormatError
+from salsanext_cli.core.notices import NOTICE, notice_once
 from salsanext_cli.io.formats.kitti import read_bin
 from salsanext_cli.io.formats.npy import read_integers
 from salsanext_cli.io.formats.pcd import pcd_columns

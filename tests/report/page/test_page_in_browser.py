@@ -6,6 +6,7 @@ import os
 import re
 import shutil
 import subprocess
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
@@ -38,9 +39,9 @@ def script(name: str) -> str:
 PROBE, LIVE_PROBE = script("page_probe.js"), script("live_page_probe.js")
 
 
-@pytest.fixture
-def world(tmp_path):
-    world = World(tmp_path)
+def world_in(folder: Path) -> World:
+    """Return two scans whose labels, uncertainties and boxes are known."""
+    world = World(folder)
     random = np.random.default_rng(0)
     for number, stem in enumerate(STEMS):
         truth = np.where(random.random(COUNT) < 0.5, CAR, ROAD)
@@ -58,6 +59,11 @@ def world(tmp_path):
         StageRecord(stage="predict", settings=settings, writes=("predictions",))
     )
     return world
+
+
+@pytest.fixture
+def world(tmp_path):
+    return world_in(tmp_path)
 
 
 def console_of(page: str, tmp_path: Path) -> str:
@@ -94,16 +100,39 @@ def result_in(console: str) -> dict[str, Any]:
     return result
 
 
-def test_the_page_draws_and_its_controls_work(world, tmp_path):
+@dataclass(frozen=True, kw_only=True)
+class ProbedPage:
+    """A page, what a probe found in it, and the console of the browser."""
+
+    world: World
+    result: dict[str, Any]
+    console: str
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> ProbedPage:
+    """Return the page of an address that hides entropies above 0.5; they go from 0 to 2."""
+    folder = tmp_path_factory.mktemp("page")
+    world = world_in(folder)
     made = report(world.out, query=ResultQuery(world.dataset), scans=["000001", "000000"])
-    page = tmp_path / "with a probe.html"
-    page.write_text(made.page.read_text("utf-8").replace("</body>", f"{PROBE}</body>"), "utf-8")
-    wanted = {"scan": "08/000000", "colour": "wrong", "by": "entropy", "above": "0.5", "size": "4"}
-    console = console_of(f"{page.as_uri()}#{urlencode(wanted)}", tmp_path)
-    result = result_in(console)
-    lines = [line for line in console.splitlines() if "CONSOLE" in line]
-    assert sum("GL Driver Message" not in line for line in lines) == 1, console
-    # The address hides entropies above 0.5; they go from 0 to 2.
+    path = folder / "with a probe.html"
+    path.write_text(made.page.read_text("utf-8").replace("</body>", f"{PROBE}</body>"), "utf-8")
+    state = {"scan": "08/000000", "colour": "wrong", "by": "entropy", "above": "0.5", "size": "4"}
+    console = console_of(f"{path.as_uri()}#{urlencode(state)}", folder)
+    return ProbedPage(world=world, result=result_in(console), console=console)
+
+
+@pytest.fixture
+def result(page: ProbedPage) -> dict[str, Any]:
+    return page.result
+
+
+def test_nothing_but_the_probe_writes_to_the_console(page):
+    lines = [line for line in page.console.splitlines() if "CONSOLE" in line]
+    assert sum("GL Driver Message" not in line for line in lines) == 1, page.console
+
+
+def test_the_address_sets_the_view(result):
     assert result["state"] == ["1", "wrong", "entropy", "4"]
     assert abs(result["shown"] - COUNT / 4) < 0.02 * COUNT
     visible = (
@@ -112,12 +141,19 @@ def test_the_page_draws_and_its_controls_work(world, tmp_path):
     assert re.search(visible, result["summary"])
     # Truth beside the colour of the address, "wrong".
     assert result["panes"] == [2, "truth", False]
+
+
+def test_each_colour_draws_the_points(result):
     assert [*result["colours"]] == ["label", "truth", "wrong", "entropy", "range", "intensity"]
     # The background and at least two colours, many for values.
     assert all(count >= 3 for count in result["colours"].values())
     assert min(result["colours"][name] for name in ("entropy", "range", "intensity")) > 20
     # Boxes keep the colour of their class.
     assert result["boxed"] == [1, 0]
+    assert result["pixels"]
+
+
+def test_the_legend_hides_and_shows_classes(result):
     assert result["all"] == COUNT
     cars, roads = (float(text.split()[1]) / 100 for text in result["legend"])
     shown, colours, address = result["without"]
@@ -127,47 +163,73 @@ def test_the_page_draws_and_its_controls_work(world, tmp_path):
     assert "hide=car" in address
     assert result["alone"] == shown
     assert cars + roads == pytest.approx(1)
+
+
+def test_sliders_have_marks_and_hide_points(result):
     assert abs(result["below"][0] - COUNT / 4) < 0.02 * COUNT
     assert result["marks"] == [0, 0.1, 1]
+    assert result["ticks"] == ["0", "0.5", "1", "1.5"]
+    assert result["scales"] == [False, True]
+
+
+def test_a_point_is_described_as_long_as_its_class_is_shown(result):
     hidden, words, point = result["hover"]
     assert result["picked"] == point >= 0
     assert not hidden
     assert re.search(r"label +(car|road)\ntruth +(car|road)\n", words)
     assert re.search(r"entropy +(0|[\d.]+) nats\n", words)
-    # The description of a point disappears with its class.
     assert result["hidden"] == [False, True, -1]
+
+
+def test_the_camera_turns_and_looks_where_the_points_are(result):
     assert result["full"]
     assert result["turned"] == 5
-    assert result["pixels"]
     assert result["strip"][0] == result["strip"][1]
-    # The camera shows nine points of ten, and looks where the points are: here to the left.
+    # It shows nine points of ten, and looks where the points are: here to the left.
     assert min(result["inside"]) >= 0.9
     assert result["azimuths"] == [180, 270, 180]
-    # Each half of the picture has its own colours; points are found in both.
+
+
+def test_each_half_of_the_picture_has_its_own_colours_and_finds_points(result):
     assert result["halves"] == [[False, True], [True, False]]
     assert result["both"][0] == result["both"][1] >= 0
     assert not result["strips"]
-    most, points = most_confused(world, ROAD, CAR)
+
+
+def test_a_cell_of_the_confusion_matrix_shows_its_points(page):
+    result = page.result
+    most, points = most_confused(page.world, ROAD, CAR)
     name, shown, summary, address = result["cell"]
     assert (name, shown) == (most, points)
     assert f"{points} of them points of road taken for car" in summary
     assert "truth=road&taken=car" in address
     assert result["faint"]
     assert result["cleared"] == [COUNT, None]
-    assert result["ticks"] == ["0", "0.5", "1", "1.5"]
-    assert result["scales"] == [False, True]
+
+
+def test_the_table_of_scans_is_sorted_and_has_pictures(result):
     # The most uncertain scan is first; names rise, then fall.
     rising = ["08/000000", "08/000001"]
     assert result["rows"] == [rising, rising[::-1], rising, rising[::-1]]
     assert result["sorted"] == "scan"
     assert result["pictures"] == [96, 96]
-    # A plot is as wide as its pixels allow, also if it is alone.
+    assert result["columns"][:3] == ["tag", "from above, by class", "scan"]
+    assert result["opened"][0] == "08/000001"
+    assert result["opened"][1].startswith("08/000001 · mean entropy 0.5")
+
+
+def test_a_plot_is_as_wide_as_its_pixels_allow_also_alone(result):
     (width,) = result["plots"]
     assert 500 <= width <= 620
+
+
+def test_links_have_the_words_of_their_headings(result):
     links = [link for link, _ in result["links"]]
     assert links == [heading for _, heading in result["links"]]
     assert len(set(links)) == len(links) == 4
-    assert result["columns"][:3] == ["tag", "from above, by class", "scan"]
+
+
+def test_tags_are_saved_as_a_list_that_pick_reads(result):
     saved, disabled, tags = result["tags"]
     assert result["nothing"]
     assert not disabled
@@ -176,8 +238,9 @@ def test_the_page_draws_and_its_controls_work(world, tmp_path):
     assert [line for line in saved.splitlines() if not line.startswith("#")] == tags
     # The folder of `pick --count` may exist.
     assert "salsanext pick SCANS tagged/ --from tagged.txt" in saved
-    assert result["opened"][0] == "08/000001"
-    assert result["opened"][1].startswith("08/000001 · mean entropy 0.5")
+
+
+def test_the_page_fetches_nothing(result):
     assert result["fetched"] == 0
 
 

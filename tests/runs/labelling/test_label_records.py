@@ -11,7 +11,7 @@ import pytest
 from scans import write_sequence
 
 from salsanext_cli.core.errors import OutputError
-from salsanext_cli.io.formats.kitti import encode_labels
+from salsanext_cli.io.formats.kitti_labels import encode_labels
 from salsanext_cli.runs.labelling import label_records
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.paths import find_scans

@@ -7,7 +7,7 @@ from salsanext_cli.commands.stages.evaluate import evaluate
 from salsanext_cli.commands.stages.picture import picture
 from salsanext_cli.commands.stages.report import report
 from salsanext_cli.core.errors import NoInputError
-from salsanext_cli.io.formats.kitti import write_labels
+from salsanext_cli.io.formats.kitti_labels import write_labels
 from salsanext_cli.runs.results.foreign_labels import warn_of_foreign_labels
 from salsanext_cli.runs.results.paths import find_scans
 from salsanext_cli.runs.results.query import ResultQuery

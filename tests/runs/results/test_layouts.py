@@ -11,7 +11,8 @@ from scans import make_empty, refused, write_sequence
 
 from salsanext_cli import read_scan
 from salsanext_cli.commands.stages.predict import predict_scans
-from salsanext_cli.core.errors import NOTICE, NoInputError, OutputError
+from salsanext_cli.core.errors import NoInputError, OutputError
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.paths import find_scans
 from salsanext_cli.runs.results.result_folder import ResultFolder

@@ -9,7 +9,8 @@ import pytest
 from scans import refused
 
 from salsanext_cli.core.errors import OutputError
-from salsanext_cli.runs.results.owned_folder import FILE_LISTS, OwnedFolder
+from salsanext_cli.runs.results.owned_folder import OwnedFolder
+from salsanext_cli.runs.results.scan_folders import FILE_LISTS
 
 
 @pytest.fixture

@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scans import refused
 
-from salsanext_cli.core.errors import NOTICE, NoInputError, OutputError
+from salsanext_cli.core.errors import NoInputError, OutputError
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.runs.labelling.edited_files import find_edited
 from salsanext_cli.runs.results.paths import find_outputs, find_scans, output_path
 from salsanext_cli.runs.results.scan_selection import ScanSelection

@@ -10,8 +10,9 @@ from salsanext_cli import Scan, label_space
 from salsanext_cli.commands.stages.knn_refine import knn_refine_scans
 from salsanext_cli.commands.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.commands.stages.project import project_scans
-from salsanext_cli.core.errors import NOTICE, FormatError, LabelError, NoInputError, OutputError
-from salsanext_cli.io.formats.kitti import write_labels
+from salsanext_cli.core.errors import FormatError, LabelError, NoInputError, OutputError
+from salsanext_cli.core.notices import NOTICE
+from salsanext_cli.io.formats.kitti_labels import write_labels
 from salsanext_cli.io.formats.ply import write_ply
 from salsanext_cli.runs.results.paths import find_scans
 from salsanext_cli.runs.results.result_folder import ResultFolder

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 from scans import make_empty, refused
 
-from salsanext_cli.core.errors import NOTICE, NoInputError
+from salsanext_cli.core.errors import NoInputError
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.runs.results import scan_folders
 from salsanext_cli.runs.results.paths import find_scans
 

@@ -15,6 +15,7 @@ from scans import SMALL
 
 from salsanext_cli import Scan, label_space
 from salsanext_cli.core.checks.finding import Finding
+from salsanext_cli.core.checks.label_checks import LOOK
 from salsanext_cli.core.checks.scan_checks import ScanCheck, check_scan
 from salsanext_cli.core.geometry.scan_traits import groups_of
 from salsanext_cli.core.measures.counts import ScanCounts
@@ -24,7 +25,6 @@ from salsanext_cli.core.network.unit_traits import UnitTraits
 from salsanext_cli.runs.fit.mixed_sensors import mixed_sensors
 from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
-from salsanext_cli.runs.summary.scan_warnings import LOOK
 
 SPACE = label_space()
 FILE = ScanFile(sequence="08", stem="000000", path=Path("000000.bin"))

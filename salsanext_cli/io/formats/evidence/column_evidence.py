@@ -39,7 +39,7 @@ def evident_count(values: Float, expected: int) -> int | None:
 
 
 def _evident_count(values: Float, expected: int) -> int | None:
-    if len(values) < 2 * max(expected, *COUNTS):
+    if len(values) < 2 * max(expected, max(COUNTS)):
         return None
     count = expected
     if not are_in_turn(values, expected):
@@ -49,9 +49,8 @@ def _evident_count(values: Float, expected: int) -> int | None:
             return AXIS_COUNT if _are_axes_alone(values, expected) else None
         if explained[expected] < SHARE_OF_LARGEST * most:
             # For beams in turn, explained variance grows with the number of rows taken as one.
-            in_turn = (n for n in COUNTS if are_in_turn(values, n))
             least = min(n for n in COUNTS if explained[n] >= SHARE_OF_LARGEST * most)
-            count = next(in_turn, least)
+            count = next((n for n in COUNTS if are_in_turn(values, n)), least)
     count = _padded_count(values, count) or _least_count(values, count)
     return None if count == expected else count
 
@@ -73,8 +72,17 @@ def _are_axes_alone(values: Float, expected: int) -> bool:
 def have_signs_of_coordinates(values: Float, columns: int, place: int) -> bool:
     """Return whether the column at a place has the signs of coordinates, as all columns have.
 
-    Then the `columns` columns are not those of the file: an intensity has one sign, and differs
-    from coordinates. Values of coordinates that are stored column by column look so, in any order.
+    Then the columns are not those of the file: an intensity has one sign, and differs from
+    coordinates. Values of coordinates that are stored column by column look so, in any order.
+
+    Parameters
+    ----------
+    values : (M,) float array
+        Values of the file.
+    columns : int
+        Supposed number of columns.
+    place : int
+        Place of the column among them.
     """
     if len(values) < SAMPLE:
         return False
@@ -122,13 +130,15 @@ def _without_empty_rows(values: Float, columns: int) -> Float | None:
 
 def _least_count(values: Float, count: int) -> int:
     """Return the number of columns of one point, if `count` is a multiple of it."""
-    for least in (n for n in COUNTS if n < count and count % n == 0):
+    for least in COUNTS:
+        if least >= count or count % least:
+            continue
         points = blocks_of(values, count).reshape(-1, count // least, least)
         measured = points[..., :2].any(axis=2).mean(axis=0)
         in_turn = measured.min() > measured.max() / 2 and are_in_turn(values, least)
         share = explained_share(values, least)
         alike = in_turn or share > SHARE_OF_LARGEST * explained_share(values, count)
-        if alike and _are_of_two_points(*points[:, :2, :3].swapaxes(0, 1)):
+        if alike and _are_of_two_points(points[:, 0, :3], points[:, 1, :3]):
             return least
     return count
 
@@ -138,9 +148,9 @@ def _are_of_two_points(first: Double, second: Double) -> bool:
 
     They are not if the second ones are normals, returns of the same beams, or moved copies.
     """
-    both = np.stack([first, second])
-    both = both[:, (np.isfinite(both).all(axis=2) & both.any(axis=2)).all(axis=0)]
-    first, second = both
+    is_measured = _are_measured(first) & _are_measured(second)
+    first = first[is_measured]
+    second = second[is_measured]
     size = np.linalg.norm(second, axis=1)
     across = np.linalg.norm(np.cross(first, second), axis=1)
     is_normal = np.abs(size - 1) < UNIT_TOLERANCE
@@ -150,6 +160,13 @@ def _are_of_two_points(first: Double, second: Double) -> bool:
     is_moved = (np.abs(second - moved) < MOVED_TOLERANCE_M).all(axis=1)
     most = MOST_ROWS * len(second)
     return all(mask.sum() < most for mask in (is_normal, is_same_beam, is_moved))
+
+
+def _are_measured(points: Double) -> Mask:
+    """Return which points (N, 3) are finite and not at the origin."""
+    is_finite: Mask = np.isfinite(points)
+    is_measured: Mask = np.logical_and(is_finite.all(axis=1), points.any(axis=1))
+    return is_measured
 
 
 def _padded_count(values: Float, columns: int) -> int | None:

@@ -73,7 +73,22 @@ def azimuths_of(values: Float, columns: int) -> Double:
 
 
 def blocks_of(values: Float, columns: int, length: int = ROWS) -> Double:
-    """Return evenly spaced blocks of rows, (BLOCKS, length, columns), or all rows in one block."""
+    """Return evenly spaced blocks of rows, or all rows in one block.
+
+    Parameters
+    ----------
+    values : (M,) float array
+        Values of the file.
+    columns : int
+        Number of values of a row.
+    length : int
+        Number of rows of a block.
+
+    Returns
+    -------
+    (BLOCKS, length, columns) float64
+        Or (1, rows, columns) for few rows.
+    """
     rows = values[: len(values) // columns * columns].reshape(-1, columns)[None]
     if rows.shape[1] > BLOCKS * length:
         starts = np.linspace(0, rows.shape[1] - length, BLOCKS).astype(np.intp)

@@ -44,7 +44,7 @@ def are_planes(values: Float, expected: int) -> bool | None:
 
     None stands for values in rows.
     """
-    if len(values) < 2 * max(expected, *COUNTS):
+    if len(values) < 2 * max(expected, max(COUNTS)):
         return None
     if expected == USUAL_COUNT and _are_rows_of_axes(values):
         return None
@@ -85,8 +85,8 @@ def _explained_by_planes(values: Float, counts: Sequence[int]) -> dict[int, floa
 def _explain_as_much(values: Float, expected: int, most: float) -> bool:
     """Return whether columns of rows explain about as much as the best number of planes."""
     # The expected number of columns in rows explains most of the usual files.
-    by_rows = (explained_share(values, count) for count in (expected, *COUNTS))
-    return any(share >= SHARE_OF_LARGEST * most for share in by_rows)
+    shares = (explained_share(values, count) for count in [expected, *COUNTS])
+    return any(share >= SHARE_OF_LARGEST * most for share in shares)
 
 
 def _are_padded_rows(values: Float, expected: int) -> bool:
@@ -100,7 +100,7 @@ def _are_padded_rows(values: Float, expected: int) -> bool:
     with np.errstate(invalid="ignore"):  # of a signalling NaN
         is_empty = ~(np.isfinite(coordinates) & (coordinates != 0)).any(axis=1)
     measured = rows[~is_empty].ravel()
-    if not is_empty.any() or len(measured) < 2 * max(expected, *COUNTS):
+    if not is_empty.any() or len(measured) < 2 * max(expected, max(COUNTS)):
         return False
     counts = _plane_counts(measured, expected)
     most = max(_explained_by_planes(measured, counts).values(), default=0.0)
@@ -129,8 +129,9 @@ def _planes_in_turn(values: Float) -> int | None:
 def _jumps_of_planes(values: Float, counts: Sequence[int]) -> dict[int, float]:
     """Return how much the kind of the values changes between planes, by the number of planes."""
     places = {count: {len(values) * i // count for i in range(1, count)} for count in counts}
-    jumps = {place: _jump(values, place) for place in set().union(*places.values())}
-    return {count: sum(map(jumps.__getitem__, places[count])) for count in counts}
+    all_places = {place for group in places.values() for place in group}
+    jumps = {place: _jump(values, place) for place in all_places}
+    return {count: sum(jumps[place] for place in places[count]) for count in counts}
 
 
 def _jump(values: Float, place: int) -> float:

@@ -12,8 +12,8 @@ from salsanext_cli.io.formats.evidence.column_measures import (
     least_explained,
 )
 
-LEAST, MOST = 1e-12, 1e7
-"""Possible magnitudes of values other than 0, in metres and in any unit of intensity and time."""
+LEAST = 1e-12  # Least possible magnitude of a value other than 0, in any unit
+MOST = 1e7  # Largest possible magnitude, in metres and in any unit of intensity and time
 MIN_POSSIBLE_SHARE = 0.5  # Share of coordinates possible in any scan; random bytes have a quarter
 MIN_POSSIBLE_SHARE_OF_LOW = 0.42
 """The same of every second float32; half of those of a planar scanner, z, are 0."""
@@ -57,7 +57,7 @@ def are_halves(pairs: Float) -> bool:
 def are_float16(values: Float, columns: int) -> bool:
     """Return whether float32 values (M,) of a file are pairs of float16 in rows of `columns`."""
     halves = np.ascontiguousarray(values).view("<f2")
-    if len(halves) % columns or len(halves) < 2 * max(columns, *COUNTS):
+    if len(halves) % columns or len(halves) < 2 * max(columns, max(COUNTS)):
         return False
     rows = _sample(halves.reshape(-1, columns)).astype(np.float32)
     rows_of_float32 = _sample(values[: len(values) // columns * columns].reshape(-1, columns))

@@ -8,7 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from salsanext_cli.core.errors import FormatError, notice_once
+from salsanext_cli.core.errors import FormatError
+from salsanext_cli.core.notices import notice_once
 from salsanext_cli.core.optional_packages import import_extra
 from salsanext_cli.io.files.reading import reading, refusing_damage
 from salsanext_cli.io.formats.columns import Columns

@@ -8,14 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
-from salsanext_cli.core.errors import FormatError, notice_once, shortened
+from salsanext_cli.core.errors import FormatError
+from salsanext_cli.core.notices import notice_once
 from salsanext_cli.core.records import Double, Scan
 from salsanext_cli.core.sensors.sensor import UNUSED_COLUMN
+from salsanext_cli.core.texts import shortened
 from salsanext_cli.core.wording import argument
 from salsanext_cli.io.files.reading import reading
 from salsanext_cli.io.formats.columns import Columns, scan_of
+from salsanext_cli.io.formats.evidence.file_kinds import CONTROL, TEXT_BYTES
 from salsanext_cli.io.formats.field_names import AxisFields, intensity_among, listed
-from salsanext_cli.io.formats.kitti import CONTROL, TEXT_BYTES
 from salsanext_cli.io.formats.tables.text_layout import (
     COMMENT_MARKS,
     EMPTY_CELLS,
@@ -48,7 +50,29 @@ class TextTable:
 def read_text(
     path: Path, names: tuple[str, ...], intensity_scale: float, intensity_field: str = ""
 ) -> Scan:
-    """Read coordinates and intensity from text; without a header the columns are `names`."""
+    """Read coordinates and intensity from text.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    names : tuple of str
+        Names of the columns of a file without a header; empty for the usual ones.
+    intensity_scale : float
+        Divisor of the intensity.
+    intensity_field : str
+        Name of the column with the intensity; by default a usual one.
+
+    Returns
+    -------
+    Scan
+        N points, in the order of the file.
+
+    Raises
+    ------
+    FormatError
+        If the file is not text, or not a table of numbers.
+    """
     with reading(path) as file:
         content = file.read().removeprefix(BYTE_ORDER_MARK)
     if CONTROL.search(content[:TEXT_BYTES]):
@@ -106,7 +130,8 @@ def _used_fields(columns: tuple[str, ...], intensity_field: str, path: Path) -> 
 
 def require_decimal_points(content: bytes, path: Path) -> None:
     """Refuse text with a decimal comma."""
-    if match := DECIMAL_COMMA.search(content):
+    match = DECIMAL_COMMA.search(content)
+    if match:
         number = match[0].strip(b'; \t\r\n"').decode()
         hint = "rewrite the file with decimal points"
         raise FormatError(path, f"has decimal commas: {number}", "decimal points", hint)
@@ -151,7 +176,8 @@ def _with_nan(body: bytes, delimiter: str | None) -> bytes:
     pattern = rf"(?i)(?<!\S)(?:{words})(?!\S)"
     if delimiter is not None:
         blank = "[ ]" if delimiter == TAB else r"[ \t]"
-        mark, empty = re.escape(delimiter), rf'{blank}*+"?(?:{words})?"?{blank}*+'
+        mark = re.escape(delimiter)
+        empty = rf'{blank}*+"?(?:{words})?"?{blank}*+'
         # A line without a delimiter is blank.
         pattern = rf"(?im)(?:(?<={mark}){empty}(?={mark}|\r?$)|^{empty}(?={mark}))"
     return re.sub(pattern.encode(), b"nan", body)

@@ -8,7 +8,8 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from salsanext_cli.core.errors import FormatError, shortened
+from salsanext_cli.core.errors import FormatError
+from salsanext_cli.core.texts import shortened
 from salsanext_cli.core.wording import setting
 from salsanext_cli.io.formats.columns import columns_of_width, names_to_try
 from salsanext_cli.io.formats.field_names import AXES, has_axes

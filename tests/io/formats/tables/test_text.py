@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from scans import SMALL, named_by_hint, refused
 
 from salsanext_cli import read_scan
-from salsanext_cli.core.errors import NOTICE, FormatError, notice_once
+from salsanext_cli.core.errors import FormatError
+from salsanext_cli.core.notices import NOTICE, notice_once
 from salsanext_cli.io.formats.subsets import subsets_of
 
 ROWS = [[1.5, -2.0, 3e-3, 0.25], [4.0, 5.0, -6.0, 1.0]]
