@@ -74,6 +74,7 @@ ELSEWHERE: dict[str, dict[str, str]] = {
         "training/fit.py": "commands/stages/test_train.py",
         "training/run_folder.py": "commands/stages/test_train.py",
         "training/setup.py": "commands/stages/test_train_on_few_scans.py",
+        "training/tuning/error.py": "commands/stages/test_tune_error.py",
         "training/tuning/int8.py": "commands/stages/test_tune_int8.py",
         "training/tuning/risk.py": "commands/stages/test_tune_risk.py",
         "training/tuning/scan_choice.py": "commands/stages/test_tune.py",
