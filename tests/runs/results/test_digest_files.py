@@ -7,7 +7,7 @@ import pytest
 from scans import refused
 
 from salsanext_cli.core.errors import OutputError
-from salsanext_cli.core.network.card import DIGITS, parted
+from salsanext_cli.core.network.card import DIGITS, split_digests
 from salsanext_cli.runs.results.digest_files import (
     digests_of_guarantee,
     names_files,
@@ -38,7 +38,7 @@ def test_digests_come_back_from_their_files(tmp_path):
         (stored["trained_on"], TRAINED_ON),
         (digests_of_guarantee(stored), CHOSEN_ON),
     ):
-        assert recorded_scans(name, record).digests == {*parted(text)}
+        assert recorded_scans(name, record).digests == {*split_digests(text)}
         # Records of early versions have the digests themselves.
         assert recorded_scans(text, record) == recorded_scans(name, record)
 
