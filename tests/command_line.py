@@ -2,11 +2,13 @@
 """Read the output of commands, and run Python as a user does."""
 
 import json
+import logging
 import os
 import re
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -20,9 +22,25 @@ from salsanext_cli.commands.line.app import app
 PAGE_OF_JSON = Path(__file__).parents[1] / "docs/reference/json.md"
 
 
+@contextmanager
+def logger_as_before() -> Iterator[None]:
+    """Leave the logger as it was, which a command sets up for the whole process."""
+    logger = logging.getLogger("salsanext_cli")
+    level, handlers = logger.level, list(logger.handlers)
+    yield
+    logger.setLevel(level)
+    logger.handlers[:] = handlers
+
+
+def invoked(program: typer.Typer, *words: object, **options: Any) -> Result:
+    """Run a program of the command line in this process."""
+    with logger_as_before():
+        return CliRunner().invoke(program, [str(word) for word in words], **options)
+
+
 def called(*words: object, status: int | None = 0) -> Result:
     """Run a command in this process; fail if it ends with another status, unless it is None."""
-    result = CliRunner().invoke(app, [str(word) for word in words])
+    result = invoked(app, *words)
     assert status is None or result.exit_code == status, (words, result.output)
     return result
 

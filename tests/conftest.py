@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Fixtures shared by all tests."""
 
-import logging
 import os
 import signal
 from collections.abc import Iterator
@@ -28,16 +27,6 @@ def interruptible() -> Iterator[None]:
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
-
-
-@pytest.fixture(autouse=True)
-def logged_alike() -> Iterator[None]:
-    """Leave the logger as it was, which a command sets up for the whole process."""
-    logger = logging.getLogger("salsanext_cli")
-    level, handlers = logger.level, list(logger.handlers)
-    yield
-    logger.setLevel(level)
-    logger.handlers[:] = handlers
 
 
 @pytest.fixture(autouse=True)

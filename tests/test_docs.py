@@ -261,6 +261,8 @@ def test_every_name_in_the_tables_exists(page):
 
 
 HELPERS = {
+    "io/formats/evidence/file_kinds.py",
+    "io/formats/kitti_labels.py",
     "io/formats/columns.py",
     "io/formats/evidence/column_evidence.py",
     "io/formats/evidence/column_measures.py",

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import called, python
+from command_line import called, logger_as_before, python
 from scans import SMALL, labels_below, make_scan, write_bin, write_weights
 
 import salsanext_cli as sn
@@ -194,11 +194,9 @@ def test_every_error_has_a_documented_code():
     assert len(codes) == len(kinds)
 
 
-def test_commands_log_and_print_printable_text(capsys, monkeypatch):
-    logger = logging.getLogger("salsanext_cli")
-    monkeypatch.setattr(logger, "handlers", [])
-    monkeypatch.setattr(logger, "level", logger.level)
-    output = Output(verbose=True)
-    logger.info("reading %s", "a\x1b[2J.bin")
-    output.print("→ b\x07\nc")
+def test_commands_log_and_print_printable_text(capsys):
+    with logger_as_before():
+        output = Output(verbose=True)
+        logging.getLogger("salsanext_cli").info("reading %s", "a\x1b[2J.bin")
+        output.print("→ b\x07\nc")
     assert capsys.readouterr().err == "reading a\\x1b[2J.bin\n→ b\\x07\\x0ac\n"

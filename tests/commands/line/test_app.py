@@ -11,9 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer
-from command_line import every_command, only_json, parsed, python
+from command_line import every_command, invoked, logger_as_before, only_json, parsed, python
 from scans import files_below, write_sequence
-from typer.testing import CliRunner
 
 from salsanext_cli import __version__
 from salsanext_cli.__main__ import main
@@ -200,7 +199,7 @@ def invoke(body, *arguments):
     def command(json: bool = False, verbose: bool = False, quiet: bool = False) -> None:
         body(console.Output(json, verbose, quiet))
 
-    return CliRunner().invoke(app, list(arguments))
+    return invoked(app, *arguments)
 
 
 def raising(error):
@@ -284,8 +283,9 @@ def test_a_log_file_gets_a_line_from_time_to_time(monkeypatch, capsys):
 
 
 def test_a_warning_has_a_line_for_its_hint_and_no_other(capsys):
-    console.Output()
     text = with_hint("two\nlines.bin: no intensity", "see the\nmanual")
-    logging.getLogger("salsanext_cli.x").warning("%s", text)
+    with logger_as_before():
+        console.Output()
+        logging.getLogger("salsanext_cli.x").warning("%s", text)
     expected = "warning: two\\x0alines.bin: no intensity\nhint: see the\\x0amanual\n"
     assert capsys.readouterr().err == expected

@@ -7,10 +7,9 @@ from contextlib import ExitStack
 
 import numpy as np
 import pytest
-from command_line import called, only_json
+from command_line import called, invoked, only_json
 from fused import fuse
 from scans import files_below, refused, write_bin
-from typer.testing import CliRunner
 
 from salsanext_cli import KnnParameters, Scan, label_drive, label_space, read_labels, read_scan
 from salsanext_cli.commands.line.app import app
@@ -407,7 +406,7 @@ def test_two_that_predict_and_fuse_one_folder_both_succeed(world, monkeypatch):
         monkeypatch.setattr("salsanext_cli.commands.line.pipeline.time.sleep", wait)
         other.enter_context(OwnedFolder(world.out, "predict").open(shared=True))
         words = ["predict", folder, world.out, "--weights", world.network.weights, "--fuse"]
-        result = CliRunner().invoke(app, [*map(str, words), "--engine", "torch"])
+        result = invoked(app, *words, "--engine", "torch")
     assert result.exit_code == 0, result.output
     assert len(looks) == 2
     assert len(list((fused_folder(world) / "predictions").iterdir())) == 2
