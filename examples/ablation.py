@@ -25,7 +25,7 @@ from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.network.registry import build
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.results.result_folder import ResultFolder
+from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.training.recipe import recipe
 
@@ -73,8 +73,8 @@ def mean_iou(dataset: Path, out: Path, weights: Path, knn: KnnParameters) -> flo
         selection=selection,
         options=options,
     )
-    scans, space = ResultFolder(out).predicted(selection)
-    return 100 * evaluate(scans, out, space).scores.iou_mean_present
+    evaluation = evaluate(out, query=ResultQuery(selection=selection))
+    return 100 * evaluation.scores.iou_mean_present
 
 
 def row(rung: str, scores: Iterable[float]) -> str:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy.typing as npt
 
-from salsanext_cli.commands.stages.fuse import by_sequence, require_fusable
+from salsanext_cli.commands.stages.fuse import require_fusable
 from salsanext_cli.core.api import PointLabels, fitted_to_scan, point_labels, scan_of_arrays
 from salsanext_cli.core.classes.label_space import TrainIds
 from salsanext_cli.core.engines.network import Network
@@ -24,6 +24,7 @@ from salsanext_cli.core.texts import with_hint
 from salsanext_cli.drive_labels import DriveLabels, label_in_memory
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.weights.loading import load_network
+from salsanext_cli.runs.drives.by_sequence import by_sequence
 from salsanext_cli.runs.drives.scans_of_drive import computed_drive, drive_findings, drive_of_scans
 from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
@@ -109,7 +110,7 @@ def label_drive(folder: Path | str, weights: Path | str | None = None) -> Iterat
     labelled = label_in_memory(source, scans_of(source), settings)
     space = labelled.network.space
     warn_without_movable_classes(space)
-    drives = by_sequence(labelled.scans, partial(_drive_of, labelled), options)
+    drives = by_sequence(labelled.scans, partial(_drive_of, labelled))
     for name, drive in drives.items():
         if isinstance(drive, Drive):
             for finding in drive_findings(labelled.files(name), drive):

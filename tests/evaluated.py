@@ -7,7 +7,7 @@ import numpy as np
 from scans import SMALL, write_array, write_bin
 
 from salsanext_cli import LabelSpace, Scan, label_space, write_labels
-from salsanext_cli.commands.stages.evaluate import evaluate
+from salsanext_cli.commands.stages.evaluate import evaluate_scans
 from salsanext_cli.core.measures.calibration import SCAN_BINS, CalibrationScores, reliability
 from salsanext_cli.core.measures.counts import SOFTMAX, ScanCounts
 from salsanext_cli.core.measures.histograms import confidence_histogram, uncertainty_histogram
@@ -51,7 +51,9 @@ class World:
 
     def evaluate(self, *, by_distance=False, **options):
         scans = find_scans(self.dataset)
-        return evaluate(scans, self.out, SPACE, RunOptions(**options), by_distance=by_distance)
+        return evaluate_scans(
+            scans, self.out, SPACE, RunOptions(**options), by_distance=by_distance
+        )
 
     def put(self, folder, stem, values, dtype=None, sequence="08"):
         """Write probabilities or one kind of uncertainty of a scan in its usual dtype."""

@@ -53,6 +53,7 @@ LEVELS = (
     ("runs.labelling", "runs.loop"),
     ("training", "synthesis", "report"),
     ("commands.score_limits", "drive_labels"),
+    ("commands.jobs",),
     ("commands.stages",),
     ("commands.line", "api"),
     ("__main__",),

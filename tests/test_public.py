@@ -17,7 +17,7 @@ from command_line import called, logger_as_before, python
 from scans import SMALL, labels_below, make_scan, write_bin, write_weights
 
 import salsanext_cli as sn
-from salsanext_cli.commands.line.console import Output
+from salsanext_cli.commands.line.console import Output, log_to_stderr
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.core.errors import FormatError, OutputError, SalsanextError
 from salsanext_cli.core.sensors.sensor import INTENSITY_LEVELS
@@ -197,6 +197,7 @@ def test_every_error_has_a_documented_code():
 def test_commands_log_and_print_printable_text(capsys):
     with logger_as_before():
         output = Output(verbose=True)
+        log_to_stderr(verbose=True)
         logging.getLogger("salsanext_cli").info("reading %s", "a\x1b[2J.bin")
         output.print("→ b\x07\nc")
     assert capsys.readouterr().err == "reading a\\x1b[2J.bin\n→ b\\x07\\x0ac\n"

@@ -27,7 +27,6 @@ from salsanext_cli.commands.stages.uncertainty import uncertainty
 from salsanext_cli.core.uncertainty.method import UncertaintyMethod
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.results.result_folder import ResultFolder
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 
 
@@ -61,8 +60,7 @@ def main(dataset: str, out: str, samples: str = "30", weights: str | None = None
     few, method = ScanSelection(limit=4), UncertaintyMethod(samples=int(samples))
 
     def score(options: RunOptions) -> None:
-        scans, space = ResultFolder(whole).predicted(ScanSelection())
-        evaluate(scans, whole, space, options)
+        evaluate(whole, options=options)
 
     torch.set_num_threads(1)
     numba.config.NUMBA_NUM_THREADS = 1

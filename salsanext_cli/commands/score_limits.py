@@ -15,7 +15,8 @@ from salsanext_cli.core.measures.scores import Scores
 from salsanext_cli.core.measures.uncertainty_evaluation import UncertaintyEvaluation
 from salsanext_cli.core.texts import did_you_mean, with_hint
 
-FAIL_UNDER, FAIL_OVER = "--fail-under", "--fail-over"
+FAIL_UNDER = "--fail-under"
+FAIL_OVER = "--fail-over"
 EXAMPLES = {
     FAIL_UNDER: "limits such as mean_iou=40,iou.person=20",
     FAIL_OVER: "limits such as ece=2,guarantee",
@@ -115,17 +116,20 @@ class MissedLimit:
 
 def limits_of(text: str | None, option: str) -> tuple[ScoreLimit, ...]:
     """Return the limits in the value of an option, such as ``mean_iou=40,iou.person=20``."""
-    limits = {}
-    for part in text.split(",") if text is not None else ():
-        name, equals, number = (word.strip() for word in part.partition("="))
-        _require_kind(name, part.strip(), option)
-        if name == GUARANTEE:
-            if equals:
-                expected = f"{GUARANTEE} without a number: `salsanext tune risk` set its limit"
-                raise UsageError(option, f"is {part.strip()}", expected)
-            limits[name] = ScoreLimit(option, name, math.nan)
+    if text is None:
+        return ()
+    limits: dict[str, ScoreLimit] = {}
+    for typed in map(str.strip, text.split(",")):
+        name, equals, number = map(str.strip, typed.partition("="))
+        _require_kind(name, typed, option)
+        if name != GUARANTEE:
+            limit = _number(name, number, option)
+        elif equals:
+            expected = f"{GUARANTEE} without a number: `salsanext tune risk` set its limit"
+            raise UsageError(option, f"is {typed}", expected)
         else:
-            limits[name] = ScoreLimit(option, name, _number(name, number, option))
+            limit = math.nan
+        limits[name] = ScoreLimit(option, name, limit)
     return tuple(limits.values())
 
 
@@ -134,10 +138,7 @@ def _require_kind(name: str, typed: str, option: str) -> None:
     head, _, member = name.partition(".")
     kind = SCORE_KINDS.get(head)
     if kind is None:
-        names = [known for known, other in SCORE_KINDS.items() if other.option == option]
-        alike = [known for known in names if bool(SCORE_KINDS[known].member) == bool(member)]
-        hint = did_you_mean(head, alike)
-        raise UsageError(option, f"no score is called {name!r}", ", ".join(names), hint)
+        raise _unknown_score(name, option)
     if bool(member) != bool(kind.member):
         example = "person" if kind.member == "class" else "error"
         expected = f"{head}.{example}, for example" if kind.member else head
@@ -150,6 +151,16 @@ def _require_kind(name: str, typed: str, option: str) -> None:
         better = "more" if kind.option == FAIL_UNDER else "less"
         hint = f"use {kind.option} {typed}"
         raise UsageError(option, f"of {name}, {better} is better", hint=hint)
+
+
+def _unknown_score(name: str, option: str) -> UsageError:
+    """Return the error of a name that is no score, with a similar one of the option."""
+    head, _, member = name.partition(".")
+    kinds = {score: kind for score, kind in SCORE_KINDS.items() if kind.option == option}
+    has_member = bool(member)
+    similar = [score for score, kind in kinds.items() if bool(kind.member) == has_member]
+    hint = did_you_mean(head, similar)
+    return UsageError(option, f"no score is called {name!r}", ", ".join(kinds), hint)
 
 
 def _number(name: str, text: str, option: str) -> float:
@@ -194,11 +205,12 @@ def score_values(
         "mean_iou_frequent": scores.iou_mean_frequent,
         "mean_iou_official": scores.iou_mean_official,
     }
-    for of_class in scores.classes:
+    for class_scores in scores.classes:
+        name = class_scores.name
         # Without points of the class, an IoU of 0 would be no measurement.
-        shares[f"iou.{of_class.name}"] = of_class.iou if of_class.points else math.nan
-        shares[f"precision.{of_class.name}"] = of_class.precision
-        shares[f"recall.{of_class.name}"] = of_class.recall
+        shares[f"iou.{name}"] = class_scores.iou if class_scores.points else math.nan
+        shares[f"precision.{name}"] = class_scores.precision
+        shares[f"recall.{name}"] = class_scores.recall
     for kind, ranking in uncertainty.kinds.items():
         shares[f"auroc.{kind}"] = ranking.auroc
         shares[f"aupr.{kind}"] = ranking.aupr
@@ -206,7 +218,8 @@ def score_values(
         if ranking.ece is not None:
             shares["ece_of_error"] = ranking.ece
     numbers = {}
-    if calibration := uncertainty.calibration:
+    calibration = uncertainty.calibration
+    if calibration:
         shares["ece"] = calibration.ece
         shares["ece_per_scan"] = calibration.ece_per_scan
         numbers = {"nll": calibration.nll, "brier": calibration.brier}

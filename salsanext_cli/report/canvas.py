@@ -44,7 +44,8 @@ def new_picture(
     """Return an empty figure above a legend; sizes in pixels, absent entries faint."""
     columns = max(1, legend_width // LEGEND_STEP_PX)
     rows = -(-len(legend) // columns)
-    figure = new_figure(width, height + (rows * LEGEND_ROW_PX + MARGIN_PX) * bool(legend))
+    legend_height = rows * LEGEND_ROW_PX + MARGIN_PX if legend else 0
+    figure = new_figure(width, height + legend_height)
     for i, (name, colour) in enumerate(legend):
         left = MARGIN_PX + i % columns * LEGEND_STEP_PX
         top = height + i // columns * LEGEND_ROW_PX

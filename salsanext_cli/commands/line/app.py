@@ -9,7 +9,16 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.commands.line import look, models, own_data, pipeline, results
+from salsanext_cli.commands.line import (
+    knn_refine,
+    look,
+    models,
+    own_data,
+    predict,
+    project,
+    results,
+    uncertainty,
+)
 from salsanext_cli.commands.line.console import guarded
 from salsanext_cli.commands.line.expansion import expanded
 from salsanext_cli.commands.line.help import Command, Group
@@ -21,7 +30,7 @@ from salsanext_cli.version import __version__
 COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
     "Start": {
         "demo": look.demo,
-        "predict": pipeline.predict,
+        "predict": predict.predict,
         "report": look.report,
         "view": look.view,
         "inspect": own_data.inspect,
@@ -32,7 +41,7 @@ COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
         "import-labels": own_data.import_labels,
         "train": train,
     },
-    "Trust": {"eval": results.evaluate, "uncertainty": pipeline.uncertainty, "tune": tune},
+    "Trust": {"eval": results.evaluate, "uncertainty": uncertainty.uncertainty, "tune": tune},
     "Data": {
         "convert": own_data.convert,
         "export-ply": results.export_ply,
@@ -42,8 +51,8 @@ COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
         "submit": own_data.submit,
     },
     "Advanced": {
-        "project": pipeline.project,
-        "knn-refine": pipeline.knn_refine,
+        "project": project.project,
+        "knn-refine": knn_refine.knn_refine,
         "models": models.models,
         "import-weights": models.import_weights,
         "export-onnx": models.export_onnx,
@@ -97,8 +106,8 @@ for commands in COMMANDS.values():
             app.add_typer(command, name=name)
         else:
             # All but the first of several sources are no parameters.
-            several = {"allow_extra_args": "context" in signature(command).parameters}
-            app.command(name, cls=Command, context_settings=several)(guarded(expanded(command)))
+            settings = {"allow_extra_args": "context" in signature(command).parameters}
+            app.command(name, cls=Command, context_settings=settings)(guarded(expanded(command)))
 
 
 def main() -> None:
@@ -106,7 +115,8 @@ def main() -> None:
     if isinstance(sys.stdout, TextIOWrapper):
         # By Python's default, strict and in the C locale surrogateescape, a character outside the
         # encoding is an error. The user may have set something else.
-        errors, is_utf8 = sys.stdout.errors, sys.stdout.encoding.lower() == "utf-8"
+        errors = sys.stdout.errors
+        is_utf8 = sys.stdout.encoding.lower() == "utf-8"
         if errors == "strict" or (errors == "surrogateescape" and not is_utf8):
             sys.stdout.reconfigure(errors="replace")
     app()

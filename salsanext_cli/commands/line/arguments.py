@@ -36,13 +36,18 @@ SUBSET = {"names": ("--subset",), "help": "Only N scans, evenly spaced over the 
 DEFAULT_SCANS = "the data set or sequence in the current folder"
 
 
-def _shared(name: str, group: type[Any] = ResultQuery, **changes: Any) -> Any:
-    """Return one option of a group as typed, for commands that take no other; change arguments."""
-    (field,) = (field for field in fields(group) if field.name == name)
-    declared = OPTIONS[group][name].metadata
-    shown = {"default": field.default, **declared["option"], **changes}
-    text, panel = shown.pop("help"), shown.pop("rich_help_panel")
-    return option(text, *declared["names"], panel=panel, **shown)
+def _option_of(record: type[Any], field_name: str, **changes: Any) -> Any:
+    """Return the option of one field of a record, for a command that takes no other of its fields.
+
+    The value stays as it is typed. `changes`: arguments of `option` that replace those of the
+    field.
+    """
+    default = next(field.default for field in fields(record) if field.name == field_name)
+    metadata = OPTIONS[record][field_name].metadata
+    declaration = {"default": default, **metadata["option"], **changes}
+    text = declaration.pop("help")
+    panel = declaration.pop("rich_help_panel")
+    return option(text, *metadata["names"], panel=panel, **declaration)
 
 
 SCANS = argument(SCANS_HELP, metavar="SCANS", show_default=DEFAULT_SCANS)
@@ -77,19 +82,19 @@ DATASET = selection_option(
     envvar=DATASET_VARIABLE,
     show_default="the current folder",
 )
-DATASET_OF_RESULTS = _shared("dataset")
-LABEL_SPACE = _shared("label_space")
-CLASSES = _shared("classes")
-DEVICE = _shared("device", NetworkSettings)
+DATASET_OF_RESULTS = _option_of(ResultQuery, "dataset")
+LABEL_SPACE = _option_of(ResultQuery, "label_space")
+CLASSES = _option_of(ResultQuery, "classes")
+DEVICE = _option_of(NetworkSettings, "device")
 Network = Annotated[NetworkSettings, Default(precision="auto")]
 sensor_option = partial(network_option, "Sensor of the scans.", metavar="NAME|FILE")
 SENSOR = sensor_option(show_default="hdl64")
-columns_option = partial(_shared, "columns", NetworkSettings)
+columns_option = partial(_option_of, NetworkSettings, "columns")
 COLUMNS = columns_option()
-INTENSITY_FIELD = _shared("intensity_field", NetworkSettings)
-jobs_option = partial(_shared, "jobs", RunOptions)
+INTENSITY_FIELD = _option_of(NetworkSettings, "intensity_field")
+jobs_option = partial(_option_of, RunOptions, "jobs")
 JOBS = jobs_option()
-OVERWRITE = _shared("overwrite", RunOptions)
+OVERWRITE = _option_of(RunOptions, "overwrite")
 STRICT = running_option("Exit with status 1 after a warning about a scan.", default=False)
 Unsharded = Annotated[RunOptions, Without({"shard"})]
 Reading = Annotated[RunOptions, Without({"shard", "overwrite"})]
@@ -120,27 +125,34 @@ def sources(
     from salsanext_cli.io.files.reading import is_folder, present
     from salsanext_cli.runs.results.paths import require_none_hidden
 
-    words = [*([scans] if scans else []), out, *map(Path, context.args)]
-    several, out = words[:-1], words[-1]
+    paths = [out, *map(Path, context.args)]
+    if scans:
+        paths.insert(0, scans)
+    out = paths.pop()
     if present(out) and not is_folder(out):
         hint = "give OUT last: salsanext predict a.bin b.bin out/"
         raise UsageError("OUT", f"{out} is a file", "a folder for the results", hint)
-    if len(several) < 2:
+    if len(paths) < 2:
         single = source(scans, dataset, topic)
-        folders = single.resolve(), out.resolve()
-        # Results may lie in the folder of their scans.
-        is_apart = out not in (single, *single.parents) and not any(
-            a.is_relative_to(b) for a, b in (folders, folders[::-1])
-        )
-        if scans is not None and is_apart:
-            require_none_hidden(out)
         if scans is not None:
+            if _is_apart(out, single):
+                require_none_hidden(out)
             _notice_shared_folder(single, out)
         return single, out
     if topic is not None:
-        raise UsageError("--topic", f"{len(several)} sources were given", "one recording")
+        raise UsageError("--topic", f"{len(paths)} sources were given", "one recording")
     require_none_hidden(out)
-    return several, out
+    return paths, out
+
+
+def _is_apart(out: Path, source: Path) -> bool:
+    """Return whether results and scans are in different folders, none of them in the other."""
+    if out in (source, *source.parents):
+        return False
+    out_folder = out.resolve()
+    source_folder = source.resolve()
+    in_source = out_folder.is_relative_to(source_folder)
+    return not in_source and not source_folder.is_relative_to(out_folder)
 
 
 def _notice_shared_folder(source: Path, out: Path) -> None:
@@ -148,13 +160,16 @@ def _notice_shared_folder(source: Path, out: Path) -> None:
     from salsanext_cli.io.files.reading import is_folder
     from salsanext_cli.runs.fit.range_images import projected_sensor
 
-    folders = source.resolve(), out.resolve()
-    is_data_set = is_folder(source / "sequences")
-    is_inside = folders[1].is_relative_to(folders[0]) and not is_data_set
-    is_same = folders[0] == folders[1] and projected_sensor(source) is None
-    if is_same or (is_inside and folders[0] != folders[1]):
-        where = "the folder of the scans" if is_same else "inside the folder of the scans"
-        notice_once(f"{out}: is {where}, which gets the results, too; give OUT to separate them")
+    out_folder = out.resolve()
+    source_folder = source.resolve()
+    place = ""
+    if out_folder == source_folder:
+        if projected_sensor(source) is None:
+            place = "the folder of the scans"
+    elif out_folder.is_relative_to(source_folder) and not is_folder(source / "sequences"):
+        place = "inside the folder of the scans"
+    if place:
+        notice_once(f"{out}: is {place}, which gets the results, too; give OUT to separate them")
 
 
 def in_topic(source: Path, topic: str | None) -> Path:

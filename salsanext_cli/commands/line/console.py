@@ -16,9 +16,11 @@ import typer
 
 from salsanext_cli.commands.line.interruption import (
     NO_HALF_FILES,
+    WORDS,
     end_line,
     interruptible,
     keep_exit_status,
+    signal_number,
     stating,
 )
 from salsanext_cli.commands.line.option_fields import option, option_group
@@ -36,8 +38,10 @@ if TYPE_CHECKING:
 
     from salsanext_cli.runs.loop.run_options import Progress, RunOptions
 
-DONE, FAILED, WRONG_USE = 0, 1, 2
-"""Exit status: success, a failure, wrong usage; 128 + n after signal n."""
+# Exit status; 128 + n after signal n
+DONE = 0
+FAILED = 1
+WRONG_USE = 2
 
 SCHEMA = 2  # Version of the JSON; it grows when a key changes or goes
 FILE_WIDTH_COLUMNS = 120  # Width of tables in a file or a pipe
@@ -55,14 +59,6 @@ class Output:
     verbose: bool = output_option("Print more messages.", "--verbose", "-v")
     quiet: bool = output_option("Print errors only.", "--quiet", "-q")
     start: float = dataclasses.field(init=False, default_factory=time.monotonic, compare=False)
-
-    def __post_init__(self) -> None:
-        if self.verbose and self.quiet:
-            raise UsageError("--verbose and --quiet", "both were given", "one of them")
-        level = logging.INFO if self.verbose else logging.ERROR if self.quiet else NOTICE
-        logger = logging.getLogger("salsanext_cli")
-        logger.handlers[:] = [StderrHandler()]
-        logger.setLevel(level)
 
     def print(self, text: str) -> None:
         """Print a message on stderr, unless the command is quiet."""
@@ -95,6 +91,18 @@ def _print_tables(tables: "RenderableType", file: TextIO) -> None:
     Console(file=file, highlight=False, width=width).print(tables)
 
 
+def log_to_stderr(*, verbose: bool = False, quiet: bool = False) -> None:
+    """Print the messages of the package on stderr from now on, more of them or errors only."""
+    level = NOTICE
+    if verbose:
+        level = logging.INFO
+    elif quiet:
+        level = logging.ERROR
+    logger = logging.getLogger("salsanext_cli")
+    logger.handlers[:] = [StderrHandler()]
+    logger.setLevel(level)
+
+
 class StderrHandler(logging.Handler):
     """Handler that prints log records in the form of errors."""
 
@@ -108,26 +116,33 @@ class StderrHandler(logging.Handler):
 def guarded(command: Callable[Parameters, None]) -> Callable[Parameters, None]:
     """Print a mistake of the user and exit with a status; let bugs keep their traceback.
 
-    Messages name options while the command runs.
+    Messages name options while the command runs, and are printed on stderr. The values of
+    ``--json``, ``--verbose`` and ``--quiet`` decide about them before any other option is read.
     """
 
     @functools.wraps(command)
     def run(*args: Parameters.args, **kwargs: Parameters.kwargs) -> None:
+        as_json = bool(kwargs.get("json"))
+        verbose = bool(kwargs.get("verbose"))
+        quiet = bool(kwargs.get("quiet"))
         try:
             with interruptible(), spelled(CommandLine()):
+                if verbose and quiet:
+                    raise UsageError("--verbose and --quiet", "both were given", "one of them")
+                log_to_stderr(verbose=verbose, quiet=quiet)
                 command(*args, **kwargs)
         except SalsanextError as error:
             if not error.reported_elsewhere:
-                _print_error(error, json=bool(kwargs.get("json")))
+                _print_error(error, as_json=as_json)
             raise typer.Exit(WRONG_USE if isinstance(error, UsageError) else FAILED) from None
         except KeyboardInterrupt:
             keep_exit_status()
-            line, status = end_line()
-            print_line(line)
-            if kwargs.get("json"):
-                word = line.partition(":")[0]
+            print_line(end_line())
+            number = signal_number()
+            if as_json:
+                word = WORDS[number]
                 _print_json({"error": word, "hint": "", "code": word})
-            raise typer.Exit(status) from None
+            raise typer.Exit(128 + number) from None
 
     return run
 
@@ -135,17 +150,16 @@ def guarded(command: Callable[Parameters, None]) -> Callable[Parameters, None]:
 @contextmanager
 def usage_errors(arguments: Sequence[str]) -> Iterator[None]:
     """Print an error of typer about the command line like every other error."""
-    json = "--json" in arguments
     try:
         yield
     except USAGE_ERROR as error:
-        _print_error(usage_error(error, arguments), json=json)
+        _print_error(usage_error(error, arguments), as_json="--json" in arguments)
         raise typer.Exit(WRONG_USE) from None
 
 
-def _print_error(error: SalsanextError, *, json: bool) -> None:
+def _print_error(error: SalsanextError, *, as_json: bool) -> None:
     print_line(f"error: {error}")
-    if json:
+    if as_json:
         _print_json({"error": error.headline, "hint": error.hint, "code": error.code})
 
 
@@ -181,12 +195,13 @@ class Written:
     unit: str  # Plural, such as "scans"
     at_end: bool
     show: "Progress | None"  # Shows the progress, if anything does
-    done: int = 0  # Number of finished units, and of all
-    total: int = 0
+    done: int = 0  # Number of finished units
+    total: int = 0  # Number of all units
 
     def __call__(self, done: int, total: int) -> None:
         """Note and show the number of finished units and of all."""
-        self.done, self.total = done, total
+        self.done = done
+        self.total = total
         if self.show:
             self.show(done, total)
 
@@ -226,8 +241,10 @@ class Lines:
     """Progress as lines of text, at most one in `LINE_INTERVAL_S`."""
 
     def __init__(self, label: str, unit: str) -> None:
-        self.label, self.unit = label, unit
-        self.start = self.last = time.monotonic()
+        self.label = label
+        self.unit = unit
+        self.start = time.monotonic()
+        self.last = self.start
         self.before: int | None = None
 
     def __call__(self, done: int, total: int) -> None:
@@ -269,6 +286,11 @@ def _bar(unit: str) -> "Bar":
             speed = task.finished_speed or task.speed
             return text.Text(rate_text(speed, unit) if speed else "")
 
-    done, left = progress.MofNCompleteColumn(), progress.TimeRemainingColumn()
-    columns = ("{task.description}", progress.BarColumn(), done, RateColumn(), left)
-    return progress.Progress(*columns, console=console.Console(stderr=True))
+    return progress.Progress(
+        "{task.description}",
+        progress.BarColumn(),
+        progress.MofNCompleteColumn(),
+        RateColumn(),
+        progress.TimeRemainingColumn(),
+        console=console.Console(stderr=True),
+    )

@@ -4,7 +4,7 @@
 import dataclasses
 import functools
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
@@ -23,15 +23,13 @@ class Default(dict[str, Any]):
     """Fields with another default: ``Annotated[ScanSelection, Default(limit=20)]``."""
 
 
-class Shown(dict[str, dict[str, Any]]):
-    """Fields that are declared otherwise: ``Annotated[ScanSelection, Shown(limit={"help": "…"})]``.
+class Declared(dict[str, dict[str, Any]]):
+    """Fields with another declaration: ``Annotated[ScanSelection, Declared(limit={"help": "…"})]``.
 
     The keys are arguments of `typer.Option`, and ``names``.
     """
 
 
-Fill = Callable[[dict[str, Any]], Any]
-"""Function that builds a dataclass from the values of its options, which it removes."""
 METAVARS = {int: "N", float: "NUMBER", Path: "PATH", str: "NAME"}
 
 
@@ -39,75 +37,127 @@ def _metavar(kind: Any) -> str | None:
     """Return the word for a value of a type in the help."""
     if isinstance(kind, UnionType) or get_origin(kind) is list:
         return _metavar(get_args(kind)[0])
-    return "|".join(get_args(kind)) if get_origin(kind) is Literal else METAVARS.get(kind)
+    if get_origin(kind) is Literal:
+        return "|".join(get_args(kind))
+    return METAVARS.get(kind)
 
 
 def expanded(command: Callable[..., None]) -> Callable[..., None]:
     """Return a command with the signature that typer reads: options in the place of dataclasses."""
     parameters: list[inspect.Parameter] = []
-    groups: dict[str, Fill] = {}
+    groups: dict[str, OptionGroup] = {}
     hints = get_type_hints(command, include_extras=True)
     for name, parameter in inspect.signature(command).parameters.items():
         hint = hints[name]
         kind, *marks = get_args(hint) if get_origin(hint) is Annotated else (hint,)
         if dataclasses.is_dataclass(kind) and isinstance(kind, type):
-            offered, groups[name] = _group(kind, marks)
-            parameters += offered.values()
+            groups[name] = OptionGroup.of(kind, marks)
+            parameters += groups[name].parameters()
         elif isinstance(parameter.default, dataclasses.Field):
             declared = parameter.default.metadata
-            parameters.append(_offered(name, hint, declared, parameter.default.default))
+            parameters.append(_parameter(name, hint, declared, parameter.default.default))
         else:
             parameters.append(parameter.replace(annotation=hint, kind=parameter.KEYWORD_ONLY))
 
     @functools.wraps(command)
-    def run(**given: Any) -> None:
-        # The last group is `Output`, which decides where messages about the others go.
-        filled = {name: groups[name](given) for name in reversed(groups)}
-        command(**filled, **given)
+    def run(**values: Any) -> None:
+        for name, group in groups.items():
+            values[name] = group.fill(values)
+        command(**values)
 
     run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     vars(run)["__signature__"] = inspect.Signature(parameters)
     return run
 
 
-def _group(kind: type, marks: list[Any]) -> tuple[dict[str, inspect.Parameter], Fill]:
-    """Return the options of a dataclass by field, and the function that builds it."""
-    fields = {field.name: field for field in dataclasses.fields(kind) if field.init}
-    defaults = {name: field.default for name, field in fields.items()}
-    changes: dict[str, dict[str, Any]] = {}
-    hidden: set[str] = set()
-    for mark in marks:
-        if isinstance(mark, Default):
-            defaults |= {name: mark[name] for name in fields.keys() & mark}
-        elif isinstance(mark, Shown):
-            changes |= mark
-        elif isinstance(mark, Without):
-            hidden |= mark
-    offered: dict[str, inspect.Parameter] = {}
-    nested: dict[str, Fill] = {}  # Of fields that are such dataclasses themselves
-    declared = {name: declaration(kind, field) for name, field in fields.items()}
-    for name, field in fields.items():
-        how = declared[name]
-        if how is not None and name not in hidden:
-            offered[name] = _offered(name, field.type, how, defaults[name], changes.get(name))
-        elif how is None and isinstance(field.type, type):
-            options, nested[name] = _group(field.type, marks)
-            offered |= options
+@dataclasses.dataclass(slots=True)
+class OptionGroup:
+    """Dataclass whose fields a command offers as options.
 
-    def fill(given: dict[str, Any]) -> Any:
-        typed = {name: build(given) for name, build in nested.items()}
-        for name in fields:
-            if name in offered and name in given:
-                value = given.pop(name)
-                how = declared[name]
-                parse = how["parse"] if how else None
-                typed[name] = parse(value) if parse else value
-        return kind(**defaults | typed)
+    Attributes
+    ----------
+    kind : type
+        The dataclass.
+    defaults : dict
+        Default of each field by name.
+    options : dict
+        The parameter that typer reads, by the name of its field.
+    parsers : dict
+        Function that makes the value of a field from the text that was typed, where it has one.
+    nested : dict
+        Fields that are such dataclasses themselves.
+    """
 
-    return offered, fill
+    kind: type
+    defaults: dict[str, Any]
+    options: dict[str, inspect.Parameter] = dataclasses.field(default_factory=dict)
+    parsers: dict[str, Callable[[str | None], Any]] = dataclasses.field(default_factory=dict)
+    nested: dict[str, "OptionGroup"] = dataclasses.field(default_factory=dict)
+
+    @classmethod
+    def of(cls, kind: type, marks: Sequence[Any]) -> "OptionGroup":
+        """Return the options of a dataclass, as `Default`, `Declared` and `Without` change them."""
+        fields = {field.name: field for field in dataclasses.fields(kind) if field.init}
+        changes = Changes.of(marks)
+        defaults = {name: field.default for name, field in fields.items()}
+        group = cls(kind, defaults)
+        for name, field in fields.items():
+            defaults[name] = changes.defaults.get(name, field.default)
+            declared = declaration(kind, field)
+            if declared is None and isinstance(field.type, type):
+                group.nested[name] = OptionGroup.of(field.type, marks)
+            elif declared is not None and name not in changes.hidden:
+                arguments = changes.arguments.get(name, {})
+                option = _parameter(name, field.type, declared, defaults[name], arguments)
+                group.options[name] = option
+                if declared["parse"]:
+                    group.parsers[name] = declared["parse"]
+        return group
+
+    def parameters(self) -> Iterator[inspect.Parameter]:
+        """Yield the options in the order of the fields."""
+        for name in self.defaults:
+            if name in self.options:
+                yield self.options[name]
+            elif name in self.nested:
+                yield from self.nested[name].parameters()
+
+    def fill(self, values: dict[str, Any]) -> Any:
+        """Build the dataclass from the values of its options, which are removed."""
+        arguments = dict(self.defaults)
+        for name, group in self.nested.items():
+            arguments[name] = group.fill(values)
+        for name in self.options:
+            if name in values:
+                value = values.pop(name)
+                parse = self.parsers.get(name)
+                arguments[name] = parse(value) if parse else value
+        return self.kind(**arguments)
 
 
-def _offered(
+@dataclasses.dataclass(slots=True)
+class Changes:
+    """Changes of the options of a dataclass, from the marks of its annotation."""
+
+    defaults: dict[str, Any] = dataclasses.field(default_factory=dict)
+    arguments: dict[str, dict[str, Any]] = dataclasses.field(default_factory=dict)
+    hidden: set[str] = dataclasses.field(default_factory=set)
+
+    @classmethod
+    def of(cls, marks: Sequence[Any]) -> "Changes":
+        """Collect the changes; later marks count."""
+        changes = cls()
+        for mark in marks:
+            if isinstance(mark, Default):
+                changes.defaults |= mark
+            elif isinstance(mark, Declared):
+                changes.arguments |= mark
+            elif isinstance(mark, Without):
+                changes.hidden |= mark
+        return changes
+
+
+def _parameter(
     name: str,
     kind: Any,
     declared: Mapping[str, Any],
@@ -116,19 +166,33 @@ def _offered(
 ) -> inspect.Parameter:
     """Return the parameter that typer reads for a declaration by `option` or `argument`."""
     if "argument" in declared:
-        mark = typer.Argument(**{"metavar": _metavar(kind)} | declared["argument"])
+        arguments = {"metavar": _metavar(kind), **declared["argument"]}
+        mark = typer.Argument(**arguments)
     else:
-        # A flag of one name, without its contrary.
-        flag = [f"--{name.replace('_', '-')}"] if kind is bool else []
         kind = declared["typed"] or kind
-        shown: dict[str, Any] = {"names": declared["names"] or flag, "metavar": _metavar(kind)}
-        shown |= declared["option"] | dict(changes or {})
-        option = next(iter(shown["names"]), f"--{name.replace('_', '-')}")
-        if option in COMPLETERS and get_origin(kind) is not Literal:
-            shown["autocompletion"] = COMPLETERS[option]
-        mark = typer.Option(*shown.pop("names"), **shown)
+        mark = _option(name, kind, declared, changes or {})
         if declared["parse"]:
-            default, kind = None, str | None
-    default = inspect.Parameter.empty if default is ... else default
-    how, annotation = inspect.Parameter.KEYWORD_ONLY, Annotated[kind, mark]
-    return inspect.Parameter(name, how, default=default, annotation=annotation)
+            default = None
+            kind = str | None
+    return inspect.Parameter(
+        name,
+        inspect.Parameter.KEYWORD_ONLY,
+        default=inspect.Parameter.empty if default is ... else default,
+        annotation=Annotated[kind, mark],
+    )
+
+
+def _option(
+    name: str, kind: Any, declared: Mapping[str, Any], changes: Mapping[str, Any]
+) -> typer.models.OptionInfo:
+    """Return typer's declaration of an option."""
+    option_name = f"--{name.replace('_', '-')}"
+    arguments = {"metavar": _metavar(kind), **declared["option"], **changes}
+    names = arguments.pop("names", declared["names"])
+    if not names and kind is bool:
+        # A flag of one name, without its contrary.
+        names = [option_name]
+    first_name = names[0] if names else option_name
+    if first_name in COMPLETERS and get_origin(kind) is not Literal:
+        arguments["autocompletion"] = COMPLETERS[first_name]
+    return typer.Option(*names, **arguments)

@@ -25,30 +25,52 @@ HELP_ALL = ("--help-all", "Show all options.")
 
 
 def write_help(command: Any, ctx: Any, formatter: Any, *, every: bool = False) -> None:
-    """Write usage, description, link, commands and options; `every`: the hidden ones too.
+    """Write usage, description, link, commands and options.
 
-    A command without hidden options does not offer `--help-all`, which would show the same.
+    `every`: whether to write the hidden options too.
     """
     formatter.write_usage(ctx.command_path, usage(command))
     command.format_help_text(ctx, formatter)
-    anchor = f"/cli/#{'-'.join(['salsanext', *_names(ctx)])}" if ctx.parent else ""
-    members = getattr(command, "commands", {})
-    if members:
+    if hasattr(command, "commands"):
         formatter.write_paragraph()
+    _write_link(ctx, formatter)
+    if hasattr(command, "commands"):
+        _write_commands(command, formatter)
+    _write_options(command, ctx, formatter, every=every)
+
+
+def _write_link(ctx: Any, formatter: Any) -> None:
+    """Write the address of the documentation, for a command that of its section."""
+    anchor = ""
+    if ctx.parent:
+        anchor = f"/cli/#{'-'.join(['salsanext', *_names(ctx)])}"
     with formatter.indentation():
         formatter.write_text(f"Docs: {DOCUMENTATION}{anchor}")
-    for heading, names in (getattr(command, "sections", {}) or {"Commands": [*members]}).items():
-        if names:
+
+
+def _write_commands(group: Any, formatter: Any) -> None:
+    """Write the commands of a group with their short help, by section."""
+    sections = group.sections or {"Commands": list(group.commands)}
+    for heading, names in sections.items():
+        rows = [(name, group.commands[name].get_short_help_str(200)) for name in names]
+        if rows:
             with formatter.section(heading):
-                formatter.write_dl(
-                    [(name, members[name].get_short_help_str(200)) for name in names]
-                )
+                formatter.write_dl(rows)
+
+
+def _write_options(command: Any, ctx: Any, formatter: Any, *, every: bool) -> None:
+    """Write arguments and options by panel; `every`: the hidden ones too.
+
+    A command without hidden options does not offer `--help-all`, which would show the same.
+    """
     hidden = _hidden(command, ctx)
-    panels = {
-        heading: [(synopsis(p), _meaning(p)) for p in parameters if every or not hidden & {*p.opts}]
-        for heading, parameters in by_panel(command.params).items()
-    } or {"Options": []}
-    last_panel = [*panels.values()][-1]
+    panels: dict[str, list[tuple[str, str]]] = {}
+    for heading, parameters in by_panel(command.params).items():
+        listed = [p for p in parameters if every or not hidden.intersection(p.opts)]
+        panels[heading] = [(synopsis(parameter), _meaning(parameter)) for parameter in listed]
+    if not panels:
+        panels["Options"] = []
+    last_panel = list(panels.values())[-1]
     last_panel.append(HELP)
     if hidden:
         last_panel.append(HELP_ALL)
@@ -120,9 +142,14 @@ def _print_whole_help(command: Any, ctx: Any, args: Sequence[str]) -> None:
 
 def usage(command: Any) -> str:
     """Return what follows the name of a command; brackets mark what is optional."""
-    names = [(synopsis(p), p.required) for p in command.params if p.param_type_name == "argument"]
-    words = [name if required else f"[{name}]" for name, required in names]
-    return " ".join(["[OPTIONS]", *words, *(["COMMAND"] if hasattr(command, "commands") else [])])
+    words = ["[OPTIONS]"]
+    for parameter in command.params:
+        if parameter.param_type_name == "argument":
+            name = synopsis(parameter)
+            words.append(name if parameter.required else f"[{name}]")
+    if hasattr(command, "commands"):
+        words.append("COMMAND")
+    return " ".join(words)
 
 
 def by_panel(parameters: Sequence[Any]) -> dict[str, list[Any]]:
@@ -151,7 +178,13 @@ def default_text(parameter: Any) -> str:
 
 
 def _meaning(parameter: Any) -> str:
-    notes = ["required"] if parameter.required else []
-    notes += [f"env: {parameter.envvar}"] if parameter.envvar else []
-    notes += [f"default: {text}"] if (text := default_text(parameter)) else []
+    """Return the help of a parameter, with notes about its variable and its default."""
+    notes: list[str] = []
+    if parameter.required:
+        notes.append("required")
+    if parameter.envvar:
+        notes.append(f"env: {parameter.envvar}")
+    default = default_text(parameter)
+    if default:
+        notes.append(f"default: {default}")
     return f"{parameter.help} [{'; '.join(notes)}]" if notes else str(parameter.help)

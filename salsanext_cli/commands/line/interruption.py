@@ -23,7 +23,8 @@ def handle_signals() -> None:
     Outside a command the first signal ends the process. Signals that are ignored or handled already
     stay as they are.
     """
-    process, since = os.getpid(), 0.0
+    process = os.getpid()
+    since = 0.0
 
     def handle(number: int, _: object) -> None:
         nonlocal since
@@ -36,7 +37,7 @@ def handle_signals() -> None:
             since = now
             if not BUSY:
                 with suppress(OSError):
-                    os.write(2, f"{end_line()[0]}\n".encode())
+                    os.write(2, f"{end_line()}\n".encode())
                 os._exit(128 + number)  # noqa: TID251
             raise KeyboardInterrupt
 
@@ -82,8 +83,12 @@ def keep_exit_status() -> None:
     exec("")  # noqa: S102 - the text is empty
 
 
-def end_line() -> tuple[str, int]:
-    """Return the line to print after an interruption, and the exit status."""
-    number = ARRIVED[0] if ARRIVED else signal.SIGINT
+def signal_number() -> int:
+    """Return the number of the signal that arrived, else that of SIGINT."""
+    return ARRIVED[0] if ARRIVED else signal.SIGINT
+
+
+def end_line() -> str:
+    """Return the line to print after an interruption, which states what is finished."""
     finished = PROGRESS[-1]() if PROGRESS else NO_HALF_FILES
-    return f"{WORDS[number]}: {finished}", 128 + number
+    return f"{WORDS[signal_number()]}: {finished}"

@@ -4,13 +4,11 @@
 import os
 import shlex
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
 from salsanext_cli.commands.line import arguments, console, summary
 from salsanext_cli.commands.line.console import over_scans, progress
-from salsanext_cli.commands.line.expansion import Without
 from salsanext_cli.commands.line.interruption import ARRIVED
 from salsanext_cli.commands.line.option_fields import argument, names_in, option
 from salsanext_cli.core.texts import counted
@@ -72,10 +70,13 @@ def demo(
         options=RunOptions(jobs=jobs, overwrite=overwrite),
         bars=lambda step: progress(step, output.quiet),
     )
-    evaluation, page = demonstration.evaluation, demonstration.page
-    paths = {"pictures": [*map(str, demonstration.pictures)], "page": str(page)}
-    tables = score_table(evaluation.scores)
-    output.result(evaluation.to_dict() | {"stage": "demo"} | paths, tables)
+    evaluation = demonstration.evaluation
+    page = demonstration.page
+    data = evaluation.to_dict()
+    data["stage"] = "demo"
+    data["pictures"] = [str(picture) for picture in demonstration.pictures]
+    data["page"] = str(page)
+    output.result(data, score_table(evaluation.scores))
     failures = (*demonstration.failures, *evaluation.failures)
     summary.print_failures(failures)
     results = folder / "out/sequences/00"
@@ -102,7 +103,7 @@ def report(
     ),
     opened: bool = option("Open the page in the browser.", "--open", default=False),
     query: ResultQuery,
-    running: Annotated[RunOptions, Without({"shard"})],
+    running: arguments.Unsharded,
     output: console.Output,
 ) -> None:
     """Write a page for any browser: numbers, plots, and scans in 3-D.
@@ -125,8 +126,9 @@ def report(
     summary.print_failures(written.failures)
     for name, reason in written.shown.items():
         output.print(f"  {name}: {reason}")
-    if decided := written.verdict:
-        output.print(decided.sentence)
+    verdict = written.verdict
+    if verdict is not None:
+        output.print(verdict.sentence)
     count = f"{counted(len(written.run.rows), 'scan')}{summary.skipped_text(missing)}"
     megabytes = written.page.stat().st_size / 1e6
     output.print(f"report: {count} → {written.page} ({megabytes:.1f} MB)")
@@ -155,7 +157,8 @@ def view(
     summary.print_failures(server.failures)
     scans = f"{counted(server.scans, 'scan')}{summary.skipped_text(server.missing)}"
     output.print(f"view: {scans}, until Ctrl-C at")
-    if forwarding := _forwarding(server.server_port, os.environ.get("SSH_CONNECTION", "")):
+    forwarding = _forwarding(server.server_port, os.environ.get("SSH_CONNECTION", ""))
+    if forwarding:
         output.print(f"first forward the port, on your local machine: {forwarding}")
     try:
         with server:
@@ -180,8 +183,10 @@ def _forwarding(port: int, connection: str) -> str:
     """Return the command that forwards a port over SSH; empty without an SSH connection."""
     match connection.split():
         case [_, _, host, ssh_port]:
-            user = f"{name}@" if (name := os.environ.get("USER")) else ""
-            other_port = ["-p", ssh_port] if ssh_port != "22" else []
-            forwarded = f"{port}:127.0.0.1:{port}"
-            return shlex.join(["ssh", "-N", "-L", forwarded, *other_port, user + host])
+            words = ["ssh", "-N", "-L", f"{port}:127.0.0.1:{port}"]
+            if ssh_port != "22":
+                words += ["-p", ssh_port]
+            user = os.environ.get("USER")
+            words.append(f"{user}@{host}" if user else host)
+            return shlex.join(words)
     return ""

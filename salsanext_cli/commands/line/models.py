@@ -22,7 +22,7 @@ def models(
 
     Example: salsanext models runs/street/best.safetensors
     """
-    from rich.console import Group
+    from rich.console import Group, RenderableType
     from rich.text import Text
 
     from salsanext_cli.commands.stages.models import describe_weights, plug_ins
@@ -30,14 +30,17 @@ def models(
     from salsanext_cli.report.card_table import card_table
     from salsanext_cli.report.tables import table_of
 
-    names, plugged = [*ARCHITECTURES, *plugged_networks()], plug_ins()
+    networks = [*ARCHITECTURES, *plugged_networks()]
+    installed = plug_ins()
     described = [describe_weights(weights_file(path)) for path in weights or [DEFAULT_WEIGHTS]]
-    tables = [*map(card_table, described)]
-    if plugged:
-        rows = [[*plug_in.values()] for plug_in in plugged]
-        tables.append(table_of([*plugged[0]], rows, texts=[*plugged[0]], title="Plug-ins"))
-    result = {"stage": "models", "models": names, "plug_ins": plugged, "weights": described}
-    output.result(result, Group(*tables, Text(f"networks: {', '.join(names)}")))
+    parts: list[RenderableType] = [card_table(card) for card in described]
+    if installed:
+        headings = list(installed[0])
+        rows = [list(plug_in.values()) for plug_in in installed]
+        parts.append(table_of(headings, rows, texts=headings, title="Plug-ins"))
+    parts.append(Text(f"networks: {', '.join(networks)}"))
+    result = {"stage": "models", "models": networks, "plug_ins": installed, "weights": described}
+    output.result(result, Group(*parts))
 
 
 def import_weights(

@@ -8,11 +8,11 @@ from typing import Any, TypeVar, dataclass_transform
 
 from salsanext_cli.core.errors import UsageError
 
-Group = TypeVar("Group")
+Options = TypeVar("Options")
 
 
 @dataclass_transform(frozen_default=True)
-def option_group(kind: type[Group]) -> type[Group]:
+def option_group(kind: type[Options]) -> type[Options]:
     """Turn a class into a dataclass whose fields, made by `option`, commands offer."""
     return dataclass(frozen=True, slots=True)(kind)
 
@@ -24,22 +24,39 @@ def option(
     default: Any = None,
     parse: Callable[[str | None], Any] | None = None,
     typed: Any = None,
-    **shown: Any,
+    **declaration: Any,
 ) -> Any:
     """Return a field, or the default of a parameter, that commands offer as an option.
 
-    `text` is the help; `names`: if not the name of the field; `default`: ``...`` if required;
-    `parse` makes the value from the text that was typed, or from None; `typed`: type of that text,
-    if not that of the field; `shown`: further arguments of `typer.Option`.
+    Parameters
+    ----------
+    text : str
+        Help.
+    *names : str
+        Names of the option, if not that of the field.
+    panel : str
+        Heading of the help under which the option is listed.
+    default : object
+        Default of the field; ``...`` if the option is required.
+    parse : callable, optional
+        Function that makes the value from the text that was typed, or from None.
+    typed : type, optional
+        Type of that text, if not that of the field.
+    **declaration
+        Further arguments of `typer.Option`.
+
+    Returns
+    -------
+    dataclasses.Field
     """
-    declared = {"help": text, "rich_help_panel": panel, **shown}
-    metadata = {"names": names, "parse": parse, "typed": typed, "option": declared}
+    arguments = {"help": text, "rich_help_panel": panel, **declaration}
+    metadata = {"names": names, "parse": parse, "typed": typed, "option": arguments}
     return field(default=default, metadata=metadata)
 
 
-def argument(text: str, *, default: Any = None, **shown: Any) -> Any:
+def argument(text: str, *, default: Any = None, **declaration: Any) -> Any:
     """Return the default of a parameter that a command offers as an argument, like `option`."""
-    return field(default=default, metadata={"argument": {"help": text, **shown}})
+    return field(default=default, metadata={"argument": {"help": text, **declaration}})
 
 
 def names_in(text: str | None, option: str, example: str) -> tuple[str, ...]:

@@ -30,8 +30,8 @@ class CommandLine(Spelling):
 
     def name(self, argument: str) -> str:
         """Spell an argument: ``--min-range``; a field of a record gets both names: ``--knn-k``."""
-        usual = argument.replace(".", "-").replace("_", "-")
-        return OPTION_OF.get(argument, f"--{usual}")
+        spelling = argument.replace(".", "-").replace("_", "-")
+        return OPTION_OF.get(argument, f"--{spelling}")
 
     def setting(self, argument: str, value: object) -> str:
         """Spell an argument with a value as it is typed in a shell: ``--width 512``."""

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from salsanext_cli.commands.line import arguments, console, summary
 from salsanext_cli.commands.line.console import over_scans, print_line, writing
-from salsanext_cli.commands.line.expansion import Shown
+from salsanext_cli.commands.line.expansion import Declared
+from salsanext_cli.commands.line.next_command import next_command
 from salsanext_cli.commands.line.option_fields import argument, option, option_group
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.texts import counted, printable, with_hint
@@ -126,7 +127,8 @@ def convert(
     source = arguments.in_topic(recording, topic)
     with over_scans("convert", running, output.quiet) as run:
         outcome = stage(source, folder, every=every, limit=limit, options=run)
-    summary.finish("convert", outcome, folder, output)
+    following = next_command(outcome, ["predict", folder])
+    summary.finish("convert", outcome, folder, output, following=following)
 
 
 def pick(
@@ -142,7 +144,7 @@ def pick(
         "Data set of labelled scans, which the picked scans should differ from; may be given "
         "several times."
     ),
-    selection: Annotated[ScanSelection, Shown(limit=arguments.SUBSET)],
+    selection: Annotated[ScanSelection, Declared(limit=arguments.SUBSET)],
     topic: str | None = arguments.TOPIC,
     settings: arguments.Network,
     running: arguments.Unsharded,
@@ -172,18 +174,18 @@ def pick(
             selection=selection,
             options=run,
         )
-    picked, outcome = picking.picked, picking.outcome
+    failures = picking.outcome.failures
     labels = None
-    if picked:
+    if picking.picked:
         with over_scans("predict", running, output.quiet) as run:
             labels = label_picked_scans(out, settings, run)
-    failures = (*outcome.failures, *(labels.failures if labels else ()))
+        failures = (*failures, *labels.failures)
     result = picking.to_dict() | {"out": str(out)} | _labels_as_data(labels)
     result["failures"] = [failure.to_dict() for failure in failures]
-    output.result(result, picked_table(picked) if picked else None)
+    output.result(result, picked_table(picking.picked) if picking.picked else None)
     summary.print_failures(failures)
-    chosen = f"{len(picked):,} of {counted(picking.scans, 'scan')}"
-    output.print(f"pick: {chosen}{summary.others_text(outcome)} → {out}")
+    numbers = f"{len(picking.picked):,} of {counted(picking.scans, 'scan')}"
+    output.print(f"pick: {numbers}{summary.others_text(picking.outcome)} → {out}")
     if labels is not None:
         for line in lines_after_pick(out, picking, labels, settings.weights, labelled or ()):
             output.print(line)
@@ -228,8 +230,9 @@ def import_labels(
     from salsanext_cli.report.tables import imported_lines, imported_table
 
     with writing("import-labels", output.quiet) as bar:
-        made = stage(
-            *(edited, dataset),
+        imported = stage(
+            edited,
+            dataset,
             scalar=scalar,
             ids=ids,
             space=named_label_space(label_space),
@@ -237,12 +240,13 @@ def import_labels(
             overwrite=overwrite,
             progress=bar,
         )
-    output.result(made.to_dict(), imported_table(made.scans) if made.scans else None)
-    for failure in made.failures:
+    table = imported_table(imported.scans) if imported.scans else None
+    output.result(imported.to_dict(), table)
+    for failure in imported.failures:
         print_line(f"error: {with_hint(failure.reason, failure.hint)}")
-    for line in imported_lines(made, dataset):
+    for line in imported_lines(imported, dataset):
         output.print(printable(line))
-    summary.leave(made.failures)
+    summary.leave(imported.failures)
 
 
 @option_group
@@ -275,12 +279,22 @@ def synth(
     from salsanext_cli.commands.stages.synth import synthesise
 
     with writing("synth", output.quiet, unit="sequences") as on_progress:
-        written = synthesise(
-            out, **asdict(scenes), jobs=jobs, overwrite=overwrite, progress=on_progress
+        data_set = synthesise(
+            out,
+            train=scenes.train,
+            valid=scenes.valid,
+            test=scenes.test,
+            scans=scenes.scans,
+            spacing=scenes.spacing,
+            sensor=scenes.sensor,
+            seed=scenes.seed,
+            jobs=jobs,
+            overwrite=overwrite,
+            progress=on_progress,
         )
-    output.result(written.to_dict())
-    points = sum(written.points.values())
-    output.print(f"synth: {counted(written.scans, 'scan')}, {points:,} points → {out}")
+    output.result(data_set.to_dict())
+    points = sum(data_set.points.values())
+    output.print(f"synth: {counted(data_set.scans, 'scan')}, {points:,} points → {out}")
 
 
 def submit(
@@ -302,7 +316,7 @@ def submit(
     from salsanext_cli.commands.stages.submit import submit as stage
 
     with writing("submit", output.quiet, unit="files", at_end=True) as on_progress:
-        made = stage(
+        submission = stage(
             out,
             target,
             dataset=dataset,
@@ -311,5 +325,5 @@ def submit(
             overwrite=overwrite,
             progress=on_progress,
         )
-    output.result({"stage": "submit", **asdict(made), "zip": str(target)})
-    output.print(f"submit: {counted(made.scans, 'scan')} → {target}")
+    output.result({"stage": "submit", **asdict(submission), "zip": str(target)})
+    output.print(f"submit: {counted(submission.scans, 'scan')} → {target}")

@@ -20,7 +20,7 @@ from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.paths import ERROR, find_outputs
-from salsanext_cli.runs.results.result_folder import read_kind
+from salsanext_cli.runs.results.scan_results import read_kind
 
 COLUMNS = "x,y,z,intensity"  # Of the scans that `pick` writes
 
@@ -88,7 +88,8 @@ def doubtful_share(out: Path) -> float | None:
 
     None without such results.
     """
-    doubtful = points = 0
+    doubtful = 0
+    points = 0
     for path in find_outputs(out, ERROR).values():
         error = read_kind(path, "error", None)
         labelled = np.isfinite(error)

@@ -14,15 +14,17 @@ def read_overrides(texts: Iterable[str]) -> dict[str, object]:
     """Return the changes for `Recipe.with_changes` from texts ``key=value``; the last one wins."""
     changes: dict[str, object] = {}
     for text in texts:
-        key, equals, value = (part.strip() for part in text.partition("="))
+        key, equals, value = map(str.strip, text.partition("="))
         if not (key and equals and value):
             raise UsageError(f"{OPTION} {text}", "not key=value", "key=value, such as batch=4")
         refuse_removed_keys([key], f"{OPTION} {text}")
         refuse_unknown({key: value}, Recipe, f"{OPTION} {text}")
         kind = type(getattr(Recipe(), key))
-        try:
+        if kind is str:
             # A word may be quoted as in TOML.
-            changes[key] = kind(value.strip("\"'") if kind is str else value)
+            value = value.strip("\"'")
+        try:
+            changes[key] = kind(value)
         except ValueError as error:
             raise UsageError(f"{OPTION} {key}", f"is {value!r}", KINDS[kind]) from error
     return changes

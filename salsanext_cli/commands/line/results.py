@@ -2,7 +2,6 @@
 """Commands on results: fuse, filter, evaluate and export them."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from salsanext_cli.commands.line import arguments, console, summary
 from salsanext_cli.commands.line.console import over_scans
 from salsanext_cli.commands.line.expansion import Without
+from salsanext_cli.commands.line.next_command import command_on_labels
 from salsanext_cli.commands.line.option_fields import argument, names_in, option, option_group
 from salsanext_cli.core.fusion.reach import FusionReach
 from salsanext_cli.core.texts import counted
@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 
     from salsanext_cli.commands.score_limits import MissedLimit
     from salsanext_cli.commands.stages.evaluate import Evaluation
+    from salsanext_cli.commands.stages.filter import FilterOutcome
+    from salsanext_cli.core.measures.accepted_labels import AcceptedLabels
+    from salsanext_cli.core.measures.filtered_points import FilteredPoints
 
 
 def fuse(
@@ -44,12 +47,14 @@ def fuse(
 
     Example: salsanext fuse out/
     """
-    from salsanext_cli.commands.stages.fuse import FUSED, fuse_results
+    from salsanext_cli.commands.stages.fuse import fuse_results
+    from salsanext_cli.runs.results.paths import FUSED
 
     target = target or out / FUSED
     with over_scans("fuse", running, output.quiet) as run:
         outcome = fuse_results(out, target, poses=poses, reach=reach, query=query, options=run)
-    summary.finish("fuse", outcome, target, output, split=query.selection.split)
+    following = command_on_labels(outcome, target, query.selection.split)
+    summary.finish("fuse", outcome, target, output, following=following)
 
 
 @option_group
@@ -90,8 +95,39 @@ def filter_command(
     from salsanext_cli.commands.stages.filter import filter_scans
 
     with over_scans("filter", running, output.quiet) as run:
-        outcome = filter_scans(out, target, **asdict(points), query=query, options=run)
-    summary.finish("filter", outcome, target, output)
+        outcome = filter_scans(
+            out,
+            target,
+            drop=points.drop,
+            keep=points.keep,
+            max_error=points.max_error,
+            query=query,
+            options=run,
+        )
+    summary.finish("filter", outcome, target, output, numbers=_filter_numbers(outcome))
+
+
+def _filter_numbers(outcome: "FilterOutcome") -> summary.StageNumbers:
+    """Return the numbers of filtered points, with a line about them if a scan was filtered."""
+    points = outcome.filtered_points
+    data = {
+        "points": points.points,
+        "accepted_points": points.remaining,
+        "accepted_without_label": points.rejected,
+        "points_without_error": points.without_error,
+    }
+    lines = [_filter_line(points)] if outcome.done else []
+    return summary.StageNumbers(data=data, lines=lines)
+
+
+def _filter_line(points: "FilteredPoints") -> str:
+    """Return the line about filtered points."""
+    line = f"{points.remaining:,} of {counted(points.points, 'point')} remain"
+    if not points.without_error:
+        return line
+    number = counted(points.without_error, "point")
+    cause = "on the housing or the vehicle, not measured, or outside the image"
+    return f"{line}; {number} dropped without a probability of error ({cause})"
 
 
 def evaluate(
@@ -122,22 +158,12 @@ def evaluate(
     """
     from salsanext_cli.commands import score_limits
     from salsanext_cli.commands.stages.evaluate import evaluate as stage
-    from salsanext_cli.commands.stages.evaluate import part_of
-    from salsanext_cli.runs.results.result_folder import ResultFolder
 
-    limits = score_limits.limits_of(fail_under, score_limits.FAIL_UNDER)
-    limits += score_limits.limits_of(fail_over, score_limits.FAIL_OVER)
-    folder = ResultFolder(out, query.dataset)
-    unlimited = replace(query.selection, limit=None)
-    chosen, space = folder.predicted(unlimited, query.label_space, query.classes)
-    score_limits.require_classes(limits, space)
-    part = part_of(folder, chosen, query.selection)
-    files = chosen[: query.selection.limit]
+    lower_limits = score_limits.limits_of(fail_under, score_limits.FAIL_UNDER)
+    upper_limits = score_limits.limits_of(fail_over, score_limits.FAIL_OVER)
+    limits = (*lower_limits, *upper_limits)
     with over_scans("eval", running, output.quiet, at_end=True) as run:
-        settings, labels = folder.provenance(query.selection), query.label_space
-        evaluation = stage(
-            files, out, space, run, part, by_distance=by_distance, settings=settings, labels=labels
-        )
+        evaluation = stage(out, by_distance=by_distance, limits=limits, query=query, options=run)
     missed = evaluation.missed_limits(limits)
     names = _names_of_missed(missed, fail_under, fail_over)
     output.result(evaluation.to_dict() | names, _evaluation_tables(evaluation))
@@ -171,21 +197,29 @@ def _evaluation_tables(evaluation: "Evaluation") -> "Group":
 
     from salsanext_cli.report import tables
 
-    uncertainty, accepted = evaluation.uncertainty, evaluation.accepted
     parts: list[Any] = [tables.score_table(evaluation.scores, evaluation.doubt)]
-    parts += [tables.band_table(evaluation.by_distance)] if evaluation.by_distance else []
-    parts += tables.uncertainty_tables(uncertainty)
-    parts += [Text(uncertainty.accepted.sentence)] if uncertainty.accepted else []
-    if accepted:
-        threshold = evaluation.settings["reject"]
-        missed = (
-            f"Points rejected by `predict --reject` (threshold {threshold:.4g}) count as wrong in "
-            "accuracy and IoU, and do not count in the official accuracy."
-        )
-        guarantee = [evaluation.guarantee.sentence] if evaluation.guarantee else []
-        lines = [missed, *accepted.sentences, *guarantee]
-        parts += [tables.accepted_table(accepted.classes), Text("\n".join(lines))]
+    if evaluation.by_distance:
+        parts.append(tables.band_table(evaluation.by_distance))
+    parts += tables.uncertainty_tables(evaluation.uncertainty)
+    if evaluation.uncertainty.accepted:
+        parts.append(Text(evaluation.uncertainty.accepted.sentence))
+    if evaluation.accepted:
+        parts.append(tables.accepted_table(evaluation.accepted.classes))
+        parts.append(Text("\n".join(_rejection_sentences(evaluation, evaluation.accepted))))
     return Group(*parts)
+
+
+def _rejection_sentences(evaluation: "Evaluation", accepted: "AcceptedLabels") -> list[str]:
+    """Return the sentences about the accepted labels of a run that rejected others."""
+    threshold = evaluation.settings["reject"]
+    counting = (
+        f"Points rejected by `predict --reject` (threshold {threshold:.4g}) count as wrong in "
+        "accuracy and IoU, and do not count in the official accuracy."
+    )
+    sentences = [counting, *accepted.sentences]
+    if evaluation.guarantee:
+        sentences.append(evaluation.guarantee.sentence)
+    return sentences
 
 
 def export_ply(

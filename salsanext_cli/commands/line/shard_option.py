@@ -20,11 +20,11 @@ def typed_shard(text: str | None) -> Shard:
     """Read ``i/n``; without it, return the share of this task of a Slurm array, else all."""
     if text is not None:
         return shard_of_text(text)
-    of_array = shard_of_slurm(os.environ)
-    if of_array is None:
+    shard = shard_of_slurm(os.environ)
+    if shard is None:
         return Shard()
-    log.log(NOTICE, "shard %s of the scans: this is a task of a Slurm array", of_array)
-    return of_array
+    log.log(NOTICE, "shard %s of the scans: this is a task of a Slurm array", shard)
+    return shard
 
 
 def shard_of_text(text: str) -> Shard:
@@ -37,15 +37,31 @@ def shard_of_text(text: str) -> Shard:
 
 def shard_of_slurm(environment: Mapping[str, str]) -> Shard | None:
     """Return the shard of a task of a Slurm array with any start and step."""
-    names = [SLURM_PREFIX + name for name in ("ID", "MIN", "COUNT")]
-    if any(name not in environment for name in names):
+    required = [SLURM_PREFIX + name for name in ("ID", "MIN", "COUNT")]
+    if any(name not in environment for name in required):
         return None
-    texts = (*map(environment.__getitem__, names), environment.get(SLURM_PREFIX + "STEP", "1"))
-    digits = re.compile(r"\d{1,9}", re.ASCII)
-    number, least, count, step = (int(t) if digits.fullmatch(t) else -1 for t in texts)
+    number = _whole_number(environment, "ID")
+    least = _whole_number(environment, "MIN")
+    count = _whole_number(environment, "COUNT")
+    step = _whole_number(environment, "STEP", default="1")
     index, rest = divmod(number - least, max(1, step))
     if rest or min(number, least, step) < 0 or not 0 <= index < count:
-        problem = f"the array has {texts[2]} tasks from {texts[1]} in steps of {texts[3]}"
-        hint = f"name the share with {OPTION} i/n"
-        raise UsageError(f"{names[0]}={texts[0]}", problem, "numbers without gaps", hint)
+        raise _with_gaps(environment)
     return Shard(index + 1, count)
+
+
+def _whole_number(environment: Mapping[str, str], name: str, default: str = "") -> int:
+    """Return a number that Slurm sets; -1 for anything else."""
+    text = environment.get(SLURM_PREFIX + name, default)
+    return int(text) if re.fullmatch(r"\d{1,9}", text, re.ASCII) else -1
+
+
+def _with_gaps(environment: Mapping[str, str]) -> UsageError:
+    """Return the error of an array whose tasks do not stand for the shares of a run."""
+    count = environment[f"{SLURM_PREFIX}COUNT"]
+    least = environment[f"{SLURM_PREFIX}MIN"]
+    step = environment.get(f"{SLURM_PREFIX}STEP", "1")
+    subject = f"{SLURM_PREFIX}ID={environment[f'{SLURM_PREFIX}ID']}"
+    problem = f"the array has {count} tasks from {least} in steps of {step}"
+    hint = f"name the share with {OPTION} i/n"
+    return UsageError(subject, problem, "numbers without gaps", hint)

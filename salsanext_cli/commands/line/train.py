@@ -20,6 +20,7 @@ from salsanext_cli.runs.results.query import named_label_space
 if TYPE_CHECKING:
     from salsanext_cli.commands.stages.train import TrainResult
     from salsanext_cli.runs.loop.run import Progress
+    from salsanext_cli.training.cross_validation import Expectation
     from salsanext_cli.training.fit import StepReport
     from salsanext_cli.training.recipe import Recipe
 
@@ -66,7 +67,8 @@ class Start:
         from salsanext_cli.commands.line.recipe_changes import read_overrides
         from salsanext_cli.training.recipe import recipe
 
-        plan = recipe(self.recipe).with_changes(**read_overrides(self.changes or ()))
+        changes = read_overrides(self.changes or ())
+        plan = recipe(self.recipe).with_changes(**changes)
         return plan if self.epochs is None else plan.with_changes(epochs=self.epochs)
 
 
@@ -93,9 +95,10 @@ def train(
 
     if not group_of_environment().is_main:
         output = console.Output(quiet=True)
+        console.log_to_stderr(quiet=True)
     resumed = partial(resumption, run)
     with progress("train", output.quiet, unit="steps") as bar, stating(resumed):
-        done = stage(
+        result = stage(
             dataset,
             run,
             recipe=start.plan(),
@@ -103,44 +106,64 @@ def train(
             space=named_label_space(label_space),
             device=device,
             jobs=jobs,
-            weights=start.weights and weights_file(start.weights),
+            weights=weights_file(start.weights) if start.weights else None,
             overwrite=overwrite,
             also=start.also or (),
-            progress=lambda report: _show(report, bar, output),
+            progress=lambda report: _print_step(report, bar, output),
         )
-    result: dict[str, Any] = {"stage": "train", "best_miou": done.best_miou}
-    result |= {"expected": asdict(done.expected)} if done.expected else {}
-    result |= {"best": str(done.best), "last": str(done.last), "warnings": done.warnings}
-    output.result(result)
-    output.print(f"train: {_score_text(done)} → {done.best}")
-    output.print(f"next: salsanext predict SCANS OUT --weights {shlex.quote(str(done.best))}")
+    data: dict[str, Any] = {"stage": "train", "best_miou": result.best_miou}
+    if result.expected:
+        data["expected"] = asdict(result.expected)
+    data["best"] = str(result.best)
+    data["last"] = str(result.last)
+    data["warnings"] = result.warnings
+    output.result(data)
+    output.print(f"train: {_score_text(result)} → {result.best}")
+    output.print(f"next: salsanext predict SCANS OUT --weights {shlex.quote(str(result.best))}")
 
 
-def _score_text(done: "TrainResult") -> str:
-    if (e := done.expected) is None:
-        miou = done.best_miou
-        return "not scored" if miou is None else f"best validation mIoU {percentage(miou)}"
-    texts = ", ".join(
-        f"{name} {100 * mean:.1f}{'' if spread is None else f' ± {100 * spread:.1f}'} %"
-        f"{'' if before is None else f' (before {percentage(before)})'}"
-        for name, mean, spread, before in (
-            ("mIoU", e.miou, e.miou_spread, e.miou_before),
-            ("accuracy", e.accuracy, e.accuracy_spread, e.accuracy_before),
-        )
+def _score_text(result: "TrainResult") -> str:
+    """Return the scores of a training: the estimate for new scans, else those of validation."""
+    if result.expected is not None:
+        return _expectation_text(result.expected)
+    if result.best_miou is None:
+        return "not scored"
+    return f"best validation mIoU {percentage(result.best_miou)}"
+
+
+def _expectation_text(expected: "Expectation") -> str:
+    """Return the estimate of a cross-validation in words."""
+    scans = "new scans of this drive" if expected.one_drive else "new scans"
+    miou = _estimate_text("mIoU", expected.miou, expected.miou_spread, expected.miou_before)
+    accuracy = _estimate_text(
+        "accuracy", expected.accuracy, expected.accuracy_spread, expected.accuracy_before
     )
-    scans = "new scans of this drive" if e.one_drive else "new scans"
-    sizes = f"{counted(e.folds, 'fold')}, {counted(e.epochs, 'epoch')}"
-    return f"estimated on {scans}: {texts} ({sizes})"
+    sizes = f"{counted(expected.folds, 'fold')}, {counted(expected.epochs, 'epoch')}"
+    return f"estimated on {scans}: {miou}, {accuracy} ({sizes})"
 
 
-def _show(report: "StepReport", bar: "Progress | None", output: console.Output) -> None:
+def _estimate_text(name: str, mean: float, spread: float | None, before: float | None) -> str:
+    """Return a score, 0…1, with its spread and its value before the training where known."""
+    text = f"{name} {100 * mean:.1f}"
+    if spread is not None:
+        text += f" ± {100 * spread:.1f}"
+    text += " %"
+    if before is not None:
+        text += f" (before {percentage(before)})"
+    return text
+
+
+def _print_step(report: "StepReport", bar: "Progress | None", output: console.Output) -> None:
     """Move the bar at every step; print a line at the end of an epoch."""
     require_uninterrupted()
     if bar is not None:
         bar(report.step, report.steps)
-    if report.row is not None:
-        scores = (("mIoU", report.row.get("miou")), ("accuracy", report.row.get("accuracy")))
-        texts = [f", {name} {percentage(value)}" for name, value in scores if value is not None]
-        fold = f"fold {report.fold}, " if report.fold else ""
-        epoch = f"{fold}epoch {report.epoch}/{report.epochs}"
-        output.print(f"{epoch}: loss {report.row['loss']:.3f}{''.join(texts)}")
+    if report.row is None:
+        return
+    fold = f"fold {report.fold}, " if report.fold else ""
+    text = f"{fold}epoch {report.epoch}/{report.epochs}: loss {report.row['loss']:.3f}"
+    for name, key in (("mIoU", "miou"), ("accuracy", "accuracy")):
+        score = report.row.get(key)
+        if score is not None:
+            text += f", {name} {percentage(score)}"
+    output.print(text)

@@ -9,7 +9,7 @@ import typer
 
 from salsanext_cli.commands.line import arguments, console
 from salsanext_cli.commands.line.console import guarded, writing
-from salsanext_cli.commands.line.expansion import Default, Shown, Without, expanded
+from salsanext_cli.commands.line.expansion import Declared, Default, Without, expanded
 from salsanext_cli.commands.line.help import Command, Group
 from salsanext_cli.commands.line.option_fields import argument, option, option_group, running_option
 from salsanext_cli.core.texts import counted, percentage
@@ -28,7 +28,9 @@ class Fit:
 
 FitOptions = Annotated[
     Fit,
-    Shown(split={"show_default": "valid, and the sequences of no split"}, limit=arguments.SUBSET),
+    Declared(
+        split={"show_default": "valid, and the sequences of no split"}, limit=arguments.SUBSET
+    ),
     Default(precision="auto"),
 ]
 
@@ -195,7 +197,7 @@ def tune_int8(
     fit: Annotated[
         Fit,
         Without({"device", "precision", "engine"}),
-        Shown(split={"show_default": "all scans"}, limit=arguments.SUBSET),
+        Declared(split={"show_default": "all scans"}, limit=arguments.SUBSET),
         Default(limit=16),
     ],
     output: console.Output,

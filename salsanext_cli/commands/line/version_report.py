@@ -34,7 +34,9 @@ def _installed_extras() -> list[str]:
     from salsanext_cli.core.engines.machine import version_of
 
     packages: dict[str, list[str]] = {}
-    for text in (requires("salsanext") if version_of("salsanext") else None) or ():
-        if (match := EXTRA.match(text)) and match["extra"] not in NOT_LISTED:
+    requirements = requires("salsanext") if version_of("salsanext") else None
+    for text in requirements or ():
+        match = EXTRA.match(text)
+        if match and match["extra"] not in NOT_LISTED:
             packages.setdefault(match["extra"], []).append(match["package"])
     return [extra for extra, names in packages.items() if all(map(version_of, names))]

@@ -30,9 +30,11 @@ def usage_error(raised: Any, arguments: Sequence[str]) -> UsageError:
     UsageError
     """
     path = getattr(raised.ctx, "command_path", "salsanext")
-    if unknown := getattr(raised, "option_name", ""):
-        offered = [name for known in raised.ctx.command.params for name in known.opts]
-        return _unknown_option(unknown, offered, path)
+    unknown_option = getattr(raised, "option_name", "")
+    if unknown_option:
+        parameters = raised.ctx.command.params
+        offered = [name for parameter in parameters for name in parameter.opts]
+        return _unknown_option(unknown_option, offered, path)
     parameter: Any = getattr(raised, "param", None)
     value = None if parameter is None else _value(parameter, arguments)
     expected = "" if parameter is None else _expected(parameter)
@@ -72,7 +74,8 @@ def _value(parameter: Any, arguments: Sequence[str]) -> str | None:
 
 def _expected(parameter: Any) -> str:
     """Return what the value of an option must be; empty if that is not known."""
-    least, most = getattr(parameter, "min", None), getattr(parameter, "max", None)
+    least = getattr(parameter, "min", None)
+    most = getattr(parameter, "max", None)
     if least is not None and most is not None:
         return f"{least} to {most}"
     choices = str(parameter.metavar).split("|")

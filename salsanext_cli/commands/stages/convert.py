@@ -2,6 +2,7 @@
 """Stage `convert`: a recording to a folder of scans in the layout of SemanticKITTI."""
 
 import logging
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -49,50 +50,66 @@ def convert(
     -------
     Outcome
     """
-    for name, value in {"every": every, "limit": 1 if limit is None else limit}.items():
-        if value < 1:
-            raise UsageError(argument(name), f"is {value}", "at least 1")
+    _require_positive("every", every)
+    if limit is not None:
+        _require_positive("limit", limit)
     if recording_of(recording.absolute()) is None:
         problem = "is not a recording" if recording.exists() else "no such recording"
         raise UsageError(recording, problem, "a ROS bag, or a recording of Ouster or Velodyne")
     listed = find_scans(recording)
     chosen = listed[::every][:limit]
     sequence = Path("sequences", listed[0].sequence)
-    owned, place = OwnedFolder(folder, "convert", str(sequence)), folder / sequence / SCAN_FOLDER
+    owned = OwnedFolder(folder, "convert", str(sequence))
+    scan_folder = folder / sequence / SCAN_FOLDER
+    times = folder / sequence / TIMES
     require_none_hidden(folder)
     with owned.open():
-        before = sorted(place.iterdir()) if place.is_dir() else []
-        scans = [path for path in before if not path.name.startswith(".")]
-        owned.refuse_foreign([*scans, place.parent / TIMES])
+        owned.refuse_foreign([*_visible_files(scan_folder), times])
         owned.manifest.write(_source_of(listed[0], owned))
         empty: set[str] = set()
-        task = partial(_convert_scan, owned=owned, place=place)
+        task = partial(_convert_scan, owned=owned, scan_folder=scan_folder)
 
         def is_done(scan: ScanFile) -> bool:
-            return filled(_target(place, scan))
+            return filled(_target(scan_folder, scan))
 
         outcome = run_over_scans(task, chosen, options, is_done=is_done, on_result=empty.update)
-        # The name of a scan is its time in nanoseconds.
-        stems = [scan.stem for scan in listed if filled(_target(place, scan))]
-        times = [int(stem.partition("_")[0]) for stem in stems]
-        lines = [f"{(time - times[0]) / 1e9:.9f}\n" for time in times]
-        owned.write(folder / sequence / TIMES, "".join(lines).encode())
+        owned.write(times, _encoded_times([scan for scan in listed if is_done(scan)]))
     if empty:
         names = first_few(sorted(empty))
         log.warning("%s without points skipped: %s", counted(len(empty), "scan"), names)
     return replace(outcome, done=outcome.done - len(empty))
 
 
-def _target(place: Path, scan: ScanFile) -> Path:
-    return place / f"{scan.stem}.bin"
+def _require_positive(name: str, value: int) -> None:
+    if value < 1:
+        raise UsageError(argument(name), f"is {value}", "at least 1")
 
 
-def _convert_scan(scan: ScanFile, owned: OwnedFolder, place: Path) -> tuple[str, ...]:
+def _visible_files(folder: Path) -> list[Path]:
+    """Return the files of a folder whose names do not begin with a dot; none without a folder."""
+    if not folder.is_dir():
+        return []
+    return [path for path in sorted(folder.iterdir()) if not path.name.startswith(".")]
+
+
+def _encoded_times(scans: Sequence[ScanFile]) -> bytes:
+    """Return lines with the time of each scan, in seconds since the first one."""
+    # The name of a scan is its time in nanoseconds.
+    times = [int(scan.stem.partition("_")[0]) for scan in scans]
+    lines = [f"{(time - times[0]) / 1e9:.9f}\n" for time in times]
+    return "".join(lines).encode()
+
+
+def _target(scan_folder: Path, scan: ScanFile) -> Path:
+    return scan_folder / f"{scan.stem}.bin"
+
+
+def _convert_scan(scan: ScanFile, owned: OwnedFolder, scan_folder: Path) -> tuple[str, ...]:
     """Write a scan; return its name if it has no points."""
     points = read_scan(scan.path)
     if not len(points):
         return (scan.stem,)
-    owned.write(_target(place, scan), encode_bin(points))
+    owned.write(_target(scan_folder, scan), encode_bin(points))
     return ()
 
 
@@ -100,10 +117,12 @@ def _source_of(first: ScanFile, owned: OwnedFolder) -> StageRecord:
     """Return the record of the source of scans; refuse a folder with scans of another source."""
     recording = recording_of(first.path) or first.path
     topic = str(first.path.parent.relative_to(recording))
-    wanted = {"recording": recording.name, "topic": topic, "first": first.stem}
+    settings = {"recording": recording.name, "topic": topic, "first": first.stem}
     recorded = owned.manifest.record(owned.stage)
-    if recorded and recorded.settings != wanted:
-        of_topic = (shortened(recorded.settings.get(key)) for key in ("recording", "topic"))
-        problem, expected = f"has scans of {', '.join(of_topic)}", f"{recording.name}, {topic}"
+    if recorded and recorded.settings != settings:
+        recorded_recording = shortened(recorded.settings.get("recording"))
+        recorded_topic = shortened(recorded.settings.get("topic"))
+        problem = f"has scans of {recorded_recording}, {recorded_topic}"
+        expected = f"{recording.name}, {topic}"
         raise OutputError(owned.record_path.parent, problem, expected, "choose another folder")
-    return recorded or StageRecord(stage=owned.stage, settings=wanted)
+    return recorded or StageRecord(stage=owned.stage, settings=settings)

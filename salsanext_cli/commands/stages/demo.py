@@ -20,7 +20,6 @@ from salsanext_cli.runs.loop.run import Failure, Progress, RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.paths import ERROR, find_outputs
 from salsanext_cli.runs.results.query import ResultQuery
-from salsanext_cli.runs.results.result_folder import ResultFolder
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 
 # No scene of the training of the default weights has this seed.
@@ -63,8 +62,9 @@ def demo(
     -------
     Demonstration
     """
-    data, out = folder / "data", folder / "out"
-    method, valid = UncertaintyMethod(samples=samples), ScanSelection(split="valid")
+    data = folder / "data"
+    out = folder / "out"
+    valid = ResultQuery(selection=ScanSelection(split="valid"))
 
     @contextmanager
     def step(name: str) -> Iterator[RunOptions]:
@@ -77,16 +77,20 @@ def demo(
         extras = (ERROR,) if knows_error(settings.load()) else ()
         predicted = predict_scans(data, out, settings=settings, extras=extras, options=run)
     with step("uncertainty") as run:
+        method = UncertaintyMethod(samples=samples)
         sampled = uncertainty(data, out, settings=settings, method=method, options=run)
     with step("export-ply") as run:
         exported = export_ply(out, colour="label", options=run)
     with step("picture") as run:
         pictured = picture(out, options=run)
-    failures = tuple(f for run in (predicted, sampled, exported, pictured) for f in run.failures)
-    files, space = ResultFolder(out).predicted(valid)
     with step("eval") as run:
-        evaluation = evaluate(files, out, space, run, settings=ResultFolder(out).provenance(valid))
-    pictures = tuple(find_outputs(out, "pictures").values())
+        evaluation = evaluate(out, query=valid, options=run)
     with step("report") as run:
-        page = report(out, query=ResultQuery(selection=valid), options=run).page
-    return Demonstration(evaluation, pictures, page, failures)
+        page = report(out, query=valid, options=run).page
+    outcomes = (predicted, sampled, exported, pictured)
+    return Demonstration(
+        evaluation=evaluation,
+        pictures=tuple(find_outputs(out, "pictures").values()),
+        page=page,
+        failures=tuple(failure for outcome in outcomes for failure in outcome.failures),
+    )

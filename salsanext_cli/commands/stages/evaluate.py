@@ -4,12 +4,18 @@
 import hashlib
 import logging
 import os
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 
-from salsanext_cli.commands.score_limits import MissedLimit, ScoreLimit, missed_limits, score_values
+from salsanext_cli.commands.score_limits import (
+    MissedLimit,
+    ScoreLimit,
+    missed_limits,
+    require_classes,
+    score_values,
+)
 from salsanext_cli.core.checks.warning_codes import WarningCode
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import LabelError, NoInputError
@@ -28,6 +34,7 @@ from salsanext_cli.runs.labelling.label_records import require_truth
 from salsanext_cli.runs.loop.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.results.result_folder import ResultFolder
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.results.selection import MissingResults, space_of_labels
@@ -144,6 +151,47 @@ class Evaluation:
 
 
 def evaluate(
+    out: Path,
+    *,
+    by_distance: bool = False,
+    limits: Sequence[ScoreLimit] = (),
+    query: ResultQuery = ResultQuery(),
+    options: RunOptions = RunOptions(),
+) -> Evaluation:
+    """Compare the predictions in an output folder with the labels of their scans.
+
+    Parameters
+    ----------
+    out : Path
+        Folder with predictions.
+    by_distance : bool
+        Whether to score distance bands too.
+    limits : sequence of ScoreLimit
+        Limits on the scores, whose classes must be scored.
+    query, options
+        Choice of scans, data set and classes; workers, and the reaction to errors.
+
+    Returns
+    -------
+    Evaluation
+    """
+    results = ResultFolder(out, query.dataset)
+    unlimited = replace(query.selection, limit=None)
+    scans, space = results.predicted(unlimited, query.label_space, query.classes)
+    require_classes(limits, space)
+    return evaluate_scans(
+        scans[: query.selection.limit],
+        out,
+        space,
+        options,
+        part_of(results, scans, query.selection),
+        by_distance=by_distance,
+        settings=results.provenance(query.selection),
+        labels=query.label_space,
+    )
+
+
+def evaluate_scans(
     scans: Sequence[ScanFile],
     out: Path,
     space: LabelSpace,
@@ -151,10 +199,10 @@ def evaluate(
     part: str = "",
     *,
     by_distance: bool = False,
-    settings: dict[str, object] | None = None,
+    settings: Mapping[str, object] | None = None,
     labels: LabelSpace | None = None,
 ) -> Evaluation:
-    """Compare the predictions in an output folder with the labels of the scans.
+    """Compare the predictions of some scans in an output folder with their labels.
 
     Replace `FILES` in the folder, or in ``eval/PART`` for a part of the scans. Scans that the
     weights were trained on are skipped, unless the weights were trained on all.
@@ -173,7 +221,7 @@ def evaluate(
         Name of the part of the scans, as of `part_of`.
     by_distance : bool, optional
         Whether to score distance bands too.
-    settings : dict, optional
+    settings : mapping, optional
         Further settings for the record.
     labels : LabelSpace, optional
         Label space of the labels, by default that of the data set.
@@ -187,12 +235,12 @@ def evaluate(
     OwnedFolder(out).refuse_foreign(paths)
     _require_labels(scans)
     labels = space_of_labels(scans, space, labels)
-    settings = {**(settings or {}), "by_distance": by_distance, "label_space": space}
+    recorded = {**(settings or {}), "by_distance": by_distance, "label_space": space}
     if labels.learning_map != space.learning_map:
-        settings["label_space_of_labels"] = labels
+        recorded["label_space_of_labels"] = labels
     results = ResultFolder(out)
-    comparison = ScanComparison.of_results(results, space, labels, by_distance=by_distance)
-    evaluation = _evaluation(results, comparison, scans, options, as_json(settings), folder)
+    comparison = ScanComparison.of_results(results.manifest, space, labels, by_distance=by_distance)
+    evaluation = _evaluation(results, comparison, scans, options, as_json(recorded), folder)
     for text in evaluation.warnings():
         log.warning("%s", text)
     counts = evaluation.counts
@@ -217,13 +265,7 @@ def _evaluation(
     outcome = run_over_scans(comparison.count, scans, options, on_result=separate.add)
     counts = separate.scored()
     if not counts.scans:
-        if outcome.failures:
-            first = outcome.failures[0]
-            problem = f"no scan could be compared: {first.reason}"
-            raise NoInputError(results.root, problem, hint=first.hint)
-        problem = f"has no predictions of {counted(len(counts.missing), 'scan')}"
-        hint = "run `salsanext predict` first, or give their folder: salsanext eval OUT"
-        raise NoInputError(results.root, problem, hint=hint)
+        raise _nothing_compared(results.root, counts, outcome.failures)
     accepted = None
     if counts.accepted:
         accepted = AcceptedLabels.of_confusion(counts.confusion, space, counts.accepted)
@@ -234,15 +276,29 @@ def _evaluation(
         counts=counts,
         scores=scores(counts.confusion, space),
         by_distance={name: scores(band, space) for name, band in bands},
-        missing=results.missing_predictions([s for s in scans if s.name in counts.missing]),
+        missing=results.missing_predictions(
+            [scan for scan in scans if scan.name in counts.missing]
+        ),
         failures=outcome.failures,
         settings=settings,
         uncertainty=UncertaintyEvaluation.of_counts(counts),
         folder=folder,
-        by_sequence={name: scores(c, space) for name, c in sorted(counts.by_sequence.items())},
+        by_sequence={
+            name: scores(confusion, space) for name, confusion in sorted(counts.by_sequence.items())
+        },
         accepted=accepted,
         guarantee=guarantee_of_run(results.root, space, counts.accepted),
     )
+
+
+def _nothing_compared(out: Path, counts: ScanCounts, failures: Sequence[Failure]) -> NoInputError:
+    """Return the error about scans of which none could be compared."""
+    if failures:
+        problem = f"no scan could be compared: {failures[0].reason}"
+        return NoInputError(out, problem, hint=failures[0].hint)
+    problem = f"has no predictions of {counted(len(counts.missing), 'scan')}"
+    hint = "run `salsanext predict` first, or give their folder: salsanext eval OUT"
+    return NoInputError(out, problem, hint=hint)
 
 
 def part_of(folder: ResultFolder, chosen: Sequence[ScanFile], selection: ScanSelection) -> str:
@@ -269,7 +325,8 @@ def part_of(folder: ResultFolder, chosen: Sequence[ScanFile], selection: ScanSel
     if len(os.fsencode(name)) > MAX_PART_BYTES:
         digest = hashlib.sha256(os.fsencode(name)).hexdigest()[:16]
         name = f"{name.count(',') + 1} sequences {digest}"
-    name += f"-first-{limit}" * bool(limit)
+    if limit:
+        name = f"{name}-first-{limit}"
     is_part = bool(selection.sequences or limit) and len(scans) < len(total)
     return name if is_part else ""
 

@@ -2,8 +2,7 @@
 """Stage `export-ply`: scans as coloured PLY point clouds."""
 
 import logging
-from dataclasses import replace
-from functools import partial
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from salsanext_cli.core.classes.label_space import LabelSpace
@@ -17,35 +16,51 @@ from salsanext_cli.runs.records.stage_settings import ExportSettings
 from salsanext_cli.runs.results.output_run import OutputRun, output_run
 from salsanext_cli.runs.results.paths import PREDICTION_STAGES, ScanFile
 from salsanext_cli.runs.results.query import ResultQuery
-from salsanext_cli.runs.results.result_folder import ResultFolder
+from salsanext_cli.runs.results.result_folder import ChosenResults, ResultFolder
 from salsanext_cli.runs.results.scan_results import scalar_columns
 
 log = logging.getLogger(__name__)
 
 
-def _export_scan(
-    file: ScanFile,
-    colours: PointColours,
-    sensor: Sensor,
-    output: OutputRun,
-    classes: LabelSpace | None,
-    labels: LabelSpace,
-) -> None:
-    """Write a scan as a coloured cloud with all scalars."""
-    output.require_replaceable(file)
-    folder, space = ResultFolder(output.root), colours.space
-    results = folder.read(file, sensor, classes, (labels, space))
-    columns = scalar_columns(results, space)
-    if colours.colour not in columns:
-        raise folder.missing_column(colours.colour, file)
-    points = dict(zip("xyz", results.scan.points.T, strict=True))
-    rgb = dict(zip(("red", "green", "blue"), colours.of_points(columns).T, strict=True))
-    # CloudCompare takes properties with this prefix for scalars, and shows the first.
-    shown = {colours.colour: columns[colours.colour]} | columns
-    named = {f"{PREFIX}{name}": values for name, values in shown.items()}
-    comments = [f"colour {colours.legend}", f"label space {space.name}"]
-    comments += filter(None, [results.accepted_text(space)])
-    output.write(output.paths(file)[0], encode_ply(points | rgb | named, comments))
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Destination:
+    """Stage and folder of the clouds of a colouring."""
+
+    stage: str
+    folder: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CloudExport:
+    """Task that writes a scan as a coloured cloud with all scalars."""
+
+    colours: PointColours
+    sensor: Sensor
+    output: OutputRun
+    classes: LabelSpace | None  # Classes into which predicted ones are merged
+    labels: LabelSpace  # Meaning of the raw ids of the truth
+
+    def __call__(self, file: ScanFile) -> None:
+        """Write the cloud of a scan."""
+        self.output.require_replaceable(file)
+        folder = ResultFolder(self.output.root)
+        space = self.colours.space
+        results = folder.read(file, self.sensor, self.classes, (self.labels, space))
+        columns = scalar_columns(results, space)
+        colour = self.colours.colour
+        if colour not in columns:
+            raise folder.missing_column(colour, file)
+        points = dict(zip("xyz", results.scan.points.T, strict=True))
+        rgb = dict(zip(("red", "green", "blue"), self.colours.of_points(columns).T, strict=True))
+        # CloudCompare takes properties with this prefix for scalars, and shows the first.
+        scalars = {f"{PREFIX}{colour}": columns[colour]}
+        scalars |= {f"{PREFIX}{name}": values for name, values in columns.items()}
+        comments = [f"colour {self.colours.legend}", f"label space {space.name}"]
+        accepted = results.accepted_text(space)
+        if accepted:
+            comments.append(accepted)
+        content = encode_ply(points | rgb | scalars, comments)
+        self.output.write(self.output.path(file, self.output.folders[0]), content)
 
 
 def export_ply(
@@ -79,34 +94,65 @@ def export_ply(
     require_colouring([colour], scale)
     results = ResultFolder(out, query.dataset)
     chosen = results.chosen(query)
-    scans, space, sensor = chosen.scans, chosen.space, results.sensor()
     if colour == "uncertainty":
-        colour = results.meant_uncertainty(scans)
-    results.require_column(colour, scans)
-    stage = "export-ply"
-    folder = "ply"
-    first = _recorded(results, stage)
-    if first is not None and first.colour != colour:
-        # The folder has clouds in other colours, which stay.
-        stage = f"export-ply-{colour}"
-        folder = f"ply/{colour}"
-    origins = results.origins(PREDICTION_STAGES)
-    earlier = _recorded(results, stage)
-    overwrite = options.overwrite or (earlier is not None and earlier.origins != origins)
-    ends = scale or (earlier.scale if earlier and not overwrite else None)
-    ends = ends or common_scales(out, scans, [colour], space, sensor).get(colour, (0.0, 1.0))
-    settings = ExportSettings(colour=colour, scale=ends, label_space=space, origins=origins)
-    run = (out, stage, settings, (folder,), scans)
-    with output_run(*run, overwrite=overwrite, record_scans=False) as output:
-        colours = PointColours(colour, ends, space)
-        task = partial(_export_scan, colours=colours, sensor=sensor, output=output)
-        task = partial(task, classes=query.classes, labels=chosen.labels)
-        outcome = run_over_scans(task, scans, options, is_done=output.is_done)
-    log.log(NOTICE, "coloured by %s: %s", colour, out / "sequences/*" / folder)
+        colour = results.meant_uncertainty(chosen.scans)
+    results.require_column(colour, chosen.scans)
+    destination = _destination(results, colour)
+    origins = results.manifest.origins(PREDICTION_STAGES)
+    earlier = _recorded(results, destination.stage)
+    is_outdated = earlier is not None and earlier.origins != origins
+    overwrite = options.overwrite or is_outdated
+    continued = None if overwrite else earlier
+    ends = _ends_of_scale(results, chosen, colour, scale, continued)
+    settings = ExportSettings(colour=colour, scale=ends, label_space=chosen.space, origins=origins)
+    run = output_run(
+        out,
+        destination.stage,
+        settings,
+        (destination.folder,),
+        chosen.scans,
+        overwrite=overwrite,
+        record_scans=False,
+    )
+    with run as output:
+        task = CloudExport(
+            colours=PointColours(colour, ends, chosen.space),
+            sensor=results.manifest.sensor(),
+            output=output,
+            classes=query.classes,
+            labels=chosen.labels,
+        )
+        outcome = run_over_scans(task, chosen.scans, options, is_done=output.is_done)
+    log.log(NOTICE, "coloured by %s: %s", colour, out / "sequences/*" / destination.folder)
     return replace(outcome, missing=chosen.missing)
+
+
+def _ends_of_scale(
+    results: ResultFolder,
+    chosen: ChosenResults,
+    colour: str,
+    scale: tuple[float, float] | None,
+    continued: ExportSettings | None,
+) -> tuple[float, ...]:
+    """Return the ends of the colour map: as asked for, as in the continued run, or common ones."""
+    if scale is not None:
+        return scale
+    if continued is not None and continued.scale is not None:
+        return continued.scale
+    sensor = results.manifest.sensor()
+    scales = common_scales(results.root, chosen.scans, [colour], chosen.space, sensor)
+    return scales.get(colour, (0.0, 1.0))
+
+
+def _destination(results: ResultFolder, colour: str) -> Destination:
+    """Return where the clouds of a colouring go: beside those in another colour, which stay."""
+    first = _recorded(results, "export-ply")
+    if first is None or first.colour == colour:
+        return Destination(stage="export-ply", folder="ply")
+    return Destination(stage=f"export-ply-{colour}", folder=f"ply/{colour}")
 
 
 def _recorded(results: ResultFolder, stage: str) -> ExportSettings | None:
     """Return the settings of an earlier export, None if it did not run."""
-    settings = results.settings(stage)
+    settings = results.manifest.settings(stage)
     return settings if isinstance(settings, ExportSettings) else None

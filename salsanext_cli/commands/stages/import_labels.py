@@ -77,25 +77,30 @@ def import_labels(
     scans = find_scans(dataset)
     space = _space_for(scans, space, dataset)
     imported = LabelImport(space=space, class_points=np.zeros(space.class_count, np.int64))
-    of_scan = _files_by_scan(edited, scans, imported)
-    records = {root: LabelRecords(root) for root in sorted({*map(labels_root, of_scan)})}
-    meanings, is_named = LabelIds.of_space(space, ids), not is_folder(edited)
+    edited_files = _edited_files(edited, scans, imported)
+    roots = sorted({labels_root(scan) for scan in edited_files})
+    records = {root: LabelRecords(root) for root in roots}
+    meanings = LabelIds.of_space(space, ids)
+    is_named = not is_folder(edited)
     with ExitStack() as locks:
         for record in records.values():
             locks.enter_context(record.owned.open())
-        for done, (scan, paths) in enumerate(of_scan.items(), start=1):
+        for done, (scan, paths) in enumerate(edited_files.items(), start=1):
             try:
-                points, record = read_scan(scan.path, sensor).points, records[labels_root(scan)]
-                labels = {p: read_edited(p, scan, points, meanings, space, scalar) for p in paths}
+                points = read_scan(scan.path, sensor).points
+                labels = {
+                    path: read_edited(path, scan, points, meanings, space, scalar) for path in paths
+                }
+                record = records[labels_root(scan)]
                 _import_scan(scan, labels, record, imported, overwrite=overwrite, named=is_named)
             except SalsanextError as error:
                 imported.fail(paths, error)
             if progress:
-                progress(done, len(of_scan))
+                progress(done, len(edited_files))
     if imported.unedited and not imported.scans and not imported.failures:
         hint = "save the corrected labels; to accept a pre-label, name its file"
         raise NoInputError(edited, "contains only unchanged pre-labels", "edited labels", hint)
-    imported.unchanged = len(scans) - len(of_scan)
+    imported.unchanged = len(scans) - len(edited_files)
     imported.pre_labelled = [scan.name for scan in pre_labelled_scans(scans)]
     return imported
 
@@ -105,31 +110,34 @@ def _space_for(scans: Sequence[ScanFile], space: LabelSpace | None, dataset: Pat
     if recording_of(scans[0].path) is not None:
         hint = f"run `salsanext convert {dataset} FOLDER` first"
         raise NoInputError(dataset, "is a recording, which has no label files", "scans", hint)
-    known = space_of(scans)
-    if space is not None and data_set_label_space(labels_root(scans[0])) and not space.fits(known):
+    space_of_data_set = space_of(scans)
+    if space is None:
+        return space_of_data_set
+    if data_set_label_space(labels_root(scans[0])) and not space.fits(space_of_data_set):
         problem = f"{space.name} differs from labels.yaml of the data set in classes or ids"
         hint = f"map the ids of the tool with {argument('ids')}, or change labels.yaml"
-        raise UsageError(argument("space"), problem, known.name, hint)
-    return space or known
+        raise UsageError(argument("space"), problem, space_of_data_set.name, hint)
+    return space
 
 
-def _files_by_scan(
+def _edited_files(
     edited: Path, scans: Sequence[ScanFile], imported: LabelImport
 ) -> dict[ScanFile, list[Path]]:
     """Return the edited files by scan, in the order of the scans; other files are failures."""
-    files, of_scan = find_edited(edited), dict[ScanFile, list[Path]]()
+    files = find_edited(edited)
     if is_folder(edited):
-        in_place = {path for scan in scans for path in (scan.path, scan.label_path)}
-        files = [path for path in files if path not in in_place]
+        files_of_data_set = {path for scan in scans for path in (scan.path, scan.label_path)}
+        files = [path for path in files if path not in files_of_data_set]
         if not files:
             problem = "contains only the labels of the data set itself"
             raise NoInputError(edited, problem, "files of a labelling tool elsewhere")
+    by_scan: dict[ScanFile, list[Path]] = {}
     for path in files:
         try:
-            of_scan.setdefault(scan_of_edited(path, edited, scans), []).append(path)
+            by_scan.setdefault(scan_of_edited(path, edited, scans), []).append(path)
         except LabelError as error:
             imported.fail([path], error)
-    return {scan: of_scan[scan] for scan in scans if scan in of_scan}
+    return {scan: by_scan[scan] for scan in scans if scan in by_scan}
 
 
 def _import_scan(
@@ -141,7 +149,10 @@ def _import_scan(
     overwrite: bool,
     named: bool,
 ) -> None:
-    """Write the labels of a scan from the only file that differs from its pre-label."""
+    """Write the labels of a scan from the only file that differs from its pre-label.
+
+    `named`: whether the user named the file, which may be an unchanged pre-label then.
+    """
     contents = {path: encode_labels(raw) for path, (raw, _) in labels.items()}
     unedited = [
         path
@@ -152,20 +163,27 @@ def _import_scan(
         log.warning("%s: contains unchanged pre-labels", unedited[0])
     elif unedited:
         imported.unedited += map(str, unedited)
-        contents = {path: contents[path] for path in contents if path not in unedited}
+        contents = {path: content for path, content in contents.items() if path not in unedited}
+    if not contents:
+        return
     if len(contents) > 1:
-        problem = f"has {len(contents)} edited files: {first_few([*contents])}"
+        problem = f"has {len(contents)} edited files: {first_few(list(contents))}"
         hint = "merge them in the labelling tool, or move the other files"
         raise LabelError(f"scan {scan.name}", problem, "one file", hint)
-    for path, content in contents.items():
-        in_place = path == scan.label_path
-        if not (overwrite or in_place or records.is_replaceable(scan, path)):
-            problem = "was changed, not written by salsanext, or imported from another file"
-            replaced = f"replace the labels with {setting('overwrite', True)}"
-            hint = f"move older files or the labels away, or {replaced}"
-            raise OutputError(scan.label_path, problem, hint=hint)
-        raw, numbers = labels[path]
-        records.write(scan, content, numbers)
-        imported.scans.append(numbers)
-        train = imported.space.to_train(raw, strict=False)
-        imported.class_points += np.bincount(train, minlength=imported.space.class_count)
+    path, content = next(iter(contents.items()))
+    is_label_file = path == scan.label_path
+    if not (overwrite or is_label_file or records.is_replaceable(scan, path)):
+        raise _changed_labels(scan)
+    raw, numbers = labels[path]
+    records.write(scan, content, numbers)
+    imported.scans.append(numbers)
+    train = imported.space.to_train(raw, strict=False)
+    imported.class_points += np.bincount(train, minlength=imported.space.class_count)
+
+
+def _changed_labels(scan: ScanFile) -> OutputError:
+    """Return the error of labels that are not replaced unasked."""
+    problem = "was changed, not written by salsanext, or imported from another file"
+    replaced = f"replace the labels with {setting('overwrite', True)}"
+    hint = f"move older files or the labels away, or {replaced}"
+    return OutputError(scan.label_path, problem, hint=hint)

@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: MIT
 """Stage `import-weights`: a published checkpoint, or weights of salsanext, as a weights file."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import UsageError, WeightsError
 from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.network.registry import build
+from salsanext_cli.core.network.segmentation import SegmentationNetwork
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.wording import argument
 from salsanext_cli.io.files.atomic import WEIGHTS_SUFFIX, require_target
@@ -17,7 +18,15 @@ from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.published import read_published
 from salsanext_cli.io.weights.weights import load_tensors, read_weights, save_weights
 
-DROPOUT = 0.2
+DROPOUT = 0.2  # Rate of the published networks
+
+
+@dataclass(frozen=True, slots=True)
+class ImportedWeights:
+    """Network with its weights, and their card."""
+
+    module: SegmentationNetwork
+    card: WeightsCard
 
 
 def import_weights(
@@ -53,28 +62,47 @@ def import_weights(
     """
     require_target(target, overwrite)
     if source.suffix == WEIGHTS_SUFFIX:
-        for name, value in {"space": space, "dropout": dropout}.items():
-            if value is not None:
-                option = argument(name)
-                problem = f"the weights file {source} contains this already"
-                raise UsageError(option, problem, "a published checkpoint", f"omit {option}")
-        module, card = read_weights(source)
-        described = description or card.description
-        if view:  # Nothing is known about other widths of its images.
-            card = replace(card, sensor=view, widths=(), of_widths={})
-        card = replace(card, description=described, version=None)
+        if space is not None:
+            raise _known_already("space", source)
+        if dropout is not None:
+            raise _known_already("dropout", source)
+        imported = _weights_of_salsanext(source, view, description)
     else:
-        space, tensors = space or label_space(), read_published(source)
-        outputs = tensors["logits.bias"].numel() if "logits.bias" in tensors else 0
-        if outputs != space.class_count:
-            expected = f"{space.class_count}, one per class of {space.name}"
-            hint = f"give its label space with {argument('space')}"
-            raise WeightsError(source, f"has {outputs} outputs", expected, hint)
         rate = DROPOUT if dropout is None else dropout
-        architecture = {"name": "salsanext", "class_count": outputs, "dropout": rate}
-        module = build(architecture, source)
-        load_tensors(module, tensors, source)
-        described = description or f"Imported from the published checkpoint {source.name}."
-        card = WeightsCard(architecture, space, view or sensor("hdl64"), description=described)
-    save_weights(target, module, card, half=half)
+        imported = _published_weights(source, space or label_space(), view, rate, description)
+    save_weights(target, imported.module, imported.card, half=half)
     return read_card(target)
+
+
+def _known_already(name: str, source: Path) -> UsageError:
+    """Return the error of an argument for a checkpoint, given with weights of salsanext."""
+    problem = f"the weights file {source} contains this already"
+    return UsageError(argument(name), problem, "a published checkpoint", f"omit {argument(name)}")
+
+
+def _weights_of_salsanext(source: Path, view: Sensor | None, description: str) -> ImportedWeights:
+    """Return weights of salsanext with another sensor or description, if one is given."""
+    module, card = read_weights(source)
+    if view:
+        # Nothing is known about other widths of its images.
+        card = replace(card, sensor=view, widths=(), of_widths={})
+    card = replace(card, description=description or card.description, version=None)
+    return ImportedWeights(module, card)
+
+
+def _published_weights(
+    source: Path, space: LabelSpace, view: Sensor | None, dropout: float, description: str
+) -> ImportedWeights:
+    """Return the weights of a published checkpoint; refuse one with other classes."""
+    tensors = read_published(source)
+    outputs = tensors["logits.bias"].numel() if "logits.bias" in tensors else 0
+    if outputs != space.class_count:
+        expected = f"{space.class_count}, one per class of {space.name}"
+        hint = f"give its label space with {argument('space')}"
+        raise WeightsError(source, f"has {outputs} outputs", expected, hint)
+    architecture = {"name": "salsanext", "class_count": outputs, "dropout": dropout}
+    module = build(architecture, source)
+    load_tensors(module, tensors, source)
+    described = description or f"Imported from the published checkpoint {source.name}."
+    card = WeightsCard(architecture, space, view or sensor("hdl64"), description=described)
+    return ImportedWeights(module, card)

@@ -35,7 +35,7 @@ MIN_POINTS_OF_FIT = 1000  # A fit skips one point in a thousand at either edge.
 MIN_FIELD_OF_VIEW_DEG = 1.0  # A planar scanner has less.
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Inspection:
     """Result of inspecting scans."""
 
@@ -113,13 +113,16 @@ def inspect(
     NoInputError
         If there are no scans, or a fit is to scans of several sensors.
     """
-    scans, files = select_scans(source, selection, space), find_scans(source)
+    scans = select_scans(source, selection, space)
+    files = find_scans(source)
     hint = ALONE if fit else fit_hint()
     if fit:
         sensor = _fitted_sensor(source, files, sensor, mounting=fit_mounting)
-        # This pass fits the field of view that scans are checked against.
-        if images and (first := _inspect(scans, sensor, space, options)).total.pixels:
-            sensor = _with_field_of_view(sensor, first.total)
+        if images:
+            # This pass fits the field of view that scans are checked against.
+            first_pass = _inspect(scans, sensor, space, options)
+            if first_pass.total.pixels:
+                sensor = _with_field_of_view(sensor, first_pass.total)
     elif as_predict:
         sensor = fitted_view(files, sensor, mounting=fit_mounting)
         hint = ALONE
@@ -132,9 +135,9 @@ def _fitted_sensor(
     source: Path, files: list[ScanFile], sensor: Sensor, *, mounting: bool
 ) -> Sensor:
     """Return the sensor fitted to scans as `predict` does; refuse scans of several sensors."""
-    usual = read_card(default_weights()).sensor
-    plain = replace(sensor, fov_up=usual.fov_up, fov_down=usual.fov_down)
-    fitted = fitted_view(files, plain, mounting=mounting)
+    trained = read_card(default_weights()).sensor
+    start = replace(sensor, fov_up=trained.fov_up, fov_down=trained.fov_down)
+    fitted = fitted_view(files, start, mounting=mounting)
     if fitted.others:
         problem = f"has scans of {len(fitted.members)} sensors"
         raise NoInputError(source, problem, "scans of one sensor", APART)
@@ -162,9 +165,14 @@ def _inspect(
     task = partial(_inspect_scan, sensor=sensor, hint=hint)
     outcome = run_over_scans(task, scans, options, on_result=add)
     sequences = dict(sorted(sequences.items()))
-    total = sum(sequences.values(), start=Survey())
-    warnings, space = summary.finished().warnings(), space or space_of(scans)
-    return Inspection(sequences, total, sensor, space, outcome.failures, warnings)
+    return Inspection(
+        sequences=sequences,
+        total=sum(sequences.values(), start=Survey()),
+        sensor=sensor,
+        space=space or space_of(scans),
+        failures=outcome.failures,
+        warnings=summary.finished().warnings(),
+    )
 
 
 def _inspect_scan(file: ScanFile, sensor: Sensor, hint: str) -> tuple[Survey, ScanSummary]:

@@ -4,7 +4,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 from salsanext_cli.core.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.core.errors import LabelError, NoInputError, OutputError, UsageError
@@ -24,10 +23,12 @@ from salsanext_cli.runs.results.recorded_origins import sensor_of_result
 from salsanext_cli.runs.results.result_folder import ResultFolder
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.results.selection import choose, space_of
+from salsanext_cli.runs.summary.recorded_summary import recorded_summary
 from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
 
 
-class LabelledPixels(NamedTuple):
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LabelledPixels:
     """Scan with the labels of its pixels."""
 
     file: ScanFile
@@ -35,7 +36,7 @@ class LabelledPixels(NamedTuple):
     labels: TrainIds  # (H, W)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RefineJob:
     """Job that refines pixel labels by neighbours."""
 
@@ -51,10 +52,11 @@ class RefineJob:
         image = project(scan, sensor_of_result(self.output.root, file, scan, self.sensor))
         path = self.output.path(file, "pixel_labels")
         labels: TrainIds = read_array(path, "uint8", (self.sensor.height, self.sensor.width))
-        if (highest := labels.max()) >= self.space.class_count:
+        highest = labels.max()
+        if highest >= self.space.class_count:
             expected = f"0 to {self.space.class_count - 1}, the classes of {self.space.name}"
             raise LabelError(path, f"has train ids up to {highest}", expected)
-        return LabelledPixels(file, image, labels)
+        return LabelledPixels(file=file, image=image, labels=labels)
 
     def compute(self, scans: Sequence[LabelledPixels]) -> list[TrainIds]:
         """Return the labels of the points of each scan, (N,) uint8."""
@@ -97,31 +99,51 @@ def knn_refine_scans(
     Outcome
     """
     results = ResultFolder(out)
-    if results.rejected_above("pixel_labels") is not None:
-        problem = "has labels of which some were rejected"
-        hint = f"predict without {argument('reject')}"
-        raise OutputError(out, problem, "all labels, since the vote restores rejected ones", hint)
+    _require_unrejected(results)
     scans = find_scans(dataset) if dataset else results.scans()
-    recorded = results.label_space("pixel_labels")
+    space = _space_of_pixels(results, space) or space_of(scans)
+    with_labels = with_outputs(scans, out, "pixel_labels")
+    if not with_labels:
+        raise _no_pixel_labels(out)
+    chosen = choose(with_labels, selection, space_of(with_labels, space), out)
+    sensor = sensor or results.manifest.sensor()
+    settings = RefineSettings(
+        label_space=space, sensor=sensor, knn=knn, origins=results.manifest.origins(["predict"])
+    )
+    summary = RunSummary(sensor=sensor, space=space, scans=chosen)
+    run = output_run(
+        out,
+        "knn-refine",
+        settings,
+        ("predictions",),
+        chosen,
+        overwrite=options.overwrite,
+        record_scans=dataset is not None,
+    )
+    with run as output, recorded_summary(summary, output, chosen):
+        job = RefineJob(space=space, sensor=sensor, knn=knn, output=output)
+        return run_over_scans(job, chosen, options, is_done=output.is_done, summary=summary)
+
+
+def _require_unrejected(results: ResultFolder) -> None:
+    """Refuse labels of which some were rejected."""
+    if results.manifest.rejected_above("pixel_labels") is not None:
+        problem = "has labels of which some were rejected"
+        expected = "all labels, since the vote restores rejected ones"
+        raise OutputError(results.root, problem, expected, f"predict without {argument('reject')}")
+
+
+def _space_of_pixels(results: ResultFolder, space: LabelSpace | None) -> LabelSpace | None:
+    """Return the label space of the labels of pixels: as asked for, as recorded, else None."""
+    recorded = results.manifest.label_space("pixel_labels")
     if recorded and space and not recorded.fits(space):
         problem = f"{space.name}, but the pixel labels have the classes of {recorded.name}"
         hint = f"predict with {argument('classes')}, or leave it out"
         raise UsageError(argument("space"), problem, hint=hint)
-    space = space or recorded or results.label_space() or space_of(scans)
-    scans = with_outputs(scans, out, "pixel_labels")
-    if not scans:
-        pixel_labels = setting("extras", ("pixel_labels",))
-        predict = command(f"salsanext predict SCANS {out}", pixel_labels)
-        hint = f"run `{predict}` first"
-        raise NoInputError(out, "has no pixel labels", hint=hint)
-    scans = choose(scans, selection, space_of(scans, space), out)
-    sensor = sensor or results.sensor()
-    settings = RefineSettings(
-        label_space=space, sensor=sensor, knn=knn, origins=results.origins(["predict"])
-    )
-    summary = RunSummary(sensor=sensor, space=space, scans=scans)
-    wanted, overwrite = (out, "knn-refine", settings, ("predictions",), scans), options.overwrite
-    run = output_run(*wanted, overwrite=overwrite, record_scans=dataset is not None)
-    with run as output, summary.recorded_in(output, scans):
-        job = RefineJob(space, sensor, knn, output)
-        return run_over_scans(job, scans, options, is_done=output.is_done, summary=summary)
+    return space or recorded or results.manifest.label_space()
+
+
+def _no_pixel_labels(out: Path) -> NoInputError:
+    """Return the error of a folder without labels of pixels, with the command that writes them."""
+    predict = command(f"salsanext predict SCANS {out}", setting("extras", ("pixel_labels",)))
+    return NoInputError(out, "has no pixel labels", hint=f"run `{predict}` first")

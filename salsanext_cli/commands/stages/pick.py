@@ -11,21 +11,17 @@ from pathlib import Path
 
 import numpy as np
 
+from salsanext_cli.commands.jobs.pick_job import PickJob, PreLabel
 from salsanext_cli.core.classes.label_space import LabelSpace
-from salsanext_cli.core.engines.backend import PixelPrediction
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import NoInputError, UsageError
-from salsanext_cli.core.geometry.knn_parameters import KnnParameters
-from salsanext_cli.core.labelling import refine_labels
 from salsanext_cli.core.measures.scan_choice import choose_scans, require_choice
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.plain_data import plain
 from salsanext_cli.core.texts import counted
-from salsanext_cli.core.uncertainty.monte_carlo import Estimate, require_sampling
+from salsanext_cli.core.uncertainty.monte_carlo import require_sampling
 from salsanext_cli.core.wording import argument
-from salsanext_cli.io.formats.kitti_labels import encode_labels
-from salsanext_cli.report.picked import picked_cloud, picked_csv, picked_scans, scans_of_list
-from salsanext_cli.runs.fit.scan_reading import PreparedFile, read_prepared
+from salsanext_cli.report.picked import picked_csv, picked_scans, scans_of_list
 from salsanext_cli.runs.fit.scan_sample import sample_of_files
 from salsanext_cli.runs.fit.sensor_fit import fit_scans, settings_of_network
 from salsanext_cli.runs.labelling.picked_data_set import (
@@ -39,11 +35,7 @@ from salsanext_cli.runs.labelling.picked_data_set import (
     PickSettings,
     UncertaintyScale,
 )
-from salsanext_cli.runs.labelling.scan_description import (
-    DescribeJob,
-    ScanDescription,
-    checked_sample,
-)
+from salsanext_cli.runs.labelling.scan_description import DescribeJob, ScanDescription
 from salsanext_cli.runs.loop.network_task import NetworkTask
 from salsanext_cli.runs.loop.run import Failure, Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.network_settings import NetworkSettings
@@ -61,7 +53,7 @@ SAMPLES = 8  # Passes of Monte-Carlo dropout, with the same masks for all scans
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Picking:
     """Result of picking scans."""
 
@@ -81,35 +73,6 @@ class Picking:
             "failures": plain(self.outcome.failures),
             "warnings": plain(self.warnings),
         }
-
-
-@dataclass(frozen=True, slots=True)
-class PickJob:
-    """Job that writes picked scans, and coloured clouds with pre-labels."""
-
-    network: Network
-    seed: int
-    data_set: PickedDataSet
-
-    def prepare(self, file: ScanFile) -> PreparedFile:
-        """Read, check and project a scan."""
-        return read_prepared(file, self.network)
-
-    def compute(self, files: Sequence[PreparedFile]) -> list[Estimate]:
-        """Sample each scan."""
-        return [checked_sample(file.scan, SAMPLES, self.seed) for file in files]
-
-    def finish(self, prepared: PreparedFile, estimate: Estimate) -> tuple[ScanFile, bytes]:
-        """Write the scan and its cloud; return the pre-labels by the mean softmax, encoded."""
-        file = prepared.file
-        network = prepared.scan.network
-        space = network.space
-        pixels = PixelPrediction.of(estimate.probabilities)
-        pre_labelled = refine_labels(prepared.scan, pixels, KnnParameters())
-        self.data_set.write_points(file, network.sensor)
-        cloud = picked_cloud(pre_labelled, estimate.uncertainty.mutual_information, space)
-        self.data_set.write_missing(self.data_set.paths(file.sequence, file.stem).cloud, cloud)
-        return file, encode_labels(space.to_raw(pre_labelled.labels))
 
 
 def pick(
@@ -146,15 +109,16 @@ def pick(
     require_choice(count, seed)
     network = settings.for_sampling().load()
     require_sampling(network, SAMPLES)
-    every, data_set = scans_of(source), PickedDataSet(out)
-    data_set.require_apart(every)
-    space = space_of(every, network.space)
-    scans = choose(every, replace(selection, limit=None), space, source)
-    scans = _candidates(scans, selection, labelled, names)
+    listed = scans_of(source)
+    data_set = PickedDataSet(out)
+    data_set.require_apart(listed)
+    space = space_of(listed, network.space)
+    selected = choose(listed, replace(selection, limit=None), space, source)
+    scans = _candidates(selected, selection, labelled, names)
     count = count if names is None else len(scans)
     done = _done(scans, labelled, source)
     with data_set.open():
-        network = fit_scans(settings, network, sample_of_files(every, network.sensor))
+        network = fit_scans(settings, network, sample_of_files(listed, network.sensor))
         labels = done if labelled else None
         recorded = _settings(network, count, seed, scans, labels, is_list=names is not None)
         record = data_set.earlier(recorded, overwrite=options.overwrite)
@@ -167,7 +131,7 @@ def pick(
             if not record.picked:
                 return _picking(record, scans)
             data_set.begin(record)
-        write = partial(PickJob, seed=seed, data_set=data_set)
+        write = partial(PickJob, seed=seed, samples=SAMPLES, data_set=data_set)
         task = NetworkTask(job=write, settings=resolved, network=network, batch=1)
         space = space if space.fits(network.space) else space_of([], network.space)
         outcome = _written(task, data_set, record, scans, options, space)
@@ -197,8 +161,8 @@ def _settings(
 
 def _done(scans: Sequence[ScanFile], labelled: Sequence[Path], source: Path) -> set[ScanFile]:
     """Return the scans that the data sets of labelled scans contain; refuse if all are."""
-    known = {scan.name for path in labelled for scan in find_scans(path)}
-    done = {scan for scan in scans if scan.name in known}
+    labelled_names = {scan.name for path in labelled for scan in find_scans(path)}
+    done = {scan for scan in scans if scan.name in labelled_names}
     if len(done) == len(scans):
         raise NoInputError(source, "has only labelled scans", "others to pick")
     return done
@@ -216,17 +180,29 @@ def _candidates(
     """
     if names is None:
         return evenly_spaced(scans, selection.limit or 0)
-    for name, value in (("selection.limit", selection.limit), ("labelled", labelled)):
-        if value:
-            problem = f"chooses scans, and so does {argument('names')}"
-            raise UsageError(argument(name), problem, "one of both")
+    if selection.limit:
+        raise _chooses_too("selection.limit")
+    if labelled:
+        raise _chooses_too("labelled")
     return named_scans(read_names(names), scans, str(names))
+
+
+def _chooses_too(name: str) -> UsageError:
+    """Return the error of an argument beside a list of names."""
+    problem = f"chooses scans, and so does {argument('names')}"
+    return UsageError(argument(name), problem, "one of both")
 
 
 def _picking(record: PickRecord, scans: Sequence[ScanFile]) -> Picking:
     """Return the result if every picked scan was written before."""
     outcome = Outcome(skipped=len(record.picked), failures=_failures(record, scans), done=0)
-    return Picking(tuple(record.picked), len(scans), outcome, record.warnings, record.scale)
+    return Picking(
+        picked=tuple(record.picked),
+        scans=len(scans),
+        outcome=outcome,
+        warnings=record.warnings,
+        scale=record.scale,
+    )
 
 
 def _digest(scans: Sequence[ScanFile]) -> str:
@@ -248,33 +224,39 @@ def _chosen(
     describe = partial(DescribeJob, samples=SAMPLES, seed=settings.seed)
     task = NetworkTask(job=describe, settings=resolved, network=network, batch=1)
     summary = RunSummary(sensor=network.sensor, scans=scans)
-    of_scan: dict[ScanFile, ScanDescription] = {}
+    descriptions: dict[ScanFile, ScanDescription] = {}
 
     def add(scan: ScanDescription) -> None:
-        of_scan[scan.file] = scan
+        descriptions[scan.file] = scan
         summary.add(ScanSummary(file=scan.file, check=scan.check))
 
     failures = run_over_scans(task, scans, options, on_result=add).failures
-    described = [of_scan[scan] for scan in scans if scan in of_scan]
-    labelled = [index for index, scan in enumerate(described) if scan.file in done]
-    picked: list[PickedScan] = []
-    if unlabelled := len(described) - len(labelled):
-        if settings.count > unlabelled and settings.strategy == CHOSEN:
-            log.log(NOTICE, "all of only %s are picked", counted(unlabelled, "scan"))
-        if settings.strategy == NAMED:
-            picked = scans_of_list(described)
-        else:
-            features = np.stack([scan.features for scan in described])
-            uncertainty = [scan.uncertainty for scan in described]
-            choices = choose_scans(features, uncertainty, settings.count, labelled)
-            picked = picked_scans(choices, [scan.file for scan in described])
+    described = [descriptions[scan] for scan in scans if scan in descriptions]
     return PickRecord(
         settings=settings_json(settings),
-        picked=picked,
+        picked=_picked(described, done, settings),
         failures=[failure.to_dict() for failure in failures],
         warnings=summary.finished().warnings(),
         scale=_scale(described, network.space) if described else None,
     )
+
+
+def _picked(
+    described: Sequence[ScanDescription], done: set[ScanFile], settings: PickSettings
+) -> list[PickedScan]:
+    """Pick scans by their descriptions; none if all of them are labelled."""
+    labelled = [index for index, scan in enumerate(described) if scan.file in done]
+    unlabelled = len(described) - len(labelled)
+    if not unlabelled:
+        return []
+    if settings.strategy == NAMED:
+        return scans_of_list(described)
+    if settings.count > unlabelled:
+        log.log(NOTICE, "all of only %s are picked", counted(unlabelled, "scan"))
+    features = np.stack([scan.features for scan in described])
+    uncertainty = [scan.uncertainty for scan in described]
+    choices = choose_scans(features, uncertainty, settings.count, labelled)
+    return picked_scans(choices, [scan.file for scan in described])
 
 
 def _scale(described: Sequence[ScanDescription], space: LabelSpace) -> UncertaintyScale:
@@ -297,9 +279,14 @@ def _written(
     space: LabelSpace,
 ) -> Outcome:
     """Write the missing files of a data set of picked scans."""
-    files, pre_labels = {scan.name: scan for scan in scans}, dict[ScanFile, bytes]()
+    files = {scan.name: scan for scan in scans}
     picked = [files[scan.name] for scan in record.picked if scan.name in files]
-    outcome = run_over_scans(task, picked, options, on_result=lambda r: pre_labels.update([r]))
+    pre_labels: dict[ScanFile, bytes] = {}
+
+    def add(pre_label: PreLabel) -> None:
+        pre_labels[pre_label.scan] = pre_label.content
+
+    outcome = run_over_scans(task, picked, options, on_result=add)
     data_set.write_pre_labels(record, pre_labels)
     data_set.write_label_space(space, record.picked)
     data_set.write_missing(data_set.root / TABLE, picked_csv(record.picked))
@@ -312,8 +299,13 @@ def _written(
 def _failures(record: PickRecord, scans: Sequence[ScanFile]) -> tuple[Failure, ...]:
     """Return the scans that could not be read for the choice."""
     files = {str(scan.path): scan for scan in scans}
-    known = (failure for failure in record.failures if failure["scan"] in files)
     return tuple(
-        Failure(scan=files[f["scan"]], reason=f["reason"], hint=f.get("hint", ""), code=f["code"])
-        for f in known
+        Failure(
+            scan=files[failure["scan"]],
+            reason=failure["reason"],
+            hint=failure.get("hint", ""),
+            code=failure["code"],
+        )
+        for failure in record.failures
+        if failure["scan"] in files
     )

@@ -3,8 +3,7 @@
 
 import logging
 from collections.abc import Collection, Sequence
-from dataclasses import replace
-from functools import partial
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -17,9 +16,9 @@ from salsanext_cli.io.sensors import sensor
 from salsanext_cli.report.colours import CLASS_COLOURS, Scales, common_scales, require_colouring
 from salsanext_cli.report.scan_pictures import known_views, picture_of_results
 from salsanext_cli.runs.fit.sensor_fit import fitted_view
+from salsanext_cli.runs.labelling.foreign_labels import warn_of_foreign_labels
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.records.stage_settings import PictureSettings
-from salsanext_cli.runs.results.foreign_labels import warn_of_foreign_labels
 from salsanext_cli.runs.results.output_run import OutputRun, output_run
 from salsanext_cli.runs.results.paths import COLOURINGS, PREDICTION_STAGES, ScanFile
 from salsanext_cli.runs.results.query import ResultQuery
@@ -32,30 +31,36 @@ FOLDER = "pictures"
 log = logging.getLogger(__name__)
 
 
-def _picture_scan(
-    file: ScanFile,
-    colours: Sequence[str],
-    scales: Scales,
-    space: LabelSpace,
-    sensor: Sensor,
-    output: OutputRun,
-    classes: LabelSpace | None,
-    truth_in: tuple[LabelSpace, LabelSpace] | None,
-) -> None:
-    """Write the picture of one scan in some colours, or in all colours that it has."""
-    output.require_replaceable(file)
-    results = ResultFolder(output.root).read(file, sensor, classes, truth_in)
-    columns = scalar_columns(results, space)
-    for colour in colours:
-        if colour not in columns:
-            raise ResultFolder(output.root).missing_column(colour, file)
-    views = colours or known_views(columns)
-    strips = colours or [colour for colour in COLOURINGS if colour in columns]
-    png = picture_of_results(file.name, results, space, sensor, scales, views, strips)
-    output.write(output.path(file, FOLDER), png)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PictureTask:
+    """Task that draws a scan in some colours, or in all colours that it has."""
+
+    colours: Sequence[str]  # Empty for all
+    scales: Scales
+    space: LabelSpace
+    sensor: Sensor
+    output: OutputRun
+    classes: LabelSpace | None  # Classes into which predicted ones are merged
+    truth_in: tuple[LabelSpace, LabelSpace] | None  # As of `ResultFolder.read`
+
+    def __call__(self, file: ScanFile) -> None:
+        """Write the picture of a scan."""
+        self.output.require_replaceable(file)
+        folder = ResultFolder(self.output.root)
+        results = folder.read(file, self.sensor, self.classes, self.truth_in)
+        columns = scalar_columns(results, self.space)
+        for colour in self.colours:
+            if colour not in columns:
+                raise folder.missing_column(colour, file)
+        views = self.colours or known_views(columns)
+        strips = self.colours or [colour for colour in COLOURINGS if colour in columns]
+        png = picture_of_results(
+            file.name, results, self.space, self.sensor, self.scales, views, strips
+        )
+        self.output.write(self.output.path(file, FOLDER), png)
 
 
-def _shows_truth(chosen: ChosenResults, colours: Collection[str], sensor: Sensor) -> bool:
+def _draws_truth(chosen: ChosenResults, colours: Collection[str], sensor: Sensor) -> bool:
     """Return whether pictures need the true labels: if asked for, or if there are usable ones."""
     if colours:
         return bool({"truth", "wrong"} & {*colours})
@@ -88,36 +93,112 @@ def picture(
     Outcome
     """
     require_colouring(colours, scale, "colours")
+    _require_scalable(colours, scale)
+    results = ResultFolder(out, query.dataset)
+    chosen = results.chosen(query)
+    colours = _drawn_colours(results, chosen.scans, colours)
+    origins = results.manifest.origins(PREDICTION_STAGES)
+    earlier = _recorded(results)
+    is_outdated = earlier is not None and earlier.origins != origins
+    overwrite = options.overwrite or is_outdated
+    continued = None if overwrite else earlier
+    view = _view(results, chosen.scans, continued)
+    scales = _scales(results, chosen, colours, scale, continued, view)
+    settings = PictureSettings(
+        colours=tuple(colours),
+        scales=scales,
+        sensor=view,
+        label_space=chosen.space,
+        origins=origins,
+    )
+    run = output_run(
+        out, STAGE, settings, (FOLDER,), chosen.scans, overwrite=overwrite, record_scans=False
+    )
+    draws_truth = _draws_truth(chosen, colours, view)
+    with run as output:
+        task = PictureTask(
+            colours=colours,
+            scales=scales,
+            space=chosen.space,
+            sensor=view,
+            output=output,
+            classes=query.classes,
+            truth_in=(chosen.labels, chosen.space) if draws_truth else None,
+        )
+        outcome = run_over_scans(task, chosen.scans, options, is_done=output.is_done)
+        log.log(NOTICE, "pictures: %s", out / "sequences/*" / FOLDER)
+    return replace(outcome, missing=chosen.missing)
+
+
+def _require_scalable(colours: Collection[str], scale: tuple[float, float] | None) -> None:
+    """Refuse a scale for anything but a single colour of values."""
     if scale and (len(colours) != 1 or {*colours} & {*CLASS_COLOURS}):
         problem = f"{argument('colours')} is {', '.join(colours) or 'missing'}"
         raise UsageError(argument("scale"), problem, "a single colour of values, such as error")
-    results = ResultFolder(out, query.dataset)
-    chosen = results.chosen(query)
-    scans, space = chosen.scans, chosen.space
-    meant = {"uncertainty": results.meant_uncertainty(scans)}
-    colours = list(dict.fromkeys(meant.get(colour, colour) for colour in colours))
-    for colour in colours:
+
+
+def _drawn_colours(
+    results: ResultFolder, scans: Sequence[ScanFile], colours: Collection[str]
+) -> list[str]:
+    """Return each colour once, with a kind of uncertainty for "uncertainty"; refuse absent ones."""
+    kind = results.meant_uncertainty(scans)
+    drawn = dict.fromkeys(kind if colour == "uncertainty" else colour for colour in colours)
+    for colour in drawn:
         results.require_column(colour, scans)
-    origins = results.origins(PREDICTION_STAGES)
-    earlier = results.settings(STAGE)
-    overwrite = options.overwrite or (earlier is not None and earlier.origins != origins)
-    continued = None if overwrite else earlier  # Keeps sensor and scales
-    view = results.known_sensor() or (continued.sensor if continued else None)
-    view = view or fitted_view(scans, sensor("hdl64"))
-    values = [c for c in colours or COLOURINGS if c not in CLASS_COLOURS]
-    values = [colour for colour in values if results.with_column(colour, scans)]
-    known = (continued and continued.scales) or {}
-    scales: Scales = dict.fromkeys(values, scale) if scale else dict(known)
-    unknown = [colour for colour in values if colour not in scales]
-    scales |= common_scales(out, scans, unknown, space, view)
-    settings = PictureSettings(
-        colours=tuple(colours), scales=scales, sensor=view, label_space=space, origins=origins
-    )
-    truth_in = (chosen.labels, space) if _shows_truth(chosen, colours, view) else None
-    run = (out, STAGE, settings, (FOLDER,), scans)
-    with output_run(*run, overwrite=overwrite, record_scans=False) as output:
-        task = partial(_picture_scan, colours=colours, scales=scales, space=space, sensor=view)
-        task = partial(task, output=output, classes=query.classes, truth_in=truth_in)
-        outcome = run_over_scans(task, scans, options, is_done=output.is_done)
-        log.log(NOTICE, "pictures: %s", out / "sequences/*" / FOLDER)
-    return replace(outcome, missing=chosen.missing)
+    return list(drawn)
+
+
+def _view(
+    results: ResultFolder, scans: Sequence[ScanFile], continued: PictureSettings | None
+) -> Sensor:
+    """Return the sensor of the range images: as recorded, else fitted to the scans."""
+    recorded = results.manifest.known_sensor() or (continued.sensor if continued else None)
+    return recorded or fitted_view(scans, sensor("hdl64"))
+
+
+def _scales(
+    results: ResultFolder,
+    chosen: ChosenResults,
+    colours: Sequence[str],
+    scale: tuple[float, float] | None,
+    continued: PictureSettings | None,
+    view: Sensor,
+) -> Scales:
+    """Return the ends of the scale of each colour of values: given, as recorded, or common ones.
+
+    Parameters
+    ----------
+    results, chosen
+        Results, and the chosen scans.
+    colours : sequence of str
+        Colours of the pictures; empty for all.
+    scale : tuple of float, optional
+        Ends of the scale of the only colour.
+    continued : PictureSettings, optional
+        Settings of the pictures that are continued, whose scales stay.
+    view : Sensor
+        Sensor of the range images.
+
+    Returns
+    -------
+    dict
+        Ends by colour.
+    """
+    values = [
+        colour
+        for colour in colours or COLOURINGS
+        if colour not in CLASS_COLOURS and results.with_column(colour, chosen.scans)
+    ]
+    scales: Scales = {}
+    if scale is not None:
+        scales = dict.fromkeys(values, scale)
+    elif continued is not None:
+        scales = dict(continued.scales or {})
+    unscaled = [colour for colour in values if colour not in scales]
+    return scales | common_scales(results.root, chosen.scans, unscaled, chosen.space, view)
+
+
+def _recorded(results: ResultFolder) -> PictureSettings | None:
+    """Return the settings of earlier pictures, None without any."""
+    settings = results.manifest.settings(STAGE)
+    return settings if isinstance(settings, PictureSettings) else None

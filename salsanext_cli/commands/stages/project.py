@@ -10,13 +10,13 @@ from salsanext_cli.core.records import Origins
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.runs.fit.scan_reading import read_measured
 from salsanext_cli.runs.fit.sensor_fit import fitted_view
+from salsanext_cli.runs.loop.recorded_names import with_recorded_names
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.loop.run_origins import OriginsOfRun
 from salsanext_cli.runs.records.stage_settings import ProjectSettings
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.output_run import OutputRun, output_run
 from salsanext_cli.runs.results.paths import ORIGINS, ScanFile
-from salsanext_cli.runs.results.recorded_names import with_recorded_names
 from salsanext_cli.runs.results.recorded_origins import (
     folders_of_origins,
     origin_array,
@@ -24,6 +24,7 @@ from salsanext_cli.runs.results.recorded_origins import (
 )
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.results.selection import choose, scans_of, space_of
+from salsanext_cli.runs.summary.recorded_summary import recorded_summary
 from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
 
 FOLDERS = ("range", "pixels")
@@ -108,7 +109,7 @@ def project_scans(
     summary = RunSummary(sensor=sensor, scans=scans)
     folders = (*FOLDERS, *folders_of_origins(out, "project", sensor))
     run = output_run(out, "project", settings, folders, scans, overwrite=options.overwrite)
-    with run as output, summary.recorded_in(output, scans):
+    with run as output, recorded_summary(summary, output, scans):
         origins = OriginsOfRun(out=out, stage="project", listed=listed, overwrite=options.overwrite)
         job = ProjectJob(sensor, output, origins.of_results(output, scans, sensor))
         return run_over_scans(job, scans, options, is_done=output.is_done, summary=summary)

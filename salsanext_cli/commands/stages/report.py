@@ -1,41 +1,38 @@
 # SPDX-License-Identifier: MIT
 """Stages `report` and `view`: the page of a run, as an HTML file or on a local server."""
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from threading import Lock
 
 import numpy as np
 
-from salsanext_cli.core.errors import NoInputError, OutputError, SalsanextError
+from salsanext_cli.core.errors import NoInputError
 from salsanext_cli.core.measures.counts import ScanCounts, SeparateCounts
 from salsanext_cli.core.measures.decision import Verdict, verdict
 from salsanext_cli.core.plain_data import plain
-from salsanext_cli.core.texts import escaped
 from salsanext_cli.io.files.atomic import require_target, write_bytes
 from salsanext_cli.report.colours import screen_colours
-from salsanext_cli.report.page.clouds import encode_cloud, scales_of
-from salsanext_cli.report.page.html import Served, html_of
-from salsanext_cli.report.page.run_results import Comparison, RunResults, ShownScan
+from salsanext_cli.report.page.clouds import scales_of
+from salsanext_cli.report.page.html import html_of
+from salsanext_cli.report.page.run_results import Comparison, RunResults
 from salsanext_cli.report.page.scan_row import ScanRow
-from salsanext_cli.report.page.server import PageServer
 from salsanext_cli.report.page.thumbnails import scans_for_thumbnails, thumbnail
+from salsanext_cli.report.readable_scans import readable_scans
+from salsanext_cli.report.run_server import RunServer, ServedRun
+from salsanext_cli.runs.labelling.foreign_labels import warn_of_foreign_labels
 from salsanext_cli.runs.labelling.label_records import pre_labelled_scans
 from salsanext_cli.runs.loop.run import Failure, RunOptions, run_over_scans
-from salsanext_cli.runs.results.foreign_labels import warn_of_foreign_labels
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
-from salsanext_cli.runs.results.paths import PREDICTION_STAGES
 from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.results.result_folder import ResultFolder
 from salsanext_cli.runs.summary.comparison import ScanComparison
 
 PAGE = "report.html"
-SAMPLED = 5  # Evenly spaced scans among those from which `view` takes the scales
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Report:
     """Page that was written."""
 
@@ -52,28 +49,47 @@ class Report:
 
     def to_dict(self) -> dict[str, object]:
         """Return plain data for JSON, null for NaN."""
-        counts, compared = self.run.counts, self.compared
-        scores, labels = compared and compared.scores, compared and compared.accepted
-        best = compared and compared.uncertainty.accepted
-        decided = self.verdict
-        is_known = self.run.reader.trained_on.missing is None
+        counts = self.run.counts
+        trained_on = None
+        on_training_scans = None
+        if self.run.reader.trained_on.missing is None:
+            trained_on = counts.skipped if counts else 0
+            on_training_scans = bool(counts and counts.trained_on)
+        decision = self.verdict
         return {
             "stage": "report",
             "page": str(self.page),
             "bytes": self.page.stat().st_size,
             "scans": len(self.run.rows),
-            "trained_on": (counts.skipped if counts else 0) if is_known else None,
-            "on_training_scans": bool(counts and counts.trained_on) if is_known else None,
+            "trained_on": trained_on,
+            "on_training_scans": on_training_scans,
             "shown": self.shown,
-            "accuracy": plain(scores.accuracy) if scores and not labels else None,
-            "iou_mean_present": plain(scores.iou_mean_present) if scores and not labels else None,
-            "coverage": labels and labels.coverage,
-            "risk": labels and labels.risk,
-            "sentence": best and best.sentence,
-            "decision": decided and asdict(decided),
+            **_scores_as_data(self.compared),
+            "decision": asdict(decision) if decision else None,
             **self.run.missing.to_dict(),
             "failures": [failure.to_dict() for failure in self.failures],
         }
+
+
+def _scores_as_data(compared: Comparison | None) -> dict[str, object]:
+    """Return the scores as plain data: those of all labels, or coverage and risk of accepted ones.
+
+    Null stands for what the run does not have.
+    """
+    data: dict[str, object] = dict.fromkeys(
+        ("accuracy", "iou_mean_present", "coverage", "risk", "sentence")
+    )
+    if compared is None:
+        return data
+    if compared.accepted is None:
+        data["accuracy"] = plain(compared.scores.accuracy)
+        data["iou_mean_present"] = plain(compared.scores.iou_mean_present)
+    else:
+        data["coverage"] = compared.accepted.coverage
+        data["risk"] = compared.accepted.risk
+    if compared.uncertainty.accepted:
+        data["sentence"] = compared.uncertainty.accepted.sentence
+    return data
 
 
 def report(
@@ -108,62 +124,29 @@ def report(
     else:
         OwnedFolder(out).refuse_foreign([page])
     run, unread = read_run(out, query=query, options=options)
-    chosen = run.scans_by_name(scans) if scans else run.notable_scans()
-    rows = {row.file.name: row for row in run.rows}
-    shown, unshown = _readable(run, ((rows[name], reason) for name, reason in chosen.items()))
-    failures, compared = (*unread, *unshown), run.compared()
-    reasons = [failure.reason for failure in failures]
-    pictures = _thumbnails(run, chosen, options)
-    html = html_of(run, compared, shown, scales_of(shown), reasons, pictures)
+    reasons = run.scans_by_name(scans) if scans else run.notable_scans()
+    readable = readable_scans(run, reasons)
+    failures = (*unread, *readable.failures)
+    compared = run.compared()
+    html = html_of(
+        run,
+        compared,
+        readable.scans,
+        scales_of(readable.scans),
+        [failure.reason for failure in failures],
+        _thumbnails(run, reasons, options),
+    )
     if target:
         write_bytes(target, html.encode())
     else:
         OwnedFolder(out).replace({page: html.encode()})
-    return Report(page, run, compared, {s.name: s.reason for s in shown}, failures)
-
-
-class RunServer(PageServer):
-    """Server of the page of a run, with the number of `scans`, the `missing` and `failures`."""
-
-    def take(
-        self, run: RunResults, failures: tuple[Failure, ...], thumbnails: Mapping[str, str]
-    ) -> None:
-        """Take the results to serve; raise `NoInputError` if no scan can be shown."""
-        self._run, self._state, self._lock = run, _state_of(run.reader.out), Lock()
-        reasons = run.notable_scans()
-        spaced = {*np.linspace(0, len(run.rows) - 1, SAMPLED).astype(int).tolist()}
-        chosen = (r for i, r in enumerate(run.rows) if i in spaced or r.file.name in reasons)
-        sample, unread = _readable(run, ((row, "") for row in chosen))
-        self.scans, self.missing = len(run.rows), run.missing
-        self.failures = (*failures, *unread)
-        self._scales = scales_of(sample)
-        problems = [failure.reason for failure in self.failures]
-        served = {row.file.name: reasons.get(row.file.name, "") for row in run.rows}
-        page = html_of(
-            run, run.compared(), (), self._scales, problems, thumbnails, Served(served, self.token)
-        )
-        self.page = page.encode()
-
-    def to_dict(self) -> dict[str, object]:
-        """Return plain data for JSON."""
-        server = {"stage": "view", "url": self.url, "scans": self.scans}
-        return server | self.missing.to_dict() | {"failures": plain(self.failures)}
-
-    def cloud(self, index: int) -> dict[str, object] | None:
-        """Read a scan; a kind of value keeps its first scale."""
-        if index >= self.scans:
-            return None
-        run = self._run
-        if _state_of(run.reader.out) != self._state:
-            problem = "has new results since view started"
-            raise OutputError(run.reader.out, problem, hint="start view again")
-        shown = run.read(run.rows[index])
-        with self._lock:
-            if new := shown.values().keys() - self._scales:
-                self._scales |= {name: scales_of([shown])[name] for name in new}
-        cloud = encode_cloud(shown, run.reader.space, run.reader.sensor, self._scales)
-        cloud["scales"] = self._scales
-        return dict(escaped(cloud))
+    return Report(
+        page=page,
+        run=run,
+        compared=compared,
+        shown={scan.name: scan.reason for scan in readable.scans},
+        failures=failures,
+    )
 
 
 def view(
@@ -192,7 +175,8 @@ def view(
     server = RunServer(port)
     try:
         run, failures = read_run(out, query=query, options=options)
-        server.take(run, failures, _thumbnails(run, run.notable_scans(), options))
+        served = ServedRun.of(run, failures)
+        server.show(served, _thumbnails(run, run.notable_scans(), options))
     except BaseException:
         server.server_close()
         raise
@@ -221,10 +205,10 @@ def read_run(
     results = ResultFolder(out, query.dataset)
     chosen = results.chosen(query)
     without_truth = pre_labelled_scans(chosen.scans)
-    if warn_of_foreign_labels(chosen.scans, chosen.labels, results.known_sensor()):
+    if warn_of_foreign_labels(chosen.scans, chosen.labels, results.manifest.known_sensor()):
         without_truth = chosen.scans
     reader = replace(
-        ScanComparison.of_results(results, chosen.space, chosen.labels),
+        ScanComparison.of_results(results.manifest, chosen.space, chosen.labels),
         unreviewed=frozenset(scan.name for scan in without_truth),
     )
     rows: list[ScanRow] = []
@@ -234,21 +218,23 @@ def read_run(
     def add(result: tuple[ScanRow, ScanCounts | None]) -> None:
         row, scan_counts = result
         rows.append(row)
-        if scan_counts:
-            counts.add(scan_counts)
-            if scan_counts.trained_on:
-                trained_on.add(row)
+        if scan_counts is None:
+            return
+        counts.add(scan_counts)
+        if scan_counts.trained_on:
+            trained_on.add(row)
 
     task = partial(ScanRow.read, reader=reader)
     outcome = run_over_scans(task, chosen.scans, options, on_result=add)
     if not rows:
         raise NoInputError(out, f"no results can be read: {outcome.failures[0].reason}")
-    if (scored := counts.scored()).skipped:
-        none = np.zeros_like(rows[0].confusion)
-        rows = [replace(row, confusion=none) if row in trained_on else row for row in rows]
+    scored = counts.scored()
+    if scored.skipped:
+        uncounted = np.zeros_like(rows[0].confusion)
+        rows = [replace(row, confusion=uncounted) if row in trained_on else row for row in rows]
     rows.sort(key=lambda row: row.file)  # Workers finish in any order.
-    of_labelled = scored if scored.scans else None
-    return RunResults(reader, rows, of_labelled, chosen.missing), outcome.failures
+    counts_of_run = scored if scored.scans else None
+    return RunResults(reader, rows, counts_of_run, chosen.missing), outcome.failures
 
 
 def _thumbnails(run: RunResults, names: Collection[str], options: RunOptions) -> dict[str, str]:
@@ -259,26 +245,3 @@ def _thumbnails(run: RunResults, names: Collection[str], options: RunOptions) ->
     silent = RunOptions(jobs=options.jobs)
     run_over_scans(task, files, silent, on_result=lambda named: pictures.update([named]))
     return pictures
-
-
-def _readable(
-    run: RunResults, chosen: Iterable[tuple[ScanRow, str]]
-) -> tuple[list[ShownScan], tuple[Failure, ...]]:
-    """Read scans to show, with a reason for each; raise `NoInputError` if none can be read."""
-    shown: list[ShownScan] = []
-    failures: list[Failure] = []
-    for row, reason in chosen:
-        try:
-            shown.append(run.read(row, reason))
-        except SalsanextError as error:
-            failures.append(Failure.of(row.file, error))
-    if not shown:
-        raise NoInputError(run.reader.out, f"no scan can be shown: {failures[0].reason}")
-    return shown, tuple(failures)
-
-
-def _state_of(out: Path) -> list[tuple[int, int] | None]:
-    """Return size and time of the records of the stages that wrote the results."""
-    paths = [out / f"{stage}.json" for stage in PREDICTION_STAGES]
-    states = [path.stat() if path.exists() else None for path in paths]
-    return [state and (state.st_size, state.st_mtime_ns) for state in states]

@@ -3,7 +3,7 @@
 
 import logging
 import stat
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import count
@@ -30,8 +30,17 @@ from salsanext_cli.runs.results.selection import data_set_of, is_of_benchmark, u
 LEVEL = 6  # Of compression, so that every Python writes the same bytes
 SPLIT = "test"
 SCANS_OF_TEST = {
-    **{"11": 921, "12": 1061, "13": 3281, "14": 631, "15": 1901, "16": 1731},
-    **{"17": 491, "18": 1801, "19": 4981, "20": 831, "21": 2721},
+    "11": 921,
+    "12": 1061,
+    "13": 3281,
+    "14": 631,
+    "15": 1901,
+    "16": 1731,
+    "17": 491,
+    "18": 1801,
+    "19": 4981,
+    "20": 831,
+    "21": 2721,
 }
 """Number of scans of each test sequence of SemanticKITTI, named 000000, 000001, …"""
 Predictions = dict[tuple[str, str], Path]  # Label files by sequence and stem
@@ -41,23 +50,23 @@ log = logging.getLogger(__name__)
 
 def _write_zip(path: Path, members: Mapping[str, Path], advance: Callable[[], None]) -> None:
     """Write a ZIP file of members by name, with an entry for each folder before its files."""
-    with writing(path, durable=True) as file, ZipFile(file, "w", ZIP_DEFLATED) as made:
+    with writing(path, durable=True) as file, ZipFile(file, "w", ZIP_DEFLATED) as archive:
         folders: set[PurePosixPath] = set()
         for name, member in members.items():
             for parent in reversed(PurePosixPath(name).parents[:-1]):
                 if parent not in folders:
                     folders.add(parent)
-                    made.mkdir(str(parent), 0o755)
-            with reading(member) as opened:
-                content = opened.read()
+                    archive.mkdir(str(parent), 0o755)
+            with reading(member) as member_file:
+                content = member_file.read()
             # The time and the mode of the file do not change the bytes.
             entry = ZipInfo(name)
             entry.external_attr = (stat.S_IFREG | 0o644) << 16
-            made.writestr(entry, content, ZIP_DEFLATED, LEVEL)
+            archive.writestr(entry, content, ZIP_DEFLATED, LEVEL)
             advance()
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Submission:
     """Predictions that were checked and packed."""
 
@@ -108,30 +117,34 @@ def submit(
     scans = _scans_at_hand(out, dataset, files)
     space = _full_space(out, scans, space)
     required = _required(space, scans, files)
-    if unseen := sorted({name for name, _ in required} - {scan.sequence for scan in scans}):
-        problem = f"no scans of sequence {first_few(unseen)}: numbers of labels not checked"
+    sequences_at_hand = {scan.sequence for scan in scans}
+    unchecked = sorted({sequence for sequence, _ in required} - sequences_at_hand)
+    if unchecked:
+        problem = f"no scans of sequence {first_few(unchecked)}: numbers of labels not checked"
         log.warning("%s", with_hint(problem, f"give {argument('dataset')}"))
     clouds = {(scan.sequence, scan.stem): scan.path for scan in scans}
     members = {} if description is None else {"description.txt": description}
-    total, steps = len(required), count(1)
+    steps = count(1)
 
     def advance() -> None:
         if progress:
-            progress(next(steps), 2 * total)
+            # Each file is checked and packed.
+            progress(next(steps), 2 * len(required))
 
     for name in required:
         _check_labels(files[name], clouds.get(name), space)
         members[files[name].relative_to(out).as_posix()] = files[name]
         advance()
     _write_zip(target, members, advance)
-    return Submission(total, lengths_checked=not unseen)
+    return Submission(scans=len(required), lengths_checked=not unchecked)
 
 
 def _full_space(out: Path, scans: Sequence[ScanFile], space: LabelSpace | None) -> LabelSpace:
     """Return the label space of the predictions with its splits; refuse merged classes."""
     root = data_set_of(scans[0]) if scans else None
-    space = with_splits(ResultFolder(out).compared_space(scans, space), root)
-    if full := unmerged(space, scans):
+    space = with_splits(ResultFolder(out).manifest.compared_space(scans, space), root)
+    full = unmerged(space, scans)
+    if full:
         problem = f"has predictions in the merged classes of {space.name}"
         expected = f"the classes of {full.name}"
         hint = f"predict without {argument('classes')}"
@@ -157,46 +170,61 @@ def _required(
     sequences = space.split(SPLIT)
     if not sequences:
         raise UsageError(f"label space {space.name}", f"has no sequences in split {SPLIT}")
-    official = is_of_benchmark(space) and space.fits(label_space())
+    is_official = is_of_benchmark(space) and space.fits(label_space())
     at_hand = {(scan.sequence, scan.stem) for scan in scans}
     required = []
     for sequence in sorted(sequences):
-        here = {stem for name, stem in at_hand if name == sequence}
-        stems = here | {f"{n:06d}" for n in range(SCANS_OF_TEST.get(sequence, 0) * official)}
-        if not (at_hand or official):
+        stems_at_hand = {stem for name, stem in at_hand if name == sequence}
+        stems = set(stems_at_hand)
+        if is_official:
+            stems |= {f"{number:06d}" for number in range(SCANS_OF_TEST.get(sequence, 0))}
+        elif not at_hand:
             stems = {stem for name, stem in files if name == sequence}
         missing = sorted(stem for stem in stems if (sequence, stem) not in files)
         if missing or not stems:
-            share = f"lacks {len(missing):,} of {counted(len(stems), 'prediction')}"
-            problem = (
-                f"{share}: {first_few(missing)}" if stems else "has neither predictions nor scans"
-            )
-            gone = len({*missing} - here) if here else 0
-            hint = f"complete the data set: it lacks {counted(gone, 'scan')}"
-            raise NoInputError(
-                f"sequence {sequence}", problem, "", hint if gone else "predict the sequence"
-            )
+            raise _incomplete(sequence, stems, missing, stems_at_hand)
         required += [(sequence, stem) for stem in sorted(stems)]
     return required
 
 
+def _incomplete(
+    sequence: str, stems: Collection[str], missing: Sequence[str], at_hand: Collection[str]
+) -> NoInputError:
+    """Return the error of a sequence without all predictions; `at_hand`: stems of its scans."""
+    problem = "has neither predictions nor scans"
+    if stems:
+        share = f"lacks {len(missing):,} of {counted(len(stems), 'prediction')}"
+        problem = f"{share}: {first_few(missing)}"
+    hint = "predict the sequence"
+    absent_scans = len({*missing} - {*at_hand}) if at_hand else 0
+    if absent_scans:
+        hint = f"complete the data set: it lacks {counted(absent_scans, 'scan')}"
+    return NoInputError(f"sequence {sequence}", problem, hint=hint)
+
+
 def _check_labels(path: Path, scan: Path | None, space: LabelSpace) -> None:
     """Refuse labels that the benchmark does not accept."""
-    count = None
-    if scan:
-        count = count_points(scan) if scan_suffix(scan.name) == ".bin" else len(read_scan(scan))
-    raw = read_labels(path, count)
+    raw = read_labels(path, _point_count(scan) if scan else None)
     with reading(path) as file:
         size = size_of(file)
     if size != 4 * len(raw):
         problem = f"has {counted(size // len(raw), 'byte')} per label"
         raise LabelError(path, problem, "4, one uint32 per point", "write the labels as uint32")
     ids = np.flatnonzero(np.bincount(raw & 0xFFFF, minlength=RAW_ID_COUNT)).tolist()
-    if unknown := [i for i in ids if i not in space.learning_map]:
+    unknown = [raw_id for raw_id in ids if raw_id not in space.learning_map]
+    if unknown:
         hint = f"write raw ids, not train ids, or give {argument('space')}"
         raise LabelError(path, f"has unknown ids {first_few(unknown)}", "", hint)
-    names = {i: space.labels.get(i, "") for i in ids}
-    if moving := [f"{i} {name}" for i, name in names.items() if name.startswith(MOVING)]:
+    names = {raw_id: space.labels.get(raw_id, "") for raw_id in ids}
+    moving = [f"{raw_id} {name}" for raw_id, name in names.items() if name.startswith(MOVING)]
+    if moving:
         problem = f"has ids of moving classes, {first_few(moving)}"
         hint = "write the ids of the classes at rest, such as 10 instead of 252"
         raise LabelError(path, problem, "classes of single scans", hint)
+
+
+def _point_count(scan: Path) -> int:
+    """Return the number of points of a scan, of a .bin file without reading it."""
+    if scan_suffix(scan.name) == ".bin":
+        return count_points(scan)
+    return len(read_scan(scan))

@@ -136,33 +136,34 @@ def synthesise(
 
 
 def _check(sequences: dict[str, int], scans: int, seed: int, spacing: float, sensor: str) -> None:
-    least = {**dict.fromkeys(sequences, 0), "scans": 1, "seed": 0}
-    for name, count in {**sequences, "scans": scans, "seed": seed}.items():
-        if count < least[name]:
-            expected = f"a whole number of at least {least[name]}"
-            raise UsageError(argument(name), str(count), expected)
+    for split, count in sequences.items():
+        _require_at_least(split, count, 0)
+    _require_at_least("scans", scans, 1)
+    _require_at_least("seed", seed, 0)
     if sum(sequences.values()) == 0:
         raise UsageError(", ".join(map(argument, sequences)), "no sequences", "at least one")
     if not 0 < spacing < math.inf or spacing * (scans - 1) > MAX_DRIVE_M:
         problem = f"{spacing} m between {counted(scans, 'scan')}"
         expected = f"more than 0 m, and drives of up to {MAX_DRIVE_M:.0f} m"
-        raise UsageError(
-            argument("spacing"), problem, expected, "use more sequences with fewer scans"
-        )
+        hint = "use more sequences with fewer scans"
+        raise UsageError(argument("spacing"), problem, expected, hint)
     if sensor not in RIGS:
         raise UsageError(argument("sensor"), sensor, f"one of {', '.join(RIGS)}")
+
+
+def _require_at_least(name: str, count: int, least: int) -> None:
+    if count < least:
+        raise UsageError(argument(name), str(count), f"a whole number of at least {least}")
 
 
 def _begin(owned: OwnedFolder, new: StageRecord, files: list[Path], overwrite: bool) -> None:
     """Write the record, after removing an earlier data set that is to be replaced."""
     out = owned.root
-    if (earlier := owned.manifest.record(STAGE)) and not overwrite:
-        before, now = dict(earlier.settings), dict(new.settings)
-        complete = all(map(filled, files))
-        if not complete:  # Versions may write other bytes.
-            before["version"], now["version"] = earlier.version, new.version
-        require_same_settings(owned.record_path, before, now)
-        if complete:
+    earlier = owned.manifest.record(STAGE)
+    if earlier is not None and not overwrite:
+        is_complete = all(map(filled, files))
+        _require_same(owned, earlier, new, is_complete=is_complete)
+        if is_complete:
             return
     folders = {folder for path in files for folder in path.parents if out in folder.parents}
     links = sorted(folder for folder in folders if folder.is_symlink())
@@ -171,6 +172,19 @@ def _begin(owned: OwnedFolder, new: StageRecord, files: list[Path], overwrite: b
     if overwrite:
         owned.remove_written([path for path in owned.written() if _is_generated(path, out)])
     owned.manifest.write(new)
+
+
+def _require_same(
+    owned: OwnedFolder, earlier: StageRecord, new: StageRecord, *, is_complete: bool
+) -> None:
+    """Refuse to continue a data set of other settings, or an incomplete one of another version."""
+    before = dict(earlier.settings)
+    now = dict(new.settings)
+    if not is_complete:
+        # Versions may write other bytes.
+        before["version"] = earlier.version
+        now["version"] = new.version
+    require_same_settings(owned.record_path, before, now)
 
 
 def _is_generated(path: Path, out: Path) -> bool:
@@ -197,26 +211,37 @@ def _scan_files(sequence: Path, index: int) -> tuple[Path, Path]:
 
 def _write_sequence(file: ScanFile, owned: OwnedFolder, settings: SynthSettings) -> Counter[int]:
     """Write the missing files of a sequence; return the number of points by raw id."""
-    folder, scans, points = file.path, settings.scans, Counter[int]()
-    if all(map(filled, _files(folder, scans))):
-        for index in range(scans):
-            points += _points_of(read_labels(_scan_files(folder, index)[1]))
-        return points
-    poses, times, first = [], [], np.eye(4)
+    folder = file.path
+    if all(map(filled, _files(folder, settings.scans))):
+        return _counted_points(folder, settings.scans)
+    points: Counter[int] = Counter()
+    poses: list[str] = []
+    times: list[str] = []
+    first_pose = np.eye(4)
     rig = RIGS[settings.sensor]
-    frames = record(settings.seed, int(file.sequence), scans, settings.spacing, rig)
+    frames = record(settings.seed, int(file.sequence), settings.scans, settings.spacing, rig)
     for index, frame in enumerate(frames):
         scan, labels = _scan_files(folder, index)
         owned.write_missing(scan, encode_bin(frame.scan))
         owned.write_missing(labels, encode_labels(frame.labels))
-        first = frame.pose if index == 0 else first
-        relative = np.linalg.inv(first) @ frame.pose
+        if index == 0:
+            first_pose = frame.pose
+        relative = np.linalg.inv(first_pose) @ frame.pose
         poses.append(" ".join(f"{value:.9e}" for value in relative[:3].ravel()))
         times.append(f"{frame.time:.6e}")
         points += _points_of(frame.labels)
     calibration = [f"{key}: {IDENTITY}" for key in ("P0", "P1", "P2", "P3", "Tr")]
     for name, lines in zip(SEQUENCE_FILES, (poses, times, calibration), strict=True):
         owned.write_missing(folder / name, ("\n".join(lines) + "\n").encode())
+    return points
+
+
+def _counted_points(folder: Path, scans: int) -> Counter[int]:
+    """Return the number of points of a written sequence by raw id."""
+    points: Counter[int] = Counter()
+    for index in range(scans):
+        _, labels = _scan_files(folder, index)
+        points += _points_of(read_labels(labels))
     return points
 
 

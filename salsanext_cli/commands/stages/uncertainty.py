@@ -3,106 +3,39 @@
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-
-from salsanext_cli.core.engines.backend import PixelPrediction
+from salsanext_cli.commands.jobs.uncertainty_job import UncertaintyJob
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import OutputError
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.geometry.network_input import noise_of
-from salsanext_cli.core.geometry.projection import points_from_pixels
-from salsanext_cli.core.labelling import refine_labels
 from salsanext_cli.core.notices import NOTICE
-from salsanext_cli.core.records import Float, Origins
-from salsanext_cli.core.uncertainty.error_features import error_probability, knows_error
+from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.uncertainty.error_features import knows_error
 from salsanext_cli.core.uncertainty.method import UncertaintyMethod
-from salsanext_cli.core.uncertainty.monte_carlo import Estimate
 from salsanext_cli.core.wording import argument, command, setting
-from salsanext_cli.runs.fit.scan_reading import PreparedFile, read_prepared
 from salsanext_cli.runs.fit.sensor_fit import network_of_run, resolved_for, settings_of_network
 from salsanext_cli.runs.loop.network_task import NetworkTask
+from salsanext_cli.runs.loop.recorded_names import with_recorded_names
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.loop.run_origins import OriginsOfRun
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.records.stage_settings import UncertaintySettings
+from salsanext_cli.runs.records.stage_settings import StageSettings, UncertaintySettings
 from salsanext_cli.runs.results.manifest import Manifest
-from salsanext_cli.runs.results.output_run import OutputRun, output_run
-from salsanext_cli.runs.results.paths import ERROR, ORIGINS, ScanFile
-from salsanext_cli.runs.results.recorded_names import with_recorded_names
-from salsanext_cli.runs.results.recorded_origins import (
-    folders_of_origins,
-    origin_array,
-    origin_in_run,
-)
+from salsanext_cli.runs.results.output_run import output_run
+from salsanext_cli.runs.results.paths import ERROR
+from salsanext_cli.runs.results.recorded_origins import folders_of_origins
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.results.selection import choose, scans_of, space_of
-from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
+from salsanext_cli.runs.summary.recorded_summary import recorded_summary
+from salsanext_cli.runs.summary.scan_summary import RunSummary
 
 METHOD = "sampling"  # Recorded, because earlier versions had another method
-Computed = tuple[Estimate, Float | None]  # The softmax (C, H, W) of one pass is for the error model
 
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True)
-class UncertaintyJob:
-    """Job that estimates the uncertainty of the points of scans, and labels them."""
-
-    network: Network
-    knn: KnnParameters
-    method: UncertaintyMethod
-    output: OutputRun
-    origins: Origins = field(default_factory=dict)  # Of registered scans with poses
-
-    def prepare(self, file: ScanFile) -> PreparedFile:
-        """Read, check and project a scan whose results may be replaced."""
-        self.output.require_replaceable(file)
-        origin = origin_in_run(self.output, file, self.network.sensor, self.origins)
-        return read_prepared(file, self.network, origin)
-
-    def compute(self, files: Sequence[PreparedFile]) -> list[Computed]:
-        """Estimate the uncertainty of the pixels of scans, one after the other."""
-        return [self._estimate(file) for file in files]
-
-    def _estimate(self, prepared: PreparedFile) -> Computed:
-        file = prepared.file
-        network = prepared.scan.network
-        image = prepared.scan.projected.image
-        estimate = self.method.estimate(network, image, file.sequence, file.stem)
-        network.backend.require_finite(estimate.probabilities, file.path)
-        if ERROR not in self.output.folders:
-            return estimate, None
-        (pixels,) = network.predict([prepared.scan.input], softmax=True)
-        network.backend.require_finite(pixels.confidence, file.path)
-        return estimate, pixels.softmax
-
-    def finish(self, prepared: PreparedFile, computed: Computed) -> ScanSummary:
-        """Write the uncertainty of the points, and their labels."""
-        file = prepared.file
-        network = prepared.scan.network
-        projected = prepared.scan.projected
-        image = projected.image
-        estimate, softmax = computed
-        output = self.output
-        if ORIGINS in output.folders:
-            output.write_array(file, ORIGINS, origin_array(projected.origin))
-        for kind in self.method.kinds:
-            of_pixels = getattr(estimate.uncertainty, kind)
-            of_points = points_from_pixels(of_pixels, image.pixel_of_point, np.nan)
-            output.write_array(file, f"uncertainty/{kind}", of_points)
-        if "predictions" not in output.folders:
-            return ScanSummary(file=file, check=projected.check)
-        space = network.space
-        pixels = PixelPrediction.of(estimate.probabilities)
-        labels = refine_labels(prepared.scan, pixels, self.knn).labels
-        if softmax is not None:
-            output.write_array(file, ERROR, error_probability(network, image, softmax, labels))
-        output.write_labels(file, space.to_raw(labels))
-        return ScanSummary.of_labels(file, labels, space, projected.check)
 
 
 def uncertainty(
@@ -154,7 +87,7 @@ def uncertainty(
     _require_network_of_labels(out, recorded)
     summary = RunSummary.of_network(network, scans)
     run = output_run(out, "uncertainty", recorded, folders, scans, overwrite=options.overwrite)
-    with run as output, summary.recorded_in(output, scans):
+    with run as output, recorded_summary(summary, output, scans):
         by_poses = origins.of_results(output, scans, network.sensor)
         job = partial(UncertaintyJob, knn=knn, method=method, output=output, origins=by_poses)
         task = NetworkTask(
@@ -181,18 +114,39 @@ def _require_network_of_labels(out: Path, settings: UncertaintySettings) -> None
     """Refuse to mix the uncertainty of one network with the labels of another."""
     records = Manifest(out)
     stage = records.owner("predictions")
-    if stage in (None, "uncertainty") or (recorded := records.settings(stage)) is None:
+    if stage is None or stage == "uncertainty":
         return
-    before, now = (
-        of.sensor and replace(of.sensor.without_noise(), name="") for of in (recorded, settings)
-    )
-    same = {"sensor": before in (None, now)}
-    # Labels of other programs may be in any classes.
-    if (weights := records.weights("predictions")) and settings.label_space:
-        space = records.label_space("predictions")
-        same["weights"] = weights == settings.weights
-        same["classes"] = space is not None and space.fits(settings.label_space)
-    for name in (name for name, is_same in same.items() if not is_same):
-        hint = f"use the same {argument(name)}, or another output folder"
-        problem = f"the labels were made with other {name}"
+    recorded = records.settings(stage)
+    if recorded is None:
+        return
+    difference = _difference_of_labels(records, recorded, settings)
+    if difference is not None:
+        problem = f"the labels were made with other {difference}"
+        hint = f"use the same {argument(difference)}, or another output folder"
         raise OutputError(records.path(stage), problem, hint=hint)
+
+
+def _difference_of_labels(
+    records: Manifest, recorded: StageSettings, settings: UncertaintySettings
+) -> str | None:
+    """Return the name of the argument by which labels differ from those of the settings, if any."""
+    if recorded.sensor is not None and not _is_same_sensor(recorded.sensor, settings.sensor):
+        return "sensor"
+    weights = records.weights("predictions")
+    if not weights or settings.label_space is None:
+        # Labels of other programs may be in any classes.
+        return None
+    if weights != settings.weights:
+        return "weights"
+    space = records.label_space("predictions")
+    if space is None or not space.fits(settings.label_space):
+        return "classes"
+    return None
+
+
+def _is_same_sensor(sensor: Sensor, other: Sensor | None) -> bool:
+    """Return whether two sensors are the same but for their noise and name."""
+    if other is None:
+        return False
+    unnamed = replace(sensor.without_noise(), name="")
+    return unnamed == replace(other.without_noise(), name="")

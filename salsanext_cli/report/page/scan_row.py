@@ -20,7 +20,7 @@ from salsanext_cli.io.files.reading import present
 from salsanext_cli.io.formats.kitti_labels import read_labels
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.paths import ScanFile, output_path
-from salsanext_cli.runs.results.result_folder import read_kind
+from salsanext_cli.runs.results.scan_results import read_kind
 from salsanext_cli.runs.summary.comparison import ScanComparison
 
 

@@ -6,7 +6,7 @@ finishes the previous batch. An error belongs to one scan. The loop is the same 
 """
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextvars import copy_context
 from dataclasses import dataclass, field
@@ -23,7 +23,7 @@ from salsanext_cli.runs.results.paths import ScanFile
 Result = TypeVar("Result")
 Value = TypeVar("Value")
 Report = Callable[[Attempt[Any]], object]
-AttemptFunction = Callable[[Iterable[ScanFile], Report], Iterator[Attempt[Any]]]
+AttemptFunction = Callable[[Iterable[ScanFile], Report], Generator[Attempt[Any], None, None]]
 """Work on scans as `Pipeline.run`."""
 
 
@@ -49,14 +49,25 @@ class Pipeline(Generic[Prepared, Computed, Result]):
     device: str = "cpu"
 
     def run(
-        self, files: Iterable[ScanFile], report: Report = lambda _: None
-    ) -> Iterator[Attempt[Result]]:
-        """Work on scans; report and yield the attempts in the order of the files.
+        self, files: Iterable[ScanFile], on_stop: Report = lambda _: None
+    ) -> Generator[Attempt[Result], None, None]:
+        """Work on scans, and yield the attempts in the order of the files.
 
         In memory are the batch that is computed, the batch that is finished, and the prepared
-        scans: a batch, or one scan per reader if that is more. An interrupt, or an exception that
-        is not a `SalsanextError`, ends the run after the scans that are being finished, which are
-        still reported.
+        scans: a batch, or one scan per reader if that is more. An interrupt, an exception that is
+        not a `SalsanextError`, or `close` ends the run after the scans that are being finished.
+
+        Parameters
+        ----------
+        files : iterable of ScanFile
+            Scans.
+        on_stop : callable
+            Called with each attempt that succeeded and that the end of the run keeps from being
+            yielded.
+
+        Yields
+        ------
+        Attempt
         """
         waiting = iter(files)
         reading: deque[Future[Attempt[Prepared]]] = deque()
@@ -82,14 +93,13 @@ class Pipeline(Generic[Prepared, Computed, Result]):
                 while writing:
                     finished = writing[0].result()
                     writing.popleft()
-                    report(finished)
                     yield finished
                 while computed:
                     writing.append(_submit(writer, self._finish, *computed.popleft()))
         except BaseException:
             for future in writing:
                 if not future.exception() and not future.result().error:
-                    report(future.result())
+                    on_stop(future.result())
             raise
         finally:
             for pool in (readers, writer):
@@ -165,11 +175,9 @@ def opened(task: Task) -> AttemptFunction:
     if isinstance(work, Pipeline):
         return work.run
 
-    def attempts(files: Iterable[ScanFile], report: Report) -> Iterator[Attempt[Any]]:
+    def attempts(files: Iterable[ScanFile], _: Report) -> Generator[Attempt[Any], None, None]:
         for file in files:
-            done = attempt(file, work, file)
-            report(done)
-            yield done
+            yield attempt(file, work, file)
 
     return attempts
 

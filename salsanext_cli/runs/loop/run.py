@@ -3,13 +3,12 @@
 
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from salsanext_cli.core.errors import SalsanextError, WorkersLost
-from salsanext_cli.core.measures.filtered_points import FilteredPoints
 from salsanext_cli.core.texts import first_few, with_hint
 from salsanext_cli.runs.loop.job import Attempt, Task
 from salsanext_cli.runs.loop.pipeline import Report, opened
@@ -50,7 +49,7 @@ class Failure:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """Numbers of a run.
+    """Numbers of a run. Stages with further numbers have records of their own.
 
     Attributes
     ----------
@@ -64,10 +63,6 @@ class Outcome:
         Duration of the work on scans.
     summary : RunSummary, optional
         Summary of the scans.
-    rejected_points : int, optional
-        Number of points that were left unlabelled because of their uncertainty.
-    filtered_points : FilteredPoints, optional
-        Number of points that passed a filter.
     """
 
     skipped: int
@@ -76,8 +71,35 @@ class Outcome:
     missing: MissingResults | None = None
     seconds: float = 0.0
     summary: RunSummary | None = None
-    rejected_points: int | None = None
-    filtered_points: FilteredPoints | None = None
+
+    @property
+    def has_results(self) -> bool:
+        """Whether any scan of the run has results."""
+        return self.done + self.skipped > 0
+
+
+@dataclass(slots=True)
+class RunningCount:
+    """Attempts of a run so far."""
+
+    options: RunOptions
+    scans: int  # Number of scans to attempt
+    on_result: Callable[[Any], object]
+    attempted: set[ScanFile] = field(default_factory=set)
+    failures: list[Failure] = field(default_factory=list)
+
+    def add(self, attempt: Attempt[Any]) -> None:
+        """Count an attempt, hand its result over, and show the progress."""
+        scan = attempt.file
+        error = attempt.error
+        log.info("%s: %s", scan.name, error.headline if error else "done")
+        if error is None or self.options.on_error == "stop":
+            self.on_result(attempt.get())
+        else:
+            self.failures.append(Failure.of(scan, error))
+        self.attempted.add(scan)
+        if self.options.progress:
+            self.options.progress(len(self.attempted), self.scans)
 
 
 def run_over_scans(
@@ -89,14 +111,16 @@ def run_over_scans(
     on_result: Callable[[Any], object] = lambda result: None,
     summary: RunSummary | None = None,
 ) -> Outcome:
-    """Run a task over the scans of this shard that are not done.
+    """Run a task over the scans of this shard that are not done: the loop over scans.
 
     Parameters
     ----------
     task, scans, options
         Work on each scan, all scans, and workers, shard and treatment of failures.
-    is_done, on_result, summary
-        Functions of a scan, whether it has results, and of each result; or a summary of results.
+    is_done, on_result : callable
+        Functions of a scan, whether it has results, and of each result; called in this thread.
+    summary : RunSummary, optional
+        Summary to which the results are added, instead of `on_result`.
 
     Returns
     -------
@@ -107,56 +131,45 @@ def run_over_scans(
     SalsanextError
         If a worker died; or the first failure, if ``options.on_error`` is ``"stop"``.
     """
-    on_result = summary.add if summary else on_result
     start = time.monotonic()
-    mine = options.shard.of(scans)
-    todo = [scan for scan in mine if options.overwrite or not is_done(scan)]
-    failures: list[Failure] = []
-    tried: set[ScanFile] = set()
-
-    def report(attempt: Attempt[Any]) -> None:
-        error = attempt.error
-        log.info("%s: %s", attempt.file.name, error.headline if error else "done")
-        if error is None or options.on_error == "stop":
-            on_result(attempt.get())
-        else:
-            failures.append(Failure.of(attempt.file, error))
-        tried.add(attempt.file)
-        if options.progress:
-            options.progress(len(tried), len(todo))
-
+    scans_of_shard = options.shard.of(scans)
+    todo = [scan for scan in scans_of_shard if options.overwrite or not is_done(scan)]
+    count = RunningCount(options, len(todo), summary.add if summary else on_result)
     try:
         if todo:
-            _work(task, todo, options, report)
+            with closing(_attempts(task, todo, options, count.add)) as attempts:
+                for attempt in attempts:
+                    count.add(attempt)
     except WorkersLost as lost:
-        for failure in failures:
+        for failure in count.failures:
             log.error("%s", failure.text)
-        missing = [scan for scan in todo if scan not in tried and not is_done(scan)]
+        missing = [scan for scan in todo if scan not in count.attempted and not is_done(scan)]
         raise _with_missing(lost, missing, len(todo)) from lost
     return Outcome(
-        skipped=len(mine) - len(todo),
-        failures=tuple(sorted(failures, key=lambda failure: failure.scan)),
-        done=len(tried) - len(failures),
+        skipped=len(scans_of_shard) - len(todo),
+        failures=tuple(sorted(count.failures, key=lambda failure: failure.scan)),
+        done=len(count.attempted) - len(count.failures),
         seconds=time.monotonic() - start,
         summary=summary,
     )
 
 
+def _attempts(
+    task: Task, scans: Sequence[ScanFile], options: RunOptions, on_stop: Report
+) -> Generator[Attempt[Any], None, None]:
+    """Yield the attempts of all scans, in no particular order if workers make them.
+
+    `on_stop` as of `Pipeline.run`, which overlaps the steps of scans in this process.
+    """
+    if min(len(scans), options.workers()) == 1:
+        return opened(task)(scans, on_stop)
+    from salsanext_cli.runs.loop.pool import attempts_of_workers
+
+    return attempts_of_workers(task, scans, options)
+
+
 def _with_missing(lost: WorkersLost, missing: Sequence[ScanFile], count: int) -> WorkersLost:
-    """Return the error about lost workers with the missing ones of a number of scans."""
+    """Return the error about lost workers, with the scans of `count` that are missing."""
     names = first_few([scan.name for scan in missing])
     problem = f"{lost.problem}; {len(missing)} of {count} scans are missing: {names}"
     return WorkersLost(lost.subject, problem, hint=f"{lost.hint}; run again for the rest")
-
-
-def _work(task: Task, scans: Sequence[ScanFile], options: RunOptions, report: Report) -> None:
-    """Report the attempts of all scans, in no particular order if workers make them."""
-    if min(len(scans), options.workers()) == 1:
-        for _ in opened(task)(scans, report):
-            pass
-        return
-    from salsanext_cli.runs.loop.pool import attempts_of_workers
-
-    with closing(attempts_of_workers(task, scans, options)) as attempts:
-        for attempt in attempts:
-            report(attempt)

@@ -36,6 +36,15 @@ from salsanext_cli.runs.results.paths import (
 )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EarlierRecords:
+    """Records of a folder that concern a run which begins."""
+
+    stage: StageRecord | None  # Of the same stage
+    is_same: bool  # Whether that has the settings of the run, or there is none
+    others: Sequence[StageRecord]  # Of stages with results that the run replaces or outdates
+
+
 @dataclass(frozen=True, slots=True)
 class OutputRun(OwnedFolder):
     """One run of a stage in an output folder, shared with other runs of the same settings."""
@@ -59,12 +68,12 @@ class OutputRun(OwnedFolder):
 
     def names_of_results(self, names: Iterable[str]) -> set[str]:
         """Return the names, as `ScanFile.name`, of the scans that have all their results."""
-        parts = {name: name.rpartition("/") for name in names}
-        files = {
-            name: ScanFile(sequence=part[0], stem=part[2], path=self.root)
-            for name, part in parts.items()
-        }
-        return {name for name, file in files.items() if self.is_there(file)}
+        complete: set[str] = set()
+        for name in names:
+            sequence, _, stem = name.rpartition("/")
+            if self.is_there(ScanFile(sequence=sequence, stem=stem, path=self.root)):
+                complete.add(name)
+        return complete
 
     def is_done(self, file: ScanFile) -> bool:
         """Return whether a scan has all its results, which are not to be overwritten."""
@@ -84,40 +93,99 @@ class OutputRun(OwnedFolder):
         """Write the predicted raw ids of a scan's points, (N,) integer."""
         self.write(self.path(file, "predictions"), encode_labels(raw))
 
-    def claim(self, wanted: StageRecord) -> StageRecord:
-        """Update the locked records and remove outdated results for this run, or refuse."""
+    def claim(self, new: StageRecord) -> StageRecord:
+        """Begin this run in the locked folder: remove outdated results, and record its settings.
+
+        Parameters
+        ----------
+        new : StageRecord
+            Record of this run.
+
+        Returns
+        -------
+        StageRecord
+            Record that was written, which continues the earlier one if the settings are the same.
+
+        Raises
+        ------
+        OutputError
+            If results of other settings or stages must not be replaced, or another run writes
+            them.
+        """
+        earlier = self._earlier_records(new)
+        if not self.overwrite:
+            self._require_unclaimed(new, earlier)
+        self._require_idle(earlier)
+        # Nothing is removed before it is certain that the run may begin.
+        foreign = self._remove_outdated(new, earlier)
+        record = self._continued(new, earlier, foreign)
+        # The record comes last, so that the next run repeats what a killed run did not finish.
+        self.manifest.write(record)
+        return record
+
+    def _earlier_records(self, new: StageRecord) -> EarlierRecords:
+        """Return the records of the folder that concern a run of this stage."""
         records = self.manifest.records()
         earlier = records.pop(self.stage, None)
-        before = earlier or StageRecord(stage=self.stage, settings=wanted.settings)
-        same = before.has_settings(wanted.settings)
-        others = [record for record in records.values() if {*record.writes} & {*wanted.writes}]
-        if not self.overwrite:
-            require_same_settings(self.record_path, before.settings, wanted.settings)
-            if others:
-                raise self._taken(wanted, others[0])
-        if "predictions" in wanted.writes and not same and "fuse" in records:
+        is_same = earlier is None or earlier.has_settings(new.settings)
+        others = [record for record in records.values() if {*record.writes} & {*new.writes}]
+        if "predictions" in new.writes and not is_same and "fuse" in records:
+            # Votes on labels that are replaced are outdated too.
             others.append(records["fuse"])
-        # Nothing but locks of killed runs is removed before it is certain that the run may begin.
-        # Runs with the same settings may share the folder.
-        self._require_unused(others if same else [before, *others])
-        foreign = [] if same else self.remove_written(self._results_in(before.writes))
-        for other in others:
-            foreign += self._take_over(other, wanted.writes)
-        recorded = {folder for record in (before, *others) for folder in record.writes}
-        foreign += self._remove_unrecorded(name for name in wanted.writes if name not in recorded)
+        return EarlierRecords(stage=earlier, is_same=is_same, others=others)
+
+    def _require_unclaimed(self, new: StageRecord, earlier: EarlierRecords) -> None:
+        """Refuse to replace results of other settings or of other stages."""
+        if earlier.stage is not None:
+            require_same_settings(self.record_path, earlier.stage.settings, new.settings)
+        if earlier.others:
+            other = earlier.others[0]
+            folder = next(name for name in new.writes if name in other.writes)
+            problem = f"{folder}/ contains results of `{other.stage}`"
+            hint = f"use another output folder, or {setting('overwrite', True)} to replace them"
+            raise OutputError(self.manifest.path(other.stage), problem, hint=hint)
+
+    def _require_idle(self, earlier: EarlierRecords) -> None:
+        """Refuse to replace results that another run is writing."""
+        stages = [record.stage for record in earlier.others]
+        if not earlier.is_same:
+            stages.insert(0, self.stage)
+        for stage in stages:
+            folder = OwnedFolder(self.root, stage)
+            if folder.is_shared():
+                raise folder.busy()
+
+    def _remove_outdated(self, new: StageRecord, earlier: EarlierRecords) -> list[Path]:
+        """Remove outdated results; return the files that stay, since users have changed them."""
+        foreign: list[Path] = []
+        recorded: set[str] = set()
+        if earlier.stage is not None:
+            recorded.update(earlier.stage.writes)
+            if not earlier.is_same:
+                foreign += self.remove_written(self._results_in(earlier.stage.writes))
+        for other in earlier.others:
+            recorded.update(other.writes)
+            foreign += self._take_over(other, new.writes)
+        unrecorded = [name for name in new.writes if name not in recorded]
+        foreign += self._remove_unrecorded(unrecorded)
+        return foreign
+
+    def _continued(
+        self, new: StageRecord, earlier: EarlierRecords, foreign: Iterable[Path]
+    ) -> StageRecord:
+        """Return the record to write: the new one, with what the same settings wrote before."""
         names = {path.relative_to(self.root).as_posix() for path in foreign}
-        settings = self._settings_with_files(wanted, earlier if same else None)
-        merged = replace(wanted, settings=settings, foreign=tuple(sorted(names)))
-        if same:
-            merged = replace(
-                merged,
-                writes=tuple(sorted({*before.writes, *wanted.writes})),
-                scans=merged_sources((before.scans, wanted.scans)),
-                foreign=tuple(sorted({*before.foreign, *names})),
-            )
-        # The record comes last, so that the next run repeats what a killed run did not finish.
-        self.manifest.write(merged)
-        return merged
+        continued = earlier.stage if earlier.is_same else None
+        settings = self._settings_with_files(new, continued)
+        if continued is None:
+            return replace(new, settings=settings, foreign=tuple(sorted(names)))
+        return replace(
+            new,
+            settings=settings,
+            writes=tuple(sorted({*continued.writes, *new.writes})),
+            scans=merged_sources((continued.scans, new.scans)),
+            foreign=tuple(sorted({*continued.foreign, *names})),
+        )
 
     def _taken(self, wanted: StageRecord, other: StageRecord) -> OutputError:
         """Return the error of a folder of results that another stage fills."""
@@ -134,23 +202,26 @@ class OutputRun(OwnedFolder):
                 raise stage_folder.busy()
 
     def _settings_with_files(
-        self, wanted: StageRecord, same: StageRecord | None
+        self, new: StageRecord, continued: StageRecord | None
     ) -> Mapping[str, object]:
         """Return the settings to record, and write the files of digests that they name.
 
-        `same`: the earlier record with the same settings, which may hold the digests itself.
+        `continued`: the earlier record with the same settings, which may hold the digests itself.
         """
-        if same and not names_files(same.settings):
-            return same.settings
-        settings = with_files(wanted.settings, self.root)
-        return same.settings if same else settings
+        if continued and not names_files(continued.settings):
+            return continued.settings
+        settings = with_files(new.settings, self.root)
+        return continued.settings if continued else settings
 
     def _take_over(self, other: StageRecord, folders: Collection[str]) -> list[Path]:
         """Remove results of another stage from folders, and results that depend on its labels."""
-        taken = {*folders, ERROR, DISAGREEMENT, "views"} if "predictions" in folders else {*folders}
-        foreign = self.remove_written(self._results_in(n for n in other.writes if n in taken))
-        remaining = tuple(name for name in other.writes if name not in taken)
-        self.manifest.write(replace(other, writes=remaining))
+        taken = set(folders)
+        if "predictions" in folders:
+            taken |= {ERROR, DISAGREEMENT, "views"}
+        removed = [name for name in other.writes if name in taken]
+        remaining = [name for name in other.writes if name not in taken]
+        foreign = self.remove_written(self._results_in(removed))
+        self.manifest.write(replace(other, writes=tuple(remaining)))
         return foreign
 
     def _remove_unrecorded(self, folders: Iterable[str]) -> list[Path]:
@@ -162,7 +233,10 @@ class OutputRun(OwnedFolder):
         return self.remove_written(results)
 
     def _results_in(self, folders: Iterable[str]) -> list[Path]:
-        return [path for name in folders for path in find_outputs(self.root, name).values()]
+        paths: list[Path] = []
+        for name in folders:
+            paths += find_outputs(self.root, name).values()
+        return paths
 
 
 def encode_array(array: npt.NDArray[Any]) -> bytes:
@@ -174,16 +248,16 @@ def encode_array(array: npt.NDArray[Any]) -> bytes:
 
 def _scan_sources(out: Path, scans: Iterable[ScanFile]) -> dict[str, ScanSource]:
     """Return the sources of scans by sequence; refuse others than the recorded sources."""
-    known = Manifest(out).sources()
-    suffixes = dict[str, dict[str, str]]()
-    folders = dict[str, str]()
+    recorded_sources = Manifest(out).sources()
+    folders: dict[str, str] = {}
+    suffixes: dict[str, dict[str, str]] = {}
     for scan in scans:
         suffix = scan.path.name[len(scan.stem) :]
         folder = folders.setdefault(scan.sequence, str(scan.path.parent))
-        recorded = known.get(scan.sequence, ScanSource(folder, {}))
-        other = scan.stem + (recorded.suffixes.get(scan.stem) or suffix)
-        if recorded.folder != str(scan.path.parent) or other != scan.path.name:
-            problem = f"results of sequence {scan.sequence} are of {Path(recorded.folder, other)}"
+        recorded = recorded_sources.get(scan.sequence, ScanSource(folder, {}))
+        name = scan.stem + (recorded.suffixes.get(scan.stem) or suffix)
+        if recorded.folder != str(scan.path.parent) or name != scan.path.name:
+            problem = f"results of sequence {scan.sequence} are of {Path(recorded.folder, name)}"
             hint = f"use another output folder for {scan.path}"
             raise OutputError(out, problem, "the same scans", hint)
         suffixes.setdefault(scan.sequence, {})[scan.stem] = suffix
@@ -204,14 +278,36 @@ def output_run(
 ) -> Iterator[OutputRun]:
     """Record the run of a stage in `OUT/<stage>.json`, or refuse to mix it with other results.
 
-    Runs with the same settings may share the folder; runs with other settings must wait.
-    `record_scans`: False for a stage that works on the scans of an earlier one. `weights`: file
-    that the user named, whose path is recorded.
+    Runs with the same settings may share the folder; runs with other settings must wait. What is
+    removed from the folder is decided by `OutputRun.claim`.
+
+    Parameters
+    ----------
+    out : Path
+        Output folder.
+    stage : str
+        Name of the record.
+    settings : StageSettings
+        Settings that decide the results.
+    folders : iterable of str
+        Folders of the results, keys of `SUFFIX_OF_FOLDER`.
+    scans : sequence of ScanFile
+        Scans of the run.
+    overwrite : bool
+        Whether existing results are replaced.
+    record_scans : bool
+        Whether to record where the scans are; not for a stage on the scans of an earlier one.
+    weights : Path, optional
+        File that the user named, whose path is recorded.
+
+    Yields
+    ------
+    OutputRun
     """
     # Contradicting scans are an error before a folder is created.
     sources = _scan_sources(out, scans) if record_scans else {}
     run = OutputRun(out, stage, folders=tuple(folders), overwrite=overwrite)
-    wanted = StageRecord(
+    new = StageRecord(
         stage=stage,
         settings=settings_json(settings),
         writes=tuple(sorted(run.folders)),
@@ -220,15 +316,15 @@ def output_run(
     )
     with ExitStack() as stack:
         with run.locked_records():
-            recorded = run.claim(wanted)
+            claimed = run.claim(new)
             stack.enter_context(run.open(shared=True))
         # Foreign files of other settings are no results, so that their scans are not done.
-        others = run.foreign_files(out / name for name in recorded.foreign)
-        run = replace(run, foreign=frozenset(others))
+        foreign = run.foreign_files(out / name for name in claimed.foreign)
+        run = replace(run, foreign=frozenset(foreign))
         todo = [path for file in scans if not run.is_done(file) for path in run.paths(file)]
         yield replace(run, foreign=frozenset(run.foreign_files(todo)))
         record = run.manifest.record(stage)
-        if record is None or not record.has_settings(wanted.settings):
+        if record is None or not record.has_settings(new.settings):
             problem = "was removed or replaced while results were written into it"
             hint = f"run again with {setting('overwrite', True)}"
             raise OutputError(out, problem, hint=hint)

@@ -43,6 +43,7 @@ from salsanext_cli.runs.results.scan_folders import (
 )
 
 SINGLE_SCAN_STAGES = ("predict", "knn-refine", "uncertainty")
+FUSED = "fused"  # Folder of the fused labels in the folder of the labels of single scans
 PREDICTION_STAGES = (*SINGLE_SCAN_STAGES, "fuse")  # Stages whose results later stages read
 ERROR = "uncertainty/error"
 LEAST_CONFIDENCE = "uncertainty/least_confidence"  # 1 − the largest probability

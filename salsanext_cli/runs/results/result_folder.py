@@ -21,8 +21,6 @@ from salsanext_cli.core.uncertainty.kinds import MEANT_BY_UNCERTAINTY, UNCERTAIN
 from salsanext_cli.core.wording import argument, command, setting
 from salsanext_cli.io.files.reading import is_folder, present
 from salsanext_cli.io.formats import read_scan
-from salsanext_cli.io.formats.kitti_labels import read_labels
-from salsanext_cli.io.formats.npy import read_uncertainty
 from salsanext_cli.io.formats.recordings import recording_of
 from salsanext_cli.runs.results.layouts import SCAN_FOLDER
 from salsanext_cli.runs.results.making_commands import PREDICT, made_by
@@ -42,7 +40,13 @@ from salsanext_cli.runs.results.paths import (
 )
 from salsanext_cli.runs.results.query import DATASET_VARIABLE, ResultQuery
 from salsanext_cli.runs.results.recorded_origins import sensor_of_result
-from salsanext_cli.runs.results.scan_results import ScanResults
+from salsanext_cli.runs.results.scan_results import (
+    PointLabels,
+    ScanResults,
+    read_kind,
+    read_point_labels,
+    read_truth,
+)
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.results.selection import (
     MissingResults,
@@ -65,7 +69,7 @@ UNCERTAINTY_SETTINGS = ("method", "samples", "seed", "noise", "weights")
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class ChosenResults:
     """Selected scans with and without results."""
 
@@ -76,39 +80,57 @@ class ChosenResults:
 
 
 @dataclass(frozen=True, slots=True)
-class ResultFolder(Manifest):
-    """Output folder of earlier stages."""
+class ResultFolder:
+    """Results of scans in an output folder of earlier stages."""
 
+    root: Path
     dataset: Path | None = None  # Place of scans and labels, if not the recorded one
+
+    @property
+    def manifest(self) -> Manifest:
+        """Records of the stages that wrote the results."""
+        return Manifest(self.root)
 
     def scans(self, sequence: str | None = None) -> list[ScanFile]:
         """Find the scans of the sequences with results; log results whose scans are gone."""
         self._require_current()
-        there = {key for folder in SUFFIX_OF_FOLDER for key in find_outputs(self.root, folder)}
-        wanted = {key for key in there if sequence in (None, key[0])}
-        sequences = sorted({name for name, _ in wanted})
-        known = self.sources()
+        with_results = self._names_with_results(sequence)
+        sequences = sorted({name for name, _ in with_results})
         if not sequences:
-            if any(is_folder(folder) for folder in self.root.glob(f"sequences/*/{SCAN_FOLDER}")):
-                raise self._is_data_set()
-            problem = "contains no results" if self.root.is_dir() else "no such folder"
-            expected = "the output folder of an earlier stage"
-            raise NoInputError(self.root, problem, expected, self.command(PREDICT))
+            raise self._no_results()
+        sources = self.manifest.sources()
         if self.dataset and len(sequences) == 1 and _is_sequence(self.dataset):
             scans = scans_of_renamed(self.dataset, sequences[0])
         else:
-            of_sequences = (self._of_sequence(name, known.get(name)) for name in sequences)
-            scans = [scan for of_sequence in of_sequences for scan in of_sequence]
-        scans = _one_of_each_name(scans, known, wanted)
-        if gone := sorted(wanted - {(scan.sequence, scan.stem) for scan in scans}):
-            names = first_few(["/".join(key) for key in gone])
+            scans = []
+            for name in sequences:
+                scans += self._scans_of_sequence(name, sources.get(name))
+        scans = _one_of_each_name(scans, sources, with_results)
+        gone = sorted(with_results - {(scan.sequence, scan.stem) for scan in scans})
+        if gone:
+            names = first_few(["/".join(name) for name in gone])
             text = "%s with results skipped, no such file: %s"
             log.warning(text, counted(len(gone), "scan"), names)
         return scans
 
+    def _names_with_results(self, sequence: str | None) -> set[tuple[str, str]]:
+        """Return sequence and stem of each scan with any result, of one sequence or of all."""
+        names: set[tuple[str, str]] = set()
+        for folder in SUFFIX_OF_FOLDER:
+            names.update(find_outputs(self.root, folder))
+        return {name for name in names if sequence in (None, name[0])}
+
+    def _no_results(self) -> NoInputError:
+        """Return the error of a folder without results."""
+        if any(is_folder(folder) for folder in self.root.glob(f"sequences/*/{SCAN_FOLDER}")):
+            return self._is_data_set()
+        problem = "contains no results" if self.root.is_dir() else "no such folder"
+        expected = "the output folder of an earlier stage"
+        return NoInputError(self.root, problem, expected, self.command(PREDICT))
+
     def _require_current(self) -> None:
         """Refuse fused labels if the labels of single scans were replaced since."""
-        fused = self.settings("fuse")
+        fused = self.manifest.settings("fuse")
         if fused is None or fused.fused_of is None:
             return
         single = Manifest(self.root / fused.fused_of)
@@ -133,18 +155,11 @@ class ResultFolder(Manifest):
         hint = f"run `{predict}`, then give {shlex.quote(new)}"
         return NoInputError(self.root, "is a data set", "a folder with results", hint)
 
-    def _of_sequence(self, sequence: str, source: ScanSource | None) -> list[ScanFile]:
+    def _scans_of_sequence(self, sequence: str, source: ScanSource | None) -> list[ScanFile]:
+        """Find the scans of a sequence: those that were recorded, else those of the data set."""
         folder = Path(source.folder) if source else None
         if source and folder and not self.dataset and (is_folder(folder) or recording_of(folder)):
-            scans = scans_in(folder, sequence)
-            listed = {scan.path.name for scan in scans}
-            # Tables beside clouds are scans only if they were named.
-            files = {stem: stem + suffix for stem, suffix in source.suffixes.items() if suffix}
-            scans += [
-                ScanFile(sequence=sequence, stem=stem, path=folder / name)
-                for stem, name in files.items()
-                if name not in listed and present(folder / name)
-            ]
+            scans = _recorded_scans(sequence, folder, source)
             if scans:
                 return scans
         root = self.dataset or Path(os.environ.get(DATASET_VARIABLE, ""))
@@ -161,14 +176,14 @@ class ResultFolder(Manifest):
 
     def missing_predictions(self, scans: Iterable[ScanFile]) -> MissingResults:
         """Divide scans without predictions by whether the stage was asked for them."""
-        sources = {stage: record.scans for stage, record in self.records().items()}
+        sources = {stage: record.scans for stage, record in self.manifest.records().items()}
         # `knn-refine` works on the scans of `predict`.
-        of_stage = sources.get(self.owner("predictions") or "") or sources.get("predict", {})
-        return _missing(scans, [of_stage])
+        owner = self.manifest.owner("predictions") or ""
+        return _missing(scans, [sources.get(owner) or sources.get("predict", {})])
 
     def missing_results(self, scans: Iterable[ScanFile]) -> MissingResults:
         """Divide scans without labels and uncertainty by whether any stage was asked for them."""
-        records = self.records()
+        records = self.manifest.records()
         return _missing(scans, [records[s].scans for s in PREDICTION_STAGES if s in records])
 
     def predicted(
@@ -179,14 +194,15 @@ class ResultFolder(Manifest):
     ) -> tuple[list[ScanFile], LabelSpace]:
         """Select scans; return them and the classes of the comparison (see `compared_space`)."""
         scans = self.scans()
-        space = self.compared_space(scans, space, classes, other_ids=True)
+        space = self.manifest.compared_space(scans, space, classes, other_ids=True)
         if selection.split:
             space = with_splits(space, data_set_of(scans[0]))
         chosen = choose(scans, selection, space, self.root)
         if selection.split:
             members = set(space.split(selection.split))
             sequences = {scan.sequence for scan in chosen}
-            if absent := sorted(members - sequences if members & sequences else ()):
+            absent = sorted(members - sequences)
+            if absent and members & sequences:
                 log.warning("no results for %s of split %s", ", ".join(absent), selection.split)
         return chosen, space
 
@@ -195,7 +211,7 @@ class ResultFolder(Manifest):
         limit = query.selection.limit
         unlimited = replace(query.selection, limit=None)
         chosen, space = self.predicted(unlimited, query.label_space, query.classes)
-        self.require_same_weights()
+        self.manifest.require_same_weights()
         scans = with_outputs(chosen, self.root, *FOLDERS)[:limit]
         if not scans:
             hint = self.command(PREDICT, *chosen[:1])
@@ -210,9 +226,9 @@ class ResultFolder(Manifest):
 
     def provenance(self, selection: ScanSelection) -> dict[str, object]:
         """Return the selection and the settings of its predictions, as plain data."""
-        stage = self.owner("predictions")
-        softmax = self.settings("predict")
-        estimated = self.settings("uncertainty")
+        stage = self.manifest.owner("predictions")
+        softmax = self.manifest.settings("predict")
+        estimated = self.manifest.settings("uncertainty")
         made_by = {name for name in (stage, "uncertainty" if estimated else None) if name}
         uncertainty = None
         if estimated:
@@ -221,11 +237,11 @@ class ResultFolder(Manifest):
         recorded = {
             "dataset": str(self.dataset.absolute()) if self.dataset else None,
             "predictions_of": stage,
-            "weights": self.weights("predictions"),
+            "weights": self.manifest.weights("predictions"),
             "temperature": softmax.temperature if softmax else None,
-            "reject": self.rejected_above(),
+            "reject": self.manifest.rejected_above(),
             "uncertainty": uncertainty,
-            "origins": self.origins(sorted(made_by)),
+            "origins": self.manifest.origins(sorted(made_by)),
         }
         return asdict(selection) | recorded
 
@@ -242,44 +258,53 @@ class ResultFolder(Manifest):
         of the truth, and the label space to convert it to.
         """
         scan = read_scan(file.path, sensor)
-        sensor = sensor and sensor_of_result(self.root, file, scan, sensor)
-        count = len(scan)
-        label, instance = _labels(self._path(file, "label"), count)
-        prediction = self.prediction()
-        has_objects = prediction is not None and prediction.objects
-        if instance is not None and not (instance.any() or has_objects):
-            instance = None
+        labels = self._predicted_labels(file, len(scan))
+        label = labels.raw if labels else None
         if label is not None and classes is not None:
             label = classes.to_raw(classes.to_train(label, strict=False))
-        rejected = None
-        predicted_in = classes or self.label_space()
-        if label is not None and predicted_in and self.rejected_above() is not None:
-            rejected = predicted_in.to_train(label, strict=False) == 0
-        truth, _ = _labels(file.label_path, count) if truth_in else (None, None)
-        if truth is not None and truth_in:
-            given, space = truth_in
-            train = given.to_train(truth, strict=False, source=file.label_path)
-            truth = truth if given.learning_map == space.learning_map else space.to_raw(train)
-        paths = {kind: self._path(file, kind) for kind in UNCERTAINTY}
-        uncertainty = {k: read_kind(path, k, count) for k, path in paths.items() if present(path)}
+        uncertainty: dict[str, Float] = {}
+        for kind in UNCERTAINTY:
+            path = self._path(file, kind)
+            if present(path):
+                uncertainty[kind] = read_kind(path, kind, len(scan))
         return ScanResults(
             scan=scan,
             label=label,
-            truth=truth,
+            truth=read_truth(file, len(scan), *truth_in) if truth_in else None,
             uncertainty=uncertainty,
-            sensor=sensor,
-            rejected=rejected,
-            instance=instance,
+            sensor=sensor_of_result(self.root, file, scan, sensor) if sensor else None,
+            rejected=self._rejected(label, classes),
+            instance=labels.objects if labels else None,
         )
+
+    def _predicted_labels(self, file: ScanFile, count: int) -> PointLabels | None:
+        """Read the predicted labels, with numbers of objects if there are any; None without."""
+        labels = read_point_labels(self._path(file, "label"), count)
+        if labels is None or labels.objects is None:
+            return labels
+        prediction = self.manifest.prediction()
+        has_objects = prediction is not None and prediction.objects
+        if has_objects or labels.objects.any():
+            return labels
+        return replace(labels, objects=None)
+
+    def _rejected(
+        self, label: RawIds | None, classes: LabelSpace | None
+    ) -> npt.NDArray[np.bool_] | None:
+        """Return which points have no label in a run that rejects labels, (N,); else None."""
+        space = classes or self.manifest.label_space()
+        if label is None or space is None or self.manifest.rejected_above() is None:
+            return None
+        return space.to_train(label, strict=False) == 0
 
     def with_column(self, column: str, scans: Sequence[ScanFile]) -> list[ScanFile]:
         """Return the scans with the files for a column, one of `COLOURINGS`."""
-        known = list(scans)
+        with_column = list(scans)
         if column in ("truth", "wrong"):
-            known = [scan for scan in known if present(scan.label_path)]
+            with_column = [scan for scan in with_column if present(scan.label_path)]
         if column not in FOLDER_OF_COLUMN:
-            return known
-        return with_outputs(known, self.root, FOLDER_OF_COLUMN[column])
+            return with_column
+        return with_outputs(with_column, self.root, FOLDER_OF_COLUMN[column])
 
     def require_column(self, column: str, scans: Sequence[ScanFile]) -> None:
         """Raise `missing_column` if no scan has the column."""
@@ -292,7 +317,9 @@ class ResultFolder(Manifest):
             return NoInputError(file.path, "has no labels", f"the file {file.label_path}")
         expected = f"the file {self._path(file, column)}"
         hint = self.command(made_by(column), file)
-        if column == "error" and are_merged(self.label_space(), self.weights("predictions")):
+        if column == "error" and are_merged(
+            self.manifest.label_space(), self.manifest.weights("predictions")
+        ):
             hint = unmerged_error_hint(self.root, self.command("{scans}", file))
         return NoInputError(file.path, f"has no {column}", expected, hint)
 
@@ -309,13 +336,10 @@ class ResultFolder(Manifest):
         """Return the kind for "uncertainty": the error if all scans have it, else the first one."""
         if len(self.with_column("error", scans)) == len(scans):
             return "error"
-        known = (kind for kind in MEANT_BY_UNCERTAINTY if self.with_column(kind, scans))
-        return next(known, MEANT_BY_UNCERTAINTY[0])
-
-
-def read_kind(path: Path, kind: str, count: int | None) -> Float:
-    """Read one kind of uncertainty of a scan's points (see `read_uncertainty`)."""
-    return read_uncertainty(path, count, UNCERTAINTY[kind].most)
+        for kind in MEANT_BY_UNCERTAINTY:
+            if self.with_column(kind, scans):
+                return kind
+        return MEANT_BY_UNCERTAINTY[0]
 
 
 def _is_sequence(dataset: Path) -> bool:
@@ -325,7 +349,9 @@ def _is_sequence(dataset: Path) -> bool:
 
 
 def _one_of_each_name(
-    scans: Iterable[ScanFile], sources: Mapping[str, ScanSource], wanted: Container[tuple[str, str]]
+    scans: Iterable[ScanFile],
+    sources: Mapping[str, ScanSource],
+    with_results: Container[tuple[str, str]],
 ) -> list[ScanFile]:
     """Return the recorded file of each name, sorted; refuse ambiguous scans with results."""
     chosen = []
@@ -335,7 +361,7 @@ def _one_of_each_name(
         suffix = sources[sequence].suffixes.get(stem) if sequence in sources else None
         if suffix:
             files = [file for file in files if file.path.name == stem + suffix]
-        if key in wanted:
+        if key in with_results:
             require_unique_stems(files)
         chosen += files[:1]
     return chosen
@@ -354,9 +380,13 @@ def _missing(
     return MissingResults(missing, len(listed) - len(missing))
 
 
-def _labels(path: Path, count: int) -> tuple[RawIds, npt.NDArray[np.uint16]] | tuple[None, None]:
-    """Read raw ids and numbers of objects; None if there is no such file."""
-    if not present(path):
-        return None, None
-    labels = read_labels(path, count)
-    return labels & np.uint32(0xFFFF), (labels >> 16).astype(np.uint16)
+def _recorded_scans(sequence: str, folder: Path, source: ScanSource) -> list[ScanFile]:
+    """Find the scans of a sequence in the folder that was recorded."""
+    scans = scans_in(folder, sequence)
+    listed = {scan.path.name for scan in scans}
+    # Tables beside clouds are scans only if they were named.
+    for stem, suffix in source.suffixes.items():
+        name = stem + suffix
+        if suffix and name not in listed and present(folder / name):
+            scans.append(ScanFile(sequence=sequence, stem=stem, path=folder / name))
+    return scans

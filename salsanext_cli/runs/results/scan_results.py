@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""A scan with its results, and the values of its points by name."""
+"""Results of one scan: its points, their labels and their uncertainties."""
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,11 @@ from salsanext_cli.core.geometry.projection import in_sensor_frame, measured_ran
 from salsanext_cli.core.records import Float, Scan
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.texts import percentage
+from salsanext_cli.core.uncertainty.kinds import UNCERTAINTY
+from salsanext_cli.io.files.reading import present
+from salsanext_cli.io.formats.kitti_labels import read_labels
+from salsanext_cli.io.formats.npy import read_uncertainty
+from salsanext_cli.runs.results.paths import ScanFile
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,12 +54,68 @@ class ScanResults:
         """Return coverage and risk of the accepted labels in words; empty if all are accepted."""
         if self.rejected is None or self.truth is None:
             return ""
-        known = space.scored[space.to_train(self.truth, strict=False)]
+        scored = space.scored[space.to_train(self.truth, strict=False)]
         wrong = self.wrong(space)
         judged = wrong[~np.isnan(wrong)]
-        coverage = len(judged) / max(known.sum(), 1)
+        coverage = len(judged) / max(scored.sum(), 1)
         risk = judged.sum() / max(len(judged), 1)
         return f"coverage {percentage(coverage)}, risk {percentage(risk)}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PointLabels:
+    """Labels of the points of a scan, as a label file has them."""
+
+    raw: RawIds  # (N,) uint32: raw ids without instances
+    objects: npt.NDArray[np.uint16] | None  # (N,): numbers of objects, 0 for none
+
+
+def read_point_labels(path: Path, count: int) -> PointLabels | None:
+    """Read raw ids and numbers of objects; None if there is no such file."""
+    if not present(path):
+        return None
+    labels = read_labels(path, count)
+    return PointLabels(raw=labels & np.uint32(0xFFFF), objects=(labels >> 16).astype(np.uint16))
+
+
+def read_truth(
+    file: ScanFile, count: int, space_of_file: LabelSpace, space: LabelSpace
+) -> RawIds | None:
+    """Read the true raw ids of a scan, converted to a label space.
+
+    Parameters
+    ----------
+    file : ScanFile
+        Scan, beside which its labels lie.
+    count : int
+        Number N of its points.
+    space_of_file : LabelSpace
+        Meaning of the ids in the label file.
+    space : LabelSpace
+        Label space of the returned ids.
+
+    Returns
+    -------
+    ndarray of uint32 (N,), or None
+        None without labels.
+
+    Raises
+    ------
+    LabelError
+        If too many ids are unknown to the label space of the file.
+    """
+    labels = read_point_labels(file.label_path, count)
+    if labels is None:
+        return None
+    train = space_of_file.to_train(labels.raw, strict=False, source=file.label_path)
+    if space_of_file.learning_map == space.learning_map:
+        return labels.raw
+    return space.to_raw(train)
+
+
+def read_kind(path: Path, kind: str, count: int | None) -> Float:
+    """Read one kind of uncertainty of a scan's points (see `read_uncertainty`)."""
+    return read_uncertainty(path, count, UNCERTAINTY[kind].most)
 
 
 def scalar_columns(cloud: ScanResults, space: LabelSpace) -> dict[str, npt.NDArray[Any]]:

@@ -46,7 +46,7 @@ from salsanext_cli.runs.records.digest_files import NO_SCANS, RecordedScans
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.paths import ScanFile, output_path
 from salsanext_cli.runs.results.recorded_origins import sensor_of_result
-from salsanext_cli.runs.results.result_folder import read_kind
+from salsanext_cli.runs.results.scan_results import read_kind
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -5,10 +5,8 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import chain
 from operator import itemgetter
 from pathlib import Path
 
@@ -40,8 +38,7 @@ from salsanext_cli.io.files.reading import present
 from salsanext_cli.io.formats.kitti_labels import read_labels
 from salsanext_cli.runs.fit.mixed_sensors import mixed_sensors
 from salsanext_cli.runs.results.manifest import Manifest
-from salsanext_cli.runs.results.output_run import OutputRun
-from salsanext_cli.runs.results.owned_folder import OwnedFolder, Texts
+from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.runs.results.selection import space_of_labels
 from salsanext_cli.runs.summary.scan_warnings import ScanWarning, hint_in, log_finding, log_text
@@ -276,27 +273,6 @@ class RunSummary:
                 count = counted(len(others), "more scan")
                 log.warning("%s in %s: %s", code, count, log_text(first_few(others)))
         return self
-
-    @contextmanager
-    def recorded_in(self, run: OutputRun, scans: Sequence[ScanFile]) -> Iterator[None]:
-        """Finish the summary when the run ends; record its and add earlier findings."""
-        self.out = run.root
-        try:
-            yield
-        finally:
-            self.compare_scans()
-            texts_of_scan: dict[str, list[Texts]] = {}
-            for name, finding in chain.from_iterable(self.findings.values()):
-                texts_of_scan.setdefault(name, []).append(finding)
-            earlier = run.record_findings(texts_of_scan, self.names)
-            chosen = {file.name for file in scans}
-            for name in sorted(earlier.keys() & run.names_of_results(earlier)):
-                for code, problem, hint in earlier[name]:
-                    finding = Finding(code=code, problem=problem, hint=hint)
-                    self.earlier_warnings.setdefault(finding.code, []).append(name)
-                    if name in chosen:
-                        self.add_finding(name, finding)
-            self.finished()
 
     def warnings(self) -> list[ScanWarning]:
         """Return a warning for each code, with the text of its first scan and the names of all."""

@@ -65,10 +65,12 @@ def test_hidden_and_common_options_exist_and_removed_ones_do_not():
     every = {"--install-completion", "--show-completion"}.union(*offered.values())
     for command, options in help.HIDDEN.items():
         assert {*options.split()} <= (offered[command] if command else every)
-    for (command, option), _ in removed.REMOVED.items():
+    for command, options in removed.REMOVED_OPTIONS.items():
         commands = [name for name in offered if command in ("", name, *name.split())]
-        assert commands or not option
-        assert " " in option or all(option not in offered[name] for name in commands)
+        assert commands
+        for option in options:
+            assert " " in option or all(option not in offered[name] for name in commands)
+    assert not removed.REMOVED_COMMANDS.keys() & offered.keys()
     for name in every_command():
         flags = {flag for parameter in parsed(name).params for flag in parameter.opts}
         assert flags >= {"--json", "-v", "--verbose", "-q", "--quiet"}, name
@@ -285,7 +287,7 @@ def test_a_log_file_gets_a_line_from_time_to_time(monkeypatch, capsys):
 def test_a_warning_has_a_line_for_its_hint_and_no_other(capsys):
     text = with_hint("two\nlines.bin: no intensity", "see the\nmanual")
     with logger_as_before():
-        console.Output()
+        console.log_to_stderr()
         logging.getLogger("salsanext_cli.x").warning("%s", text)
     expected = "warning: two\\x0alines.bin: no intensity\nhint: see the\\x0amanual\n"
     assert capsys.readouterr().err == expected

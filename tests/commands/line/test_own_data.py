@@ -189,7 +189,7 @@ def test_the_scale_of_the_uncertainties_is_that_of_the_scans_and_the_classes():
             nearest=None,
             reason="most uncertain",
         )
-        picking = Picking((picked,), 1, outcome, [], scale)
+        picking = Picking(picked=(picked,), scans=1, outcome=outcome, warnings=[], scale=scale)
         lines = [*lines_after_pick(Path("new"), picking, labels, None, ())]
         subjects = {line.split(" ")[0].strip(":") for line in lines}
         assert subjects & {"uncertainty", "distance"} == printed

@@ -13,14 +13,10 @@ from evaluated import CAR, ROAD, World
 from scans import SMALL, make_scan, write_bin, write_sequence
 
 from salsanext_cli import label_space
-from salsanext_cli.commands.line.pipeline import MANY_SCANS, _advice
-from salsanext_cli.commands.line.summary import (
-    _as_data,
-    _lines,
-    _rejection_lines,
-    next_command,
-    print_failures,
-)
+from salsanext_cli.commands.line.next_command import command_on_labels, next_command
+from salsanext_cli.commands.line.predict import MANY_SCANS, _advice, _numbers
+from salsanext_cli.commands.line.summary import _lines_on_scans, print_failures, scans_data
+from salsanext_cli.commands.stages.predict import PredictOutcome
 from salsanext_cli.core.engines import device
 from salsanext_cli.io.formats.kitti_labels import write_labels
 from salsanext_cli.runs.loop.run import Failure, Outcome
@@ -65,65 +61,68 @@ def test_a_single_scan_that_fails_prints_nothing_about_weights_and_sensor(
     assert "image" in starts
 
 
+def outcome_of(summary=None, done=1, skipped=0):
+    """Return the outcome of a run."""
+    return Outcome(skipped=skipped, failures=(), done=done, summary=summary)
+
+
 def test_rejected_points_are_counted():
     summary = RunSummary(
         sensor=SMALL, space=label_space(), class_points=np.array([1500, 500] + [0] * 18)
     )
     summary.judged_points, summary.rejected_points = 1600, 1200
-    outcome = Outcome(skipped=2, failures=(), done=1, summary=summary, rejected_points=1200)
-    (line,) = _rejection_lines(outcome, 0.5)
+    outcome = PredictOutcome.of_run(outcome_of(summary, skipped=2), rejected_points=1200)
+    numbers = _numbers(outcome, 0.5, "faster: …")
     reason = "probability of error above 0.5; 2 done already not counted"
-    assert line == f"1,200 points (75.0 % of the points with a label) rejected: {reason}"
-    (line,) = _rejection_lines(replace(outcome, skipped=0), "risk")
+    line = f"1,200 points (75.0 % of the points with a label) rejected: {reason}"
+    assert numbers.lines == [line, "faster: …"]
+    assert numbers.data == {"rejected_points": 1200, "rejected_share": 0.75}
+    (line,) = _numbers(replace(outcome, skipped=0), "risk", "").lines
     assert line.endswith(" rejected: above the threshold of `tune risk`")
-    data = _as_data(outcome)
-    assert (data["rejected_points"], data["rejected_share"]) == (1200, 0.75)
-    assert not [*_rejection_lines(replace(outcome, rejected_points=None), None)]
+    none = _numbers(replace(outcome, rejected_points=None), None, "")
+    assert (none.data, none.lines) == ({}, [])
 
 
 @pytest.mark.parametrize(
-    ("stage", "split", "done", "expected"),
+    ("split", "done", "expected"),
     [
-        ("uncertainty", "test", 1, "salsanext export-ply 'a b' --colour uncertainty"),
-        ("predict", "valid", 1, "salsanext report 'a b'"),
-        ("predict", "test", 1, "salsanext submit 'a b' submission.zip"),
-        ("predict", "test", 0, None),
-        ("knn-refine", "test", 1, "salsanext submit 'a b' submission.zip"),
+        ("valid", 1, "salsanext report 'a b'"),
+        ("test", 1, "salsanext submit 'a b' submission.zip"),
+        ("test", 0, None),
     ],
 )
-def test_next_commands(stage, split, done, expected, tmp_path):
+def test_the_next_command_uses_the_labels(split, done, expected, tmp_path):
+    out = Path("a b")
     summary = RunSummary(sensor=SMALL, space=label_space())
-    outcome = Outcome(skipped=0, failures=(), done=done, summary=summary)
-    assert next_command(stage, outcome, "a b", (), split) == expected
-    if expected and "submit" in expected:
-        merged = Outcome(
-            skipped=0,
-            failures=(),
-            done=done,
-            summary=RunSummary(sensor=SMALL, space=label_space("coarse")),
-        )
-        command = next_command(stage, merged, "a b", (), split)
-        assert command == "salsanext report 'a b'"
-        # A data set with the test split of another label space has another benchmark.
-        space = replace(label_space("coarse"), splits={"test": ("90",)})
-        other = Outcome(
-            skipped=0, failures=(), done=done, summary=RunSummary(sensor=SMALL, space=space)
-        )
-        assert next_command(stage, other, "a b", (), split) == expected
-        (file,) = find_scans(write_sequence(tmp_path / "sequences/90", labels=False).parents[1])
-        other = replace(other, summary=RunSummary(sensor=SMALL, space=space, scans=[file]))
-        (tmp_path / "labels.yaml").write_text(yaml.safe_dump(label_space().to_dict()))
-        assert next_command(stage, other, "a b", (), split) == "salsanext report 'a b'"
+    assert command_on_labels(outcome_of(summary, done), out, split) == expected
     (file,) = find_scans(write_sequence(tmp_path / "labelled/00", ["0"]))
-    labelled = Outcome(skipped=0, failures=(), done=done, summary=replace(summary, scans=[file]))
-    if done and stage != "uncertainty":
-        assert next_command(stage, labelled, "a b", (), split) == "salsanext eval 'a b'"
-    assert next_command("export-ply", Outcome(skipped=0, failures=(), done=done), "a b", ()) is None
-    assert (
-        next_command("convert", Outcome(skipped=1, failures=(), done=0), "a b", ())
-        == "salsanext predict 'a b'"
-    )
-    assert next_command("convert", Outcome(skipped=0, failures=(), done=0), "a b", ()) is None
+    labelled = replace(summary, scans=[file])
+    command = command_on_labels(outcome_of(labelled, done), out, split)
+    assert command == ("salsanext eval 'a b'" if done else None)
+    pixels = RunSummary(sensor=SMALL)
+    command = command_on_labels(outcome_of(pixels, done), out, split)
+    assert command == ("salsanext knn-refine 'a b'" if done else None)
+
+
+def test_only_labels_in_the_classes_of_the_benchmark_are_submitted(tmp_path):
+    out = Path("a b")
+    merged = RunSummary(sensor=SMALL, space=label_space("coarse"))
+    assert command_on_labels(outcome_of(merged), out, "test") == "salsanext report 'a b'"
+    # A data set with the test split of another label space has another benchmark.
+    space = replace(label_space("coarse"), splits={"test": ("90",)})
+    command = command_on_labels(outcome_of(RunSummary(sensor=SMALL, space=space)), out, "test")
+    assert command == "salsanext submit 'a b' submission.zip"
+    (file,) = find_scans(write_sequence(tmp_path / "sequences/90", labels=False).parents[1])
+    (tmp_path / "labels.yaml").write_text(yaml.safe_dump(label_space().to_dict()))
+    described = RunSummary(sensor=SMALL, space=space, scans=[file])
+    assert command_on_labels(outcome_of(described), out, "test") == "salsanext report 'a b'"
+
+
+def test_a_run_without_results_has_no_next_command():
+    words = ["predict", Path("a b")]
+    assert next_command(outcome_of(done=0, skipped=1), words) == "salsanext predict 'a b'"
+    assert next_command(outcome_of(done=0), words) is None
+    assert command_on_labels(outcome_of(), Path("a b"), None) is None
 
 
 @pytest.mark.parametrize("count", [1, 2])
@@ -143,16 +142,11 @@ def test_a_warning_is_printed_once(run, data, tmp_path, count):
 def test_eval_is_next_only_if_it_can_compare_the_labels(tmp_path):
     """Label files of another data set do not lead to a command that fails."""
     (file,) = find_scans(write_sequence(tmp_path / "00", ["0"]))
-    outcome = Outcome(
-        skipped=0,
-        failures=(),
-        done=1,
-        summary=RunSummary(sensor=SMALL, space=label_space(), scans=[file]),
-    )
-    assert next_command("predict", outcome, "out", ()) == "salsanext eval out"
+    outcome = outcome_of(RunSummary(sensor=SMALL, space=label_space(), scans=[file]))
+    assert command_on_labels(outcome, Path("out"), None) == "salsanext eval out"
     unknown_id = np.full(1500, 24, np.uint32)
     write_labels(file.label_path, unknown_id)
-    assert next_command("predict", outcome, "out", ()) == "salsanext report out"
+    assert command_on_labels(outcome, Path("out"), None) == "salsanext report out"
 
 
 def test_the_line_of_the_image_names_the_source_of_its_field_of_view():
@@ -165,10 +159,10 @@ def test_the_line_of_the_image_names_the_source_of_its_field_of_view():
         "(sensor hdl32)": replace(fitted, name="hdl32"),
     }
     for source, sensor in sources.items():
-        (line,) = _lines(RunSummary(sensor=sensor, trained=SMALL), None)
+        (line,) = _lines_on_scans(RunSummary(sensor=sensor, trained=SMALL))
         assert line.startswith(f"image: {SMALL.height}×{SMALL.width}, ")
         assert line.endswith(source)
-    (line,) = _lines(RunSummary(sensor=SMALL), None)
+    (line,) = _lines_on_scans(RunSummary(sensor=SMALL))
     assert "(" not in line
 
 
@@ -176,7 +170,7 @@ def test_equal_sensors_are_printed_once():
     """Sensors may differ in what the line does not show, such as the fit of the intensity."""
     darker, leaning = replace(SMALL, row_gaps=0.5), replace(SMALL, up=(0.5, 0.0, 0.9))
     for others, count in (((darker,), 1), ((darker, leaning), 2)):
-        lines = list(_lines(RunSummary(sensor=replace(SMALL, others=others)), None))
+        lines = list(_lines_on_scans(RunSummary(sensor=replace(SMALL, others=others))))
         assert len([line for line in lines if line.startswith("image: ")]) == count
 
 
@@ -235,7 +229,7 @@ def test_a_long_run_without_bfloat16_names_int8(
     for variable in device.ISA_VARIABLES:
         monkeypatch.delenv(variable, raising=False)
     settings = NetworkSettings(weights, precision=given["precision"])
-    advice = _advice(settings, Outcome(skipped=0, failures=(), done=given["done"]), tmp_path)
+    advice = _advice(settings, outcome_of(done=given["done"]), tmp_path)
     assert ("--precision int8" in advice) == named
 
 
@@ -264,11 +258,8 @@ def test_the_line_of_unlabelled_points_states_their_causes():
     summary = RunSummary(sensor=SMALL, space=label_space(), class_points=points)
     summary.unmeasured_points, summary.rejected_points = 30, 20
     summary.ego_points, summary.checked_points = 10, 100
-    (line,) = (line for line in _lines(summary, None) if line.startswith("unlabelled: "))
+    (line,) = (line for line in _lines_on_scans(summary) if line.startswith("unlabelled: "))
     assert line.startswith("unlabelled: 60.0 % of all points (30.0 % without a measurement; ")
     assert "; 10.0 % on " in line
     assert line.endswith("; 20.0 % rejected)")
-    assert (
-        _as_data(Outcome(skipped=0, failures=(), done=1, summary=summary))["unmeasured_share"]
-        == 0.3
-    )
+    assert scans_data(summary, has_results=True)["unmeasured_share"] == 0.3

@@ -9,7 +9,7 @@ import yaml
 from evaluated import CAR, MOVING_CAR, ROAD, SPACE, UNKNOWN, World
 from scans import files_below, refused
 
-from salsanext_cli.commands.stages.evaluate import evaluate, part_of
+from salsanext_cli.commands.stages.evaluate import evaluate_scans, part_of
 from salsanext_cli.core.errors import LabelError, NoInputError, OutputError
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.paths import find_scans, output_path
@@ -30,7 +30,7 @@ def iou(evaluation, name):
 def test_the_file_is_the_official_evaluators(real_data, tmp_path):
     shutil.copytree(real_data / "golden/evaluation/sequences", tmp_path / "out/sequences")
     scans = find_scans(real_data / "data/semantickitti", ["08"])
-    evaluation = evaluate(scans, tmp_path / "out", SPACE)
+    evaluation = evaluate_scans(scans, tmp_path / "out", SPACE)
     expected = (real_data / "golden/evaluation/scores.txt").read_bytes()
     assert (tmp_path / "out/scores.txt").read_bytes() == expected
     assert evaluation.counts.scans == 3
@@ -169,7 +169,7 @@ def test_a_part_is_evaluated_in_a_folder_below(world):
     scans = find_scans(world.dataset)
     folder = ResultFolder(world.out, world.dataset)
     part = part_of(folder, scans[:1], ScanSelection(sequences=("08",)))
-    evaluation = evaluate(scans[:1], world.out, SPACE, part=part)
+    evaluation = evaluate_scans(scans[:1], world.out, SPACE, part=part)
     assert evaluation.folder == world.out / "eval/08"
     assert json.loads((world.out / "eval/08/eval.json").read_text())["scores"]["accuracy"] == 1
     assert {name: (world.out / name).read_bytes() for name in before} == before
@@ -187,7 +187,7 @@ def test_a_part_is_evaluated_in_a_folder_below(world):
         assert len(part_of(folder, chosen, ScanSelection(sequences=("x",)))) < 60
     (world.out / "eval/08/scores.txt").write_text("mine")
     with refused(OutputError, world.out / "eval/08/scores.txt"):
-        evaluate(scans[:1], world.out, SPACE, part=part)
+        evaluate_scans(scans[:1], world.out, SPACE, part=part)
 
 
 def test_labels_of_another_data_set_get_a_hint(tmp_path):

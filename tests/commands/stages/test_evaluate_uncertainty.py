@@ -7,7 +7,7 @@ import pytest
 from evaluated import CAR, ROAD, SPACE, World
 from scans import write_array
 
-from salsanext_cli.commands.stages.evaluate import evaluate
+from salsanext_cli.commands.stages.evaluate import evaluate_scans
 from salsanext_cli.core.measures.counts import EVALUATED_KINDS, ScanCounts
 from salsanext_cli.core.measures.uncertainty_evaluation import UncertaintyEvaluation
 from salsanext_cli.core.uncertainty.kinds import UNCERTAINTY
@@ -130,9 +130,9 @@ def test_the_report_does_not_depend_on_jobs_or_order(world):
     for i in range(5):
         random_scan(world, f"{i:06d}", 400 + i, distance=5 + 10 * i)
     scans = find_scans(world.dataset)
-    evaluate(scans, world.out, SPACE, by_distance=True)
+    evaluate_scans(scans, world.out, SPACE, by_distance=True)
     once = (world.out / "eval.json").read_bytes()
-    evaluate(scans[::-1], world.out, SPACE, RunOptions(jobs=2), by_distance=True)
+    evaluate_scans(scans[::-1], world.out, SPACE, RunOptions(jobs=2), by_distance=True)
     assert (world.out / "eval.json").read_bytes() == once
     assert list(report_of(world)["uncertainty"]) == list(EVALUATED_KINDS)
 

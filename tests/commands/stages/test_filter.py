@@ -12,7 +12,7 @@ from evaluated import World
 from scans import files_below, make_scan, refused, write_array, write_bin
 
 from salsanext_cli import LabelSpace, Scan, label_space, sensor, write_labels
-from salsanext_cli.commands.line.summary import _as_data, _rejection_lines
+from salsanext_cli.commands.line.results import _filter_numbers
 from salsanext_cli.commands.stages.filter import filter_scans
 from salsanext_cli.core.classes.merging import named_classes
 from salsanext_cli.core.errors import NoInputError, OutputError, UsageError
@@ -122,10 +122,10 @@ def test_points_without_an_error_go_and_are_counted(apply, world, tmp_path):
     assert remaining(tmp_path) == [1, 5]
     assert remaining(tmp_path, "000001") == [0, 3]
     assert outcome.filtered_points == FilteredPoints(11, 4, without_error=4)
-    printed = " ".join(_rejection_lines(outcome, None))
-    assert "4 of 11 points remain; 4 points dropped without" in printed
-    data = _as_data(outcome)
-    assert (data["accepted_points"], data["points_without_error"]) == (4, 4)
+    numbers = _filter_numbers(outcome)
+    (line,) = numbers.lines
+    assert "4 of 11 points remain; 4 points dropped without" in line
+    assert (numbers.data["accepted_points"], numbers.data["points_without_error"]) == (4, 4)
 
 
 def test_a_folder_that_has_points_without_an_error_is_not_continued(apply, world, tmp_path):
@@ -158,7 +158,7 @@ def test_remaining_points_whose_label_was_rejected_are_counted(
     outcome = apply(drop=["vehicle"])
     assert remaining(tmp_path) == [2, 3, 4, 5, 6]
     assert outcome.filtered_points == FilteredPoints(11, 9, rejected=2)
-    assert _as_data(outcome)["accepted_without_label"] == 2
+    assert _filter_numbers(outcome).data["accepted_without_label"] == 2
     (names,) = re.findall(r"drop=(\(.*\)) and overwrite=True", caplog.text)
     caplog.clear()
     outcome = apply(drop=ast.literal_eval(names), options=RunOptions(overwrite=True))

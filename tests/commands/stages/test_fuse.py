@@ -14,7 +14,7 @@ from scans import files_below, refused, write_bin
 from salsanext_cli import KnnParameters, Scan, label_drive, label_space, read_labels, read_scan
 from salsanext_cli.commands.line.app import app
 from salsanext_cli.commands.line.option_names import CommandLine
-from salsanext_cli.commands.stages.evaluate import evaluate
+from salsanext_cli.commands.stages.evaluate import evaluate_scans
 from salsanext_cli.commands.stages.fuse import fuse_results
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.core.errors import (
@@ -109,12 +109,14 @@ def test_labels_equal_the_function(drive):
 def test_fused_labels_are_a_folder_of_results_and_rejected_ones_are_not_fused(drive):
     fuse_results(drive.out)
     results = ResultFolder(drive.out / "fused")
-    assert results.owner("predictions") == "fuse"
-    assert results.weights("predictions") == ResultFolder(drive.out).weights("predictions")
-    assert results.sensor() == ResultFolder(drive.out).sensor()
+    assert results.manifest.owner("predictions") == "fuse"
+    assert results.manifest.weights("predictions") == ResultFolder(drive.out).manifest.weights(
+        "predictions"
+    )
+    assert results.manifest.sensor() == ResultFolder(drive.out).manifest.sensor()
     for folder, kinds in ((drive.out / "fused", set()), (drive.out, {"least_confidence"})):
         scans, space = ResultFolder(folder).predicted(ScanSelection())
-        found = evaluate(scans, folder, space).uncertainty
+        found = evaluate_scans(scans, folder, space).uncertainty
         assert {*found.kinds} >= {"disagreement", *kinds}
     path = drive.out / "predict.json"
     record = json.loads(path.read_text())
@@ -403,7 +405,7 @@ def test_two_that_predict_and_fuse_one_folder_both_succeed(world, monkeypatch):
             if len(looks) == 2:
                 other.close()
 
-        monkeypatch.setattr("salsanext_cli.commands.line.pipeline.time.sleep", wait)
+        monkeypatch.setattr("salsanext_cli.commands.line.predict.time.sleep", wait)
         other.enter_context(OwnedFolder(world.out, "predict").open(shared=True))
         words = ["predict", folder, world.out, "--weights", world.network.weights, "--fuse"]
         result = invoked(app, *words, "--engine", "torch")

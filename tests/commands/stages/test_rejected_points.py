@@ -8,7 +8,7 @@ from evaluated import CAR, ROAD, SPACE, World
 
 from salsanext_cli import sensor
 from salsanext_cli.commands.stages import picture as pictures
-from salsanext_cli.commands.stages.evaluate import evaluate
+from salsanext_cli.commands.stages.evaluate import evaluate_scans
 from salsanext_cli.commands.stages.export_ply import export_ply
 from salsanext_cli.commands.stages.picture import picture
 from salsanext_cli.commands.stages.report import report, view
@@ -59,7 +59,7 @@ def test_the_report_has_coverage_and_risk(world, query):
     assert "accuracy: right" not in page
     confusions = page.partition("Largest confusions")[2].partition("</ol>")[0]
     assert "<li>road taken for car: 50.0 % of 2 points</li></ol>" in f"{confusions}</ol>"
-    evaluation = evaluate(find_scans(world.dataset), world.out, SPACE)
+    evaluation = evaluate_scans(find_scans(world.dataset), world.out, SPACE)
     scores, rejection = evaluation.scores, evaluation.to_dict()["rejection"]
     assert scores.accuracy == 3 / 16, "rejected points are wrong"
     assert scores.accuracy_official == pytest.approx(3 / 4), "rejected points do not count"
@@ -74,7 +74,9 @@ def test_a_threshold_of_a_run_that_rejected_labels_names_the_accepted_points(wor
     assert accepted.of_accepted
     assert accepted.points == 4
     assert " % of accepted points with " in accepted.sentence
-    assert evaluate(find_scans(world.dataset), world.out, SPACE).uncertainty.accepted == accepted
+    assert (
+        evaluate_scans(find_scans(world.dataset), world.out, SPACE).uncertainty.accepted == accepted
+    )
 
 
 def test_the_served_page_does_not_judge_rejected_points(world, query):

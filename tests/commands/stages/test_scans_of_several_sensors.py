@@ -109,7 +109,7 @@ def test_later_stages_use_the_sensor_of_each_scan(mixed, network, tmp_path):
     predict_scans(mixed, tmp_path / "out", settings=network)
     results = ResultFolder(tmp_path / "out")
     for file in results.scans():
-        read = results.read(file, results.sensor())
+        read = results.read(file, results.manifest.sensor())
         assert (read.sensor.name == "fitted") == (file.stem in "13")
         upright = in_sensor_frame(read.scan, read.sensor).points
         assert np.quantile(upright[:, 2], 0.02) > -1.9

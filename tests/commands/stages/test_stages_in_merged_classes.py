@@ -11,7 +11,7 @@ import yaml
 from scans import SMALL, labels_below, refused, write_weights
 
 from salsanext_cli import LabelSpace, knn_refine, label_space, project, read_labels, read_scan
-from salsanext_cli.commands.stages.evaluate import evaluate
+from salsanext_cli.commands.stages.evaluate import evaluate_scans
 from salsanext_cli.commands.stages.export_ply import export_ply
 from salsanext_cli.commands.stages.knn_refine import knn_refine_scans
 from salsanext_cli.commands.stages.picture import picture
@@ -47,7 +47,7 @@ def predict(world, **options):
 
 def compare(world, **options):
     scans, space = ResultFolder(world.out).predicted(ScanSelection(), **options)
-    return evaluate(scans, world.out, space, labels=options.get("space"))
+    return evaluate_scans(scans, world.out, space, labels=options.get("space"))
 
 
 def truth_of(world, sequence="08", stem="000000"):

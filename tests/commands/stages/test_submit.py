@@ -61,7 +61,7 @@ def test_the_file_is_what_the_benchmark_wants(folders, with_data, caplog):
     write_labels(folders.label("08", "000000"), np.full(3, 10))
     steps = []
     made = folders.submit(with_data=with_data, progress=lambda *step: steps.append(step))
-    assert made == Submission(14, lengths_checked=with_data)
+    assert made == Submission(scans=14, lengths_checked=with_data)
     assert steps == [(number, 28) for number in range(1, 29)]
     assert ("sequence 11, 12, 13 and 8 more" in caplog.text) != with_data
     with zipfile.ZipFile(folders.zip) as packed:

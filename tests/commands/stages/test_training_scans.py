@@ -12,7 +12,7 @@ from scans import refused, write_bin
 from world import World
 
 from salsanext_cli import label_space, read_labels, read_scan
-from salsanext_cli.commands.stages.evaluate import Evaluation, evaluate
+from salsanext_cli.commands.stages.evaluate import Evaluation, evaluate_scans
 from salsanext_cli.commands.stages.export_ply import export_ply
 from salsanext_cli.commands.stages.knn_refine import knn_refine_scans
 from salsanext_cli.commands.stages.predict import predict_scans
@@ -47,7 +47,7 @@ def predict(world: World, **options: object) -> None:
 
 
 def judged(world: World) -> Evaluation:
-    return evaluate(find_scans(world.data), world.out, SPACE)
+    return evaluate_scans(find_scans(world.data), world.out, SPACE)
 
 
 def counts_of(world: World, *scans: tuple[str, str]) -> np.ndarray:

@@ -13,7 +13,6 @@ from scans import refused
 from world import World
 
 from salsanext_cli import label_space, project, read_labels, read_scan, write_labels
-from salsanext_cli.commands.stages.evaluate import evaluate
 from salsanext_cli.commands.stages.models import describe_weights
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.commands.stages.uncertainty import uncertainty
@@ -154,7 +153,7 @@ def test_errors_are_probabilities_and_high_where_labels_are_wrong(runs):
     assert ((error >= 0) & (error <= 1))[known].all()
     far = is_far(runs.world.scan())[known]
     assert error[known][far].mean() > 0.8 > 0.2 > error[known][~far].mean()
-    judged = evaluate(runs.scans, runs.world.out, SPACE).uncertainty.kinds["error"]
+    judged = evaluate_scans(runs.scans, runs.world.out, SPACE).uncertainty.kinds["error"]
     assert judged.ece < 0.1
 
 
@@ -175,7 +174,7 @@ def test_a_folder_has_one_limit_of_the_error(runs):
 def test_rejected_points_do_not_count_in_the_scores_of_the_error(runs):
     """They are misses of the labels."""
     kinds = [
-        evaluate(runs.scans, out, SPACE).uncertainty.kinds
+        evaluate_scans(runs.scans, out, SPACE).uncertainty.kinds
         for out in (runs.rejecting, runs.world.out)
     ]
     judged, whole = (of_run["error"] for of_run in kinds)

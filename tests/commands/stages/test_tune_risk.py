@@ -14,7 +14,7 @@ from scans import refused
 from world import World
 
 from salsanext_cli import label_space, read_labels, write_labels
-from salsanext_cli.commands.stages.evaluate import Evaluation, evaluate
+from salsanext_cli.commands.stages.evaluate import Evaluation, evaluate_scans
 from salsanext_cli.commands.stages.models import describe_weights
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.commands.stages.report import read_run, report
@@ -96,7 +96,7 @@ class RejectedRun:
 
     def judged(self) -> Evaluation:
         """Return what `eval` makes of the run."""
-        return evaluate(self.scans, self.world.out, SPACE)
+        return evaluate_scans(self.scans, self.world.out, SPACE)
 
 
 class Messages(logging.Handler):
@@ -192,7 +192,7 @@ def test_scans_that_the_threshold_was_chosen_on_are_named_and_are_not_unlike_the
 def test_the_guarantee_does_not_cover_merged_classes(run):
     folder = ResultFolder(run.world.out)
     scans, coarse = folder.predicted(ALL, classes=label_space("coarse"))
-    assert evaluate(scans, run.world.out, coarse).guarantee is None
+    assert evaluate_scans(scans, run.world.out, coarse).guarantee is None
 
 
 def test_accepted_labels_need_no_uncertainty(run, tmp_path):
@@ -200,7 +200,7 @@ def test_accepted_labels_need_no_uncertainty(run, tmp_path):
     out = tmp_path / "copy"
     shutil.copytree(run.world.out, out)
     output_path(out, last.sequence, LEAST_CONFIDENCE, last.stem).unlink()
-    assert evaluate(run.scans, out, SPACE).guarantee == run.judged().guarantee
+    assert evaluate_scans(run.scans, out, SPACE).guarantee == run.judged().guarantee
     results = ResultFolder(out).read(first, truth_in=(SPACE, SPACE))
     assert results.rejected.sum() == run.above(first).sum()
 
@@ -214,13 +214,13 @@ def test_a_guarantee_that_does_not_hold_warns(unsure_is_wrong: World, target, ca
     assert (losses[0] + losses[1:].mean() + 1) / 3 <= 0.6
     predict_scans(world.data, world.out, settings=network, reject="risk")
     assert WarningCode.OTHER_SCANS not in caplog.text
-    check = evaluate(find_scans(world.data), world.out, label_space()).guarantee
+    check = evaluate_scans(find_scans(world.data), world.out, label_space()).guarantee
     assert (check.unit, check.units) == ("drive", 2)
     assert RISK_BOUND_EXCEEDED not in caplog.messages
     for file in find_scans(world.data):
         labels = world.labels(file.sequence, file.stem)
         write_labels(file.label_path, np.where(labels == 10, 40, 10).astype(np.uint32))
-    evaluate(find_scans(world.data), world.out, label_space())
+    evaluate_scans(find_scans(world.data), world.out, label_space())
     assert RISK_BOUND_EXCEEDED in caplog.messages
     # A sensor that was fitted otherwise
     card = read_card(target)
@@ -229,7 +229,9 @@ def test_a_guarantee_that_does_not_hold_warns(unsure_is_wrong: World, target, ca
     save_with_card(target, target, replace(card, risk=replace(card.risk, views=(other,))))
     predict_scans(world.data, world.out.with_name("o"), settings=network, reject="risk")
     assert WarningCode.OTHER_SCANS in caplog.text
-    check = evaluate(find_scans(world.data), world.out.with_name("o"), label_space()).guarantee
+    check = evaluate_scans(
+        find_scans(world.data), world.out.with_name("o"), label_space()
+    ).guarantee
     assert check.are_others
     assert "not guaranteed" in check.sentence
     # One of several sensors that the threshold was chosen on
@@ -417,7 +419,7 @@ def test_scans_with_other_classes_are_not_covered(unsure_is_wrong: World, target
     network = replace(world.network, weights=target)
     predict_scans(world.data, world.out, settings=network, reject="risk")
     assert WarningCode.OTHER_SCANS in caplog.text
-    check = evaluate(find_scans(world.data), world.out, label_space()).guarantee
+    check = evaluate_scans(find_scans(world.data), world.out, label_space()).guarantee
     assert check.are_others
     assert "the guarantee does not cover these scans" in caplog.text
     # Weights of early versions have no population.
@@ -440,7 +442,7 @@ def test_scans_of_other_drives_are_not_those_of_the_threshold(
         out = world.out.with_name(name)
         predict_scans(world.data, out, settings=network, reject="risk")
         assert WarningCode.OTHER_SCANS in caplog.text
-        check = evaluate(find_scans(world.data), out, label_space()).guarantee
+        check = evaluate_scans(find_scans(world.data), out, label_space()).guarantee
         assert "not guaranteed" in check.sentence
 
 
@@ -453,7 +455,7 @@ def test_too_few_scans_to_compare_are_not_called_guaranteed(
     assert all(unit["measures"] for unit in tuned["population"])
     network = replace(world.network, weights=target)
     predict_scans(world.data, world.out, settings=network, reject="risk")
-    judged = evaluate(find_scans(world.data), world.out, label_space())
+    judged = evaluate_scans(find_scans(world.data), world.out, label_space())
     assert "guaranteed" not in judged.guarantee.sentence
     assert "3 scans" in judged.guarantee.sentence
     assert f"{NOT_COMPARED} (3 scans)" in caplog.text
@@ -463,6 +465,6 @@ def test_too_few_scans_to_compare_are_not_called_guaranteed(
     save_with_card(target, target, replace(card, risk=replace(card.risk, population=early)))
     out = world.out.with_name("early")
     predict_scans(world.data, out, settings=network, reject="risk")
-    check = evaluate(find_scans(world.data), out, label_space()).guarantee
+    check = evaluate_scans(find_scans(world.data), out, label_space()).guarantee
     assert "guaranteed" not in check.sentence
     assert check.incomparable == EARLY

@@ -35,7 +35,7 @@ def test_poses_in_the_frame_of_the_scans_are_their_origins(map_drive, tmp_path, 
     assert str(tmp_path / "poses.txt") in caplog.text
     results = ResultFolder(out)
     for file, place in zip(results.scans(), WAY, strict=True):
-        assert recorded_origin(out, file, results.sensor()) == place
+        assert recorded_origin(out, file, results.manifest.sensor()) == place
     assert fuse_results(out).done == len(WAY)
     fused = np.loadtxt(next(out.glob("fused/sequences/*/poses.txt"))).reshape(-1, 3, 4)
     assert np.array_equal(fused[:, :, 3], np.array(WAY))

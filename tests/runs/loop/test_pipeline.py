@@ -5,6 +5,7 @@ import gc
 import threading
 import weakref
 from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -158,8 +159,12 @@ def test_an_error_of_the_user_belongs_to_its_scan(failing, batch):
 
 
 def run(job, reported, batch: int = 1) -> None:
-    for _ in pipeline(job, batch).run(FILES, lambda attempt: reported.append(attempt.get())):
-        pass
+    def report(attempt):
+        reported.append(attempt.get())
+
+    with closing(pipeline(job, batch).run(FILES, report)) as attempts:
+        for attempt in attempts:
+            report(attempt)
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), ZeroDivisionError()])
@@ -200,22 +205,22 @@ def test_an_interrupt_while_a_scan_is_being_finished_waits_for_it(monkeypatch):
 
 @pytest.mark.parametrize("batch", [1, 3])
 def test_every_finished_scan_is_reported_when_the_report_or_the_caller_stops_the_run(batch):
-    job, reported = Job(), []
+    class StoppedAtTwo(list):
+        def append(self, stem):
+            super().append(stem)
+            if len(self) == 2:
+                raise KeyboardInterrupt
 
-    def stop(attempt):
-        reported.append(attempt.get())
-        if len(reported) == 2:
-            raise KeyboardInterrupt
-
+    job, reported = Job(), StoppedAtTwo()
     with pytest.raises(KeyboardInterrupt):
-        [*pipeline(job, batch).run(FILES, stop)]
+        run(job, reported, batch)
     assert reported == job.of("finish")
-    job, reported = Job(), []
-    attempts = pipeline(job, batch).run(FILES, lambda attempt: reported.append(attempt.get()))
+    job, late = Job(), []
+    attempts = pipeline(job, batch).run(FILES, lambda attempt: late.append(attempt.get()))
     assert next(attempts).get() == "0"
     attempts.close()
-    assert reported == job.of("finish") == STEMS[: len(reported)]
-    assert len(reported) >= batch
+    assert ["0", *late] == job.of("finish") == STEMS[: len(late) + 1]
+    assert len(late) + 1 >= batch
     assert not any(t.name.startswith(("salsanext-r", "salsanext-w")) for t in threading.enumerate())
 
 

@@ -192,8 +192,8 @@ def test_three_stages_give_the_labels_of_predict_for_several_sensors(tmp_path, h
 
 def test_the_origin_of_each_scan_is_recorded(predicted_map, tmp_path):
     results = ResultFolder(predicted_map)
-    sensor = results.sensor()
-    assert ORIGINS in results.record("predict").writes
+    sensor = results.manifest.sensor()
+    assert ORIGINS in results.manifest.record("predict").writes
     for file, place in zip(results.scans(), WAY, strict=True):
         array = np.load(output_path(predicted_map, file.sequence, ORIGINS, file.stem))
         assert (array.shape, array.dtype) == ((3,), np.float64)
@@ -208,7 +208,7 @@ def test_the_origin_of_each_scan_is_recorded(predicted_map, tmp_path):
 def test_later_stages_search_no_origin(map_drive, predicted_map, tmp_path, monkeypatch):
     out = tmp_path / "out"
     shutil.copytree(predicted_map, out)
-    scan, sensor = ResultFolder(out).scans()[1], ResultFolder(out).sensor()
+    scan, sensor = ResultFolder(out).scans()[1], ResultFolder(out).manifest.sensor()
     before = ResultFolder(out).read(scan, sensor)
 
     def searched(*_):
@@ -227,7 +227,10 @@ def test_later_stages_search_no_origin(map_drive, predicted_map, tmp_path, monke
 
 @pytest.mark.parametrize("content", [np.zeros(2), np.full(3, np.nan), np.zeros(3, np.float32)])
 def test_a_damaged_origin_is_refused(predicted_map, tmp_path, content):
-    file, sensor = ResultFolder(predicted_map).scans()[0], ResultFolder(predicted_map).sensor()
+    file, sensor = (
+        ResultFolder(predicted_map).scans()[0],
+        ResultFolder(predicted_map).manifest.sensor(),
+    )
     path = output_path(tmp_path, file.sequence, ORIGINS, file.stem)
     path.parent.mkdir(parents=True)
     np.save(path, content)
@@ -272,7 +275,7 @@ def test_the_hint_about_a_damaged_origin_works(map_drive, predicted_map, tmp_pat
     content = path.read_bytes()
     path.write_bytes(b"damaged")
     with pytest.raises(FormatError) as caught:
-        recorded_origin(out, file, results.sensor())
+        recorded_origin(out, file, results.manifest.sensor())
     assert caught.value.hint == "delete it and run `salsanext predict` again, which writes it"
     path.unlink()
     network = NetworkSettings(map_drive / "w.safetensors", "cpu", engine="torch")

@@ -3,12 +3,12 @@ import numpy as np
 import pytest
 
 from salsanext_cli import label_space
-from salsanext_cli.commands.stages.evaluate import evaluate
+from salsanext_cli.commands.stages.evaluate import evaluate_scans
 from salsanext_cli.commands.stages.picture import picture
 from salsanext_cli.commands.stages.report import report
 from salsanext_cli.core.errors import NoInputError
 from salsanext_cli.io.formats.kitti_labels import write_labels
-from salsanext_cli.runs.results.foreign_labels import warn_of_foreign_labels
+from salsanext_cli.runs.labelling.foreign_labels import warn_of_foreign_labels
 from salsanext_cli.runs.results.paths import find_scans
 from salsanext_cli.runs.results.query import ResultQuery
 
@@ -62,4 +62,4 @@ def test_who_asks_for_the_truth_is_refused(labelled):
     assert [failure.code for failure in outcome.failures] == ["label"] * 3
     scans = find_scans(labelled.data)
     with pytest.raises(NoInputError):
-        evaluate(scans, labelled.out, SPACE)
+        evaluate_scans(scans, labelled.out, SPACE)

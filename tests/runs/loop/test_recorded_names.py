@@ -6,9 +6,9 @@ import shutil
 from scans import write_sequence
 
 from salsanext_cli.commands.stages.predict import predict_scans
+from salsanext_cli.runs.loop.recorded_names import with_recorded_names
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.paths import find_scans
-from salsanext_cli.runs.results.recorded_names import with_recorded_names
 from salsanext_cli.runs.results.result_folder import ResultFolder
 
 

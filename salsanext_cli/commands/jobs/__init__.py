@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""What stages do with one scan."""

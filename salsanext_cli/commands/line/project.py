@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: MIT
+"""`salsanext project`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from salsanext_cli.commands.line import arguments, console, summary
+from salsanext_cli.commands.line.console import over_scans
+from salsanext_cli.commands.line.expansion import Without
+from salsanext_cli.commands.line.next_command import next_command
+from salsanext_cli.runs.loop.run_options import RunOptions
+from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.results.scan_selection import ScanSelection
+from salsanext_cli.runs.sensor_request import AUTO
+
+
+def project(
+    context: typer.Context,
+    scans: Path | None = arguments.SEVERAL_SCANS,
+    out: Path = arguments.OUT,
+    *,
+    dataset: Path | None = arguments.DATASET,
+    selection: ScanSelection,
+    topic: str | None = arguments.TOPIC,
+    settings: Annotated[arguments.Network, Without({"device", "precision", "engine", "intensity"})],
+    running: RunOptions,
+    strict: bool = arguments.STRICT,
+    output: console.Output,
+) -> None:
+    """Project scans onto range images, for `predict` or your own programs.
+
+    Example: salsanext project seq/velodyne out/
+    """
+    from salsanext_cli.commands.stages.project import project_scans
+
+    source, out = arguments.sources(context, scans, out, dataset, topic)
+    sensor = settings.named_sensor() or settings.trained_sensor()
+    with over_scans("project", running, output.quiet) as run:
+        outcome = project_scans(
+            source,
+            out,
+            sensor=sensor,
+            fit=settings.fits_view,
+            fit_mounting=settings.fits_mounting,
+            selection=selection,
+            options=run,
+        )
+    following = next_command(outcome, ["predict", out, out, *_network_options(settings)])
+    summary.finish("project", outcome, out, output, following=following, strict=strict)
+
+
+def _network_options(settings: NetworkSettings) -> list[str]:
+    """Return the options by which `predict` takes the network of the range images."""
+    options: list[str] = []
+    if settings.weights:
+        options += ["--weights", str(settings.weights)]
+    if settings.sensor and settings.sensor != AUTO:
+        options += ["--sensor", str(settings.sensor)]
+    return options

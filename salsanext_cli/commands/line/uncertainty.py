@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: MIT
+"""`salsanext uncertainty`."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+import typer
+
+from salsanext_cli.commands.line import arguments, console, summary
+from salsanext_cli.commands.line.console import over_scans
+from salsanext_cli.commands.line.next_command import next_command
+from salsanext_cli.commands.line.option_fields import option
+from salsanext_cli.core.geometry.knn_parameters import KnnParameters
+from salsanext_cli.runs.loop.run_options import RunOptions
+from salsanext_cli.runs.results.query import named_label_space
+from salsanext_cli.runs.results.scan_selection import ScanSelection
+
+
+def uncertainty(
+    context: typer.Context,
+    scans: Path | None = arguments.SEVERAL_SCANS,
+    out: Path = arguments.OUT,
+    *,
+    samples: int = option("Monte-Carlo passes per scan.", default=30),
+    seed: int = option("Random seed of dropout masks and noise.", default=0),
+    aleatoric: Literal["copies", "paper", "none"] = option(
+        "Method for aleatoric and total uncertainty: eight noisy copies of each scan, or "
+        "propagation of the noise through the network as in the paper.",
+        default="copies",
+    ),
+    dataset: Path | None = arguments.DATASET,
+    selection: ScanSelection,
+    topic: str | None = arguments.TOPIC,
+    classes: str | None = arguments.CLASSES,
+    settings: arguments.Network,
+    knn: KnnParameters,
+    running: RunOptions,
+    strict: bool = arguments.STRICT,
+    output: console.Output,
+) -> None:
+    """Predict the class of every point and its epistemic, aleatoric and total uncertainty.
+
+    Example: salsanext uncertainty seq/velodyne out/ --samples 30
+    """
+    from salsanext_cli.commands.stages.uncertainty import uncertainty as stage
+    from salsanext_cli.core.uncertainty.method import UncertaintyMethod
+
+    source, out = arguments.sources(context, scans, out, dataset, topic)
+    with over_scans("uncertainty", running, output.quiet) as run:
+        outcome = stage(
+            source,
+            out,
+            settings=replace(settings, classes=named_label_space(classes)),
+            knn=knn,
+            method=UncertaintyMethod(samples, seed, aleatoric),
+            selection=selection,
+            options=run,
+        )
+    following = next_command(outcome, ["export-ply", out, "--colour", "uncertainty"])
+    summary.finish("uncertainty", outcome, out, output, following=following, strict=strict)

@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: MIT
+"""Record of the warnings of a run in its output folder."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+from salsanext_cli.core.checks.finding import Finding
+from salsanext_cli.runs.results.output_run import OutputRun
+from salsanext_cli.runs.results.owned_folder import Texts
+from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.summary.scan_summary import RunSummary
+
+
+@contextmanager
+def recorded_summary(
+    summary: RunSummary, run: OutputRun, scans: Sequence[ScanFile]
+) -> Iterator[None]:
+    """Finish a summary when the body ends; record its findings and add those of earlier runs.
+
+    Parameters
+    ----------
+    summary : RunSummary
+        Summary to which the body adds the scans.
+    run : OutputRun
+        Run that has the record.
+    scans : sequence of ScanFile
+        Scans of the run, whose earlier findings count.
+    """
+    summary.out = run.root
+    try:
+        yield
+    finally:
+        summary.compare_scans()
+        earlier = run.record_findings(_texts_by_scan(summary), summary.names)
+        _add_earlier(summary, earlier, run, scans)
+        summary.finished()
+
+
+def _texts_by_scan(summary: RunSummary) -> dict[str, list[Texts]]:
+    """Return the findings of a summary by name of scan or sequence."""
+    texts: dict[str, list[Texts]] = {}
+    for findings in summary.findings.values():
+        for name, finding in findings:
+            texts.setdefault(name, []).append(finding)
+    return texts
+
+
+def _add_earlier(
+    summary: RunSummary, earlier: dict[str, list[Texts]], run: OutputRun, scans: Sequence[ScanFile]
+) -> None:
+    """Add the findings of earlier runs about scans whose results are in the folder."""
+    names_of_run = {file.name for file in scans}
+    for name in sorted(earlier.keys() & run.names_of_results(earlier)):
+        for code, problem, hint in earlier[name]:
+            summary.earlier_warnings.setdefault(code, []).append(name)
+            if name in names_of_run:
+                finding = Finding(code=code, problem=problem, hint=hint)
+                summary.add_finding(name, finding)
