@@ -262,6 +262,7 @@ class ResultFolder:
         label = labels.raw if labels else None
         if label is not None and classes is not None:
             label = classes.to_raw(classes.to_train(label, strict=False))
+        truth = read_truth(file, len(scan), *truth_in) if truth_in else None
         uncertainty: dict[str, Float] = {}
         for kind in UNCERTAINTY:
             path = self._path(file, kind)
@@ -270,7 +271,7 @@ class ResultFolder:
         return ScanResults(
             scan=scan,
             label=label,
-            truth=read_truth(file, len(scan), *truth_in) if truth_in else None,
+            truth=truth,
             uncertainty=uncertainty,
             sensor=sensor_of_result(self.root, file, scan, sensor) if sensor else None,
             rejected=self._rejected(label, classes),
