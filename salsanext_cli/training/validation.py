@@ -88,8 +88,8 @@ def validate(
 
     def gathered(parts: Sequence[torch.Tensor]) -> torch.Tensor:
         """Return the points of all workers, on the CPU."""
-        own = torch.cat(list(parts), dim=-1).to(network.device)
-        return torch.cat(group.gather(own), dim=-1).cpu()
+        points = torch.cat(list(parts), dim=-1).to(network.device)
+        return torch.cat(group.gather(points), dim=-1).cpu()
 
     compare = partial(_compared, space=space, scans=len(source.files))
     job = Steps(prepare=read, compute=logits_of, finish=compare)

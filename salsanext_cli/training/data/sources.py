@@ -185,8 +185,8 @@ def scans_to_train_on(
         log.log(NOTICE, "no splits are named: training on %s of %s", scans, sequences)
         return ScansToTrainOn(space=classes, training=labelled, validation=[])
     splits = {scan: classes.split_of(scan.sequence) for scan in labelled}
-    found = set(splits.values())
-    if {"train", "valid"} <= found and None not in found:
+    split_names = set(splits.values())
+    if {"train", "valid"} <= split_names and None not in split_names:
         return ScansToTrainOn(
             space=classes,
             training=[scan for scan in labelled if splits[scan] == "train"],
