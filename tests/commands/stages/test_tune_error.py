@@ -13,8 +13,8 @@ from scans import refused
 from world import World
 
 from salsanext_cli import label_space, project, read_labels, read_scan, write_labels
-from salsanext_cli.commands.stages.models import describe_weights
 from salsanext_cli.commands.stages.evaluate import evaluate_scans
+from salsanext_cli.commands.stages.models import describe_weights
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.commands.stages.uncertainty import uncertainty
 from salsanext_cli.core.errors import (
