@@ -8,7 +8,7 @@ import os
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, partial
 from multiprocessing import current_process
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
@@ -45,7 +45,8 @@ class NetworkTask:
         return network_pipeline(self.job(network), network, self.batch)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return NetworkTask, (self.job, self.settings, None, self.batch)
+        copy = partial(NetworkTask, job=self.job, settings=self.settings, batch=self.batch)
+        return copy, ()
 
 
 def network_pipeline(

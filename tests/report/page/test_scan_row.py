@@ -101,7 +101,7 @@ def test_scores_of_training_scans_count_only_against_the_labels(
     )
     monkeypatch.setattr(RunResults, "expected_accuracy", lambda _: expected)
     confusion = np.array([[0, 0, 0], [0, 3, 2], [0, 1, 4]])
-    counts = ScanCounts(confusion, scans=1, trained_on=trained_on)
+    counts = ScanCounts(confusion=confusion, scans=1, trained_on=trained_on)
     run = replace(run_of(rows=[row("1")], space=SPACE), counts=counts)
     assert run.evidence().measured == measured
     rejecting = replace(counts, accepted={"00/1": (12, 10, 3)})

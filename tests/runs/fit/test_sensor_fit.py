@@ -19,6 +19,7 @@ from salsanext_cli.runs.fit.sensor_fit import (
     settings_of_network,
 )
 from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.records.stage_settings import PredictSettings
 from salsanext_cli.runs.results.paths import find_scans
 from salsanext_cli.runs.sensor_request import requested_sensor
 
@@ -108,7 +109,7 @@ def test_values_are_typed_for_their_arguments(argument, value, text):
 
 def test_the_settings_of_a_network_name_its_weights_and_its_sensor(narrow_file):
     network = NetworkSettings(narrow_file, "cpu", engine="torch").load()
-    settings = settings_of_network(network)
+    settings = settings_of_network(network, PredictSettings)
     assert settings.weights == network.backend.sha256
     assert settings.engine == "torch"
     assert settings.sensor == SMALL.without_noise()

@@ -118,7 +118,8 @@ class OneThread(Samples):
 
 def test_batches_do_not_depend_on_the_number_of_workers(files: list[ScanFile]) -> None:
     recipe = Recipe(epochs=2, batch=2, crop_width=32, mix=0.5, paste=0.5)
-    one_thread = OneThread([Source(files=files, space=SPACE, sensor=SMALL)], SMALL, recipe, RARE)
+    sources = [Source(files=files, space=SPACE, sensor=SMALL)]
+    one_thread = OneThread(sources=sources, sensor=SMALL, recipe=recipe, rare=RARE)
     with spelled(CommandLine()):
         alone, helped = (list(batches(one_thread, 0, n)) for n in (0, 1))
     assert len(alone) == len(helped) == 6
