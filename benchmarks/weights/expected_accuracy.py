@@ -16,12 +16,14 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.commands import salsanext
-from salsanext_cli.core.measures.expected_accuracy import DEVIATIONS
 from salsanext_cli.core.network.card import AccuracyLine
 from salsanext_cli.io.files.reading import present
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import save_with_card
 from salsanext_cli.runs.results.paths import find_scans, output_path
+
+HALF_WIDTH = 2.0
+"""Half the interval of an estimate, in root mean squares of the misses on the judged sequences."""
 
 
 def measured(dataset: str, out: Path, weights: Path, width: int) -> dict[str, tuple[float, float]]:
@@ -73,10 +75,15 @@ def line_at(
             print(f"| {name} {sequence} | {shares} |")
     deviation = float(np.sqrt(np.mean(np.square(misses))))
     near = sum(abs(miss) <= 0.05 for miss in misses)
-    inside = sum(abs(miss) <= DEVIATIONS * deviation for miss in misses)
+    inside = sum(abs(miss) <= HALF_WIDTH * deviation for miss in misses)
     print(f"\n{near} of {len(misses)} within 5 points, {inside} inside the interval of a run;")
     print(f"root mean square {100 * deviation:.1f}", flush=True)
-    return AccuracyLine(*(round(float(value), 4) for value in (slope, offset, deviation)))
+    return AccuracyLine(
+        slope=round(float(slope), 4),
+        offset=round(float(offset), 4),
+        deviation=round(deviation, 4),
+        half_width=round(HALF_WIDTH * deviation, 4),
+    )
 
 
 def main() -> None:

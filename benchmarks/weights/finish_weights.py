@@ -47,7 +47,7 @@ from salsanext_cli.training.tuning.int8 import int8_inputs
 from salsanext_cli.training.tuning.scan_choice import labelled_scans
 from salsanext_cli.training.tuning.scans import read_labelled_image
 
-VERSION = 5
+VERSION = 6
 """Version of the published weights; raise it for each file that is published."""
 POINTS_OF_SCAN = 10_000
 """Points of each validation scan that the model of errors is fitted to."""

@@ -93,7 +93,7 @@ def test_data_of_another_type_are_malformed(kind, value):
 
 def test_an_unknown_key_is_refused_with_the_nearest_one():
     refuse_unknown({"name": 1}, Part, "file")
-    caught = refused(UsageError, "file", refuse_unknown, {"nam": 1, "share": 2}, Part, "file")
+    caught = refused(UsageError, "file", refuse_unknown, {"names": 1, "share": 2}, Part, "file")
     assert "name" in caught.value.hint
 
 

@@ -11,10 +11,6 @@ from salsanext_cli.core.checks.warning_codes import WarningCode
 from salsanext_cli.core.network.card import AccuracyLine
 from salsanext_cli.core.texts import counted
 
-DEVIATIONS = 3.5
-"""Half the width of the interval, in deviations of the line. With 2.0, the interval held for seven
-of eleven further drives. For the default weights, whose deviation is 2.9 points, 3.5 deviations are
-about twice the root mean square error on 14 excerpts of drives, which is 5.0 points."""
 OF_RUN = (WarningCode.MIXED_SENSORS,)
 """Warnings that concern every scan of a run: the fit to its scans suits none of the sensors."""
 WITHHELD_FOR = tuple(code for code in WarningCode if code.withholds_estimate)
@@ -84,6 +80,5 @@ def expected_accuracy(
     mean = min(max(round(math.fsum(covered) / len(covered), 6), EDGE), 1 - EDGE)
     logit = line.slope * math.log(mean / (1 - mean)) + line.offset
     accuracy = (1 + math.tanh(logit / 2)) / 2  # The logistic function, without overflow
-    margin = DEVIATIONS * line.deviation
-    interval = (round(max(accuracy - margin, 0), 4), round(min(accuracy + margin, 1), 4))
+    interval = (round(max(accuracy - line.margin, 0), 4), round(min(accuracy + line.margin, 1), 4))
     return ExpectedAccuracy(round(accuracy, 4), interval, len(covered), counts)

@@ -89,6 +89,11 @@ class RiskThreshold:
         split_digests(self.digests)  # Raises an error for other text.
 
 
+DEVIATIONS = 3.5
+"""Half the interval, in deviations, of a line that does not state it: of weights before version 6.
+With 2.0, the interval of version 5 held for seven of eleven further drives."""
+
+
 @dataclass(frozen=True, slots=True)
 class AccuracyLine:
     """Line from the logit of a run's mean confidence to the logit of its accuracy."""
@@ -96,14 +101,20 @@ class AccuracyLine:
     slope: float
     offset: float
     deviation: float  # Root mean square of the accuracy about the line, 0…1
+    half_width: float | None = None  # Half the interval of an estimate, 0…1; None: `DEVIATIONS`
     inherited_from: str | None = None  # Other weights to which the line was fitted
+
+    @property
+    def margin(self) -> float:
+        """Half the interval of an estimated accuracy, 0…1."""
+        return DEVIATIONS * self.deviation if self.half_width is None else self.half_width
 
     def to_dict(self) -> Json:
         """Return plain data without fields that are None."""
         return {name: value for name, value in asdict(self).items() if value is not None}
 
     def __post_init__(self) -> None:
-        if not all(map(math.isfinite, (self.slope, self.offset, self.deviation))):
+        if not all(map(math.isfinite, (self.slope, self.offset, self.margin))):
             raise ValueError(f"accuracy holds {self}")
 
 

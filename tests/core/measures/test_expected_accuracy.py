@@ -11,12 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from salsanext_cli.core.measures.expected_accuracy import (
-    DEVIATIONS,
-    WITHHELD_FOR,
-    expected_accuracy,
-)
-from salsanext_cli.core.network.card import AccuracyLine
+from salsanext_cli.core.measures.expected_accuracy import WITHHELD_FOR, expected_accuracy
+from salsanext_cli.core.network.card import DEVIATIONS, AccuracyLine
 from salsanext_cli.io.weights.card_file import default_weights, read_card
 
 LINE = AccuracyLine(1.0, 0.0, 0.05)
@@ -25,12 +21,17 @@ FIGURES = Path(__file__).parents[3] / "docs/figures.json"
 SHARES = st.floats(0, 1)
 
 
-def test_the_line_of_the_weights_is_that_of_the_docs():
+def judged_drives() -> np.ndarray:
+    """Return the first table of the docs: confidence, estimated and right (3, drives), in %."""
     table = SAFETY.read_text().split("| confidence | estimated | right |")[1].split("\n\n")[0]
     columns = zip(*(line.split("|")[2:5] for line in table.splitlines()[2:]), strict=True)
-    numbers = [[float(n) for n in re.findall(r"[\d.]+", " ".join(cells))] for cells in columns]
-    confidences, expected, right = np.array(numbers)
-    assert len(right) == 10
+    return np.array(
+        [[float(n) for n in re.findall(r"[\d.]+", " ".join(cells))] for cells in columns]
+    )
+
+
+def test_the_line_of_the_weights_is_that_of_the_docs():
+    confidences, expected, right = judged_drives()
     line = read_card(default_weights()).accuracy
     for confidence, stated in zip(confidences, expected, strict=True):
         estimate = expected_accuracy(line, {"a": confidence / 100}, {})
@@ -39,15 +40,19 @@ def test_the_line_of_the_weights_is_that_of_the_docs():
     assert line.deviation == pytest.approx(np.sqrt(np.mean(misses**2)) / 100, abs=1e-3)
 
 
-def test_the_interval_holds_for_all_but_one_of_the_drives_of_the_docs():
-    table = SAFETY.read_text().split("| estimated | right |")[1].split("\n\n")[0]
-    columns = zip(*(line.split("|")[2:4] for line in table.splitlines()[2:]), strict=True)
-    numbers = [[float(n) for n in re.findall(r"[\d.]+", " ".join(cells))] for cells in columns]
-    estimated, right = np.array(numbers)
-    margin = 100 * DEVIATIONS * read_card(default_weights()).accuracy.deviation
-    inside = np.abs(estimated - right) <= margin
+def test_the_interval_holds_for_as_many_drives_as_the_docs_state():
+    _, estimated, right = judged_drives()
+    inside = np.abs(estimated - right) <= 100 * read_card(default_weights()).accuracy.margin
     stored = json.loads(FIGURES.read_text())["estimates"]
-    assert (len(inside), sum(inside)) == (int(stored["drives"]), int(stored["inside"])) == (14, 13)
+    assert (len(inside), sum(inside)) == (int(stored["drives"]), int(stored["inside"]))
+    assert sum(inside) >= 0.9 * len(inside)
+
+
+def test_lines_of_early_weights_have_an_interval_of_some_deviations():
+    early = AccuracyLine(1.0, 0.0, 0.04)
+    assert early.margin == pytest.approx(DEVIATIONS * 0.04)
+    assert AccuracyLine(1.0, 0.0, 0.04, half_width=0.1).margin == 0.1
+    assert "half_width" not in early.to_dict()
 
 
 @given(st.dictionaries(st.text(max_size=3), SHARES, min_size=1), SHARES)
