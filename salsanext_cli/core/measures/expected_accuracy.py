@@ -23,7 +23,7 @@ class ExpectedAccuracy:
     """Estimated accuracy of some scans of a run, or the warnings that forbid an estimate."""
 
     accuracy: float | None  # Share of the points, 0…1; None if the estimate is withheld
-    interval: tuple[float, float] | None  # Held for 13 of 14 drives, 0…1
+    interval: tuple[float, float] | None  # Held for the 14 excerpts of drives that set it, 0…1
     scans: int  # Number of scans that the estimate covers
     withheld: Mapping[str, int]  # Number of other scans by code of the warning
 
