@@ -114,11 +114,7 @@ def estimates(data: Path) -> dict[str, str]:
             withheld += 1
         elif interval[0] <= accuracy <= interval[1]:
             inside += 1
-    return {
-        "drives": str(len(drives)),
-        "inside": str(inside),
-        "withheld": str(withheld),
-    }
+    return {"drives": str(len(drives)), "inside": str(inside), "withheld": str(withheld)}
 
 
 def pandaset(data: Path) -> dict[str, str]:
