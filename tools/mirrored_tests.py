@@ -10,6 +10,7 @@ Run: python tools/mirrored_tests.py
 from __future__ import annotations
 
 import ast
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -33,6 +34,7 @@ def mirror_of(module: Path) -> Path:
     return module.with_name(f"test_{module.name}")
 
 
+@cache
 def without_mirror() -> list[Path]:
     """Return the modules that have no test file of their name."""
     return [

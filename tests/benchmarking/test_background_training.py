@@ -70,6 +70,7 @@ def test_of_processes_that_ask_for_one_scene_one_makes_it(tmp_path, monkeypatch)
     assert made == [(KINDS[0], 3)]
 
 
+@pytest.mark.slow
 def test_scores_of_drives_are_those_of_eval(tmp_path, weights, monkeypatch):
     monkeypatch.setenv("SALSANEXT_ENGINE", "torch")
     for name in ("00", "08"):

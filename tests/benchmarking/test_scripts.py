@@ -121,6 +121,7 @@ def test_speed_measures_each_part_of_both_sides_in_their_processes(tmp_path, wei
     assert all(part["product"]["median"] > 0 for part in found)
 
 
+@pytest.mark.slow
 def test_sides_take_turns_on_the_same_scan(monkeypatch, tmp_path, weights):
     """Ratios are of pairs: a machine that is slow for a round is so for both sides."""
     seconds = {"baseline": iter((0.2, 9.0, 0.4)), "product": iter((0.1, 3.0, 0.4))}

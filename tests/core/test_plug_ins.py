@@ -177,6 +177,7 @@ def test_errors_and_models_list_plug_ins_with_their_distribution(tmp_path):
     assert all(name in shown and ORIGIN in shown for _, name in expected)
 
 
+@pytest.mark.slow
 def test_processes_of_a_run_see_plug_ins(weights, site, tmp_path):
     for number in range(3):
         write_rad(tmp_path / f"rad/velodyne/{number}.rad", make_scan(seed=number), number)

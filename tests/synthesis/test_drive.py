@@ -93,6 +93,7 @@ def test_random_sensors_are_within_bounds_and_no_vehicle_hides_the_sky(rigs):
     assert len(hidden_shares) > 10
 
 
+@pytest.mark.slow
 def test_a_seed_has_one_sensor_per_sequence():
     made = []
 
@@ -112,6 +113,7 @@ def test_a_seed_has_one_sensor_per_sequence():
     assert not np.array_equal(first.beams.elevation, other.beams.elevation)
 
 
+@pytest.mark.slow
 def test_the_street_is_the_same_through_any_sensor():
     frames = [next(record(4, 1, 1, 3.0, make_rig)) for make_rig in RIGS.values()]
     places = []

@@ -99,6 +99,7 @@ def test_workers_end_with_the_one_that_fails_and_name_it() -> None:
         assert line.endswith(": out of luck")
 
 
+@pytest.mark.slow
 @gloo
 def test_an_error_of_all_workers_is_reported_by_one() -> None:
     status, messages = ended("fail alike", 2)

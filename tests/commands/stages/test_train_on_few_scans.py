@@ -296,6 +296,7 @@ def test_simulated_scenes_are_further_data_sets(data, tmp_path, simulated):
     assert not all(torch.equal(tensor, tensors[2][name]) for name, tensor in tensors[0].items())
 
 
+@pytest.mark.slow
 def test_scenes_of_another_version_or_settings_are_made_again(data, tmp_path, simulated, caplog):
     caplog.set_level(NOTICE)
     run, recipe = tmp_path / "run", FEW.with_changes(streets=1, epochs=1)

@@ -188,6 +188,7 @@ def test_without_the_file_of_digests_only_the_comparison_with_them_is_missing(tr
     assert path.name in made.page.read_text("utf-8")
 
 
+@pytest.mark.slow
 def test_the_scans_of_a_threshold_are_unknown_without_their_file(trained, caplog):
     digests = {scan_digest(read_scan(trained.scan("08", "000001")))}
     predict(trained)

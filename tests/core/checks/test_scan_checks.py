@@ -180,6 +180,7 @@ KNOWN = {"livox_front": ["part-of-circle", "height"], "beams128_binary_compresse
 that is 2.5 m behind the origin of its files."""
 
 
+@pytest.mark.slow
 @pytest.mark.real
 def test_real_scans_have_no_finding_without_reason(real_data):
     folders = ("semantickitti", "pandaset", "sensors")

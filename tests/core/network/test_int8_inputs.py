@@ -209,6 +209,7 @@ def test_damaged_ranges_are_refused(weights, changes):
     refused(WeightsError, "weights", WeightsCard.from_metadata, {"salsanext": broken}, "weights")
 
 
+@pytest.mark.slow
 def test_samples_of_int8_weights_are_those_of_float32(weights):
     image_of_scan = project(make_scan(), SMALL)
     estimates = [

@@ -40,6 +40,7 @@ def test_negative_intensities_and_signalling_nans_are_read(tmp_path):
     assert np.flatnonzero(np.isnan(scan.intensity)).tolist() == [59]
 
 
+@pytest.mark.slow
 @pytest.mark.real
 def test_no_real_scan_is_refused(real_data, tmp_path):
     for path in real_scans(real_data):

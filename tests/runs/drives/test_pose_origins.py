@@ -24,6 +24,7 @@ from salsanext_cli.runs.results.recorded_origins import recorded_origin, recorde
 from salsanext_cli.runs.results.result_folder import ResultFolder
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("workers_in_process")
 def test_poses_in_the_frame_of_the_scans_are_their_origins(map_drive, tmp_path, caplog):
     shutil.copytree(map_drive / "velodyne", tmp_path / "velodyne")

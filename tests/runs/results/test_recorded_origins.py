@@ -68,6 +68,7 @@ def test_bodies_with_z_down(height):
     assert sensor.origin[2] == pytest.approx(-height, abs=0.35 if height else 0.1)
 
 
+@pytest.mark.slow
 def test_scans_of_a_map_are_of_one_sensor_with_an_origin_each():
     sensor = fit_sensor(ScanSample.of_scans(drive()), SMALL)
     assert sensor.registered
@@ -122,6 +123,7 @@ def test_narrow_fields_of_view_and_low_sensors_are_not_out_of_place(angle):
         assert "out-of-place" not in codes(street(32, height), SMALL)
 
 
+@pytest.mark.slow
 def test_every_stage_sees_a_registered_drive_from_its_sensor(map_drive, tmp_path):
     network = NetworkSettings(map_drive / "w.safetensors", "cpu", engine="torch")
     source, out, steps = map_drive / "velodyne", tmp_path / "out", tmp_path / "steps"

@@ -247,6 +247,7 @@ def test_coordinates_alone_are_not_read_with_an_intensity(beams, height, turns):
     assert are_planes(stored_by_column(four), 4)
 
 
+@pytest.mark.slow
 @pytest.mark.real
 def test_coordinates_alone_of_a_real_scan_are_not_read_with_an_intensity(real_data):
     for path in real_scans(real_data)[::4]:
@@ -368,6 +369,7 @@ def test_places_of_rows_that_are_always_empty(period, lost):
     assert evidence.empty_places(rows.ravel(), 4) is None
 
 
+@pytest.mark.slow
 @pytest.mark.real
 def test_no_real_scan_is_taken_for_planes_and_its_transpose_is(real_data):
     right = []
