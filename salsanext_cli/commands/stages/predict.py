@@ -47,18 +47,6 @@ class PredictOutcome(Outcome):
     # Number of points that were left unlabelled by their uncertainty; None without a limit
     rejected_points: int | None = None
 
-    @classmethod
-    def of_run(cls, outcome: Outcome, rejected_points: int | None = None) -> "PredictOutcome":
-        """Return the numbers of a run, with the number of rejected points."""
-        return cls(
-            skipped=outcome.skipped,
-            failures=outcome.failures,
-            done=outcome.done,
-            seconds=outcome.seconds,
-            summary=outcome.summary,
-            rejected_points=rejected_points,
-        )
-
 
 def predict_scans(
     source: Path | Sequence[Path],
@@ -118,7 +106,8 @@ def predict_scans(
             job=job, settings=resolved_for(settings, network, scans), network=network, batch=batch
         )
         outcome = run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)
-    return PredictOutcome.of_run(outcome, summary.rejected_points if rejection else None)
+    rejected_points = summary.rejected_points if rejection else None
+    return PredictOutcome.of_run(outcome, rejected_points=rejected_points)
 
 
 def _recorded_settings(

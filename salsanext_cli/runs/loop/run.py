@@ -5,8 +5,8 @@ import logging
 import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, fields
+from typing import Any, Self
 
 from salsanext_cli.core.errors import SalsanextError, WorkersLost
 from salsanext_cli.core.texts import first_few, with_hint
@@ -71,6 +71,12 @@ class Outcome:
     missing: MissingResults | None = None
     seconds: float = 0.0
     summary: RunSummary | None = None
+
+    @classmethod
+    def of_run(cls, outcome: "Outcome", **numbers: Any) -> Self:
+        """Return the numbers of a run with those that only its stage has, by name."""
+        common = {field.name: getattr(outcome, field.name) for field in fields(Outcome)}
+        return cls(**common | numbers)
 
     @property
     def has_results(self) -> bool:
