@@ -187,20 +187,6 @@ class OutputRun(OwnedFolder):
             foreign=tuple(sorted({*continued.foreign, *names})),
         )
 
-    def _taken(self, wanted: StageRecord, other: StageRecord) -> OutputError:
-        """Return the error of a folder of results that another stage fills."""
-        folder = next(name for name in wanted.writes if name in other.writes)
-        problem = f"{folder}/ contains results of `{other.stage}`"
-        hint = f"use another output folder, or {setting('overwrite', True)} to replace them"
-        return OutputError(self.manifest.path(other.stage), problem, hint=hint)
-
-    def _require_unused(self, records: Iterable[StageRecord]) -> None:
-        """Refuse to replace results of stages of which a run uses the folder."""
-        for record in records:
-            stage_folder = OwnedFolder(self.root, record.stage)
-            if stage_folder.is_shared():
-                raise stage_folder.busy()
-
     def _settings_with_files(
         self, new: StageRecord, continued: StageRecord | None
     ) -> Mapping[str, object]:

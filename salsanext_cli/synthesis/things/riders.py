@@ -11,8 +11,6 @@ from salsanext_cli.synthesis.mesh import Mesh, Rng, Skin, box, merge, tube
 from salsanext_cli.synthesis.presets import BICYCLIST, MOTORCYCLIST, Material
 from salsanext_cli.synthesis.things import figures, people
 
-SADDLE_M = 0.98  # Height of the hips on the saddle of a bicycle
-
 
 def riding_bicyclist(rng: Rng) -> Mesh:
     """Return a cyclist in motion, perhaps with a box or a child's seat, or with a trailer."""
