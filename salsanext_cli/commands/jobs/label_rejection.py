@@ -110,7 +110,7 @@ def _no_threshold(settings: NetworkSettings, network: Network) -> WeightsError:
 def _changed_settings(
     risk: RiskThreshold, settings: NetworkSettings, network: Network, knn: KnnParameters
 ) -> list[str]:
-    """Return the names of the settings that differ from those of the choice of a threshold."""
+    """Return the names of the settings that differ from the settings of the threshold."""
     current = labels_depend_on(settings, network)
     is_changed = {"classes": network.merging is not None, "knn": knn != KnnParameters()}
     for name, key in KEY_OF.items():

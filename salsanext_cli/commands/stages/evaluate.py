@@ -39,7 +39,7 @@ from salsanext_cli.runs.results.result_folder import ResultFolder
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.results.selection import MissingResults, space_of_labels
 from salsanext_cli.runs.summary.comparison import ScanComparison
-from salsanext_cli.runs.summary.scan_summary import TUNE_AGAIN, guarantee_of_run
+from salsanext_cli.runs.summary.scan_summary import NOT_COMPARED, TUNE_AGAIN, guarantee_of_run
 from salsanext_cli.version import __version__
 
 FILES = ("scores.txt", *PICTURES, "eval_iou.png", "eval.json")
@@ -101,7 +101,7 @@ class Evaluation:
             return f"the guarantee does not cover these scans ({WarningCode.OTHER_SCANS})"
         if self.guarantee and self.guarantee.incomparable:
             reason = self.guarantee.incomparable
-            return f"the scans cannot be compared with those of the threshold ({reason})"
+            return f"{NOT_COMPARED} ({reason})"
         return ""
 
     def missed_limits(self, limits: Sequence[ScoreLimit]) -> list[MissedLimit]:
