@@ -147,11 +147,12 @@ class OutputRun(OwnedFolder):
 
     def _require_idle(self, earlier: EarlierRecords) -> None:
         """Refuse to replace results that another run is writing."""
-        stages = [record.stage for record in earlier.others]
-        if not earlier.is_same:
-            stages.insert(0, self.stage)
-        for stage in stages:
-            folder = OwnedFolder(self.root, stage)
+        # Asked in any case, since it removes the locks of killed runs.
+        is_shared = self.is_shared()
+        if is_shared and not earlier.is_same:
+            raise self.busy()
+        for record in earlier.others:
+            folder = OwnedFolder(self.root, record.stage)
             if folder.is_shared():
                 raise folder.busy()
 

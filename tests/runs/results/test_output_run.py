@@ -201,6 +201,15 @@ def test_results_of_running_stages_are_not_removed(tmp_path: Path) -> None:
     assert sorted(files_below(out)) == ["knn-refine.json", "predict.json"]
 
 
+@pytest.mark.parametrize("settings", [SETTINGS, {"weights": "new"}])
+def test_the_lock_of_a_killed_run_is_removed_by_the_next(tmp_path: Path, settings) -> None:
+    predicted(tmp_path, scans_of(tmp_path, "a"))
+    left = tmp_path / f".predict.{'0' * 32}.lock"
+    left.touch()
+    predict(tmp_path, settings, overwrite=True)
+    assert not left.exists()
+
+
 def test_runs_side_by_side(tmp_path: Path) -> None:
     """They have the same settings, or are of stages that fill other folders."""
     (path,) = predicted(tmp_path, scans_of(tmp_path, "a"))
