@@ -22,7 +22,12 @@ import torch
 
 from benchmarks.gpu.gpu_measures import Figures, mean_text, utilisation
 from benchmarks.gpu.gpu_training import STEPS, gpu_recipe, small_weights
-from benchmarks.weights.default_weights import SIMULATED, compose_circles, split_pandaset
+from benchmarks.weights.default_weights import (
+    LABEL_SPACES,
+    SIMULATED,
+    compose_circles,
+    split_pandaset,
+)
 from benchmarks.weights.pack import unpack
 from benchmarks.weights.scene_pool import KINDS, VALIDATION, ScenePool
 from salsanext_cli.commands.line.recipe_changes import read_overrides
@@ -61,8 +66,6 @@ CHECKED_STEPS = 20  # Steps between two looks at the losses
 POLL_INTERVAL_S = 0.2
 SECONDS_OF_SMALL = 15.0
 """Time that a small training takes at most, however many minutes the run has."""
-SPACES = {"pandaset": "pandaset.yaml", "pandargt": "pandaset.yaml", "aachen": "aachen.yaml"}
-"""Label spaces of packed data sets; no others are trained on."""
 DESCRIPTION = "Trained with benchmarks/gpu/gpu_run.py on simulated scenes{also}, from {weights}."
 
 
@@ -219,9 +222,9 @@ def real_sources(
     The scans of PandaSet's two sensors are one source. The same scans are held out as for the
     default weights.
     """
-    if unknown := sorted(roots.keys() - SPACES.keys()):
+    if unknown := sorted(roots.keys() - LABEL_SPACES.keys()):
         found = f"are {', '.join(unknown)}"
-        raise TrainingError("real scans", found, f"some of {', '.join(SPACES)}")
+        raise TrainingError("real scans", found, f"some of {', '.join(LABEL_SPACES)}")
     sources: list[Source] = []
     held_out: dict[str, Source] = {}
     if "pandaset" in roots:
@@ -242,9 +245,7 @@ def real_sources(
 
 def source_of(files: Sequence[ScanFile], name: str, sensor: Sensor) -> Source:
     """Return files as a source with the label space of a packed data set."""
-    return Source(
-        files=files, space=label_space(Path(__file__).parent / SPACES[name]), sensor=sensor
-    )
+    return Source(files=files, space=label_space(LABEL_SPACES[name]), sensor=sensor)
 
 
 def wait_for_scenes(

@@ -41,6 +41,13 @@ from salsanext_cli.runs.results.paths import ScanFile, find_scans
 from salsanext_cli.training.data.augment import rotate
 from salsanext_cli.training.data.sources import labelled_split
 
+HERE = Path(__file__).parent
+LABEL_SPACES = {
+    "pandaset": HERE / "pandaset.yaml",
+    "pandargt": HERE / "pandaset.yaml",
+    "aachen": HERE / "aachen.yaml",
+}
+"""Label spaces of the data sets with real scans; no others are trained on."""
 DRIVES = ("001", "002")
 HELD_OUT = 10
 """Last scans of PandaSet, which are validated and which the temperature is fitted on too."""
@@ -103,7 +110,7 @@ def link_pandaset(roots: Mapping[str, Path], root: Path) -> list[ScanFile]:
         "train": sorted({file.sequence for file in training}),
         "valid": [f"held-out-{name}" for name, files in held_out.items() if files],
     }
-    space = label_space(Path(__file__).parent / "pandaset.yaml").to_dict()
+    space = label_space(LABEL_SPACES["pandaset"]).to_dict()
     (root / "labels.yaml").write_text(json.dumps(space | {"split": splits}))
     return training
 
@@ -151,7 +158,7 @@ def compose_circles(aachen: Path, root: Path) -> None:
             labels.append(np.fromfile(file.label_path, np.uint32))
         np.concatenate(points).tofile(sequence / f"velodyne/{circle:06}.bin")
         np.concatenate(labels).tofile(sequence / f"labels/{circle:06}.label")
-    (root / "labels.yaml").write_bytes((Path(__file__).parent / "aachen.yaml").read_bytes())
+    (root / "labels.yaml").write_bytes(LABEL_SPACES["aachen"].read_bytes())
 
 
 def finish(

@@ -6,11 +6,12 @@ import math
 
 import numpy as np
 import pytest
-from scans import write_bin, write_sequence
+from scans import SMALL, write_bin, write_sequence
 
 from benchmarks.gpu import gpu_run
+from benchmarks.gpu.gpu_train import source_of
 from benchmarks.weights import pack
-from benchmarks.weights.default_weights import simulated_scans
+from benchmarks.weights.default_weights import LABEL_SPACES, simulated_scans
 from benchmarks.weights.ray_casting import RayScene
 from salsanext_cli import read_labels, read_scan
 from salsanext_cli.io.weights.card_file import read_card
@@ -98,6 +99,13 @@ def test_rays_hit_the_nearest_triangle(count):
 
 
 # The run
+
+
+@pytest.mark.parametrize("name", LABEL_SPACES)
+def test_scans_of_every_packed_data_set_have_a_label_space(name):
+    source = source_of([], name, SMALL)
+    assert source.space.names
+    assert source.sensor == SMALL
 
 
 @pytest.mark.slow
