@@ -32,9 +32,15 @@ def logger_as_before() -> Iterator[None]:
     logger.handlers[:] = handlers
 
 
+built = cache(typer.main.get_command)
+"""Return the command line of a program; to build it takes longer than many commands."""
+
+
 def invoked(program: typer.Typer, *words: object, **options: Any) -> Result:
     """Run a program of the command line in this process."""
-    with logger_as_before():
+    with logger_as_before(), pytest.MonkeyPatch.context() as patch:
+        # The runner builds the program for each call.
+        patch.setattr("typer.testing._get_command", built, raising=False)
         return CliRunner().invoke(program, [str(word) for word in words], **options)
 
 
@@ -54,10 +60,9 @@ def every_command() -> dict[str, Callable[..., None]]:
     return commands
 
 
-@cache
 def root() -> Any:
-    """Return the command line as a whole; it takes a tenth of a second to build."""
-    return typer.main.get_command(app)
+    """Return the command line as a whole."""
+    return built(app)
 
 
 def parsed(name: str) -> Any:

@@ -35,7 +35,10 @@ def drawn_alike() -> Iterator[None]:
     import torch
 
     with torch.random.fork_rng([]):
-        torch.manual_seed(0)
+        # `torch.manual_seed` formats the stack for each kind of device that is absent.
+        torch.default_generator.manual_seed(0)
+        if torch.cuda.is_available():
+            torch.cuda.manual_seed_all(0)
         yield
 
 

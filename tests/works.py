@@ -9,8 +9,6 @@ from collections.abc import Generator, Sequence
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from salsanext_cli.core.compiled import thread_count
 from salsanext_cli.core.errors import FormatError
 from salsanext_cli.core.wording import argument
@@ -56,6 +54,8 @@ def name_argument(scan: ScanFile) -> str:
 
 def threads_of_process(_: ScanFile) -> tuple[int, int]:
     """Return the number of threads of torch and of kernels."""
+    import torch  # here, since each worker imports this file, and torch takes most of its start
+
     return torch.get_num_threads(), thread_count()
 
 

@@ -11,6 +11,7 @@ from tiny_network import TinyNetwork
 from torch import Tensor, nn
 
 from salsanext_cli.core.errors import TrainingError
+from salsanext_cli.training import failure_watch
 from salsanext_cli.training.distributed import ProcessGroup, process_group
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.recipe import Recipe
@@ -133,6 +134,7 @@ def fail_alike() -> None:
 def fail() -> None:
     """Let the last worker fail while the others are busy endlessly."""
     logging.basicConfig(format="%(message)s")
+    failure_watch.LEAVING_S = 0.1  # so that the others stay a second instead of five
     with process_group("cpu") as (group, _):
         group.sum(torch.ones(1))
         if group.rank == 0:
