@@ -29,6 +29,14 @@ def interruptible() -> Iterator[None]:
     signal.signal(signal.SIGINT, before)
 
 
+@pytest.fixture(autouse=True, scope="session")
+def unsynced() -> Iterator[None]:
+    """Leave it to the system when a file reaches the disk: no test cuts the power."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", os.fstat)  # which refuses a closed file too
+        yield
+
+
 @pytest.fixture(autouse=True)
 def drawn_alike() -> Iterator[None]:
     """Let each test draw the same numbers of torch's global generator, and leave it as it was."""
