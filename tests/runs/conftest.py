@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 from map_drives import drive
+from narrow import narrow_salsanext
 from scans import SMALL, write_bin, write_weights
 
 from salsanext_cli.commands.stages.predict import predict_scans
@@ -13,11 +14,12 @@ from salsanext_cli.runs.network_settings import NetworkSettings
 
 @pytest.fixture(scope="session")
 def map_drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder with the scans of such a drive, and weights."""
+    """Return a folder with the scans of such a drive, and weights of few channels."""
     folder = tmp_path_factory.mktemp("map")
     for number, scan in enumerate(drive()):
         write_bin(folder / "velodyne" / f"{number:06}.bin", scan)
-    write_weights(folder / "w.safetensors", sensor=SMALL)
+    with narrow_salsanext():
+        write_weights(folder / "w.safetensors", sensor=SMALL)
     return folder
 
 
@@ -27,5 +29,6 @@ def predicted_map(map_drive: Path, tmp_path_factory: pytest.TempPathFactory) -> 
     out = tmp_path_factory.mktemp("out")
     network = NetworkSettings(map_drive / "w.safetensors", "cpu", engine="torch")
     extras = ("probabilities", "pixel_labels")
-    predict_scans(map_drive / "velodyne", out, settings=network, extras=extras)
+    with narrow_salsanext():
+        predict_scans(map_drive / "velodyne", out, settings=network, extras=extras)
     return out

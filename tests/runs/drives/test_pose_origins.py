@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from map_drives import WAY, drive, write_poses
+from narrow import narrow  # noqa: F401
 from scans import SMALL
 
 from salsanext_cli.commands.stages.fuse import fuse_results
