@@ -25,16 +25,19 @@ CONSTANT_PER_SCAN = 10
 values. A quadratic step has `scans` times more."""
 
 
-def calls(run: Callable[[], object]) -> Counter[str]:
+Calls = Counter[tuple[str, str, str]]
+"""Numbers of calls, by the file and the name of the function, and the C function that it calls."""
+
+
+def calls(run: Callable[[], object]) -> Calls:
     """Count the calls of the functions of the package, and their calls of C functions."""
-    counts: Counter[str] = Counter()
+    counts: Calls = Counter()
 
     def count(frame: FrameType, event: str, argument: object) -> None:
         code = frame.f_code
         if event in ("call", "c_call") and code.co_filename.startswith(PACKAGE):
-            name = f"{code.co_filename.removeprefix(PACKAGE)} {code.co_qualname}"
             called = getattr(argument, "__qualname__", "") if event == "c_call" else ""
-            counts[f"{name} {called}"] += 1
+            counts[code.co_filename, code.co_qualname, called] += 1
 
     threading.setprofile(count)
     sys.setprofile(count)
@@ -46,7 +49,7 @@ def calls(run: Callable[[], object]) -> Counter[str]:
     return counts
 
 
-def require_linear(scans: int, few: Counter[str], many: Counter[str], name: object = "") -> None:
+def require_linear(scans: int, few: Calls, many: Calls, name: object = "") -> None:
     """Fail if twice as many scans are more than twice the calls of a function."""
     most = CONSTANT_PER_SCAN * scans
     worse = {key: (few[key], many[key]) for key in many if many[key] > 2 * few[key] + most}

@@ -22,7 +22,8 @@ from salsanext_cli.core.errors import TrainingError, UsageError
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup, process_group
 from salsanext_cli.training.fit import Training
 
-SCRIPT = Path(__file__).with_name("two_workers.py")
+TWO = Path(__file__).with_name("two_workers.py")
+FAILING = Path(__file__).with_name("failing_workers.py")
 
 gloo = pytest.mark.skipif(not is_gloo_available(), reason="needs gloo")
 
@@ -44,7 +45,7 @@ def torchrun(*arguments: object) -> subprocess.CompletedProcess[str]:
     )
 
 
-def started(task: object, count: int) -> list[subprocess.Popen[str]]:
+def started(script: Path, argument: object, count: int) -> list[subprocess.Popen[str]]:
     """Start workers as torchrun does, which itself takes seconds."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         address = {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(free.getsockname()[1])}
@@ -52,7 +53,7 @@ def started(task: object, count: int) -> list[subprocess.Popen[str]]:
     environment = os.environ | ENVIRONMENT | address | group
     return [
         subprocess.Popen(
-            [sys.executable, str(SCRIPT), str(task)],
+            [sys.executable, str(script), str(argument)],
             env=environment | {"RANK": str(rank)},
             stderr=subprocess.PIPE,
             text=True,
@@ -61,9 +62,9 @@ def started(task: object, count: int) -> list[subprocess.Popen[str]]:
     ]
 
 
-def ended(task: object, count: int) -> tuple[list[int], list[str]]:
+def ended(script: Path, argument: object, count: int) -> tuple[list[int], list[str]]:
     """Return exit status and messages of workers, by rank."""
-    workers = started(task, count)
+    workers = started(script, argument, count)
     try:
         # The last worker ends first.
         messages = [worker.communicate(timeout=200)[1] for worker in workers[::-1]]
@@ -80,7 +81,7 @@ def two(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     path = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "two_workers.pt"
     with FileLock(path.with_suffix(".lock")):
         if not path.exists():
-            status, messages = ended(path, 2)
+            status, messages = ended(TWO, path, 2)
             assert status == [0, 0], messages
     results: dict[str, Any] = torch.load(path, weights_only=True)
     assert results["size"] == 2
@@ -90,7 +91,7 @@ def two(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 @gloo
 def test_workers_end_with_the_one_that_fails_and_name_it() -> None:
     """The first is busy for longer than the test, the second waits in a collective."""
-    status, messages = ended("fail", 3)
+    status, messages = ended(FAILING, "fail", 3)
     assert status == [1, 1, 1]
     assert messages[2].splitlines()[-1].endswith("ZeroDivisionError: out of luck")
     for message in messages[:2]:
@@ -102,7 +103,7 @@ def test_workers_end_with_the_one_that_fails_and_name_it() -> None:
 @pytest.mark.slow
 @gloo
 def test_an_error_of_all_workers_is_reported_by_one() -> None:
-    status, messages = ended("fail alike", 2)
+    status, messages = ended(FAILING, "fail alike", 2)
     assert status == [0, 0], messages
     assert sorted(message.strip() for message in messages) == ["", "data: is empty"]
 

@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Gradients and more of workers; `test_distributed` starts them as torchrun does."""
 
-import logging
 import sys
-import time
 from pathlib import Path
 
 import torch
@@ -11,7 +9,6 @@ from tiny_network import TinyNetwork
 from torch import Tensor, nn
 
 from salsanext_cli.core.errors import TrainingError
-from salsanext_cli.training import failure_watch
 from salsanext_cli.training.distributed import ProcessGroup, process_group
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.recipe import Recipe
@@ -121,29 +118,6 @@ def refused(group: ProcessGroup) -> bool:
     return False
 
 
-def fail_alike() -> None:
-    """Raise the same error in all workers, and print it as the command line does."""
-    try:
-        with process_group("cpu"):
-            raise TrainingError("data", "is empty")
-    except TrainingError as error:
-        if not error.reported_elsewhere:
-            sys.stderr.write(f"{error}\n")
-
-
-def fail() -> None:
-    """Let the last worker fail while the others are busy endlessly."""
-    logging.basicConfig(format="%(message)s")
-    failure_watch.LEAVING_S = 0.1  # so that the others stay a second instead of five
-    with process_group("cpu") as (group, _):
-        group.sum(torch.ones(1))
-        if group.rank == 0:
-            group.on_main(lambda: time.sleep(1000))
-        elif group.rank == 1:
-            group.sum(torch.ones(1))
-        raise ZeroDivisionError("out of luck")
-
-
 def main() -> None:
     """Write the results of two workers."""
     with process_group("cpu") as (group, _):
@@ -156,4 +130,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    {"fail": fail, "fail alike": fail_alike}.get(sys.argv[1], main)()
+    main()
