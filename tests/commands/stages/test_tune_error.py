@@ -262,19 +262,17 @@ def test_another_temperature_leaves_the_errors_as_they_are(far_is_wrong, target,
     assert model.temperature == 1
 
 
-def test_a_fit_that_is_no_better_changes_nothing(far_is_wrong, target, caplog, monkeypatch):
-    world = far_is_wrong
+def test_a_fit_that_is_no_better_changes_nothing(runs, tmp_path, caplog, monkeypatch):
+    world, again = runs.world, tmp_path / "again.safetensors"
     caplog.set_level(NOTICE)
-    world.tune("error", target)
-    network, again = replace(world.network, weights=target), target.with_name("again.safetensors")
     # One step makes a good model worse.
     monkeypatch.setattr(error_training, "MIN_STEPS", 1)
     monkeypatch.setattr(error_training, "EPOCHS", 1)
     monkeypatch.setattr(error_training, "LEARNING_RATE", 1.0)
-    tuned = world.tune("error", again, settings=network)
+    tuned = world.tune("error", again, settings=runs.network)
     assert not tuned["changed"]
     assert tuned["existing"]["aurc"] < tuned["error"]["aurc"]
-    assert again.read_bytes() == target.read_bytes()
+    assert again.read_bytes() == runs.target.read_bytes()
     assert "the error model is unchanged" in caplog.text
     # Without a model, and no better than the confidence, there is none.
     tuned = world.tune("error", again, overwrite=True)
