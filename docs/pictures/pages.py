@@ -41,10 +41,11 @@ def report_scan(_: Path, picture: Path) -> None:
 def report_without_labels(data: Path, picture: Path) -> None:
     """Show what was run, and the scan in 3-D, of a drive without labels: the first tutorial."""
     with tempfile.TemporaryDirectory() as temporary:
-        folder = Path(temporary, "data/example")  # The page shows these names.
-        folder.mkdir(parents=True)
-        predicted_drive(data, folder, "--error")
-        salsanext("report", folder / "out")
+        folder = Path(temporary, "example")  # The page shows this name.
+        folder.mkdir()
+        with contextlib.chdir(folder):  # The page shows a command with relative paths.
+            predicted_drive(data, Path(), "--error")
+            salsanext("report", "out")
         screenshot(folder / "out/report.html", picture, ("run", "scans"), height=1900)
 
 

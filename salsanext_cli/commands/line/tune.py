@@ -103,8 +103,8 @@ def tune_risk(
     target: Path = arguments.WEIGHTS_OUT,
     *,
     at_most: str = option(
-        "Limit on the share of the points of a scan that are accepted and wrong, such as 5%. "
-        "Without `--confidence` it limits the average over scans or drives.",
+        "Limit on the share of the points of known classes that are accepted and wrong, such as "
+        "5%. Without `--confidence` it limits the average over scans or drives.",
         default=...,
         metavar="SHARE",
     ),

@@ -21,7 +21,7 @@ from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import LabelError, NoInputError
 from salsanext_cli.core.measures.accepted_labels import AcceptedLabels
 from salsanext_cli.core.measures.counts import BAND_NAMES, ScanCounts, SeparateCounts
-from salsanext_cli.core.measures.risk_control import RiskBoundCheck
+from salsanext_cli.core.measures.risk_control import CONSECUTIVE, RiskBoundCheck
 from salsanext_cli.core.measures.scores import Scores, band_scores, scores
 from salsanext_cli.core.measures.uncertainty_evaluation import UncertaintyEvaluation
 from salsanext_cli.core.plain_data import Json, as_json, plain
@@ -99,6 +99,8 @@ class Evaluation:
             return "the record of the scans that the threshold was chosen on is missing"
         if self.guarantee and self.guarantee.are_others:
             return f"the guarantee does not cover these scans ({WarningCode.OTHER_SCANS})"
+        if self.guarantee and self.guarantee.consecutive:
+            return f"{CONSECUTIVE} ({WarningCode.CONSECUTIVE})"
         if self.guarantee and self.guarantee.incomparable:
             reason = self.guarantee.incomparable
             return f"{NOT_COMPARED} ({reason})"

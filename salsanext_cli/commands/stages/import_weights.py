@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Stage `import-weights`: a published checkpoint, or weights of salsanext, as a weights file."""
 
+import logging
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -9,6 +10,7 @@ from salsanext_cli.core.errors import UsageError, WeightsError
 from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.network.registry import build
 from salsanext_cli.core.network.segmentation import SegmentationNetwork
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.wording import argument
 from salsanext_cli.io.files.atomic import WEIGHTS_SUFFIX, require_target
@@ -16,9 +18,16 @@ from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.io.sensors import sensor
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.published import read_published
-from salsanext_cli.io.weights.weights import load_tensors, read_weights, save_weights
+from salsanext_cli.io.weights.weights import (
+    changes_in_half,
+    load_tensors,
+    read_weights,
+    save_weights,
+)
 
 DROPOUT = 0.2  # Rate of the published networks
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,8 +79,19 @@ def import_weights(
     else:
         rate = DROPOUT if dropout is None else dropout
         imported = _published_weights(source, space or label_space(), view, rate, description)
-    save_weights(target, imported.module, imported.card, half=half)
+    card = imported.card
+    if view is not None or (half and changes_in_half(imported.module)):
+        card = _without_thresholds(card)
+    save_weights(target, imported.module, card, half=half)
     return read_card(target)
+
+
+def _without_thresholds(card: WeightsCard) -> WeightsCard:
+    """Return a card without thresholds of risk, whose guarantee does not cover other labels."""
+    if any(parts.risk for parts in (card.parts, *card.of_widths.values())):
+        text = "the threshold of `tune risk` is removed: it was chosen for other labels"
+        log.log(NOTICE, text)
+    return card.without_risk(lambda _: True)
 
 
 def _known_already(name: str, source: Path) -> UsageError:

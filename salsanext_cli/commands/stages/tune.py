@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import WeightsError
-from salsanext_cli.core.network.card import WeightsCard
+from salsanext_cli.core.network.card import RiskThreshold, WeightsCard
 from salsanext_cli.core.network.tuned_settings import KEY_OF
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.plain_data import plain
@@ -289,13 +289,20 @@ def tune_int8(
     int8 = int8_inputs(network.module, inputs)
     if not int8:
         raise WeightsError(settings.path, "has no hidden layer that int8 can compute")
-    risk = network.card.risk
-    if risk and risk.settings.get(KEY_OF["precision"]) == "int8":
-        log.log(NOTICE, "the threshold of `tune risk` is removed: it was chosen with other ranges")
-        risk = None
-    card = replace(network.card, int8=int8, risk=risk)
+    card = replace(_without_thresholds_of_int8(network.card), int8=int8)
     _write(settings, target, card, overwrite=overwrite)
     return Int8Report(scans=len(files), layers=len(int8), weights=target)
+
+
+def _without_thresholds_of_int8(card: WeightsCard) -> WeightsCard:
+    """Return a card without thresholds chosen with int8, of any width: new ranges end them."""
+
+    def is_of_int8(risk: RiskThreshold | None) -> bool:
+        return risk is not None and risk.settings.get(KEY_OF["precision"]) == "int8"
+
+    if any(is_of_int8(parts.risk) for parts in (card.parts, *card.of_widths.values())):
+        log.log(NOTICE, "the threshold of `tune risk` is removed: it was chosen with other ranges")
+    return card.without_risk(is_of_int8)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -109,10 +109,9 @@ class AcceptedLabels:
     def sentences(self) -> Iterator[str]:
         """Coverage, risk, the worst scan and missed people."""
         loss = percentage(self.wrong / max(self.points, 1))
-        yield (
-            f"accepted, all scans together: {percentage(self.coverage)} of {self.points:,} points, "
-            f"{percentage(self.risk)} of these are wrong ({loss} of all)"
-        )
+        known = f"{self.points:,} points of known classes in all scans"
+        wrong = f"{percentage(self.risk)} of the accepted are wrong ({loss} of all)"
+        yield f"accepted: {percentage(self.coverage)} of {known}; {wrong}"
         worst = self.worst
         risk = f"{percentage(worst.wrong / max(worst.accepted, 1))} of the {worst.accepted:,}"
         loss = f"{percentage(worst.loss)} of its points are accepted and wrong"

@@ -20,6 +20,7 @@ from salsanext_cli.core.measures.scores import Ratios
 from salsanext_cli.core.network.card import RiskThreshold
 from salsanext_cli.core.texts import counted, first_few, percentage
 
+CONSECUTIVE = "most of the scans that the threshold was chosen on follow each other"
 RISK_BOUND_EXCEEDED = (
     "the share of accepted and wrong points exceeds the limit of the guarantee: by chance, in the "
     "choice of these scans or of those that the threshold was chosen on, or because location, "
@@ -199,6 +200,7 @@ class RiskBoundCheck:
     scope: str = ""  # Scans that the guarantee covers, in words
     are_others: bool = False  # Whether the scans are evidently not such; False proves nothing
     incomparable: str = ""  # Why no comparison could show that they are not such
+    consecutive: bool = False  # As of `RiskThreshold`
 
     @classmethod
     def of_scans(
@@ -242,6 +244,7 @@ class RiskBoundCheck:
             worst=float(losses.max()),
             scope=_scope(guaranteed),
             are_others=are_others,
+            consecutive=guaranteed.consecutive,
         )
 
     @property
@@ -274,6 +277,8 @@ class RiskBoundCheck:
                 "not guaranteed, because the scans are unlike those that the threshold was chosen "
                 f"on: {bound}"
             )
+        elif self.consecutive:
+            guaranteed = f"not guaranteed, because {CONSECUTIVE}: {bound}"
         elif self.incomparable:
             guaranteed = (
                 "these scans cannot be compared with those that the threshold was chosen on "
@@ -286,7 +291,8 @@ class RiskBoundCheck:
 def guarantee(risk: RiskThreshold) -> str:
     """Return the guarantee of the threshold of weights in words."""
     bound = _bound(risk.at_most, risk.confidence, risk.unit)
-    return f"{risk.kind} up to {risk.threshold:.4g} accepted: {bound}, for {_scope(risk)}"
+    doubt = f"; not guaranteed, because {CONSECUTIVE}" if risk.consecutive else ""
+    return f"{risk.kind} up to {risk.threshold:.4g} accepted: {bound}, for {_scope(risk)}{doubt}"
 
 
 def _scope(risk: RiskThreshold) -> str:

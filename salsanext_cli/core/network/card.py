@@ -82,6 +82,8 @@ class RiskThreshold:
     views: tuple[FittedView, ...] = ()  # Fields of view of the sensors
     population: tuple[UnitTraits, ...] = ()  # Of each unit; empty in files of early versions
     data_set: str | None = None  # Name of its folder; None in files of early versions
+    # Whether most scans follow each other, so that the guarantee of scans does not hold as stated
+    consecutive: bool = False
 
     def __post_init__(self) -> None:
         if not all(map(math.isfinite, (self.threshold, self.at_most))):
@@ -207,6 +209,15 @@ class WeightsCard:
             others[self.sensor.width] = self.parts
         fitted = {name: getattr(parts, name) for name in PARTS}
         return replace(self, sensor=self.sensor.resized(width=width), of_widths=others, **fitted)
+
+    def without_risk(self, is_removed: Callable[[RiskThreshold | None], bool]) -> WeightsCard:
+        """Return the card without the thresholds of risk, of any width, that a function names."""
+        of_widths = {
+            width: replace(parts, risk=None) if is_removed(parts.risk) else parts
+            for width, parts in self.of_widths.items()
+        }
+        risk = None if is_removed(self.risk) else self.risk
+        return replace(self, risk=risk, of_widths=of_widths)
 
     def parts_of_default_width(self) -> str:
         """Name the parts that were fitted to images of the default width instead; "" for none."""

@@ -68,6 +68,14 @@ def save_with_card(
         file.write(_encoded(tensors, card))
 
 
+def changes_in_half(module: nn.Module) -> bool:
+    """Return whether `save_weights` with `half` would store other values of a network."""
+    return any(
+        not torch.equal(tensor, _stored(name, tensor, half=True).to(tensor.dtype))
+        for name, tensor in module.state_dict().items()
+    )
+
+
 def _stored(name: str, tensor: Tensor, half: bool) -> Tensor:
     tensor = tensor.detach().cpu().contiguous()
     if not half or not tensor.is_floating_point() or name.endswith(NORM_SUFFIXES):

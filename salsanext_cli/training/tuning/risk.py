@@ -135,9 +135,11 @@ def fit_risk(scans: TuningScans, level: RiskLevel) -> Tuned[RiskFit]:
         scans.space,
         {scan.scan: scan.counts for scan in points},
     )
-    threshold = _threshold(scans, judged, kind, unit, level, bins)
-    others = held_out_sequences(shares, level)
     warnings = _warnings(scans.files, unit, level)
+    threshold = replace(
+        _threshold(scans, judged, kind, unit, level, bins), consecutive=bool(warnings)
+    )
+    others = held_out_sequences(shares, level)
     report = RiskFit(
         threshold=threshold,
         accepted=labels,

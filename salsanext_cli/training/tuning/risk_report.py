@@ -38,7 +38,7 @@ class HeldOutSequence:
     def sentence(self) -> str:
         """Shares of the sequence in words."""
         accepted = f"{percentage(self.accepted)} accepted"
-        wrong = f"{percentage(self.loss)} of all points accepted and wrong"
+        wrong = f"{percentage(self.loss)} of the points of known classes accepted and wrong"
         worst = f", {percentage(self.worst)} in the worst scan" if self.scans > 1 else ""
         shares = f"{accepted}, {wrong}{worst}"
         return f"{self.sequence} with the threshold chosen on the others: {shares}"

@@ -15,7 +15,7 @@ from salsanext_cli.commands.stages.project import project_scans
 from salsanext_cli.commands.stages.tune import tune_int8
 from salsanext_cli.commands.stages.uncertainty import uncertainty
 from salsanext_cli.core.errors import FormatError, OutputError, WeightsError
-from salsanext_cli.core.network.card import RiskThreshold
+from salsanext_cli.core.network.card import FittedParts, RiskThreshold
 from salsanext_cli.core.network.registry import ARCHITECTURES
 from salsanext_cli.core.uncertainty.method import UncertaintyMethod
 from salsanext_cli.io.weights.card_file import read_card
@@ -54,9 +54,14 @@ def test_a_threshold_chosen_with_other_ranges_is_removed(world, network, target,
     settings = {"--precision": precision}
     risk = RiskThreshold("error", 0.2, 0.1, None, 20, ("00",), settings=settings)
     known = target.with_name("risk.safetensors")
-    save_with_card(network.path, known, replace(read_card(network.path), risk=risk))
+    card = read_card(network.path)
+    narrow = {16: FittedParts(risk=risk)}
+    card = replace(card, risk=risk, widths=(card.sensor.width, 16), of_widths=narrow)
+    save_with_card(network.path, known, card)
     tune_int8(world.data, target, settings=replace(network, weights=known))
-    assert read_card(target).risk == (None if precision == "int8" else risk)
+    tuned = read_card(target)
+    expected = None if precision == "int8" else risk
+    assert (tuned.risk, tuned.of_widths[16].risk) == (expected, expected)
 
 
 def test_steps_in_one_or_apart_agree_in_int8_and_differ_from_float32(world, network, target):

@@ -253,6 +253,14 @@ def test_a_guarantee_states_its_scope():
     assert "for drives like those that the threshold was chosen on (20 scans" in of_drives
 
 
+def test_a_threshold_of_consecutive_scans_is_not_called_guaranteed():
+    consecutive = replace(RISK, consecutive=True)
+    assert "not guaranteed" in guarantee(consecutive)
+    assert "not guaranteed" not in guarantee(RISK)
+    check = RiskBoundCheck.of_scans(consecutive, accepted(SCANS))
+    assert check.sentence.startswith("not guaranteed")
+
+
 def test_scans_that_cannot_be_compared_are_not_called_guaranteed():
     check = RiskBoundCheck.of_scans(RISK, accepted(SCANS))
     assert check.sentence.startswith("guaranteed for scans ")

@@ -15,7 +15,9 @@ from scans import lively, refused
 from salsanext_cli import load_network
 from salsanext_cli.commands.stages.import_weights import import_weights
 from salsanext_cli.core.errors import OutputError, WeightsError
+from salsanext_cli.core.network.card import FittedParts, RiskThreshold
 from salsanext_cli.core.network.salsanext import SalsaNext
+from salsanext_cli.io.sensors import sensor
 from salsanext_cli.io.weights import published
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.published import read_published
@@ -182,6 +184,31 @@ def test_ours_are_stored_again_in_half_the_size(weights, tmp_path):
     assert (card.description, card.temperature) == ("halved", 1.75)
     assert target.stat().st_size < 0.51 * weights.stat().st_size
     assert read_card(target).to_metadata() == card.to_metadata()
+
+
+@pytest.mark.parametrize("halved_before", [False, True])
+def test_tensors_that_change_in_half_lose_their_threshold(weights, tmp_path, halved_before):
+    source, target = tmp_path / "tuned.safetensors", tmp_path / "half.safetensors"
+    if halved_before:
+        import_weights(weights, target, half=True)
+        weights = target
+    risk = RiskThreshold("error", 0.2, 0.1, None, 20, ("00",))
+    card = read_card(weights)
+    narrow = {512: FittedParts(risk=risk)}
+    card = replace(card, risk=risk, widths=(card.sensor.width, 512), of_widths=narrow)
+    save_with_card(weights, source, card)
+    halved = import_weights(source, target, half=True, overwrite=True)
+    expected = risk if halved_before else None
+    assert (halved.risk, halved.of_widths[512].risk) == (expected, expected)
+    unchanged = import_weights(source, target, description="the same", overwrite=True)
+    assert unchanged.risk == unchanged.of_widths[512].risk == risk
+
+
+def test_weights_for_another_sensor_lose_their_threshold(weights, tmp_path):
+    source, target = tmp_path / "tuned.safetensors", tmp_path / "other.safetensors"
+    risk = RiskThreshold("error", 0.2, 0.1, None, 20, ("00",))
+    save_with_card(weights, source, replace(read_card(weights), risk=risk))
+    assert import_weights(source, target, view=sensor("hdl32")).risk is None
 
 
 def test_an_existing_target_is_replaced_only_by_overwriting(checkpoint, tmp_path):
