@@ -166,7 +166,7 @@ def test_eval_gives_the_numbers_that_were_reported_for_the_threshold(run):
     judged, losses = run.judged(), run.losses()
     numbers = {"units": 3, "above": sum(loss > 0.3 for loss in losses), "at_most": 0.3}
     numbers |= {"mean": pytest.approx(np.mean(losses)), "worst": pytest.approx(max(losses))}
-    numbers |= {"confidence": None, "unit": "scan", "are_others": False}
+    numbers |= {"confidence": None, "unit": "scan", "are_others": False, "consecutive": False}
     # Three scans and three others have 20 divisions.
     numbers |= {"incomparable": "3 scans"}
     numbers["scope"] = run.tuned["guarantee"].partition(", for ")[2]
@@ -444,6 +444,28 @@ def test_scans_of_other_drives_are_not_those_of_the_threshold(
         assert WarningCode.OTHER_SCANS in caplog.text
         check = evaluate_scans(find_scans(world.data), out, label_space()).guarantee
         assert "not guaranteed" in check.sentence
+
+
+def test_a_threshold_of_consecutive_scans_is_not_called_guaranteed(
+    unsure_is_wrong: World, target, caplog
+) -> None:
+    world = unsure_is_wrong
+    caplog.set_level("INFO")
+    neighbours = ScanSelection(sequences=("08",))
+    tuned = world.tune("risk", target, at_most=0.6, selection=neighbours)
+    assert tuned["consecutive"]
+    assert [warning["code"] for warning in tuned["warnings"]] == [WarningCode.CONSECUTIVE]
+    assert read_card(target).risk.consecutive
+    network = replace(world.network, weights=target)
+    caplog.clear()
+    settings = {"settings": network, "reject": "risk", "selection": neighbours}
+    predict_scans(world.data, world.out, **settings)
+    assert "not guaranteed" in caplog.text
+    judged = evaluate_scans(ResultFolder(world.out).scans(), world.out, label_space())
+    assert "not guaranteed" in judged.guarantee.sentence
+    # The scans are those of the threshold, so others are judged.
+    doubt = replace(judged, counts=replace(judged.counts, calibrated=0)).guarantee_doubt
+    assert WarningCode.CONSECUTIVE in doubt
 
 
 def test_too_few_scans_to_compare_are_not_called_guaranteed(
