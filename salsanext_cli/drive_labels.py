@@ -86,7 +86,7 @@ class VoteJob:
         softmax = points_from_pixels(cast(Float, pixels.softmax), pixel_of_point, unlabelled)
         return ScanVotes(
             file=prepared.file,
-            summary=ScanSummary.of_scan(prepared.file, scan, space),
+            summary=ScanSummary.from_scan(prepared.file, scan, space),
             origin=scan.projected.origin,
             labels=scan.labels,
             votes=top_classes(softmax),
@@ -168,7 +168,7 @@ def label_in_memory(
     by_poses = origins_by_poses(files, network.sensor, files)
     for line in by_poses.lines:
         log.log(NOTICE, "%s", line)
-    summary = RunSummary.of_network(network, files)
+    summary = RunSummary.from_network(network, files)
     labelled: list[ScanVotes] = []
 
     def add(scan: ScanVotes) -> None:

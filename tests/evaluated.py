@@ -70,7 +70,7 @@ def calibration_result(truth) -> CalibrationScores:
     counts.histograms[SOFTMAX] = histogram
     if len(truth):
         counts.calibration_errors.append(reliability(histogram.counts, SCAN_BINS).error)
-    return UncertaintyEvaluation.of_counts(counts).calibration
+    return UncertaintyEvaluation.from_counts(counts).calibration
 
 
 def run_of(out=Path(), rows=(), space=SPACE) -> RunResults:
@@ -83,4 +83,4 @@ def ranking_result(uncertainty, wrong) -> RankingScores:
     """Return the scores of an uncertainty as a detector of wrong points."""
     counts, values = ScanCounts.none(SPACE), np.array(uncertainty, np.float32)
     counts.histograms["epistemic"] = uncertainty_histogram(values, np.array(wrong, bool))
-    return UncertaintyEvaluation.of_counts(counts).kinds["epistemic"]
+    return UncertaintyEvaluation.from_counts(counts).kinds["epistemic"]

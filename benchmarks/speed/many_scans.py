@@ -71,7 +71,7 @@ def main(folder: str, count: str = "20000") -> None:
         scans = timed("find scans", lambda: find_scans(data), number)
         for step in ("record the run", "record another run"):
             timed(step, lambda: record(out, scans), number)
-        timed("divide into shards", lambda: Shard(1, 8).of(scans), number)
+        timed("divide into shards", lambda: Shard(1, 8).select(scans), number)
         done = OutputRun(out, folders=("predictions",)).is_done
         skip = partial(run_over_scans, hash, scans, RunOptions(), is_done=done)
         timed("skip what is done", skip, number)

@@ -67,7 +67,7 @@ def published_card(card: WeightsCard, description: str) -> WeightsCard:
         accuracy=None,
         int8=None,
         risk=None,
-        of_widths={},
+        parts_of_widths={},
         version=VERSION,
     )
 

@@ -70,7 +70,7 @@ def scan_of_arrays(points: npt.ArrayLike, intensity: npt.ArrayLike | None = None
 
 def fitted_to_scan(network: Network, scan: Scan) -> Network:
     """Return a network fitted to the sensor of one scan, as `predict` does."""
-    return fit_to_sample(network, ScanSample.of_scans([scan]), FitSettings())
+    return fit_to_sample(network, ScanSample.from_scans([scan]), FitSettings())
 
 
 def point_labels(scan: Scan, network: Network) -> PointLabels:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 DPI = 100
 PAPER = "white"
-NIGHT = "#{:02x}{:02x}{:02x}".format(*(c // 2 for c in EMPTY))
+NIGHT = "#" + bytes(value // 2 for value in EMPTY).hex()
 """Background of pictures of scans: darker than `EMPTY`, so that strips have an edge."""
 INK = "#e8e8ea"
 FAINT = "#8a8f98"
@@ -61,9 +61,14 @@ def _show_swatch(figure: Figure, colour: tuple[int, int, int], left: int, top: i
 
     width, height = figure.get_size_inches() * DPI
     corner = left / width, 1 - (top + SWATCH_PX[1]) / height
-    size = SWATCH_PX[0] / width, SWATCH_PX[1] / height
-    filled = Rectangle(corner, *size, transform=figure.transFigure, linewidth=0)
-    filled.set(facecolor=[part / 255 for part in colour], antialiased=False)
+    filled = Rectangle(
+        corner,
+        width=SWATCH_PX[0] / width,
+        height=SWATCH_PX[1] / height,
+        transform=figure.transFigure,
+        linewidth=0,
+    )
+    filled.set(facecolor=[value / 255 for value in colour], antialiased=False)
     figure.add_artist(filled)
 
 

@@ -31,7 +31,8 @@ IOU = "iou_"  # Prefix of the key of a class
 
 def card_table(file: DescribedWeights) -> Table:
     """Return a table of the card of a weights file."""
-    card, sensor = file.card, file.card.sensor
+    card = file.card
+    sensor = file.card.sensor
     view = f"{sensor.fov_up:+g}° to {sensor.fov_down:+g}°"
     rows = {
         "weights": f"default weights version {card.version}" if card.version else "",
@@ -49,8 +50,8 @@ def card_table(file: DescribedWeights) -> Table:
         "SHA-256": file.sha256,
         "SHA-256 of the tensors": card.tensors_sha256 and f"{card.tensors_sha256}, intact",
     }
-    known = [(name, str(text)) for name, text in rows.items() if text]
-    table = table_of(("", "value"), known, texts=["value"], title=str(file.path))
+    stated = [(name, str(text)) for name, text in rows.items() if text]
+    table = table_of(("", "value"), stated, texts=["value"], title=str(file.path))
     table.show_header = False
     return table
 
@@ -68,7 +69,8 @@ def _architecture(parameters: Json) -> str:
 def _error_rows(scores: Json) -> dict[str, str]:
     """Return rows about an error model: its scans, and its scores on held-out ones."""
     fitted_to = str(scores.get("fitted_to", ABSENT))
-    if sequences := scores.get("sequences"):
+    sequences = scores.get("sequences")
+    if sequences:
         scans = counted(scores["scans"], "scan") if "scans" in scores else "sequences"
         fitted_to += f" ({scans} of {first_few(sequences)})"
     shares = {"wrong": "wrong", "several": "skipped, with labels of several merged classes"}

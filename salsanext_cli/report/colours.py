@@ -76,7 +76,8 @@ def common_scales(
     out: Path, scans: Sequence[ScanFile], colours: Iterable[str], space: LabelSpace, sensor: Sensor
 ) -> Scales:
     """Return the fixed scale of each value, or its range over some evenly spaced scans."""
-    folder, scales = ResultFolder(out), dict[str, Scale]()
+    folder = ResultFolder(out)
+    scales = dict[str, Scale]()
     values: dict[str, list[npt.NDArray[Any]]] = {}
     sampled: dict[ScanFile, list[str]] = {}
     for colour in colours:
@@ -84,13 +85,13 @@ def common_scales(
             scales[colour] = FIXED_SCALES[colour]
         elif colour not in CLASS_COLOURS:
             values[colour] = [np.empty(0, np.float32)]
-            known = folder.with_column(colour, scans)
-            for file in known[:: -(-len(known) // SCANS_FOR_SCALE) or 1]:
+            with_values = folder.with_column(colour, scans)
+            for file in with_values[:: -(-len(with_values) // SCANS_FOR_SCALE) or 1]:
                 sampled.setdefault(file, []).append(colour)
-    for file, known_colours in sampled.items():
+    for file, values_of_scan in sampled.items():
         with suppress(SalsanextError):  # The run itself reports scans that cannot be read.
             columns = scalar_columns(folder.read(file, sensor), space)
-            for colour in known_colours:
+            for colour in values_of_scan:
                 values[colour].append(columns[colour])
     return scales | {name: value_range(np.concatenate(arrays)) for name, arrays in values.items()}
 
@@ -129,16 +130,16 @@ def screen_colours(space: LabelSpace) -> Colours:
     Dark colours of the label space are lightened. A class with the colour of an earlier class gets
     one of `PALETTE`, and after these one of evenly spread hues.
     """
-    known = {*label_space().names, *label_space("coarse").names}
-    changed = ON_SCREEN if known.issuperset(space.names) else {}
+    built_in = {*label_space().names, *label_space("coarse").names}
+    changed = ON_SCREEN if built_in.issuperset(space.names) else {}
     colours = on_dark([changed.get((*rgb,), rgb) for rgb in space.colours.tolist()])
     hues = [hsv_to_rgb(GOLDEN_RATIO * n % 1, 0.3 + n % 3 * 0.3, 1.0) for n in range(1024)]
     palette = np.frombuffer(PALETTE, np.uint8).reshape(-1, 3)
     spare = dict.fromkeys(map(tuple, on_dark([*palette, *np.multiply(hues, 255)]).tolist()))
-    wanted = [*map(tuple, colours.tolist())]
-    unused = (rgb for rgb in spare if rgb not in wanted)
+    preferred = [*map(tuple, colours.tolist())]
+    unused = (rgb for rgb in spare if rgb not in preferred)
     chosen: dict[tuple[int, ...], None] = {}
-    for rgb in wanted:
+    for rgb in preferred:
         chosen[next(unused) if rgb in chosen else rgb] = None
     return np.array([*chosen], np.uint8).reshape(-1, 3)
 
@@ -190,7 +191,7 @@ class PointColours:
             return self.colour
         return " ".join((self.colour, COLOUR_MAP, *(f"{mark:.6g}" for mark in self.scale)))
 
-    def of_points(self, columns: Mapping[str, npt.NDArray[Any]]) -> Colours:
+    def rgb(self, columns: Mapping[str, npt.NDArray[Any]]) -> Colours:
         """Return red, green and blue of every point, (N, 3), from its `scalar_columns`."""
         if self.colour not in CLASS_COLOURS:
             colour_map = None if self.dark else map_colours(COLOUR_MAP)

@@ -32,7 +32,11 @@ NAMES_PX = 150
 MIN_SHARE = 0.005  # Shares below this round to 0 % and are not written into their cell
 DASHED = (0, (5, 2))
 SOLID = "-"
-BLUE, SKY, ORANGE, RED, GREEN = "#0072b2", "#56b4e9", "#e69f00", "#d55e00", "#009e73"
+BLUE = "#0072b2"
+SKY = "#56b4e9"
+ORANGE = "#e69f00"
+RED = "#d55e00"
+GREEN = "#009e73"
 PURPLE = "#cc79a7"
 """Colours that colour-blind people can distinguish."""
 LINES = {
@@ -48,7 +52,7 @@ LINES = {
 }
 """Colour and dashes of each kind of uncertainty."""
 PLOT_PX = 720, 560  # Size of the plots of uncertainty: text has one size on a page
-LEFT, TOP, WIDTH, HEIGHT = MAIN_PX = 80, 60, 600, 330  # Axes above a legend or other axes
+MAIN_PX = 80, 60, 600, 330  # Axes above a legend or other axes: left, top, width and height
 BELOW_PX = 90  # Height of the axes below them, which show the distribution of the points
 
 
@@ -59,7 +63,8 @@ def uncertainty_pictures(uncertainty: UncertaintyEvaluation) -> dict[str, bytes]
         diagram = uncertainty.calibration.reliability
         png = reliability_diagram(diagram, "softmax", "confidence", "accuracy")
         pictures["eval_reliability.png"] = png
-    if (error := uncertainty.kinds.get("error")) and error.reliability:
+    error = uncertainty.kinds.get("error")
+    if error and error.reliability:
         png = reliability_diagram(error.reliability, "error", "error", "share of wrong points")
         pictures["eval_error.png"] = png
     if uncertainty.kinds:
@@ -72,9 +77,11 @@ def confusion_picture(confusion: Counts, space: LabelSpace) -> bytes:
     import matplotlib
 
     matrix = scored_rows(confusion, space)
-    scored, predicted = np.flatnonzero(space.scored), np.arange(space.class_count)
+    scored = np.flatnonzero(space.scored)
+    predicted = np.arange(space.class_count)
     shares = ratio(matrix, np.broadcast_to(matrix.sum(axis=1)[:, None], matrix.shape))[scored]
-    width, height = CELL_PX * len(predicted), CELL_PX * len(scored)
+    width = CELL_PX * len(predicted)
+    height = CELL_PX * len(scored)
     size = (width + NAMES_PX + 50, height + NAMES_PX + 10)
     figure, axes = canvas.new_plot(*size, (NAMES_PX, 30, width, height))
     blues = matplotlib.colormaps["Blues"].with_extremes(bad="#eceef1")
@@ -106,7 +113,8 @@ def reliability_diagram(diagram: Reliability, title: str, value: str, share: str
     title += f" · ECE {percent(diagram.error, 2, ' %')}" if points else ""
     figure, axes = canvas.new_plot(*PLOT_PX, MAIN_PX, title)
     bins = len(diagram.points)
-    edges, width = 100 * np.arange(bins) / bins, 100 / bins
+    edges = 100 * np.arange(bins) / bins
+    width = 100 / bins
     shares = np.nan_to_num(100 * diagram.accuracy)
     gap = np.nan_to_num(100 * diagram.confidence) - shares
     axes.bar(edges, shares, width, align="edge", color=SKY, edgecolor=canvas.PAPER)
@@ -117,7 +125,8 @@ def reliability_diagram(diagram: Reliability, title: str, value: str, share: str
     axes.set_ylim(0, 100)
     axes.set_ylabel(f"{share} in %")
     axes.legend(loc="upper left", frameon=False, fontsize=10)
-    below = canvas.axes_at(figure, LEFT, TOP + HEIGHT + 14, WIDTH, BELOW_PX)
+    left, top, width_px, height_px = MAIN_PX
+    below = canvas.axes_at(figure, left, top + height_px + 14, width_px, BELOW_PX)
     points_in_bin = 100 * diagram.points / max(points, 1)
     below.bar(edges, points_in_bin, width, align="edge", color=canvas.FAINT, edgecolor=canvas.PAPER)
     below.set_ylabel("points in %")
@@ -125,9 +134,9 @@ def reliability_diagram(diagram: Reliability, title: str, value: str, share: str
     below.set_xlabel(f"{value} in %")
     axes.set_xticks(range(0, 101, 20), [""] * 6)
     below.set_xticks(range(0, 101, 20))
-    for part in (axes, below):
-        part.set_xlim(0, 100)
-        canvas.plain_frame(part)
+    for panel in (axes, below):
+        panel.set_xlim(0, 100)
+        canvas.plain_frame(panel)
     return canvas.png_of(figure)
 
 

@@ -45,7 +45,7 @@ def readable_scans(run: RunResults, reasons: Mapping[str, str]) -> ReadableScans
         try:
             scans.append(run.read(rows[name], reason))
         except SalsanextError as error:
-            failures.append(Failure.of(rows[name].file, error))
+            failures.append(Failure.from_error(rows[name].file, error))
     if not scans:
         raise NoInputError(run.reader.out, f"no scan can be shown: {failures[0].reason}")
     return ReadableScans(scans=tuple(scans), failures=tuple(failures))

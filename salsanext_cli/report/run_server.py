@@ -37,7 +37,7 @@ class ServedRun:
     lock: Lock = field(default_factory=Lock)  # Of the scales
 
     @classmethod
-    def of(cls, results: RunResults, failures: tuple[Failure, ...]) -> ServedRun:
+    def from_results(cls, results: RunResults, failures: tuple[Failure, ...]) -> ServedRun:
         """Take the scales from notable and evenly spaced scans.
 
         Parameters

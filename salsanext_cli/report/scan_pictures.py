@@ -34,9 +34,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-WIDTH_PX, NARROW_PX = 2048, 1024
+WIDTH_PX = 2048
+NARROW_PX = 1024
 HEAD_PX = 56
-VIEW_TITLE_PX, STRIP_TITLE_PX = 40, 34  # Heights of titles
+VIEW_TITLE_PX = 40  # Height of the title of a view
+STRIP_TITLE_PX = 34  # Height of the title of a strip
 BAR_PX = 160  # Width of a colour bar with its numbers
 STRIP_HEIGHT_PX = 128  # Twice the 64 rows of an HDL-64
 MAX_IN_A_ROW = 4
@@ -71,29 +73,32 @@ def picture_of_results(
     strips: Collection[str],
 ) -> bytes:
     """Draw a scan as a PNG: `views` from above and `strips` of its range image, by colour."""
-    columns, sensor = scalar_columns(results, space), results.sensor or sensor
+    columns = scalar_columns(results, space)
+    sensor = results.sensor or sensor
     image = project(results.scan, sensor)
-    shown = dict.fromkeys((*views, *strips))
+    drawn_columns = dict.fromkeys([*views, *strips])
     view_colours: dict[str, Colours] = {}
     strip_list: list[Strip] = []
-    for colour in shown:
+    for colour in drawn_columns:
         scale = scales.get(colour)
-        colours = PointColours(colour, scale or (0.0, 1.0), space, dark=True).of_points(columns)
+        colours = PointColours(colour, scale or (0.0, 1.0), space, dark=True).rgb(columns)
         title = TITLES.get(colour, colour)
-        if colour == "wrong" and (scores := results.accepted_text(space)):
-            title = f"errors of the accepted labels: {scores}"
+        accepted = results.accepted_text(space) if colour == "wrong" else ""
+        if accepted:
+            title = f"errors of the accepted labels: {accepted}"
         if colour in views:
             view_colours[title] = colours
         if colour in strips:
             pixels = pixels_from_points(colours, image.point_of_pixel, EMPTY)
             strip_list.append(Strip(title, pixels, scale, UNITS.get(colour, "")))
-    labels = [space.to_train(columns[c], strict=False) for c in ("label", "truth") if c in shown]
+    label_columns = [name for name in ("label", "truth") if name in drawn_columns]
+    labels = [space.to_train(columns[name], strict=False) for name in label_columns]
     legend: list[tuple[str, tuple[int, int, int]]] = []
     absent: set[str] = set()
     if labels:
         legend += legend_of(space, np.arange(space.class_count))
         absent = {*space.names} - dict(legend_of(space, *labels)).keys()
-    if "wrong" in shown:
+    if "wrong" in drawn_columns:
         legend += OUTCOME_LEGEND
     classes = f"classes of {space.name}   " if labels else ""
     heading = f"{name}   {counted(len(results.scan), 'point')}   {classes}sensor {sensor.name}"
@@ -118,12 +123,27 @@ def scan_picture(
 ) -> bytes:
     """Draw views of a scan from above, strips and a legend below each other, as a PNG.
 
-    `points` (N, 3) float32, metres, sensor frame; `views`: colours of the points (N, 3) by title;
-    `absent`: faint entries of the legend.
+    Parameters
+    ----------
+    heading : str
+        First line.
+    points : (N, 3) float32
+        Points in the frame of the sensor, in metres.
+    views : mapping of str to (N, 3) uint8
+        Colours of the points by the title of a view.
+    strips : sequence of Strip
+        Pictures of range images.
+    legend : sequence of (str, colour)
+        Entries of the legend.
+    absent : collection of str
+        Its faint entries.
+
+    Returns
+    -------
+    bytes
+        Content of a PNG file.
     """
-    far = np.abs(points[:, :2]).max(axis=1)
-    far = far[(far > 0) & np.isfinite(far)]
-    reach = next((r for r in GRIDS_M if len(far) and (far < r).mean() >= INSIDE), max(GRIDS_M))
+    reach = _reach(points)
     width = NARROW_PX if len(views) == 1 else WIDTH_PX
     in_row = max(1, min(len(views), MAX_IN_A_ROW))
     size = (width - (in_row - 1) * MARGIN_PX) // in_row
@@ -150,8 +170,19 @@ def scan_picture(
     return canvas.png_of(figure)
 
 
+def _reach(points: Float) -> float:
+    """Return the least of `GRIDS_M`, in metres, that shows nearly all points (N, 3)."""
+    distances = np.abs(points[:, :2]).max(axis=1)
+    distances = distances[(distances > 0) & np.isfinite(distances)]
+    for reach in GRIDS_M:
+        if len(distances) and (distances < reach).mean() >= INSIDE:
+            return reach
+    return max(GRIDS_M)
+
+
 def _draw_bar(figure: Figure, scale: Scale, unit: str, left: int, top: int) -> None:
-    low, high = scale[0], scale[-1]
+    low = scale[0]
+    high = scale[-1]
     marks = scale if len(scale) > 2 else (low, (low + high) / 2, high)
     height = STRIP_HEIGHT_PX
     rows = np.linspace(255, 0, height).round().astype(np.intp)
@@ -198,7 +229,8 @@ def _draw_from_above(axes: Axes, points: Float, colours: Colours, size: int, rea
     for radius in np.arange(GRIDS_M[reach], reach * 2**0.5, GRIDS_M[reach]):
         axes.add_patch(Circle((0, 0), radius, fill=False, ec=canvas.FAINT, lw=0.6, alpha=0.55))
         if radius < reach:
-            diagonal, text = radius * 0.5**0.5, f"{radius:g} m"
+            diagonal = radius * 0.5**0.5
+            text = f"{radius:g} m"
             axes.text(-diagonal, diagonal, text, color=canvas.INK, fontsize=8, path_effects=outline)
     axes.plot(0, 0, color=canvas.INK, marker="^", markersize=8)
     axes.set_xlim(reach, -reach)

@@ -96,7 +96,8 @@ def band_table(bands: Mapping[str, Scores]) -> Table:
 
 def uncertainty_tables(evaluation: UncertaintyEvaluation) -> list[Table]:
     """Return a table of the calibration and one of the kinds of uncertainty, as far as known."""
-    softmax, error = evaluation.calibration, evaluation.kinds.get("error")
+    softmax = evaluation.calibration
+    error = evaluation.kinds.get("error")
     tables = [_calibration_table(softmax, error)] if softmax or error else []
     return [*tables, _ranking_table(evaluation.kinds)] if evaluation.kinds else tables
 
@@ -111,7 +112,8 @@ def _calibration_table(softmax: CalibrationScores | None, error: RankingScores |
     if error and error.ece is not None:
         counts = (f"{error.scans:,}", f"{error.points:,}")
         rows.append(("error", "", "", percent(error.ece, 2), "", *counts))
-        mean, wrong = percent(error.mean), percent(error.wrong / max(error.points, 1))
+        mean = percent(error.mean)
+        wrong = percent(error.wrong / max(error.points, 1))
         caption = f"error: probability that a label is wrong; mean {mean} %, wrong {wrong} %"
     errors = ("ECE %,\nall points", "ECE %, mean\nof scans")
     headings = ("calibration", "NLL,\nnats", "Brier", *errors, "scans", "points")
@@ -174,23 +176,29 @@ def survey_tables(
 
     `sensor`: sensor of range images whose channels get a table.
     """
-    surveys = dict(sequences) | ({"all": total} if len(sequences) > 1 else {})
-    counts, measured = [], []
+    surveys = dict(sequences)
+    if len(sequences) > 1:
+        surveys["all"] = total
+    counts = []
+    measured = []
     for name, survey in surveys.items():
-        smallest, (up, down) = min(survey.smallest, survey.largest), survey.field_of_view()
-        per_scan, invalid = f"{smallest:,} – {survey.largest:,}", f"{survey.invalid:,}"
+        smallest = min(survey.smallest, survey.largest)
+        up, down = survey.field_of_view()
+        per_scan = f"{smallest:,} – {survey.largest:,}"
+        invalid = f"{survey.invalid:,}"
         counts.append((name, f"{survey.scans:,}", f"{survey.labelled:,}", per_scan, invalid))
         largest = (f"{survey.farthest:.1f}", f"{survey.brightest:.3g}")
         measured.append((name, *largest, f"{up:+.2f}° to {down:+.2f}°"))
     headings = ("sequence", "scans", "labelled", "points per scan", "invalid points")
-    channels = [_channel_table(total, sensor)] if sensor else []
-    classes = [_class_table(total, space)] if total.classes else []
-    return Group(
+    tables = [
         table_of(headings, counts, title="Scans"),
         table_of(("sequence", "farthest, m", "brightest", "field of view"), measured),
-        *channels,
-        *classes,
-    )
+    ]
+    if sensor:
+        tables.append(_channel_table(total, sensor))
+    if total.classes:
+        tables.append(_class_table(total, space))
+    return Group(*tables)
 
 
 def _channel_table(total: Survey, sensor: Sensor) -> Table:
@@ -203,12 +211,13 @@ def _channel_table(total: Survey, sensor: Sensor) -> Table:
 
 
 def _class_table(total: Survey, space: LabelSpace) -> Table:
-    points, rows = sum(total.classes.values()), []
+    points = sum(total.classes.values())
+    rows = []
     for raw, count in sorted(total.classes.items()):
         train = space.learning_map.get(raw)
-        known = "unknown" if train is None else f"{train} {space.names[train]}"
+        train_class = "unknown" if train is None else f"{train} {space.names[train]}"
         name = f"{raw} {space.labels.get(raw, 'unknown')}"
-        rows.append((name, known, f"{count:,}", f"{100 * count / points:.3f}"))
+        rows.append((name, train_class, f"{count:,}", f"{100 * count / points:.3f}"))
     headings = ("raw id and name", "train id and class", "points", "share %")
     return table_of(headings, rows, texts=headings[1:2], title="Classes")
 
@@ -230,7 +239,8 @@ def imported_lines(made: LabelImport, dataset: Path) -> Iterator[str]:
     failed = sum(len(failure.files) for failure in made.failures)
     others = f", {counted(failed, 'file')} failed" if failed else ""
     yield f"import-labels: {counted(len(made.scans), 'scan')}{others} → {dataset}"
-    if shares := made.largest_classes():
+    shares = made.largest_classes()
+    if shares:
         named = ", ".join(f"{name} {percentage(share)}" for name, share in shares.items())
         yield f"largest classes: {named}"
     if made.unedited:

@@ -76,7 +76,8 @@ def record(
     scene = make_scene(standing)
     for index in range(scans):
         noise = np.random.default_rng([seed, sequence, index, 1])
-        s, time = RUN_OUT_M + index * spacing, index * spacing / speed
+        s = RUN_OUT_M + index * spacing
+        time = index * spacing / speed
         pose = track.pose(s)
         scenes = [scene, *map(make_scene, _nearby(plan, movers, time, pose))]
         origins, directions = track.in_motion(s, *rays)
@@ -126,12 +127,15 @@ class _Track:
         self, s: float, origins: Array, directions: Array, times: Array
     ) -> tuple[Array, Array]:
         """Return world origins and directions of rays around s while the pose changes linearly."""
-        start, end = times.min(), times.max()
-        first, last = self.pose(s + self._speed * start), self.pose(s + self._speed * end)
+        start = times.min()
+        end = times.max()
+        first = self.pose(s + self._speed * start)
+        last = self.pose(s + self._speed * end)
         share = ((times - start) / (end - start))[:, None]
 
         def turned(vectors: Array) -> Array:
-            before, after = vectors @ first[:3, :3].T, vectors @ last[:3, :3].T
+            before = vectors @ first[:3, :3].T
+            after = vectors @ last[:3, :3].T
             return before * (1 - share) + after * share
 
         starts = first[:3, 3] * (1 - share) + last[:3, 3] * share + turned(origins)

@@ -18,7 +18,8 @@ from salsanext_cli.synthesis.presets import RANDOM_SENSOR as BOUNDS
 ENCODER_STEP_DEG = 0.09  # Resolution of the azimuth
 REVOLUTION_S = 0.1
 PARALLAX_DEG = 1.2  # Shift of the vehicle for lasers to the left and right of the axis
-UPPER_BLOCK, LOWER_BLOCK = (2.4, -8.0, 32), (-8.6, -23.9, 32)
+UPPER_BLOCK = (2.4, -8.0, 32)
+LOWER_BLOCK = (-8.6, -23.9, 32)
 """Elevation of the first and the last beam of a block in degrees, and their number."""
 AZIMUTH_STEP_DEG = 0.1667  # Angle between firings of a laser at 10 Hz
 HDL64_MOUNT_M = 1.73
@@ -31,9 +32,12 @@ LOST_AT_EDGE_SHARE = 0.3  # Share of the pulses on two surfaces farther apart th
 MIN_REFLECTED = 0.01  # Brightness added to every surface before deciding whether a pulse returns
 DETECTION_STEEPNESS = 2.2
 """Exponent with which the share of detected pulses rises around the threshold."""
-DIFFUSE_BRIGHTNESS, DIFFUSE_SHARE, MAX_DIFFUSE = 0.3, 0.75, 0.9
+DIFFUSE_BRIGHTNESS = 0.3
+DIFFUSE_SHARE = 0.75
+MAX_DIFFUSE = 0.9
 """Brightness of a glossy surface and its diffuse share, which grow in proportion up to the most."""
-STRAIGHT_ON_SHARE, STRAIGHT_ON_EXPONENT = 0.6, 16
+STRAIGHT_ON_SHARE = 0.6
+STRAIGHT_ON_EXPONENT = 16
 """Share that a mirror returns straight on, and exponent of the cosine of incidence."""
 POWER_EXPONENT = 3  # Exponent with which strong lasers lose fewer pulses on glossy surfaces
 INTENSITY_NOISE = 0.02  # Standard deviation of the reported brightness, and its negative bias
@@ -82,7 +86,8 @@ class Beams:
         azimuth = self.azimuths()
         elevation = np.broadcast_to(self.elevation[:, None], azimuth.shape)
         horizontal = np.cos(elevation)
-        x, y = np.cos(azimuth), np.sin(azimuth)
+        x = np.cos(azimuth)
+        y = np.sin(azimuth)
         directions = np.stack([horizontal * x, horizontal * y, np.sin(elevation)], -1)
         aside = self.aside[:, None]
         height = np.broadcast_to(self.height[:, None], azimuth.shape)
@@ -151,7 +156,8 @@ def hdl64_rig(rng: Rng) -> Rig:
 
 def random_rig(rng: Rng) -> Rig:
     """Draw a random sensor and its mounting."""
-    beams, response = _random_beams(rng), _random_response(rng)
+    beams = _random_beams(rng)
+    response = _random_response(rng)
     unblocked = ~_random_shadow(beams, rng)
     tilt = np.radians(rng.normal(0, BOUNDS.tilt, 2))
     return Rig(beams, response, unblocked, float(rng.uniform(*BOUNDS.mount)), tilt)
@@ -176,11 +182,13 @@ def _random_beams(rng: Rng) -> Beams:
 def _random_elevations(rng: Rng) -> Array:
     """Draw elevations in degrees, highest first: evenly spaced, or denser near the horizon."""
     count = int(rng.choice(BOUNDS.beam_counts))
-    upper, lower = rng.uniform(*BOUNDS.upper_edge), rng.uniform(*BOUNDS.lower_edge)
+    upper = rng.uniform(*BOUNDS.upper_edge)
+    lower = rng.uniform(*BOUNDS.lower_edge)
     between = np.linspace(upper, lower, 1001)
     density = np.ones(len(between))
     if rng.random() < BOUNDS.dense_chance:
-        middle, width = rng.uniform(*BOUNDS.dense_elevation), rng.uniform(*BOUNDS.dense_width)
+        middle = rng.uniform(*BOUNDS.dense_elevation)
+        width = rng.uniform(*BOUNDS.dense_width)
         bell = np.exp(-(((between - middle) / width) ** 2) / 2)
         density += rng.uniform(*BOUNDS.dense_factor) * bell
     above = np.cumsum(density)
@@ -241,9 +249,11 @@ def measure(
     (R,), 0…1, and raw ids (R,) uint32.
     """
     count = len(rays)
-    distance, cosine = np.full(count, np.inf), np.ones(count)
+    distance = np.full(count, np.inf)
+    cosine = np.ones(count)
     labels = np.zeros(count, np.uint32)
-    materials, shades = np.zeros(count, np.int64), np.ones(count)
+    materials = np.zeros(count, np.int64)
+    shades = np.ones(count)
     for scene in scenes:
         reached, triangle, cos = scene.cast(rays)
         nearer = reached < distance

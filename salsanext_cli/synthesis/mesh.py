@@ -44,7 +44,7 @@ class Mesh:
     shades: npt.NDArray[np.float32]  # (T,) float32: relative brightness
 
     @classmethod
-    def of(cls, vertices: Array, triangles: npt.NDArray[np.int64], skin: Skin) -> Mesh:
+    def uniform(cls, vertices: Array, triangles: npt.NDArray[np.int64], skin: Skin) -> Mesh:
         """Return a mesh with the same skin everywhere."""
         count = len(triangles)
         labels = np.full(count, skin.label, np.uint32)
@@ -67,7 +67,8 @@ class Mesh:
 def rotation(axis: str, angle: float) -> Array:
     """Return the (3, 3) rotation about ``"x"``, ``"y"`` or ``"z"`` by `angle` radians."""
     first = "xyz".index(axis)
-    second, third = (first + 1) % 3, (first + 2) % 3
+    second = (first + 1) % 3
+    third = (first + 2) % 3
     matrix = np.eye(3)
     matrix[second, second] = matrix[third, third] = np.cos(angle)
     matrix[third, second], matrix[second, third] = np.sin(angle), -np.sin(angle)
@@ -89,7 +90,7 @@ def box(corner: npt.ArrayLike, opposite: npt.ArrayLike, skin: Skin) -> Mesh:
     """Return an axis-parallel box between two opposite corners."""
     (x0, y0, z0), (x1, y1, z1) = np.sort(np.array([corner, opposite], float), 0)
     corners = np.array([[x, y, z] for z in (z0, z1) for y in (y0, y1) for x in (x0, x1)])
-    return Mesh.of(corners, BOX_FACES, skin)
+    return Mesh.uniform(corners, BOX_FACES, skin)
 
 
 def faces(corners: Array, skin: Skin) -> Mesh:
@@ -97,16 +98,19 @@ def faces(corners: Array, skin: Skin) -> Mesh:
     count, sides = corners.shape[:2]
     fan = np.array([[0, k, k + 1] for k in range(1, sides - 1)])
     triangles = np.arange(count)[:, None, None] * sides + fan
-    return Mesh.of(corners.reshape(-1, 3), triangles.reshape(-1, 3), skin)
+    return Mesh.uniform(corners.reshape(-1, 3), triangles.reshape(-1, 3), skin)
 
 
 def loft(sections: Array, skin: Skin) -> Mesh:
     """Join consecutive closed rings, sections (S, P, 3), by quadrangles."""
     index = np.arange(sections.size // 3).reshape(sections.shape[:2])
     following = np.roll(index, -1, 1)
-    a, b, c, d = index[:-1], following[:-1], following[1:], index[1:]
+    a = index[:-1]
+    b = following[:-1]
+    c = following[1:]
+    d = index[1:]
     faces = np.concatenate([np.stack(f, -1).reshape(-1, 3) for f in ((a, b, c), (a, c, d))])
-    return Mesh.of(sections.reshape(-1, 3), faces, skin)
+    return Mesh.uniform(sections.reshape(-1, 3), faces, skin)
 
 
 def extrusion(stations: Array, sections: Array, skin: Skin) -> Mesh:
@@ -143,7 +147,8 @@ def ellipsoid(
     """Return an ellipsoid of 6 rings of 8 points; `unevenness` (6, 8, 1) is relative."""
     latitude = np.linspace(-np.pi / 2, np.pi / 2, 6)[:, None]
     longitude = np.linspace(0, 2 * np.pi, 8, endpoint=False)
-    x, y = np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude)
+    x = np.cos(latitude) * np.cos(longitude)
+    y = np.cos(latitude) * np.sin(longitude)
     unit = np.stack([x, y, np.broadcast_to(np.sin(latitude), x.shape)], -1) * (1 + unevenness)
     return loft(unit * np.asarray(radii) + np.asarray(centre), skin)
 

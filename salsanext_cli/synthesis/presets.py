@@ -26,12 +26,30 @@ _SURFACES = _tables("surfaces")
 
 Numbers = SimpleNamespace  # One table as attributes; the file documents them
 
-CAR, BICYCLE, BUS, MOTORCYCLE, ON_RAILS, TRUCK, OTHER_VEHICLE = 10, 11, 13, 15, 16, 18, 20
-PERSON, BICYCLIST, MOTORCYCLIST = 30, 31, 32
-ROAD, PARKING, SIDEWALK, OTHER_GROUND, MARKING, TERRAIN = 40, 44, 48, 49, 60, 72
-BUILDING, FENCE, STRUCTURE = 50, 51, 52
-VEGETATION, TRUNK = 70, 71
-POLE, SIGN, CLUTTER = 80, 81, 99
+CAR = 10
+BICYCLE = 11
+BUS = 13
+MOTORCYCLE = 15
+ON_RAILS = 16
+TRUCK = 18
+OTHER_VEHICLE = 20
+PERSON = 30
+BICYCLIST = 31
+MOTORCYCLIST = 32
+ROAD = 40
+PARKING = 44
+SIDEWALK = 48
+OTHER_GROUND = 49
+MARKING = 60
+TERRAIN = 72
+BUILDING = 50
+FENCE = 51
+STRUCTURE = 52
+VEGETATION = 70
+TRUNK = 71
+POLE = 80
+SIGN = 81
+CLUTTER = 99
 
 MOVING = {
     CAR: 252, BICYCLIST: 253, PERSON: 254, MOTORCYCLIST: 255, ON_RAILS: 256, BUS: 257,
@@ -98,7 +116,8 @@ def _body(name: str) -> Numbers:
 
 def _style(name: str, mix: str) -> Numbers:
     """Return a style: its table of the streets and of the surfaces, lots of both, and a mix."""
-    street, surfaces = _TABLES["style"][name], _SURFACES["style"][name]
+    street = _TABLES["style"][name]
+    surfaces = _SURFACES["style"][name]
     objects = _TABLES["mix"][mix]
     both = {
         "lots": street["lots"] | surfaces["lots"],

@@ -27,9 +27,9 @@ from salsanext_cli.training.setup import Setup
 from salsanext_cli.training.tuning.error import (
     cross_validated,
     gains,
+    has_both_kinds,
     is_better,
     judge_job,
-    of_both_kinds,
     points_of_scan,
 )
 from salsanext_cli.training.tuning.error_training import JudgedPoints
@@ -133,7 +133,7 @@ class CrossValidatedTraining:
         judged: dict[ScanFile, JudgedPoints] = {}
         for number, fold in enumerate(folds, start=1):
             judged |= self._judged_fold(number, fold, temperature)
-        if of_both_kinds(judged.values()):
+        if has_both_kinds(judged.values()):
             existing_model = self.setup.error
             if existing_model and existing_model.features != FEATURES:
                 existing_model = None

@@ -37,8 +37,8 @@ def fastest_precision(device: torch.device) -> str:
 def common_precision(device: torch.device, group: ProcessGroup) -> str:
     """Return the number type that suits the devices of all workers; float32 if they differ."""
     fastest = fastest_precision(device)
-    of_workers = group.gather(torch.tensor([PRECISIONS.index(fastest)], device=device))
-    return fastest if len({int(number) for number in of_workers}) == 1 else "float32"
+    fastest_of_workers = group.gather(torch.tensor([PRECISIONS.index(fastest)], device=device))
+    return fastest if len({int(number) for number in fastest_of_workers}) == 1 else "float32"
 
 
 class Learner:
@@ -102,13 +102,13 @@ class Learner:
             source = np.random.SeedSequence((self.recipe.seed, DROPOUT, step, self.group.rank))
             torch.manual_seed(int(source.generate_state(1)[0]))  # noqa: TID251
             pairs = zip(images.tensor_split(parts), truth.tensor_split(parts), strict=True)
-            for part, (some, labels) in enumerate(pairs, 1):
-                some = some.to(self.device, memory_format=self.layout, non_blocking=True)
+            for number, (part_images, labels) in enumerate(pairs, 1):
+                inputs = part_images.to(self.device, memory_format=self.layout, non_blocking=True)
                 # Workers exchange gradients after the last part only.
                 no_sync = getattr(self.forward, "no_sync", nullcontext)
-                with no_sync() if part < parts else nullcontext():
+                with no_sync() if number < parts else nullcontext():
                     with self.autocast:
-                        loss = self.loss(self.forward(some), labels, total, parts, self.group)
+                        loss = self.loss(self.forward(inputs), labels, total, parts, self.group)
                     # Gradients are averaged over the workers, but must be summed.
                     self.scaler.scale(loss * self.group.size).backward()
                 losses.append(loss.detach())
@@ -176,8 +176,10 @@ def update_average(average: nn.Module, module: nn.Module, decay: float, step: in
     # The first steps move it farther, so that the initial weights soon lose their influence.
     decay = min(decay, (1 + step) / (10 + step))
     pairs = [*zip(average.state_dict().values(), module.state_dict().values(), strict=True)]
-    olds, news = zip(*(pair for pair in pairs if pair[0].is_floating_point()), strict=True)
-    get_ema_multi_avg_fn(decay)(olds, news, None)  # type: ignore[no-untyped-call]
+    floating = [pair for pair in pairs if pair[0].is_floating_point()]
+    averages = [old for old, _ in floating]
+    values = [new for _, new in floating]
+    get_ema_multi_avg_fn(decay)(averages, values, None)  # type: ignore[no-untyped-call]
     for old, new in pairs:
         if not old.is_floating_point():
             old.copy_(new)

@@ -64,11 +64,13 @@ def lovasz_softmax(
     predicted = probabilities.t()[present]
     errors = torch.where(foreground, 1 - predicted, predicted)
     # The pixels of all workers are sorted together.
-    of_all = group.gather(errors.detach())
-    of_class = torch.cat(group.gather(foreground.byte()), 1).bool()
-    gradients = jaccard_gradient(torch.cat(of_all, 1), of_class)
-    of_worker = torch.split(gradients, [part.shape[1] for part in of_all], 1)[group.rank]
-    return (errors * of_worker).sum() / len(present)
+    gathered_errors = group.gather(errors.detach())
+    gathered_foreground = torch.cat(group.gather(foreground.byte()), 1).bool()
+    gradients = jaccard_gradient(torch.cat(gathered_errors, 1), gathered_foreground)
+    own_gradients = torch.split(gradients, [part.shape[1] for part in gathered_errors], 1)[
+        group.rank
+    ]
+    return (errors * own_gradients).sum() / len(present)
 
 
 def sent(indices: Tensor, device: torch.device) -> Tensor:
@@ -90,8 +92,9 @@ class SegmentationLoss(nn.Module):
     def __init__(self, weights: Tensor, lovasz: float = 1.0, sets: ClassSets = ()) -> None:
         super().__init__()
         positive = weights.masked_fill(weights <= 0, math.inf)
-        of_sets = [positive[list(several)].min().nan_to_num(posinf=0.0) for several in sets]
-        self.register_buffer("weights", torch.cat([weights, *(w[None] for w in of_sets)]))
+        smallest = [positive[list(several)].min().nan_to_num(posinf=0.0) for several in sets]
+        weights_of_sets = [weight[None] for weight in smallest]
+        self.register_buffer("weights", torch.cat([weights, *weights_of_sets]))
         self.counts = self.weights > 0  # (T,) bool; stays on the CPU
         self.class_count = len(weights)
         self.lovasz = lovasz
@@ -119,12 +122,12 @@ class SegmentationLoss(nn.Module):
         precise = torch.promote_types(logits.dtype, torch.float32)
         log_probabilities = F.log_softmax(classes, 1, dtype=precise)
         sets = [sent(torch.tensor(several), device) for several in self.sets]
-        of_sets = [log_probabilities[:, several].logsumexp(1, keepdim=True) for several in sets]
-        of_targets = torch.cat([log_probabilities, *of_sets], 1) if of_sets else log_probabilities
+        sums = [log_probabilities[:, several].logsumexp(1, keepdim=True) for several in sets]
+        columns = torch.cat([log_probabilities, *sums], 1) if sums else log_probabilities
         weights = self.weights.to(precise)
-        loss = weighted_cross_entropy(of_targets, sent(truth, device), weights, total_weight)
+        loss = weighted_cross_entropy(columns, sent(truth, device), weights, total_weight)
         if self.lovasz:
-            if of_sets:
+            if sums:
                 single = (truth < self.class_count).nonzero()[:, 0]
                 log_probabilities = log_probabilities[sent(single, device)]
                 truth = truth[single]

@@ -156,9 +156,9 @@ def _folders(run: Path) -> list[Path]:
     return [run, *run.glob(f"{FOLDS}/*")]
 
 
-def _extended(recorded: TrainingSettings, wanted: TrainingSettings) -> TrainingSettings:
+def _extended(recorded: TrainingSettings, requested: TrainingSettings) -> TrainingSettings:
     """Return recorded settings, with more epochs if those before stay the same."""
-    recipe = wanted.recipe
+    recipe = requested.recipe
     steady = recipe.schedule == "decay" and not recipe.folds
     if steady and recorded.recipe.epochs < recipe.epochs:
         return replace(recorded, recipe=replace(recorded.recipe, epochs=recipe.epochs))

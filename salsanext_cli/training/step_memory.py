@@ -42,7 +42,7 @@ class StepMemory:
     sharing: int = 1  # Number of workers that share the memory
 
     @classmethod
-    def of(
+    def from_recipe(
         cls, recipe: Recipe, sensor: Sensor, device: str, workers: int = 1, sharing: int = 1
     ) -> "StepMemory | None":
         """Return the step of a recipe; None if nothing is known about its network."""
@@ -63,8 +63,8 @@ class StepMemory:
     @property
     def images(self) -> int:
         """Number of images that a worker computes at once."""
-        of_worker = math.ceil(self.recipe.batch / self.workers)
-        return math.ceil(of_worker / min(self.recipe.accumulate, of_worker))
+        images_of_worker = math.ceil(self.recipe.batch / self.workers)
+        return math.ceil(images_of_worker / min(self.recipe.accumulate, images_of_worker))
 
     @property
     def needed(self) -> int:

@@ -56,12 +56,12 @@ def validate_widths(
     """
     first, *others = dict.fromkeys(widths or [source.sensor.width])
     row, card = validate(network, source.at_width(first), group)
-    parts = dict(card.of_widths)
+    parts = dict(card.parts_of_widths)
     for width in others:
         measured, tempered = validate(network, source.at_width(width), group)
         row |= {f"{key}_{width}": measured[key] for key in ("accuracy", "miou")}
         parts[width] = tempered.parts
-    return row, replace(card, of_widths=parts)
+    return row, replace(card, parts_of_widths=parts)
 
 
 def validate(

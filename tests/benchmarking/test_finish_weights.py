@@ -33,7 +33,7 @@ def test_default_weights_have_a_version_and_inherit_nothing(tmp_path, tiny_train
     def tune(dataset, target, *, settings, overwrite):
         # The temperature is fitted to the weights without what they inherited.
         card = read_card(settings.path)
-        assert (card.inherited(), card.temperature, card.of_widths) == ("", 1.0, {})
+        assert (card.inherited(), card.temperature, card.parts_of_widths) == ("", 1.0, {})
         after = SimpleNamespace(temperature=fitted[dataset.name, settings.width])
         return SimpleNamespace(fit=SimpleNamespace(after=after))
 
@@ -46,7 +46,7 @@ def test_default_weights_have_a_version_and_inherit_nothing(tmp_path, tiny_train
     error = ErrorModel(FEATURES, layers, {"inherited_from": mark}, temperature=2.0)
     card = replace(card, error=error, version=4)
     of_narrow = replace(card.parts, temperature=7.0)
-    card = replace(card, of_widths={NARROW: of_narrow})
+    card = replace(card, parts_of_widths={NARROW: of_narrow})
     save_weights(tmp_path / "run/last.safetensors", TinyNetwork(), card)
     points = dict.fromkeys(label_space().names, 10)
     (tmp_path / "run/class_counts.json").write_text(json.dumps({"points": points}))

@@ -59,7 +59,7 @@ def triangles(count: int, seed: int = 0) -> Mesh:
     vertices[: count // 10, 2] = vertices[: count // 10, 1]
     vertices[-count // 10 :] = vertices[-1]
     skin = Skin(40, Material.ASPHALT)
-    return Mesh.of(vertices.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3), skin)
+    return Mesh.uniform(vertices.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3), skin)
 
 
 def nearest_hit(ray: np.ndarray, corners: np.ndarray) -> tuple[float, int]:

@@ -118,7 +118,7 @@ def test_every_kind_of_score_has_a_value_if_its_results_are_there():
         calibration=calibration_result([1, 1, 2]), kinds={"error": error}
     )
     counts = {"a/0": AcceptedCounts(points=8, accepted=7, wrong=2)}
-    accepted = AcceptedLabels.of_confusion(CONFUSION, SPACE, counts)
+    accepted = AcceptedLabels.from_confusion(CONFUSION, SPACE, counts)
     values = score_values(SCORES, uncertainty, accepted)
     assert {name.partition(".")[0] for name in values} == SCORE_KINDS.keys() - {"guarantee"}
     assert values["ece_of_error"] == pytest.approx(3)

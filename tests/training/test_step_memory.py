@@ -19,7 +19,7 @@ GB = 10**9
 
 
 def step(plan=PAPER, device="cpu", **numbers):
-    return StepMemory.of(plan, sensor("hdl64"), device, **numbers)
+    return StepMemory.from_recipe(plan, sensor("hdl64"), device, **numbers)
 
 
 @pytest.mark.parametrize(

@@ -69,7 +69,7 @@ class FuseTask:
         self.fused.write_array(file, DISAGREEMENT, tally.disagreement(fused_labels))
         self.fused.write_array(file, "views", tally.views)
         self.fused.write_labels(file, self.space.to_raw(fused_labels))
-        return ScanSummary.of_labels(file, fused_labels, self.space)
+        return ScanSummary.from_labels(file, fused_labels, self.space)
 
     def _labels_of_single_scan(self, file: ScanFile, count: int) -> TrainIds:
         """Read the predicted train ids of the points of a scan, (count,) uint8."""

@@ -46,7 +46,7 @@ class PickJob:
         """Write the scan and its cloud; return the pre-labels by the mean softmax."""
         file = prepared.file
         network = prepared.scan.network
-        pixels = PixelPrediction.of(estimate.probabilities)
+        pixels = PixelPrediction.from_softmax(estimate.probabilities)
         labelled = refine_labels(prepared.scan, pixels, KnnParameters())
         self.data_set.write_points(file, network.sensor)
         cloud = picked_cloud(labelled, estimate.uncertainty.mutual_information, network.space)

@@ -107,7 +107,7 @@ class PredictJob:
         self, file: ScanFile, scan: LabelledScan, uncertainty: UncertaintyByKind
     ) -> ScanSummary:
         """Return numbers about a scan whose labels are not rejected yet."""
-        summary = ScanSummary.of_scan(file, scan, self.network.space)
+        summary = ScanSummary.from_scan(file, scan, self.network.space)
         confidence = _mean_confidence(uncertainty["least_confidence"])
         summary = replace(summary, confidence=confidence)
         if self.reject is None:

@@ -89,10 +89,10 @@ class UncertaintyJob:
         file = prepared.file
         network = prepared.scan.network
         projected = prepared.scan.projected
-        mean = PixelPrediction.of(pixels.estimate.probabilities)
+        mean = PixelPrediction.from_softmax(pixels.estimate.probabilities)
         labels = refine_labels(prepared.scan, mean, self.knn).labels
         if pixels.softmax is not None:
             error = error_probability(network, projected.image, pixels.softmax, labels)
             self.output.write_array(file, ERROR, error)
         self.output.write_labels(file, network.space.to_raw(labels))
-        return ScanSummary.of_labels(file, labels, network.space, projected.check)
+        return ScanSummary.from_labels(file, labels, network.space, projected.check)

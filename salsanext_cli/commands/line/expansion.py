@@ -51,7 +51,7 @@ def expanded(command: Callable[..., None]) -> Callable[..., None]:
         hint = hints[name]
         kind, *marks = get_args(hint) if get_origin(hint) is Annotated else (hint,)
         if dataclasses.is_dataclass(kind) and isinstance(kind, type):
-            groups[name] = OptionGroup.of(kind, marks)
+            groups[name] = OptionGroup.from_dataclass(kind, marks)
             parameters += groups[name].parameters()
         elif isinstance(parameter.default, dataclasses.Field):
             declared = parameter.default.metadata
@@ -95,17 +95,17 @@ class OptionGroup:
     nested: dict[str, "OptionGroup"] = dataclasses.field(default_factory=dict)
 
     @classmethod
-    def of(cls, kind: type, marks: Sequence[Any]) -> "OptionGroup":
+    def from_dataclass(cls, kind: type, marks: Sequence[Any]) -> "OptionGroup":
         """Return the options of a dataclass, as `Default`, `Declared` and `Without` change them."""
         fields = {field.name: field for field in dataclasses.fields(kind) if field.init}
-        changes = Changes.of(marks)
+        changes = Changes.from_marks(marks)
         defaults = {name: field.default for name, field in fields.items()}
         group = cls(kind, defaults)
         for name, field in fields.items():
             defaults[name] = changes.defaults.get(name, field.default)
             declared = declaration(kind, field)
             if declared is None and isinstance(field.type, type):
-                group.nested[name] = OptionGroup.of(field.type, marks)
+                group.nested[name] = OptionGroup.from_dataclass(field.type, marks)
             elif declared is not None and name not in changes.hidden:
                 arguments = changes.arguments.get(name, {})
                 option = _parameter(name, field.type, declared, defaults[name], arguments)
@@ -144,7 +144,7 @@ class Changes:
     hidden: set[str] = dataclasses.field(default_factory=set)
 
     @classmethod
-    def of(cls, marks: Sequence[Any]) -> "Changes":
+    def from_marks(cls, marks: Sequence[Any]) -> "Changes":
         """Collect the changes; later marks count."""
         changes = cls()
         for mark in marks:

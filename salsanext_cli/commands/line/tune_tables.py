@@ -55,8 +55,6 @@ def error_table(held_out: HeldOutScores) -> Table:
 def risk_tables(fit: RiskFit) -> Group:
     """Return tables of the accepted labels and of the least numbers of scans, with sentences."""
     level = fit.threshold
-    return Group(
-        accepted_table(fit.accepted.classes),
-        needed_scans_table(level.at_most, level.confidence),
-        *(Text(sentence) for sentence in fit.sentences),
-    )
+    sentences = Group(*map(Text, fit.sentences))
+    classes = accepted_table(fit.accepted.classes)
+    return Group(classes, needed_scans_table(level.at_most, level.confidence), sentences)

@@ -241,7 +241,9 @@ def evaluate_scans(
     if labels.learning_map != space.learning_map:
         recorded["label_space_of_labels"] = labels
     results = ResultFolder(out)
-    comparison = ScanComparison.of_results(results.manifest, space, labels, by_distance=by_distance)
+    comparison = ScanComparison.from_results(
+        results.manifest, space, labels, by_distance=by_distance
+    )
     evaluation = _evaluation(results, comparison, scans, options, as_json(recorded), folder)
     for text in evaluation.warnings():
         log.warning("%s", text)
@@ -270,7 +272,7 @@ def _evaluation(
         raise _nothing_compared(results.root, counts, outcome.failures)
     accepted = None
     if counts.accepted:
-        accepted = AcceptedLabels.of_confusion(counts.confusion, space, counts.accepted)
+        accepted = AcceptedLabels.from_confusion(counts.confusion, space, counts.accepted)
     bands = zip(BAND_NAMES, counts.bands, strict=comparison.by_distance)
     return Evaluation(
         space=space,
@@ -283,7 +285,7 @@ def _evaluation(
         ),
         failures=outcome.failures,
         settings=settings,
-        uncertainty=UncertaintyEvaluation.of_counts(counts),
+        uncertainty=UncertaintyEvaluation.from_counts(counts),
         folder=folder,
         by_sequence={
             name: scores(confusion, space) for name, confusion in sorted(counts.by_sequence.items())

@@ -51,7 +51,7 @@ class CloudExport:
         if colour not in columns:
             raise folder.missing_column(colour, file)
         points = dict(zip("xyz", results.scan.points.T, strict=True))
-        rgb = dict(zip(("red", "green", "blue"), self.colours.of_points(columns).T, strict=True))
+        rgb = dict(zip(("red", "green", "blue"), self.colours.rgb(columns).T, strict=True))
         # CloudCompare takes properties with this prefix for scalars, and shows the first.
         scalars = {f"{PREFIX}{colour}": columns[colour]}
         scalars |= {f"{PREFIX}{name}": values for name, values in columns.items()}

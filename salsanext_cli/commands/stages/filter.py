@@ -80,7 +80,7 @@ def filter_scans(
         log.warning("no point remains of %s: %s", counted(len(empty), "scan"), first_few(empty))
     if drop and total.rejected:
         log.warning("%s", _warning_of_rejected(total.rejected, drop, task.space))
-    return FilterOutcome.of_run(outcome, missing=chosen.missing, filtered_points=total)
+    return FilterOutcome.from_run(outcome, missing=chosen.missing, filtered_points=total)
 
 
 def _warning_of_rejected(count: int, drop: Collection[str], space: LabelSpace) -> str:

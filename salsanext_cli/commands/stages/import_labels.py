@@ -80,7 +80,7 @@ def import_labels(
     edited_files = _edited_files(edited, scans, imported)
     roots = sorted({labels_root(scan) for scan in edited_files})
     records = {root: LabelRecords(root) for root in roots}
-    meanings = LabelIds.of_space(space, ids)
+    meanings = LabelIds.from_space(space, ids)
     is_named = not is_folder(edited)
     with ExitStack() as locks:
         for record in records.values():

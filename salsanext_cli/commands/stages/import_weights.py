@@ -105,7 +105,7 @@ def _weights_of_salsanext(source: Path, view: Sensor | None, description: str) -
     module, card = read_weights(source)
     if view:
         # Nothing is known about other widths of its images.
-        card = replace(card, sensor=view, widths=(), of_widths={})
+        card = replace(card, sensor=view, widths=(), parts_of_widths={})
     card = replace(card, description=description or card.description, version=None)
     return ImportedWeights(module, card)
 

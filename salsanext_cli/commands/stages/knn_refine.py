@@ -66,7 +66,7 @@ class RefineJob:
     def finish(self, scan: LabelledPixels, refined: TrainIds) -> ScanSummary:
         """Write the labels of the points."""
         self.output.write_labels(scan.file, self.space.to_raw(refined))
-        return ScanSummary.of_labels(scan.file, refined, self.space)
+        return ScanSummary.from_labels(scan.file, refined, self.space)
 
 
 def knn_refine_scans(

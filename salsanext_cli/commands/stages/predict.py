@@ -84,7 +84,12 @@ def predict_scans(
     scans = choose(listed, selection, space_of(listed, network.card.space), source)
     origins = OriginsOfRun(out=out, stage="predict", listed=listed, overwrite=options.overwrite)
     network = network_of_run(
-        settings, network, listed, out, overwrite=options.overwrite, origins_of=origins.of_sample
+        settings,
+        network,
+        listed,
+        out,
+        overwrite=options.overwrite,
+        origins_of=origins.sample_origins,
     )
     rejection = None if reject is None else label_rejection(reject, settings, network, knn)
     extras = _possible_extras(extras, rejection, network)
@@ -100,14 +105,14 @@ def predict_scans(
         weights=settings.named_path,
     )
     with run as output, recorded_summary(summary, output, scans):
-        by_poses = origins.of_results(output, scans, network.sensor)
+        by_poses = origins.result_origins(output, scans, network.sensor)
         job = partial(PredictJob, knn=knn, output=output, reject=rejection, origins=by_poses)
         task = NetworkTask(
             job=job, settings=resolved_for(settings, network, scans), network=network, batch=batch
         )
         outcome = run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)
     rejected_points = summary.rejected_points if rejection else None
-    return PredictOutcome.of_run(outcome, rejected_points=rejected_points)
+    return PredictOutcome.from_run(outcome, rejected_points=rejected_points)
 
 
 def _recorded_settings(
@@ -151,7 +156,7 @@ def _new_summary(
 ) -> RunSummary:
     """Return the summary of a run without any scan yet."""
     threshold = rejection.risk if rejection else None
-    return RunSummary.of_network(network, scans, recorded.accuracy, threshold)
+    return RunSummary.from_network(network, scans, recorded.accuracy, threshold)
 
 
 def predict_range_images(
@@ -190,7 +195,7 @@ def predict_range_images(
         out,
         overwrite=options.overwrite,
         image_of=partial(range_image, folder=folder, sensor=network.sensor),
-        origins_of=OriginsOfRun(out=folder, stage="predict", listed=listed).of_sample,
+        origins_of=OriginsOfRun(out=folder, stage="predict", listed=listed).sample_origins,
     )
     summary = RunSummary(sensor=network.sensor, trained=network.card.sensor)
     run = output_run(
@@ -206,4 +211,4 @@ def predict_range_images(
         job = partial(PredictImageJob, folder=folder, output=output)
         task = NetworkTask(job=job, settings=settings.resolved(network), network=network)
         outcome = run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)
-    return PredictOutcome.of_run(outcome)
+    return PredictOutcome.from_run(outcome)

@@ -111,5 +111,5 @@ def project_scans(
     run = output_run(out, "project", settings, folders, scans, overwrite=options.overwrite)
     with run as output, recorded_summary(summary, output, scans):
         origins = OriginsOfRun(out=out, stage="project", listed=listed, overwrite=options.overwrite)
-        job = ProjectJob(sensor, output, origins.of_results(output, scans, sensor))
+        job = ProjectJob(sensor, output, origins.result_origins(output, scans, sensor))
         return run_over_scans(job, scans, options, is_done=output.is_done, summary=summary)

@@ -175,7 +175,7 @@ def view(
     server = RunServer(port)
     try:
         run, failures = read_run(out, query=query, options=options)
-        served = ServedRun.of(run, failures)
+        served = ServedRun.from_results(run, failures)
         server.show(served, _thumbnails(run, run.notable_scans(), options))
     except BaseException:
         server.server_close()
@@ -208,7 +208,7 @@ def read_run(
     if warn_of_foreign_labels(chosen.scans, chosen.labels, results.manifest.known_sensor()):
         without_truth = chosen.scans
     reader = replace(
-        ScanComparison.of_results(results.manifest, chosen.space, chosen.labels),
+        ScanComparison.from_results(results.manifest, chosen.space, chosen.labels),
         unreviewed=frozenset(scan.name for scan in without_truth),
     )
     rows: list[ScanRow] = []

@@ -46,7 +46,7 @@ class SynthSettings:
     sensor: str  # Name of one of `RIGS`
 
     @classmethod
-    def of(
+    def from_counts(
         cls, counts: Mapping[str, int], scans: int, seed: int, spacing: float, sensor: str
     ) -> "SynthSettings":
         """Name the sequences by their number in each split."""
@@ -111,7 +111,7 @@ def synthesise(
     counts = {"train": train, "valid": valid, "test": test}
     options = RunOptions(jobs=jobs, on_error="stop", progress=progress)
     _check(counts, scans, seed, spacing, sensor)
-    settings = SynthSettings.of(counts, scans, seed, spacing, sensor)
+    settings = SynthSettings.from_counts(counts, scans, seed, spacing, sensor)
     names = [name for members in settings.splits.values() for name in members]
     files = [path for name in names for path in _files(out / "sequences" / name, scans)]
     files.append(out / LABEL_SPACE)

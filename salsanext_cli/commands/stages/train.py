@@ -333,8 +333,8 @@ def _add_int8(run: Path, source: Source, device: str) -> None:
 def _workers(jobs: int | None, kind: str) -> int:
     """Return the number of processes that prepare samples; by default one on a CPU."""
     workers_here = int(os.environ.get("LOCAL_WORLD_SIZE", 1))
-    usual = 1 if kind == "cpu" else max(1, min(MAX_LOADERS, cores() // workers_here))
-    return usual if jobs is None else worker_count(jobs)
+    default = 1 if kind == "cpu" else max(1, min(MAX_LOADERS, cores() // workers_here))
+    return default if jobs is None else worker_count(jobs)
 
 
 def _require_memory(
@@ -342,7 +342,7 @@ def _require_memory(
 ) -> None:
     """Refuse or warn of a step that needs more memory than the device has."""
     sharing = int(os.environ.get("LOCAL_WORLD_SIZE", 1)) if device.type == "cpu" else 1
-    step = StepMemory.of(recipe, seen, device.type, group.size, sharing)
+    step = StepMemory.from_recipe(recipe, seen, device.type, group.size, sharing)
     memory = memory_of(str(device))
     if step and memory:
         group.on_main(partial(step.require_fits, memory))

@@ -54,16 +54,16 @@ def simulated_scenes(folder: Path, count: int, real: Source, jobs: int) -> list[
 
 def _simulate(root: Path, count: int, kind: str, jobs: int) -> None:
     """Write a data set of simulated scenes; replace one of another version or other settings."""
-    wanted = SynthSettings.of(
+    record = SynthSettings.from_counts(
         {"train": count, "valid": 0, "test": 0},
         scans=SCANS_OF_STREET,
         seed=SEED_OF_STREETS,
         spacing=STREET_SPACING_M,
         sensor=kind,
     ).record
-    recorded = Manifest(root).record(wanted.stage)
-    is_other = recorded is not None and recorded != wanted
-    if recorded != wanted:
+    recorded = Manifest(root).record(record.stage)
+    is_other = recorded is not None and recorded != record
+    if recorded != record:
         reason = ": the existing ones have another version or settings" if is_other else ""
         log.log(NOTICE, "simulating %s in %s%s", counted(count, "scene"), root, reason)
     synthesise(

@@ -71,7 +71,7 @@ def uncertainty(
     overwrite = options.overwrite and labels_too
     origins = OriginsOfRun(out=out, stage="uncertainty", listed=listed, overwrite=options.overwrite)
     network = network_of_run(
-        settings, network, listed, out, overwrite=overwrite, origins_of=origins.of_sample
+        settings, network, listed, out, overwrite=overwrite, origins_of=origins.sample_origins
     )
     method.require(network)
     recorded = replace(
@@ -85,10 +85,10 @@ def uncertainty(
     )
     folders = _folders(out, network, method, labels_too=labels_too)
     _require_network_of_labels(out, recorded)
-    summary = RunSummary.of_network(network, scans)
+    summary = RunSummary.from_network(network, scans)
     run = output_run(out, "uncertainty", recorded, folders, scans, overwrite=options.overwrite)
     with run as output, recorded_summary(summary, output, scans):
-        by_poses = origins.of_results(output, scans, network.sensor)
+        by_poses = origins.result_origins(output, scans, network.sensor)
         job = partial(UncertaintyJob, knn=knn, method=method, output=output, origins=by_poses)
         task = NetworkTask(
             job=job, settings=resolved_for(settings, network, scans), network=network, batch=1

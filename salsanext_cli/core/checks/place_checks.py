@@ -112,11 +112,11 @@ def _elsewhere(place: SensorPlace, sensor: Sensor) -> PlaceProblem:
     origin = origin_in_file(place.position, sensor, HINT_DIGITS)
     rotation = upright_rotation(np.asarray(sensor.up))
     up = (rotation.T @ place.up).round(HINT_DIGITS) + 0.0
-    there = replace(sensor, origin=origin, up=tuple(up.tolist()))
+    placed = replace(sensor, origin=origin, up=tuple(up.tolist()))
     x, y, z = place.position
     side = ", upside down" if place.up[UPWARDS] < 0 else ""
     problem = f"the points are seen from ({x:.1f}, {y:.1f}, {z:.1f}) m{side}, not from the origin"
-    return PlaceProblem(problem, lines_of_place(there), there)
+    return PlaceProblem(problem, lines_of_place(placed), placed)
 
 
 def lines_of_place(sensor: Sensor) -> str:

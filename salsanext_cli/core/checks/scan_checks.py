@@ -190,7 +190,7 @@ def check_scan(
     per_point = len(scan) * (1 - ego_share) * measured_share / count
     # The scans of one sensor are compared, also if each has its own origin.
     fitted = replace(sensor, origin=ORIGIN) if sensor.registered else sensor
-    traits = ScanTraits.of(sines, bright, per_point, fitted)
+    traits = ScanTraits.from_sines(sines, bright, per_point, fitted)
     return ScanCheck(tuple(findings), traits)
 
 

@@ -44,7 +44,7 @@ class PixelPrediction(NamedTuple):
     softmax: Float | None = None
 
     @classmethod
-    def of(cls, softmax: Float, *, keep: bool = False) -> "PixelPrediction":
+    def from_softmax(cls, softmax: Float, *, keep: bool = False) -> "PixelPrediction":
         """Reduce a softmax to a prediction.
 
         Parameters

@@ -81,7 +81,7 @@ class Network:
             return self.backend.predict(inputs, temperature, softmax=softmax)
         predictions = self.backend.predict(inputs, temperature, softmax=True)
         return [
-            PixelPrediction.of(merging.add(cast(Float, pixels.softmax)), keep=softmax)
+            PixelPrediction.from_softmax(merging.add(cast(Float, pixels.softmax)), keep=softmax)
             for pixels in predictions
         ]
 

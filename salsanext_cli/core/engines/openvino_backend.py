@@ -47,7 +47,8 @@ class OpenVinoBackend(Backend):
         """Predict the pixels of images, their logits divided by a temperature."""
         graph = self.output_graph(temperature)
         return [
-            PixelPrediction.of(graph(image, share=True)[0][0], keep=softmax) for image in images
+            PixelPrediction.from_softmax(graph(image, share=True)[0][0], keep=softmax)
+            for image in images
         ]
 
     def logits(self, images: Sequence[Float]) -> list[Float]:

@@ -85,7 +85,7 @@ class ScanSample:
         self.origins_of = origins_of
 
     @classmethod
-    def of_scans(cls, scans: Sequence[Scan]) -> ScanSample:
+    def from_scans(cls, scans: Sequence[Scan]) -> ScanSample:
         """Return a sample of scans in memory."""
         sources = [
             ScanInMemory(name=f"scan {number}", scan=scan) for number, scan in enumerate(scans)

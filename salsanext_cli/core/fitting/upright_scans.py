@@ -91,6 +91,6 @@ class UprightScans:
         at_origin = sharpness_at_origin(objects)
         if at_origin <= PROVING_SHARPNESS:
             return True
-        there = sharpness_at_origin(objects - place.position.astype(np.float32))
+        at_place = sharpness_at_origin(objects - place.position.astype(np.float32))
         is_apart = bool(np.linalg.norm(place.position) > SHARPER_M)
-        return is_apart and there > SHARPER * at_origin
+        return is_apart and at_place > SHARPER * at_origin

@@ -157,7 +157,7 @@ def joined(members: Sequence[Sensor]) -> Sensor:
 
 def is_other_view(view: FittedView, sensor: Sensor) -> bool:
     """Return whether a sensor differs from a fitted one by more than `VIEW_TOLERANCES`."""
-    other = FittedView.of(sensor)
+    other = FittedView.from_sensor(sensor)
     if other.name != view.name:
         return True
     for name, tolerance in VIEW_TOLERANCES.items():

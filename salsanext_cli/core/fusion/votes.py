@@ -36,7 +36,7 @@ class VoxelVotes:
     points: npt.NDArray[np.intp]  # (V,): index of a point in each voxel
 
     @classmethod
-    def of_scan(cls, points: Double, probabilities: Float, size: float) -> Self:
+    def from_scan(cls, points: Double, probabilities: Float, size: float) -> Self:
         """Return the votes of the labelled points of a scan.
 
         Parameters
@@ -207,15 +207,15 @@ def _add(voxels: Keys, other: OtherVotes, sums: VoteSums) -> None:
     total = sums.total
     counts = sums.counts
     views = sums.views
-    there = np.searchsorted(keys, voxels[0])
-    for here in range(len(voxels)):
-        while there < len(keys) and keys[there] < voxels[here]:
-            there += 1
-        if there == len(keys):
+    other_place = np.searchsorted(keys, voxels[0])
+    for place in range(len(voxels)):
+        while other_place < len(keys) and keys[other_place] < voxels[place]:
+            other_place += 1
+        if other_place == len(keys):
             return
-        if keys[there] == voxels[here]:
-            views[here] += 1
+        if keys[other_place] == voxels[place]:
+            views[place] += 1
             for c in range(total.shape[1]):
-                counts_here = counts_for[c] | stands[here]
-                total[here, c] += votes[there, c] * counts_here
-                counts[here, c] += counts_here
+                counted = counts_for[c] | stands[place]
+                total[place, c] += votes[other_place, c] * counted
+                counts[place, c] += counted

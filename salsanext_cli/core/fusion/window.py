@@ -116,8 +116,8 @@ class FusionWindow:
         movable = votes.votes[:, self.movable].sum(axis=1, dtype=np.uint32)
         voxels = np.flatnonzero(movable > MOVABLE_SHARE * SCALE)
         scans = [(self.poses[i, :3, :3], self.places[i], s.ranges) for i, s in others.items()]
-        there, through = seen_by(scan.points[votes.points[voxels]], scans)
-        stands[voxels] = through < there
+        standing, through = seen_by(scan.points[votes.points[voxels]], scans)
+        stands[voxels] = through < standing
         return stands
 
     def _placed(self, index: int) -> PlacedScan | SalsanextError:
@@ -135,5 +135,5 @@ class FusionWindow:
             return error
         with np.errstate(invalid="ignore"):  # Infinite points become NaN.
             placed = points.astype(np.float64) @ self.poses[index, :3, :3].T + place
-        votes = [VoxelVotes.of_scan(placed, softmax, size) for size in VOXEL_SIZES_M]
+        votes = [VoxelVotes.from_scan(placed, softmax, size) for size in VOXEL_SIZES_M]
         return PlacedScan(placed, votes, nearest_ranges(points))

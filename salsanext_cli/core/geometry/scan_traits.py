@@ -47,7 +47,7 @@ class ScanTraits:
     sensor: Sensor | None = None  # Sensor that was fitted to the scan
 
     @classmethod
-    def of(
+    def from_sines(
         cls, sines: Float, bright: float, per_point: float, sensor: Sensor | None = None
     ) -> ScanTraits:
         """Return the traits of a sample of points.
@@ -123,7 +123,7 @@ def traits_of(scan: Scan) -> ScanTraits | None:
         return None
     sample = sample.take(measured)
     _, bright = intensity_of(sample.points, sample.intensity)
-    return ScanTraits.of(sines_of(sample.points), bright, per_point)
+    return ScanTraits.from_sines(sines_of(sample.points), bright, per_point)
 
 
 def groups_of(traits: Sequence[ScanTraits]) -> list[int]:

@@ -46,7 +46,7 @@ class AcceptedLabels:
     worst: AcceptedCounts  # Points of this scan
 
     @classmethod
-    def of_confusion(
+    def from_confusion(
         cls, confusion: Counts, space: LabelSpace, scans: Mapping[str, AcceptedCounts]
     ) -> Self:
         """Count the points whose predicted class is not 0.

@@ -7,9 +7,9 @@ scored the drive whose scans were labelled. Trials of the newest weights go befo
 
 from __future__ import annotations
 
+import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
-from statistics import median
 
 MANY_RIGHT = 0.75
 """Trials that began with a smaller share of right labels gained several times as much."""
@@ -93,16 +93,16 @@ class GainRange:
         return max(trial.gain for trial in self.trials)
 
     @property
-    def usual(self) -> float:
+    def median(self) -> float:
         """Median of the gains, in percentage points."""
-        return median(trial.gain for trial in self.trials)
+        return statistics.median(trial.gain for trial in self.trials)
 
     @property
     def text(self) -> str:
         """One line for people."""
         fewest = min(trial.scans for trial in self.trials)
         most = max(trial.scans for trial in self.trials)
-        gains = f"{self.worst:.1f} to {self.best:.1f} points of accuracy (median {self.usual:.1f})"
+        gains = f"{self.worst:.1f} to {self.best:.1f} points of accuracy (median {self.median:.1f})"
         data_sets = _listed([trial.data_set for trial in self.trials])
         trials = f"{len(self.trials)} trials of {self._versions} on {data_sets}"
         same = sum(trial.same_drive for trial in self.trials)

@@ -203,7 +203,7 @@ class RiskBoundCheck:
     consecutive: bool = False  # As of `RiskThreshold`
 
     @classmethod
-    def of_scans(
+    def from_scans(
         cls,
         guaranteed: RiskThreshold | None,
         scans: Mapping[str, AcceptedCounts],

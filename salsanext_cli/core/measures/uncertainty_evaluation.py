@@ -259,7 +259,7 @@ class UncertaintyEvaluation:
     accepted: AcceptedPoints | None = None  # Suggested threshold, if all scans have a kind
 
     @classmethod
-    def of_counts(cls, counts: ScanCounts) -> Self:
+    def from_counts(cls, counts: ScanCounts) -> Self:
         """Divide the counts of all scans; warn of files that only some of the scans have."""
         for folder in [SOFTMAX] + [f"uncertainty/{kind}" for kind in UNCERTAINTY]:
             files = counts.files[folder]

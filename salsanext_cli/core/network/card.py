@@ -179,7 +179,7 @@ class WeightsCard:
     # Widths of the images of training, the default of the weights first; none for the sensor's
     widths: tuple[int, ...] = ()
     # Parts for images of other widths than the sensor's
-    of_widths: Mapping[int, FittedParts] = field(default_factory=dict)
+    parts_of_widths: Mapping[int, FittedParts] = field(default_factory=dict)
 
     @property
     def trained_widths(self) -> tuple[int, ...]:
@@ -195,20 +195,22 @@ class WeightsCard:
     def substitutes(self) -> FittedParts:
         """Parts for a width that has none of its own: those of the default width, without risk."""
         default = self.trained_widths[0]
-        parts = self.parts if self.sensor.width == default else self.of_widths[default]
+        parts = self.parts if self.sensor.width == default else self.parts_of_widths[default]
         return replace(parts, risk=None)
 
     def at_width(self, width: int) -> WeightsCard:
         """Return the card for images of another width, if the weights were trained with it."""
         if width == self.sensor.width or width not in self.trained_widths:
             return self
-        others = dict(self.of_widths)
+        others = dict(self.parts_of_widths)
         parts = others.pop(width, self.substitutes)
         is_default = self.sensor.width == self.trained_widths[0]
         if is_default or self.parts.to_dict() != self.substitutes.to_dict():
             others[self.sensor.width] = self.parts
         fitted = {name: getattr(parts, name) for name in PARTS}
-        return replace(self, sensor=self.sensor.resized(width=width), of_widths=others, **fitted)
+        return replace(
+            self, sensor=self.sensor.resized(width=width), parts_of_widths=others, **fitted
+        )
 
     def without_risk(self, is_removed: Callable[[RiskThreshold | None], bool]) -> WeightsCard:
         """Return the card without the thresholds of risk, of any width, that a function names."""
@@ -269,7 +271,9 @@ class WeightsCard:
             "weights_version": self.version,
             "tensors_sha256": self.tensors_sha256,
             "widths": list(self.widths),
-            "of_widths": {width: plain(parts) for width, parts in sorted(self.of_widths.items())},
+            "of_widths": {
+                width: plain(parts) for width, parts in sorted(self.parts_of_widths.items())
+            },
         }
         values |= {name: value for name, value in optional.items() if value}
         return {KEY: json.dumps(values)}
@@ -319,7 +323,7 @@ class WeightsCard:
                 version=values.get("weights_version"),
                 tensors_sha256=_sha256(values.get("tensors_sha256", "")),
                 widths=_checked_widths(values.get("widths", []), sensor.width),
-                of_widths={
+                parts_of_widths={
                     int(width): FittedParts.from_dict(parts, source)
                     for width, parts in values.get("of_widths", {}).items()
                 },

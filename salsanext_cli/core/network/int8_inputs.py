@@ -35,7 +35,7 @@ class Int8Input:
         return np.ldexp(np.float32(self.step), -shifts)
 
     @classmethod
-    def of_ranges(cls, lowest: Float, highest: Float) -> Int8Input:
+    def from_ranges(cls, lowest: Float, highest: Float) -> Int8Input:
         """Return the quantisation for channels with these ranges, (C,) each.
 
         Channels of smaller values have smaller steps, by the square root: the weights of a channel

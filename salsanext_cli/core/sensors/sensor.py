@@ -222,7 +222,7 @@ class FittedView:
     origin: tuple[float, ...] = ORIGIN  # Position in the frame of the files, metres
 
     @classmethod
-    def of(cls, sensor: Sensor) -> FittedView:
+    def from_sensor(cls, sensor: Sensor) -> FittedView:
         """Return these fields of a sensor."""
         return cls(sensor.name, sensor.fov_up, sensor.fov_down, sensor.up, sensor.origin)
 

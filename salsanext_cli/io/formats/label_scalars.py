@@ -169,7 +169,7 @@ class LabelIds:
     unlabelled: int  # Raw id of points without a label
 
     @classmethod
-    def of_space(cls, space: LabelSpace, tool: Path | None = None) -> LabelIds:
+    def from_space(cls, space: LabelSpace, tool: Path | None = None) -> LabelIds:
         """Return the raw ids of a label space, or of the map in the YAML file of a tool."""
         raw_of = {i: i for i in _raw_ids(space)} if tool is None else _read_map(tool, space)
         if not space.ignored[0]:

@@ -30,8 +30,8 @@ def scales_of(scans: Sequence[ShownScan]) -> dict[str, Scale]:
     """Return the scale of every value: fixed, or from 0 to the 99th percentile."""
     values: dict[str, list[npt.NDArray[Any]]] = {}
     for scan in scans:
-        for name, of_points in scan.values().items():
-            values.setdefault(name, []).append(of_points)
+        for name, point_values in scan.values().items():
+            values.setdefault(name, []).append(point_values)
     scales: dict[str, Scale] = {}
     for name, arrays in values.items():
         highest = value_range(np.concatenate(arrays))[1]
@@ -59,13 +59,13 @@ def encode_cloud(
     nearest = np.zeros(len(taken), bool)
     nearest[image.point_of_pixel[image.point_of_pixel >= 0]] = True
     order = np.lexsort((image.point_range, ~nearest, pixel))
-    of_pixel = np.bincount(pixel, minlength=image.point_of_pixel.size + 1)[:-1]
-    width = np.min_scalar_type(of_pixel.max(initial=0)).itemsize
+    points_of_pixel = np.bincount(pixel, minlength=image.point_of_pixel.size + 1)[:-1]
+    width = np.min_scalar_type(points_of_pixel.max(initial=0)).itemsize
     index = taken[order]
     position, low, step_m = _positions(points[index])
     values = _classes(shown.results, space, index) | {
-        name: _bytes_on_scale(of_points[index], scales[name])
-        for name, of_points in shown.values().items()
+        name: _bytes_on_scale(point_values[index], scales[name])
+        for name, point_values in shown.values().items()
     }
     return {
         "name": shown.name,
@@ -77,7 +77,7 @@ def encode_cloud(
         "low": low,
         "step": step_m,
         "position": base64_of(position, "<u2"),
-        "of_pixel": base64_of(of_pixel, f"<u{width}"),
+        "of_pixel": base64_of(points_of_pixel, f"<u{width}"),
         "of_pixel_bytes": width,
         "boxes": shown.boxes,
         "values": {name: base64_of(array, "u1") for name, array in values.items()},

@@ -115,11 +115,11 @@ def cells_of(rows: Sequence[ScanRow], openable: Sequence[str]) -> dict[str, list
     """
     number_of = {name: number for number, name in enumerate(openable)}
     most = _with_most(rows)
-    shown = _with_most([row for row in rows if row.file.name in number_of])
+    openable_rows = _with_most([row for row in rows if row.file.name in number_of])
     scans: dict[str, list[object]] = {}
     for cell, row in sorted(most.items()):
         true, label = cell
-        number = number_of[shown[cell].file.name] if cell in shown else -1
+        number = number_of[openable_rows[cell].file.name] if cell in openable_rows else -1
         scans[f"{true},{label}"] = [number, row.file.name]
     return scans
 

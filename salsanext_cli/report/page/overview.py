@@ -97,7 +97,8 @@ def _score_tiles(compared: Comparison) -> Iterator[Tile]:
     which = "trained on" if compared.counts.trained_on else "with labels"
     scans = f"{counted(compared.counts.scans, 'scan')} {which}"
     labelled = counted(scores.points, "labelled point")
-    if labels := compared.accepted:
+    labels = compared.accepted
+    if labels:
         points = sum(scan.points for scan in compared.counts.accepted.values())
         coverage = f"coverage: accepted of {counted(points, 'labelled point')}, {scans}"
         yield Tile(percent(labels.coverage, 1, " %"), coverage)

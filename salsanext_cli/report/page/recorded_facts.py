@@ -44,7 +44,8 @@ def recorded_facts(out: Path, sensor: Sensor) -> Iterator[tuple[str, str]]:
         if isinstance(labels, WeightsSettings) and labels.inherited:
             parts = shortened(labels.inherited, 200)
             yield "Inherited", f"{parts}, not fitted to these weights"
-    if settings := records.settings("uncertainty"):
+    settings = records.settings("uncertainty")
+    if settings:
         numbers = {name: getattr(settings, name) for name in ("samples", "seed", "aleatoric")}
         texts = (f"{name} {value}" for name, value in numbers.items() if value is not None)
         yield "Uncertainty", ", ".join([str(settings.method), *texts])

@@ -13,11 +13,11 @@ from salsanext_cli.runs.results.paths import PREDICTION_STAGES, ScanFile
 CHECKED_STAGES = ("project", *PREDICTION_STAGES)  # Stages that record warnings about scans
 
 
-def warnings_of_run(out: Path, wanted: Collection[str]) -> list[str]:
+def warnings_of_run(out: Path, names: Collection[str]) -> list[str]:
     """Return the recorded warnings about some scans and sequences, one line per code."""
     texts: dict[str, dict[str, str]] = {}  # By code and name
     for name, (code, message, hint) in _findings(out):
-        if name in wanted:
+        if name in names:
             texts.setdefault(code, {}).setdefault(name, f"{message}; {hint}")
     return [
         f"{code} in {counted(len(by_name), 'scan' if '/' in min(by_name) else 'sequence')} "

@@ -62,8 +62,8 @@ class ShownScan:
         """Return the known values of `SCALARS`, arrays (N,)."""
         results = self.results
         measured = {"range": results.range, "intensity": results.scan.intensity}
-        known = results.uncertainty | measured
-        return {name: known[name] for name in SCALARS if name in known}
+        values = results.uncertainty | measured
+        return {name: values[name] for name in SCALARS if name in values}
 
 
 def read_boxes(path: Path, space: LabelSpace) -> list[list[float]]:
@@ -104,10 +104,13 @@ class RunResults:
 
     def read(self, row: ScanRow, reason: str = "") -> ShownScan:
         """Read the points of a scan, their results and their confidence."""
-        file, reader, space = row.file, self.reader, self.reader.space
+        file = row.file
+        reader = self.reader
+        space = self.reader.space
         truth_in = (reader.labels, space) if reader.has_truth(file) else None
         results = ResultFolder(reader.out).read(file, reader.sensor, space, truth_in)
-        if present(path := output_path(reader.out, file.sequence, SOFTMAX, file.stem)):
+        path = output_path(reader.out, file.sequence, SOFTMAX, file.stem)
+        if present(path):
             all_points = np.ones(len(results.scan), bool)
             softmax = read_softmax(path, all_points, space, reader.merging)
             results.uncertainty["least_confidence"] = lack_of_confidence(softmax)
@@ -118,13 +121,16 @@ class RunResults:
         """Divide the counts; None without labels."""
         if self.counts is None:
             return None
-        counts, space, labels = self.counts, self.reader.space, None
-        uncertainty = UncertaintyEvaluation.of_counts(counts)
+        counts = self.counts
+        space = self.reader.space
+        labels = None
+        uncertainty = UncertaintyEvaluation.from_counts(counts)
         if counts.accepted:
-            labels = AcceptedLabels.of_confusion(counts.confusion, space, counts.accepted)
+            labels = AcceptedLabels.from_confusion(counts.confusion, space, counts.accepted)
             counts = replace(counts, confusion=accepted(counts.confusion))
-        sentences = [*(labels.sentences if labels else ())]
-        sentences += [self.guarantee.sentence] if self.guarantee else []
+        sentences = list(labels.sentences) if labels else []
+        if self.guarantee:
+            sentences.append(self.guarantee.sentence)
         return Comparison(counts, scores(counts.confusion, space), uncertainty, labels, sentences)
 
     @property
@@ -140,8 +146,8 @@ class RunResults:
         if self.counts:
             yield from self.counts.label_warnings(self.reader.space)
             yield from self.reader.warnings()
-        wanted = {name for row in self.rows for name in (row.file.name, row.file.sequence)}
-        yield from warnings_of_run(self.reader.out, wanted)
+        names = {name for row in self.rows for name in (row.file.name, row.file.sequence)}
+        yield from warnings_of_run(self.reader.out, names)
         if self.missing.scans:
             yield f"{counted(len(self.missing.scans), 'scan')} without results skipped"
 
@@ -153,19 +159,21 @@ class RunResults:
     @property
     def leading_kind(self) -> str | None:
         """First of `LEADING_KINDS` that some scan has, None without any."""
-        known = set[str]().union(*(row.uncertainty for row in self.rows))
-        return next((kind for kind in LEADING_KINDS if kind in known), None)
+        kinds = set[str]().union(*(row.uncertainty for row in self.rows))
+        return next((kind for kind in LEADING_KINDS if kind in kinds), None)
 
     def notable_scans(self) -> dict[str, str]:
         """Choose the most uncertain, most wrong, worst-class and a random scan; return why."""
-        rows, reasons = self.rows, dict[str, list[str]]()
+        rows = self.rows
+        reasons = dict[str, list[str]]()
 
         def add_largest(values: Sequence[float], reason: Callable[[float], str]) -> None:
             largest = int(np.nan_to_num(values).argmax())
             if values[largest] > 0:
                 reasons.setdefault(rows[largest].file.name, []).append(reason(values[largest]))
 
-        if kind := self.leading_kind:
+        kind = self.leading_kind
+        if kind:
             means = [row.uncertainty.get(kind, math.nan) for row in rows]
             add_largest(means, lambda mean: f"most uncertain ({mean_in_words(kind, mean)})")
         wrong = [row.wrong for row in rows]
@@ -176,11 +184,15 @@ class RunResults:
         classes = [c for c in scores(confusions.sum(axis=0), self.reader.space).classes if c.points]
         if classes:
             worst = min(classes, key=lambda c: c.iou)
-            i, name = worst.train_id, worst.name
-            # Points of the class, or predicted as it, that are wrong.
-            missed = confusions[:, i].sum(1) + confusions[:, :, i].sum(1) - 2 * confusions[:, i, i]
-            add_largest(missed.tolist(), lambda n: f"worst class: {n:,} points of {name} wrong")
-        if others := [row for row in rows if row.file.name not in reasons]:
+            i = worst.train_id
+            points_of_class = confusions[:, i].sum(axis=1)
+            labelled_as_class = confusions[:, :, i].sum(axis=1)
+            wrong_points = points_of_class + labelled_as_class - 2 * confusions[:, i, i]
+            add_largest(
+                wrong_points.tolist(), lambda n: f"worst class: {n:,} points of {worst.name} wrong"
+            )
+        others = [row for row in rows if row.file.name not in reasons]
+        if others:
             # The seed makes the choice reproducible.
             reasons[random.Random(len(rows)).choice(others).file.name] = ["at random"]
         return {name: ", ".join(texts) for name, texts in reasons.items()}

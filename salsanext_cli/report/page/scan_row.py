@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Self
 
@@ -33,16 +32,21 @@ class PointErrors:
     doubtful: int = 0  # Number of points with a probability above `DOUBTFUL`
 
     @classmethod
-    def of_values(cls, error: Float) -> Self:
+    def from_values(cls, error: Float) -> Self:
         """Count errors (N,), 0…1, NaN where unknown."""
-        known = error[np.isfinite(error)]
-        doubtful = int(np.count_nonzero(known > np.float32(DOUBTFUL)))
-        return cls(len(known), float(known.sum(dtype=np.float64)), doubtful)
+        estimated = error[np.isfinite(error)]
+        return cls(
+            points=len(estimated),
+            total=float(estimated.sum(dtype=np.float64)),
+            doubtful=int(np.count_nonzero(estimated > np.float32(DOUBTFUL))),
+        )
 
     def __add__(self, other: PointErrors) -> PointErrors:
         """Return the sums over the points of both."""
         return PointErrors(
-            self.points + other.points, self.total + other.total, self.doubtful + other.doubtful
+            points=self.points + other.points,
+            total=self.total + other.total,
+            doubtful=self.doubtful + other.doubtful,
         )
 
     @property
@@ -101,17 +105,18 @@ class ScanRow:
         """Read the results of a scan and, if it has labels, count its points."""
         out = reader.out
         space = reader.space
-        path_of = partial(output_path, out, file.sequence, stem=file.stem)
         points = 0
         class_points = np.zeros(space.class_count, np.int64)
-        if is_labelled := present(path := path_of(folder="predictions")):
+        path = output_path(out, file.sequence, "predictions", file.stem)
+        is_labelled = present(path)
+        if is_labelled:
             predicted = space.to_train(read_labels(path), strict=False, source=path)
             points = len(predicted)
             class_points = np.bincount(predicted, minlength=space.class_count)
         values = _uncertainty(file, out, points)
         points = points or max(map(len, values.values()), default=0)
-        uncertainty = {kind: _mean(of_points) for kind, of_points in values.items()}
-        errors = PointErrors.of_values(values["error"]) if "error" in values else PointErrors()
+        uncertainty = {kind: _mean(point_values) for kind, point_values in values.items()}
+        errors = PointErrors.from_values(values["error"]) if "error" in values else PointErrors()
         counts = None
         confusion = np.zeros((space.class_count, space.class_count), np.int64)
         if is_labelled and reader.has_truth(file):
@@ -119,7 +124,16 @@ class ScanRow:
             confusion = scored_rows(counts.confusion, space)
             confusion = accepted(confusion) if reader.rejects else confusion
         rejected = _rejected(out, values)
-        return cls(file, points, class_points, uncertainty, confusion, errors, rejected), counts
+        row = cls(
+            file=file,
+            points=points,
+            class_points=class_points,
+            uncertainty=uncertainty,
+            confusion=confusion,
+            errors=errors,
+            rejected=rejected,
+        )
+        return row, counts
 
 
 def _uncertainty(file: ScanFile, out: Path, points: int) -> dict[str, Float]:

@@ -86,12 +86,14 @@ class _Handler(BaseHTTPRequestHandler):
         data: Mapping[str, object] | None
         if token != self.server.token:
             problem = "this page belongs to an earlier salsanext view: reload it"
-            status, data = HTTPStatus.GONE, {"error": problem}
+            status = HTTPStatus.GONE
+            data = {"error": problem}
         else:
             try:
                 data = self.server.cloud(index)
             except SalsanextError as error:
-                status, data = HTTPStatus.INTERNAL_SERVER_ERROR, {"error": str(error)}
+                status = HTTPStatus.INTERNAL_SERVER_ERROR
+                data = {"error": str(error)}
         if data is None:
             self.send_error(HTTPStatus.NOT_FOUND)
         else:

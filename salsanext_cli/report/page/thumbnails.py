@@ -61,11 +61,11 @@ def thumbnail(file: ScanFile, reader: ScanComparison, colours: Colours) -> tuple
     drawn = np.arange(0, len(points), max(len(points) // MAX_POINTS, 1))
     if results.label is not None:
         labels = reader.space.to_train(results.label[drawn], strict=False)
-        of_points = colours[labels]
+        point_colours = colours[labels]
     else:
         values = next(iter(results.uncertainty.values()), results.range)[drawn]
-        of_points = value_colours(values, *value_range(values))
-    png = _picture(points[drawn], of_points)
+        point_colours = value_colours(values, *value_range(values))
+    png = _picture(points[drawn], point_colours)
     return file.name, PNG + b64encode(png).decode("ascii")
 
 

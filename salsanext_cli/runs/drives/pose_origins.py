@@ -68,8 +68,8 @@ def origins_by_poses(
         scans = list(group)
         path = poses_beside(scans)
         if path is not None:
-            of_sequence = [file for file in listed if file.sequence == sequence]
-            _add_sequence(by_poses, path, scans, sorted(of_sequence) or scans, sensor)
+            scans_of_sequence = [file for file in listed if file.sequence == sequence]
+            _add_sequence(by_poses, path, scans, sorted(scans_of_sequence) or scans, sensor)
     return by_poses
 
 
@@ -77,15 +77,15 @@ def _add_sequence(
     by_poses: OriginsByPoses,
     path: Path,
     scans: Sequence[ScanFile],
-    of_sequence: Sequence[ScanFile],
+    scans_of_sequence: Sequence[ScanFile],
     sensor: Sensor,
 ) -> None:
     """Add the origins of the scans of a sequence by the poses in a file."""
-    seen_from = _origins_by_points(of_sequence, sensor)
+    seen_from = _origins_by_points(scans_of_sequence, sensor)
     if not seen_from:
         return
     try:
-        positions = _agreeing_positions(readings_of(path, of_sequence), seen_from)
+        positions = _agreeing_positions(readings_of(path, scans_of_sequence), seen_from)
     except SalsanextError as error:
         by_poses.lines.append(f"{path} is not used for the origins of the scans: {error.problem}")
         return
@@ -93,7 +93,7 @@ def _add_sequence(
         reason = "the points of most scans show the sensor elsewhere"
         by_poses.lines.append(f"{path} is not used for the origins of the scans: {reason}")
         return
-    numbers = {file.name: number for number, file in enumerate(of_sequence)}
+    numbers = {file.name: number for number, file in enumerate(scans_of_sequence)}
     sequence = scans[0].sequence
     by_poses.lines.append(f"sequence {sequence}: the origins of its scans are those of {path}")
     unused = []

@@ -63,7 +63,7 @@ def fit_network(
     if isinstance(scans, Path | str):
         sample = sample_of_files(find_scans(Path(scans)), network.sensor)
     else:
-        sample = ScanSample.of_scans(evenly_spaced(scans, MAX_SCANS))
+        sample = ScanSample.from_scans(evenly_spaced(scans, MAX_SCANS))
     return fit_to_sample(network, sample, FitSettings(view=view, intensity=intensity))
 
 
@@ -112,7 +112,7 @@ def fitted_view(
 def labels_depend_on(settings: NetworkSettings, network: Network) -> dict[str, object]:
     """Return the settings that labels depend on besides weights and scans, by `KEY_OF`."""
     view = (settings.named_sensor() or network.card.sensor).view() | {"fit": settings.fits_view}
-    of_labels = {
+    label_settings = {
         "min_range": view.pop("min_range", None),
         "ego": view.pop("ego_box", None),
         "intensity": intensity_method(settings.intensity, network),
@@ -120,7 +120,7 @@ def labels_depend_on(settings: NetworkSettings, network: Network) -> dict[str, o
         "width": view.pop("width"),
         "sensor": {key: value for key, value in view.items() if key != "columns"},
     }
-    return dict(as_json({KEY_OF[name]: value for name, value in of_labels.items()}))
+    return dict(as_json({KEY_OF[name]: value for name, value in label_settings.items()}))
 
 
 def as_typed(argument: str, value: Any) -> str:

@@ -127,7 +127,7 @@ def read_edited(
     points.
     """
     has_points = _has_points(path)
-    cloud = LabelledCloud.read(path, scalar) if has_points else _of_all_points(path, points)
+    cloud = LabelledCloud.read(path, scalar) if has_points else _labels_in_order(path, points)
     if unknown := meanings.unknown(cloud.ids):
         listed = ", ".join(f"{i} ({counted(n, 'point')})" for i, n in sorted(unknown.items()))
         hint = f"map the ids of the tool with {argument('ids')}"
@@ -157,7 +157,7 @@ def read_edited(
     )
 
 
-def _of_all_points(path: Path, points: Float) -> LabelledCloud:
+def _labels_in_order(path: Path, points: Float) -> LabelledCloud:
     """Read a file with one label for each point, in order."""
     if path.suffix.lower() == ".npy":
         values: npt.NDArray[np.integer] = read_integers(path)

@@ -56,9 +56,9 @@ def network_pipeline(
     if network.device == "cpu":
         return Pipeline(job, BatchSize(batch or 1, "scans"))
     pixels = network.sensor.height * network.sensor.width
-    usual = max(1, min(MAX_BATCH_SCANS, MAX_BATCH_PIXELS // pixels))
+    default = max(1, min(MAX_BATCH_SCANS, MAX_BATCH_PIXELS // pixels))
     readers = min(MAX_READERS, thread_count())
-    return Pipeline(job, BatchSize(batch or usual, "scans"), readers, network.device)
+    return Pipeline(job, BatchSize(batch or default, "scans"), readers, network.device)
 
 
 def _loaded(settings: NetworkSettings) -> Network:

@@ -120,9 +120,9 @@ def _attempts(
             results = parallel(calls)
         try:
             with closing(results):
-                for of_chunk in results:
-                    finished.forget(of_chunk.number)
-                    yield from of_chunk.attempts
+                for attempted in results:
+                    finished.forget(attempted.number)
+                    yield from attempted.attempts
         except TerminatedWorkerError as error:
             problem = "the system ended a worker"
             hint = "use fewer jobs, which need less memory"

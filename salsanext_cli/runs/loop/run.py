@@ -32,7 +32,7 @@ class Failure:
     code: str
 
     @classmethod
-    def of(cls, scan: ScanFile, error: SalsanextError) -> "Failure":
+    def from_error(cls, scan: ScanFile, error: SalsanextError) -> "Failure":
         """Return the failure of a scan by an error."""
         return cls(scan=scan, reason=error.headline, hint=error.hint, code=error.code)
 
@@ -73,7 +73,7 @@ class Outcome:
     summary: RunSummary | None = None
 
     @classmethod
-    def of_run(cls, outcome: "Outcome", **numbers: Any) -> Self:
+    def from_run(cls, outcome: "Outcome", **numbers: Any) -> Self:
         """Return the numbers of a run with those that only its stage has, by name."""
         common = {field.name: getattr(outcome, field.name) for field in fields(Outcome)}
         return cls(**common | numbers)
@@ -102,7 +102,7 @@ class RunningCount:
         if error is None or self.options.on_error == "stop":
             self.on_result(attempt.get())
         else:
-            self.failures.append(Failure.of(scan, error))
+            self.failures.append(Failure.from_error(scan, error))
         self.attempted.add(scan)
         if self.options.progress:
             self.options.progress(len(self.attempted), self.scans)
@@ -138,7 +138,7 @@ def run_over_scans(
         If a worker died; or the first failure, if ``options.on_error`` is ``"stop"``.
     """
     start = time.monotonic()
-    scans_of_shard = options.shard.of(scans)
+    scans_of_shard = options.shard.select(scans)
     todo = [scan for scan in scans_of_shard if options.overwrite or not is_done(scan)]
     count = RunningCount(options, len(todo), summary.add if summary else on_result)
     try:

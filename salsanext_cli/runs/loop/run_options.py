@@ -43,7 +43,7 @@ class Shard:
     def __str__(self) -> str:
         return f"{self.number}/{self.count}"
 
-    def of(self, scans: "Sequence[ScanFile]") -> "list[ScanFile]":
+    def select(self, scans: "Sequence[ScanFile]") -> "list[ScanFile]":
         """Return this shard's scans, neighbours by sequence and stem; sizes differ by one."""
         if self.count == 1:
             return list(scans)

@@ -41,7 +41,7 @@ class OriginsOfRun:
     listed: Sequence[ScanFile]
     overwrite: bool = False
 
-    def of_sample(self, files: Sequence[ScanFile], sensor: Sensor) -> Origins:
+    def sample_origins(self, files: Sequence[ScanFile], sensor: Sensor) -> Origins:
         """Return the origins, in metres, of scans that a fit reads; points show the others."""
         recorded: Origins = {}
         if not are_replaced(self.out, self.stage, overwrite=self.overwrite):
@@ -54,7 +54,9 @@ class OriginsOfRun:
         by_poses, _ = self._by_poses(others, sensor)
         return recorded | by_poses
 
-    def of_results(self, output: OutputRun, files: Sequence[ScanFile], sensor: Sensor) -> Origins:
+    def result_origins(
+        self, output: OutputRun, files: Sequence[ScanFile], sensor: Sensor
+    ) -> Origins:
         """Return the origins by poses of the scans of a run that are to do and have no record.
 
         The log has a line about the poses of each of their sequences.

@@ -80,7 +80,7 @@ class ScanSource:
 def merged_sources(sources: Iterable[Mapping[str, ScanSource]]) -> dict[str, ScanSource]:
     """Return the union of the files of each sequence."""
     merged: dict[str, ScanSource] = {}
-    for name, source in (item for of_stage in sources for item in of_stage.items()):
+    for name, source in (item for stage_sources in sources for item in stage_sources.items()):
         known = merged.get(name, source).suffixes
         added = {stem: suffix or known.get(stem, "") for stem, suffix in source.suffixes.items()}
         merged[name] = ScanSource(source.folder, {**known, **added})

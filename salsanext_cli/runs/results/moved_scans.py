@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from salsanext_cli.core.errors import NoInputError
-from salsanext_cli.runs.results.paths import ScanFile, find_scans, of_sequences, scans_at_top
+from salsanext_cli.runs.results.paths import ScanFile, find_scans, scans_at_top, scans_of_sequences
 
 
 def scans_in(folder: Path, sequence: str) -> list[ScanFile]:
@@ -14,14 +14,14 @@ def scans_in(folder: Path, sequence: str) -> list[ScanFile]:
         scans = scans_at_top(folder)
     except NoInputError:
         return []  # They were moved.
-    of_sequence = [scan for scan in scans if scan.sequence == sequence]
+    scans_of_sequence = [scan for scan in scans if scan.sequence == sequence]
     # Older versions named the sequences of some layouts otherwise.
-    return of_sequence or [replace(scan, sequence=sequence) for scan in scans]
+    return scans_of_sequence or [replace(scan, sequence=sequence) for scan in scans]
 
 
 def scans_of_renamed(dataset: Path, sequence: str) -> list[ScanFile]:
     """Return the scans of a sequence whose folder or recording may have been renamed."""
     scans = find_scans(dataset, unique=False)
     if len({(scan.path.parent, scan.sequence) for scan in scans}) > 1:
-        return of_sequences(scans, [sequence], dataset)
+        return scans_of_sequences(scans, [sequence], dataset)
     return [replace(scan, sequence=sequence) for scan in scans]

@@ -154,7 +154,7 @@ def find_scans(
     if not scans:
         raise _no_scans_error(source, others)
     if sequences is not None:
-        scans = of_sequences(scans, sequences, source)
+        scans = scans_of_sequences(scans, sequences, source)
     if unique:
         require_unique_stems(scans)
     return scans
@@ -340,7 +340,7 @@ def _is_drive(folder: Path) -> bool:
     return folder.name == SCAN_FOLDER and folder.parent.parent.name != "sequences"
 
 
-def of_sequences(
+def scans_of_sequences(
     scans: list[ScanFile], sequences: Collection[str], source: object
 ) -> list[ScanFile]:
     """Return the scans of some sequences; "8" also means "08"."""

@@ -374,7 +374,11 @@ def _missing(
     listed = sorted(scans)
 
     def is_asked_for(scan: ScanFile) -> bool:
-        recorded = [of_stage[scan.sequence] for of_stage in sources if scan.sequence in of_stage]
+        recorded = [
+            stage_sources[scan.sequence]
+            for stage_sources in sources
+            if scan.sequence in stage_sources
+        ]
         return not recorded or any(scan.stem in source.suffixes for source in recorded)
 
     missing = tuple(scan for scan in listed if is_asked_for(scan))

@@ -185,10 +185,10 @@ def usable(folders: Collection[ScanFolder]) -> list[ScanFolder]:
 
     These are all folders of the only known layout, else the only folder of scans.
     """
-    of_layout = [folder for folder in folders if folder.layout]
-    if of_layout:
-        is_one = len({folder.layout.name for folder in of_layout if folder.layout}) == 1
-        return of_layout if is_one else []
+    layout_folders = [folder for folder in folders if folder.layout]
+    if layout_folders:
+        is_one = len({folder.layout.name for folder in layout_folders if folder.layout}) == 1
+        return layout_folders if is_one else []
     ranked = [folder for folder in folders if folder.rank > UNLIKELY]
     best = max((folder.rank for folder in ranked), default=UNLIKELY)
     chosen = [folder for folder in ranked if folder.rank == best]

@@ -24,8 +24,8 @@ from salsanext_cli.runs.results.paths import (
     ScanFile,
     counted_by_suffix,
     find_scans,
-    of_sequences,
     require_unique_stems,
+    scans_of_sequences,
 )
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 
@@ -102,7 +102,7 @@ def choose(
 ) -> list[ScanFile]:
     """Select scans by sequences, split and limit; all, with a warning, if no split names any."""
     if selection.sequences:
-        scans = of_sequences(scans, selection.sequences, source)
+        scans = scans_of_sequences(scans, selection.sequences, source)
     if selection.split is not None:
         space = with_splits(space, data_set_of(scans[0]) if scans else None)
         members = space.split(selection.split)

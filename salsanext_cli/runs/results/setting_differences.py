@@ -38,7 +38,8 @@ DERIVED = ("accuracy", "guarantee", "inherited", "reject_by", "temperature", "tr
 
 def differences(recorded: Mapping[str, object], settings: Mapping[str, object]) -> str:
     """Describe how recorded settings differ from others, arguments first; empty if they do not."""
-    before, after = dict(_flat(recorded)), dict(_flat(settings))
+    before = dict(_flat(recorded))
+    after = dict(_flat(settings))
     changed = sorted(k for k in before.keys() | after if before.get(k) != after.get(k))
     causes = [key for key in changed if key.partition(".")[0] not in DERIVED] or changed
     ordered = sorted(causes, key=lambda key: (key not in ARGUMENT_OF and key != "objects", key))

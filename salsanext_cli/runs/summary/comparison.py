@@ -66,7 +66,7 @@ class ScanComparison:
     unreviewed: frozenset[str] = frozenset()
 
     @classmethod
-    def of_results(
+    def from_results(
         cls, results: Manifest, space: LabelSpace, labels: LabelSpace, *, by_distance: bool = False
     ) -> ScanComparison:
         """Return the settings that the records of an output folder imply."""
@@ -147,8 +147,8 @@ class ScanComparison:
             )
             counts.calibrated = int(is_among(self.chosen_on.digests, len(scored), read))
             values = {kind: np.where(labelled, v, np.nan) for kind, v in values.items()}
-        for kind, of_points in values.items():
-            counts.histograms[kind] = uncertainty_histogram(of_points, wrong)
+        for kind, point_values in values.items():
+            counts.histograms[kind] = uncertainty_histogram(point_values, wrong)
         if "error" in values:
             counts.histograms[OF_ERROR] = error_histogram(values["error"], wrong)
         return counts

@@ -67,7 +67,7 @@ class ScanSummary:
     traits: UnitTraits | None = None  # Of the scan and its labels, if a threshold rejects some
 
     @classmethod
-    def of_labels(
+    def from_labels(
         cls,
         file: ScanFile,
         labels: TrainIds,
@@ -81,11 +81,11 @@ class ScanSummary:
         return cls(file=file, check=replace(check, findings=findings), class_points=points)
 
     @classmethod
-    def of_scan(cls, file: ScanFile, scan: LabelledScan, space: LabelSpace) -> ScanSummary:
+    def from_scan(cls, file: ScanFile, scan: LabelledScan, space: LabelSpace) -> ScanSummary:
         """Summarise a labelled scan, with a warning if the probabilities are low."""
         projected = scan.projected
         confidence = scan.mean_confidence
-        summary = cls.of_labels(file, scan.labels, space, projected.check, confidence)
+        summary = cls.from_labels(file, scan.labels, space, projected.check, confidence)
         measured = measured_ranges(projected.scan.points)[1]
         return replace(summary, unmeasured_points=int(np.count_nonzero(~measured)))
 
@@ -168,7 +168,7 @@ class RunSummary:
     out: Path | None = None  # Folder of the results, for hints
 
     @classmethod
-    def of_network(
+    def from_network(
         cls,
         network: Network,
         scans: Sequence[ScanFile],
@@ -356,7 +356,9 @@ def guarantee_of_run(
     findings = OwnedFolder(out, "predict").findings()
     codes = {code for name in losses for code, *_ in findings.get(name, ())}
     threshold = Manifest(out).guarantee(space)
-    check = RiskBoundCheck.of_scans(threshold, losses, are_others=WarningCode.OTHER_SCANS in codes)
+    check = RiskBoundCheck.from_scans(
+        threshold, losses, are_others=WarningCode.OTHER_SCANS in codes
+    )
     if check is None or threshold is None:
         return None
     return replace(check, incomparable=why_incomparable(threshold, check.units))

@@ -7,7 +7,8 @@ from salsanext_cli.synthesis.street.builder import Builder, Maker
 from salsanext_cli.synthesis.street.plan import Side
 from salsanext_cli.synthesis.things import fences, vegetation
 
-LOW_M, HIGH_M = (0.3, 1.1), (1.1, 2.1)
+LOW_M = (0.3, 1.1)
+HIGH_M = (1.1, 2.1)
 """Heights of low and of high walls and solid fences."""
 Span = tuple[float, float]
 
@@ -37,7 +38,8 @@ def hedge(builder: Builder) -> Maker:
 
 def undergrowth(builder: Builder, heights: Span, depths: Span) -> Maker:
     """Return a maker of pieces of undergrowth; heights and depths are bounds in metres."""
-    height, depth = builder.between(*heights), builder.between(*depths)
+    height = builder.between(*heights)
+    depth = builder.between(*depths)
     return partial(vegetation.thicket, builder.rng, depth=depth, height=height)
 
 

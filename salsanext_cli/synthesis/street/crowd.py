@@ -40,7 +40,8 @@ def furnish(builder: Builder, side: Side) -> None:
 
 def _distance_from_kerb(builder: Builder, side: Side) -> float:
     """Return a distance from the kerb, on the pavement: at the kerb, at the houses or between."""
-    low, high = side.parking + 0.3, max(side.parking + 0.6, side.depth - 0.3)
+    low = side.parking + 0.3
+    high = max(side.parking + 0.6, side.depth - 0.3)
     return (low, high, builder.between(low, high))[builder.rng.integers(3)]
 
 
@@ -96,7 +97,8 @@ def _people_at_a_pole(builder: Builder, side: Side, s: float) -> None:
     if not builder.put_if_free(upright, side, s, out, 0.1):
         return
     for _ in range(int(builder.rng.choice([1, 1, 1, 2, 3]))):
-        angle, away = builder.between(0, 2 * np.pi), builder.between(0.35, 1.1)
+        angle = builder.between(0, 2 * np.pi)
+        away = builder.between(0.35, 1.1)
         place = s + away * np.cos(angle), out + away * np.sin(angle)
         person = builder.model(pedestrians.bystander)
         builder.put_if_free(person, side, *place, 0.19, builder.between(0, 2 * np.pi))

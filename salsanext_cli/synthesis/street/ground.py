@@ -58,7 +58,10 @@ def ground(rng: Rng, plan: Plan) -> Mesh:
     shades *= _patches(rng, middle_s[:, 0], middle_t[0], plan.length)
     shades *= rng.normal(1, 0.03, shades.shape)
     index = np.arange(grid_s.size).reshape(grid_s.shape)
-    a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
+    a = index[:-1, :-1]
+    b = index[1:, :-1]
+    c = index[1:, 1:]
+    d = index[:-1, 1:]
     faces = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], 2)
     return Mesh(
         vertices=vertices.reshape(-1, 3),

@@ -42,7 +42,8 @@ def draw_plan(rng: Rng, style: Numbers, length: float) -> Plan:
         rng.choice([-1, 1], 5) * 2 * np.pi / longest * rng.uniform(0.3, 1, 5) for _ in range(2)
     )
     waves = np.array([amplitude, kx, ky, rng.uniform(0, 2 * np.pi, 5)])
-    x, y = np.cumsum(np.cos(heading)) * 0.5, np.cumsum(np.sin(heading)) * 0.5
+    x = np.cumsum(np.cos(heading)) * 0.5
+    y = np.cumsum(np.sin(heading)) * 0.5
     left, right = (_side(rng, style, sign, length, crossings) for sign in (LEFT, RIGHT))
     band = _band(rng, style, half, shoulder)
     return Plan(
@@ -267,9 +268,12 @@ def _lot(rng: Rng, kind: str, start: float, end: float, setback: float) -> Lot:
     if kind == "terrace":
         front = paved if setback > 2 else presets.SIDEWALK
     elif kind == "carpark":
-        front, back, setback = presets.PARKING, paved, rng.uniform(5.5, 12)
+        front = presets.PARKING
+        back = paved
+        setback = rng.uniform(5.5, 12)
     elif kind == "forecourt":
-        front, setback = presets.OTHER_GROUND, rng.uniform(5, 12)
+        front = presets.OTHER_GROUND
+        setback = rng.uniform(5, 12)
     elif kind == "house":
         if rng.random() < 0.6 and end - start > 8:
             widths = (4.5, 6.0) if rng.random() < 0.25 else (2.6, 3.6)

@@ -32,7 +32,8 @@ def furnish(builder: Builder, side: Side, lot: Lot) -> None:
 
 
 def _terrace(builder: Builder, side: Side, lot: Lot) -> None:
-    width, rng = lot.end - lot.start, builder.rng
+    width = lot.end - lot.start
+    rng = builder.rng
     front = side.depth + lot.setback
     floors = int(rng.integers(2, 6))
     if width > 5:
@@ -66,7 +67,8 @@ def _overgrow(builder: Builder, side: Side, lot: Lot, front: float) -> None:
 
 
 def _house(builder: Builder, side: Side, lot: Lot) -> None:
-    width, rng = lot.end - lot.start, builder.rng
+    width = lot.end - lot.start
+    rng = builder.rng
     front = side.depth + lot.setback
     gap = builder.between(2.5, 6)
     drive = lot.drive[1] - lot.drive[0]
@@ -106,7 +108,8 @@ def _yard(builder: Builder, side: Side, lot: Lot) -> None:
     if builder.chance(0.35):
         park(builder, side, builder.between(lot.start + 2, lot.end - 2), side.depth + 5, 0.3, 2.0)
     if builder.chance(0.5) and lot.end - lot.start > 8:
-        garage, middle = buildings.garage(builder.rng), (lot.start + lot.end) / 2
+        garage = buildings.garage(builder.rng)
+        middle = (lot.start + lot.end) / 2
         builder.put(garage, side, middle, side.depth + builder.between(4, 12))
 
 
@@ -128,7 +131,8 @@ def _field(builder: Builder, side: Side, lot: Lot) -> None:
     is_barrier = builder.chance(0.3)
     if is_barrier or builder.chance(0.25):
         kind, out = ("barrier", 0.8) if is_barrier else ("mesh", 3.0)
-        shade, height = builder.between(0.7, 1.4), builder.between(0.9, 1.3)
+        shade = builder.between(0.7, 1.4)
+        height = builder.between(0.9, 1.3)
         fence = partial(fences.fence, builder.rng, kind=kind, height=height, shade=shade)
         builder.put_line(fence, side, lot.start, lot.end, side.depth + out)
 
@@ -206,7 +210,8 @@ def _carpark(builder: Builder, side: Side, lot: Lot) -> None:
 
 def _background(builder: Builder, side: Side, lot: Lot) -> None:
     """Build a second row of houses, or woods, behind a lot."""
-    rng, width = builder.rng, lot.end - lot.start
+    rng = builder.rng
+    width = lot.end - lot.start
     out = side.depth + lot.setback + builder.between(20, 30)
     if builder.plan.half + out > REACH_M - 14:
         return

@@ -17,7 +17,8 @@ PER_M2 = 1 / 400  # Trees of a lawn per square metre
 
 def lawn(builder: Builder, side: Side, lot: Lot) -> None:
     """Leave mown grass open to the pavement, with few trees, before a house or a hedge."""
-    width, depth = lot.end - lot.start, lot.setback
+    width = lot.end - lot.start
+    depth = lot.setback
     scatter(builder, side, lot, vegetation.tree, (4.0, 11.0), PER_M2 * width * depth)
     if builder.chance(0.4):
         scatter(builder, side, lot, vegetation.bush, (0.3, 1.2), 2 * PER_M2 * width * depth)
@@ -60,7 +61,8 @@ def court(builder: Builder, side: Side, lot: Lot) -> None:
 def site(builder: Builder, side: Side, lot: Lot) -> None:
     """Fence a building site off, with heaps, crates and vehicles on bare ground."""
     kind = "hoarding" if builder.chance(0.3) else "site"
-    height, shade = builder.between(1.8, 2.2), builder.between(0.6, 1.4)
+    height = builder.between(1.8, 2.2)
+    shade = builder.between(0.6, 1.4)
     make = partial(fences.fence, builder.rng, kind=kind, height=height, shade=shade)
     front = side.depth + builder.between(0.1, 0.6)
     back = side.depth + lot.setback

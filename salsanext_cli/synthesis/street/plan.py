@@ -16,7 +16,8 @@ from salsanext_cli.synthesis.mesh import Array
 from salsanext_cli.synthesis.presets import Numbers
 
 REACH_M = 62.0  # Extent of the world to either side of the centre line
-LEFT, RIGHT = 1, -1
+LEFT = 1
+RIGHT = -1
 KERB_M = 0.02  # Half the depth of the face of a kerb, which belongs to the pavement
 DROP_M = 0.6  # Length of the slope of a kerb at a driveway
 RUN_OUT_M = 70.0  # Length of the street behind the first scan and beyond the last one
@@ -144,7 +145,8 @@ class Side:
         """Return which positions `beyond` the kerb are on a side street or its rounded corners."""
         on_street = np.zeros(np.broadcast_shapes(np.shape(s), np.shape(beyond)), bool)
         for crossing in self.crossings:
-            away, radius = np.abs(s - crossing.s) - crossing.half, crossing.corner
+            away = np.abs(s - crossing.s) - crossing.half
+            radius = crossing.corner
             cut = np.hypot(radius - away, radius - beyond) > radius
             on_street |= (away <= 0) | ((away < radius) & (beyond < radius) & cut)
         return on_street
@@ -192,7 +194,8 @@ class Side:
         label[(away < crossing.pavement) & outside] = presets.SIDEWALK
         label[(away < crossing.verge) & (beyond > self.depth)] = presets.TERRAIN
         from_kerb = beyond - self.parking
-        nearest, farthest = np.minimum(away, from_kerb), np.maximum(away, from_kerb)
+        nearest = np.minimum(away, from_kerb)
+        farthest = np.maximum(away, from_kerb)
         corner = (nearest > 0) & (farthest < crossing.lawn_gap + crossing.lawn)
         if self.sidewalk and crossing.lawn:
             label[corner] = presets.SIDEWALK

@@ -29,8 +29,10 @@ def _road_works(builder: Builder, side: Side) -> None:
         return
     start = builder.along()
     end = min(start + builder.between(8, 50), builder.plan.length - 1)
-    height, shade = builder.between(0.75, 1.1), builder.between(0.5, 1.5)
-    length, gap = builder.between(1, 4), builder.between(0, 0.4)
+    height = builder.between(0.75, 1.1)
+    shade = builder.between(0.5, 1.5)
+    length = builder.between(1, 4)
+    gap = builder.between(0, 0.4)
     piece = fences.fence(builder.rng, length - gap, "block", height, shade)
     out = builder.between(-0.7, 0.5)
     for s in np.arange(start, end, length):
@@ -40,7 +42,8 @@ def _road_works(builder: Builder, side: Side) -> None:
 def _islands(builder: Builder, side: Side) -> None:
     """Plant the islands between groups of parking spaces."""
     for low, high in side.islands:
-        half, room = (high - low) / 2, side.parking / 2
+        half = (high - low) / 2
+        room = side.parking / 2
         s = (low + high) / 2
         radius = min(half, room) * builder.between(0.6, 1)
         make = vegetation.bush if builder.chance(0.5) else vegetation.ground_cover
@@ -52,7 +55,8 @@ def _islands(builder: Builder, side: Side) -> None:
 def _parked(builder: Builder, side: Side) -> None:
     out = side.parking / 2 if side.parking else 0.75
     share = builder.plan.style.parked * (1 if side.parking else 0.45)
-    s, occupied = 2.5, builder.chance(share)
+    s = 2.5
+    occupied = builder.chance(share)
     across = side.parking > ACROSS_M
     while s < builder.plan.length - 2.5:
         if builder.chance(0.35):
@@ -99,7 +103,8 @@ def _lamps(builder: Builder, side: Side) -> None:
         builder.put_if_free(kind, side, s, side.parking + builder.between(0.35, 0.5), 0.3)
         s += builder.between(26, 50)
     for _ in builder.count(builder.plan.length / 80):
-        s, out = builder.along(), side.parking + builder.between(0.3, 0.5)
+        s = builder.along()
+        out = side.parking + builder.between(0.3, 0.5)
         for step in range(int(builder.rng.choice([1, 1, 1, 3, 5]))):
             builder.put_if_free(furniture.post(builder.rng), side, s + 1.5 * step, out, 0.3)
 
@@ -134,7 +139,8 @@ def _clutter(builder: Builder, side: Side) -> None:
 
 def _park_along(builder: Builder, side: Side, crossing: Crossing) -> None:
     """Park vehicles one behind the other at either edge of a side street."""
-    edge, out = crossing.half - 0.9, builder.between(8, 14)
+    edge = crossing.half - 0.9
+    out = builder.between(8, 14)
     while out < SIDE_STREET_END_M:
         if builder.chance(0.6):
             out += builder.between(5.5, 9)

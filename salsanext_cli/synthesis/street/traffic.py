@@ -29,7 +29,8 @@ class Mover:
 
     def at(self, plan: Plan, time: float) -> Mesh | None:
         """Return the mesh in world coordinates at a time, None while it is off the street."""
-        s, t = self.start + self.speed * time, self.t + self.across * time
+        s = self.start + self.speed * time
+        t = self.t + self.across * time
         if not 3 < s < plan.length - 3:
             return None
         yaw = float(plan.yaw(s)) + float(np.arctan2(self.across, self.speed))
@@ -46,7 +47,8 @@ def _vehicles(builder: Builder, speed: float, duration: float) -> Iterator[Mover
     """Yield vehicles in all lanes; the recording vehicle uses the outer lane."""
     plan = builder.plan
     *others, outer = lanes(plan.half - plan.shoulder, plan.median.half)
-    ahead, behind = builder.between(9, 40), builder.between(9, 50)
+    ahead = builder.between(9, 40)
+    behind = builder.between(9, 50)
     drive = speed * duration
     for start, end in ((ahead, plan.length + drive), (-behind, -drive)):
         for s, mesh in _in_a_row(builder, RUN_OUT_M + start, end, 10):
@@ -73,7 +75,8 @@ def _in_a_row(
     builder: Builder, start: float, end: float, room: float
 ) -> Iterator[tuple[float, Mesh]]:
     """Yield positions and vehicles from start to end, with gaps and room for every vehicle."""
-    sign, gap = 1 if end > start else -1, 100 / builder.plan.style.traffic
+    sign = 1 if end > start else -1
+    gap = 100 / builder.plan.style.traffic
     while (end - start) * sign > 0:
         mesh = _vehicle(builder)
         reach = float(np.abs(mesh.vertices[:, 0]).max())
@@ -117,7 +120,8 @@ def _walkers(builder: Builder, duration: float) -> Iterator[Mover]:
 
 def _riders(builder: Builder, speed: float, duration: float) -> Iterator[Mover]:
     """Yield riders that meet the recording vehicle during the drive."""
-    plan, style = builder.plan, builder.plan.style
+    plan = builder.plan
+    style = builder.plan.style
     for _ in builder.count(style.riders * (0.5 + 0.3 * plan.length / 100)):
         sign = builder.rng.choice([-1, 1])
         pace = -sign * builder.between(0.5, 1.05) * speed

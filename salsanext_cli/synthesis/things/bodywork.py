@@ -18,7 +18,9 @@ def shell(body: Numbers, paint: Skin, stretch: Array) -> Mesh:
     profile = body.profile
     x = (0.5 - profile[:, 0]) * body.length
     half = body.width / 2 * np.where(profile[:, 0] % 1.0 == 0, 0.86, 1.0)
-    belt, roof, top = profile[:, 1], profile[:, 2], half * profile[:, 3]
+    belt = profile[:, 1]
+    roof = profile[:, 2]
+    top = half * profile[:, 3]
     sill = np.full(len(x), body.bottom)
     middle = (sill + belt) / 2
     y = np.stack([-half * 0.94, -half, -half * 0.96, -top, top, half * 0.96, half, half * 0.94], -1)
@@ -34,11 +36,13 @@ def shell(body: Numbers, paint: Skin, stretch: Array) -> Mesh:
 
 def wheels(label: int, axles: list[float], track: float, radius: float, wide: float) -> list[Mesh]:
     """Return wheels at both ends of axles: a tyre with a rim on its outside."""
-    tyre, rim = Skin(label, Material.RUBBER), Skin(label, Material.METAL, 0.9)
+    tyre = Skin(label, Material.RUBBER)
+    rim = Skin(label, Material.METAL, 0.9)
     parts = []
     for x in axles:
         for side in (-1, 1):
-            inner, outer = side * (track - wide), side * track
+            inner = side * (track - wide)
+            outer = side * track
             parts.append(tube([[x, inner, radius], [x, outer, radius]], radius, tyre, 14))
             parts.append(disc((x, outer - side * 0.02, radius), radius * 0.97, tyre))
             parts.append(disc((x, outer + side * 0.01, radius), radius * 0.66, rim))
@@ -47,16 +51,22 @@ def wheels(label: int, axles: list[float], track: float, radius: float, wide: fl
 
 def fittings(body: Numbers, label: int, stretch: Array) -> list[Mesh]:
     """Return number plates, lamps, reflectors and mirrors of a body."""
-    lamp, retro = Skin(label, Material.LAMP), Skin(label, Material.RETRO)
+    lamp = Skin(label, Material.LAMP)
+    retro = Skin(label, Material.RETRO)
     mirror = Skin(label, Material.PAINT, 0.4)
-    front, rear = body.length / 2 * stretch[0], -body.length / 2 * stretch[0]
-    half, height = body.width / 2 * stretch[1], body.profile[1, 1] * stretch[2]
+    front = body.length / 2 * stretch[0]
+    rear = -body.length / 2 * stretch[0]
+    half = body.width / 2 * stretch[1]
+    height = body.profile[1, 1] * stretch[2]
     parts = [
         box((front - 0.02, -0.26, 0.38), (front + 0.015, 0.26, 0.49), retro),
         box((rear - 0.015, -0.26, 0.62), (rear + 0.02, 0.26, 0.73), retro),
     ]
     for side in (-1, 1):
-        x, a, b, c = body.length * 0.16, side * (half - 0.36), side * (half - 0.1), side * half
+        x = body.length * 0.16
+        a = side * (half - 0.36)
+        b = side * (half - 0.1)
+        c = side * half
         parts += [
             box((front - 0.3, a, height - 0.16), (front - 0.02, b, height), lamp),
             box((rear - 0.01, a, height + 0.05), (rear + 0.2, b, height + 0.2), lamp),

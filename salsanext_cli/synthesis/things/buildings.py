@@ -86,7 +86,8 @@ def _hole(
     rng: Rng, x0: float, x1: float, row: int, storey: float, size: Array, kind: str
 ) -> Opening | None:
     """Return the opening in a bay, None if the bay is too narrow."""
-    middle, width = (x0 + x1) / 2, (x1 - x0) * size[0]
+    middle = (x0 + x1) / 2
+    width = (x1 - x0) * size[0]
     if kind == "door":
         return middle - 0.55, middle + 0.55, 0.15, 2.2
     if kind == "shop":
@@ -122,14 +123,20 @@ def _pierced(
 
 def _roof(rng: Rng, house: House) -> Mesh:
     """Return a flat or a gabled roof with eaves."""
-    width, depth, height = house.width, house.depth, house.height
+    width = house.width
+    depth = house.depth
+    height = house.height
     skin = Skin.random(rng, BUILDING, Material.BRICK, 0.5, 0.9)
     eaves = rng.uniform(0.1, 0.6)
-    x, low, high = width / 2 + 0.1, -eaves, depth + eaves
+    x = width / 2 + 0.1
+    low = -eaves
+    high = depth + eaves
     if rng.random() < 0.3:
         return box((-x, low / 2, height), (x, high, height + 0.3), skin)
-    ridge, middle = height + rng.uniform(0.3, 0.6) * depth, depth / 2
-    z, peak = height - 0.1, ridge - 0.1
+    ridge = height + rng.uniform(0.3, 0.6) * depth
+    middle = depth / 2
+    z = height - 0.1
+    peak = ridge - 0.1
     slopes = [
         [[-x, eave, z], [x, eave, z], [x, middle, ridge], [-x, middle, ridge]]
         for eave in (low, high)
@@ -143,7 +150,9 @@ def _roof(rng: Rng, house: House) -> Mesh:
 
 def _details(rng: Rng, house: House) -> list[Mesh]:
     """Return steps, downpipes, plinths, balconies, canopies and bays of the front."""
-    half, wall, top = house.width / 2, house.wall, house.storey * house.floors
+    half = house.width / 2
+    wall = house.wall
+    top = house.storey * house.floors
     metal = Skin(BUILDING, Material.METAL, 1.1)
     parts = []
     if rng.random() < 0.5:
@@ -154,7 +163,8 @@ def _details(rng: Rng, house: House) -> list[Mesh]:
     if rng.random() < 0.5:
         x = rng.uniform(-half, half - 1.8)
         for n in range(1, 4):
-            y, z = -0.35 * n, 0.6 - 0.17 * n
+            y = -0.35 * n
+            z = 0.6 - 0.17 * n
             parts.append(box((x, y, FOOT_M), (x + 1.6, y + 0.4, z), wall))
     if rng.random() < 0.35 and house.width > 6:
         x = rng.uniform(-half + 1, half - 3.5)

@@ -24,7 +24,8 @@ def _coach(rng: Rng) -> Mesh:
     """Return a bus, from a minibus to one of 12 m and more."""
     shape = presets.BUS_BODY
     stretch = rng.uniform([0.55, 0.88, 0.85], [1.1, 1.02, 1.08])
-    length, width = shape.length * stretch[0], shape.width * stretch[1]
+    length = shape.length * stretch[0]
+    width = shape.width * stretch[1]
     paint = _paint(rng)
     parts = [shell(shape, paint, stretch), *fittings(shape, BUS, stretch)]
     parts += wheels(BUS, [0.28 * length, -0.26 * length], width / 2, shape.wheel, 0.3)
@@ -32,7 +33,8 @@ def _coach(rng: Rng) -> Mesh:
     if rng.random() < 0.6:
         parts.append(box((-length / 4, -0.7, top), (length / 5, 0.7, top + 0.3), paint))
     for x in np.arange(-0.4, 0.4, rng.uniform(0.1, 0.16)) * length:
-        low, high = (x, -width / 2, 1.2 * stretch[2]), (x + 0.12, width / 2, top - 0.1)
+        low = (x, -width / 2, 1.2 * stretch[2])
+        high = (x + 0.12, width / 2, top - 0.1)
         parts.append(box(low, high, paint))
     return merge(parts)
 
@@ -41,11 +43,13 @@ def _minibus(rng: Rng) -> Mesh:
     """Return a minibus: a van's bonnet, a row of windows and a rack or a second door."""
     shape = presets.MINIBUS_BODY
     stretch = rng.uniform([0.85, 0.92, 0.92], [1.2, 1.08, 1.08])
-    half, length = shape.width / 2 * stretch[1], shape.length * stretch[0]
+    half = shape.width / 2 * stretch[1]
+    length = shape.length * stretch[0]
     paint = _paint(rng)
     parts = [shell(shape, paint, stretch), *fittings(shape, BUS, stretch)]
     parts += wheels(BUS, [0.33 * length, -0.27 * length], half, shape.wheel, 0.25)
-    belt, roof = 1.35 * stretch[2], 2.35 * stretch[2]
+    belt = 1.35 * stretch[2]
+    roof = 2.35 * stretch[2]
     for x in np.arange(-0.42, 0.2, rng.uniform(0.13, 0.2)) * length:
         parts.append(box((x, -half * 0.97, belt), (x + 0.1, half * 0.97, roof), paint))
     return merge(parts)
@@ -55,7 +59,8 @@ def _articulated(rng: Rng) -> Mesh:
     """Return a bus of two sections with bellows between them."""
     shape = presets.BUS_BODY
     paint = _paint(rng)
-    height, turn = rng.uniform(0.92, 1.05), rng.uniform(-0.08, 0.08)
+    height = rng.uniform(0.92, 1.05)
+    turn = rng.uniform(-0.08, 0.08)
     parts = []
     for centre, share in ((4.6, 0.72), (-5.4, 0.6)):
         stretch = np.array([share, 1.0, height])
@@ -74,8 +79,10 @@ def tram(rng: Rng) -> Mesh:
     shape = presets.BUS_BODY
     paint = Skin.random(rng, ON_RAILS, Material.PAINT, 0.2, 1.2)
     dark = Skin(ON_RAILS, Material.RUBBER)
-    count, share = int(rng.integers(2, 5)), rng.uniform(0.55, 0.75)
-    length, height = share * shape.length, rng.uniform(1.05, 1.15)
+    count = int(rng.integers(2, 5))
+    share = rng.uniform(0.55, 0.75)
+    length = share * shape.length
+    height = rng.uniform(1.05, 1.15)
     low = 0.15
     parts = []
     for index in range(count):
@@ -86,7 +93,8 @@ def tram(rng: Rng) -> Mesh:
         if index:
             parts.append(box((x - length / 2 - 0.5, -1.0, 0.4), (x - length / 2, 1.0, 2.9), dark))
     roof = 3.0 * height - 0.05
-    elbow, rail = [0.9, 0, roof + 0.8], [0.0, 0, roof + 1.5]
+    elbow = [0.9, 0, roof + 0.8]
+    rail = [0.0, 0, roof + 1.5]
     parts.append(tube([[0, 0, roof], elbow, rail], 0.05, dark, 5))
     parts.append(tube([[0, -0.8, roof + 1.5], [0, 0.8, roof + 1.5]], 0.04, dark, 5))
     return merge(parts).moved((-(count - 1) * (length + 0.5) / 2, 0, 0))

@@ -19,7 +19,9 @@ from salsanext_cli.synthesis.mesh import (
 )
 from salsanext_cli.synthesis.presets import PERSON, Material
 
-HIP, SHOULDER, SEAT = 0.52, 0.82, 0.28
+HIP = 0.52
+SHOULDER = 0.82
+SEAT = 0.28
 """Heights of standing hips and shoulders and of a seat, as shares of the person's height."""
 CHILD_SHARE = 0.12
 COAT_SHARE = 0.3

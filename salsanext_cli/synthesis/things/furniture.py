@@ -18,8 +18,10 @@ def _steel(rng: Rng) -> Skin:
 def lamp(rng: Rng) -> Mesh:
     """Return a street lamp, its arm over the road."""
     steel = _steel(rng)
-    height, foot = float(rng.uniform(3.5, 9)), float(rng.uniform(0.05, 0.1))
-    heights, radii = (FOOT_M, 1.1, 1.2, height), (foot * 1.35, foot * 1.35, foot, foot * 0.6)
+    height = float(rng.uniform(3.5, 9))
+    foot = float(rng.uniform(0.05, 0.1))
+    heights = (FOOT_M, 1.1, 1.2, height)
+    radii = (foot * 1.35, foot * 1.35, foot, foot * 0.6)
     parts = [tube([[0, 0, z] for z in heights], radii, steel)]
     if height > 5:
         tip = (0.0, -rng.uniform(0.8, 2.2), height + 0.3)
@@ -46,12 +48,16 @@ def _face(rng: Rng) -> Mesh:
     if kind == "round":
         front = disc((0, 0, 0), radius, bright, 14)
     elif kind == "triangle":
-        r, x = radius * 1.25, radius * 1.1
+        r = radius * 1.25
+        x = radius * 1.1
         front = faces(np.array([[[-x, 0, -r / 2], [x, 0, -r / 2], [0, 0, r], [0, 0, r]]]), bright)
     else:
-        x, z = radius * rng.uniform(0.6, 1.6), radius * rng.uniform(0.5, 1.2)
+        x = radius * rng.uniform(0.6, 1.6)
+        z = radius * rng.uniform(0.5, 1.2)
         front = faces(np.array([[[-x, 0, -z], [x, 0, -z], [x, 0, z], [-x, 0, z]]]), bright)
-    back = Mesh.of(front.vertices + [0, 0.02, 0], front.triangles, Skin(SIGN, Material.METAL, 0.9))
+    back = Mesh.uniform(
+        front.vertices + [0, 0.02, 0], front.triangles, Skin(SIGN, Material.METAL, 0.9)
+    )
     return merge([front, back])
 
 
@@ -66,7 +72,8 @@ def sign(rng: Rng) -> Mesh:
 
 def board(rng: Rng) -> Mesh:
     """Return a direction board on two posts, facing -y."""
-    half, low = float(rng.uniform(0.4, 1.4)), float(rng.uniform(0.8, 1.8))
+    half = float(rng.uniform(0.4, 1.4))
+    low = float(rng.uniform(0.8, 1.8))
     high = low + float(rng.uniform(0.5, 1.2))
     steel = _steel(rng)
     bright = Skin.random(rng, SIGN, Material.RETRO, 0.6, 1.1)
@@ -110,7 +117,8 @@ def _cabinet(rng: Rng) -> Mesh:
 
 def bench(rng: Rng) -> Mesh:
     """Return a bench, its back away from the road."""
-    wood, iron = Skin(CLUTTER, Material.WOOD, 0.9), Skin(CLUTTER, Material.METAL, 0.7)
+    wood = Skin(CLUTTER, Material.WOOD, 0.9)
+    iron = Skin(CLUTTER, Material.METAL, 0.7)
     half = float(rng.uniform(0.7, 1.1))
     slats = [box((-half, y, 0.42), (half, y + 0.1, 0.46), wood) for y in (-0.25, -0.12, 0.01)]
     slats += [box((-half, 0.18, z), (half, 0.22, z + 0.1), wood) for z in (0.55, 0.72)]
@@ -121,7 +129,8 @@ def bench(rng: Rng) -> Mesh:
 
 def _planter(rng: Rng) -> Mesh:
     skin = Skin.random(rng, CLUTTER, Material.BRICK, 0.7, 1.1)
-    radius, height = float(rng.uniform(0.25, 0.7)), float(rng.uniform(0.35, 0.7))
+    radius = float(rng.uniform(0.25, 0.7))
+    height = float(rng.uniform(0.35, 0.7))
     path = [[0, 0, FOOT_M], [0, 0, height], [0, 0, height + 0.01]]
     return tube(path, [radius, radius * 1.1, 0.02], skin, 10)
 

@@ -65,7 +65,8 @@ def _excavator(rng: Rng) -> Mesh:
         box((-0.4, 0.15, 2.8), (1.0, 1.2, 2.9), paint),
     ]
     reach, lift = rng.uniform([2.2, 2.5], [3.6, 4.2])
-    joint, tip = [reach, -0.3, lift], [reach + rng.uniform(0.6, 1.6), -0.3, rng.uniform(0.4, 1.5)]
+    joint = [reach, -0.3, lift]
+    tip = [reach + rng.uniform(0.6, 1.6), -0.3, rng.uniform(0.4, 1.5)]
     upper += [tube([[0.5, -0.3, 1.6], joint], 0.22, paint), tube([joint, tip], 0.17, paint)]
     upper.append(box(np.array(tip) - [0.5, 0.5, 0.4], np.array(tip) + [0.3, 0.5, 0.4], IRON))
     parts.append(merge(upper).moved(yaw=rng.uniform(-0.2, 0.2)))
@@ -83,11 +84,13 @@ def other_vehicle(rng: Rng) -> Mesh:
 
 def _motorhome(rng: Rng) -> Mesh:
     """Return a motorhome: a van's front below the overhang of a high box."""
-    length, half = rng.uniform(5.5, 7.0), rng.uniform(1.0, 1.15)
+    length = rng.uniform(5.5, 7.0)
+    half = rng.uniform(1.0, 1.15)
     paint = Skin.random(rng, OTHER_VEHICLE, Material.PAINT, 0.3, 1.6)
     cab = presets.TRUCKS["van"].cab
     overhang = rng.uniform(0.3, 1.3)
-    rear, step = -length / 2, length / 2 - cab.length * 0.75
+    rear = -length / 2
+    step = length / 2 - cab.length * 0.75
     top = rng.uniform(2.6, 3.0)
     glass = Skin(OTHER_VEHICLE, Material.GLASS)
     skin = paint._replace(shade=paint.shade * 0.9)
@@ -123,7 +126,8 @@ def _boat_trailer(rng: Rng) -> Mesh:
     x = rng.uniform(1.8, 2.8)
     skin = Skin.random(rng, OTHER_VEHICLE, Material.PAINT, 0.3, 1.5)
     parts = [box((-x, y - 0.05, 0.45), (x, y + 0.05, 0.55), IRON) for y in (-0.8, 0.0, 0.8)]
-    keel, deck = rng.uniform(0.5, 0.7), rng.uniform(1.3, 1.8)
+    keel = rng.uniform(0.5, 0.7)
+    deck = rng.uniform(1.3, 1.8)
     path = [
         [-x, 0, deck - 0.5],
         [-x * 0.3, 0, deck - 0.5],

@@ -38,7 +38,9 @@ def with_umbrella(rng: Rng) -> Mesh:
     body = figures.figure(rng, figures.draw_stance(rng, "walking"), ("carrying", "hanging"))
     top = float(body.vertices[:, 2].max())
     cloth = Skin.random(rng, PERSON, Material.CLOTH, 0.3, 1.3)
-    radius, low, x = rng.uniform(0.42, 0.62), top - rng.uniform(0.0, 0.1), rng.uniform(0.0, 0.2)
+    radius = rng.uniform(0.42, 0.62)
+    low = top - rng.uniform(0.0, 0.1)
+    x = rng.uniform(0.0, 0.2)
     angle = np.linspace(0, 2 * np.pi, 8, endpoint=False)
     rings = []
     for share, height in ((1.0, 0.0), (0.7, 0.14), (0.05, 0.22)):
@@ -60,7 +62,8 @@ def with_pram(rng: Rng) -> Mesh:
     """Return a person who pushes a pram or a pushchair."""
     body = _pushing(rng)
     cloth = Skin.random(rng, PERSON, Material.CLOTH, 0.3, 1.2)
-    x, hood = rng.uniform(0.75, 0.9), rng.uniform(0.0, 0.45)
+    x = rng.uniform(0.75, 0.9)
+    hood = rng.uniform(0.0, 0.45)
     parts = [body, ellipsoid((x + 0.1, 0, 0.66), (0.42, 0.2, 0.2), cloth)]
     if hood > 0.1:
         parts.append(ellipsoid((x - 0.1, 0, 0.85), (0.22, 0.22, 0.22 + hood / 4), cloth))
@@ -75,7 +78,8 @@ def with_pram(rng: Rng) -> Mesh:
 def with_suitcase(rng: Rng) -> Mesh:
     """Return a person who pulls a suitcase on wheels."""
     shell = Skin.random(rng, PERSON, Material.PAINT, 0.3, 1.2)
-    half, high = rng.uniform(0.15, 0.25), rng.uniform(0.5, 0.75)
+    half = rng.uniform(0.15, 0.25)
+    high = rng.uniform(0.5, 0.75)
     case = box((-0.13, -half, 0.06), (0.13, half, high), shell)
     handle = tube([[0, 0, high], [0, 0, 1.0]], 0.02, STEEL, 4)
     return merge([figures.walking(rng), merge([case, handle]).moved((-0.45, -0.28, 0))])
@@ -111,7 +115,8 @@ def with_dog(rng: Rng) -> Mesh:
     """Return a person with a dog on a leash; the dog is no person."""
     fur = Skin.random(rng, CLUTTER, Material.CLOTH, 0.2, 1.2)
     back = rng.uniform(0.22, 0.6)
-    long, thick = back * 0.7, back * 0.28
+    long = back * 0.7
+    thick = back * 0.28
     height = back - thick / 2
     parts = [ellipsoid((0, 0, height), (long, thick * 0.8, thick), fur)]
     head = (long * 1.15, 0, back + thick * 0.7)

@@ -33,8 +33,10 @@ def bicycle(rng: Rng, label: int = presets.BICYCLE) -> Mesh:
     """Return a bicycle: spoked wheels, frame, handlebar, saddle, perhaps a carrier and baskets."""
     frame = Skin.random(rng, label, Material.METAL, 0.6, 2.2)
     tyre = Skin(label, Material.RUBBER, TYRE_SHADE)
-    saddle, crank = np.array([-0.22, 0, 0.92]), np.array([-0.05, 0, 0.3])
-    head, fork = np.array([0.33, 0, 0.85]), np.array([AXLE_M, 0, WHEEL_M])
+    saddle = np.array([-0.22, 0, 0.92])
+    crank = np.array([-0.05, 0, 0.3])
+    head = np.array([0.33, 0, 0.85])
+    fork = np.array([AXLE_M, 0, WHEEL_M])
     rear = np.array([-AXLE_M, 0, WHEEL_M])
     bars = [
         (saddle - [0, 0, 0.1], crank), (saddle * [0.9, 1, 0.85], head - [0, 0, 0.08]),
@@ -65,12 +67,15 @@ def bicycle(rng: Rng, label: int = presets.BICYCLE) -> Mesh:
 
 def motorcycle(rng: Rng, label: int = presets.MOTORCYCLE) -> Mesh:
     """Return a motorcycle or a scooter; some parked ones are under a cover."""
-    paint, iron = dark_paint(rng, label), Skin(label, Material.METAL, 0.6)
+    paint = dark_paint(rng, label)
+    iron = Skin(label, Material.METAL, 0.6)
     tyre = Skin.random(rng, label, Material.RUBBER, 0.5, TYRE_SHADE)
     scooter = rng.random() < 0.4
     radius = 0.23 if scooter else 0.31
-    front, rear = np.array([0.68, 0, radius]), np.array([-0.62, 0, radius])
-    head, bar = np.array([0.4, 0, 0.95]), np.array([0.33, 0, 1.04])
+    front = np.array([0.68, 0, radius])
+    rear = np.array([-0.62, 0, radius])
+    head = np.array([0.4, 0, 0.95])
+    bar = np.array([0.33, 0, 1.04])
     parts = [tube([head, front], 0.05, iron), tube([head, bar], 0.03, iron)]
     for hub in (front, rear):
         parts.append(_ring(hub, radius - 0.05, 0.065, tyre))
@@ -117,7 +122,8 @@ def seated(rng: Rng, label: int, hip: Array, lean: float, feet: Array, grip: Arr
     trousers = Skin.random(rng, label, Material.CLOTH, 0.3, 1.2)
     shoulder = hip + np.array([lean, 0, 0.5 - 0.3 * lean])
     girth = float(rng.uniform(0.9, 1.25))
-    pelvis, neck = hip - np.array([0.02, 0, 0.08]), shoulder + np.array([0.03, 0, 0.07])
+    pelvis = hip - np.array([0.02, 0, 0.08])
+    neck = shoulder + np.array([0.03, 0, 0.07])
     spine = [pelvis, (hip + shoulder) / 2, shoulder, neck]
     parts = [
         tube(spine, np.array([0.15, 0.16, 0.17, 0.08]) * girth, cloth, 9),
@@ -132,7 +138,8 @@ def seated(rng: Rng, label: int, hip: Array, lean: float, feet: Array, grip: Arr
         arm = shoulder + np.array([0, side * 0.17, -0.02])
         parts.append(figures.limb(arm, elbow, hand, (0.055, 0.04), cloth))
     if rng.random() < 0.3:
-        x, z = hip[0], hip[2]
+        x = hip[0]
+        z = hip[2]
         parts.append(box((x - 0.18, -0.16, z + 0.12), (x + 0.04, 0.16, z + 0.52), cloth))
     return parts
 
@@ -145,7 +152,9 @@ def head(hip: Array, lean: float, size: float, skin: Skin) -> Mesh:
 
 def bicyclist(rng: Rng) -> Mesh:
     """Return a bicycle with its rider."""
-    hip, lean, turn = np.array([-0.2, 0, 0.98]), rng.uniform(0.08, 0.4), rng.uniform(0, 2 * np.pi)
+    hip = np.array([-0.2, 0, 0.98])
+    lean = rng.uniform(0.08, 0.4)
+    turn = rng.uniform(0, 2 * np.pi)
     angle = turn + np.array([0, np.pi])
     feet = np.stack(
         [-0.05 + 0.16 * np.cos(angle), np.array([-0.13, 0.13]), 0.3 + 0.16 * np.sin(angle)], -1
@@ -160,7 +169,8 @@ def motorcyclist(rng: Rng) -> Mesh:
     parts = [motorcycle(rng, presets.MOTORCYCLIST)]
     helmet = dark_paint(rng, presets.MOTORCYCLIST)
     for n in range(2 if rng.random() < 0.15 else 1):
-        hip, lean = np.array([-0.25 - 0.35 * n, 0, 0.87 + 0.06 * n]), rng.uniform(0.05, 0.35)
+        hip = np.array([-0.25 - 0.35 * n, 0, 0.87 + 0.06 * n])
+        lean = rng.uniform(0.05, 0.35)
         feet = np.array([[0.0, -0.2, 0.36], [0.0, 0.2, 0.36]]) - [0.3 * n, 0, 0]
         grip = np.array([0.3 - 0.5 * n, 0.3, 1.02])
         parts += seated(rng, presets.MOTORCYCLIST, hip, lean, feet, grip)

@@ -52,7 +52,8 @@ def pushing_bicyclist(rng: Rng) -> Mesh:
 
 def halting_motorcyclist(rng: Rng) -> Mesh:
     """Return a motorcyclist whose feet are on the ground."""
-    hip, lean = np.array([-0.25, 0, 0.85]), rng.uniform(-0.05, 0.25)
+    hip = np.array([-0.25, 0, 0.85])
+    lean = rng.uniform(-0.05, 0.25)
     feet = np.array([[0.05, -0.36, 0.05], [0.05, 0.36, 0.05]]) + rng.normal(0, 0.04, (2, 3))
     feet[:, 2] = 0.05
     helmet = Skin.random(rng, MOTORCYCLIST, Material.PAINT, 0.1, 1.2)

@@ -23,7 +23,8 @@ def _paint(rng: Rng) -> Skin:
 
 def _cabin(low: tuple[float, float, float], high: tuple[float, float, float], paint: Skin) -> Mesh:
     """Return a cabin of glass with posts and a roof, or open if it has no walls."""
-    (x0, y0, z0), (x1, y1, z1) = low, high
+    (x0, y0, z0) = low
+    (x1, y1, z1) = high
     parts = [box(low, (x1, y1, z1 - 0.1), GLASS)]
     parts.append(box((x0 - 0.08, y0 - 0.08, z1 - 0.1), (x1 + 0.08, y1 + 0.08, z1), paint))
     for x in (x0 - 0.02, x1 - 0.06):
@@ -44,7 +45,8 @@ def _bucket(x: float, z: float, half: float) -> list[Mesh]:
 
 def _wheel_loader(rng: Rng) -> Mesh:
     paint = _paint(rng)
-    lift, reach = rng.uniform(0.1, 2.0), rng.uniform(2.9, 3.4)
+    lift = rng.uniform(0.1, 2.0)
+    reach = rng.uniform(2.9, 3.4)
     parts = [
         box((-2.6, -0.85, 0.9), (-0.5, 0.85, 1.9), paint),
         box((0.4, -0.5, 0.7), (1.9, 0.5, 1.4), paint),
@@ -74,7 +76,9 @@ def _skid_steer(rng: Rng) -> Mesh:
 
 
 def _forklift(rng: Rng) -> Mesh:
-    paint, lift, mast = _paint(rng), rng.uniform(0.1, 1.4), rng.uniform(2.0, 3.2)
+    paint = _paint(rng)
+    lift = rng.uniform(0.1, 1.4)
+    mast = rng.uniform(2.0, 3.2)
     parts = [
         box((-1.2, -0.55, 0.25), (0.5, 0.55, 0.95), paint),
         box((-1.3, -0.55, 0.5), (-0.8, 0.55, 1.3), paint),
@@ -94,7 +98,8 @@ def _forklift(rng: Rng) -> Mesh:
 
 
 def _roller(rng: Rng) -> Mesh:
-    paint, radius = _paint(rng), rng.uniform(0.5, 0.7)
+    paint = _paint(rng)
+    radius = rng.uniform(0.5, 0.7)
     parts = [
         box((-1.6, -0.7, radius), (0.2, 0.7, radius + 0.7), paint),
         box((0.2, -0.35, radius), (1.1, 0.35, radius + 0.4), paint),
@@ -124,8 +129,10 @@ def _dumper(rng: Rng) -> Mesh:
 
 def _platform(rng: Rng) -> Mesh:
     """Return a lifting platform: a low base, a folded or raised boom and a basket."""
-    paint, height = _paint(rng), rng.uniform(1.2, 4.0)
-    foot, elbow = np.array([0.3, 0, 0.9]), np.array([-1.2, 0, 0.9 + height / 2])
+    paint = _paint(rng)
+    height = rng.uniform(1.2, 4.0)
+    foot = np.array([0.3, 0, 0.9])
+    elbow = np.array([-1.2, 0, 0.9 + height / 2])
     tip = np.array([rng.uniform(1.0, 2.0), 0, height])
     parts = [
         box((-1.2, -0.7, 0.4), (1.2, 0.7, 0.9), paint),

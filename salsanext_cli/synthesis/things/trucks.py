@@ -35,7 +35,8 @@ def _rigid(rng: Rng, kind: Numbers) -> Mesh:
     stretch = _stretch(rng)
     bed = _draw_bed(rng, kind, cab.width * 0.49 * stretch[1])
     half_length = bed.half_length
-    cab_length, gap = cab.length * stretch[0], rng.uniform(*kind.gap)
+    cab_length = cab.length * stretch[0]
+    gap = rng.uniform(*kind.gap)
     parts = [_cab(rng, cab, stretch).moved((half_length + cab_length / 2 + gap, 0, 0))]
     parts.append(box((-half_length, -0.4, 0.5), (half_length + cab_length, 0.4, bed.floor), STEEL))
     parts += LOADS[kind.load](rng, bed)
@@ -57,8 +58,10 @@ def _articulated(rng: Rng, kind: Numbers) -> Mesh:
     cab = kind.cab
     stretch = _stretch(rng)
     bed = _draw_bed(rng, kind, cab.width * 0.52 * stretch[1])
-    front, floor = bed.half_length, bed.floor
-    cab_length, gap = cab.length * stretch[0], rng.uniform(*kind.gap)
+    front = bed.half_length
+    floor = bed.floor
+    cab_length = cab.length * stretch[0]
+    gap = rng.uniform(*kind.gap)
     drive = front - rng.uniform(1.0, 1.6)
     parts = [
         _cab(rng, cab, stretch).moved((front + gap + cab_length / 2, 0, 0)),
@@ -77,7 +80,8 @@ def _articulated(rng: Rng, kind: Numbers) -> Mesh:
         tank = [[front + gap - 0.8, outer * 0.75, 0.65], [front + gap + 0.1, outer * 0.75, 0.65]]
         parts.append(tube(tank, 0.28, STEEL, 8))
         if rng.random() < 0.6:
-            low, high = (bogie[2] + 0.8, outer - side * 0.04, 0.5), (legs - 0.3, outer, 0.95)
+            low = (bogie[2] + 0.8, outer - side * 0.04, 0.5)
+            high = (legs - 0.3, outer, 0.95)
             parts.append(box(low, high, STEEL))
     return merge(parts).moved((-(cab_length + gap) / 2, 0, 0))
 
@@ -96,12 +100,15 @@ def _cab(rng: Rng, cab: Numbers, stretch: Array) -> Mesh:
     """Return a cab around the origin with lamps and mirrors."""
     paint = dark_paint(rng, TRUCK)
     body = shell(cab, paint._replace(shade=paint.shade + 0.1), stretch)
-    front, half = cab.length / 2 * stretch[0], cab.width / 2 * stretch[1]
+    front = cab.length / 2 * stretch[0]
+    half = cab.width / 2 * stretch[1]
     height = cab.profile[2, 1] * stretch[2]
-    lamp, mirror = Skin(TRUCK, Material.LAMP), Skin(TRUCK, Material.PAINT, 0.4)
+    lamp = Skin(TRUCK, Material.LAMP)
+    mirror = Skin(TRUCK, Material.PAINT, 0.4)
     parts = [body]
     for side in (-1, 1):
-        inner, outer = side * half * 0.6, side * half * 0.92
+        inner = side * half * 0.6
+        outer = side * half * 0.92
         parts.append(box((front - 0.1, inner, 0.6), (front + 0.01, outer, 0.78), lamp))
         low = (front - 0.45, side * half, height + 0.15)
         parts.append(box(low, (front - 0.3, side * (half + 0.22), height + 0.6), mirror))
@@ -110,7 +117,8 @@ def _cab(rng: Rng, cab: Numbers, stretch: Array) -> Mesh:
 
 def _trailer(rng: Rng, kind: Numbers, towing: Bed) -> Mesh:
     """Return a trailer with two or three axles behind the bed that tows it."""
-    half_length, bar = rng.uniform(2.2, 4.0), rng.uniform(0.9, 1.8)
+    half_length = rng.uniform(2.2, 4.0)
+    bar = rng.uniform(0.9, 1.8)
     bed = Bed(half_length, towing.half_width, towing.floor, towing.skin)
     ends = [-half_length * 0.7, half_length * 0.7]
     parts = [
@@ -128,7 +136,8 @@ def _box(rng: Rng, bed: Bed) -> list[Mesh]:
     top = floor + rng.uniform(1.7, 2.6)
     parts = [box((-half_length, -half_width, floor), (half_length, half_width, top), skin)]
     for x in np.arange(-half_length, half_length, rng.uniform(0.6, 2.5)):
-        low, high = (x, -half_width - 0.02, floor), (x + 0.05, half_width + 0.02, top)
+        low = (x, -half_width - 0.02, floor)
+        high = (x + 0.05, half_width + 0.02, top)
         parts.append(box(low, high, STEEL))
     if rng.random() < 0.3:
         low = (half_length, -half_width * 0.8, top - 0.5)
@@ -160,7 +169,8 @@ def _flat(rng: Rng, bed: Bed) -> list[Mesh]:
 def _tub(rng: Rng, bed: Bed) -> list[Mesh]:
     """Return the tub of a tipper with sloping sides."""
     half_length, half_width, floor, skin = bed
-    top, foot = floor + rng.uniform(0.8, 1.6), 0.8
+    top = floor + rng.uniform(0.8, 1.6)
+    foot = 0.8
     low = [[-half_length, -half_width * foot, floor], [half_length, -half_width * foot, floor]]
     low += [[half_length, half_width * foot, floor], [-half_length, half_width * foot, floor]]
     high = [[-half_length - 0.2, -half_width, top], [half_length + 0.2, -half_width, top + 0.2]]
@@ -174,7 +184,8 @@ def _tub(rng: Rng, bed: Bed) -> list[Mesh]:
 
 def _tank(rng: Rng, bed: Bed) -> list[Mesh]:
     radius = float(min(bed.half_width, rng.uniform(0.8, 1.15)))
-    x, z = bed.half_length, bed.floor + radius
+    x = bed.half_length
+    z = bed.floor + radius
     path = [[-x, 0, z], [-x + 0.15, 0, z], [x - 0.15, 0, z], [x, 0, z]]
     parts = [tube(path, radius * np.array([0.4, 1, 1, 0.4]), bed.skin, 14)]
     parts.append(box((-x * 0.7, -0.3, z + radius), (x * 0.7, 0.3, z + radius + 0.15), STEEL))
@@ -183,7 +194,9 @@ def _tank(rng: Rng, bed: Bed) -> list[Mesh]:
 
 def _container(rng: Rng, bed: Bed) -> list[Mesh]:
     """Return a container with ribs, shorter than its bed or as long, on a bare frame."""
-    half_width, floor, skin = bed.half_width, bed.floor, bed.skin
+    half_width = bed.half_width
+    floor = bed.floor
+    skin = bed.skin
     half_length = bed.half_length * rng.uniform(0.55, 1.0)
     offset = rng.choice([-1.0, 0.0, 1.0]) * (bed.half_length - half_length)
     top = floor + rng.uniform(2.2, 2.7)
@@ -201,8 +214,10 @@ def _container(rng: Rng, bed: Bed) -> list[Mesh]:
 
 def _drum(rng: Rng, bed: Bed) -> list[Mesh]:
     """Return the tilted drum of a concrete mixer with its hopper and chute."""
-    x, radius = bed.half_length, min(1.15, bed.half_width)
-    low, high = bed.floor + radius * 0.95, bed.floor + radius * 1.35
+    x = bed.half_length
+    radius = min(1.15, bed.half_width)
+    low = bed.floor + radius * 0.95
+    high = bed.floor + radius * 1.35
     path = [[x * 0.95, 0, low], [x * 0.5, 0, low], [-x * 0.35, 0, high], [-x * 0.9, 0, high + 0.35]]
     drum = tube(path, radius * np.array([0.45, 1.0, 0.95, 0.4]), bed.skin, 14)
     hopper = box((-x, -0.45, high + 0.3), (-x * 0.75, 0.45, high + 0.9), STEEL)
@@ -213,7 +228,8 @@ def _drum(rng: Rng, bed: Bed) -> list[Mesh]:
 
 def _crane(rng: Rng, bed: Bed) -> list[Mesh]:
     """Return a flatbed with a folded crane behind the cab."""
-    x, floor = bed.half_length - 0.4, bed.floor
+    x = bed.half_length - 0.4
+    floor = bed.floor
     elbow = [x - rng.uniform(0.3, 1.0), 0, floor + rng.uniform(2.0, 2.8)]
     tip = [x - rng.uniform(1.0, 2.2), 0, floor + rng.uniform(0.8, 1.6)]
     arm = [tube([[x, 0, floor], elbow], 0.16, bed.skin), tube([elbow, tip], 0.12, bed.skin)]
@@ -222,7 +238,8 @@ def _crane(rng: Rng, bed: Bed) -> list[Mesh]:
 
 def _rear(rng: Rng, bed: Bed) -> list[Mesh]:
     """Return bumper and reflectors, perhaps a ramp, up or down."""
-    rear, side = -bed.half_length, bed.half_width
+    rear = -bed.half_length
+    side = bed.half_width
     retro = Skin(TRUCK, Material.RETRO)
     parts = [box((rear - 0.02, -side, 0.42), (rear + 0.05, side, 0.52), STEEL)]
     for y in (-side + 0.1, side - 0.4):
@@ -230,7 +247,8 @@ def _rear(rng: Rng, bed: Bed) -> list[Mesh]:
     if rng.random() < 0.15:
         parts.append(box((rear - 0.12, -side, 0.5), (rear - 0.04, side, 2.1), STEEL))
     elif rng.random() < 0.08:
-        low, high = [rear - 1.8, -side, 0.05], [rear, -side, bed.floor]
+        low = [rear - 1.8, -side, 0.05]
+        high = [rear, -side, bed.floor]
         ramp = np.array([[low, [low[0], side, 0.05], [rear, side, bed.floor], high]])
         parts.append(faces(ramp, STEEL))
     return parts

@@ -106,9 +106,11 @@ def thicket(rng: Rng, length: float, depth: float, height: float) -> Mesh:
     """Return undergrowth from x = 0 to x = length, y = 0 to y = depth: bushes, stems, crowns."""
     leaf = leaf_skin(rng, Material.FOLIAGE)
     bark = Skin(TRUNK, Material.BARK, 0.85)
-    parts, dense = [], rng.choice([0.3, 0.9])
+    parts = []
+    dense = rng.choice([0.3, 0.9])
     for _ in range(max(2, int(length * depth / 5))):
-        x, y = rng.uniform(0, length), rng.uniform(0, depth)
+        x = rng.uniform(0, length)
+        y = rng.uniform(0, depth)
         low = rng.uniform(0.15, 0.55) * height * (0.5 + 0.5 * y / depth)
         size = np.array([*rng.uniform(0.7, 1.8, 2), low])
         centre = np.array([x, y, low * 0.6])
@@ -116,7 +118,8 @@ def thicket(rng: Rng, length: float, depth: float, height: float) -> Mesh:
             parts.append(ellipsoid(centre, size * 0.6, leaf, _lumps(rng, 0.2)))
         parts.append(_leaves(rng, centre, size, int(rng.uniform(150, 330)), (0.04, 0.2), leaf))
     for _ in range(max(1, int(length / 4))):
-        x, y = rng.uniform(0, length), rng.uniform(depth * 0.2, depth)
+        x = rng.uniform(0, length)
+        y = rng.uniform(depth * 0.2, depth)
         lean = rng.normal(0, 0.5, 2)
         top = np.array([x + lean[0], y + lean[1], height * rng.uniform(0.6, 1.1)])
         radius = rng.uniform(0.1, 0.25) if rng.random() < 0.25 else rng.uniform(0.03, 0.13)
@@ -128,7 +131,8 @@ def thicket(rng: Rng, length: float, depth: float, height: float) -> Mesh:
 
 def ground_cover(rng: Rng, radius: float) -> Mesh:
     """Return ground cover 0.05 to 0.5 m high, lower towards its rim."""
-    leaf, height = leaf_skin(rng), rng.uniform(0.05, 0.5) * min(1.0, radius)
+    leaf = leaf_skin(rng)
+    height = rng.uniform(0.05, 0.5) * min(1.0, radius)
     count = int(140 * radius**2)
     places = rng.uniform(-1, 1, (count, 2))
     rise = np.clip(1 - (places**2).sum(1), 0, 1) ** 0.4 * rng.uniform(0.4, 1.0, count)
@@ -158,7 +162,8 @@ def hedge(rng: Rng, length: float, height: float, depth: float, ragged: float) -
     clipped = ragged <= CLIPPED_M
     count = int(length * (height + depth) * rng.uniform(15, 45) * (1 + 0.4 * clipped))
     centres = rng.uniform([0, -0.5, 0], [1, 0.5, 1], (count, 3)) * [length, depth, height]
-    outer, largest = rng.random(count), rng.uniform(*(0.025, 0.05) if clipped else (0.04, 0.12))
+    outer = rng.random(count)
+    largest = rng.uniform(*(0.025, 0.05) if clipped else (0.04, 0.12))
     centres[:, 1] = np.where(outer < 0.75, np.sign(centres[:, 1]) * depth * 0.48, centres[:, 1])
     centres[:, 2] = np.where(outer >= 0.75, height, centres[:, 2])
     centres += rng.normal(0, ragged, centres.shape)
@@ -168,7 +173,8 @@ def hedge(rng: Rng, length: float, height: float, depth: float, ragged: float) -
 def ivy(rng: Rng, length: float, height: float) -> Mesh:
     """Return ivy with an uneven upper edge on a wall at y = 0."""
     x = rng.uniform(0, length, int(60 * length * height))
-    phase, wave = rng.uniform(0, 2 * np.pi, 3), rng.uniform(0.3, 3, 3)
+    phase = rng.uniform(0, 2 * np.pi, 3)
+    wave = rng.uniform(0.3, 3, 3)
     edge = height * (0.7 + 0.1 * np.sin(x[:, None] * wave + phase).sum(-1))
     y = -np.abs(rng.normal(0.05, 0.07, len(x)))
     places = np.stack([x, y, rng.uniform(0, 1, len(x)) * edge], -1)

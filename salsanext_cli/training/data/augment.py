@@ -54,7 +54,8 @@ def augment(labelled: LabelledScan, recipe: Recipe, random: np.random.Generator)
 
 def rotate(points: Float, angle: float) -> Float:
     """Turn points (N, 3) counter-clockwise about z by an angle in radians."""
-    cosine, sine = np.cos(angle), np.sin(angle)
+    cosine = np.cos(angle)
+    sine = np.sin(angle)
     turn = np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]], np.float32)
     with np.errstate(invalid="ignore"):
         return points @ turn
@@ -114,8 +115,8 @@ class Checkerboard:
 
 def mix(even: LabelledScan, odd: LabelledScan, board: Checkerboard) -> LabelledScan:
     """Return the points of one scan in even cells of a board and of another in odd cells."""
-    of_even = select(even, ~board.odd(even[0].points))
-    return concatenate(of_even, select(odd, board.odd(odd[0].points)))
+    even_cells = select(even, ~board.odd(even[0].points))
+    return concatenate(even_cells, select(odd, board.odd(odd[0].points)))
 
 
 def paste(onto: LabelledScan, pasted: LabelledScan, angles: Double) -> LabelledScan:

@@ -201,14 +201,14 @@ def _cached(
     path: Path, digest: str, files: Sequence[ScanFile], names: Sequence[str]
 ) -> ClassCounts | None:
     """Read cached counts; None if they are of other data, or damaged."""
-    known = read_json(path) or {}
-    if known.get("files") != digest:
+    recorded = read_json(path) or {}
+    if recorded.get("files") != digest:
         return None
     try:
         return ClassCounts(
-            points=np.array([known["points"][name] for name in names], np.int64),
-            warnings=decoded(list[ScanWarning], known["warnings"]),
-            digests=dict(zip(files, split_digests(known["scans"]), strict=True)),
+            points=np.array([recorded["points"][name] for name in names], np.int64),
+            warnings=decoded(list[ScanWarning], recorded["warnings"]),
+            digests=dict(zip(files, split_digests(recorded["scans"]), strict=True)),
         )
     except (*MALFORMED, LookupError, OverflowError):
         return None

@@ -33,7 +33,7 @@ from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.training.data import augment, other_sensors
 from salsanext_cli.training.data.augment import LabelledScan
 from salsanext_cli.training.data.sources import Source
-from salsanext_cli.training.data.targets import ClassSets, of_targets
+from salsanext_cli.training.data.targets import ClassSets, target_mask
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
 from salsanext_cli.training.recipe import Recipe
 
@@ -160,7 +160,7 @@ class Samples(Dataset[Sample]):
         truth = both[-1].astype(np.uint8)
         if _drawn(recipe.no_intensity, random):
             channels = match_intensity(channels, NO_INTENSITY, self.sensor.intensity_quantiles)
-        scored = of_targets(self.sources[0].space.scored, self.sets, np.any)
+        scored = target_mask(self.sources[0].space.scored, self.sets, np.any)
         columns = augment.choose_columns(
             truth, scored, recipe.crop_width, recipe.crop_on_class, random
         )
@@ -176,7 +176,7 @@ class Samples(Dataset[Sample]):
             labelled = augment.mix(labelled, partner, board)
         if _drawn(recipe.paste, random):
             partner = self._partner(index, random)
-            is_rare = of_targets(self.rare, self.sets, np.all)[partner[1]]
+            is_rare = target_mask(self.rare, self.sets, np.all)[partner[1]]
             rare = self._augmented(augment.select(partner, is_rare), random)
             angles = random.uniform(-np.pi, np.pi, augment.PASTED_COPIES)
             labelled = augment.paste(labelled, rare, angles)

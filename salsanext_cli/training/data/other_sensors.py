@@ -97,7 +97,8 @@ def hole_cells(ranges: Float) -> Indices:
             neighbour = np.roll(ranges, signed, axis=1)
             np.copyto(sides[side], neighbour, where=neighbour > 0)
             np.copyto(steps[side], step, where=neighbour > 0)
-    near, far = sides.min(axis=0), sides.max(axis=0)
+    near = sides.min(axis=0)
+    far = sides.max(axis=0)
     cells = np.digitize(near, RANGE_EDGES_M) + (far > EDGE_RATIO * near) * HOLE_SHARES.shape[1]
     between = (near > 0) & (steps.sum(axis=0) - 1 <= MAX_RUN)
     return np.where(between, cells, -1)

@@ -123,20 +123,20 @@ def fitted_source(source: Source, jobs: int = 1) -> Source:
 
 def further_source(dataset: Path, space: LabelSpace, sensor: Sensor) -> Source:
     """Return the training split of a further data set, its classes merged into those of a space."""
-    given, files = labelled_split(dataset, None, "train")
-    classes = merged_into(given, space)
+    further, files = labelled_split(dataset, None, "train")
+    classes = merged_into(further, space)
     if classes is None:
-        problem = f"has other classes ({first_few(given.differences(space))})"
+        problem = f"has other classes ({first_few(further.differences(space))})"
         raise LabelError(dataset, problem, f"classes of {space.name}")
     return Source(files=files, space=classes, sensor=sensor)
 
 
-def merged_into(given: LabelSpace, space: LabelSpace) -> LabelSpace | None:
+def merged_into(further: LabelSpace, space: LabelSpace) -> LabelSpace | None:
     """Return a label space with the classes of another, None if they do not merge into these."""
-    if is_merged(space, given):
+    if is_merged(space, further):
         # The first data set may distinguish other classes than this one.
-        given = ClassMerging.between(given, replace(space, splits={}, alternatives={})).space
-    return given if given.fits(space) else None
+        further = ClassMerging.between(further, replace(space, splits={}, alternatives={})).space
+    return further if further.fits(space) else None
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -40,11 +40,11 @@ def to_targets(raw: RawIds, space: LabelSpace, sets: ClassSets, source: object) 
         return targets
     table = np.zeros(RAW_ID_COUNT, np.uint8)
     table[list(indices)] = [space.class_count + index for index in indices.values()]
-    of_sets: TrainIds = table[raw & 0xFFFF]
-    return np.where(of_sets > 0, of_sets, targets)
+    set_targets: TrainIds = table[raw & 0xFFFF]
+    return np.where(set_targets > 0, set_targets, targets)
 
 
-def of_targets(of_classes: Mask, sets: ClassSets, rule: Callable[[Mask], np.bool_]) -> Mask:
+def target_mask(class_mask: Mask, sets: ClassSets, rule: Callable[[Mask], np.bool_]) -> Mask:
     """Append to the values of classes (C,) the result of a rule for each set, (C + K,) bool."""
-    of_sets = [bool(rule(of_classes[list(several)])) for several in sets]
-    return np.append(of_classes, np.array(of_sets, np.bool_))
+    set_mask = [bool(rule(class_mask[list(several)])) for several in sets]
+    return np.append(class_mask, np.array(set_mask, np.bool_))

@@ -127,14 +127,14 @@ def _objectives_of(
     scan: LabelledImage, candidates: Sequence[Network], samples: int
 ) -> ScanObjectives:
     """Return the objectives of a scan by networks that differ in their rate."""
-    noise = scan.of_points(aleatoric(scan.network, scan.image))
+    noise = scan.point_values(aleatoric(scan.network, scan.image))
     masks = scan_seed(0, scan.file.sequence, scan.file.stem)
     values = list[float]()
     for candidate in candidates:
         fitted = candidate.for_sensor(scan.network.sensor)
         sampled = sample(fitted, scan.image, samples=samples, seed=masks)
-        variance = scan.of_points(sampled.variance) + noise
-        probabilities = scan.of_points(sampled.probabilities)
+        variance = scan.point_values(sampled.variance) + noise
+        probabilities = scan.point_values(sampled.probabilities)
         values.append(objective(probabilities, variance, scan.truth))
     log.info("%s: %d points", scan.file.name, len(scan.truth))
     return ScanObjectives(values, len(scan.truth))

@@ -152,7 +152,7 @@ def fit_error_model(scans: TuningScans) -> Tuned[ErrorFit]:
     judged = scans.run(judge_job(network, scans.read, points_of_scan(len(files))))
     wrong = np.concatenate([points.wrong for points in judged.values()])
     scans.require_points(len(wrong))
-    if not of_both_kinds(judged.values()):
+    if not has_both_kinds(judged.values()):
         problem = f"{'every' if wrong.all() else 'no'} label of {len(wrong)} points is wrong"
         hint = "use more scans, or other weights"
         raise TrainingError(scans.source, problem, "right and wrong labels", hint)
@@ -241,7 +241,7 @@ def _scores_held_out(
     )
 
 
-def of_both_kinds(scans: Iterable[JudgedPoints]) -> bool:
+def has_both_kinds(scans: Iterable[JudgedPoints]) -> bool:
     """Return whether some points are right and some wrong."""
     return len({kind for points in scans for kind in np.unique(points.wrong).tolist()}) > 1
 

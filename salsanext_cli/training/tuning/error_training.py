@@ -44,7 +44,7 @@ class FeatureScale:
     spread: Float  # (F,); infinite for a feature without a weight
 
     @classmethod
-    def of(cls, features: Float) -> "FeatureScale":
+    def from_features(cls, features: Float) -> "FeatureScale":
         """Return the scale of features (M, F).
 
         The height has no weight, since it depends on the mounting.
@@ -93,7 +93,7 @@ def fit_error(
     if start:
         share = sequences / (sequences + SEQUENCES_OF_START)
         wrong = share * wrong + (1 - share) * torch.from_numpy(start.probability(features))
-    scale = FeatureScale.of(features)
+    scale = FeatureScale.from_features(features)
     with torch.random.fork_rng([]):
         torch.manual_seed(SEED)  # noqa: TID251
         linear = _initial_layers(start, scale)

@@ -53,5 +53,5 @@ def int8_inputs(module: SegmentationNetwork, inputs: Sequence[Float]) -> dict[st
     finally:
         for hook in hooks:
             hook.remove()
-    means = {name: np.mean(of_images, axis=0) for name, of_images in ends.items()}
-    return {name: Int8Input.of_ranges(*mean.T) for name, mean in means.items()}
+    means = {name: np.mean(image_ends, axis=0) for name, image_ends in ends.items()}
+    return {name: Int8Input.from_ranges(*mean.T) for name, mean in means.items()}

@@ -103,7 +103,7 @@ def judged_scan(
         values = points_from_pixels(1 - pixels.confidence, image.pixel_of_point, np.nan)
     else:
         values = error_probability(network, image, pixels.softmax, labels)
-    summary = ScanSummary.of_scan(file, labelled, network.space)
+    summary = ScanSummary.from_scan(file, labelled, network.space)
     traits = summary.with_traits(labelled, values).traits
     has_label = ~np.isnan(values) & (labels != 0)
     bins = np.where(has_label, bin_of(values), UNCERTAINTY_BINS)[scored]

@@ -64,7 +64,7 @@ class ShareTable:
     units: npt.NDArray[Any]  # (n,): scan or drive that the guarantee counts, as a number or name
 
     @classmethod
-    def of_scans(cls, judged: Sequence[JudgedScan], unit: str) -> "ShareTable":
+    def from_scans(cls, judged: Sequence[JudgedScan], unit: str) -> "ShareTable":
         """Return the shares of judged scans; `unit` is "scan" or "drive"."""
         sequences = np.array([scan.file.sequence for scan in judged])
         return cls(
@@ -125,12 +125,12 @@ def fit_risk(scans: TuningScans, level: RiskLevel) -> Tuned[RiskFit]:
     classes = scans.space.class_count
     counts = np.zeros((classes, classes, UNCERTAINTY_BINS + 1), np.int64)
     judged = judged_scans(scans, kind, counts)
-    shares = ShareTable.of_scans(judged, unit)
+    shares = ShareTable.from_scans(judged, unit)
     bins = held_thresholds(shares.losses, level.at_most, level.confidence)
     if not bins or not shares.accepted[:, bins - 1].any():
         raise _no_threshold(scans.source, kind, few, level)
     points = [_accepted_points(scan, bins) for scan in judged]
-    labels = AcceptedLabels.of_confusion(
+    labels = AcceptedLabels.from_confusion(
         _confusion_of_accepted(counts, bins),
         scans.space,
         {scan.scan: scan.counts for scan in points},
@@ -146,7 +146,7 @@ def fit_risk(scans: TuningScans, level: RiskLevel) -> Tuned[RiskFit]:
         held_out=others,
         scans=points,
         few=_report_of_few(few, judged, shares.losses, labels) if few else None,
-        computed_by=ComputedBy.of(scans.network),
+        computed_by=ComputedBy.from_network(scans.network),
         warnings=warnings,
     )
     if few is None and labels.coverage < LEAST_COVERAGE:
@@ -211,7 +211,7 @@ def _threshold(
         sequences=tuple(sorted({scan.file.sequence for scan in judged})),
         digests="".join(scan.digest for scan in judged),
         settings=labels_depend_on(scans.settings, network),
-        views=tuple(FittedView.of(member) for member in network.sensor.members),
+        views=tuple(FittedView.from_sensor(member) for member in network.sensor.members),
         population=_population(judged, unit),
         data_set=(data_set_of(scans.files[0]) or scans.source).resolve().name,
     )

@@ -88,7 +88,7 @@ class ComputedBy:
     precision: str  # Number type
 
     @classmethod
-    def of(cls, network: Network) -> "ComputedBy":
+    def from_network(cls, network: Network) -> "ComputedBy":
         """Return what computes the labels of a network."""
         backend = network.backend
         return cls(device=backend.device, engine=backend.library, precision=backend.precision)

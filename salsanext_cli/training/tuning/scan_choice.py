@@ -55,9 +55,9 @@ def labelled_scans(
     scans = choose(files, replace(selection, limit=None), space, dataset)
     if not (selection.split or selection.sequences):
         splits = with_splits(space, data_set_of(scans[0]))
-        of_split = {scan: splits.split_of(scan.sequence) for scan in scans}
-        unsplit = [scan for scan in scans if not of_split[scan] and present(scan.label_path)]
-        scans = sorted([scan for scan in scans if of_split[scan] == "valid"] + unsplit)
+        splits_of_scans = {scan: splits.split_of(scan.sequence) for scan in scans}
+        unsplit = [scan for scan in scans if not splits_of_scans[scan] and present(scan.label_path)]
+        scans = sorted([scan for scan in scans if splits_of_scans[scan] == "valid"] + unsplit)
         hint = f"choose scans with {argument('sequences')}"
         if not scans:
             expected = "labelled scans of split valid, or of no split"

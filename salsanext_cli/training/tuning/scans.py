@@ -94,10 +94,10 @@ class LabelledImage:
         """Input of the network, (1, 5, H, W) float32, normalised."""
         return self.network.input(self.image.channels)
 
-    def of_points(self, of_pixels: Float) -> Float:
+    def point_values(self, pixel_values: Float) -> Float:
         """Return the pixel values (C, H, W) of the points, (M, C)."""
         pixels = self.image.pixel_of_point[self.points]
-        return of_pixels.reshape(len(of_pixels), -1)[:, pixels].T
+        return pixel_values.reshape(len(pixel_values), -1)[:, pixels].T
 
 
 def read_labelled_image(file: ScanFile, network: Network, space: LabelSpace) -> LabelledImage:

@@ -183,7 +183,7 @@ def _sample(scan: LabelledImage, logits: Float, most: int) -> PointLogits:
     chosen = random.choice(count, most, replace=False) if count > most else slice(None)
     log.info("%s: %d points", file.name, min(count, most))
     return PointLogits(
-        logits=torch.from_numpy(scan.of_points(logits)[chosen].copy()),
+        logits=torch.from_numpy(scan.point_values(logits)[chosen].copy()),
         truth=torch.from_numpy(scan.truth[chosen]).long(),
     )
 
@@ -220,10 +220,10 @@ def best_temperature(logits: Tensor, truth: Tensor) -> float:
     average.
     """
     exact = logits.double()
-    of_truth = exact.gather(1, truth[:, None])[:, 0]
-    if (of_truth == exact.amax(dim=1)).all():
+    logits_of_truth = exact.gather(1, truth[:, None])[:, 0]
+    if (logits_of_truth == exact.amax(dim=1)).all():
         return 0.0
-    if of_truth.mean() <= exact.mean(dim=1).mean():
+    if logits_of_truth.mean() <= exact.mean(dim=1).mean():
         return math.inf
     logarithm = torch.zeros((), dtype=torch.float64, requires_grad=True)
     limits = {"max_iter": 100, "tolerance_grad": 1e-8, "tolerance_change": 1e-12}

@@ -71,7 +71,7 @@ def test_rejected_points_are_counted():
         sensor=SMALL, space=label_space(), class_points=np.array([1500, 500] + [0] * 18)
     )
     summary.judged_points, summary.rejected_points = 1600, 1200
-    outcome = PredictOutcome.of_run(outcome_of(summary, skipped=2), rejected_points=1200)
+    outcome = PredictOutcome.from_run(outcome_of(summary, skipped=2), rejected_points=1200)
     numbers = _numbers(outcome, 0.5, "faster: …")
     reason = "probability of error above 0.5; 2 done already not counted"
     line = f"1,200 points (75.0 % of the points with a label) rejected: {reason}"

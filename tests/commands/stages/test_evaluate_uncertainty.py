@@ -58,10 +58,10 @@ def random_scan(world: World, stem: str, count: int, distance: float = 5) -> Non
 def uncertainty_of(world: World) -> UncertaintyEvaluation:
     """Count and divide without drawing anything."""
     counts = ScanCounts.none(SPACE)
-    comparison = ScanComparison.of_results(Manifest(world.out), SPACE, SPACE)
+    comparison = ScanComparison.from_results(Manifest(world.out), SPACE, SPACE)
     for scan in find_scans(world.dataset):
         counts.add(comparison.count(scan))
-    return UncertaintyEvaluation.of_counts(counts)
+    return UncertaintyEvaluation.from_counts(counts)
 
 
 def report_of(world: World) -> dict:

@@ -261,7 +261,7 @@ def simulated(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
         made.append(out)
         shutil.rmtree(out, ignore_errors=True)
         counts = {"train": train, "valid": 0, "test": 0}
-        record = SynthSettings.of(counts, scans, seed, spacing, sensor).record
+        record = SynthSettings.from_counts(counts, scans, seed, spacing, sensor).record
         write_json(out / "synth.json", record)
         names = [f"{number:02d}" for number in range(train)]
         for name in names:

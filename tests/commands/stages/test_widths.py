@@ -38,7 +38,7 @@ def mixed(world: World) -> World:
         temperature=1.5,
         accuracy=AccuracyLine(1.0, 0.0, 0.1),
         widths=(WIDE, NARROW, 32),
-        of_widths={NARROW: own},
+        parts_of_widths={NARROW: own},
     )
     weights = world.out.with_name("mixed.safetensors")
     save_with_card(world.network.path, weights, card)
@@ -90,7 +90,7 @@ def test_parts_are_fitted_for_the_width_and_others_stay(mixed, target, caplog):
     assert (card.temperature, card.at_width(NARROW).temperature) == (1.5, 2.0)
     tuned = card.at_width(32).temperature
     assert tuned not in (1.5, 2.0)
-    assert card.of_widths.keys() == {NARROW, 32}
+    assert card.parts_of_widths.keys() == {NARROW, 32}
     # One width after the other gives back the same file.
     assert card.at_width(32).at_width(NARROW).to_metadata() == card.to_metadata()
     save_with_card(target, target, card.at_width(NARROW))

@@ -61,13 +61,13 @@ def test_a_registered_scan_with_few_points_is_no_fixed_sensor():
 
 @pytest.fixture(scope="module")
 def fitted():
-    return fit_sensor(ScanSample.of_scans(folder()), SMALL)
+    return fit_sensor(ScanSample.from_scans(folder()), SMALL)
 
 
 def test_each_group_has_its_fit(fitted):
     assert [member.registered for member in fitted.members] == [True, False]
     alone = [
-        fit_sensor(ScanSample.of_scans([folder()[n] for n in numbers]), SMALL)
+        fit_sensor(ScanSample.from_scans([folder()[n] for n in numbers]), SMALL)
         for numbers in (DRIVE, OTHERS)
     ]
     for member, sensor in zip(fitted.members, alone, strict=True):
@@ -90,7 +90,7 @@ def test_scans_are_of_their_sensor_and_registered_ones_have_their_origin(fitted)
 
 
 def test_an_earlier_fit_stays(fitted):
-    assert fit_sensor(ScanSample.of_scans(folder()[1:]), SMALL, fitted) == fitted
+    assert fit_sensor(ScanSample.from_scans(folder()[1:]), SMALL, fitted) == fitted
 
 
 def test_a_later_scan_of_the_drive_has_its_origin_too(fitted):

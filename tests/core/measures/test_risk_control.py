@@ -202,7 +202,7 @@ def test_accepted_labels_are_counted():
     predicted = np.array([car, car, 0, road, person, 0, road, person])
     confusion = confusion_matrix(truth, predicted, space.class_count)
     scans = accepted({"a/0": (20, 4, 2), "a/1": (30, 1, 1), "a/2": (0, 0, 0)})
-    labels = AcceptedLabels.of_confusion(confusion, space, scans)
+    labels = AcceptedLabels.from_confusion(confusion, space, scans)
     assert (labels.points, labels.accepted, labels.wrong) == (7, 5, 2)
     assert (labels.people, labels.missed_people) == (4, 1)
     assert list(labels.classes.items()) == [("person", (2, 1)), ("car", (1, 0)), ("road", (2, 1))]
@@ -229,14 +229,14 @@ SCANS = {"a/0": (100, 50, 8), "a/1": (200, 50, 4), "a/2": (0, 0, 0)}
     ],
 )
 def test_losses_are_compared_with_the_guarantee(change, more, numbers, is_exceeded):
-    check = RiskBoundCheck.of_scans(replace(RISK, **change), accepted(SCANS | more))
+    check = RiskBoundCheck.from_scans(replace(RISK, **change), accepted(SCANS | more))
     assert (check.units, check.above, check.mean, check.worst) == numbers
     assert bool(check.warning) == is_exceeded
     assert f"{100 * check.worst:.1f} % in the worst" in check.sentence
 
 
 def test_no_points_are_no_check_of_a_guarantee():
-    assert RiskBoundCheck.of_scans(RISK, accepted({"a/2": (0, 0, 0)})) is None
+    assert RiskBoundCheck.from_scans(RISK, accepted({"a/2": (0, 0, 0)})) is None
 
 
 def test_a_guarantee_states_its_scope():
@@ -262,7 +262,7 @@ def test_a_threshold_of_consecutive_scans_is_not_called_guaranteed():
 
 
 def test_scans_that_cannot_be_compared_are_not_called_guaranteed():
-    check = RiskBoundCheck.of_scans(RISK, accepted(SCANS))
+    check = RiskBoundCheck.from_scans(RISK, accepted(SCANS))
     assert check.sentence.startswith("guaranteed for scans ")
     assert "guaranteed" not in replace(check, incomparable="1 drive").sentence
     # Evidence that they are others says more.

@@ -77,7 +77,7 @@ def test_thresholds_with_the_keys_of_early_versions() -> None:
     def read(**risk) -> WeightsCard:
         return WeightsCard.from_metadata({KEY: json.dumps(values | {"risk": RISK | risk})}, "w")
 
-    views = [FittedView.of(sensor(name)) for name in ("hdl64", "hdl64-512")]
+    views = [FittedView.from_sensor(sensor(name)) for name in ("hdl64", "hdl64-512")]
     first, second = map(plain, views)
     assert read(view=first, other_views=[second]).risk.views == tuple(views)
     assert read(view=None, other_views=[], classes={}).risk == read().risk

@@ -33,7 +33,7 @@ ENDS = st.floats(0, 1e6, width=32)
 @given(arrays(np.float32, (2, 7), elements=ENDS))
 def test_values_of_the_range_are_near_a_step_and_zero_is_exact(ends):
     lowest, highest = -ends[0], ends[1]
-    layer = Int8Input.of_ranges(lowest, highest)
+    layer = Int8Input.from_ranges(lowest, highest)
     steps = layer.steps.astype(np.float64)
     bounds = np.array([-layer.zero, 255 - layer.zero])
     assert bounds[0] <= 0 <= bounds[1]
@@ -44,7 +44,7 @@ def test_values_of_the_range_are_near_a_step_and_zero_is_exact(ends):
 
 
 def test_channels_of_small_values_have_small_steps():
-    layer = Int8Input.of_ranges(np.zeros(3, "f4"), np.array([64, 16, 1], "f4"))
+    layer = Int8Input.from_ranges(np.zeros(3, "f4"), np.array([64, 16, 1], "f4"))
     assert (layer.zero, layer.shifts) == (0, "013")
     np.testing.assert_allclose(layer.steps, np.array([64, 32, 8]) / 255, rtol=1e-3)
 

@@ -95,12 +95,12 @@ SPACE = label_space()
 
 def mapped(tmp_path, text):
     (tmp_path / "ids.yaml").write_text(text, "utf-8")
-    return LabelIds.of_space(SPACE, tmp_path / "ids.yaml")
+    return LabelIds.from_space(SPACE, tmp_path / "ids.yaml")
 
 
 def test_raw_ids_mean_themselves_and_keep_their_instances():
     ids = np.array([0, 10, 259, (77 << 16) | 40, 0xFFFF000A, NO_VALUE])
-    meanings = LabelIds.of_space(SPACE)
+    meanings = LabelIds.from_space(SPACE)
     assert meanings.unknown(ids) == {}
     raw = meanings.to_raw(ids)
     assert raw.dtype == np.uint32
@@ -131,4 +131,4 @@ def test_a_map_that_cannot_be_used_is_one_error_and_class_0_must_be_ignored(tmp_
         assert problem in caught.value.problem
     everything = replace(SPACE, ignored=(False,) * SPACE.class_count)
     with pytest.raises(UsageError, match="class 0"):
-        LabelIds.of_space(everything)
+        LabelIds.from_space(everything)

@@ -110,7 +110,7 @@ def test_scores_of_training_scans_count_only_against_the_labels(
 
 @given(st.lists(st.floats(0, 1, width=32) | st.just(math.nan), max_size=20))
 def test_errors_are_counted_over_the_points_that_have_one(values):
-    errors = PointErrors.of_values(np.array(values, np.float32))
+    errors = PointErrors.from_values(np.array(values, np.float32))
     known = [value for value in values if not math.isnan(value)]
     assert errors.points == len(known)
     assert errors.total == pytest.approx(sum(known), abs=1e-5)

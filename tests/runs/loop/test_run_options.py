@@ -31,7 +31,7 @@ def test_all_shards_have_every_scan_once_whatever_the_order(names, count, draw):
     sizes = []
     for shard in every(count):
         shuffled = draw.sample(scans, len(scans))
-        mine = shard.of(shuffled)
+        mine = shard.select(shuffled)
         found.update(mine)
         sizes.append(len(mine))
     assert found == Counter(scans)

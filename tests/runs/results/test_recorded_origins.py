@@ -70,7 +70,7 @@ def test_bodies_with_z_down(height):
 
 @pytest.mark.slow
 def test_scans_of_a_map_are_of_one_sensor_with_an_origin_each():
-    sensor = fit_sensor(ScanSample.of_scans(drive()), SMALL)
+    sensor = fit_sensor(ScanSample.from_scans(drive()), SMALL)
     assert sensor.registered
     assert sensor.others == ()
     for scan, place in zip(drive(), WAY, strict=True):
@@ -105,7 +105,7 @@ def test_the_hint_about_a_scan_of_a_map_does_not_move_the_others():
     assert "file for sensor" not in hint
     assert "pose" in hint
     assert "alone" in hint
-    assert "out-of-place" not in codes(scan, fit_sensor(ScanSample.of_scans([scan]), SMALL))
+    assert "out-of-place" not in codes(scan, fit_sensor(ScanSample.from_scans([scan]), SMALL))
 
 
 def test_a_sensor_file_with_only_up_leads_to_the_origin():

@@ -36,7 +36,7 @@ def test_the_largest_classes_are_those_counted_slowly(scans):
     summary = RunSummary(sensor=SMALL, space=SPACE)
     for train_ids in scans:
         labels = np.array(train_ids, np.uint8)
-        summary.add(ScanSummary.of_labels(FILE, labels, SPACE))
+        summary.add(ScanSummary.from_labels(FILE, labels, SPACE))
     counts = Counter(SPACE.names[i] for train_ids in scans for i in train_ids)
     largest = summary.largest_classes()
     assert all(share == counts[name] / counts.total() for name, share in largest.items())
@@ -46,7 +46,7 @@ def test_the_largest_classes_are_those_counted_slowly(scans):
 
 
 def codes_of(labels, space=SPACE, **options):
-    summary = ScanSummary.of_labels(FILE, labels, space, **options)
+    summary = ScanSummary.from_labels(FILE, labels, space, **options)
     return [finding.code for finding in summary.check.findings]
 
 
@@ -73,7 +73,7 @@ def test_hints_about_labels_name_the_folder_of_the_run(caplog):
 def test_rejected_labels_do_not_make_one_class_large():
     # Two classes have equal numbers of points; the labels of one of them are rejected.
     labels = np.repeat(np.array([1, 9], np.uint8), 1000)
-    summary = ScanSummary.of_labels(FILE, labels, SPACE)
+    summary = ScanSummary.from_labels(FILE, labels, SPACE)
     rejected = labels == 9
     uncertainty = rejected.astype(np.float32)
     traits = unit_traits(FILE.name, summary.class_points, uncertainty)
@@ -84,7 +84,7 @@ def test_rejected_labels_do_not_make_one_class_large():
     assert (rest.class_points[0], rest.class_points[1], rest.class_points[9]) == (1000, 1000, 0)
     assert rest.rejected_points == 1000
     assert summary.class_points[9] == 1000, "the summary of all labels stays as it was"
-    only_cars = ScanSummary.of_labels(FILE, labels[:1000], SPACE)
+    only_cars = ScanSummary.from_labels(FILE, labels[:1000], SPACE)
     assert [finding.code for finding in only_cars.check.findings] == ["one-class"]
 
 
@@ -245,7 +245,7 @@ def test_the_share_of_the_vehicle_is_one_of_points():
     for name, count, ego in (("a", 900, 0), ("b", 100, 50)):
         labels = np.ones(count, np.uint8)
         check = ScanCheck(points=count, ego_points=ego)
-        summary.add(ScanSummary.of_labels(replace(FILE, stem=name), labels, SPACE, check))
+        summary.add(ScanSummary.from_labels(replace(FILE, stem=name), labels, SPACE, check))
     assert summary.ego_share == pytest.approx(0.05)
 
 

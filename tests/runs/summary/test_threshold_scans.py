@@ -79,7 +79,7 @@ def test_a_threshold_of_scans_covers_its_drives_only():
 
 
 def test_another_field_of_view_is_a_difference():
-    view = FittedView.of(SMALL)
+    view = FittedView.from_sensor(SMALL)
     risk = threshold()
     assert run().difference(replace(risk, views=(view,))) == ""
     other = replace(view, fov_up=view.fov_up + 8)
