@@ -19,4 +19,4 @@ def layers(*sizes: int) -> list[tuple[np.ndarray, np.ndarray]]:
 
 def model() -> ErrorModel:
     """Return a model of three features."""
-    return ErrorModel(("a", "b", "c"), layers(3, 4, 2, 1), {"auroc": 0.9})
+    return ErrorModel(features=("a", "b", "c"), layers=layers(3, 4, 2, 1), scores={"auroc": 0.9})

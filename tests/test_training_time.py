@@ -16,8 +16,8 @@ PAGE = (Path(__file__).parents[1] / "docs/tutorials/paper.md").read_text("utf-8"
 def test_the_factor_of_the_page_is_that_of_the_recipe_and_of_its_command():
     (command,) = re.findall(r"^salsanext train .* runs/speed .*$", PAGE, re.M)
     trial = recipe("paper").with_changes(**read_overrides(re.findall(r"--set (\S+)", command)))
-    measured = SamplingPlan([19_130], trial).steps_per_epoch * trial.batch
-    whole = SamplingPlan([19_130], recipe("paper"))
+    measured = SamplingPlan(scan_counts=[19_130], recipe=trial).steps_per_epoch * trial.batch
+    whole = SamplingPlan(scan_counts=[19_130], recipe=recipe("paper"))
     hours_per_second = whole.steps * trial.batch / measured / 3600
     factor = float(re.search(r"= ([\d.]+) × seconds", PAGE)[1])
     assert factor == pytest.approx(hours_per_second, abs=0.005)

@@ -53,7 +53,14 @@ def simulated(name: str, space: sn.LabelSpace) -> Iterator[LabelledScan]:
         usual = hdl64_rig(rng)
         lasers = Lasers(*(np.resize(values, count) for values in usual.beams.lasers))
         start, zero = rng.uniform(0, 2 * np.pi / columns, count), np.zeros(count)
-        beams = Beams(np.radians(elevations), start, zero, zero, lasers, columns)
+        beams = Beams(
+            elevation=np.radians(elevations),
+            azimuth=start,
+            height=zero,
+            aside=zero,
+            lasers=lasers,
+            columns=columns,
+        )
         return replace(usual, beams=beams, unblocked=np.ones(count * columns, bool))
 
     for sequence in range(SEQUENCES):

@@ -67,7 +67,7 @@ SCORE_KINDS: Mapping[str, ScoreKind] = MappingProxyType(
 """Kinds of scores by the first part of their names."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ScoreLimit:
     """Limit on a score."""
 
@@ -85,7 +85,7 @@ class ScoreLimit:
         return score >= self.limit if self.option == FAIL_UNDER else score <= self.limit
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class MissedLimit:
     """Score that does not keep to its limit, or that has no value."""
 
@@ -129,7 +129,7 @@ def limits_of(text: str | None, option: str) -> tuple[ScoreLimit, ...]:
             raise UsageError(option, f"is {typed}", expected)
         else:
             limit = math.nan
-        limits[name] = ScoreLimit(option, name, limit)
+        limits[name] = ScoreLimit(option=option, name=name, limit=limit)
     return tuple(limits.values())
 
 
@@ -270,11 +270,11 @@ def missed_limits(
 def _missed_score(limit: ScoreLimit, values: Mapping[str, float]) -> MissedLimit | None:
     if limit.name not in values:
         reason = with_hint("the results do not have it", limit.kind.made_by)
-        return MissedLimit(limit, math.nan, reason)
+        return MissedLimit(limit=limit, score=math.nan, reason=reason)
     score = values[limit.name]
     if math.isnan(score):
-        return MissedLimit(limit, score, "there is no labelled point to count")
-    return None if limit.holds(score) else MissedLimit(limit, score)
+        return MissedLimit(limit=limit, score=score, reason="there is no labelled point to count")
+    return None if limit.holds(score) else MissedLimit(limit=limit, score=score)
 
 
 def _missed_guarantee(
@@ -282,8 +282,8 @@ def _missed_guarantee(
 ) -> MissedLimit | None:
     if guarantee is None:
         reason = with_hint("the run has no guarantee", limit.kind.made_by)
-        return MissedLimit(limit, math.nan, reason)
-    bound = ScoreLimit(limit.option, GUARANTEE, 100 * guarantee.limit)
+        return MissedLimit(limit=limit, score=math.nan, reason=reason)
+    bound = ScoreLimit(option=limit.option, name=GUARANTEE, limit=100 * guarantee.limit)
     if guarantee.warning:
-        return MissedLimit(bound, 100 * guarantee.measured)
-    return MissedLimit(bound, math.nan, doubt) if doubt else None
+        return MissedLimit(limit=bound, score=100 * guarantee.measured)
+    return MissedLimit(limit=bound, score=math.nan, reason=doubt) if doubt else None

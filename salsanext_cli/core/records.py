@@ -28,7 +28,7 @@ MAX_RANGE_M = np.float32(1e6)  # Largest range of a measurement in a range image
 MAX_INTENSITY = np.float32(1e6)  # Largest intensity of a measurement in a range image
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FieldSplit:
     """Field of a file whose values divide its points into scans or sensors."""
 
@@ -37,7 +37,7 @@ class FieldSplit:
     count: int  # Number of different values; of a sample
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FileNotes:
     """What the file of a scan states beside its points."""
 

@@ -175,7 +175,7 @@ def legend_of(space: LabelSpace, *labels: npt.NDArray[Any]) -> Legend:
     return [(space.names[i], (*rgb,)) for i, rgb in zip(present, colours, strict=True)]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PointColours:
     """Colouring of points, the same for all scans of a run."""
 

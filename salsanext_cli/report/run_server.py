@@ -78,7 +78,7 @@ class ServedRun:
         notable = self.results.notable_scans()
         reasons = {row.file.name: notable.get(row.file.name, "") for row in self.results.rows}
         problems = [failure.reason for failure in self.failures]
-        served = Served(reasons, token)
+        served = Served(reasons=reasons, token=token)
         compared = self.results.compared()
         page = html_of(self.results, compared, (), self.scales, problems, thumbnails, served)
         return page.encode()

@@ -81,7 +81,9 @@ def picture_of_results(
     strip_list: list[Strip] = []
     for colour in drawn_columns:
         scale = scales.get(colour)
-        colours = PointColours(colour, scale or (0.0, 1.0), space, dark=True).rgb(columns)
+        colours = PointColours(
+            colour=colour, scale=scale or (0.0, 1.0), space=space, dark=True
+        ).rgb(columns)
         title = TITLES.get(colour, colour)
         accepted = results.accepted_text(space) if colour == "wrong" else ""
         if accepted:

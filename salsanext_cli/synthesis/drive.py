@@ -45,7 +45,7 @@ def build_street(
     return plan, standing, tuple(shown)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Frame:
     """One recorded revolution."""
 
@@ -87,7 +87,7 @@ def record(
         world = origins[returned] + directions[returned] * distance[returned, None]
         points = (world - pose[:3, 3]) @ pose[:3, :3]
         scan = Scan(points.astype(np.float32), intensity[returned].astype(np.float32))
-        yield Frame(scan, labels[returned], pose, time)
+        yield Frame(scan=scan, labels=labels[returned], pose=pose, time=time)
 
 
 def _nearby(plan: Plan, movers: tuple[Mover, ...], time: float, pose: Array) -> list[Mesh]:
@@ -106,7 +106,8 @@ class _Track:
         self._lane = min(0.0, 2.4 + plan.shoulder - plan.half) + rng.normal(0, 0.1)
         self._sway = rng.normal(0, 0.12)
         self._waves = rng.uniform(0.3, 1, (3, 2)) * [2 * np.pi / 25, 2 * np.pi]
-        self._tilt, self._mount = rig.tilt, rig.mount
+        self._tilt = rig.tilt
+        self._mount = rig.mount
 
     def pose(self, s: float) -> Array:
         """Return the pose at s, sensor frame to world, (4, 4)."""

@@ -59,7 +59,7 @@ class Lasers(NamedTuple):
     power: Array  # Relative strength of the pulse
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Beams:
     """Lasers of a sensor, L, the upper ones first."""
 
@@ -97,7 +97,7 @@ class Beams:
         return origins.reshape(-1, 3), directions.reshape(-1, 3), times.reshape(-1)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Rig:
     """A sensor and its mounting."""
 
@@ -149,9 +149,22 @@ def hdl64_rig(rng: Rng) -> Rig:
     height = np.repeat([0.05, 0.0], 32) + rng.normal(0, 0.003, 64)
     aside = np.tile([0.026, -0.026], 32)
     downwards = np.radians(np.sort(elevation)[::-1])
-    beams = Beams(downwards, azimuth, height, aside, _lasers(rng, 64), columns)
+    beams = Beams(
+        elevation=downwards,
+        azimuth=azimuth,
+        height=height,
+        aside=aside,
+        lasers=_lasers(rng, 64),
+        columns=columns,
+    )
     tilt = rng.normal(0, np.radians(0.35), 2)
-    return Rig(beams, HDL64, ~hidden_by_vehicle(beams, rng), HDL64_MOUNT_M, tilt)
+    return Rig(
+        beams=beams,
+        response=HDL64,
+        unblocked=~hidden_by_vehicle(beams, rng),
+        mount=HDL64_MOUNT_M,
+        tilt=tilt,
+    )
 
 
 def random_rig(rng: Rng) -> Rig:
@@ -160,7 +173,13 @@ def random_rig(rng: Rng) -> Rig:
     response = _random_response(rng)
     unblocked = ~_random_shadow(beams, rng)
     tilt = np.radians(rng.normal(0, BOUNDS.tilt, 2))
-    return Rig(beams, response, unblocked, float(rng.uniform(*BOUNDS.mount)), tilt)
+    return Rig(
+        beams=beams,
+        response=response,
+        unblocked=unblocked,
+        mount=float(rng.uniform(*BOUNDS.mount)),
+        tilt=tilt,
+    )
 
 
 RIGS: dict[str, RigMaker] = {"hdl64": hdl64_rig, "random": random_rig}
@@ -176,7 +195,14 @@ def _random_beams(rng: Rng) -> Beams:
     azimuth = rng.choice(BOUNDS.stagger) * rng.uniform(0, 2 * np.pi / columns, count)
     height = np.zeros(count)
     aside = rng.uniform(*BOUNDS.laser_aside) * np.resize([1.0, -1.0], count)
-    return Beams(np.radians(elevation), azimuth, height, aside, _lasers(rng, count), columns)
+    return Beams(
+        elevation=np.radians(elevation),
+        azimuth=azimuth,
+        height=height,
+        aside=aside,
+        lasers=_lasers(rng, count),
+        columns=columns,
+    )
 
 
 def _random_elevations(rng: Rng) -> Array:
@@ -258,7 +284,8 @@ def measure(
         reached, triangle, cos = scene.cast(rays)
         nearer = reached < distance
         hit = triangle[nearer]
-        distance[nearer], cosine[nearer] = reached[nearer], cos[nearer]
+        distance[nearer] = reached[nearer]
+        cosine[nearer] = cos[nearer]
         labels[nearer] = scene.mesh.labels[hit]
         materials[nearer], shades[nearer] = scene.mesh.materials[hit], scene.mesh.shades[hit]
     brightness, texture, falloff, gloss, roughness = OPTICS[materials].T

@@ -33,7 +33,7 @@ class Skin(NamedTuple):
         return cls(label, material, float(rng.uniform(low, high)))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Mesh:
     """Triangles with a label, a material and a brightness each."""
 
@@ -49,7 +49,13 @@ class Mesh:
         count = len(triangles)
         labels = np.full(count, skin.label, np.uint32)
         materials = np.full(count, skin.material, np.uint8)
-        return cls(vertices, triangles, labels, materials, np.full(count, skin.shade, np.float32))
+        return cls(
+            vertices=vertices,
+            triangles=triangles,
+            labels=labels,
+            materials=materials,
+            shades=np.full(count, skin.shade, np.float32),
+        )
 
     def moved(self, offset: npt.ArrayLike = (0.0, 0.0, 0.0), yaw: float = 0.0) -> Mesh:
         """Return the mesh turned about z by `yaw` radians, then shifted by `offset` metres."""
@@ -79,11 +85,14 @@ def merge(meshes: Iterable[Mesh]) -> Mesh:
     """Join meshes into one."""
     parts = list(meshes)
     starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
-    columns = (
-        (part.vertices, part.triangles + start, part.labels, part.materials, part.shades)
-        for part, start in zip(parts, starts, strict=True)
+    triangles = [part.triangles + start for part, start in zip(parts, starts, strict=True)]
+    return Mesh(
+        vertices=np.concatenate([part.vertices for part in parts]),
+        triangles=np.concatenate(triangles),
+        labels=np.concatenate([part.labels for part in parts]),
+        materials=np.concatenate([part.materials for part in parts]),
+        shades=np.concatenate([part.shades for part in parts]),
     )
-    return Mesh(*map(np.concatenate, zip(*columns, strict=True)))
 
 
 def box(corner: npt.ArrayLike, opposite: npt.ArrayLike, skin: Skin) -> Mesh:

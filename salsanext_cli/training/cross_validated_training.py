@@ -77,7 +77,7 @@ class CrossValidatedTraining:
         """Return the setup of the training on all scans, after the cross-validation."""
         setup = self.setup
         counts = [len(source.files) for source in setup.data.sources]
-        before = len(self._folds()) * SamplingPlan(counts, setup.recipe).steps
+        before = len(self._folds()) * SamplingPlan(scan_counts=counts, recipe=setup.recipe).steps
 
         def report(step: StepReport) -> None:
             setup.report(replace(step, step=before + step.step, steps=before + step.steps))

@@ -26,7 +26,7 @@ VERSION_1 = GroupFiles(
 VERSION_2 = GroupFiles(limit="memory.max", use="memory.current", cache="inactive_file")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Memory:
     """Memory of a device, in bytes."""
 
@@ -44,14 +44,14 @@ def memory_of(device: str) -> Memory | None:
         import torch
 
         available, total = torch.cuda.mem_get_info(device)
-        return Memory(total, available)
+        return Memory(total=total, available=available)
     if device != "cpu" or sys.platform != "linux" or not MEMINFO.exists():
         return None
     lines = (line.split() for line in MEMINFO.read_text("utf-8").splitlines())
     sizes = {words[0]: 1024 * int(words[1]) for words in lines if len(words) > 1}
     if not {"MemTotal:", "MemAvailable:"} <= sizes.keys():
         return None
-    return _limited(Memory(sizes["MemTotal:"], sizes["MemAvailable:"]))
+    return _limited(Memory(total=sizes["MemTotal:"], available=sizes["MemAvailable:"]))
 
 
 def _limited(machine: Memory) -> Memory:
@@ -65,7 +65,7 @@ def _limited(machine: Memory) -> Memory:
             used -= _cache(folder / "memory.stat", files.cache)
             total = min(total, limit)
             available = min(available, max(limit - used, 0))
-    return Memory(total, available)
+    return Memory(total=total, available=available)
 
 
 def _groups() -> Iterator[tuple[Path, GroupFiles]]:

@@ -41,7 +41,7 @@ Row = dict[str, float]
 """One epoch: epoch, learning_rate, loss, seconds; if validated, also what `validate` returns."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FurtherData:
     """Further data set of a training."""
 
@@ -86,7 +86,8 @@ def training_settings(
         scans=scans_digest([*first.files, *validation.files]),
         weights=fingerprint(weights) if weights else None,
         labels=labels,
-        also=tuple(FurtherData(s.space, scans_digest(s.files)) for s in further) or None,
+        also=tuple(FurtherData(label_space=s.space, scans=scans_digest(s.files)) for s in further)
+        or None,
     )
 
 

@@ -43,7 +43,9 @@ def test_default_weights_have_a_version_and_inherit_nothing(tmp_path, tiny_train
     line = AccuracyLine(1.0, 0.0, 0.1, inherited_from=mark)
     card = replace(CARD, recipe={"class_weight": 0.5}, accuracy=line)
     (tmp_path / "run").mkdir()
-    error = ErrorModel(FEATURES, layers, {"inherited_from": mark}, temperature=2.0)
+    error = ErrorModel(
+        features=FEATURES, layers=layers, scores={"inherited_from": mark}, temperature=2.0
+    )
     card = replace(card, error=error, version=4)
     of_narrow = replace(card.parts, temperature=7.0)
     card = replace(card, parts_of_widths={NARROW: of_narrow})

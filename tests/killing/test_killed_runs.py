@@ -125,7 +125,12 @@ def scenes(folder: Path) -> Run:
     def record(seed: int, sequence: int, scans: int, *_: object) -> Iterator[Frame]:
         scan = Scan(np.full((3, 3), seed, np.float32), np.zeros(3, np.float32))
         for index in range(scans):
-            yield Frame(scan, np.array([40, 40, 10], np.uint32), np.eye(4), float(index))
+            yield Frame(
+                scan=scan,
+                labels=np.array([40, 40, 10], np.uint32),
+                pose=np.eye(4),
+                time=float(index),
+            )
 
     synth.record = record  # type: ignore[assignment]
     synth.import_open3d = lambda: None  # type: ignore[assignment,return-value]

@@ -28,7 +28,9 @@ def test_a_card_has_words_for_its_keys(weights):
         INHERITED: "other weights",
     }
     described = describe_weights(weights)
-    error = ErrorModel(("a",), [(np.ones((1, 1), "f4"), np.zeros(1, "f4"))], fitted)
+    error = ErrorModel(
+        features=("a",), layers=[(np.ones((1, 1), "f4"), np.zeros(1, "f4"))], scores=fitted
+    )
     named = {"miou": 0.5, "miou_spread": 0.1, "iou_other-vehicle": 0.25}
     card = replace(described.card, scores=named, error=error)
     rows = dict(printed_wide(card_table(replace(described, card=card))))

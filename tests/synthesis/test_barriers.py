@@ -124,7 +124,15 @@ def test_paths_cross_lawns_flush():
 )
 def test_walls_of_lots_are_fences_of_their_height(kind, heights):
     plan = draw_plan(np.random.default_rng(0), STYLES[0], 80.0)
-    lot = Lot(kind, 20.0, 40.0, 4.0, presets.TERRAIN, presets.TERRAIN, (20.0, 20.0))
+    lot = Lot(
+        kind=kind,
+        start=20.0,
+        end=40.0,
+        setback=4.0,
+        front=presets.TERRAIN,
+        back=presets.TERRAIN,
+        drive=(20.0, 20.0),
+    )
     side = plan.sides[0]
     for seed in range(6):
         builder = Builder(np.random.default_rng(seed), plan)

@@ -185,7 +185,7 @@ def test_a_mover_that_crosses_faces_where_it_walks():
     rng = np.random.default_rng(0)
     plan = draw_plan(rng, STYLES[0], 100.0)
     mesh = furniture.bench(rng)
-    mover = traffic.Mover(mesh, 50.0, -3.0, 0.0, 1.0)
+    mover = traffic.Mover(mesh=mesh, start=50.0, t=-3.0, speed=0.0, across=1.0)
     expected = mesh.moved(plan.world(50.0, -1.0), float(plan.yaw(50.0)) + np.pi / 2)
     np.testing.assert_allclose(mover.at(plan, 2.0).vertices, expected.vertices, atol=1e-9)
 

@@ -175,7 +175,15 @@ def test_no_vehicle_on_a_lot_at_the_kerb_stands_in_the_sensors_path(kind):
     side = replace(STREET.sides[0], parking=0.0, verge=0.0, sidewalk=0.0)
     parked = 0
     for seed in range(18):
-        lot = Lot(kind, 50.0, 65.0, (0.5, 3.0, 7.0)[seed % 3], 0, 0, (50.4, 53.4))
+        lot = Lot(
+            kind=kind,
+            start=50.0,
+            end=65.0,
+            setback=(0.5, 3.0, 7.0)[seed % 3],
+            front=0,
+            back=0,
+            drive=(50.4, 53.4),
+        )
         builder = Builder(np.random.default_rng(seed), STREET)
         lots.furnish(builder, side, lot)
         assert in_the_way(builder) == 0
@@ -227,7 +235,7 @@ def test_lanes_divide_half_the_carriageway():
 @pytest.mark.parametrize(("speed", "turn"), [(5.0, 0.0), (-5.0, np.pi)])
 def test_movers_stay_in_their_lane_and_face_forward(speed, turn):
     mesh = furniture.bench(np.random.default_rng(0))
-    mover = Mover(mesh, 40.0, -1.5, speed)
+    mover = Mover(mesh=mesh, start=40.0, t=-1.5, speed=speed)
     for time in (0.0, 2.0):
         s = 40.0 + speed * time
         yaw = float(STREET.yaw(s)) + turn

@@ -108,7 +108,7 @@ def test_a_verge_lies_between_a_side_street_and_its_pavement():
 @pytest.mark.parametrize("height", [0.0, 0.12])
 @pytest.mark.parametrize("label", [presets.TERRAIN, presets.OTHER_GROUND])
 def test_a_median_has_its_class_and_kerb_and_ends_at_junctions(label, height):
-    median = Median(1.5, ((0.0, 50.0), (70.0, 120.0)), label, height)
+    median = Median(half=1.5, spans=((0.0, 50.0), (70.0, 120.0)), ground=label, height=height)
     plan = replace(paved_plan(), half=8.0, median=median)
     t = np.array([1.5 - STEP_M, 1.5 + STEP_M])
     assert plan.label(np.full(2, 20.0), t).tolist() == [label, presets.ROAD]
@@ -176,7 +176,7 @@ def test_bands_at_the_edges_of_the_road_are_road_of_another_look():
 
 
 def test_a_ditch_is_as_deep_as_drawn_and_ends_level():
-    ditch = Ditch(0.5, 3.0, 0.7)
+    ditch = Ditch(start=0.5, width=3.0, depth=0.7)
     plan = paved_plan(ditch=ditch)
     side = plan.sides[0]
     s = 20.0 if side.from_side_street(20.0) > 8 else 40.0
@@ -188,7 +188,7 @@ def test_a_ditch_is_as_deep_as_drawn_and_ends_level():
 
 def cells_of(plan):
     s, t = np.meshgrid(np.arange(0.5, plan.length), np.arange(-30.25, 30.5, 0.5), indexing="ij")
-    return Cells(s, t, plan.label(s, t))
+    return Cells(s=s, t=t, labels=plan.label(s, t))
 
 
 def test_high_grass_grows_on_terrain_beside_the_road_only():

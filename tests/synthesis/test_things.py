@@ -98,7 +98,9 @@ def test_a_clipped_hedge_is_nearly_even(seed):
 @pytest.mark.parametrize("width", [0.2, 1.2, 3.5])
 def test_a_narrow_lot_can_be_furnished(kind, width):
     plan = draw_plan(np.random.default_rng(0), STYLES[0], 80.0)
-    lot = Lot(kind, 30.0, 30.0 + width, 4.0, 0, 0, (30.0, 30.0))
+    lot = Lot(
+        kind=kind, start=30.0, end=30.0 + width, setback=4.0, front=0, back=0, drive=(30.0, 30.0)
+    )
     for seed in range(4):
         builder = Builder(np.random.default_rng(seed), plan)
         lots.furnish(builder, plan.sides[0], lot)

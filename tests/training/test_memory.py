@@ -29,7 +29,7 @@ def system(tmp_path, monkeypatch):
 
 
 def kib(total, available):
-    return Memory(1024 * total, 1024 * available)
+    return Memory(total=1024 * total, available=1024 * available)
 
 
 def test_without_a_limit_it_is_the_memory_of_the_machine(system):

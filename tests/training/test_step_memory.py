@@ -51,14 +51,14 @@ def test_an_unknown_network_is_not_judged():
 def test_the_paper_does_not_fit_a_machine_that_it_filled():
     """A batch of 24 whole images was killed at 21.6 GB."""
     with pytest.raises(TrainingError) as caught:
-        step().require_fits(Memory(24 * GB, 20 * GB))
+        step().require_fits(Memory(total=24 * GB, available=20 * GB))
     assert caught.value.subject == "memory"
 
 
 @pytest.mark.parametrize("total", [1, 4, 10, 24, 48])
 @pytest.mark.parametrize("workers", [1, 3])
 def test_each_setting_of_the_hint_fits(total, workers):
-    memory = Memory(total * GB, int(0.9 * total * GB))
+    memory = Memory(total=total * GB, available=int(0.9 * total * GB))
     with pytest.raises(TrainingError) as caught:
         step(workers=workers, sharing=workers).require_fits(memory)
     settings = [read_overrides([text]) for text in re.findall(r"(\w+=\d+)", caught.value.hint)]
@@ -71,9 +71,9 @@ def test_each_setting_of_the_hint_fits(total, workers):
 
 
 def test_memory_that_others_use_is_a_warning(caplog):
-    step().require_fits(Memory(100 * GB, 20 * GB))
+    step().require_fits(Memory(total=100 * GB, available=20 * GB))
     assert "20 GB are available" in caplog.text
     assert "use accumulate=4 " in caplog.text
     caplog.clear()
-    step().require_fits(Memory(100 * GB, 64 * GB))
+    step().require_fits(Memory(total=100 * GB, available=64 * GB))
     assert not caplog.text

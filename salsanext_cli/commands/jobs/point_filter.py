@@ -39,7 +39,7 @@ class FilterSettings:
     with_error_only: bool | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FilteredScan:
     """Mask (N,) of the remaining points of a scan, and their number."""
 
@@ -47,7 +47,7 @@ class FilteredScan:
     counts: FilteredPoints
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class WrittenScan:
     """Name of a filtered scan, and the number of its points."""
 
@@ -55,7 +55,7 @@ class WrittenScan:
     counts: FilteredPoints
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PointFilter:
     """Filter of the points of scans by their results."""
 
@@ -89,7 +89,7 @@ class PointFilter:
             rejected=int(np.count_nonzero(remains & self._rejected(file, labels))),
             without_error=without_error,
         )
-        return FilteredScan(remains, counts)
+        return FilteredScan(remains=remains, counts=counts)
 
     def _labels(self, file: ScanFile, count: int | None) -> TrainIds:
         """Read the predicted train ids (N,) of a scan; `count`: number of points, if known."""
@@ -139,4 +139,4 @@ class PointFilter:
             self.owned.write(path, content)
         elif present(path):
             self.owned.remove_written([path])
-        return WrittenScan(file.name, filtered.counts)
+        return WrittenScan(name=file.name, counts=filtered.counts)

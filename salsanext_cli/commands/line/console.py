@@ -188,7 +188,7 @@ def progress(label: str, quiet: bool, unit: str = "scans") -> Iterator["Progress
         yield Lines(label, unit)
 
 
-@dataclasses.dataclass(slots=True, eq=False)
+@dataclasses.dataclass(slots=True, eq=False, kw_only=True)
 class Written:
     """Progress of a body that writes the results of each unit, or all of them at its end."""
 
@@ -220,7 +220,7 @@ def writing(
 ) -> Iterator["Progress"]:
     """Show the progress of the body, and state what is finished if it is interrupted."""
     with progress(label, quiet, unit) as bar:
-        written = Written(unit, at_end, bar)
+        written = Written(unit=unit, at_end=at_end, show=bar)
         with stating(written.finished):
             yield written
 

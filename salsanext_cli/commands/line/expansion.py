@@ -70,7 +70,7 @@ def expanded(command: Callable[..., None]) -> Callable[..., None]:
     return run
 
 
-@dataclasses.dataclass(slots=True)
+@dataclasses.dataclass(slots=True, kw_only=True)
 class OptionGroup:
     """Dataclass whose fields a command offers as options.
 
@@ -100,7 +100,7 @@ class OptionGroup:
         fields = {field.name: field for field in dataclasses.fields(kind) if field.init}
         changes = Changes.from_marks(marks)
         defaults = {name: field.default for name, field in fields.items()}
-        group = cls(kind, defaults)
+        group = cls(kind=kind, defaults=defaults)
         for name, field in fields.items():
             defaults[name] = changes.defaults.get(name, field.default)
             declared = declaration(kind, field)
@@ -135,7 +135,7 @@ class OptionGroup:
         return self.kind(**arguments)
 
 
-@dataclasses.dataclass(slots=True)
+@dataclasses.dataclass(slots=True, kw_only=True)
 class Changes:
     """Changes of the options of a dataclass, from the marks of its annotation."""
 

@@ -25,7 +25,7 @@ from salsanext_cli.runs.results.scan_results import read_kind
 COLUMNS = "x,y,z,intensity"  # Of the scans that `pick` writes
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PickedLabels:
     """Results of picked scans, which `report` and `eval` read."""
 
@@ -70,7 +70,7 @@ def label_picked_scans(
     summary = outcome.summary
     scans = len(find_outputs(out, "predictions"))
     if summary is None or summary.space is None or not scans:
-        return PickedLabels(out, outcome.failures, None, None)
+        return PickedLabels(folder=out, failures=outcome.failures, accuracy=None, verdict=None)
     expected = summary.expected_accuracy()
     evidence = Evidence(
         scans=scans,
@@ -80,7 +80,9 @@ def label_picked_scans(
         warned={warning.code: warning.scans for warning in summary.warnings()},
     )
     accuracy = expected.accuracy if expected else None
-    return PickedLabels(out, outcome.failures, accuracy, verdict(evidence))
+    return PickedLabels(
+        folder=out, failures=outcome.failures, accuracy=accuracy, verdict=verdict(evidence)
+    )
 
 
 def doubtful_share(out: Path) -> float | None:

@@ -26,7 +26,7 @@ from salsanext_cli.runs.results.scan_selection import ScanSelection
 SCENE: dict[str, Any] = {"train": 0, "valid": 1, "seed": 2020, "spacing": 12.0}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Demonstration:
     """Results of the demonstration."""
 

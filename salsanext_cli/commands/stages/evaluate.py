@@ -55,7 +55,7 @@ UNKNOWN_TRAINING_SCANS = "scores on scans that the weights may have been trained
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Evaluation:
     """Result of comparing predictions with labels."""
 

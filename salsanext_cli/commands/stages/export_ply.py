@@ -116,7 +116,7 @@ def export_ply(
     )
     with run as output:
         task = CloudExport(
-            colours=PointColours(colour, ends, chosen.space),
+            colours=PointColours(colour=colour, scale=ends, space=chosen.space),
             sensor=results.manifest.sensor(),
             output=output,
             classes=query.classes,

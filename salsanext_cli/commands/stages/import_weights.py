@@ -30,7 +30,7 @@ DROPOUT = 0.2  # Rate of the published networks
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ImportedWeights:
     """Network with its weights, and their card."""
 
@@ -107,7 +107,7 @@ def _weights_of_salsanext(source: Path, view: Sensor | None, description: str) -
         # Nothing is known about other widths of its images.
         card = replace(card, sensor=view, widths=(), parts_of_widths={})
     card = replace(card, description=description or card.description, version=None)
-    return ImportedWeights(module, card)
+    return ImportedWeights(module=module, card=card)
 
 
 def _published_weights(
@@ -125,4 +125,4 @@ def _published_weights(
     load_tensors(module, tensors, source)
     described = description or f"Imported from the published checkpoint {source.name}."
     card = WeightsCard(architecture, space, view or sensor("hdl64"), description=described)
-    return ImportedWeights(module, card)
+    return ImportedWeights(module=module, card=card)

@@ -51,4 +51,6 @@ def describe_weights(path: Path) -> DescribedWeights:
     """
     card = read_card(path)
     require_intact(path, card.tensors_sha256)
-    return DescribedWeights(path, fingerprint(path), path.stat().st_size, card)
+    return DescribedWeights(
+        path=path, sha256=fingerprint(path), size=path.stat().st_size, card=card
+    )

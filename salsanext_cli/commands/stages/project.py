@@ -38,7 +38,7 @@ class ProjectedFile:
     scan: ProjectedScan
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ProjectJob:
     """Job that projects scans and writes their range images, without a step on a device."""
 
@@ -111,5 +111,7 @@ def project_scans(
     run = output_run(out, "project", settings, folders, scans, overwrite=options.overwrite)
     with run as output, recorded_summary(summary, output, scans):
         origins = OriginsOfRun(out=out, stage="project", listed=listed, overwrite=options.overwrite)
-        job = ProjectJob(sensor, output, origins.result_origins(output, scans, sensor))
+        job = ProjectJob(
+            sensor=sensor, output=output, origins=origins.result_origins(output, scans, sensor)
+        )
         return run_over_scans(job, scans, options, is_done=output.is_done, summary=summary)

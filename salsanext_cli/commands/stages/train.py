@@ -164,7 +164,7 @@ class NewTraining:
             return
         text = "device: %s; processes that prepare samples: %d"
         log.log(NOTICE, text, self.device, self.jobs)
-        steps = SamplingPlan([len(scans.training)], recipe).steps_per_epoch
+        steps = SamplingPlan(scan_counts=[len(scans.training)], recipe=recipe).steps_per_epoch
         columns = recipe.crop_width or seen.width
         training = counted(len(scans.training), "scan")
         numbers = f"{training} for training, {len(scans.validation):,} for validation"

@@ -195,7 +195,7 @@ def tune_risk(
         If so few scans cannot guarantee the level.
     """
     candidates = _candidates(source, target, settings, selection, overwrite=overwrite)
-    level = RiskLevel(at_most, confidence)
+    level = RiskLevel(at_most=at_most, confidence=confidence)
     require_scans(source, candidates.count, level)
     from salsanext_cli.training.tuning.risk import fit_risk
 

@@ -28,7 +28,7 @@ POINTS_OF_BEAMS = 16_384  # Points that show the beams
 FLIPPED = np.array([1, -1, -1], np.float32)  # Turns z from down to up
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PlaceProblem:
     """Reason to doubt the position of a sensor."""
 
@@ -61,13 +61,13 @@ def place_problem(
         unknown = "the ground may lie above the sensor"
     elif _is_unproven(scan, sample, ground, sensor):
         problem = "nothing in its part of the circle proves the fitted position of the sensor"
-        return PlaceProblem(problem)
+        return PlaceProblem(problem=problem)
     else:
         return None
     place = find_place(in_sensor_frame(scan, sensor))
     if place is not None and place.is_elsewhere:
         return _elsewhere(place, sensor)
-    return PlaceProblem(unknown) if place is None else None
+    return PlaceProblem(problem=unknown) if place is None else None
 
 
 def _is_unproven(scan: Scan, sample: Scan, ground: Ground | None, sensor: Sensor) -> bool:
@@ -116,7 +116,7 @@ def _elsewhere(place: SensorPlace, sensor: Sensor) -> PlaceProblem:
     x, y, z = place.position
     side = ", upside down" if place.up[UPWARDS] < 0 else ""
     problem = f"the points are seen from ({x:.1f}, {y:.1f}, {z:.1f}) m{side}, not from the origin"
-    return PlaceProblem(problem, lines_of_place(placed), placed)
+    return PlaceProblem(problem=problem, remedy=lines_of_place(placed), sensor=placed)
 
 
 def lines_of_place(sensor: Sensor) -> str:

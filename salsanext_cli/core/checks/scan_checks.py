@@ -57,7 +57,7 @@ from salsanext_cli.core.texts import counted, percentage
 from salsanext_cli.core.wording import argument, command, setting
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ScanCheck:
     """Result of a check: reasons to doubt the scan, and traits of its sensor."""
 
@@ -123,7 +123,7 @@ def check_image(channels: Float, sensor: Sensor, trained: Sensor) -> ScanCheck:
     if occupied.shape[1] < MIN_TRAIT_POINTS:
         return UNCHECKED
     reason, bright = intensity_of(occupied[1:4].T, occupied[4])
-    return ScanCheck(tuple(training_findings(bright, reason, sensor, trained)))
+    return ScanCheck(findings=tuple(training_findings(bright, reason, sensor, trained)))
 
 
 def share_outside(sines: npt.NDArray[np.floating[Any]], sensor: Sensor) -> float:
@@ -174,7 +174,7 @@ def check_scan(
     count = int(is_measured.sum())
     if count < MIN_TRAIT_POINTS:
         problem = f"has {counted(count, 'point')} with a measurement, too few to check"
-        return ScanCheck((Finding(WarningCode.FEW_POINTS, problem, "give whole scans"),))
+        return ScanCheck(findings=(Finding(WarningCode.FEW_POINTS, problem, "give whole scans"),))
     measured = Scan(sample.points[is_measured], sample.intensity[is_measured])
     measured_share = count / len(sample)
     sines = sines_of(measured.points)
@@ -191,7 +191,7 @@ def check_scan(
     # The scans of one sensor are compared, also if each has its own origin.
     fitted = replace(sensor, origin=ORIGIN) if sensor.registered else sensor
     traits = ScanTraits.from_sines(sines, bright, per_point, fitted)
-    return ScanCheck(tuple(findings), traits)
+    return ScanCheck(findings=tuple(findings), traits=traits)
 
 
 def _fit_hint(sensor: Sensor, trained: Sensor | None, fit: str) -> str:

@@ -39,7 +39,7 @@ class _Cells:
     ranges: Double  # (N,) metres; infinite below `MIN_RANGE_M`
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _CellRanges:
     """Nearest range of each cell over all scans, C cells."""
 
@@ -117,7 +117,7 @@ def _cell_ranges(cells_of_scans: Sequence[_Cells]) -> _CellRanges:
         middle = (seen * count / 2).astype(int)
         median = np.sort(nearest, axis=0)[middle, np.arange(len(seen))]
         constant = (np.abs(nearest - median) < TOLERANCE_M).sum(axis=0) / (seen * count)
-    return _CellRanges(median, seen, constant)
+    return _CellRanges(median=median, seen=seen, constant=constant)
 
 
 def _body_cells(cells: _CellRanges, least_z: float) -> Mask | None:

@@ -25,7 +25,7 @@ BEYOND_DEG = 5.0  # Farthest edge beyond the horizon; rotating sensors had 0°
 MIN_VIEW_POINTS = 1000
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Edges:
     """Edges of a field of view in degrees."""
 
@@ -83,7 +83,7 @@ def _field_of_view(elevations: Double, extent: float) -> _Edges:
     """
     lowest, highest = np.quantile(elevations, (OUTLIERS, 1 - OUTLIERS)).tolist()
     if highest - lowest <= MAX_ENLARGED * extent:
-        return _Edges(lowest, highest)
+        return _Edges(lower=lowest, upper=highest)
     count = int(SHOWN * len(elevations))
     narrowest = (elevations[count:] - elevations[: len(elevations) - count]).min()
     extent = max(narrowest, extent)
@@ -92,4 +92,4 @@ def _field_of_view(elevations: Double, extent: float) -> _Edges:
     inside = upper - np.searchsorted(elevations, lower)
     best = np.flatnonzero(inside >= NEARLY * inside.max())
     start = float(lower[best[len(best) // 2]])
-    return _Edges(start, start + float(extent))
+    return _Edges(lower=start, upper=start + float(extent))

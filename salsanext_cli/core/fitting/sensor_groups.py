@@ -32,7 +32,7 @@ class SensorGroup:
     traits: tuple[float, ...]  # Usual traits; in the frame of the sensor if it moves in the files
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _PlacedScan:
     """Scan in the frame of its sensor."""
 
@@ -104,7 +104,7 @@ def _placed_scan(number: int, scan: Scan, sensor: Sensor) -> _PlacedScan | None:
         return None
     is_far = bool(place.distance_aside > REGISTERED_M)
     is_moved = place.is_elsewhere and (is_seen_from_elsewhere or is_far)
-    return _PlacedScan(number, traits, place.position, is_moved)
+    return _PlacedScan(number=number, traits=traits, position=place.position, is_moved=is_moved)
 
 
 def _moving_groups(placed_scans: Sequence[_PlacedScan]) -> list[SensorGroup]:

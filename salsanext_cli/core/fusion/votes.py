@@ -65,7 +65,7 @@ class VoxelVotes:
         return cls(keys[first], votes, voxel_of_point, rows[first])
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Tally:
     """Votes of all scans for the points of one scan."""
 
@@ -192,7 +192,7 @@ def tally(scan: VoxelVotes, others: Iterable[OtherVotes], stands: npt.NDArray[np
     shares = np.zeros((len(total) + 1, total.shape[1]), np.float32)
     shares[:-1] = means / np.maximum(means.sum(axis=1, keepdims=True), 1)
     views = np.append(seen, np.uint16(0))
-    return Tally(shares[scan.voxel_of_point], views[scan.voxel_of_point])
+    return Tally(probabilities=shares[scan.voxel_of_point], views=views[scan.voxel_of_point])
 
 
 @compiled

@@ -21,7 +21,7 @@ NO_CELL = ROWS * COLUMNS  # Index of the cell of points without a direction
 NEAREST_M = 2.0  # Nearer points belong to the vehicle
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class DirectionGrid:
     """Directions of the points of a scan from its sensor.
 
@@ -52,7 +52,11 @@ def direction_grid(scan: Scan, sensor: Sensor) -> DirectionGrid:
     rotation = upright_rotation(np.asarray(sensor.up, np.float64))
     find_cells(points, origin, rotation, cell_of_point, point_range)
     keep_nearest_range(cell_of_point, point_range, nearest)
-    return DirectionGrid(cell_of_point, point_range, nearest[:NO_CELL].reshape(ROWS, COLUMNS))
+    return DirectionGrid(
+        cell_of_point=cell_of_point,
+        point_range=point_range,
+        nearest=nearest[:NO_CELL].reshape(ROWS, COLUMNS),
+    )
 
 
 @compiled

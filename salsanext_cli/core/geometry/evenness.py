@@ -36,7 +36,7 @@ FARTHEST_NEAR_M = 40.0  # Largest 1 % quantile of ranges; a sensor sees somethin
 MIN_FAR_M = 15.0  # Least 99 % quantile of ranges outdoors
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Sectors:
     """Numbers of points in the sectors around a position."""
 
@@ -164,7 +164,7 @@ def sectors_around(points: Double) -> Sectors:
     counts = np.bincount(around.astype(np.intp) % SECTORS, minlength=SECTORS)
     mean = max(len(far), 1) / SECTORS
     occupied = float((counts > EMPTY * mean).mean())
-    return Sectors(occupied, float(counts.max() / mean))
+    return Sectors(occupied=occupied, fullest=float(counts.max() / mean))
 
 
 def measured_positions(scan: Scan) -> Double:

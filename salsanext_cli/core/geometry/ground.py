@@ -34,7 +34,7 @@ AXES = range(3)  # Indices of x, y, z
 UPWARDS = 2  # Index of z
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Ground:
     """Plane below the sensor."""
 
@@ -63,7 +63,7 @@ class _NearPoints:
     ranges: Float  # (K,) metres
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _Planes:
     """Possible grounds: points x with ``normals @ x = offsets``."""
 
@@ -73,7 +73,11 @@ class _Planes:
 
     def select(self, selection: Mask) -> _Planes:
         """Return the planes of a mask (P,)."""
-        return _Planes(self.normals[selection], self.offsets[selection], self.is_low[selection])
+        return _Planes(
+            normals=self.normals[selection],
+            offsets=self.offsets[selection],
+            is_low=self.is_low[selection],
+        )
 
 
 def find_ground(points: Float, max_tilt_deg: float | None = None) -> Ground | None:
@@ -150,7 +154,7 @@ def _possible_planes(near: _NearPoints, max_tilt_deg: float | None) -> _Planes:
     is_low = np.abs(offsets) < MIN_HEIGHT_M
     largest = normals[np.arange(len(tried)), np.abs(normals).argmax(axis=1)]
     turn = np.where(is_low, np.sign(largest), -np.sign(offsets))
-    planes = _Planes(turn[:, None] * normals, turn * offsets, is_low)
+    planes = _Planes(normals=turn[:, None] * normals, offsets=turn * offsets, is_low=is_low)
     return planes.select(planes.normals[:, UPWARDS] > 0) if is_upright else planes
 
 
@@ -169,7 +173,7 @@ def _fitted_ground(
     normal *= np.sign(normal @ planes.normals[best])
     height = -float(normal @ centre)
     is_below = bool(planes.is_low[best]) or height > MIN_HEIGHT_M
-    return Ground(normal, height, share) if is_below else None
+    return Ground(up=normal, height=height, share=share) if is_below else None
 
 
 @cache
@@ -193,7 +197,7 @@ def ground_of(scan: Scan) -> Ground | None:
         return ground
     level = find_ground(points, MAX_TILT_DEG)
     if ground.tilt_deg > UPSIDE_DOWN_DEG and _is_seen_from_below(points, ground):
-        return Ground(-ground.up, -ground.height, ground.share)
+        return Ground(up=-ground.up, height=-ground.height, share=ground.share)
     is_possible = ground.is_usual or ground.height < MIN_HEIGHT_M
     in_room = level and level.height > TOLERANCE_M and ground.tilt_deg > UPSIDE_DOWN_DEG
     support = SUPPORT_OF_CEILING if in_room else SUPPORT

@@ -19,7 +19,7 @@ NOTHING = np.iinfo(np.int64).max  # Lowest of no labels; the highest is -1, belo
 Labels = npt.NDArray[np.uint32]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LabelTransfer:
     """Labels of N points, taken from a labelled cloud."""
 
@@ -92,7 +92,13 @@ def transfer_labels(points: Float, cloud: Float, labels: Labels) -> LabelTransfe
     is_unused = ~np.isin(place_of_cloud, point_places)
     distances = _nearest(cloud[is_unused], finite_points[first])
     unmatched = distances[distances > TOLERANCE_M]
-    return LabelTransfer(transferred, has_label, ambiguous, unmatched, len(cloud))
+    return LabelTransfer(
+        labels=transferred,
+        has_label=has_label,
+        ambiguous=ambiguous,
+        unmatched=unmatched,
+        cloud_points=len(cloud),
+    )
 
 
 def _places(points: Float) -> Indices:

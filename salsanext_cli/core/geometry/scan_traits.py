@@ -33,7 +33,7 @@ NUMBERS = slice(NODES + 2)  # The columns before
 DIGITS = 6
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ScanTraits:
     """Traits of the sensor in one scan, estimated from a sample of its points.
 
@@ -71,7 +71,12 @@ class ScanTraits:
         hats = np.eye(len(NODES_DEG))[:-1]
         below = [np.interp(elevations, NODES_DEG, hat).sum() * per_point for hat in hats]
         counts = tuple(round(float(count), 1) for count in below)
-        return cls(counts, round(len(sines) * per_point), round(bright, DIGITS), sensor)
+        return cls(
+            below=counts,
+            points=round(len(sines) * per_point),
+            bright=round(bright, DIGITS),
+            sensor=sensor,
+        )
 
     @property
     def compared(self) -> tuple[float, ...]:

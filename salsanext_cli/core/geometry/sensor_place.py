@@ -49,7 +49,7 @@ MIN_OFFSET_OF_BEAMS_M = 0.3  # The same if the beams show it; optical centres ar
 MAX_LEAN_DEG = 2.0  # Largest angle between ground normal and z axis that stays as it is
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SensorPlace:
     """Position and direction up of a sensor in the frame of a file."""
 
@@ -143,7 +143,7 @@ def origin_in_file(
     return tuple(rounded)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _View:
     """Frame with the ground at z = 0, and a position over it."""
 
@@ -165,7 +165,9 @@ class _View:
     @property
     def place(self) -> SensorPlace:
         """Place of the sensor, whose height is the usual one."""
-        return SensorPlace(_snapped(self.rotation[UPWARDS]), self.position, shows_beams=False)
+        return SensorPlace(
+            up=_snapped(self.rotation[UPWARDS]), position=self.position, shows_beams=False
+        )
 
 
 def _view_from(points: Double, start: Double, earlier: _View | None = None) -> _View | None:
@@ -200,7 +202,7 @@ def _view_over_ground(centred: Double, start: Double, sides: Sequence[Double]) -
         if objects > most:
             most = objects
             shift = np.array([0, 0, ground.height]) - rotation @ start
-            view = _View(rotation, shift, np.array([0, 0, USUAL_HEIGHT_M]))
+            view = _View(rotation=rotation, shift=shift, seen_from=np.array([0, 0, USUAL_HEIGHT_M]))
     return view
 
 
@@ -225,7 +227,7 @@ def _verified(view: _View, points: Double) -> SensorPlace | None:
     position = _origin_of_beams(view, place, points)
     if position is not None:
         axis = np.array([0.0, 0.0, np.sign(place.up[UPWARDS])])
-        return SensorPlace(axis, position, shows_beams=True)
+        return SensorPlace(up=axis, position=position, shows_beams=True)
     is_even = sectors.occupied >= MIN_ROUND and sectors.fullest <= MAX_CROWDED
     return place if is_even else None
 

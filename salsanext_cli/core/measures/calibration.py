@@ -14,7 +14,7 @@ POOLED_BINS = 15  # Number of bins of the pooled errors and of the diagram
 SCAN_BINS = 10  # Number of bins of the error of a single scan, as in Calib3D
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Reliability:
     """Reliability diagram: bin b of B contains the confidences above b/B up to (b + 1)/B."""
 
@@ -39,10 +39,12 @@ def reliability(counts: Counts, bin_count: int = POOLED_BINS) -> Reliability:
     points = np.add.reduceat(counts.sum(axis=0), starts)
     hits = np.add.reduceat(counts[0], starts)
     confidence = np.add.reduceat(counts.sum(axis=0) * values, starts)
-    return Reliability(points, ratio(confidence, points), ratio(hits, points))
+    return Reliability(
+        points=points, confidence=ratio(confidence, points), accuracy=ratio(hits, points)
+    )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrationScores:
     """Calibration of the probabilities of the points of some scans; NaN without points."""
 

@@ -47,7 +47,7 @@ COMMANDS: Mapping[Decision, tuple[str, str, str, object]] = {
 """Stage, folder, argument and its value that do what the advice says."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Level:
     """Least quality of labels for a decision."""
 
@@ -57,10 +57,10 @@ class Level:
 
 
 LEVELS = (
-    Level(Decision.USE, 0.85, 0.4),
-    Level(Decision.COARSE, 0.75, 0.65),
-    Level(Decision.LABEL_TEN, 0.6, 0.85),
-    Level(Decision.LABEL_FORTY, 0.0, 1.0),
+    Level(decision=Decision.USE, least_accuracy=0.85, most_doubtful=0.4),
+    Level(decision=Decision.COARSE, least_accuracy=0.75, most_doubtful=0.65),
+    Level(decision=Decision.LABEL_TEN, least_accuracy=0.6, most_doubtful=0.85),
+    Level(decision=Decision.LABEL_FORTY, least_accuracy=0.0, most_doubtful=1.0),
 )
 """From the best to the worst; the first whose two limits hold decides.
 
@@ -104,7 +104,7 @@ CODES = {
 """Warnings by the decision that they lead to, the gravest first."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Evidence:
     """Numbers about the labels of a run."""
 
@@ -136,7 +136,7 @@ class Evidence:
         return {name for names in self.deciding.values() for name in names}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
     """A decision and its reason in words."""
 
@@ -180,7 +180,7 @@ def verdict(evidence: Evidence) -> Verdict | None:
     """
     by_warnings = _decision_by_warnings(evidence)
     if by_warnings in (Decision.UNSUITED, Decision.CORRECT):
-        return Verdict(by_warnings, _warnings(evidence, by_warnings))
+        return Verdict(decision=by_warnings, reason=_warnings(evidence, by_warnings))
     reasons = _numbers(evidence)
     if by_warnings is not None:
         reasons.append(_warnings(evidence, by_warnings))
@@ -190,7 +190,7 @@ def verdict(evidence: Evidence) -> Verdict | None:
         return None
     is_known = evidence.accuracy is not None and by_warnings is None
     best = Decision.USE if is_known else Decision.LABEL_TEN
-    return Verdict(_level(evidence, best), ", and ".join(reasons))
+    return Verdict(decision=_level(evidence, best), reason=", and ".join(reasons))
 
 
 def _decision_by_warnings(evidence: Evidence) -> Decision | None:

@@ -18,7 +18,7 @@ WITHHELD_FOR = tuple(code for code in WarningCode if code.withholds_estimate)
 EDGE = 1e-6  # Mean confidences closer to 0 or 1 have no useful logit
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ExpectedAccuracy:
     """Estimated accuracy of some scans of a run, or the warnings that forbid an estimate."""
 
@@ -71,14 +71,16 @@ def expected_accuracy(
         withheld[code] &= confidences.keys()
     counts = {code: len(names) for code, names in sorted(withheld.items()) if names}
     if any(code in counts for code in OF_RUN):
-        return ExpectedAccuracy(None, None, 0, counts)
+        return ExpectedAccuracy(accuracy=None, interval=None, scans=0, withheld=counts)
     unlike = {name for names in withheld.values() for name in names}
     covered = [confidence for name, confidence in confidences.items() if name not in unlike]
     if not covered:
-        return ExpectedAccuracy(None, None, 0, counts)
+        return ExpectedAccuracy(accuracy=None, interval=None, scans=0, withheld=counts)
     # Rounded, since the order of the scans is that of the workers.
     mean = min(max(round(math.fsum(covered) / len(covered), 6), EDGE), 1 - EDGE)
     logit = line.slope * math.log(mean / (1 - mean)) + line.offset
     accuracy = (1 + math.tanh(logit / 2)) / 2  # The logistic function, without overflow
     interval = (round(max(accuracy - line.margin, 0), 4), round(min(accuracy + line.margin, 1), 4))
-    return ExpectedAccuracy(round(accuracy, 4), interval, len(covered), counts)
+    return ExpectedAccuracy(
+        accuracy=round(accuracy, 4), interval=interval, scans=len(covered), withheld=counts
+    )

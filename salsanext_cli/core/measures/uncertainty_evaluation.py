@@ -171,7 +171,7 @@ def _harmonic(numbers: Counts) -> Ratios:
     return np.where(numbers < SERIES_FROM, small[np.minimum(numbers, SERIES_FROM - 1)], series)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class AcceptedPoints:
     """Points whose uncertainty is below a threshold."""
 
@@ -215,7 +215,7 @@ def accepted_points(kind: str, histogram: Histogram) -> AcceptedPoints:
     risk_of_all = float(errors[-1] / reached[-1])
     held = np.flatnonzero(tied)
     if risk_of_all in (0, 1) or len(held) == 1:
-        return AcceptedPoints(kind, points, risk_of_all)
+        return AcceptedPoints(kind=kind, points=points, risk_of_all=risk_of_all)
     nearest = np.abs(100 * reached[held[:-1]] - PERCENT_ACCEPTED * points).argmin()
     last, following = held[nearest : nearest + 2]
     highest = highest_of_bins()

@@ -94,7 +94,7 @@ def compute_rows(rows: Float, layers: tuple[tuple[Float, Float], ...], last: Flo
         last[start : start + count] = before[0, :count]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ErrorModel:
     """Perceptron whose last value is the logit of the probability that a label is wrong."""
 
@@ -141,7 +141,12 @@ class ErrorModel:
         names = tuple(map(str, data["features"]))
         scores = dict(data["scores"])
         temperature = data.get("temperature")
-        return cls(names, layers, scores, temperature and valid_temperature(temperature))
+        return cls(
+            features=names,
+            layers=layers,
+            scores=scores,
+            temperature=temperature and valid_temperature(temperature),
+        )
 
 
 def _rounded(values: Float) -> Any:

@@ -212,7 +212,7 @@ def error_features(image: RangeImage, probabilities: Float, labels: TrainIds) ->
     return features
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _PixelFeatures:
     """Features of the nearest point of each of P = H · W pixels, with the label of its pixel."""
 
@@ -245,7 +245,7 @@ def _features_of_pixels(image: RangeImage, probabilities: Float) -> _PixelFeatur
     table[:, Feature.REGION_PROBABILITY] = region_means.reshape(-1)
     table[:, Feature.LOG_RANGE] = _log_range(image.channels[0]).reshape(-1)
     table[:, Feature.HEIGHT] = image.channels[3].reshape(-1)
-    return _PixelFeatures(classes.reshape(-1), table)
+    return _PixelFeatures(classes=classes.reshape(-1), table=table)
 
 
 def _log_range(metres: Float) -> Float:

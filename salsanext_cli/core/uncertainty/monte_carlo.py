@@ -42,7 +42,7 @@ class Uncertainty:
         return None if self.aleatoric is None else self.epistemic + self.aleatoric
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Estimate:
     """Mean and variance of the softmax under dropout, (C, H, W) float32, and the uncertainty.
 
@@ -95,7 +95,11 @@ def sample(network: Network, image: RangeImage, *, samples: int, seed: int) -> E
         entropy=total.astype(np.float32),
         mutual_information=information.astype(np.float32),
     )
-    return Estimate(mean.astype(np.float32), variance.astype(np.float32), uncertainty)
+    return Estimate(
+        probabilities=mean.astype(np.float32),
+        variance=variance.astype(np.float32),
+        uncertainty=uncertainty,
+    )
 
 
 def require_sampling(network: Network, samples: int) -> None:

@@ -57,7 +57,11 @@ def scan_of(
     intensity = np.zeros(len(points), np.float32) if name is None else numbers[name]
     fields = tuple(field for field in fields_beside([*numbers, *unread]) if field != name)
     scaled = normalised_intensity(intensity, intensity_scale)
-    return Scan(points, scaled, FileNotes(fields, missing_points, split_field(numbers)))
+    return Scan(
+        points,
+        scaled,
+        FileNotes(fields=fields, missing_points=missing_points, split=split_field(numbers)),
+    )
 
 
 def coordinates(columns: Columns, path: Path) -> Float:

@@ -48,7 +48,7 @@ CLASS_BITS = 0xFFFF
 EXPECTED_MAP = "a mapping of tool ids to names or raw ids of the label space, such as 3: car"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LabelledCloud:
     """Points that another program labelled, in any order."""
 
@@ -74,7 +74,7 @@ class LabelledCloud:
             problem = f"has {name} up to {largest}, probably classes of the ASPRS"
             hint = f"for raw ids, or with {argument('ids')}, add {setting('scalar', name)}"
             raise LabelError(path, problem, "raw ids of the label space", hint)
-        return cls(points, ids, name)
+        return cls(points=points, ids=ids, scalar=name)
 
 
 def _label_column(columns: Columns, scalar: str | None, path: Path) -> str:

@@ -28,7 +28,7 @@ VLAN = b"\x81\x00"
 UDP = 17
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class UdpPacket:
     """Packet of a capture."""
 
@@ -110,4 +110,12 @@ def _udp_of(data: bytes, place: int, link: int, time_ns: int) -> UdpPacket | Non
         return None
     source_port, port, length, _ = struct.unpack_from(">HHHH", data, begin)
     payload = data[begin + 8 : begin + max(length, 8)]
-    return UdpPacket(time_ns, source, source_port, port, place + begin + 8, length - 8, payload)
+    return UdpPacket(
+        time_ns=time_ns,
+        source=source,
+        source_port=source_port,
+        port=port,
+        offset=place + begin + 8,
+        size=length - 8,
+        payload=payload,
+    )

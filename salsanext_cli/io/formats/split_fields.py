@@ -34,7 +34,9 @@ def _splits(columns: Mapping[str, npt.NDArray[Any]]) -> Iterator[FieldSplit]:
         count = _count(values) if FieldName.parsed(field).plain in TIMES else 0
         if count > 1:
             # A scan has one time, or each of its points has another.
-            yield FieldSplit(field, "scan" if count <= MAX_SCANS else "time", count)
+            yield FieldSplit(
+                field=field, kind="scan" if count <= MAX_SCANS else "time", count=count
+            )
 
 
 def _numbered_splits(
@@ -45,7 +47,7 @@ def _numbered_splits(
     for field, values in columns.items():
         count = _count(values) if FieldName.parsed(field).plain in numbered else 0
         if 1 < count <= most:
-            yield FieldSplit(field, kind, count)
+            yield FieldSplit(field=field, kind=kind, count=count)
 
 
 def _count(values: npt.NDArray[Any]) -> int:

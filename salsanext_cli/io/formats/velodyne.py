@@ -32,7 +32,7 @@ PROBED_PACKETS = 5  # Of a sensor, whose last bytes show whether it is an HDL-64
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Revolution:
     """Packets of a revolution of a sensor."""
 
@@ -135,7 +135,7 @@ def _revolutions(path: Path) -> dict[tuple[bytes, int], list[Revolution]]:
         azimuths[sensor] = azimuth
         revolutions = by_sensor.setdefault(sensor, [])
         if not revolutions or fall > REVOLUTION_ENDS_DEG * AZIMUTHS_PER_DEG:
-            revolutions.append(Revolution(packet.time_ns))
+            revolutions.append(Revolution(time_ns=packet.time_ns))
         revolutions[-1].azimuths.append(azimuth)
         revolutions[-1].times_s.append(packet.time_ns / 1e9)
         revolutions[-1].offsets.append(packet.offset)

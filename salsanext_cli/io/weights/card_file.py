@@ -86,7 +86,7 @@ def weights_title(card: WeightsCard, path: Path) -> str:
     return f"default weights ({summary})"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class DescribedWeights:
     """Card of a weights file, and its size and digest."""
 

@@ -32,7 +32,7 @@ class Fact:
     rest: str  # Further sentences, which are folded; empty without any
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Served:
     """Server of a live page."""
 

@@ -49,7 +49,7 @@ UNCERTAIN = (*dict.fromkeys(("error", *MEANT_BY_UNCERTAINTY, *UNCERTAINTY)),)
 SCALARS = (*UNCERTAIN, "range", "intensity")  # Values with a scale
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ShownScan:
     """Scan to show point by point."""
 
@@ -82,7 +82,7 @@ def read_boxes(path: Path, space: LabelSpace) -> list[list[float]]:
     return boxes
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Comparison:
     """Comparison of predicted labels with the labels of the data set."""
 
@@ -115,7 +115,7 @@ class RunResults:
             softmax = read_softmax(path, all_points, space, reader.merging)
             results.uncertainty["least_confidence"] = lack_of_confidence(softmax)
         boxes = read_boxes(output_path(reader.out, file.sequence, "objects", file.stem), space)
-        return ShownScan(row.file.name, reason, results, boxes)
+        return ShownScan(name=row.file.name, reason=reason, results=results, boxes=boxes)
 
     def compared(self) -> Comparison | None:
         """Divide the counts; None without labels."""
@@ -131,7 +131,13 @@ class RunResults:
         sentences = list(labels.sentences) if labels else []
         if self.guarantee:
             sentences.append(self.guarantee.sentence)
-        return Comparison(counts, scores(counts.confusion, space), uncertainty, labels, sentences)
+        return Comparison(
+            counts=counts,
+            scores=scores(counts.confusion, space),
+            uncertainty=uncertainty,
+            accepted=labels,
+            sentences=sentences,
+        )
 
     @property
     def guarantee(self) -> RiskBoundCheck | None:

@@ -23,7 +23,7 @@ from salsanext_cli.runs.results.scan_results import read_kind
 from salsanext_cli.runs.summary.comparison import ScanComparison
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PointErrors:
     """Probability of error over the points with a label, also if it was rejected since."""
 
@@ -60,7 +60,7 @@ class PointErrors:
         return self.doubtful / self.points if self.points else None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Rejection:
     """Points whose label was rejected, among those that had one."""
 
@@ -69,7 +69,7 @@ class Rejection:
 
     def __add__(self, other: Rejection) -> Rejection:
         """Return the sums over the points of both."""
-        return Rejection(self.points + other.points, self.rejected + other.rejected)
+        return Rejection(points=self.points + other.points, rejected=self.rejected + other.rejected)
 
     @property
     def share(self) -> float:
@@ -77,7 +77,7 @@ class Rejection:
         return self.rejected / max(self.points, 1)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ScanRow:
     """One scan in numbers."""
 
@@ -162,4 +162,6 @@ def _rejected(out: Path, values: dict[str, Float]) -> Rejection:
     if uncertainty is None:
         return Rejection()
     points = int(np.count_nonzero(~np.isnan(uncertainty)))
-    return Rejection(points, int(np.count_nonzero(uncertainty > np.float32(settings.reject))))
+    return Rejection(
+        points=points, rejected=int(np.count_nonzero(uncertainty > np.float32(settings.reject)))
+    )

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Range images that `project` wrote into an output folder, and their sensor."""
 
+from collections.abc import Sequence
 from dataclasses import replace
-from itertools import starmap
 from pathlib import Path
 
 from salsanext_cli.core.errors import UsageError
@@ -36,12 +36,22 @@ def sensor_of_images(folder: Path, projected: Sensor | None, fitted: Sensor) -> 
         for member in fitted.members
     ]
     images = [replace(other, means=fitted.means, stds=fitted.stds) for other in projected.members]
-    pairs = ((a.view(), b.view()) for a, b in zip(images, fits, strict=False))
-    counts = ({"sensors": len(images)}, {"sensors": len(fits)})
-    if changed := next(filter(None, starmap(differences, (counts, *pairs))), ""):
+    changed = _change(images, fits)
+    if changed:
         size = f"{projected.height}×{projected.width}"
         problem = f"has range images of {projected.name}, {size}: {changed}"
         expected = f"the sensor of the weights or of {argument('sensor')}"
         hint = f"project again, or pass {argument('sensor', 'width')} of `project`"
         raise UsageError(folder, problem, expected, hint)
     return replace(fits[0], others=tuple(fits[1:]))
+
+
+def _change(projected: Sequence[Sensor], fitted: Sequence[Sensor]) -> str:
+    """Return how the number or the geometry of fitted sensors differs, "" if it does not."""
+    if len(projected) != len(fitted):
+        return differences({"sensors": len(projected)}, {"sensors": len(fitted)})
+    for before, now in zip(projected, fitted, strict=True):
+        changed = differences(before.view(), now.view())
+        if changed:
+            return changed
+    return ""

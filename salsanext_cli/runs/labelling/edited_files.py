@@ -134,7 +134,13 @@ def read_edited(
         raise LabelError(path, f"has unknown label ids {listed}", meanings.described(), hint)
     raw = meanings.to_raw(cloud.ids)
     every = np.ones(len(points), bool)
-    transfer = LabelTransfer(raw, every, ~every, np.empty(0), len(points))
+    transfer = LabelTransfer(
+        labels=raw,
+        has_label=every,
+        ambiguous=~every,
+        unmatched=np.empty(0),
+        cloud_points=len(points),
+    )
     if has_points:
         transfer = transfer_labels(points, cloud.points, raw)
         _require_same_scan(path, transfer)
@@ -168,7 +174,7 @@ def _labels_in_order(path: Path, points: Float) -> LabelledCloud:
             raise LabelError(path, problem, f"{expected}, one per point of the scan", hint)
     else:
         values = read_labels(path, len(points))
-    return LabelledCloud(points, whole_numbers(values, path, "label"), "labels")
+    return LabelledCloud(points=points, ids=whole_numbers(values, path, "label"), scalar="labels")
 
 
 def _require_same_scan(path: Path, transfer: LabelTransfer) -> None:

@@ -64,7 +64,7 @@ class FailedImport:
     code: str  # Of the error
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LabelOrigin:
     """Origin of the labels in a label file, from the record of imports."""
 
@@ -169,7 +169,7 @@ class LabelRecords:
         digest = hashlib.sha256(content).hexdigest()
         line = json.dumps({"sha256": digest, "version": __version__, **plain(imported)})
         append_line(self.owned.root / IMPORTED[1], line.encode(), durable=True)
-        self._imported[scan.name] = LabelOrigin(digest, imported.files)
+        self._imported[scan.name] = LabelOrigin(sha256=digest, files=imported.files)
         self.owned.write(scan.label_path, content, durable=True)
 
 

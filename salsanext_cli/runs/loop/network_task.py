@@ -54,11 +54,13 @@ def network_pipeline(
 ) -> Pipeline[Prepared, Computed, Result]:
     """Return the pipeline of a job: one scan at a time on a CPU, a batch on a GPU."""
     if network.device == "cpu":
-        return Pipeline(job, BatchSize(batch or 1, "scans"))
+        return Pipeline(job=job, batch=BatchSize(batch or 1, "scans"))
     pixels = network.sensor.height * network.sensor.width
     default = max(1, min(MAX_BATCH_SCANS, MAX_BATCH_PIXELS // pixels))
     readers = min(MAX_READERS, thread_count())
-    return Pipeline(job, BatchSize(batch or default, "scans"), readers, network.device)
+    return Pipeline(
+        job=job, batch=BatchSize(batch or default, "scans"), readers=readers, device=network.device
+    )
 
 
 def _loaded(settings: NetworkSettings) -> Network:

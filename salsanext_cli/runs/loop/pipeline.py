@@ -27,7 +27,7 @@ AttemptFunction = Callable[[Iterable[ScanFile], Report], Generator[Attempt[Any],
 """Work on scans as `Pipeline.run`."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Pipeline(Generic[Prepared, Computed, Result]):
     """Job on scans, and how its steps overlap.
 
@@ -171,7 +171,7 @@ def attempt(file: ScanFile, function: Callable[..., Value], *arguments: Any) -> 
 def opened(task: Task) -> AttemptFunction:
     """Open a task, and return a function that works on the scans of a chunk."""
     work = task.open() if isinstance(task, OpenableTask) else task
-    work = Pipeline(work) if isinstance(work, ScanJob) else work
+    work = Pipeline(job=work) if isinstance(work, ScanJob) else work
     if isinstance(work, Pipeline):
         return work.run
 

@@ -58,7 +58,7 @@ class WorkerProcess:
     spelling: wording.Spelling  # Of arguments in messages
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class AttemptedChunk:
     """Attempts of a chunk, and its number."""
 
@@ -179,7 +179,7 @@ def attempt_chunk(
         done.append(attempt)
         if stop and attempt.error:
             break
-    return AttemptedChunk(number, done)
+    return AttemptedChunk(number=number, attempts=done)
 
 
 @contextmanager

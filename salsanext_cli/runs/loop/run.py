@@ -84,7 +84,7 @@ class Outcome:
         return self.done + self.skipped > 0
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class RunningCount:
     """Attempts of a run so far."""
 
@@ -140,7 +140,9 @@ def run_over_scans(
     start = time.monotonic()
     scans_of_shard = options.shard.select(scans)
     todo = [scan for scan in scans_of_shard if options.overwrite or not is_done(scan)]
-    count = RunningCount(options, len(todo), summary.add if summary else on_result)
+    count = RunningCount(
+        options=options, scans=len(todo), on_result=summary.add if summary else on_result
+    )
     try:
         if todo:
             with closing(_attempts(task, todo, options, count.add)) as attempts:

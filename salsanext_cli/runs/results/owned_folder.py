@@ -40,7 +40,7 @@ Texts = tuple[str, str, str]  # Code, message and hint of a warning
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Findings:
     """Warnings about the scans of all runs of a stage."""
 
@@ -202,7 +202,7 @@ class OwnedFolder:
             earlier = {name: t for name, t in self.findings().items() if name not in checked}
             if present(self._findings_path) or findings:
                 scans = earlier | {name: sorted(texts) for name, texts in findings.items()}
-                record = _Findings(self.stage, dict(sorted(scans.items())))
+                record = _Findings(stage=self.stage, scans=dict(sorted(scans.items())))
                 write_json(self._findings_path, record)
         return earlier
 

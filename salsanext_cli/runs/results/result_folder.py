@@ -382,7 +382,7 @@ def _missing(
         return not recorded or any(scan.stem in source.suffixes for source in recorded)
 
     missing = tuple(scan for scan in listed if is_asked_for(scan))
-    return MissingResults(missing, len(listed) - len(missing))
+    return MissingResults(scans=missing, not_asked_for=len(listed) - len(missing))
 
 
 def _recorded_scans(sequence: str, folder: Path, source: ScanSource) -> list[ScanFile]:

@@ -37,7 +37,7 @@ log = logging.getLogger(__name__)
 Item = TypeVar("Item")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class MissingResults:
     """Scans without results."""
 

@@ -31,7 +31,8 @@ class Builder:
     """Street under construction; ``parts`` are its objects in world coordinates."""
 
     def __init__(self, rng: Rng, plan: Plan) -> None:
-        self.rng, self.plan = rng, plan
+        self.rng = rng
+        self.plan = plan
         self.parts: list[Mesh] = []
         self._models: dict[Callable[[Rng], Mesh], list[Mesh]] = {}
         self._taken: list[tuple[float, float, float]] = []

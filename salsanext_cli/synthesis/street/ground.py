@@ -30,7 +30,7 @@ GRASS_HEIGHTS_M = (0.1, 0.9)
 SOIL_SHARE = 0.35  # Share of the streets with patches of bare soil
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Cells:
     """Middles of the cells of the ground, (S, T) each."""
 
@@ -48,7 +48,7 @@ def ground(rng: Rng, plan: Plan) -> Mesh:
     unevenness = np.where(is_terrain, rng.choice(UNEVEN_M), PAVED_UNEVEN_M)
     vertices[..., 2] += unevenness * rng.standard_normal(grid_s.shape)
     middle_s, middle_t = np.meshgrid((s[:-1] + s[1:]) / 2, (t[:-1] + t[1:]) / 2, indexing="ij")
-    cells = Cells(middle_s, middle_t, plan.label(middle_s, middle_t))
+    cells = Cells(s=middle_s, t=middle_t, labels=plan.label(middle_s, middle_t))
     grass = high_grass(rng, plan, cells)
     lift = _at_vertices(grass)
     vertices[..., 2] += lift * np.exp(rng.normal(0, LUMPY, lift.shape))

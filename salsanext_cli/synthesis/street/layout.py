@@ -85,12 +85,12 @@ def _median(
     if kind < style.median:
         half_width = rng.uniform(3.0, 8.0) if wide else rng.uniform(0.4, 3.0)
         spans = tuple(_between_crossings(rng, crossings, length))
-        return Median(half_width, spans, ground, height)
+        return Median(half=half_width, spans=spans, ground=ground, height=height)
     if kind < style.median + style.traffic_islands and half > WIDE_ENOUGH_M:
         half_width = rng.uniform(0.6, max(0.7, min(1.6, half - LANE_AND_A_HALF_M)))
         spans = tuple(_short_spans(rng, crossings, length))
-        return Median(half_width, spans, ground, max(height, 0.05))
-    return Median(0.0, (), ground, 0.0)
+        return Median(half=half_width, spans=spans, ground=ground, height=max(height, 0.05))
+    return Median(half=0.0, spans=(), ground=ground, height=0.0)
 
 
 def _between_crossings(
@@ -196,13 +196,13 @@ def _side(
     strip = presets.OTHER_GROUND if rng.random() < style.gravel else presets.TERRAIN
     border = rng.uniform(0.4, 6.0) if rng.random() < style.border else 0.0
     border_ground = presets.OTHER_GROUND if rng.random() < style.gravel else presets.TERRAIN
-    bank = Bank(rng.uniform(-0.6, 1) * style.bank, 0.5, 14.0)
+    bank = Bank(slope=rng.uniform(-0.6, 1) * style.bank, start=0.5, width=14.0)
     ditch = _ditch(rng, style)
     kinds = style.lots
     if rng.random() < style.embankment:
         steep = rng.uniform(0.35, 0.9) * rng.choice([1, 1, 1, -1])
-        bank = Bank(steep, rng.uniform(0.2, 8), rng.uniform(2.5, 10))
-        ditch = Ditch(0.0, 0.0, 0.0)
+        bank = Bank(slope=steep, start=rng.uniform(0.2, 8), width=rng.uniform(2.5, 10))
+        ditch = Ditch(start=0.0, width=0.0, depth=0.0)
         kinds = {kind: share for kind, share in kinds.items() if kind in GREEN} or {"scrub": 1}
     lots: list[Lot] = []
     position = 0.0
@@ -231,9 +231,9 @@ def _side(
 
 def _ditch(rng: Rng, style: Numbers) -> Ditch:
     if rng.random() >= style.ditch:
-        return Ditch(0.0, 0.0, 0.0)
+        return Ditch(start=0.0, width=0.0, depth=0.0)
     width = rng.uniform(1.5, 4.0)
-    return Ditch(rng.uniform(0.1, 1.5), width, rng.uniform(0.15, 0.3) * width)
+    return Ditch(start=rng.uniform(0.1, 1.5), width=width, depth=rng.uniform(0.15, 0.3) * width)
 
 
 def _islands(rng: Rng, length: float) -> Iterator[tuple[float, float]]:
@@ -292,4 +292,6 @@ def _lot(rng: Rng, kind: str, start: float, end: float, setback: float) -> Lot:
         if rng.random() < 0.4:  # A path across it
             path = rng.uniform(start, max(start, end - 3))
             drive = (path, path + rng.uniform(1.2, 3))
-    return Lot(kind, start, end, setback, front, back, drive)
+    return Lot(
+        kind=kind, start=start, end=end, setback=setback, front=front, back=back, drive=drive
+    )

@@ -29,7 +29,7 @@ CORNER_LINES_M = np.concatenate([np.arange(0.15, 4.1, 0.15), np.arange(4.5, 10.1
 LOWERED_M = 1.0  # Distance from a rounded corner at which a lowered kerb begins to rise
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Lot:
     """A plot beside the street, from ``start`` to ``end`` along s."""
 
@@ -59,7 +59,7 @@ class Crossing:
     lawn_gap: float = 0.0  # Distance of this grass from either kerb
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Bank:
     """Slope of the ground beside the street, up or down, between two levels."""
 
@@ -68,7 +68,7 @@ class Bank:
     width: float  # From foot to top
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Ditch:
     """Channel along the street that drains it."""
 
@@ -82,7 +82,7 @@ class Ditch:
         return -self.depth * (1 - np.cos(2 * np.pi * share)) / 2
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Median:
     """Raised or flush ground between the directions of traffic: a strip, or islands."""
 

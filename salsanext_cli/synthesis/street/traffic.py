@@ -17,7 +17,7 @@ HALF_CAR_M = 2.4
 CLEAR_M = 5.0  # Smallest distance along the street of people in the path of the sensor
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Mover:
     """Object with a constant velocity along and across the street."""
 
@@ -52,16 +52,16 @@ def _vehicles(builder: Builder, speed: float, duration: float) -> Iterator[Mover
     drive = speed * duration
     for start, end in ((ahead, plan.length + drive), (-behind, -drive)):
         for s, mesh in _in_a_row(builder, RUN_OUT_M + start, end, 10):
-            yield Mover(mesh, s, -outer, speed)
+            yield Mover(mesh=mesh, start=s, t=-outer, speed=speed)
     for t in others:
         pace = speed * builder.between(0.9, 1.3)
         for s, mesh in _in_a_row(builder, -pace * duration, plan.length, 10):
-            yield Mover(mesh, s, -t, pace)
+            yield Mover(mesh=mesh, start=s, t=-t, speed=pace)
     for t in (*others, outer):
         pace = speed * builder.between(0.5, 1.2)
         end = plan.length + pace * duration
         for s, mesh in _in_a_row(builder, builder.between(0, 40), end, 11):
-            yield Mover(mesh, s, t, -pace)
+            yield Mover(mesh=mesh, start=s, t=t, speed=-pace)
 
 
 def lanes(edge: float, start: float = 0.0) -> list[float]:
@@ -115,7 +115,7 @@ def _walkers(builder: Builder, duration: float) -> Iterator[Mover]:
             for _ in range(int(builder.rng.choice([1, 1, 2, 2, 3, 4]))):
                 t = side.sign * (plan.half + out + builder.rng.normal(0, 0.35))
                 place = s + builder.rng.normal(0, 0.6)
-                yield Mover(_object(builder, pedestrians.walker), place, t, pace)
+                yield Mover(mesh=_object(builder, pedestrians.walker), start=place, t=t, speed=pace)
 
 
 def _riders(builder: Builder, speed: float, duration: float) -> Iterator[Mover]:
@@ -130,7 +130,7 @@ def _riders(builder: Builder, speed: float, duration: float) -> Iterator[Mover]:
         t = sign * max(2.3, plan.half + builder.between(-0.9, 0.9))
         is_bicyclist = builder.chance(0.55)
         make = riders.riding_bicyclist if is_bicyclist else riders.riding_motorcyclist
-        yield Mover(_object(builder, make), float(s), t, pace)
+        yield Mover(mesh=_object(builder, make), start=float(s), t=t, speed=pace)
 
 
 def _crossers(builder: Builder, speed: float, duration: float) -> Iterator[Mover]:
@@ -150,7 +150,9 @@ def _crossers(builder: Builder, speed: float, duration: float) -> Iterator[Mover
             t = -across * middle + builder.rng.normal(0, 1.0)
             if _is_clear(plan, place, t, across, speed):
                 mesh = _object(builder, pedestrians.walker)
-                yield Mover(mesh, float(place), float(t), 0.0, float(across))
+                yield Mover(
+                    mesh=mesh, start=float(place), t=float(t), speed=0.0, across=float(across)
+                )
 
 
 def _is_clear(plan: Plan, s: float, t: float, across: float, speed: float) -> bool:

@@ -11,7 +11,9 @@ from salsanext_cli.synthesis.things.vehicles import length_of
 
 OPEN = ("court", "site", "field", "meadow", "green", "carpark", "forecourt", "lawn", "yard")
 """Kinds of lot whose front has no house."""
-NEAREST_M, FARTHEST_M = 0.4, 22.0  # Of the nearest edge of a vehicle, from the pavement
+NEAREST_M = 0.4
+FARTHEST_M = 22.0
+"""Least and largest distance of the nearest edge of a vehicle from the pavement."""
 
 
 def furnish(builder: Builder, side: Side) -> None:

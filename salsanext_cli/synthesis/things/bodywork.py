@@ -30,7 +30,8 @@ def shell(body: Numbers, paint: Skin, stretch: Array) -> Mesh:
     windows = np.zeros((len(x) - 1, y.shape[1]), bool)
     windows[np.ix_(body.cabin, (2, 4))] = windows[np.ix_(body.screens, (2, 3, 4))] = True
     glass = np.tile(windows.ravel(), 2)
-    skin.materials[glass], skin.shades[glass] = Material.GLASS, 0.8
+    skin.materials[glass] = Material.GLASS
+    skin.shades[glass] = 0.8
     return merge([skin, faces(sections[[0, -1]], paint)]).scaled(stretch)
 
 

@@ -43,7 +43,7 @@ GESTURE_SHARES = {
 STANCE_SHARES = {"walking": 3.0, "standing": 4.0, "sitting": 1.0, "crouching": 1.2, "bending": 1.2}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Stance:
     """Position of hips and legs of a person 1 m tall; rows are the left and the right leg."""
 
@@ -67,17 +67,17 @@ def draw_stance(rng: Rng, name: str) -> Stance:
     if name == "sitting":
         knees = np.stack([[0.26, 0.26], aside * 1.2, [SEAT, SEAT]], -1)
         feet = np.stack([rng.uniform(0.2, 0.36, 2), aside * 1.2, [0.02, 0.02]], -1)
-        return Stance(SEAT, rng.uniform(-0.15, 0.35), knees, feet)
+        return Stance(hips=SEAT, lean=rng.uniform(-0.15, 0.35), knees=knees, feet=feet)
     hips = rng.uniform(0.14, 0.26)
     knees = np.stack([[0.2, 0.12], aside * 1.6, [hips + 0.1, rng.uniform(0.05, hips)]], -1)
     feet = np.stack([[0.06, -0.06], aside * 1.6, [0.03, 0.03]], -1)
-    return Stance(hips, rng.uniform(0.1, 0.8), knees, feet)
+    return Stance(hips=hips, lean=rng.uniform(0.1, 0.8), knees=knees, feet=feet)
 
 
 def _upright(ahead: Array, aside: Array, lean: float) -> Stance:
     knees = np.stack([ahead * 0.5 + 0.03, aside, [0.28, 0.28]], -1)
     feet = np.stack([ahead, aside, [0.03, 0.03]], -1)
-    return Stance(HIP, lean, knees, feet)
+    return Stance(hips=HIP, lean=lean, knees=knees, feet=feet)
 
 
 def limb(start: Array, joint: Array, end: Array, radii: tuple[float, float], skin: Skin) -> Mesh:
@@ -99,9 +99,12 @@ def figure(rng: Rng, stance: Stance, gestures: tuple[str, str], label: int = PER
         upper.append(_arm(rng, side, gesture, -side * swing, girth, top))
     trunk = merge(upper)
     turned = Mesh(
-        trunk.vertices @ rotation("y", stance.lean).T + [0, 0, stance.hips],
-        trunk.triangles, trunk.labels, trunk.materials, trunk.shades,
-    )  # fmt: skip
+        vertices=trunk.vertices @ rotation("y", stance.lean).T + [0, 0, stance.hips],
+        triangles=trunk.triangles,
+        labels=trunk.labels,
+        materials=trunk.materials,
+        shades=trunk.shades,
+    )
     parts = [turned, *_legs(stance, bottom, label)]
     if stance.hips == HIP and rng.random() < COAT_SHARE:
         skirt = [[0, 0, 0.3], [0, 0, HIP + 0.04]]

@@ -45,7 +45,7 @@ Sample = tuple[Float, TrainIds]  # Normalised image (5, H, W), targets (H, W)
 Batch = tuple[Tensor, Tensor]  # Normalised images (B, 5, H, W) float32, targets (B, H, W) uint8
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SamplingPlan:
     """Batches of the whole training, each a list of sample keys.
 
@@ -117,7 +117,9 @@ class Samples(Dataset[Sample]):
     @property
     def plan(self) -> SamplingPlan:
         """Order of the samples in the whole training."""
-        return SamplingPlan([len(source.files) for source in self.sources], self.recipe)
+        return SamplingPlan(
+            scan_counts=[len(source.files) for source in self.sources], recipe=self.recipe
+        )
 
     def scan_at(self, index: int) -> tuple[Source, ScanFile]:
         """Return the data set and file of a scan; indices continue over all data sets."""

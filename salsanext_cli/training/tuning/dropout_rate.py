@@ -44,7 +44,7 @@ class DropoutFit:
     points: int
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ScanObjectives:
     """Sums of the objectives of a scan's points."""
 
@@ -137,7 +137,7 @@ def _objectives_of(
         probabilities = scan.point_values(sampled.probabilities)
         values.append(objective(probabilities, variance, scan.truth))
     log.info("%s: %d points", scan.file.name, len(scan.truth))
-    return ScanObjectives(values, len(scan.truth))
+    return ScanObjectives(sums=values, points=len(scan.truth))
 
 
 def _gains(files: Sequence[ScanFile], sums: Double, before: int) -> bool:

@@ -88,7 +88,7 @@ class ErrorFit:
         return {**self.scores(), "changed": self.changed}
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class FittedErrorModel:
     """Error model of all scans, with the scores of models that lack a fold of them."""
 
@@ -212,7 +212,7 @@ def cross_validated(
         held_out=_scores_held_out(judged, folds, start),
     )
     model = replace(fit_error(every, start, len(sequences)), scores=report.scores())
-    return FittedErrorModel(model, report)
+    return FittedErrorModel(model=model, report=report)
 
 
 def _scores_held_out(

@@ -36,7 +36,7 @@ class JudgedPoints:
     several: float = 0.0  # Share of skipped points, whose label is of several classes
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class FeatureScale:
     """Mean and spread of the features of points, by which they are standardised."""
 
@@ -51,7 +51,7 @@ class FeatureScale:
         """
         spread = np.maximum(features.std(axis=0), MIN_SPREAD)
         spread[HEIGHT] = np.inf
-        return cls(features.mean(axis=0), spread)
+        return cls(mean=features.mean(axis=0), spread=spread)
 
     def standardised(self, features: Float) -> Float:
         """Return standardised features (M, F)."""
@@ -101,7 +101,7 @@ def fit_error(
     first, *others = [
         (layer.weight.detach().numpy().T.copy(), layer.bias.detach().numpy()) for layer in linear
     ]
-    return ErrorModel(FEATURES, [scale.from_standardised(first), *others])
+    return ErrorModel(features=FEATURES, layers=[scale.from_standardised(first), *others])
 
 
 def _initial_layers(start: ErrorModel | None, scale: FeatureScale) -> list[nn.Linear]:

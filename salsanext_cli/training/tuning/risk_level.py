@@ -23,7 +23,7 @@ class TooFewScansError(TrainingError):
     """A level cannot be guaranteed by so few scans or drives."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RiskLevel:
     """Limit of the share of accepted and wrong points."""
 

@@ -30,7 +30,7 @@ from salsanext_cli.runs.results.selection import (
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class UnseenScans:
     """Scans that the weights were not trained on, in order, and the number of skipped ones."""
 
@@ -94,4 +94,4 @@ def unseen(
         raise TrainingError(source, f"every labelled scan is skipped: {reason}", hint=hint)
     if skipped:
         log.warning("%s skipped: %s", counted(skipped, "scan"), reason)
-    return UnseenScans([scan for scan in scans if scan in accepted], skipped)
+    return UnseenScans(files=[scan for scan in scans if scan in accepted], skipped=skipped)

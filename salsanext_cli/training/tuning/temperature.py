@@ -52,7 +52,7 @@ class TemperatureFit:
     points: int
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PointLogits:
     """Logits of M points, and their truth."""
 
@@ -65,14 +65,14 @@ class PointLogits:
         members = list(scans)
         logits = torch.cat([points.logits for points in members])
         truth = torch.cat([points.truth for points in members])
-        return cls(logits, truth)
+        return cls(logits=logits, truth=truth)
 
     def best_temperature(self) -> float:
         """Return the temperature with the least negative log-likelihood, as the function does."""
         return best_temperature(self.logits, self.truth)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class TemperedPoints:
     """Points, and the temperature that divides their logits."""
 
@@ -120,8 +120,10 @@ def fit_temperature(scans: TuningScans) -> Tuned[TemperatureFit]:
     folds = _tempered_folds(points_by_scan)
     if not folds:
         log.warning("1 scan: not cross-validated")
-    before = _scores([TemperedPoints(points, card.temperature)], card.temperature)
-    after = _scores(folds or [TemperedPoints(points, temperature)], temperature)
+    before = _scores(
+        [TemperedPoints(points=points, temperature=card.temperature)], card.temperature
+    )
+    after = _scores(folds or [TemperedPoints(points=points, temperature=temperature)], temperature)
     # Scores of the scan of the fit do not show a gain.
     changed = after.nll < before.nll if folds else card.temperature == 1
     report = TemperatureFit(
@@ -148,7 +150,7 @@ def _tempered_folds(points_by_scan: Mapping[ScanFile, PointLogits]) -> list[Temp
     for others, fold in held_out(files):
         best = PointLogits.joined(points_by_scan[file] for file in others).best_temperature()
         points = PointLogits.joined(points_by_scan[file] for file in fold)
-        folds.append(TemperedPoints(points, min(max(best, lowest), highest)))
+        folds.append(TemperedPoints(points=points, temperature=min(max(best, lowest), highest)))
     return folds
 
 

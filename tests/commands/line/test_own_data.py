@@ -172,7 +172,7 @@ def test_the_scale_of_the_uncertainties_is_that_of_the_scans_and_the_classes():
     text = scale_text(UncertaintyScale(least=0.00123, median=0.0025, most=0.01, class_count=20))
     assert "0.0012 to 0.0100 nats, median 0.0025" in text
     assert f"{math.log(20):.2f}" in text
-    labels = PickedLabels(Path("new/predicted"), (), None, None)
+    labels = PickedLabels(folder=Path("new/predicted"), failures=(), accuracy=None, verdict=None)
     outcome = Outcome(skipped=0, done=1, failures=())
     for most, distance, printed in (
         (0.01, 0.5, {"uncertainty", "distance"}),

@@ -22,7 +22,9 @@ def world(tmp_path, monkeypatch):
     world.add("000000", [CAR, ROAD], [CAR, CAR])
 
     def demo(*_, **__):
-        return Demonstration(world.evaluate(), (), world.out / "report.html", ())
+        return Demonstration(
+            evaluation=world.evaluate(), pictures=(), page=world.out / "report.html", failures=()
+        )
 
     monkeypatch.setattr("salsanext_cli.commands.stages.demo.demo", demo)
     return world

@@ -27,7 +27,9 @@ from salsanext_cli.io.weights.weights import save_weights, save_with_card
 from salsanext_cli.runs.results.paths import ERROR, find_scans
 from salsanext_cli.training.recipe import Recipe
 
-MODEL = ErrorModel(FEATURES, [(np.full((9, 1), 0.1, "f4"), np.zeros(1, "f4"))], {"folds": 5})
+MODEL = ErrorModel(
+    features=FEATURES, layers=[(np.full((9, 1), 0.1, "f4"), np.zeros(1, "f4"))], scores={"folds": 5}
+)
 LINE = AccuracyLine(slope=1.25, offset=0.5, deviation=0.04)
 ONCE = Recipe(epochs=1, batch=2, crop_width=32, learning_rate=1e-3, average=0.5)
 

@@ -92,7 +92,7 @@ def of_folder(world, folder):
 def test_the_choice_follows_from_the_descriptions(drive):
     network = drive.network.load()
     scans = find_scans(drive.data)
-    described = [*Pipeline(DescribeJob(network, **PASSES)).results(scans)]
+    described = [*Pipeline(job=DescribeJob(network=network, **PASSES)).results(scans)]
     features = [each.features for each in described]
     doubt = [each.uncertainty for each in described]
     found = run(drive)

@@ -25,7 +25,7 @@ from salsanext_cli.io.weights.weights import save_with_card
 def ranged_weights(housed, tmp_path) -> Path:
     """Return weights of which the error of a label grows with the range of its point."""
     slopes = np.array([[4.0 if name == "log range" else 0.0] for name in FEATURES], np.float32)
-    model = ErrorModel(FEATURES, [(slopes, np.array([-12.0], np.float32))])
+    model = ErrorModel(features=FEATURES, layers=[(slopes, np.array([-12.0], np.float32))])
     target = tmp_path / "ranged.safetensors"
     source = housed.network.weights
     save_with_card(source, target, replace(read_card(source), error=model))

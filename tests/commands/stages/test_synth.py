@@ -100,7 +100,12 @@ def quick(monkeypatch):
     def record(seed, sequence, scans, spacing, make_rig):
         scan = Scan(np.full((3, 3), seed, np.float32), np.zeros(3, np.float32))
         for index in range(scans):
-            yield Frame(scan, np.array([40, 40, 10], np.uint32), np.eye(4), index * spacing)
+            yield Frame(
+                scan=scan,
+                labels=np.array([40, 40, 10], np.uint32),
+                pose=np.eye(4),
+                time=index * spacing,
+            )
 
     monkeypatch.setattr(synth, "record", record)
 

@@ -139,7 +139,7 @@ def test_reading_many_scans_is_reported_from_time_to_time(dataset, tmp_path, mon
 
 
 def test_a_step_that_needs_more_than_the_machine_has_is_refused(dataset, tmp_path, monkeypatch):
-    memory = Memory(12 * 10**6, 12 * 10**6)
+    memory = Memory(total=12 * 10**6, available=12 * 10**6)
     monkeypatch.setattr("salsanext_cli.commands.stages.train.memory_of", lambda device: memory)
     run = tmp_path / "run"
     error = refused(TrainingError, "memory", dataset, run)

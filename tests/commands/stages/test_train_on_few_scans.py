@@ -148,7 +148,7 @@ def test_the_card_names_the_initial_weights(data, tmp_path, initial, monkeypatch
     # An error model that is better than a new one stays.
     monkeypatch.setattr(cross_validated_training, "is_better", lambda *_: True)
     layers = [(np.ones((len(FEATURES), 1), "f4"), np.zeros(1, "f4"))]
-    start = ErrorModel(FEATURES, layers, temperature=2.0)
+    start = ErrorModel(features=FEATURES, layers=layers, temperature=2.0)
     save_with_card(other, other, replace(read_card(other), error=start))
     result = go(data, tmp_path / "run", few, weights=other)
     model = read_card(result.best).error

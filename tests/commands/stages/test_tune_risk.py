@@ -284,7 +284,7 @@ def test_a_held_out_drive_is_judged_by_the_guarantee(confidence, is_above) -> No
         sequences=np.repeat(["a", "b"], 22),
         units=np.arange(44),
     )
-    level = RiskLevel(0.05, confidence)
+    level = RiskLevel(at_most=0.05, confidence=confidence)
     drive = held_out_sequences(shares, level)[1]
     assert drive.above == pytest.approx(9 / 22)
     assert drive.exceeds(level) == is_above
@@ -387,12 +387,12 @@ def test_enough_scans_do_not_warn(unsure_is_wrong: World, target, caplog) -> Non
 @pytest.mark.parametrize(
     ("count", "level", "numbers"),
     [
-        (9, RiskLevel(0.1), (0, 18)),
-        (12, RiskLevel(0.1), (0.3 / 12, 18)),
-        (19, RiskLevel(0.05), (0, 38)),
-        (22, RiskLevel(0.1, 0.9), (0, 38)),
-        (18, RiskLevel(0.1), None),
-        (38, RiskLevel(0.05, 0.9), None),
+        (9, RiskLevel(at_most=0.1), (0, 18)),
+        (12, RiskLevel(at_most=0.1), (0.3 / 12, 18)),
+        (19, RiskLevel(at_most=0.05), (0, 38)),
+        (22, RiskLevel(at_most=0.1, confidence=0.9), (0, 38)),
+        (18, RiskLevel(at_most=0.1), None),
+        (38, RiskLevel(at_most=0.05, confidence=0.9), None),
     ],
 )
 def test_what_few_scans_leave_by_hand(count, level, numbers, caplog) -> None:

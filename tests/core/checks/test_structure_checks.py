@@ -202,9 +202,9 @@ def test_sensors_of_few_and_many_beams_have_no_finding(beams):
     ("split", "words"),
     [
         (None, ["fuse"]),
-        (FieldSplit("lidar_id", "sensor", 2), ["lidar_id", "2"]),
-        (FieldSplit("sweep", "scan", 10), ["sweep", "10", "fuse"]),
-        (FieldSplit("timestamp", "time", 4096), ["timestamp", "fuse"]),
+        (FieldSplit(field="lidar_id", kind="sensor", count=2), ["lidar_id", "2"]),
+        (FieldSplit(field="sweep", kind="scan", count=10), ["sweep", "10", "fuse"]),
+        (FieldSplit(field="timestamp", kind="time", count=4096), ["timestamp", "fuse"]),
     ],
 )
 def test_the_hint_names_the_field_that_divides_a_cloud(split, words):

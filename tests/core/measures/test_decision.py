@@ -61,7 +61,7 @@ def test_the_worse_of_accuracy_and_doubtful_points_decides(accuracy, doubtful, d
 
 @given(SHARES, SHARES, st.integers(2, 30))
 def test_worse_numbers_never_lead_to_a_better_decision(accuracy, doubtful, classes):
-    evidence = Evidence(10, classes, measured=accuracy, doubtful=doubtful)
+    evidence = Evidence(scans=10, class_count=classes, measured=accuracy, doubtful=doubtful)
     result = verdict(evidence)
     if accuracy is None and doubtful is None:
         assert result is None

@@ -38,7 +38,7 @@ def test_a_probability_is_the_logistic_function_of_the_last_value() -> None:
     found, features = model(), np.random.default_rng(1).normal(size=(7, 3)).astype("f4")
     expected = 1 / (1 + np.exp(-by_products(features, found.layers)))
     np.testing.assert_allclose(found.probability(features), expected, atol=1e-6)
-    sure = ErrorModel(("a",), [(np.array([[1]], "f4"), np.array([0], "f4"))])
+    sure = ErrorModel(features=("a",), layers=[(np.array([[1]], "f4"), np.array([0], "f4"))])
     found = sure.probability(np.array([[-1e9], [0], [1e9]], "f4"))
     assert found.tolist() == pytest.approx([0, 0.5, 1], abs=1e-9)
     assert ((found >= 0) & (found <= 1)).all()

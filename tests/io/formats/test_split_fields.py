@@ -16,11 +16,17 @@ MANY = np.arange(N) * 1e-5
     [
         ({}, None),
         ({"ring": TWO, "laser": TWO, "laser_id": TWO}, None),
-        ({"lidar_id": TWO}, FieldSplit("lidar_id", "sensor", 2)),
-        ({"timestamp": MANY, "scalar_Sensor": TWO}, FieldSplit("scalar_Sensor", "sensor", 2)),
-        ({"lidar_id": 0 * TWO, "sweep_idx": TEN}, FieldSplit("sweep_idx", "scan", 10)),
+        ({"lidar_id": TWO}, FieldSplit(field="lidar_id", kind="sensor", count=2)),
+        (
+            {"timestamp": MANY, "scalar_Sensor": TWO},
+            FieldSplit(field="scalar_Sensor", kind="sensor", count=2),
+        ),
+        (
+            {"lidar_id": 0 * TWO, "sweep_idx": TEN},
+            FieldSplit(field="sweep_idx", kind="scan", count=10),
+        ),
         ({"sensor": np.arange(N)}, None),
-        ({"time_lag": 0.05 * TEN}, FieldSplit("time_lag", "scan", 10)),
+        ({"time_lag": 0.05 * TEN}, FieldSplit(field="time_lag", kind="scan", count=10)),
         ({"timestamp": 0 * MANY}, None),
         ({"t": np.full(N, np.nan)}, None),
     ],
@@ -43,4 +49,4 @@ def test_the_field_of_a_file_is_read(tmp_path):
         f"VERSION 0.7\n{header}WIDTH 500\nHEIGHT 1\nPOINTS 500\nDATA binary\n".encode()
         + rows.astype("<f4").tobytes()
     )
-    assert read_scan(path).notes.split == FieldSplit("lidar_id", "sensor", 2)
+    assert read_scan(path).notes.split == FieldSplit(field="lidar_id", kind="sensor", count=2)

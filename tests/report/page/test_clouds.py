@@ -19,7 +19,7 @@ SEMANTIC_KITTI = label_space()
 
 
 def shown(scan, **known):
-    return ShownScan("08/000000", "named", ScanResults(scan=scan, **known))
+    return ShownScan(name="08/000000", reason="named", results=ScanResults(scan=scan, **known))
 
 
 def numbers(text, dtype):

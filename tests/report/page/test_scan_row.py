@@ -25,7 +25,13 @@ SPACE = small_space("unlabeled", "car", "road")
 def row(stem, confusion=None, sequence="00", **uncertainty):
     file = ScanFile(sequence=sequence, stem=stem, path=Path(f"/{stem}.bin"))
     matrix = np.zeros((3, 3), int) if confusion is None else np.array(confusion)
-    return ScanRow(file, 10, np.array([0, 5, 5]), uncertainty, matrix)
+    return ScanRow(
+        file=file,
+        points=10,
+        class_points=np.array([0, 5, 5]),
+        uncertainty=uncertainty,
+        confusion=matrix,
+    )
 
 
 def test_wrong_points_are_judged_ones_and_the_error_leads_before_the_entropy():

@@ -33,7 +33,9 @@ def file(tmp_path) -> ScanFile:
 
 
 def describe_scan(file, network, samples, seed):
-    (found,) = Pipeline(DescribeJob(network, samples, seed)).results([file])
+    (found,) = Pipeline(job=DescribeJob(network=network, samples=samples, seed=seed)).results(
+        [file]
+    )
     return found
 
 

@@ -67,7 +67,7 @@ class Job:
 
 
 def pipeline(job, batch: int = 1, readers: int = 1) -> Pipeline:
-    return Pipeline(job, BatchSize(batch, "scans"), readers)
+    return Pipeline(job=job, batch=BatchSize(batch, "scans"), readers=readers)
 
 
 @pytest.mark.parametrize(("batch", "readers"), [(1, 1), (3, 1), (1, 4), (4, 2)])

@@ -109,7 +109,7 @@ def test_warnings_do_not_depend_on_the_order_of_the_scans(order):
         codes = ("tilted", "height", "of-3")[: number % 3]
         findings = tuple(Finding(code, f"{code} of {number}", "turn it") for code in codes)
         file = ScanFile(sequence="08", stem=f"{number}", path=Path("scan.bin"))
-        scans.append(ScanSummary(file=file, check=ScanCheck(findings)))
+        scans.append(ScanSummary(file=file, check=ScanCheck(findings=findings)))
     summary = RunSummary(sensor=SMALL)
     for place in order:
         summary.add(scans[place])
@@ -222,7 +222,7 @@ def test_intensities_of_two_scales_are_mixed_but_not_those_of_a_wet_road():
 def test_a_finished_run_warns_of_mixed_sensors(caplog):
     summary = RunSummary(sensor=SMALL)
     for file, of_scan in zip(files("08", 5), [*OF["of-64"][:4], OF["of-16"][0]], strict=True):
-        summary.add(ScanSummary(file=file, check=ScanCheck((), of_scan)))
+        summary.add(ScanSummary(file=file, check=ScanCheck(findings=(), traits=of_scan)))
     assert not caplog.messages
     (warning,) = summary.finished().warnings()
     assert (warning.code, warning.scans) == ("mixed-sensors", ["08/000004"])

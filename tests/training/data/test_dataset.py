@@ -83,7 +83,7 @@ def test_samples_differ_by_position_and_scan_and_repeat_by_both(files: list[Scan
 @pytest.mark.parametrize("size", [0, 3, 7, 25])
 def test_every_scan_is_drawn_once_before_any_is_drawn_again(size: int) -> None:
     """In epochs of any size, whose batches are all whole."""
-    plan = SamplingPlan([10], Recipe(epochs=4, batch=4, samples_per_epoch=size))
+    plan = SamplingPlan(scan_counts=[10], recipe=Recipe(epochs=4, batch=4, samples_per_epoch=size))
     assert [len(batch) for batch in plan.batches()] == plan.steps * [4]
     draws = [draw for batch in plan.batches() for draw in batch]
     assert [position for position, _ in draws] == list(range(4 * plan.steps))
@@ -96,7 +96,7 @@ def test_every_scan_is_drawn_once_before_any_is_drawn_again(size: int) -> None:
 
 @pytest.mark.parametrize("size", [1, 2, 3, 4])
 def test_workers_together_draw_what_one_alone_draws(size: int) -> None:
-    plan = SamplingPlan([8], Recipe(epochs=2, batch=5))
+    plan = SamplingPlan(scan_counts=[8], recipe=Recipe(epochs=2, batch=5))
     shares = [list(plan.batches(1, ProcessGroup(rank=rank, size=size))) for rank in range(size)]
     whole = list(plan.batches(1))
     assert len(whole) == 3

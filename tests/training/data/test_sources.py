@@ -33,7 +33,9 @@ NEVER = np.zeros(SPACE.class_count, bool)
 
 @pytest.mark.parametrize(("also", "counts"), [(0.4, [7, 3, 5]), (1.0, [3, 4]), (0.0, [3, 4])])
 def test_further_data_sets_have_their_share_and_each_scan_its_turn(also, counts):
-    plan = SamplingPlan(counts, Recipe(epochs=10, batch=4, samples_per_epoch=60, also=also))
+    plan = SamplingPlan(
+        scan_counts=counts, recipe=Recipe(epochs=10, batch=4, samples_per_epoch=60, also=also)
+    )
     drawn = [index for batch in plan.batches() for _, index in batch]
     ends = np.cumsum(counts)
     sources = np.searchsorted(ends, drawn, side="right")

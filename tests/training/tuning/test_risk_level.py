@@ -16,9 +16,14 @@ from salsanext_cli.training.tuning.risk_level import (
 LEVELS = [(0.05, None), (0.3, None), (0.1, 0.5), (0.1, 0.9), (0.1, 0.99)]
 
 
+def level_of(numbers: tuple[float, float | None]) -> RiskLevel:
+    at_most, confidence = numbers
+    return RiskLevel(at_most=at_most, confidence=confidence)
+
+
 @pytest.mark.parametrize("at_most", [0, 1, -0.1, 1.5, float("nan")])
 def test_shares_outside_their_range_are_refused(at_most):
-    refused(UsageError, "at_most", RiskLevel(at_most).require_possible)
+    refused(UsageError, "at_most", RiskLevel(at_most=at_most).require_possible)
 
 
 @pytest.mark.parametrize("confidence", [0.49, 1, 0, float("nan")])
@@ -31,8 +36,8 @@ def test_confidences_outside_their_range_are_refused(confidence):
 @pytest.mark.parametrize("level", LEVELS)
 def test_the_least_number_of_scans_is_enough_and_one_less_is_not(level, tmp_path):
     least = needed_scans(*level)
-    require_scans(tmp_path, least, RiskLevel(*level))
-    refused(TooFewScansError, tmp_path, require_scans, tmp_path, least - 1, RiskLevel(*level))
+    require_scans(tmp_path, least, level_of(level))
+    refused(TooFewScansError, tmp_path, require_scans, tmp_path, least - 1, level_of(level))
 
 
 @pytest.mark.parametrize("level", LEVELS)
@@ -40,8 +45,8 @@ def test_few_units_leave_less_than_the_level(level):
     """The closed form of the bound of the mean is level − (1 − level) / n."""
     at_most, confidence = level
     least, useful = needed_scans(*level), useful_scans(*level)
-    assert FewUnits.among(useful, "scan", RiskLevel(*level)) is None
-    few = FewUnits.among(least, "scan", RiskLevel(*level))
+    assert FewUnits.among(useful, "scan", level_of(level)) is None
+    few = FewUnits.among(least, "scan", level_of(level))
     if useful == least:
         assert few is None
         return
@@ -52,7 +57,7 @@ def test_few_units_leave_less_than_the_level(level):
 
 
 def test_the_warnings_state_what_more_scans_would_do(caplog):
-    few = FewUnits.among(needed_scans(0.05, None), "drive", RiskLevel(0.05))
+    few = FewUnits.among(needed_scans(0.05, None), "drive", RiskLevel(at_most=0.05))
     few.warn_before()
     few.warn_after(0.25, 0.6)
     before, after = caplog.messages

@@ -39,7 +39,7 @@ DECIMAL_COMMA = re.compile(rb'(?:^|[;\s"])-?\d*,\d+(?:[;\s"]|$)')
 EMPTY_ROW = re.compile(rb"(?m)^\t+\r?$")  # Row of a table whose cells are separated by tabs
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TextTable:
     """Columns of a table of text."""
 
@@ -111,7 +111,7 @@ def _table_of(
     table = _numbers(content, layout, tuple(used.values()))
     if layout.count not in (None, len(table)):
         raise ValueError(f"has {len(table)} of the {layout.count} points in its first line")
-    return TextTable(columns, dict(zip(used, table.T, strict=True)))
+    return TextTable(columns=columns, values=dict(zip(used, table.T, strict=True)))
 
 
 def _lower(names: tuple[str, ...]) -> tuple[str, ...]:
