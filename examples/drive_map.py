@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 import salsanext_cli as sn
-from salsanext_cli.runs.drives.drive import recorded_drive
+from salsanext_cli.runs.drives.drive_record import recorded_drive
 from salsanext_cli.runs.results.paths import find_scans
 
 

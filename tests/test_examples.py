@@ -28,7 +28,7 @@ from salsanext_cli.core.network.salsanext import SalsaNext
 from salsanext_cli.io.files.json_files import encode_json
 from salsanext_cli.io.poses import encode_poses
 from salsanext_cli.io.weights.card_file import read_card
-from salsanext_cli.runs.drives.drive import drive_record
+from salsanext_cli.runs.drives.drive_record import drive_record
 from salsanext_cli.runs.results.paths import output_path
 from salsanext_cli.training.run_folder import write_log
 

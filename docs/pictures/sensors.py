@@ -10,7 +10,7 @@ from pathlib import Path
 
 import salsanext_cli as sn
 from pictures.shrink import shrink
-from salsanext_cli.core.geometry.projection import in_sensor_frame
+from salsanext_cli.core.geometry.sensor_frame import in_sensor_frame
 from salsanext_cli.report.colours import Colours, legend_of, screen_colours
 from salsanext_cli.report.scan_pictures import scan_picture
 

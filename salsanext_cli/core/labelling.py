@@ -16,7 +16,8 @@ from salsanext_cli.core.engines.backend import PixelPrediction
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.geometry.knn import knn_refine
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
-from salsanext_cli.core.geometry.projection import ego_points, in_sensor_frame, project
+from salsanext_cli.core.geometry.projection import project
+from salsanext_cli.core.geometry.sensor_frame import ego_points, in_sensor_frame
 from salsanext_cli.core.geometry.sensor_of_scan import origin_of_scan, sensor_of
 from salsanext_cli.core.records import Float, Origin, RangeImage, Scan
 from salsanext_cli.core.sensors.sensor import Sensor

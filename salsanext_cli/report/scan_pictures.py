@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from salsanext_cli.core.classes.label_space import LabelSpace
-from salsanext_cli.core.geometry.projection import in_sensor_frame, pixels_from_points, project
+from salsanext_cli.core.geometry.projection import pixels_from_points, project
+from salsanext_cli.core.geometry.sensor_frame import in_sensor_frame
 from salsanext_cli.core.records import Float
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.texts import counted, printable

@@ -13,7 +13,7 @@ from salsanext_cli.core.fusion.window import FusionWindow
 from salsanext_cli.core.records import Float
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.io.formats.kitti_labels import read_labels
-from salsanext_cli.runs.drives.drive import points_of_drive
+from salsanext_cli.runs.drives.poses_of_sequence import points_of_drive
 from salsanext_cli.runs.drives.stored_softmax import stored_softmax
 from salsanext_cli.runs.results.output_run import OutputRun
 from salsanext_cli.runs.results.paths import DISAGREEMENT, ScanFile, output_path

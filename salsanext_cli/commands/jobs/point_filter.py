@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from salsanext_cli.core.classes.label_space import LabelSpace, TrainIds
-from salsanext_cli.core.geometry.projection import measured_ranges, without_ego
+from salsanext_cli.core.geometry.point_sample import measured_ranges
+from salsanext_cli.core.geometry.sensor_frame import without_ego
 from salsanext_cli.core.measures.filtered_points import FilteredPoints
 from salsanext_cli.core.records import Float, Mask, Scan
 from salsanext_cli.core.sensors.sensor import Sensor

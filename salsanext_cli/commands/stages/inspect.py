@@ -10,7 +10,9 @@ from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import NoInputError
 from salsanext_cli.core.fitting.sensor_groups import sensor_groups
 from salsanext_cli.core.geometry.network_input import NO_INTENSITY
-from salsanext_cli.core.geometry.projection import measured_ranges, project, without_ego
+from salsanext_cli.core.geometry.point_sample import measured_ranges
+from salsanext_cli.core.geometry.projection import project
+from salsanext_cli.core.geometry.sensor_frame import without_ego
 from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
 from salsanext_cli.core.measures.survey import Survey, survey
 from salsanext_cli.core.plain_data import plain

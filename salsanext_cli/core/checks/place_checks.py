@@ -17,7 +17,8 @@ from salsanext_cli.core.geometry.ground import (
     Ground,
     find_ground,
 )
-from salsanext_cli.core.geometry.projection import few_points, in_sensor_frame, upright_rotation
+from salsanext_cli.core.geometry.point_sample import few_points
+from salsanext_cli.core.geometry.sensor_frame import in_sensor_frame, upright_rotation
 from salsanext_cli.core.geometry.sensor_place import SensorPlace, find_place, origin_in_file
 from salsanext_cli.core.records import Scan
 from salsanext_cli.core.sensors.sensor import FITTED_NAME, ORIGIN, UP, Sensor

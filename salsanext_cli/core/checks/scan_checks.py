@@ -38,18 +38,14 @@ from salsanext_cli.core.geometry.ground import (
     Ground,
     ground_of,
 )
-from salsanext_cli.core.geometry.projection import (
-    ego_points,
-    few_points,
-    in_sensor_frame,
-    measured_ranges,
-)
+from salsanext_cli.core.geometry.point_sample import few_points, measured_ranges
 from salsanext_cli.core.geometry.scan_traits import (
     MIN_TRAIT_POINTS,
     ScanTraits,
     intensity_of,
     sines_of,
 )
+from salsanext_cli.core.geometry.sensor_frame import ego_points, in_sensor_frame
 from salsanext_cli.core.geometry.sensor_place import USUAL_HEIGHT_M, origin_in_file
 from salsanext_cli.core.records import Double, FileNotes, Float, Scan
 from salsanext_cli.core.sensors.sensor import FITTED_NAME, ORIGIN, UP, Sensor, presets

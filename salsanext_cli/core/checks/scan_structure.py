@@ -12,7 +12,7 @@ import numpy as np
 from salsanext_cli.core.checks.further_returns import count_further_returns
 from salsanext_cli.core.compiled import compiled
 from salsanext_cli.core.geometry.directions import COLUMNS, NO_CELL, ROWS, direction_grid
-from salsanext_cli.core.geometry.projection import sample_places
+from salsanext_cli.core.geometry.point_sample import sample_places
 from salsanext_cli.core.geometry.scan_traits import MIN_TRAIT_POINTS
 from salsanext_cli.core.records import Double, Float, Int, Mask, Scan
 from salsanext_cli.core.sensors.sensor import Sensor

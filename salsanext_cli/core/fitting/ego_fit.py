@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from salsanext_cli.core.geometry.ground import UPWARDS, ground_of
-from salsanext_cli.core.geometry.projection import in_sensor_frame, measured_ranges
+from salsanext_cli.core.geometry.point_sample import measured_ranges
+from salsanext_cli.core.geometry.sensor_frame import in_sensor_frame
 from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
 from salsanext_cli.core.records import Double, Float, Indices, Mask, Scan
 from salsanext_cli.core.sensors.sensor import Sensor

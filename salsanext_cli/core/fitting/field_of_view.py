@@ -9,7 +9,8 @@ import numpy as np
 from salsanext_cli.core.checks.scan_checks import MAX_SHARE_OUTSIDE, share_outside
 from salsanext_cli.core.fitting.ego_fit import fit_ego
 from salsanext_cli.core.fitting.mounting_fit import fit_mounting
-from salsanext_cli.core.geometry.projection import measured_ranges, without_ego
+from salsanext_cli.core.geometry.point_sample import measured_ranges
+from salsanext_cli.core.geometry.sensor_frame import without_ego
 from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
 from salsanext_cli.core.records import MAX_RANGE_M, Double, Scan
 from salsanext_cli.core.sensors.sensor import FITTED_NAME, Sensor

@@ -21,7 +21,7 @@ from salsanext_cli.core.geometry.ground import (
     Ground,
     ground_of,
 )
-from salsanext_cli.core.geometry.projection import in_sensor_frame, upright_rotation
+from salsanext_cli.core.geometry.sensor_frame import in_sensor_frame, upright_rotation
 from salsanext_cli.core.geometry.sensor_place import (
     MIN_OFFSET_OF_BEAMS_M,
     ORIGIN_DIGITS,

@@ -11,7 +11,6 @@ import numpy as np
 from salsanext_cli.core.fitting.mounting_fit import REGISTERED_M
 from salsanext_cli.core.geometry.evenness import is_fan, is_out_of_place
 from salsanext_cli.core.geometry.ground import UPWARDS
-from salsanext_cli.core.geometry.projection import in_sensor_frame
 from salsanext_cli.core.geometry.scan_traits import (
     ScanTraits,
     groups_of,
@@ -19,6 +18,7 @@ from salsanext_cli.core.geometry.scan_traits import (
     traits_of,
     usual_traits,
 )
+from salsanext_cli.core.geometry.sensor_frame import in_sensor_frame
 from salsanext_cli.core.geometry.sensor_place import find_place
 from salsanext_cli.core.records import Double, Scan
 from salsanext_cli.core.sensors.sensor import UP, Sensor

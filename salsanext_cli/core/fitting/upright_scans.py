@@ -11,7 +11,7 @@ import numpy as np
 from salsanext_cli.core.geometry.beam_origin import PROVING_SHARPNESS, sharpness_at_origin
 from salsanext_cli.core.geometry.evenness import is_fan, is_out_of_place
 from salsanext_cli.core.geometry.ground import MIN_HEIGHT_M, UPWARDS, finite_points
-from salsanext_cli.core.geometry.projection import few_points
+from salsanext_cli.core.geometry.point_sample import few_points
 from salsanext_cli.core.geometry.sensor_place import SensorPlace, find_place
 from salsanext_cli.core.records import Float, Scan
 

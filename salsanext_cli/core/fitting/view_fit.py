@@ -42,9 +42,10 @@ def fit_views(
         Sensor to start from.
     earlier : Sensor, optional
         Fit for earlier results in the same folder, which stays.
-    view, mounting : bool
-        Whether to fit the field of view, and with it the mounting; unknown bounds of housing and
-        vehicle are always fitted.
+    view : bool
+        Whether to fit the field of view; unknown bounds of housing and vehicle are always fitted.
+    mounting : bool
+        Whether to fit the mounting with the field of view.
 
     Returns
     -------
@@ -138,12 +139,21 @@ def fit_sensor(
 
     Parameters
     ----------
-    sample, sensor, earlier, view, mounting
-        As in `fit_views`.
+    sample : ScanSample
+        Scans that the fit reads, if it needs any.
+    sensor : Sensor
+        Sensor to start from.
+    earlier : Sensor, optional
+        Fit for earlier results in the same folder, which stays.
+    view : bool
+        Whether to fit the field of view; unknown bounds of housing and vehicle are always fitted.
+    mounting : bool
+        Whether to fit the mounting with the field of view.
 
     Returns
     -------
     Sensor
+        Of the most frequent sensor; `others` has the other fits, unless all are alike.
     """
     return joined(fit_views(sample, sensor, earlier, view=view, mounting=mounting).members)
 

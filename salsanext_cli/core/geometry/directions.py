@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from salsanext_cli.core.compiled import argument, compiled
-from salsanext_cli.core.geometry.projection import arctan2, upright_rotation
+from salsanext_cli.core.geometry.projection import arctan2
+from salsanext_cli.core.geometry.sensor_frame import upright_rotation
 from salsanext_cli.core.records import MAX_RANGE_M, Double, Float, Int, Scan
 from salsanext_cli.core.sensors.sensor import Sensor
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from salsanext_cli.core.geometry.projection import few_points, measured_ranges
+from salsanext_cli.core.geometry.point_sample import few_points, measured_ranges
 from salsanext_cli.core.records import MAX_RANGE_M, Double, Indices, Scan
 
 FEW_POINTS = 4096  # Points that show whether a scan is seen from a position

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.core.errors import UsageError
-from salsanext_cli.core.geometry.projection import measured_ranges, sample_places
+from salsanext_cli.core.geometry.point_sample import measured_ranges, sample_places
 from salsanext_cli.core.records import MAX_INTENSITY, Float
 from salsanext_cli.core.sensors.sensor import INTENSITY_LEVELS, Sensor
 from salsanext_cli.core.texts import percentage

@@ -240,27 +240,42 @@ def fit_box(points: Float) -> list[float]:
         Numbers of `BOX`.
     """
     step = len(points) // MAX_FITTED + 1
-    sample = points[::step, :2]
-    c = np.cos(ANGLES_RAD).astype(np.float32)
-    s = np.sin(ANGLES_RAD).astype(np.float32)
-    closest = np.full((len(sample), len(c)), np.inf, np.float32)
-    for coordinates in (sample @ np.stack([c, s]), sample @ np.stack([-s, c])):
-        np.minimum(closest, coordinates - coordinates.min(axis=0), out=closest)
-        np.minimum(closest, coordinates.max(axis=0) - coordinates, out=closest)
-    best = (1 / np.maximum(closest, NEAREST_M)).sum(axis=0).argmax()
+    cosines = np.cos(ANGLES_RAD).astype(np.float32)
+    sines = np.sin(ANGLES_RAD).astype(np.float32)
+    best = _best_side(points[::step, :2], cosines, sines)
     yaw = ANGLES_RAD[best]
-    c = c[best]
-    s = s[best]
+    c = cosines[best]
+    s = sines[best]
     turn = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
     turned = points @ turn.T
     low = turned.min(axis=0)
     high = turned.max(axis=0)
-    length, width, height = high - low
-    if width > length:
-        length, width = width, length
-        yaw = yaw - np.pi / 2
-    centre = (low + high) / 2 @ turn
-    return [*centre.tolist(), float(length), float(width), float(height), yaw]
+    x, y, z = ((low + high) / 2 @ turn).tolist()
+    along, across, height = (high - low).tolist()
+    if across > along:
+        return [x, y, z, across, along, height, yaw - np.pi / 2]
+    return [x, y, z, along, across, height, yaw]
+
+
+def _best_side(flat: Float, cosines: Float, sines: Float) -> int:
+    """Return the number of the direction with most points near the sides of the box.
+
+    Parameters
+    ----------
+    flat : (N, 2) float32
+        x and y of the points in metres.
+    cosines : (A,) float32
+        Cosines of the angles of one side.
+    sines : (A,) float32
+        Their sines.
+    """
+    closest = np.full((len(flat), len(cosines)), np.inf, np.float32)
+    along = flat @ np.stack([cosines, sines])
+    across = flat @ np.stack([-sines, cosines])
+    for coordinates in (along, across):
+        np.minimum(closest, coordinates - coordinates.min(axis=0), out=closest)
+        np.minimum(closest, coordinates.max(axis=0) - coordinates, out=closest)
+    return int((1 / np.maximum(closest, NEAREST_M)).sum(axis=0).argmax())
 
 
 def is_end_of_car(flat: Float, yaw: float) -> bool:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Scans in the frame of their sensor, and their range images (paper eq. 1).
+"""Range images of scans (paper eq. 1).
 
 ::
 
@@ -9,40 +9,32 @@
 Both are rounded down and clamped to the image. The nearest point wins a pixel; in a tie, the first
 in the scan. All arithmetic after the arctangents is float32, as in the published code, so that
 points on a pixel border fall to the same side.
-
-The frame of the sensor has its origin at the sensor and z up.
 """
 
 import math
-import sys
-from dataclasses import replace
-from functools import cache
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.core.compiled import argument, compiled, parallel_for_slices
+from salsanext_cli.core.geometry.sensor_frame import without_ego
 from salsanext_cli.core.records import (
     CHANNELS,
     MAX_INTENSITY,
     MAX_RANGE_M,
-    Double,
     Float,
-    Indices,
     Int,
-    Mask,
     RangeImage,
     Scan,
 )
-from salsanext_cli.core.sensors.sensor import ORIGIN, UP, Sensor
+from salsanext_cli.core.sensors.sensor import Sensor
 
 ZERO = np.float32(0)
 HALF = np.float32(0.5)
 ONE = np.float32(1)
 PI = np.float32(math.pi)
 TAN_22_5 = math.sqrt(2) - 1
-MAX_POINTS = 4096  # Points in a sample of a scan
 Value = TypeVar("Value", bound=np.generic)
 
 
@@ -306,95 +298,3 @@ def pixels_from_points(
     # Index -1 selects the value that is appended.
     last = np.full((1, *point_values.shape[1:]), empty, point_values.dtype)
     return np.concatenate([point_values, last])[point_of_pixel]
-
-
-def measured_ranges(points: Float, farthest: float = sys.float_info.max) -> tuple[Double, Mask]:
-    """Return the ranges of points, and which of them are measurements.
-
-    Parameters
-    ----------
-    points : (N, 3) float32
-        Coordinates in metres.
-    farthest : float
-        Largest range of a measurement in metres.
-
-    Returns
-    -------
-    ranges : (N,) float64
-        Distances from the origin in metres.
-    is_measured : (N,) bool
-        Whether a range is finite, above 0 and not beyond the farthest.
-    """
-    with np.errstate(invalid="ignore"):  # A signalling NaN
-        x, y, z = np.square(points.T, dtype=np.float64)
-        ranges = np.sqrt(x + y + z)
-    return ranges, (ranges > 0) & (ranges <= farthest)
-
-
-def few_points(scan: Scan, count: int = MAX_POINTS) -> Scan:
-    """Return a random sample of `count` points of a scan in their order, or all."""
-    return scan if len(scan) <= count else scan.take(sample_places(len(scan), count))
-
-
-def sample_places(length: int, count: int) -> Indices:
-    """Return a random sample of indices below a length in rising order, the same in every run."""
-    # Every n-th point of a grid could be of few beams or directions.
-    return np.arange(length) if length <= count else (_uniform(count) * length).astype(np.intp)
-
-
-@cache
-def _uniform(count: int) -> Double:
-    return np.sort(np.random.default_rng(0).random(count))
-
-
-def in_sensor_frame(scan: Scan, sensor: Sensor) -> Scan:
-    """Return the scan with the `origin` of the sensor at 0 and its `up` along z."""
-    points = scan.points
-    if sensor.origin != ORIGIN:
-        points = points - np.array(sensor.origin, np.float32)
-        points[~scan.points.any(axis=1)] = 0
-    if sensor.up != UP:
-        x, y, z = points.T.astype(np.float64)
-        # The threads of a matrix product would take the processors from the network.
-        rows = [a * x + b * y + c * z for a, b, c in upright_rotation(np.asarray(sensor.up))]
-        points = np.stack(rows, axis=1).astype(np.float32)
-    return scan if points is scan.points else replace(scan, points=points)
-
-
-def without_ego(scan: Scan, sensor: Sensor) -> Scan:
-    """Return the scan in the frame of the sensor, with the points of its vehicle at the origin."""
-    scan = in_sensor_frame(scan, sensor)
-    ego = ego_points(scan.points, sensor)
-    if not len(ego):
-        return scan
-    points = scan.points.copy()
-    points[ego] = 0
-    return replace(scan, points=points)
-
-
-def ego_points(points: Float, sensor: Sensor) -> Indices:
-    """Return the indices of points (N, 3) in the frame of the sensor, on it or its vehicle."""
-    nearest = sensor.min_range or 0.0
-    box = np.array(sensor.ego_box or ()).reshape(2, -1)
-    reach = max(nearest, float(np.linalg.norm(np.abs(box).max(axis=0, initial=0))))
-    if not reach:
-        return np.empty(0, np.intp)
-    squares = np.einsum("nk,nk->n", points, points)
-    near = np.flatnonzero((squares < np.float32(reach) ** 2) & (squares > 0))
-    is_ego = squares[near] < np.float32(nearest) ** 2
-    if box.size:
-        is_ego |= ((points[near] >= box[0]) & (points[near] <= box[1])).all(axis=1)
-    return near[is_ego]
-
-
-def upright_rotation(up: Double) -> Double:
-    """Return the rotation (3, 3) that turns a direction (3,) to z and the direction ahead to x.
-
-    Ahead is the level part of x, or of z in the frame of a camera, with y down or x vertical.
-    """
-    up = up / np.linalg.norm(up)
-    largest = int(np.abs(up).argmax())
-    ahead = np.eye(3)[2 if largest == 0 or (largest == 1 and up[1] < 0) else 0]
-    level = ahead - (ahead @ up) * up
-    level /= np.linalg.norm(level)
-    return np.stack([level, np.cross(up, level), up])

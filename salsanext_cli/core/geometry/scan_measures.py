@@ -11,8 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from salsanext_cli.core.geometry.projection import few_points, in_sensor_frame, measured_ranges
+from salsanext_cli.core.geometry.point_sample import few_points, measured_ranges
 from salsanext_cli.core.geometry.scan_traits import sines_of
+from salsanext_cli.core.geometry.sensor_frame import in_sensor_frame
 from salsanext_cli.core.records import Double, Float, Mask, RangeImage, Scan
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.texts import percentage

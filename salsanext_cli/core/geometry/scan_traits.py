@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.core.geometry.network_input import BRIGHT, why_no_intensity
-from salsanext_cli.core.geometry.projection import few_points, measured_ranges
+from salsanext_cli.core.geometry.point_sample import few_points, measured_ranges
 from salsanext_cli.core.records import MAX_INTENSITY, Double, Float, Indices, Scan
 from salsanext_cli.core.sensors.sensor import Sensor
 

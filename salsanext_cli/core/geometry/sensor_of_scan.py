@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from salsanext_cli.core.geometry.projection import in_sensor_frame
 from salsanext_cli.core.geometry.scan_traits import scaled_traits, traits_of
+from salsanext_cli.core.geometry.sensor_frame import in_sensor_frame
 from salsanext_cli.core.geometry.sensor_place import placed_sensor
 from salsanext_cli.core.records import Origin, Scan
 from salsanext_cli.core.sensors.sensor import Sensor

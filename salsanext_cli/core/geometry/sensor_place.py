@@ -22,7 +22,8 @@ from salsanext_cli.core.geometry.evenness import (
     sectors_around,
 )
 from salsanext_cli.core.geometry.ground import UPWARDS, find_ground
-from salsanext_cli.core.geometry.projection import few_points, in_sensor_frame, upright_rotation
+from salsanext_cli.core.geometry.point_sample import few_points
+from salsanext_cli.core.geometry.sensor_frame import in_sensor_frame, upright_rotation
 from salsanext_cli.core.records import Double, Scan
 from salsanext_cli.core.sensors.sensor import ORIGIN, Sensor
 

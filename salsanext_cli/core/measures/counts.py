@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from salsanext_cli.core.classes.label_space import LabelSpace
-from salsanext_cli.core.geometry.projection import measured_ranges
+from salsanext_cli.core.geometry.point_sample import measured_ranges
 from salsanext_cli.core.measures.accepted_labels import AcceptedCounts
 from salsanext_cli.core.measures.histograms import Histogram, lack_of_confidence, softmax_entropy
 from salsanext_cli.core.measures.scores import Counts, accepted, scored_rows

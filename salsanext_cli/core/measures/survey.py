@@ -12,7 +12,7 @@ import numpy as np
 
 from salsanext_cli.core.classes.label_space import RawIds
 from salsanext_cli.core.fitting.field_of_view import OUTLIERS
-from salsanext_cli.core.geometry.projection import measured_ranges
+from salsanext_cli.core.geometry.point_sample import measured_ranges
 from salsanext_cli.core.measures.scores import Counts, Ratios
 from salsanext_cli.core.records import CHANNELS, RangeImage, Scan
 

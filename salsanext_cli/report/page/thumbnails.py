@@ -10,7 +10,7 @@ from io import BytesIO
 
 import numpy as np
 
-from salsanext_cli.core.geometry.projection import in_sensor_frame
+from salsanext_cli.core.geometry.sensor_frame import in_sensor_frame
 from salsanext_cli.core.records import Double, Float
 from salsanext_cli.report.colours import Colours, value_colours, value_range
 from salsanext_cli.report.page.run_results import RunResults

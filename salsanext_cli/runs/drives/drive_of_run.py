@@ -10,7 +10,7 @@ from salsanext_cli.core.fusion.poses import POSES
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.io.files.json_files import encode_json, read_json
 from salsanext_cli.io.poses import encode_poses
-from salsanext_cli.runs.drives.drive import DRIVE, drive_record, recorded_drive
+from salsanext_cli.runs.drives.drive_record import DRIVE, drive_record, recorded_drive
 from salsanext_cli.runs.drives.earlier_fusion import earlier_fusion, other_drive
 from salsanext_cli.runs.drives.scans_of_drive import computed_drive
 from salsanext_cli.runs.results.output_run import OutputRun

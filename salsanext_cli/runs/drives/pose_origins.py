@@ -14,7 +14,7 @@ import numpy as np
 from salsanext_cli.core.errors import SalsanextError, UsageError
 from salsanext_cli.core.fusion.poses import Poses
 from salsanext_cli.core.geometry.evenness import is_out_of_place
-from salsanext_cli.core.geometry.projection import in_sensor_frame
+from salsanext_cli.core.geometry.sensor_frame import in_sensor_frame
 from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
 from salsanext_cli.core.geometry.sensor_place import MIN_OFFSET_M
 from salsanext_cli.core.notices import NOTICE
@@ -23,7 +23,7 @@ from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.texts import counted, first_few
 from salsanext_cli.core.wording import argument
 from salsanext_cli.io.formats import read_scan
-from salsanext_cli.runs.drives.drive import poses_beside, readings_of
+from salsanext_cli.runs.drives.poses_of_sequence import poses_beside, readings_of
 from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.runs.results.selection import evenly_spaced
 

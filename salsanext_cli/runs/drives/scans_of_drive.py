@@ -14,7 +14,8 @@ from salsanext_cli.core.fusion.poses import POSES
 from salsanext_cli.core.fusion.registration import register
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.sensors.sensor import Sensor
-from salsanext_cli.runs.drives.drive import (
+from salsanext_cli.runs.drives.pose_origins import require_positions
+from salsanext_cli.runs.drives.poses_of_sequence import (
     OriginOf,
     checked_drive,
     is_registered,
@@ -22,7 +23,6 @@ from salsanext_cli.runs.drives.drive import (
     poses_beside,
     registered_drive,
 )
-from salsanext_cli.runs.drives.pose_origins import require_positions
 from salsanext_cli.runs.results.paths import ScanFile
 
 log = logging.getLogger(__name__)

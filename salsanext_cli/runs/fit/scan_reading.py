@@ -6,7 +6,7 @@ from pathlib import Path
 
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import FormatError
-from salsanext_cli.core.geometry.projection import measured_ranges
+from salsanext_cli.core.geometry.point_sample import measured_ranges
 from salsanext_cli.core.geometry.scan_traits import MIN_TRAIT_POINTS
 from salsanext_cli.core.labelling import PreparedScan, prepare_for, project_scan
 from salsanext_cli.core.records import Origin, Scan

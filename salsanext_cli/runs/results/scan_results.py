@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.core.classes.label_space import LabelSpace, RawIds
-from salsanext_cli.core.geometry.projection import in_sensor_frame, measured_ranges
+from salsanext_cli.core.geometry.point_sample import measured_ranges
+from salsanext_cli.core.geometry.sensor_frame import in_sensor_frame
 from salsanext_cli.core.records import Float, Scan
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.texts import percentage

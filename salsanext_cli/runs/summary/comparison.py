@@ -15,7 +15,7 @@ import numpy.typing as npt
 from salsanext_cli.core.classes.label_space import LabelSpace, RawIds, TrainIds
 from salsanext_cli.core.classes.merging import ClassMerging
 from salsanext_cli.core.errors import LabelError
-from salsanext_cli.core.geometry.projection import in_sensor_frame
+from salsanext_cli.core.geometry.sensor_frame import in_sensor_frame
 from salsanext_cli.core.measures.accepted_labels import AcceptedCounts
 from salsanext_cli.core.measures.calibration import SCAN_BINS, reliability
 from salsanext_cli.core.measures.counts import (

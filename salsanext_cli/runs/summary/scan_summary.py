@@ -19,7 +19,7 @@ from salsanext_cli.core.checks.warning_codes import WarningCode
 from salsanext_cli.core.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import SalsanextError
-from salsanext_cli.core.geometry.projection import measured_ranges
+from salsanext_cli.core.geometry.point_sample import measured_ranges
 from salsanext_cli.core.geometry.scan_measures import measures_of
 from salsanext_cli.core.geometry.scan_traits import ScanTraits
 from salsanext_cli.core.labelling import LabelledScan

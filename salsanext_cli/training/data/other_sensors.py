@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from salsanext_cli.core.geometry.projection import measured_ranges
+from salsanext_cli.core.geometry.point_sample import measured_ranges
 from salsanext_cli.core.records import Float, Indices, Scan
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.training.data.augment import shift

@@ -16,11 +16,8 @@ from salsanext_cli.commands.stages.project import project_scans
 from salsanext_cli.commands.stages.report import read_run
 from salsanext_cli.commands.stages.uncertainty import uncertainty
 from salsanext_cli.core.errors import NoInputError, UsageError
-from salsanext_cli.core.geometry.projection import (
-    in_sensor_frame,
-    measured_ranges,
-    upright_rotation,
-)
+from salsanext_cli.core.geometry.point_sample import measured_ranges
+from salsanext_cli.core.geometry.sensor_frame import in_sensor_frame, upright_rotation
 from salsanext_cli.core.network.card import AccuracyLine
 from salsanext_cli.core.sensors.sensor import INTENSITY_LEVELS
 from salsanext_cli.core.uncertainty.method import UncertaintyMethod

@@ -15,7 +15,7 @@ from salsanext_cli import Scan, project, read_labels, read_scan
 from salsanext_cli.core.checks.scan_checks import check_scan, share_outside
 from salsanext_cli.core.fitting.ego_fit import MIN_RANGE_M, fit_ego
 from salsanext_cli.core.fitting.field_of_view import SHOWN, fit_view
-from salsanext_cli.core.geometry.projection import ego_points, upright_rotation, without_ego
+from salsanext_cli.core.geometry.sensor_frame import ego_points, upright_rotation, without_ego
 from salsanext_cli.runs.fit import scan_sample, sensor_fit
 from salsanext_cli.runs.fit.scan_sample import MAX_SCANS, sample_of_files
 from salsanext_cli.runs.network_settings import NetworkSettings

@@ -11,7 +11,7 @@ from street_scans import HEIGHT, moved, street
 from salsanext_cli import Scan, project
 from salsanext_cli.core.fitting.field_of_view import fit_view
 from salsanext_cli.core.fitting.mounting_fit import fit_mounting
-from salsanext_cli.core.geometry.projection import upright_rotation
+from salsanext_cli.core.geometry.sensor_frame import upright_rotation
 
 
 def test_the_direction_ahead_stays_ahead():

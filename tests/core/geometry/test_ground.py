@@ -10,7 +10,7 @@ from street_scans import HEIGHT, moved, street
 
 from salsanext_cli.core.fitting.mounting_fit import fit_mounting
 from salsanext_cli.core.geometry.ground import find_ground
-from salsanext_cli.core.geometry.projection import in_sensor_frame, upright_rotation
+from salsanext_cli.core.geometry.sensor_frame import in_sensor_frame, upright_rotation
 from salsanext_cli.core.geometry.sensor_place import USUAL_HEIGHT_M
 
 DIRECTION = st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda v: np.linalg.norm(v) > 0.1)

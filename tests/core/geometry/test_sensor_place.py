@@ -11,7 +11,7 @@ from street_scans import moved, street
 
 from salsanext_cli import Scan, read_scan
 from salsanext_cli.core.geometry.evenness import is_out_of_place
-from salsanext_cli.core.geometry.projection import in_sensor_frame
+from salsanext_cli.core.geometry.sensor_frame import in_sensor_frame
 from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
 from salsanext_cli.core.geometry.sensor_place import find_place
 from salsanext_cli.runs.results.paths import find_scans

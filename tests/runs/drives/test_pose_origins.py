@@ -13,12 +13,12 @@ from scans import SMALL
 from salsanext_cli.commands.stages.fuse import fuse_results
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.core.errors import UsageError
-from salsanext_cli.runs.drives.drive import points_of_drive, registered_drive
 from salsanext_cli.runs.drives.pose_origins import (
     OriginsByPoses,
     _agreeing_positions,
     origins_by_poses,
 )
+from salsanext_cli.runs.drives.poses_of_sequence import points_of_drive, registered_drive
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.paths import find_scans
 from salsanext_cli.runs.results.recorded_origins import recorded_origin, recorded_origins

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""Drives: poses of the scans of a sequence, read, checked and recorded with their labels."""
+"""Poses of the scans of a sequence, read from a file or from the scans, and checked."""
 
-import hashlib
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -9,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from salsanext_cli.core.errors import FormatError, OutputError, SalsanextError
+from salsanext_cli.core.errors import FormatError, SalsanextError
 from salsanext_cli.core.fusion.drive import Drive
 from salsanext_cli.core.fusion.pose_checks import (
     MAX_MISFIT,
@@ -18,21 +17,18 @@ from salsanext_cli.core.fusion.pose_checks import (
     require_fitting,
 )
 from salsanext_cli.core.fusion.poses import POSES, Poses
-from salsanext_cli.core.geometry.projection import in_sensor_frame
+from salsanext_cli.core.geometry.sensor_frame import in_sensor_frame
 from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.records import Float, Origin
 from salsanext_cli.core.sensors.sensor import UP, Sensor
 from salsanext_cli.core.texts import percentage
-from salsanext_cli.core.wording import setting
-from salsanext_cli.io.files.json_files import read_json
-from salsanext_cli.io.files.reading import present, refusing_damage
+from salsanext_cli.io.files.reading import present
 from salsanext_cli.io.formats import read_scan
-from salsanext_cli.io.poses import encode_poses, pose_readings, read_fused_poses
+from salsanext_cli.io.poses import pose_readings
 from salsanext_cli.runs.results.layouts import SCAN_FOLDER
 from salsanext_cli.runs.results.paths import ScanFile, drive_order, find_scans
 
-DRIVE = "drive.json"
 OriginOf = Callable[[ScanFile], Origin | None]
 """Function that returns the origin of a registered scan, None if it is to be found from points."""
 
@@ -78,29 +74,6 @@ def registered_drive(files: Sequence[ScanFile], sensor: Sensor, origin_of: Origi
     return Drive(poses, parts)
 
 
-def recorded_drive(folder: Path) -> Drive | None:
-    """Return the drive that `fuse` recorded in the folder of a sequence, None without one."""
-    record = read_json(folder / DRIVE)
-    path = folder / POSES
-    if record is None or not present(path):
-        return None
-    with refusing_damage(folder / DRIVE, "the record of `fuse`"):
-        stems = [*map(str, record["scans"])]
-        parts = np.array(record.get("parts", ()), np.int64)
-        drive = Drive(read_fused_poses(path, stems), parts)
-    if drive_record(drive, stems) != record:
-        problem = "differs from the poses that the scans were fused by"
-        hint = f"fuse the sequence again with {setting('overwrite', True)}"
-        raise OutputError(path, problem, hint=hint)
-    return drive
-
-
-def drive_record(drive: Drive, stems: Sequence[str]) -> dict[str, object]:
-    """Return the record of the drive, whose scans have these stems."""
-    digest = hashlib.sha256(encode_poses(drive.poses)).hexdigest()
-    return {"scans": [*stems], "poses": digest, "parts": drive.parts.tolist()}
-
-
 def poses_beside(files: Sequence[ScanFile]) -> Path | None:
     """Return the file of poses in the folder of a sequence, None without any."""
     folder = files[0].path.parent
@@ -111,8 +84,12 @@ def poses_beside(files: Sequence[ScanFile]) -> Path | None:
 def readings_of(path: Path, files: Sequence[ScanFile]) -> list[Poses]:
     """Return the possible poses (N, 4, 4) of scans in a file, as of `pose_readings`."""
     listed = sorted(find_scans(files[0].path.parent, unique=False), key=drive_order)
-    stems, wanted = ([*dict.fromkeys(file.stem for file in group)] for group in (listed, files))
-    return pose_readings(path, stems, wanted)
+    return pose_readings(path, _stems(listed), _stems(files))
+
+
+def _stems(files: Sequence[ScanFile]) -> list[str]:
+    """Return the stems of scans, each once, in order."""
+    return list(dict.fromkeys(file.stem for file in files))
 
 
 def is_registered(files: Sequence[ScanFile], sensor: Sensor, origin_of: OriginOf) -> bool:
