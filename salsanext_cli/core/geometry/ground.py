@@ -155,7 +155,7 @@ def _possible_planes(near: _NearPoints, max_tilt_deg: float | None) -> _Planes:
 
 def _cross_products(first: Float, second: Float) -> Float:
     """Return the cross products (3, P) of vectors (3, P)."""
-    # np.cross takes several times as long.
+    # np.cross takes twice as long.
     rows = [first[i - 2] * second[i - 1] - first[i - 1] * second[i - 2] for i in AXES]
     return np.stack(rows)
 
