@@ -118,10 +118,7 @@ def world(tmp_path: Path, weights: Path) -> "World":
 @pytest.fixture
 def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Keep what is compiled below the folder of the test."""
-    from salsanext_cli.io.files import user_cache
-
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(user_cache, "_warnings", [])
 
 
 @pytest.fixture(autouse=True)

@@ -25,7 +25,6 @@ from salsanext_cli.commands.line.typer_interface import USAGE_ERROR, TyperComman
 from salsanext_cli.core.engines.conversion import converted
 from salsanext_cli.core.engines.openvino_runtime import openvino_core
 from salsanext_cli.io import kernel_cache
-from salsanext_cli.io.files import user_cache
 from salsanext_cli.training.fused_step import is_fused, skip_step
 
 pytestmark = pytest.mark.private
@@ -64,11 +63,10 @@ def twice(value):
     return 2 * value
 
 
-def test_a_kernel_of_numba_takes_another_cache(tmp_path, monkeypatch):
+def test_a_kernel_of_numba_takes_another_cache(tmp_path, monkeypatch, caplog):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     monkeypatch.setitem(vars(numba.config), "CACHE_DIR", "")
-    monkeypatch.setattr(user_cache, "_warnings", [])
     hits = []
     for _ in range(2):
         kernel = numba.njit(twice)
@@ -76,7 +74,7 @@ def test_a_kernel_of_numba_takes_another_cache(tmp_path, monkeypatch):
         assert kernel(1.5) == 3.0
         hits.append(sum(kernel.stats.cache_hits.values()))
     assert hits == [0, 1]
-    assert user_cache._warnings == []
+    assert not caplog.records
 
 
 @pytest.mark.parametrize("kind", [SGD, AdamW])

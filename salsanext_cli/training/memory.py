@@ -1,14 +1,21 @@
 # SPDX-License-Identifier: MIT
 """Memory of this machine or GPU: all that a process may use, and what is available now."""
 
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-MEMINFO = Path("/proc/meminfo")
-GROUPS_OF_PROCESS = Path("/proc/self/cgroup")
-CGROUP = Path("/sys/fs/cgroup")
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SystemFiles:
+    """Files of Linux about memory."""
+
+    meminfo: Path = Path("/proc/meminfo")
+    groups_of_process: Path = Path("/proc/self/cgroup")
+    groups: Path = Path("/sys/fs/cgroup")  # Folder of all control groups
+
+
+SYSTEM = SystemFiles()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,31 +41,39 @@ class Memory:
     available: int  # What is free, or can be freed, now
 
 
-def memory_of(device: str) -> Memory | None:
+def memory_of(device: str, system: SystemFiles = SYSTEM) -> Memory | None:
     """Return the memory of a device; None if it is unknown, as for a CPU outside Linux.
 
     A limit of the control group, as containers and clusters set it, counts as the memory of the
     machine.
+
+    Parameters
+    ----------
+    device : str
+        Such as "cpu" or "cuda:0".
+    system : SystemFiles
+        Files of Linux; another system has none.
     """
     if device.startswith("cuda"):
         import torch
 
         available, total = torch.cuda.mem_get_info(device)
         return Memory(total=total, available=available)
-    if device != "cpu" or sys.platform != "linux" or not MEMINFO.exists():
+    if device != "cpu" or not system.meminfo.exists():
         return None
-    lines = (line.split() for line in MEMINFO.read_text("utf-8").splitlines())
+    lines = (line.split() for line in system.meminfo.read_text("utf-8").splitlines())
     sizes = {words[0]: 1024 * int(words[1]) for words in lines if len(words) > 1}
     if not {"MemTotal:", "MemAvailable:"} <= sizes.keys():
         return None
-    return _limited(Memory(total=sizes["MemTotal:"], available=sizes["MemAvailable:"]))
+    machine = Memory(total=sizes["MemTotal:"], available=sizes["MemAvailable:"])
+    return _limited(machine, system)
 
 
-def _limited(machine: Memory) -> Memory:
+def _limited(machine: Memory, system: SystemFiles) -> Memory:
     """Return the memory of a machine, or the lowest limit of the groups of this process."""
     total = machine.total
     available = machine.available
-    for folder, files in _groups():
+    for folder, files in _groups(system):
         limit = _number(folder / files.limit)
         used = _number(folder / files.use)
         if limit is not None and used is not None:
@@ -68,19 +83,19 @@ def _limited(machine: Memory) -> Memory:
     return Memory(total=total, available=available)
 
 
-def _groups() -> Iterator[tuple[Path, GroupFiles]]:
+def _groups(system: SystemFiles) -> Iterator[tuple[Path, GroupFiles]]:
     """Yield the folders of the control groups of this process, up to the highest group."""
     try:
-        lines = GROUPS_OF_PROCESS.read_text("utf-8").splitlines()
+        lines = system.groups_of_process.read_text("utf-8").splitlines()
     except OSError:
         return
     for line in lines:
         _, controllers, name = line.split(":", 2)
         if "memory" in controllers.split(","):
-            root = CGROUP / "memory"
+            root = system.groups / "memory"
             files = VERSION_1
         elif not controllers:
-            root = CGROUP
+            root = system.groups
             files = VERSION_2
         else:
             continue

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numba
 import pytest
+from devices import threads
 
 import salsanext_cli
 from salsanext_cli.core.compiled import compiled, parallel_for
-from salsanext_cli.io.files import user_cache
 from salsanext_cli.io.files.user_cache import cache_folder
 
 
@@ -24,7 +24,6 @@ def kernel(tmp_path, monkeypatch):
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     monkeypatch.setitem(vars(numba.config), "CACHE_DIR", "")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(user_cache, "_warnings", [])
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "small_kernel.py").write_text("def twice(x):\n    return 2 * x\n")
 
@@ -127,9 +126,8 @@ def test_kernels_work_without_a_cache(kernel, tmp_path, monkeypatch, caplog):
     assert not [*tmp_path.rglob("*.nb?")]
 
 
-def test_an_error_of_any_thread_is_raised_after_all_are_done(monkeypatch):
+def test_an_error_of_any_thread_is_raised_after_all_are_done():
     together, arrived, done = threading.Barrier(3, timeout=10), iter(range(3)), []
-    monkeypatch.setattr("salsanext_cli.core.compiled.thread_count", lambda: 3)
 
     def work(_):
         together.wait()
@@ -138,6 +136,6 @@ def test_an_error_of_any_thread_is_raised_after_all_are_done(monkeypatch):
         time.sleep(0.05)
         done.append(1)
 
-    with pytest.raises(ValueError, match="no"):
+    with threads(3), pytest.raises(ValueError, match="no"):
         parallel_for(work, range(3))
     assert len(done) == 2

@@ -4,20 +4,22 @@
 import json
 import shlex
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
-from salsanext_cli.core import optional_packages
 from salsanext_cli.core.errors import MissingDependency
 from salsanext_cli.core.optional_packages import extra_command, import_extra
 
 
-def installed_from(monkeypatch, record: object) -> None:
-    """Have an installer's record of the source of the package."""
-    text = record if isinstance(record, str) or record is None else json.dumps(record)
-    found = SimpleNamespace(read_text=lambda name: text)
-    monkeypatch.setattr(optional_packages, "distribution", lambda name: found)
+def install_from(record: object, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have the package in a folder of the path, with an installer's record of its source."""
+    installed = folder / "site-packages/salsanext-1.0.dist-info"
+    installed.mkdir(parents=True)
+    (installed / "METADATA").write_text("Metadata-Version: 2.1\nName: salsanext\nVersion: 1.0\n")
+    if record is not None:
+        text = record if isinstance(record, str) else json.dumps(record)
+        (installed / "direct_url.json").write_text(text)
+    monkeypatch.syspath_prepend(installed.parent)
 
 
 @pytest.mark.parametrize(("is_editable", "option"), [(True, ["-e"]), (False, [])])
@@ -26,7 +28,7 @@ def test_an_extra_of_a_clone_is_installed_from_it(tmp_path, monkeypatch, is_edit
     clone.mkdir()
     (clone / "pyproject.toml").touch()
     directory = {"editable": True} if is_editable else {}
-    installed_from(monkeypatch, {"url": clone.as_uri(), "dir_info": directory})
+    install_from({"url": clone.as_uri(), "dir_info": directory}, tmp_path, monkeypatch)
     assert shlex.split(extra_command("ros")) == ["pip", "install", *option, f"{clone}[ros]"]
     with pytest.raises(MissingDependency) as caught:
         import_extra("salsanext_no_such_package", "ros")
@@ -45,7 +47,7 @@ def test_an_extra_of_a_clone_is_installed_from_it(tmp_path, monkeypatch, is_edit
         {"url": Path(__file__).as_uri(), "archive_info": {}},
     ],
 )
-def test_otherwise_both_ways_are_named(monkeypatch, record):
-    installed_from(monkeypatch, record)
+def test_otherwise_both_ways_are_named(tmp_path, monkeypatch, record):
+    install_from(record, tmp_path, monkeypatch)
     assert "'salsanext[ros]'" in extra_command("ros")
     assert "'.[ros]'" in extra_command("ros")

@@ -1,31 +1,43 @@
 # SPDX-License-Identifier: MIT
 """Memory of the machine, and the limit of a control group, from the files of Linux."""
 
-import sys
+from dataclasses import dataclass
+from pathlib import Path
 
 import pytest
 
 from salsanext_cli.training import memory
-from salsanext_cli.training.memory import Memory, memory_of
+from salsanext_cli.training.memory import Memory, SystemFiles, memory_of
 
 MEMINFO = "MemTotal:       1000 kB\nMemFree: 10 kB\nMemAvailable:    600 kB\nHugePages_Total: 0\n"
 
 
-@pytest.fixture
-def system(tmp_path, monkeypatch):
-    """Return a function that writes a file of the system; there are 1000 KiB, 600 of them free."""
+@dataclass(frozen=True)
+class FakeSystem:
+    """Files of a system below a folder."""
 
-    def write(name, text):
-        path = tmp_path / name
+    root: Path
+
+    @property
+    def files(self):
+        return SystemFiles(
+            meminfo=self.root / "meminfo",
+            groups_of_process=self.root / "groups",
+            groups=self.root / "cgroup",
+        )
+
+    def write(self, name, text):
+        path = self.root / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text)
 
-    write("meminfo", MEMINFO)
-    monkeypatch.setattr(memory, "MEMINFO", tmp_path / "meminfo")
-    monkeypatch.setattr(memory, "GROUPS_OF_PROCESS", tmp_path / "groups")
-    monkeypatch.setattr(memory, "CGROUP", tmp_path / "cgroup")
-    monkeypatch.setattr(sys, "platform", "linux")
-    return write
+
+@pytest.fixture
+def system(tmp_path):
+    """Return a system with 1000 KiB, of which 600 are free."""
+    made = FakeSystem(tmp_path)
+    made.write("meminfo", MEMINFO)
+    return made
 
 
 def kib(total, available):
@@ -33,12 +45,12 @@ def kib(total, available):
 
 
 def test_without_a_limit_it_is_the_memory_of_the_machine(system):
-    assert memory_of("cpu") == kib(1000, 600)
-    system("groups", "0::/job\n")
-    assert memory_of("cpu") == kib(1000, 600)
-    system("cgroup/job/memory.max", "max\n")
-    system("cgroup/job/memory.current", "1024\n")
-    assert memory_of("cpu") == kib(1000, 600)
+    assert memory_of("cpu", system.files) == kib(1000, 600)
+    system.write("groups", "0::/job\n")
+    assert memory_of("cpu", system.files) == kib(1000, 600)
+    system.write("cgroup/job/memory.max", "max\n")
+    system.write("cgroup/job/memory.current", "1024\n")
+    assert memory_of("cpu", system.files) == kib(1000, 600)
 
 
 @pytest.mark.parametrize(
@@ -52,15 +64,15 @@ def test_without_a_limit_it_is_the_memory_of_the_machine(system):
     ],
 )
 def test_a_control_group_limits_it_and_its_cached_files_are_free(system, groups, folder, files):
-    system("groups", groups)
-    system(f"cgroup/{folder}/{files.limit}", str(1024 * 500))
-    system(f"cgroup/{folder}/{files.use}", str(1024 * 400))
-    assert memory_of("cpu") == kib(500, 100)
-    system(f"cgroup/{folder}/memory.stat", f"anon 5\n{files.cache} {1024 * 50}\n")
-    assert memory_of("cpu") == kib(500, 150)
+    system.write("groups", groups)
+    system.write(f"cgroup/{folder}/{files.limit}", str(1024 * 500))
+    system.write(f"cgroup/{folder}/{files.use}", str(1024 * 400))
+    assert memory_of("cpu", system.files) == kib(500, 100)
+    system.write(f"cgroup/{folder}/memory.stat", f"anon 5\n{files.cache} {1024 * 50}\n")
+    assert memory_of("cpu", system.files) == kib(500, 150)
     # A limit above the memory of the machine limits nothing.
-    system(f"cgroup/{folder}/{files.limit}", str(2**60))
-    assert memory_of("cpu") == kib(1000, 600)
+    system.write(f"cgroup/{folder}/{files.limit}", str(2**60))
+    assert memory_of("cpu", system.files) == kib(1000, 600)
 
 
 def test_that_of_a_gpu_is_stated_by_its_driver(monkeypatch):
@@ -68,9 +80,8 @@ def test_that_of_a_gpu_is_stated_by_its_driver(monkeypatch):
     assert memory_of("cuda:1") == Memory(total=8, available=3)
 
 
-def test_it_is_unknown_elsewhere(system, monkeypatch):
-    monkeypatch.setattr(sys, "platform", "darwin")
-    assert memory_of("cpu") is None
-    monkeypatch.setattr(sys, "platform", "linux")
-    system("meminfo", "MemTotal: 5 kB\n")
-    assert memory_of("cpu") is None
+def test_it_is_unknown_elsewhere(system, tmp_path):
+    """Another system has no such files; an old Linux states other numbers."""
+    assert memory_of("cpu", FakeSystem(tmp_path / "elsewhere").files) is None
+    system.write("meminfo", "MemTotal: 5 kB\n")
+    assert memory_of("cpu", system.files) is None

@@ -5,6 +5,7 @@ import os
 import platform
 from collections.abc import Iterable
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 
 from salsanext_cli.core.engines.device import CPUINFO
 
@@ -24,9 +25,9 @@ def versions(packages: Iterable[str]) -> dict[str, str | None]:
     return {"python": platform.python_version()} | {name: version_of(name) for name in packages}
 
 
-def processor_name() -> str:
-    """Return the name of the processor, of its kind if the system does not state it."""
-    text = CPUINFO.read_text("utf-8") if CPUINFO.exists() else ""
+def processor_name(cpuinfo: Path = CPUINFO) -> str:
+    """Return the name of the processor, of its kind if the file of Linux does not state it."""
+    text = cpuinfo.read_text("utf-8") if cpuinfo.exists() else ""
     named = dict(line.split(":", 1) for line in text.splitlines() if ":" in line)
     fields = {key.strip(): value.strip() for key, value in named.items()}
     stated = (fields.get(key) for key in NAME_KEYS)

@@ -16,10 +16,10 @@ from salsanext_cli.io.files.atomic import sweep_stale, writing
 from salsanext_cli.version import __version__
 
 CHECKSUM_BYTES = 32
-MAX_FOLDER_BYTES = 2 << 30  # Above it, the least recently used files are removed
+MAX_FOLDER_BYTES = 2 << 30
 
 log = logging.getLogger(__name__)
-_warnings: list[str] = []  # The only warning of this process
+_warned: set[str] = set()  # Cache folders that this process has warned of
 
 
 def cache_folder() -> str:
@@ -56,13 +56,16 @@ def store(name: str, content: bytes) -> bytes:
     return content
 
 
-def write_checked(path: Path, content: bytes) -> None:
-    """Write a file with a checksum and remove old ones; warn once if that is impossible."""
+def write_checked(path: Path, content: bytes, most_bytes: int = MAX_FOLDER_BYTES) -> None:
+    """Write a file with a checksum, and remove the oldest of its folder above a size in bytes.
+
+    If that is impossible, a warning is logged once.
+    """
     try:
         with writing(path) as file:
             file.write(content + hashlib.sha256(content).digest())
         sweep_stale(path.parent)
-        _remove_oldest(path)
+        _remove_oldest(path, most_bytes)
     except (OutputError, OSError) as error:
         warn_of_cache(f"{error_text(error)}: continuing without it")
 
@@ -86,20 +89,21 @@ def read_checked(path: Path) -> bytes | None:
     return None
 
 
-def _remove_oldest(newest: Path) -> None:
-    """Remove the least recently used files of a folder above its size limit."""
+def _remove_oldest(newest: Path, most_bytes: int) -> None:
+    """Remove the least recently used files of a folder above a size in bytes."""
     with suppress(OSError):
         files = [(file.stat(), file) for file in newest.parent.glob(f"*{newest.suffix}")]
         total = sum(status.st_size for status, _ in files)
         for status, file in sorted(files, key=lambda pair: pair[0].st_mtime):
-            if total <= MAX_FOLDER_BYTES or file == newest:
+            if total <= most_bytes or file == newest:
                 break
             file.unlink(missing_ok=True)
             total -= status.st_size
 
 
 def warn_of_cache(problem: str) -> None:
-    """Warn of the first problem with the cache in this process."""
-    if not _warnings:
-        _warnings.append(problem)
+    """Warn of the first problem with the cache folder in this process."""
+    folder = cache_folder()
+    if folder not in _warned:
+        _warned.add(folder)
         log.warning("cache: %s", problem)

@@ -16,15 +16,15 @@ CPUINFO = {
 
 
 @pytest.mark.parametrize("text", CPUINFO)
-def test_a_processor_has_the_name_that_the_system_states(text, tmp_path, monkeypatch):
-    monkeypatch.setattr(machine, "CPUINFO", tmp_path / "cpuinfo")
+def test_a_processor_has_the_name_that_the_system_states(text, tmp_path):
     (tmp_path / "cpuinfo").write_text(text)
-    assert machine.processor_name() == CPUINFO[text]
+    assert machine.processor_name(tmp_path / "cpuinfo") == CPUINFO[text]
 
 
-def test_without_a_statement_its_kind_is_named(tmp_path, monkeypatch):
-    monkeypatch.setattr(machine, "CPUINFO", tmp_path / "missing")
-    assert machine.processor_name() == (platform.processor() or platform.machine())
+def test_without_a_statement_its_kind_is_named(tmp_path):
+    assert machine.processor_name(tmp_path / "missing") == (
+        platform.processor() or platform.machine()
+    )
 
 
 def test_versions_are_of_installed_packages_and_of_python():

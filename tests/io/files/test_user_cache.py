@@ -38,11 +38,11 @@ def test_without_a_writable_folder_files_are_always_made(tmp_path, monkeypatch, 
     assert cached("a/x.blob", lambda: b"three") == b"three"
 
 
-def test_least_recently_used_files_are_removed_first(tmp_path, monkeypatch):
+def test_least_recently_used_files_are_removed_first(tmp_path):
     for number, name in enumerate("abc"):
         cached(f"a/{name}.blob", lambda: bytes(1000))
         os.utime(tmp_path / f"cache/salsanext/a/{name}.blob", (number, number))
     cached("a/a.blob", refuse)
-    monkeypatch.setattr(user_cache, "MAX_FOLDER_BYTES", 3500)
-    cached("a/d.blob", lambda: bytes(1000))
+    folder = tmp_path / "cache/salsanext/a"
+    user_cache.write_checked(folder / "d.blob", bytes(1000), most_bytes=3500)
     assert sorted(path.stem for path in tmp_path.rglob("*.blob")) == ["a", "c", "d"]

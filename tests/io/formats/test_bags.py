@@ -3,6 +3,7 @@
 
 import sqlite3
 import struct
+import sys
 
 import numpy as np
 import pytest
@@ -272,14 +273,13 @@ def test_reported_bags_are_read(real_data, name):
 
 def test_the_package_that_is_missing_or_too_old_is_named(tmp_path, monkeypatch):
     path = write_bag(tmp_path, ".bag", messages(POINTS[:1]))
-    monkeypatch.setattr("salsanext_cli.core.optional_packages.version", lambda name: "0.9.23")
+    old = tmp_path / "site-packages/rosbags-0.9.23.dist-info"
+    old.mkdir(parents=True)
+    (old / "METADATA").write_text("Metadata-Version: 2.1\nName: rosbags\nVersion: 0.9.23\n")
+    monkeypatch.syspath_prepend(old.parent)
     with pytest.raises(MissingDependency, match=r"0\.9\.23 \(expected 0\.11\.7 or newer"):
         find_scans(path)
-
-    def missing(name):
-        raise ModuleNotFoundError(f"No module named {name!r}", name=name)
-
-    monkeypatch.setattr("salsanext_cli.core.optional_packages.import_module", missing)
+    monkeypatch.setitem(sys.modules, "rosbags", None)
     with pytest.raises(MissingDependency, match="rosbags") as caught:
         find_scans(path)
     assert caught.value.hint == extra_command("ros")
