@@ -3,7 +3,7 @@
 
 import os
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -98,13 +98,32 @@ def narrow_weights(tmp_path: Path) -> Iterator[Path]:
 
 
 @pytest.fixture
-def narrow_default(narrow_weights: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Return such weights, which are also those that are taken if none are named."""
-    from salsanext_cli.io.weights import card_file, loading
+def take_by_default(monkeypatch: pytest.MonkeyPatch) -> Callable[[Path], None]:
+    """Return a function that has a file of weights be the one that is taken if none is named."""
+    from salsanext_cli.io.weights import card_file
 
-    for module in (card_file, loading):
-        monkeypatch.setattr(module, "default_weights", lambda: narrow_weights)
+    return lambda weights: monkeypatch.setattr(card_file, "DEFAULT_FILE", str(weights))
+
+
+@pytest.fixture
+def narrow_default(narrow_weights: Path, take_by_default: Callable[[Path], None]) -> Path:
+    """Return such weights, which are also those that are taken if none are named."""
+    take_by_default(narrow_weights)
     return narrow_weights
+
+
+@pytest.fixture
+def one_step_fits(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fit error models in few steps: one for each epoch of few points."""
+    from salsanext_cli.training.tuning import error_training
+
+    monkeypatch.setattr(error_training, "MIN_STEPS", 1)
+
+
+@pytest.fixture
+def small_slices(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Divide the work of kernels among threads from 100 points on."""
+    monkeypatch.setattr("salsanext_cli.core.compiled.MIN_SLICE_ITEMS", 100)
 
 
 @pytest.fixture
@@ -119,19 +138,6 @@ def world(tmp_path: Path, weights: Path) -> "World":
 def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Keep what is compiled below the folder of the test."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-
-
-@pytest.fixture(autouse=True)
-def undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Draw nothing of scans and evaluations, which takes tenths of a second, unless `drawn`."""
-    if request.node.get_closest_marker("drawn"):
-        return
-    from salsanext_cli.commands.stages import picture
-    from salsanext_cli.report import plots
-
-    monkeypatch.setattr(picture, "picture_of_results", lambda *_, **__: b"picture")
-    for name in ("confusion_picture", "reliability_diagram", "risk_coverage"):
-        monkeypatch.setattr(plots, name, lambda *_: b"picture")
 
 
 @pytest.fixture

@@ -62,6 +62,7 @@ def test_default_weights_have_a_version_and_inherit_nothing(tmp_path, tiny_train
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("one_step_fits")
 def test_default_weights_get_an_error_model_of_all_sequences_and_int8_ranges(tmp_path, monkeypatch):
     monkeypatch.setattr(finish_weights, "CORRUPTIONS", 1)
     weights, datasets = tmp_path / "w.safetensors", [tmp_path / "a", tmp_path / "b"]
@@ -70,7 +71,6 @@ def test_default_weights_get_an_error_model_of_all_sequences_and_int8_ranges(tmp
         for number in ("00", "08", "09"):
             write_sequence(dataset / "sequences" / number, ["0"], seed=int(number))
         (dataset / "labels.yaml").write_text(json.dumps(space))
-    monkeypatch.setattr("salsanext_cli.training.tuning.error_training.MIN_STEPS", 10)
     monkeypatch.setattr("salsanext_cli.training.tuning.error_training.EPOCHS", 1)
     with salsanext_of(**SHALLOW):
         save_weights(weights, build(CARD.architecture), CARD)

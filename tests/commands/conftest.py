@@ -13,6 +13,8 @@ from scans import add_housing, write_sequence
 from typer.testing import Result
 from world import World
 
+from salsanext_cli.report import canvas
+
 ALONE = ("SALSANEXT_OUT", "SALSANEXT_DATASET")
 Run = Callable[..., Result]
 
@@ -53,9 +55,15 @@ def on_openvino(world: World) -> World:
 
 
 @pytest.fixture
-def in_few_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+def in_few_steps(one_step_fits: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """Fit a useless error model, and accept it."""
-    from salsanext_cli.training.tuning import error, error_training
+    from salsanext_cli.training.tuning import error
 
-    monkeypatch.setattr(error_training, "MIN_STEPS", 1)
     monkeypatch.setattr(error, "gains", lambda model: True)
+
+
+@pytest.fixture(autouse=True)
+def undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compute no pixels of figures, which takes tenths of a second, unless a test is `drawn`."""
+    if not request.node.get_closest_marker("drawn"):
+        monkeypatch.setattr(canvas, "png_of", lambda _: b"picture")

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from calls import calls_of
 from matplotlib.image import imread
 from scans import SMALL, make_scan
 
@@ -152,11 +153,10 @@ def test_points_outside_the_picture_are_skipped(point):
     ("farthest", "reach"), [(0.5, 5), (4.9, 5), (5.1, 10), (19, 20), (30, 45), (90, 45)]
 )
 def test_a_picture_from_above_is_as_wide_as_the_scan(farthest, reach, monkeypatch):
-    drawn = []
-    monkeypatch.setattr(scan_pictures, "_draw_from_above", lambda *args: drawn.append(args[4]))
     monkeypatch.setattr("salsanext_cli.report.canvas.png_of", lambda _: b"")
     points = np.zeros((1000, 3), np.float32)
     points[:700, 1] = np.linspace(0.1, farthest, 700)
     points[0, 0], points[1] = 80, np.nan  # A far point, and one without a measurement
-    scan_pictures.scan_picture("", points, {"": np.zeros((1000, 3), np.uint8)})
-    assert drawn == [reach]
+    with calls_of(scan_pictures.raster) as rasters:
+        scan_pictures.scan_picture("", points, {"": np.zeros((1000, 3), np.uint8)})
+    assert [call["reach"] for call in rasters] == [reach]

@@ -238,18 +238,19 @@ def over_scans(
 
 
 class Lines:
-    """Progress as lines of text, at most one in `LINE_INTERVAL_S`."""
+    """Progress as lines of text, at most one in `LINE_INTERVAL_S` of a clock in seconds."""
 
-    def __init__(self, label: str, unit: str) -> None:
+    def __init__(self, label: str, unit: str, clock: Callable[[], float] = time.monotonic) -> None:
         self.label = label
         self.unit = unit
-        self.start = time.monotonic()
+        self.clock = clock
+        self.start = clock()
         self.last = self.start
         self.before: int | None = None
 
     def __call__(self, done: int, total: int) -> None:
         """Print a line if one is due."""
-        now = time.monotonic()
+        now = self.clock()
         if self.before is None:
             self.before = max(done - 1, 0)  # A resumed training does not begin at 1.
         if now - self.last < LINE_INTERVAL_S or done == total:

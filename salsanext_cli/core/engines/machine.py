@@ -5,7 +5,6 @@ import os
 import platform
 from collections.abc import Iterable
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
 
 from salsanext_cli.core.engines.device import CPUINFO
 
@@ -25,10 +24,14 @@ def versions(packages: Iterable[str]) -> dict[str, str | None]:
     return {"python": platform.python_version()} | {name: version_of(name) for name in packages}
 
 
-def processor_name(cpuinfo: Path = CPUINFO) -> str:
-    """Return the name of the processor, of its kind if the file of Linux does not state it."""
-    text = cpuinfo.read_text("utf-8") if cpuinfo.exists() else ""
-    named = dict(line.split(":", 1) for line in text.splitlines() if ":" in line)
+def processor_name() -> str:
+    """Return the name of the processor, of its kind if the system does not state it."""
+    return name_in(CPUINFO.read_text("utf-8") if CPUINFO.exists() else "")
+
+
+def name_in(cpuinfo: str) -> str:
+    """Return the name that a content of Linux's `cpuinfo` states, else the kind of processor."""
+    named = dict(line.split(":", 1) for line in cpuinfo.splitlines() if ":" in line)
     fields = {key.strip(): value.strip() for key, value in named.items()}
     stated = (fields.get(key) for key in NAME_KEYS)
     return next(filter(None, stated), platform.processor() or platform.machine())

@@ -23,6 +23,7 @@ from salsanext_cli.io.files.atomic import WEIGHTS_SUFFIX
 from salsanext_cli.io.files.reading import fingerprint, is_folder, present, reading, refusing_damage
 
 ONNX_SUFFIX = ".onnx"
+DEFAULT_FILE = "presets/weights/default.safetensors"  # In the package
 
 
 def read_card(path: Path) -> WeightsCard:
@@ -55,7 +56,7 @@ def read_card(path: Path) -> WeightsCard:
 
 def default_weights() -> Path:
     """Return the path of the weights of the package."""
-    return Path(str(resources.files("salsanext_cli") / "presets/weights/default.safetensors"))
+    return Path(str(resources.files("salsanext_cli") / DEFAULT_FILE))
 
 
 def hint_for_missing(path: Path) -> str:

@@ -109,7 +109,12 @@ def make_holes(channels: Float, random: Rng) -> Float:
 
     A pixel is lost with the share of its cell times a factor, or with its left neighbour.
     """
-    shares = np.append(HOLE_SHARES, 0.0)[hole_cells(channels[0])] * random.uniform(0, MAX_HOLES)
+    return lose_pixels(channels, random.uniform(0, MAX_HOLES), random)
+
+
+def lose_pixels(channels: Float, factor: float, random: Rng) -> Float:
+    """Return range images (C, H, W) with holes, whose shares are those of `HOLE_SHARES` × factor."""
+    shares = np.append(HOLE_SHARES, 0.0)[hole_cells(channels[0])] * factor
     chance = random.random(shares.shape)
     is_first = random.random(shares.shape) >= CONTINUED
     source = np.maximum.accumulate(np.where(is_first, np.arange(shares.shape[1]), 0), axis=1)

@@ -268,11 +268,10 @@ def test_a_result_is_a_table_or_json():
     assert result == {"schema": 2, "name": "Größe \\xff", "value": 1.5}
 
 
-def test_a_log_file_gets_a_line_from_time_to_time(monkeypatch, capsys):
+def test_a_log_file_gets_a_line_from_time_to_time(capsys):
     """The rate of a resumed training counts the steps of this run only."""
     now = 0.0
-    monkeypatch.setattr(console.time, "monotonic", lambda: now)
-    lines = console.Lines("predict", "scans")
+    lines = console.Lines("predict", "scans", clock=lambda: now)
     for done in range(901, 1001):
         now += 3.0
         lines(done, 1000)

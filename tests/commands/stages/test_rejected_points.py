@@ -4,15 +4,15 @@
 import numpy as np
 import plyfile
 import pytest
+from calls import calls_of
 from evaluated import CAR, ROAD, SPACE, World
 
 from salsanext_cli import sensor
-from salsanext_cli.commands.stages import picture as pictures
 from salsanext_cli.commands.stages.evaluate import evaluate_scans
 from salsanext_cli.commands.stages.export_ply import export_ply
 from salsanext_cli.commands.stages.picture import picture
 from salsanext_cli.commands.stages.report import report, view
-from salsanext_cli.report.scan_pictures import picture_of_results
+from salsanext_cli.report.scan_pictures import scan_picture
 from salsanext_cli.runs.results.manifest import Manifest, StageRecord
 from salsanext_cli.runs.results.paths import find_scans
 from salsanext_cli.runs.results.query import ResultQuery
@@ -89,22 +89,12 @@ def test_the_served_page_does_not_judge_rejected_points(world, query):
     assert wrong[[0, 2, 3]].tolist() == [0, 0, 1]
 
 
-def test_pictures_and_clouds_state_coverage_and_risk(world, query, monkeypatch):
-    titles = []
-    monkeypatch.setattr("salsanext_cli.report.scan_pictures.scan_picture", _titles_into(titles))
-    # Undo `undrawn` of conftest.py.
-    monkeypatch.setattr(pictures, "picture_of_results", picture_of_results)
-    picture(world.out, colours=["wrong"], query=query)
+def test_pictures_and_clouds_state_coverage_and_risk(world, query):
+    with calls_of(scan_picture) as pictures:
+        picture(world.out, colours=["wrong"], query=query)
+    titles = list(pictures[0]["views"])
     assert titles[0] == "errors of the accepted labels: coverage 37.5 %, risk 33.3 %"
     export_ply(world.out, colour="wrong", query=query)
     cloud = plyfile.PlyData.read(world.out / "sequences/08/ply/0.ply")
     assert "coverage 37.5 %, risk 33.3 %" in cloud.comments
     assert np.isnan(cloud["vertex"]["scalar_wrong"]).sum() == 7
-
-
-def _titles_into(titles):
-    def drawn(_heading, _points, views, *_, **__):
-        titles.extend(views)
-        return b"picture"
-
-    return drawn

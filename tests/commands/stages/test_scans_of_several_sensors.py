@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from calls import calls_of
 from command_line import called, only_json
 from scans import SMALL, files_below, labels_below, make_scan, write_bin, write_weights
 
@@ -23,7 +24,7 @@ from salsanext_cli.core.sensors.sensor import INTENSITY_LEVELS
 from salsanext_cli.core.uncertainty.method import UncertaintyMethod
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import save_with_card
-from salsanext_cli.runs.loop.run import RunOptions
+from salsanext_cli.runs.loop.run import RunOptions, run_over_scans
 from salsanext_cli.runs.loop.run_options import Shard
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.manifest import Manifest
@@ -169,10 +170,11 @@ def test_no_accuracy_is_estimated_beside_scans_of_another_sensor(network, tmp_pa
     assert read_run(out)[0].expected_accuracy().accuracy is not None
 
 
-def test_a_sensor_file_of_scans_of_several_sensors_is_refused_before_the_survey(mixed, monkeypatch):
-    monkeypatch.setattr("salsanext_cli.commands.stages.inspect.run_over_scans", None)
-    with pytest.raises(NoInputError, match="2 sensors") as caught:
+def test_a_sensor_file_of_scans_of_several_sensors_is_refused_before_the_survey(mixed):
+    with calls_of(run_over_scans) as surveys, pytest.raises(NoInputError) as caught:
         inspect(mixed, sensor=SMALL, fit=True)
+    assert not surveys
+    assert "2 sensors" in str(caught.value)
     assert caught.value.subject == str(mixed)
 
 

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from calls import calls_of
 from safetensors.torch import load_file
 from scans import SMALL, write_sequence
 from shallow import SHALLOW
@@ -349,22 +350,16 @@ def test_files_that_no_training_wrote_are_not_replaced(dataset, tmp_path):
                 OwnedFolder(theirs.parent).write(theirs, before)
 
 
-def test_rare_classes_and_weights_come_from_the_training_split(dataset, tmp_path, monkeypatch):
+def test_rare_classes_and_weights_come_from_the_training_split(dataset, tmp_path):
     labels = np.full(1800, 40, np.uint32)
     labels[:10] = 30  # person: 10 of 1800 points
     labels[10:100] = 10
     for stem, of_scan in zip("012", np.split(labels, 3), strict=True):
         write_labels(dataset / "sequences" / "00" / "labels" / f"{stem}.label", of_scan)
-    prepared = []
-    fit = Training.fit
-
-    def spy(self):
-        prepared.append(self)
-        return fit(self)
-
-    monkeypatch.setattr(Training, "fit", spy)
-    go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1))
-    space, (training,) = label_space(), prepared
+    with calls_of(Training.fit) as fits:
+        go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1))
+    space = label_space()
+    (training,) = [call["self"] for call in fits]
     counts = json.loads((tmp_path / "run" / "class_counts.json").read_text())["points"]
     assert {n: c for n, c in counts.items() if c} == {"person": 10, "car": 90, "road": 1700}
     rare = [name for name in np.array(space.names)[training.samples.rare] if counts[name]]
@@ -423,22 +418,21 @@ def test_late_checks_name_the_scans_of_the_step(
     spoilt, saving_s, taken, dataset, tmp_path, monkeypatch
 ):
     """As on a GPU. Nothing is written after a step that is not finite."""
-    steps, drawn, draw = [], {}, Samples.__getitem__
+    steps = []
 
     def learn(self, images, truth, step, steps_per_epoch):
         steps.append(step)
         return torch.tensor(math.nan if step == spoilt else 1.0)
 
-    def spy(self, key):
-        drawn[key[0]] = self.scan_at(key[1])[1].path
-        return draw(self, key)
-
     monkeypatch.setattr(fit, "CHECK_INTERVALS", {"cpu": 3})
     monkeypatch.setattr(fit, "SAVE_INTERVAL_S", saving_s)
     monkeypatch.setattr(Learner, "step", learn)
-    monkeypatch.setattr(Samples, "__getitem__", spy)
-    with pytest.raises(TrainingError) as caught:
+    with calls_of(Samples.__getitem__) as draws, pytest.raises(TrainingError) as caught:
         go(dataset, tmp_path / "run", recipe=TINY.with_changes(samples_per_epoch=10))
+    drawn = {}
+    for call in draws:
+        number, place = call["key"][:2]
+        drawn[number] = call["self"].scan_at(place)[1].path
     names = f"{drawn[2 * spoilt]}, {drawn[2 * spoilt + 1]}"
     assert caught.value.subject == f"step {spoilt + 1}"
     assert caught.value.problem.endswith(names)

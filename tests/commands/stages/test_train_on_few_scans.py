@@ -4,6 +4,7 @@
 import json
 import math
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +16,6 @@ from scans import SMALL, refused, write_sequence
 from tiny_network import TinyNetwork
 
 from salsanext_cli import label_space, read_labels, read_scan, write_labels
-from salsanext_cli.commands.stages import train as stage
 from salsanext_cli.commands.stages import training_scenes
 from salsanext_cli.commands.stages.import_labels import import_labels
 from salsanext_cli.commands.stages.synth import SynthSettings
@@ -35,7 +35,6 @@ from salsanext_cli.runs.results.paths import find_scans
 from salsanext_cli.training import cross_validated_training
 from salsanext_cli.training.fit import StepReport
 from salsanext_cli.training.recipe import Recipe
-from salsanext_cli.training.tuning import error_training
 
 FEW = Recipe(
     initial="default",
@@ -57,14 +56,18 @@ pytestmark = pytest.mark.usefixtures("tiny_training")
 
 
 @pytest.fixture(autouse=True)
-def initial(tiny_training: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+def initial(
+    tiny_training: None,
+    one_step_fits: None,
+    take_by_default: Callable[[Path], None],
+    tmp_path: Path,
+) -> Path:
     """Put a tiny network in the place of the default weights."""
     path = tmp_path / "initial.safetensors"
     card = WeightsCard({"name": "salsanext", "class_count": 20}, label_space(), SMALL)
     torch.manual_seed(1)
     save_weights(path, TinyNetwork(), card)
-    monkeypatch.setattr(stage, "default_weights", lambda: path)
-    monkeypatch.setattr(error_training, "MIN_STEPS", 1)
+    take_by_default(path)
     return path
 
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from calls import calls_of
 from command_line import python
 from safetensors.torch import load_file
 from scans import SMALL, refused, write_sequence, write_weights
@@ -127,22 +128,22 @@ def test_a_limit_counts_the_scans_that_are_not_skipped(world, target, tmp_path, 
     assert (tuned["scans"], tuned["skipped"]) == (3, 2)
 
 
-def test_what_can_be_seen_at_once_is_refused_before_the_network_is_loaded(
-    world, target, tmp_path, monkeypatch
-):
-    monkeypatch.setattr(NetworkSettings, "load", lambda _: pytest.fail("loaded"))
+def test_what_can_be_seen_at_once_is_refused_before_the_network_is_loaded(world, target, tmp_path):
     existing = tmp_path / "existing.safetensors"
     existing.write_bytes(b"precious")
-    for part in ("temperature", "error", "dropout", "risk"):
-        numbers = {"at_most": 0.05} if part == "risk" else {}
-        refused(OutputError, existing, go, world, existing, part, **numbers)
-        stage = getattr(tune, f"tune_{part}")
-        with pytest.raises(NoInputError):
-            stage(tmp_path / "nowhere", target, settings=world.network, **numbers)
-    refused(TrainingError, world.data, go, world, target, "risk", at_most=0.05)
-    refused(UsageError, "at_most", go, world, target, "risk", at_most=5)
-    shutil.rmtree(world.data / LABELS)
-    refused(LabelError, world.data / LABELS / "000000.label", go, world, target, selection=VALID)
+    with calls_of(NetworkSettings.load) as loadings:
+        for part in ("temperature", "error", "dropout", "risk"):
+            numbers = {"at_most": 0.05} if part == "risk" else {}
+            refused(OutputError, existing, go, world, existing, part, **numbers)
+            stage = getattr(tune, f"tune_{part}")
+            with pytest.raises(NoInputError):
+                stage(tmp_path / "nowhere", target, settings=world.network, **numbers)
+        refused(TrainingError, world.data, go, world, target, "risk", at_most=0.05)
+        refused(UsageError, "at_most", go, world, target, "risk", at_most=5)
+        shutil.rmtree(world.data / LABELS)
+        label = world.data / LABELS / "000000.label"
+        refused(LabelError, label, go, world, target, selection=VALID)
+    assert not loadings
 
 
 @pytest.mark.parametrize("words", [("tune", "error", "IN", "OUT"), ("eval", "IN")])

@@ -18,18 +18,16 @@ from salsanext_cli.io.files.reading import fingerprint
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import save_with_card
 from salsanext_cli.report.card_table import card_table
-from salsanext_cli.report.page import recorded_facts
 from salsanext_cli.runs.network_settings import NetworkSettings
 
 TRAINED = "Trained on simulated scenes: 7 scans. Not for real roads."
 
 
 @pytest.fixture
-def default(narrow_default: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def default(narrow_default: Path) -> Path:
     """Have a version in the default weights."""
     card = replace(read_card(narrow_default), version=5, description=TRAINED)
     save_with_card(narrow_default, narrow_default, card)
-    monkeypatch.setattr(recorded_facts, "default_weights", lambda: narrow_default)
     return narrow_default
 
 

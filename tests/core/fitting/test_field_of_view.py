@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from calls import calls_of
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
@@ -16,7 +17,7 @@ from salsanext_cli.core.checks.scan_checks import check_scan, share_outside
 from salsanext_cli.core.fitting.ego_fit import MIN_RANGE_M, fit_ego
 from salsanext_cli.core.fitting.field_of_view import SHOWN, fit_view
 from salsanext_cli.core.geometry.sensor_frame import ego_points, upright_rotation, without_ego
-from salsanext_cli.runs.fit import scan_sample, sensor_fit
+from salsanext_cli.runs.fit import sensor_fit
 from salsanext_cli.runs.fit.scan_sample import MAX_SCANS, sample_of_files
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.paths import find_scans
@@ -124,22 +125,17 @@ def test_a_sensor_in_a_room_stands_upright_where_its_beams_come_from(height):
     assert -46 < found.fov_down < found.fov_up < 46
 
 
-def test_each_scan_is_read_once_for_view_intensity_and_gaps(world, monkeypatch):
-    read = []
-
-    def counted(path, *arguments):
-        read.append(path)
-        return read_scan(path, *arguments)
-
-    monkeypatch.setattr(scan_sample, "read_scan", counted)
+def test_each_scan_is_read_once_for_view_intensity_and_gaps(world):
     settings = NetworkSettings(device="cpu", engine="torch")
     network = settings.load()
     sample = sample_of_files(find_scans(world.data), network.sensor)
-    network = sensor_fit.fit_scans(settings, network, sample)
-    assert len(sample.images(network.sensor)) == len(read)
+    with calls_of(read_scan) as reads:
+        network = sensor_fit.fit_scans(settings, network, sample)
+        assert len(sample.images(network.sensor)) == len(reads)
     assert network.sensor.intensity_quantiles
     assert network.sensor.row_gaps is not None
-    assert sorted(read) == sorted(file.path for file in find_scans(world.data))
+    read = sorted(call["path"] for call in reads)
+    assert read == sorted(file.path for file in find_scans(world.data))
 
 
 ROOF = np.array([[-1.8, -0.7, -0.9], [0.6, 0.7, -0.4]])

@@ -121,11 +121,11 @@ def test_equals_the_slow_loop(problem):
     np.testing.assert_array_equal(refined, expected)
 
 
+@pytest.mark.usefixtures("small_slices")
 @pytest.mark.parametrize("threads", [1, 2, 5])
 @pytest.mark.parametrize("cell", [1, 9])
 def test_many_points_on_any_number_of_threads(rings, cell, threads, monkeypatch):
     """Labels that change with every pixel, and labels in patches of 9 × 9."""
-    monkeypatch.setattr("salsanext_cli.core.compiled.MIN_SLICE_ITEMS", 100)
     monkeypatch.setitem(vars(numba.config), "NUMBA_NUM_THREADS", threads)
     image = project(rings, sensor("hdl64").resized(width=512))
     labels = np.random.default_rng(1).integers(0, 20, (64, 512), np.uint8)

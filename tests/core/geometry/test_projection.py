@@ -83,9 +83,9 @@ def test_equals_the_slow_loop(scan, drawn):
     assert_same(project(scan, drawn), slow_project(scan, drawn))
 
 
+@pytest.mark.usefixtures("small_slices")
 @pytest.mark.parametrize("threads", [1, 2, 5])
 def test_many_points_on_any_number_of_threads(rings, threads, monkeypatch):
-    monkeypatch.setattr("salsanext_cli.core.compiled.MIN_SLICE_ITEMS", 100)
     monkeypatch.setitem(vars(numba.config), "NUMBA_NUM_THREADS", threads)
     assert_same(project(rings, sensor("hdl64")), slow_project(rings, sensor("hdl64")))
 

@@ -17,11 +17,11 @@ def by_products(rows, given):
     return rows[:, 0]
 
 
+@pytest.mark.usefixtures("small_slices")
 @pytest.mark.parametrize("threads", [2, 5])
 @pytest.mark.parametrize("sizes", [(9, 16, 16, 1), (3, 1)])
 @pytest.mark.parametrize("count", [0, 1, 255, 257, 1300])
 def test_any_sizes_on_any_number_of_threads(count, sizes, threads, monkeypatch):
-    monkeypatch.setattr("salsanext_cli.core.compiled.MIN_SLICE_ITEMS", 100)
     rows = np.random.default_rng(count).normal(size=(count, sizes[0])).astype("f4")
     rows[count // 2 : count // 2 + 1, -1] = np.nan
     given = layers(*sizes)

@@ -8,6 +8,7 @@ import struct
 
 import numpy as np
 import pytest
+from calls import calls_of
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -194,18 +195,13 @@ def test_points_that_were_not_measured_leave_the_type_evident(tmp_path, kind, sh
 
 
 @pytest.mark.parametrize("kind", ["<f4", "<f8"])
-def test_points_are_counted_by_a_part_of_the_file(tmp_path, monkeypatch, kind):
+def test_points_are_counted_by_a_part_of_the_file(tmp_path, kind):
     path, table = tmp_path / "s.bin", np.tile(TABLE.astype(kind).round(3), (10, 1))
     path.write_bytes(table.tobytes())
-    sizes = []
-
-    def read(file, path, dtype, count):
-        sizes.append(4 * count)
-        return read_values(file, path, dtype, count)
-
-    monkeypatch.setattr(kitti, "read_values", read)
-    assert kitti.count_points(path) == len(table)
-    assert sum(sizes) < path.stat().st_size / 5
+    with calls_of(read_values) as reads:
+        assert kitti.count_points(path) == len(table)
+    sizes = [np.dtype(call["dtype"]).itemsize * call["count"] for call in reads]
+    assert 0 < sum(sizes) < path.stat().st_size / 5
 
 
 def test_any_columns(tmp_path):

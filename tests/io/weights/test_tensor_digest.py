@@ -6,6 +6,7 @@ import os
 from dataclasses import replace
 
 import numpy as np
+from calls import calls_of
 from rewritten_weights import rewritten
 from scans import refused
 from shallow import shallow, weights  # noqa: F401
@@ -56,16 +57,15 @@ def test_the_digest_is_of_the_tensors_only(weights, tmp_path):
     assert "SHA-256" in caught.value.problem
 
 
-def test_a_file_is_hashed_once_as_long_as_it_stays(weights, tmp_path, monkeypatch):
-    path, digests = tmp_path / "w.safetensors", []
+def test_a_file_is_hashed_once_as_long_as_it_stays(weights, tmp_path):
+    path = tmp_path / "w.safetensors"
     path.write_bytes(weights.read_bytes())
-    compute = tensor_digest._digest
-    monkeypatch.setattr(tensor_digest, "_digest", lambda f: digests.append(1) or compute(f))
-    for _ in range(3):
+    with calls_of(tensor_digest._digest) as digests:
+        for _ in range(3):
+            read_weights(path)
+        assert len(digests) == 1
+        os.utime(path, ns=(0, 0))
         read_weights(path)
-    assert len(digests) == 1
-    os.utime(path, ns=(0, 0))
-    read_weights(path)
     assert len(digests) == 2
 
 

@@ -81,6 +81,7 @@ def test_a_scan_without_a_measurement(weights, tmp_path):
         describe_scan(ScanFile(sequence="s", stem="0", path=tmp_path / "0.bin"), network, **PASSES)
 
 
+@pytest.mark.usefixtures("small_slices")
 @pytest.mark.parametrize("threads", [1, 5])
 @pytest.mark.parametrize(
     ("count", "width", "block"),
@@ -88,7 +89,6 @@ def test_a_scan_without_a_measurement(weights, tmp_path):
 )
 def test_features_are_those_of_a_slow_loop(count, width, block, threads, monkeypatch):
     """Large blocks of pixels are alike, so that regions are; of many points some are compared."""
-    monkeypatch.setattr("salsanext_cli.core.compiled.MIN_SLICE_ITEMS", 100)
     monkeypatch.setitem(vars(numba.config), "NUMBA_NUM_THREADS", threads)
     random = np.random.default_rng(count + block)
     points = random.normal(size=(count, 3)).astype("f4") * np.float32([8, 8, 0.7])

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from calls import calls_of
 from map_drives import WAY, drive, write_poses
 from scans import SMALL, labels_below, write_bin, write_weights
 from street_scans import HEIGHT, low_street, moved, street
@@ -24,8 +25,7 @@ from salsanext_cli.core.errors import FormatError
 from salsanext_cli.core.fitting.mounting_fit import fit_mounting
 from salsanext_cli.core.fitting.scan_sample import ScanSample
 from salsanext_cli.core.fitting.view_fit import fit_sensor
-from salsanext_cli.core.geometry import sensor_of_scan
-from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
+from salsanext_cli.core.geometry.sensor_of_scan import placed_sensor, sensor_of
 from salsanext_cli.core.measures.expected_accuracy import WITHHELD_FOR
 from salsanext_cli.core.sensors.sensor import INTENSITY_LEVELS, Sensor
 from salsanext_cli.core.uncertainty.method import UncertaintyMethod
@@ -207,24 +207,23 @@ def test_the_origin_of_each_scan_is_recorded(predicted_map, tmp_path):
 
 
 @pytest.mark.usefixtures("workers_in_process")
-def test_later_stages_search_no_origin(map_drive, predicted_map, tmp_path, monkeypatch):
+def test_later_stages_search_no_origin(map_drive, predicted_map, tmp_path):
     out = tmp_path / "out"
     shutil.copytree(predicted_map, out)
     scan, sensor = ResultFolder(out).scans()[1], ResultFolder(out).manifest.sensor()
     before = ResultFolder(out).read(scan, sensor)
 
-    def searched(*_):
-        raise AssertionError("an origin was searched")
-
-    monkeypatch.setattr(sensor_of_scan, "placed_sensor", searched)
     network = NetworkSettings(map_drive / "w.safetensors", "cpu", engine="torch")
     few = UncertaintyMethod(samples=2, aleatoric="none")
-    assert uncertainty(map_drive / "velodyne", out, settings=network, method=few).done == len(WAY)
-    assert picture(out, colours=("range",)).done == len(WAY)
-    assert fuse_results(out).done == len(WAY)
-    for folder in (out, out / "fused"):
-        assert ResultFolder(folder).read(scan, sensor).sensor == before.sensor
-    assert knn_refine_scans(out, options=RunOptions(overwrite=True)).done == len(WAY)
+    with calls_of(placed_sensor) as searches:
+        outcome = uncertainty(map_drive / "velodyne", out, settings=network, method=few)
+        assert outcome.done == len(WAY)
+        assert picture(out, colours=("range",)).done == len(WAY)
+        assert fuse_results(out).done == len(WAY)
+        for folder in (out, out / "fused"):
+            assert ResultFolder(folder).read(scan, sensor).sensor == before.sensor
+        assert knn_refine_scans(out, options=RunOptions(overwrite=True)).done == len(WAY)
+    assert not searches
 
 
 @pytest.mark.parametrize("content", [np.zeros(2), np.full(3, np.nan), np.zeros(3, np.float32)])

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from calls import calls_of
 from evaluated import small_space
 from hypothesis import given
 from hypothesis import strategies as st
@@ -19,7 +20,7 @@ from salsanext_cli.core.checks.label_checks import LOOK
 from salsanext_cli.core.checks.scan_checks import ScanCheck, check_scan
 from salsanext_cli.core.geometry.scan_traits import groups_of
 from salsanext_cli.core.measures.counts import ScanCounts
-from salsanext_cli.core.measures.population import unit_traits
+from salsanext_cli.core.measures.population import population_difference, unit_traits
 from salsanext_cli.core.network.card import RiskThreshold
 from salsanext_cli.core.network.unit_traits import UnitTraits
 from salsanext_cli.runs.fit.mixed_sensors import mixed_sensors
@@ -249,18 +250,16 @@ def test_the_share_of_the_vehicle_is_one_of_points():
     assert summary.ego_share == pytest.approx(0.05)
 
 
-def test_the_order_of_workers_does_not_change_the_comparison_with_a_threshold(monkeypatch):
-    compared = []
-    target = "salsanext_cli.runs.summary.threshold_scans.population_difference"
-    monkeypatch.setattr(target, lambda _, now, __: compared.append(now))
+def test_the_order_of_workers_does_not_change_the_comparison_with_a_threshold():
     traits = {
         f"08/{i:06}": UnitTraits(unit=str(i), uncertainty=i / 10, class_shares=()) for i in range(5)
     }
     population = tuple(traits.values())
     risk = RiskThreshold("error", 0.2, 0.1, None, 12, ("00",), population=population)
-    for names in (list(traits), list(traits)[::-1]):
-        summary = RunSummary(sensor=SMALL, space=SPACE, threshold=risk)
-        summary.unit_traits = {name: traits[name] for name in names}
-        summary.names = set(names)
-        summary.compare_scans()
-    assert compared == [tuple(traits.values())] * 2
+    with calls_of(population_difference) as comparisons:
+        for names in (list(traits), list(traits)[::-1]):
+            summary = RunSummary(sensor=SMALL, space=SPACE, threshold=risk)
+            summary.unit_traits = {name: traits[name] for name in names}
+            summary.names = set(names)
+            summary.compare_scans()
+    assert [call["now"] for call in comparisons] == [tuple(traits.values())] * 2

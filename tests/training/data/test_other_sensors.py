@@ -124,12 +124,10 @@ def test_pixels_are_lost_with_the_share_of_their_cell() -> None:
     np.testing.assert_array_equal(channels, before)
 
 
-def test_holes_of_one_surface_come_in_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_holes_of_one_surface_come_in_runs() -> None:
     """The next pixel is lost with this one, or by chance."""
-    monkeypatch.setattr(other_sensors, "MAX_HOLES", 0.0)
-    assert other_sensors.make_holes(np.full((1, 8, 64), 7, np.float32), rng(0)).all()
-    monkeypatch.setattr(other_sensors, "MAX_HOLES", 3.0)
-    lost = other_sensors.make_holes(np.full((1, 400, 512), 7, np.float32), rng(5))[0] == 0
+    assert other_sensors.lose_pixels(np.full((1, 8, 64), 7, np.float32), 0.0, rng(0)).all()
+    lost = other_sensors.lose_pixels(np.full((1, 400, 512), 7, np.float32), 2.4, rng(5))[0] == 0
     going_on = lost[:, 1:][lost[:, :-1]].mean()
     share = other_sensors.CONTINUED
     assert going_on == pytest.approx(share + (1 - share) * lost.mean(), abs=0.02)
