@@ -26,7 +26,7 @@ class PreparedImage:
     check: ScanCheck  # Reasons to doubt the scan
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class PredictImageJob:
     """Job that labels the pixels of range images in a folder."""
 

@@ -25,7 +25,7 @@ class PreLabel:
     content: bytes  # Of a label file
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class PickJob:
     """Job that writes picked scans, and coloured clouds with pre-labels."""
 

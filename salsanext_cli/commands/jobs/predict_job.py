@@ -26,7 +26,7 @@ NEED_SOFTMAX = {"probabilities", "votes", ERROR}  # Results that need the whole 
 UncertaintyByKind = dict[str, Float]  # (N,) float32, 0…1, NaN for points without a pixel
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class PredictJob:
     """Job that labels the points of scans and writes the requested results, the labels last."""
 

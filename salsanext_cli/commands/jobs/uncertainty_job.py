@@ -30,7 +30,7 @@ class PixelUncertainty:
     softmax: Float | None  # (C, H, W) of one pass, if the error model needs it
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class UncertaintyJob:
     """Job that estimates the uncertainty of the points of scans, and labels them."""
 

@@ -28,7 +28,7 @@ class ScanDescription:
     check: ScanCheck  # Reasons to doubt the scan
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class DescribeJob:
     """Job that describes scans, with `samples` passes of dropout."""
 

@@ -113,7 +113,7 @@ def make_holes(channels: Float, random: Rng) -> Float:
 
 
 def lose_pixels(channels: Float, factor: float, random: Rng) -> Float:
-    """Return range images (C, H, W) with holes, whose shares are those of `HOLE_SHARES` × factor."""
+    """Return channels (C, H, W) with holes; their shares are `HOLE_SHARES` times a factor."""
     shares = np.append(HOLE_SHARES, 0.0)[hole_cells(channels[0])] * factor
     chance = random.random(shares.shape)
     is_first = random.random(shares.shape) >= CONTINUED
