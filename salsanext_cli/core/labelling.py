@@ -155,8 +155,10 @@ def project_scan(
         Sensor that was fitted to such scans, perhaps with several members.
     trained : Sensor, optional
         Sensor of the weights, if the intensity matters.
-    origin, source
-        As in `label_scan`.
+    origin : 3 floats, optional
+        Position of the sensor in the scan in metres, if it is known.
+    source : object
+        Name of the scan in errors.
 
     Returns
     -------

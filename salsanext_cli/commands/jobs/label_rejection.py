@@ -63,8 +63,12 @@ def label_rejection(
     ----------
     reject : float or "risk"
         Largest probability of error of an accepted point, or the threshold in the weights.
-    settings, network, knn
+    settings : NetworkSettings
         Settings of the run, whose labels the guarantee of a threshold has to cover.
+    network : Network
+        Network of the run.
+    knn : KnnParameters
+        Neighbourhood of the vote of the run.
 
     Returns
     -------

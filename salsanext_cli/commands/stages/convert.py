@@ -39,10 +39,14 @@ def convert(
 
     Parameters
     ----------
-    recording, folder : Path
-        ROS bag, recording of Ouster or Velodyne, or topic of one, and folder of the data set.
-    every, limit : int
-        Step between converted scans, and their largest number, by default all.
+    recording : Path
+        ROS bag, recording of Ouster or Velodyne, or topic of one.
+    folder : Path
+        Folder of the data set.
+    every : int
+        Step between converted scans.
+    limit : int, optional
+        Largest number of converted scans; by default all.
     options : RunOptions
         Workers and shards.
 

@@ -51,10 +51,14 @@ def demo(
     ----------
     folder : Path
         Folder to write to.
-    scans, samples : int
-        Number of scans of the drive, and of Monte-Carlo passes per scan.
-    settings, options : NetworkSettings and RunOptions
-        Network that predicts, and options of every stage.
+    scans : int
+        Number of scans of the drive.
+    samples : int
+        Number of Monte-Carlo passes per scan.
+    settings : NetworkSettings
+        Network that predicts.
+    options : RunOptions
+        Options of every stage.
     bars : callable
         Function from the name of a step to a context with its progress callback.
 

@@ -170,8 +170,10 @@ def evaluate(
         Whether to score distance bands too.
     limits : sequence of ScoreLimit
         Limits on the scores, whose classes must be scored.
-    query, options
-        Choice of scans, data set and classes; workers, and the reaction to errors.
+    query : ResultQuery, optional
+        Choice of the scans, their data set and classes.
+    options : RunOptions, optional
+        Workers, progress, and treatment of failures.
 
     Returns
     -------

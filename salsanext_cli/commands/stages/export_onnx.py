@@ -51,13 +51,17 @@ def export_onnx(
 
     Parameters
     ----------
-    weights, target : Path
-        Weights file, and ONNX model to write.
+    weights : Path
+        Weights file.
+    target : Path
+        ONNX model to write.
     view : Sensor, optional
         Sensor of the images, with its intensity matched to that of the weights; default: the
         sensor of the weights.
-    dynamic_width, overwrite : bool
-        Accept any width that is a multiple of the stride; replace an existing target.
+    dynamic_width : bool
+        Whether the model accepts any width that is a multiple of the stride.
+    overwrite : bool
+        Whether to replace an existing target.
 
     Returns
     -------

@@ -84,8 +84,10 @@ def export_ply(
         One of `COLOURS`.
     scale : tuple of float, optional
         Values at the ends of the colour map; by default the range of most values.
-    query, options
-        Choice of scans, data set and classes; workers and progress.
+    query : ResultQuery, optional
+        Choice of the scans, their data set and classes.
+    options : RunOptions, optional
+        Workers, progress, and treatment of failures and of existing results.
 
     Returns
     -------

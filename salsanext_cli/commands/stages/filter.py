@@ -52,12 +52,16 @@ def filter_scans(
         Folder with the labels.
     folder : Path
         Folder for the scans.
-    drop, keep : collection of str
-        Classes as of `named_classes` that are removed, or that alone remain.
+    drop : collection of str
+        Classes that are removed, as of `named_classes`.
+    keep : collection of str
+        Classes that alone remain, as of `named_classes`; by default all.
     max_error : float, optional
         Largest probability of error of the remaining points; points without one are dropped.
-    query, options
-        Choice of scans, data set and classes; workers, and what to do with existing results.
+    query : ResultQuery, optional
+        Choice of the scans, their data set and classes.
+    options : RunOptions, optional
+        Workers, progress, and treatment of failures and of existing results.
 
     Returns
     -------

@@ -53,8 +53,10 @@ def fuse_results(
         Poses of the one sequence; by default those in its folder, else they are computed.
     reach : FusionReach
         Scans that vote.
-    query, options
-        Choice of scans and data set; workers, and what to do with existing results.
+    query : ResultQuery, optional
+        Choice of the scans, their data set and classes.
+    options : RunOptions, optional
+        Workers, progress, and treatment of failures and of existing results.
 
     Returns
     -------
@@ -117,8 +119,12 @@ def require_fusable(source: Path | Sequence[Path], out: Path, options: RunOption
 
     Parameters
     ----------
-    source, out, options
-        Scans to predict, output folder for the hint, and options of the run.
+    source : Path or sequence of Path
+        Scans to predict.
+    out : Path
+        Output folder for the hint.
+    options : RunOptions
+        Options of the run.
 
     Raises
     ------

@@ -55,8 +55,10 @@ def import_labels(
 
     Parameters
     ----------
-    edited, dataset : Path
-        File of one scan or folder of such files, and data set of `pick` or folder of scans.
+    edited : Path
+        File of one scan, or folder of such files.
+    dataset : Path
+        Data set of `pick`, or folder of scans.
     scalar : str, optional
         Name of the scalar with the labels; by default the only one with a usual name.
     ids : Path, optional

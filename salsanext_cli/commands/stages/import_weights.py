@@ -53,16 +53,22 @@ def import_weights(
 
     Parameters
     ----------
-    source, target : Path
-        Checkpoint of ``torch.save`` or weights file of salsanext, and weights file to write.
-    space, dropout : optional
-        Classes and dropout rate of a checkpoint; default: SemanticKITTI's, and `DROPOUT`.
+    source : Path
+        Checkpoint of ``torch.save``, or weights file of salsanext.
+    target : Path
+        Weights file to write.
+    space : LabelSpace, optional
+        Classes of a checkpoint; default: SemanticKITTI's.
+    dropout : float, optional
+        Dropout rate of a checkpoint; default: `DROPOUT`.
     view : Sensor, optional
         Sensor of the weights; default: the sensor of the source, for a checkpoint the HDL-64.
     description : str
         Description of the weights.
-    half, overwrite : bool
-        Store the tensors in float16; replace an existing target.
+    half : bool
+        Whether to store the tensors in float16.
+    overwrite : bool
+        Whether to replace an existing target.
 
     Returns
     -------

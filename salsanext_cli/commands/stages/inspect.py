@@ -94,8 +94,10 @@ def inspect(
         Sensor of the range images.
     space : LabelSpace, optional
         Label space of the labels; by default that of the data set.
-    selection, options
-        Choice of scans; workers, and what to do with errors.
+    selection : ScanSelection, optional
+        Choice of the scans; all by default.
+    options : RunOptions, optional
+        Workers, progress, and treatment of failures.
     fit : bool
         Whether to fit the sensor to the scans, as `predict` does.
     images : bool
@@ -220,8 +222,10 @@ def write_sensor(
         File to write.
     sensor : Sensor
         Sensor to write.
-    images, overwrite : bool
-        Whether to write the size and normalisation of the images too; to replace an existing file.
+    images : bool
+        Whether to write the size and normalisation of the images too.
+    overwrite : bool
+        Whether to replace an existing file.
     """
     require_absent(path, overwrite)
     write_bytes(path, sensor.to_toml(images=images).encode())

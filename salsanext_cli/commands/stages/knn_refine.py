@@ -87,12 +87,16 @@ def knn_refine_scans(
         Output folder, with the labels of pixels.
     dataset : Path, optional
         Scans; by default those of `out`.
-    sensor, space : optional
-        Sensor of the range images and label space; by default as recorded in `out`.
+    sensor : Sensor, optional
+        Sensor of the range images; by default as recorded in `out`.
+    space : LabelSpace, optional
+        Label space; by default as recorded in `out`.
     knn : KnnParameters
         Neighbourhood.
-    selection, options
-        Choice of scans; workers, and what to do with existing results.
+    selection : ScanSelection, optional
+        Choice of the scans; all by default.
+    options : RunOptions, optional
+        Workers, progress, and treatment of failures and of existing results.
 
     Returns
     -------

@@ -91,12 +91,20 @@ def pick(
 
     Parameters
     ----------
-    source, out : Path
-        Scans to choose from, and folder of the data set.
-    count, seed : int
-        Number of scans to pick, and seed of the dropout masks.
-    settings, selection, options : NetworkSettings, ScanSelection, RunOptions
-        Network; subset of the scans, evenly spaced if limited; workers and overwriting.
+    source : Path
+        Scans to choose from.
+    out : Path
+        Folder of the data set.
+    count : int
+        Number of scans to pick.
+    seed : int
+        Seed of the dropout masks.
+    settings : NetworkSettings, optional
+        Weights, device and sensor of the network; by default those of the package.
+    selection : ScanSelection, optional
+        Subset of the scans, evenly spaced if limited; all by default.
+    options : RunOptions, optional
+        Workers, progress, and treatment of an existing data set.
     labelled : sequence of Path
         Data sets of labelled scans, which the picked ones are to differ from.
     names : Path, optional

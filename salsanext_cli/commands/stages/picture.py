@@ -85,8 +85,10 @@ def picture(
         Some of `COLOURS`; by default every colour that a scan has.
     scale : tuple of float, optional
         Values at the ends of the colour map, for a single colour.
-    query, options
-        Choice of scans, data set and classes; workers and progress.
+    query : ResultQuery, optional
+        Choice of the scans, their data set and classes.
+    options : RunOptions, optional
+        Workers, progress, and treatment of failures and of existing results.
 
     Returns
     -------
@@ -168,8 +170,10 @@ def _scales(
 
     Parameters
     ----------
-    results, chosen
-        Results, and the chosen scans.
+    results : ResultFolder
+        Results.
+    chosen : ChosenResults
+        The chosen scans.
     colours : sequence of str
         Colours of the pictures; empty for all.
     scale : tuple of float, optional

@@ -64,14 +64,24 @@ def predict_scans(
 
     Parameters
     ----------
-    source, out : Path
-        Scans, and folder of the results.
-    settings, knn, selection, options
-        Network, parameters of kNN, choice of the scans, and workers.
+    source : Path or sequence of Path
+        Scan files, a folder of scans, a sequence or a data set.
+    out : Path
+        Output folder.
+    settings : NetworkSettings, optional
+        Weights, device and sensor of the network; by default those of the package.
+    knn : KnnParameters, optional
+        Neighbourhood of the vote; the published one by default.
     extras : tuple of str
         Further results: pixel_labels, probabilities, votes, objects, uncertainty/error.
-    reject, batch : optional
-        Error above which points are unlabelled, or "risk"; number of scans computed together.
+    reject : float or "risk", optional
+        Probability of error above which points become unlabelled, or the threshold in the weights.
+    batch : int, optional
+        Number of scans that are computed together; by default chosen for the device.
+    selection : ScanSelection, optional
+        Choice of the scans; all by default.
+    options : RunOptions, optional
+        Workers, progress, and treatment of failures and of existing results.
 
     Returns
     -------
@@ -171,10 +181,16 @@ def predict_range_images(
 
     Parameters
     ----------
-    folder, out : Path
-        Output folder of `project`, and folder of the results.
-    settings, selection, options
-        Network, choice of the scans, and workers.
+    folder : Path
+        Output folder of `project`.
+    out : Path
+        Output folder, which may be the same.
+    settings : NetworkSettings, optional
+        Weights, device and sensor of the network; by default those of the package.
+    selection : ScanSelection, optional
+        Choice of the scans; all by default.
+    options : RunOptions, optional
+        Workers, progress, and treatment of failures and of existing results.
 
     Returns
     -------

@@ -93,8 +93,10 @@ def project_scans(
         Whether to fit the field of view and the mounting to the scans.
     fit_mounting : bool
         Whether to fit the mounting with the field of view; else that of the sensor stays.
-    selection, options
-        Choice of scans; workers, and what to do with existing results.
+    selection : ScanSelection, optional
+        Choice of the scans; all by default.
+    options : RunOptions, optional
+        Workers, progress, and treatment of failures and of existing results.
 
     Returns
     -------

@@ -111,8 +111,10 @@ def report(
         `OUT/report.html`, which is replaced if it is unchanged since it was written.
     scans : sequence of str
         Scans to show point by point, such as ``08/000000``; by default up to four of interest.
-    query, options
-        See `read_run`.
+    query : ResultQuery, optional
+        Choice of the scans, their data set and classes.
+    options : RunOptions, optional
+        Workers and progress.
 
     Returns
     -------
@@ -164,8 +166,10 @@ def view(
         Folder with results.
     port : int
         Port of the server; 0 for any free port.
-    query, options
-        See `read_run`.
+    query : ResultQuery, optional
+        Choice of the scans, their data set and classes.
+    options : RunOptions, optional
+        Workers and progress.
 
     Returns
     -------
@@ -192,8 +196,10 @@ def read_run(
     ----------
     out : Path
         Folder with results.
-    query, options
-        Choice of scans, data set and classes; workers and progress.
+    query : ResultQuery, optional
+        Choice of the scans, their data set and classes.
+    options : RunOptions, optional
+        Workers and progress.
 
     Returns
     -------

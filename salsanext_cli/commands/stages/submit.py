@@ -92,8 +92,10 @@ def submit(
         Output folder with predictions.
     target : Path
         ZIP file to write.
-    dataset, space : optional
-        Data set with the scans, and label space of its labels, if not the recorded ones.
+    dataset : Path, optional
+        Data set with the scans, if it is not the recorded one.
+    space : LabelSpace, optional
+        Label space of its labels, if it is not the recorded one.
     description : Path, optional
         Text file about the method.
     overwrite : bool, optional

@@ -93,10 +93,20 @@ def synthesise(
     ----------
     out : Path
         Folder of the data set.
-    train, valid, test : int
-        Numbers of sequences of the splits.
-    scans, seed, spacing, sensor
-        See `SynthSettings`; the same seed gives the same bytes.
+    train : int
+        Number of sequences of the split ``train``.
+    valid : int
+        Number of sequences of the split ``valid``.
+    test : int
+        Number of sequences of the split ``test``.
+    scans : int
+        Number of scans of a sequence.
+    seed : int
+        Seed; the same seed gives the same bytes.
+    spacing : float
+        Distance between scans in metres.
+    sensor : str
+        Name of one of `RIGS`.
     jobs : int
         Number of worker processes.
     overwrite : bool

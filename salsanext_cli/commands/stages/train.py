@@ -113,8 +113,10 @@ class NewTraining:
         ----------
         locks : ExitStack
             Holds the lock of the run folder.
-        space, sensor : LabelSpace, Sensor, optional
-            As `train` takes them.
+        space : LabelSpace, optional
+            Classes, as `train` takes them.
+        sensor : Sensor, optional
+            Sensor of the images, as `train` takes it.
         report : callable
             Called after every step.
 
@@ -253,13 +255,20 @@ def train(
 
     Parameters
     ----------
-    dataset, run : Path
-        Labelled data set, and folder for weights, log and checkpoint.
+    dataset : Path
+        Labelled data set.
+    run : Path
+        Folder for weights, log and checkpoint.
     recipe : Recipe
-    sensor, space : Sensor, LabelSpace, optional
-        By default those of the initial weights, else an HDL-64, and those of the data set.
-    device, jobs : str, int, optional
-        Number of processes that prepare samples: by default up to eight on a GPU, else one.
+        Settings of the training.
+    sensor : Sensor, optional
+        Sensor of the images; by default that of the initial weights, else an HDL-64.
+    space : LabelSpace, optional
+        Classes; by default those of the data set.
+    device : str
+        Device, such as ``"cpu"`` or ``"cuda:0"``; by default a GPU if there is one.
+    jobs : int, optional
+        Number of processes that prepare samples; by default up to eight on a GPU, else one.
     weights : Path, optional
         Initial weights, by default those of the recipe.
     overwrite : bool

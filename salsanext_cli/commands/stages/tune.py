@@ -90,8 +90,10 @@ def tune_temperature(
 
     Parameters
     ----------
-    source, target : Path
-        Labelled data set, and weights file to write.
+    source : Path
+        Labelled data set.
+    target : Path
+        Weights file to write.
     settings : NetworkSettings
         Network that the temperature is for.
     selection : ScanSelection
@@ -129,8 +131,10 @@ def tune_error(
 
     Parameters
     ----------
-    source, target : Path
-        Labelled data set, and weights file to write.
+    source : Path
+        Labelled data set.
+    target : Path
+        Weights file to write.
     settings : NetworkSettings
         Network whose labels are judged.
     selection : ScanSelection
@@ -170,8 +174,10 @@ def tune_risk(
 
     Parameters
     ----------
-    source, target : Path
-        Labelled data set, and weights file to write.
+    source : Path
+        Labelled data set.
+    target : Path
+        Weights file to write.
     at_most : float
         Largest share of the points that are accepted and wrong, 0…1.
     confidence : float, optional
@@ -219,8 +225,10 @@ def tune_dropout(
 
     Parameters
     ----------
-    source, target : Path
-        Labelled data set, and weights file to write.
+    source : Path
+        Labelled data set.
+    target : Path
+        Weights file to write.
     samples : int
         Monte-Carlo passes per scan and rate.
     settings : NetworkSettings
@@ -259,8 +267,10 @@ def tune_int8(
 
     Parameters
     ----------
-    source, target : Path
-        Scans, and weights file to write.
+    source : Path
+        Scans, which need no labels.
+    target : Path
+        Weights file to write.
     settings : NetworkSettings
         Network, which computes in float32 on the CPU.
     selection : ScanSelection

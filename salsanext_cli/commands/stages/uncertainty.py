@@ -54,10 +54,20 @@ def uncertainty(
 
     Parameters
     ----------
-    source, out : Path
-        Scans, and folder of the results.
-    settings, knn, method, selection, options
-        Network, parameters of kNN, kinds of uncertainty, choice of the scans, and workers.
+    source : Path or sequence of Path
+        Scan files, a folder of scans, a sequence or a data set.
+    out : Path
+        Output folder.
+    settings : NetworkSettings, optional
+        Weights, device and sensor of the network; by default those of the package.
+    knn : KnnParameters, optional
+        Neighbourhood of the vote; the published one by default.
+    method : UncertaintyMethod, optional
+        Kinds of uncertainty, and number of passes.
+    selection : ScanSelection, optional
+        Choice of the scans; all by default.
+    options : RunOptions, optional
+        Workers, progress, and treatment of failures and of existing results.
 
     Returns
     -------

@@ -77,10 +77,14 @@ def compare_with_neighbours(
     ----------
     nearest : (ROWS, COLUMNS) float32
         Nearest ranges, as in a `DirectionGrid`.
-    cells, ranges : (M,) int32, float32
-        Cell of each point, and its range in metres.
-    is_hidden, is_in_air : (M,) bool
-        Whether it is one of the points that a `ScanStructure` counts.
+    cells : (M,) int32
+        Cell of each point.
+    ranges : (M,) float32
+        Its range in metres.
+    is_hidden : (M,) bool
+        Result: whether it is one of the hidden points that a `ScanStructure` counts.
+    is_in_air : (M,) bool
+        Result: whether it is one of the points in the air that a `ScanStructure` counts.
     deviations : (M,) float64
         Relative deviation of the nearest range of its cell from the mean of the cells to the left
         and right; -1 without both.

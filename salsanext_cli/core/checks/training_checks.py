@@ -26,8 +26,10 @@ def training_findings(
         Upper intensity of the scan.
     reason : str
         Why the values are not intensities; empty if they are.
-    sensor, trained : Sensor
-        Sensor of the images, and of the weights.
+    sensor : Sensor
+        Sensor of the images.
+    trained : Sensor
+        Sensor of the weights.
     fields : tuple of str, optional
         Names of the fields of the file.
 

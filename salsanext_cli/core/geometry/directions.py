@@ -74,8 +74,10 @@ def find_cells(
         Position of the sensor in this frame, in metres.
     rotation : (3, 3) float64
         Rotation that turns the direction up to z.
-    cell_of_point, point_range : (N,) int32, float32
-        Results, as in a `DirectionGrid`.
+    cell_of_point : (N,) int32
+        Result: cell of each point, as in a `DirectionGrid`.
+    point_range : (N,) float32
+        Result: range of each point in metres.
     """
     # Without branches the loop is vectorised.
     for i in range(len(point_range)):
@@ -107,8 +109,10 @@ def keep_nearest_range(cell_of_point: Int, point_range: Float, nearest: Float) -
 
     Parameters
     ----------
-    cell_of_point, point_range : (N,) int32, float32
-        Cells and ranges of the points, as in a `DirectionGrid`.
+    cell_of_point : (N,) int32
+        Cell of each point, as in a `DirectionGrid`.
+    point_range : (N,) float32
+        Range of each point in metres.
     nearest : (NO_CELL + 1,) float32
         Range of each cell in metres; the last cell is of points without a direction.
     """

@@ -88,8 +88,10 @@ def match_intensity(channels: Float, source: Sequence[float], target: Sequence[f
     ----------
     channels : (5, H, W) float32
         Range image.
-    source, target : sequence of float
-        Quantiles of the intensity at the same levels, of the sensor and of training.
+    source : sequence of float
+        Quantiles of the intensity of the sensor.
+    target : sequence of float
+        Quantiles of the intensity of training, at the same levels.
 
     Returns
     -------
@@ -115,8 +117,10 @@ def on_other_scale(intensity: Float, source: Sequence[float], target: Sequence[f
     ----------
     intensity : float32 array
         Intensities, of any shape.
-    source, target : sequence of float
-        Quantiles at the same levels, of the sensor and of training.
+    source : sequence of float
+        Quantiles of the sensor.
+    target : sequence of float
+        Quantiles of training, at the same levels.
 
     Returns
     -------
@@ -289,8 +293,10 @@ def with_filled_gaps(channels: Float, sensor: Sensor, trained: Sensor) -> Float:
     ----------
     channels : (5, H, W) float32
         Range image.
-    sensor, trained : Sensor
-        Sensor of the image, and of the weights.
+    sensor : Sensor
+        Sensor of the image.
+    trained : Sensor
+        Sensor of the weights.
 
     Returns
     -------

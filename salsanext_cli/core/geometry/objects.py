@@ -92,10 +92,14 @@ def connected(image: Float, v: int, u: int, row: int, column: int) -> bool:
     ----------
     image : (5, H, W) float32
         Range image.
-    v, u : int
-        Row and column of the first pixel.
-    row, column : int
-        Row and column of the second pixel.
+    v : int
+        Row of the first pixel.
+    u : int
+        Column of the first pixel.
+    row : int
+        Row of the second pixel.
+    column : int
+        Column of the second pixel.
     """
     if image[0, v, u] > image[0, row, column]:
         v, u, row, column = row, column, v, u

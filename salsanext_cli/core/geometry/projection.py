@@ -229,8 +229,10 @@ def fill_channels(
     ----------
     point_of_pixel : (H · W,) int32
         Index of the point of each pixel, -1 where empty.
-    start, stop : int
-        First pixel to fill, and the one after the last.
+    start : int
+        First pixel to fill.
+    stop : int
+        The pixel after the last.
     point_range : (N,) float32
         Range of each point in metres.
     points : (3 N,) float32

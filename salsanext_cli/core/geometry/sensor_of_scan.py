@@ -46,8 +46,12 @@ def member_of(scan: Scan, sensor: Sensor, origin: Origin | None = None) -> int:
 
     Parameters
     ----------
-    scan, sensor, origin
-        As in `sensor_of`.
+    scan : Scan
+        Scan in the frame of its file.
+    sensor : Sensor
+        Sensor that was fitted to such scans, perhaps with several members.
+    origin : 3 floats, optional
+        Position of the sensor in the scan in metres, if it is known.
 
     Returns
     -------
@@ -64,8 +68,12 @@ def origin_of_scan(scan: Scan, sensor: Sensor, origin: Origin | None = None) -> 
 
     Parameters
     ----------
-    scan, sensor, origin
-        As in `sensor_of`.
+    scan : Scan
+        Scan in the frame of its file.
+    sensor : Sensor
+        Sensor that was fitted to such scans, perhaps with several members.
+    origin : 3 floats, optional
+        Position of the sensor in the scan in metres, if it is known.
 
     Returns
     -------

@@ -166,9 +166,10 @@ def population_difference(
 
     Parameters
     ----------
-    before, now : sequence of UnitTraits
-        Scans or drives that a guarantee was obtained on, and other ones. All have the same classes.
-        Measures are compared if all have them.
+    before : sequence of UnitTraits
+        Scans or drives that a guarantee was obtained on.
+    now : sequence of UnitTraits
+        Other scans or drives, with the same classes. Measures are compared if all have them.
     names : sequence of str
         Names of the classes from train id 1 on, (C − 1,).
 

@@ -39,8 +39,10 @@ def confusion_matrix(
 
     Parameters
     ----------
-    truth, predicted : integer arrays
-        Train ids 0…C-1, of the same shape.
+    truth : integer array
+        True train ids 0…C-1.
+    predicted : integer array
+        Predicted train ids, of the same shape.
     class_count : int
         C, the number of classes.
 

@@ -140,8 +140,10 @@ def risk_coverage(
 
     Parameters
     ----------
-    right, wrong : (B,) int64
-        Points in bins of ascending uncertainty.
+    right : (B,) int64
+        Right points in bins of ascending uncertainty.
+    wrong : (B,) int64
+        Wrong points in these bins.
     coverage : (K,) float64
         Shares of the least uncertain points, 0…1.
 

@@ -42,8 +42,10 @@ def leaky_relu_moments(mean: Tensor, variance: Tensor, slope: float) -> tuple[Te
 
     Parameters
     ----------
-    mean, variance : Tensor
-        Moments m and v, of the same shape.
+    mean : Tensor
+        Mean m.
+    variance : Tensor
+        Variance v, of the same shape.
     slope : float
         Slope a below 0, from 0 to 1.
 
@@ -83,8 +85,10 @@ def softmax_moments(mean: Tensor, variance: Tensor, dim: int) -> tuple[Tensor, T
 
     Parameters
     ----------
-    mean, variance : Tensor
-        Moments of the logits, of the same shape.
+    mean : Tensor
+        Means of the logits.
+    variance : Tensor
+        Their variances, of the same shape.
     dim : int
         Dimension of the classes.
 

@@ -71,8 +71,12 @@ def mean_in_windows(
     ----------
     ranges : (H, W) float32
         Ranges of the pixels in metres, 0 where empty.
-    probabilities, labels, pixels
-        As in `label_support`.
+    probabilities : (C, H, W) float32
+        Softmax of the pixels.
+    labels : (M,) uint8
+        Train ids of M points.
+    pixels : (M,) int32
+        Flat pixel index of each point.
     support : (M,) float32
         Result.
     """
@@ -282,8 +286,12 @@ def error_probability(
     ----------
     network : Network
         Network with an error model.
-    image, probabilities, labels
-        As in `error_features`; the softmax at the temperature of the weights.
+    image : RangeImage
+        H × W pixels of N points.
+    probabilities : (C, H, W) float32
+        Softmax of the pixels at the temperature of the weights.
+    labels : (N,) uint8
+        Train ids of the points.
 
     Returns
     -------
@@ -309,8 +317,12 @@ def features_of(
     ----------
     network : Network
         Network, perhaps with an error model.
-    image, probabilities, labels
-        As in `error_features`; the softmax at the temperature of the weights.
+    image : RangeImage
+        H × W pixels of N points.
+    probabilities : (C, H, W) float32
+        Softmax of the pixels at the temperature of the weights.
+    labels : (N,) uint8
+        Train ids of the points.
 
     Returns
     -------

@@ -71,8 +71,10 @@ class UncertaintyMethod:
             Network for the sensor of the scan.
         image : RangeImage
             H × W pixels.
-        sequence, stem : str
-            Names of the sequence and of the scan, which decide the masks and the noise.
+        sequence : str
+            Name of the sequence, which decides the masks and the noise.
+        stem : str
+            Name of the scan, which decides them too.
 
         Returns
         -------

@@ -53,8 +53,10 @@ def html_of(
 
     Parameters
     ----------
-    run, compared : RunResults, Comparison or None
-        Numbers of all scans, and their comparison with labels.
+    run : RunResults
+        Numbers of all scans.
+    compared : Comparison or None
+        Their comparison with labels.
     shown : sequence of ShownScan
         Scans whose points the page contains.
     scales : mapping of str to Scale

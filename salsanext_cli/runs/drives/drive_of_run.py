@@ -35,8 +35,10 @@ def drive_of_run(
     drive_by_poses : Drive, SalsanextError or None
         Drive by poses or registration, or the error of it. With None, the drive is that of the
         record, else it is computed.
-    single, fused : OutputRun
-        Runs that write beside the labels of single scans, and the fused labels.
+    single : OutputRun
+        Run that writes beside the labels of single scans.
+    fused : OutputRun
+        Run that writes the fused labels.
     sensor : Sensor
         Sensor that was fitted to the scans.
 

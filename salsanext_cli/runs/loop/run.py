@@ -121,10 +121,16 @@ def run_over_scans(
 
     Parameters
     ----------
-    task, scans, options
-        Work on each scan, all scans, and workers, shard and treatment of failures.
-    is_done, on_result : callable
-        Functions of a scan, whether it has results, and of each result; called in this thread.
+    task : callable
+        Work on each scan.
+    scans : sequence of ScanFile
+        All scans.
+    options : RunOptions
+        Workers, shard and treatment of failures.
+    is_done : callable
+        Function of a scan that returns whether it has its results.
+    on_result : callable
+        Function of each result, which is called in this thread.
     summary : RunSummary, optional
         Summary to which the results are added, instead of `on_result`.
 

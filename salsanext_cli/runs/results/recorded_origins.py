@@ -26,8 +26,10 @@ def sensor_of_result(out: Path, file: ScanFile, scan: Scan, sensor: Sensor) -> S
     ----------
     out : Path
         Output folder.
-    file, scan
-        Scan with results in the folder, and its points in the frame of the file.
+    file : ScanFile
+        Scan with results in the folder.
+    scan : Scan
+        Its points in the frame of the file.
     sensor : Sensor
         Sensor that was fitted to the scans.
 

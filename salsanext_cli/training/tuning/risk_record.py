@@ -27,8 +27,10 @@ def write_risk_record(
         Report of the fit.
     source : Path
         Data set that the threshold was chosen on.
-    weights, target : Path
-        Weights that labelled the scans, and weights file with the threshold.
+    weights : Path
+        Weights that labelled the scans.
+    target : Path
+        Weights file with the threshold.
     """
     scans = [
         {
