@@ -12,7 +12,7 @@ Run: python -m benchmarks.speed.baseline 000000.bin OUT.label [--weights FILE --
 import argparse
 import json
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -228,14 +228,15 @@ def prepare(part: str, path: Path, task: Mapping[str, Any]) -> Callable[[], Any]
     return lambda: confusion(labels, pixel_labels.ravel()[pixel], method.classes)
 
 
-def main() -> None:
+def main(words: Sequence[str] | None = None) -> None:
+    """Label a scan by the words of a command line, by default those of this process."""
     parser = argparse.ArgumentParser(description="Label a scan, plainly.")
     parser.add_argument("scan", type=Path, help="of float32 x, y, z, intensity")
     parser.add_argument("out", type=Path, help="uint32 raw ids, one per point")
     parser.add_argument("--weights", type=Path, help="a weights file of salsanext")
     parser.add_argument("--sensor", type=Path, help="another sensor, all keys, .toml")
     parser.add_argument("--device", default="cpu")
-    options = parser.parse_args()
+    options = parser.parse_args(words)
     sensor = tomllib.loads(options.sensor.read_text("utf-8")) if options.sensor else None
     baseline = Baseline(options.weights or DEFAULT_WEIGHTS, options.device, sensor)
     baseline.label(options.scan, options.out)

@@ -296,13 +296,12 @@ def is_inner(image: RangeImage) -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_script_and_benchmark_label_a_scan_as_predict_does(tmp_path, weights, monkeypatch):
+def test_script_and_benchmark_label_a_scan_as_predict_does(tmp_path, weights):
     """No window of the points compared reaches an edge of the image, and all have a label."""
     scan, file = make_scan(), tmp_path / "000000.bin"
     write_bin(file, scan)
-    words = ("baseline.py", file, tmp_path / "plain.label", "--weights", weights)
-    monkeypatch.setattr(sys, "argv", [*map(str, words)])
-    plain.main()
+    words = (file, tmp_path / "plain.label", "--weights", weights)
+    plain.main([str(word) for word in words])
     product.predict(file, tmp_path / "product.label", load_network(weights, "cpu"))
     predict_scans(file, tmp_path / "out", settings=NetworkSettings(weights, device="cpu"))
     (stage,) = (tmp_path / "out").rglob("*.label")

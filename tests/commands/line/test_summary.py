@@ -22,7 +22,7 @@ from salsanext_cli.io.formats.kitti_labels import write_labels
 from salsanext_cli.runs.loop.run import Failure, Outcome
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.records.stage_settings import PredictSettings
-from salsanext_cli.runs.results.manifest import Manifest
+from salsanext_cli.runs.results.manifest import Manifest, StageRecord, settings_json
 from salsanext_cli.runs.results.paths import ScanFile, find_scans
 from salsanext_cli.runs.summary.scan_summary import RunSummary
 
@@ -224,7 +224,8 @@ def test_a_long_run_without_bfloat16_names_int8(
 ):
     given = {"done": MANY_SCANS + 1, "precision": "auto", "engine": "openvino", **changes}
     recorded = PredictSettings(precision="float32", engine=given["engine"])
-    monkeypatch.setattr(Manifest, "settings", lambda *_: recorded)
+    record = StageRecord(stage="predict", settings=settings_json(recorded))
+    Manifest(tmp_path).write(record)
     monkeypatch.setattr(device, "flags", lambda: frozenset(flags.split()))
     for variable in device.ISA_VARIABLES:
         monkeypatch.delenv(variable, raising=False)

@@ -5,22 +5,20 @@ import pytest
 from command_line import only_json, subject
 from scans import SMALL, write_sequence
 
-from salsanext_cli.commands.line import arguments
 from salsanext_cli.core.engines.device import bfloat16_instructions
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.training.recipe import recipe
 
-
-@pytest.fixture(autouse=True)
-def small_sensor(tiny_training, monkeypatch):
-    monkeypatch.setattr(arguments, "sensor", lambda name: SMALL)
+pytestmark = pytest.mark.usefixtures("tiny_training")
 
 
 def test_the_run_folder_and_the_weights_record_the_changed_recipe(run, data, tmp_path):
     write_sequence(data / "sequences/00", ["0", "1"], count=300)
     changes = ("--set", "batch=1", "--set", "schedule=decay", "--set", "epochs=5", "--epochs", 1)
     folder = tmp_path / "run"
-    given = ("train", data, folder, "--recipe", "quick", "--sensor", "small", "--json")
+    small = tmp_path / "small.toml"
+    small.write_text(SMALL.to_toml())
+    given = ("train", data, folder, "--recipe", "quick", "--sensor", small, "--json")
     result = run(*given, *changes, status=0)
     precision = "bfloat16" if bfloat16_instructions() else "float32"
     wanted = recipe("quick").with_changes(precision=precision, batch=1, schedule="decay", epochs=1)

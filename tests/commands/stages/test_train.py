@@ -402,10 +402,11 @@ def test_labels_are_learnt_in_merged_classes_by_the_splits_of_the_data_set(datas
 
 
 def test_lack_of_memory_names_the_step(dataset, tmp_path, monkeypatch):
-    def full(*_):
-        raise torch.OutOfMemoryError
+    class Full(TinyNetwork):
+        def trunk(self, image):
+            raise torch.OutOfMemoryError
 
-    monkeypatch.setattr(Learner, "step", full)
+    monkeypatch.setitem(ARCHITECTURES, "salsanext", Full)
     assert "accumulate" in refused(TrainingError, "step 1", dataset, tmp_path / "run").hint
 
 

@@ -15,7 +15,6 @@ from shallow import shallow, weights  # noqa: F401
 from salsanext_cli import load_network, project
 from salsanext_cli.commands.line.option_groups import OPTIONS
 from salsanext_cli.commands.stages.predict import predict_scans
-from salsanext_cli.core.engines import registry
 from salsanext_cli.core.engines.registry import LIBRARIES, Library, choose_engine, computes_int8
 from salsanext_cli.core.engines.torch_backend import TorchBackend
 from salsanext_cli.core.errors import MissingDependency, UsageError
@@ -96,7 +95,10 @@ def test_the_fastest_library_that_starts_computes(third, monkeypatch, caplog):
         )
         for name in ("first", "second")
     }
-    monkeypatch.setattr(registry, "LIBRARIES", {**broken, "third": third})
+    for name in list(LIBRARIES):
+        monkeypatch.delitem(LIBRARIES, name)
+    for name, library in {**broken, "third": third}.items():
+        monkeypatch.setitem(LIBRARIES, name, library)
     assert choose_engine("auto", "cpu") == "third"
     assert [record.getMessage().partition(":")[0] for record in caplog.records] == [*broken]
     assert all("third" in record.getMessage() for record in caplog.records)

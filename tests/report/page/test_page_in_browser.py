@@ -262,13 +262,12 @@ def test_the_page_fits_a_narrow_screen(world, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_live_page_plays_the_drive_and_names_failures(world, tmp_path, monkeypatch):
+def test_the_live_page_plays_the_drive_and_names_failures(world, tmp_path):
     for stem in ("000002", "000003"):
         world.add(stem, [CAR, ROAD], [CAR, CAR])
     with view(world.out, query=ResultQuery(world.dataset)) as server, served(server):
         (world.dataset / "sequences/08/velodyne/000002.bin").write_bytes(b"damaged")
-        page = server.page.replace(b"</body>", f"{LIVE_PROBE}</body>".encode())
-        monkeypatch.setattr(server, "page", page)
+        server.page = server.page.replace(b"</body>", f"{LIVE_PROBE}</body>".encode())
         state = {"scan": "08/000000", "colour": "wrong", "by": "entropy", "above": "0.5"}
         console = console_of(f"{server.url}#{urlencode(state)}", tmp_path)
     result = result_in(console)

@@ -40,14 +40,14 @@ def alone(tmp_path_factory, weights):
 
 def test_the_bytes_do_not_depend_on_who_works(tmp_path, alone, weights, monkeypatch):
     # One thread for each of two workers, whatever the machine.
-    monkeypatch.setattr("joblib.cpu_count", lambda: 2)
+    monkeypatch.setenv("LOKY_MAX_CPU_COUNT", "2")
     data, expected = alone
     assert len(expected) == 4 * (3 + 3) + 3
     assert everything(data, tmp_path / "out", weights, jobs=2) == expected
 
 
 def test_cores_are_divided_among_the_workers(monkeypatch):
-    monkeypatch.setattr("joblib.cpu_count", lambda: 2)
+    monkeypatch.setenv("LOKY_MAX_CPU_COUNT", "2")
     seen = []
     with threads(2):
         run_over_scans(
