@@ -52,7 +52,8 @@ LINES = {
 }
 """Colour and dashes of each kind of uncertainty."""
 PLOT_PX = 720, 560  # Size of the plots of uncertainty: text has one size on a page
-MAIN_PX = 80, 60, 600, 330  # Axes above a legend or other axes: left, top, width and height
+MAIN_PX = 80, 60, 600, 330  # Axes above a legend or other axes
+LEFT, TOP, WIDTH, HEIGHT = MAIN_PX
 BELOW_PX = 90  # Height of the axes below them, which show the distribution of the points
 
 
@@ -125,8 +126,7 @@ def reliability_diagram(diagram: Reliability, title: str, value: str, share: str
     axes.set_ylim(0, 100)
     axes.set_ylabel(f"{share} in %")
     axes.legend(loc="upper left", frameon=False, fontsize=10)
-    left, top, width_px, height_px = MAIN_PX
-    below = canvas.axes_at(figure, left, top + height_px + 14, width_px, BELOW_PX)
+    below = canvas.axes_at(figure, LEFT, TOP + HEIGHT + 14, WIDTH, BELOW_PX)
     points_in_bin = 100 * diagram.points / max(points, 1)
     below.bar(edges, points_in_bin, width, align="edge", color=canvas.FAINT, edgecolor=canvas.PAPER)
     below.set_ylabel("points in %")
