@@ -94,10 +94,10 @@ class NetworkSettings:
     def load(self) -> "Network":
         """Load the network."""
         from salsanext_cli.io.files.reading import fingerprint
-        from salsanext_cli.io.weights.loading import load_network, replaced
+        from salsanext_cli.io.weights.loading import load_network, replaced_file_error
 
         if self.sha256 and self.sha256 != fingerprint(self.path):
-            raise replaced(self.path)
+            raise replaced_file_error(self.path)
         default = self.weights in (None, DEFAULT_WEIGHTS)
         return load_network(
             None if default else self.weights,

@@ -59,7 +59,7 @@ def lovasz_softmax(
     present = counts.nonzero()[:, 0]
     if not len(present):
         return probabilities.sum()
-    truth, present = (sent(indices, probabilities.device) for indices in (truth, present))
+    truth, present = (to_device(indices, probabilities.device) for indices in (truth, present))
     foreground = truth == present[:, None]
     predicted = probabilities.t()[present]
     errors = torch.where(foreground, 1 - predicted, predicted)
@@ -73,7 +73,7 @@ def lovasz_softmax(
     return (errors * own_gradients).sum() / len(present)
 
 
-def sent(indices: Tensor, device: torch.device) -> Tensor:
+def to_device(indices: Tensor, device: torch.device) -> Tensor:
     """Return indices on a device; the copy to a GPU does not wait, since memory is pinned."""
     source = indices.pin_memory() if device.type == "cuda" else indices
     return source.to(device, non_blocking=True)
@@ -118,18 +118,18 @@ class SegmentationLoss(nn.Module):
         counted = self.counts[truth].nonzero()[:, 0]
         truth = truth[counted]
         device = logits.device
-        classes = logits.movedim(1, -1).reshape(-1, logits.shape[1])[sent(counted, device)]
+        classes = logits.movedim(1, -1).reshape(-1, logits.shape[1])[to_device(counted, device)]
         precise = torch.promote_types(logits.dtype, torch.float32)
         log_probabilities = F.log_softmax(classes, 1, dtype=precise)
-        sets = [sent(torch.tensor(several), device) for several in self.sets]
+        sets = [to_device(torch.tensor(several), device) for several in self.sets]
         sums = [log_probabilities[:, several].logsumexp(1, keepdim=True) for several in sets]
         columns = torch.cat([log_probabilities, *sums], 1) if sums else log_probabilities
         weights = self.weights.to(precise)
-        loss = weighted_cross_entropy(columns, sent(truth, device), weights, total_weight)
+        loss = weighted_cross_entropy(columns, to_device(truth, device), weights, total_weight)
         if self.lovasz:
             if sums:
                 single = (truth < self.class_count).nonzero()[:, 0]
-                log_probabilities = log_probabilities[sent(single, device)]
+                log_probabilities = log_probabilities[to_device(single, device)]
                 truth = truth[single]
             lovasz = lovasz_softmax(log_probabilities.exp(), truth, group)
             loss = loss + self.lovasz / parts * lovasz

@@ -10,7 +10,7 @@ from salsanext_cli.core.records import CHANNELS
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.io.files.atomic import require_target, write_bytes
 from salsanext_cli.io.weights.card_file import ONNX_SUFFIX
-from salsanext_cli.io.weights.onnx_export import OPSET, difference, exported
+from salsanext_cli.io.weights.onnx_export import OPSET, difference, onnx_model
 from salsanext_cli.io.weights.weights import read_weights
 
 
@@ -80,7 +80,7 @@ def export_onnx(
         trained = card.sensor.intensity_quantiles
         card = replace(card, sensor=replace(view, intensity_quantiles=trained))
     require_target(target, overwrite, ONNX_SUFFIX)
-    content = exported(module, card, dynamic_width=dynamic_width).SerializeToString()
+    content = onnx_model(module, card, dynamic_width=dynamic_width).SerializeToString()
     report = OnnxReport(
         opset=OPSET,
         class_count=card.space.class_count,

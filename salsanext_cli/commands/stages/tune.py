@@ -25,7 +25,7 @@ from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.results.selection import select_scans
 from salsanext_cli.training.tuning.risk_level import RiskLevel, require_scans
-from salsanext_cli.training.tuning.scan_choice import labelled_scans, unseen
+from salsanext_cli.training.tuning.scan_choice import labelled_scans, unseen_scans
 from salsanext_cli.training.tuning.scans import TuningScans
 
 if TYPE_CHECKING:
@@ -347,16 +347,16 @@ class _Candidates:
     def chosen(self, settings: NetworkSettings, progress: Progress | None) -> _Chosen:
         """Load the network, and choose the scans that its weights were not trained on."""
         network = settings.load()
-        unseen_scans = unseen(self.files, network, self.source, self.limit)
+        chosen = unseen_scans(self.files, network, self.source, self.limit)
         scans = TuningScans(
             source=self.source,
-            files=unseen_scans.files,
+            files=chosen.files,
             space=self.space,
             settings=settings,
             loaded=network,
             progress=progress,
         )
-        return _Chosen(scans=scans, skipped=unseen_scans.skipped)
+        return _Chosen(scans=scans, skipped=chosen.skipped)
 
 
 def _candidates(

@@ -121,11 +121,11 @@ def _read_module(file: Path, device: str, sha256: str) -> "SegmentationNetwork":
     with torch.inference_mode(False):
         module, _ = read_weights(file)
         if fingerprint(file) != sha256:
-            raise replaced(file)
+            raise replaced_file_error(file)
         return module.to(device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
 
-def replaced(file: Path) -> WeightsError:
+def replaced_file_error(file: Path) -> WeightsError:
     """Return the error about a weights file that changed during a run."""
     hint = f"run again with {setting('overwrite', True)}"
     return WeightsError(file, "was replaced during the run", hint=hint)

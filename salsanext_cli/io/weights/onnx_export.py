@@ -44,7 +44,9 @@ class _Traced(nn.Module):
         return logits[..., : self.width] if len(self.columns) != self.width else logits
 
 
-def exported(module: SegmentationNetwork, card: WeightsCard, *, dynamic_width: bool = False) -> Any:
+def onnx_model(
+    module: SegmentationNetwork, card: WeightsCard, *, dynamic_width: bool = False
+) -> Any:
     """Return a network as an ONNX model.
 
     Parameters

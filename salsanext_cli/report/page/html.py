@@ -14,7 +14,7 @@ from salsanext_cli.report.page.class_table import class_table
 from salsanext_cli.report.page.clouds import Scale, encode_cloud
 from salsanext_cli.report.page.labelled_scans import labelled_scans
 from salsanext_cli.report.page.overview import overview
-from salsanext_cli.report.page.rendering import rendered
+from salsanext_cli.report.page.rendering import render
 from salsanext_cli.report.page.run_results import Comparison, RunResults, ShownScan
 from salsanext_cli.report.page.run_source import run_source
 from salsanext_cli.report.page.script_data import script_data
@@ -83,7 +83,7 @@ def html_of(
         "token": served.token if served else "",
     }
     clouds = [encode_cloud(scan, space, run.reader.sensor, scales) for scan in shown]
-    return rendered(
+    return render(
         {
             "title": "/".join(run.reader.out.absolute().parts[-2:]),
             "source": run_source(run),

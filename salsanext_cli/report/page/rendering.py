@@ -21,7 +21,7 @@ IMPORTED_BY_NAME = 'from "page/'
 """How a script in an address imports another one: an address has no folder."""
 
 
-def rendered(values: Mapping[str, object]) -> str:
+def render(values: Mapping[str, object]) -> str:
     """Return the page with values in place of the names in its templates.
 
     Parameters

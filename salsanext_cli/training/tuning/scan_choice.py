@@ -67,7 +67,7 @@ def labelled_scans(
     return scans, space
 
 
-def unseen(
+def unseen_scans(
     scans: Sequence[ScanFile], network: Network, source: Path, limit: int | None = None
 ) -> UnseenScans:
     """Choose scans that the weights were not trained on, without copies; log the others.

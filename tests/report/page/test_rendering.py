@@ -20,7 +20,7 @@ def page(monkeypatch):
         monkeypatch.setattr(
             rendering, "PackageLoader", lambda _: DictLoader({"page.html": template})
         )
-        return rendering.rendered(values)
+        return rendering.render(values)
 
     return render
 
