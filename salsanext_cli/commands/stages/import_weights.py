@@ -94,7 +94,7 @@ def import_weights(
 
 def _without_thresholds(card: WeightsCard) -> WeightsCard:
     """Return a card without thresholds of risk, whose guarantee does not cover other labels."""
-    if any(parts.risk for parts in (card.parts, *card.of_widths.values())):
+    if any(parts.risk for parts in (card.parts, *card.parts_of_widths.values())):
         text = "the threshold of `tune risk` is removed: it was chosen for other labels"
         log.log(NOTICE, text)
     return card.without_risk(lambda _: True)

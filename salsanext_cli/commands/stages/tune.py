@@ -310,7 +310,7 @@ def _without_thresholds_of_int8(card: WeightsCard) -> WeightsCard:
     def is_of_int8(risk: RiskThreshold | None) -> bool:
         return risk is not None and risk.settings.get(KEY_OF["precision"]) == "int8"
 
-    if any(is_of_int8(parts.risk) for parts in (card.parts, *card.of_widths.values())):
+    if any(is_of_int8(parts.risk) for parts in (card.parts, *card.parts_of_widths.values())):
         log.log(NOTICE, "the threshold of `tune risk` is removed: it was chosen with other ranges")
     return card.without_risk(is_of_int8)
 

@@ -214,12 +214,12 @@ class WeightsCard:
 
     def without_risk(self, is_removed: Callable[[RiskThreshold | None], bool]) -> WeightsCard:
         """Return the card without the thresholds of risk, of any width, that a function names."""
-        of_widths = {
+        parts_of_widths = {
             width: replace(parts, risk=None) if is_removed(parts.risk) else parts
-            for width, parts in self.of_widths.items()
+            for width, parts in self.parts_of_widths.items()
         }
         risk = None if is_removed(self.risk) else self.risk
-        return replace(self, risk=risk, of_widths=of_widths)
+        return replace(self, risk=risk, parts_of_widths=parts_of_widths)
 
     def parts_of_default_width(self) -> str:
         """Name the parts that were fitted to images of the default width instead; "" for none."""

@@ -56,12 +56,12 @@ def test_a_threshold_chosen_with_other_ranges_is_removed(world, network, target,
     known = target.with_name("risk.safetensors")
     card = read_card(network.path)
     narrow = {16: FittedParts(risk=risk)}
-    card = replace(card, risk=risk, widths=(card.sensor.width, 16), of_widths=narrow)
+    card = replace(card, risk=risk, widths=(card.sensor.width, 16), parts_of_widths=narrow)
     save_with_card(network.path, known, card)
     tune_int8(world.data, target, settings=replace(network, weights=known))
     tuned = read_card(target)
     expected = None if precision == "int8" else risk
-    assert (tuned.risk, tuned.of_widths[16].risk) == (expected, expected)
+    assert (tuned.risk, tuned.parts_of_widths[16].risk) == (expected, expected)
 
 
 def test_steps_in_one_or_apart_agree_in_int8_and_differ_from_float32(world, network, target):

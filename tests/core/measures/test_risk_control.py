@@ -257,7 +257,7 @@ def test_a_threshold_of_consecutive_scans_is_not_called_guaranteed():
     consecutive = replace(RISK, consecutive=True)
     assert "not guaranteed" in guarantee(consecutive)
     assert "not guaranteed" not in guarantee(RISK)
-    check = RiskBoundCheck.of_scans(consecutive, accepted(SCANS))
+    check = RiskBoundCheck.from_scans(consecutive, accepted(SCANS))
     assert check.sentence.startswith("not guaranteed")
 
 

@@ -195,13 +195,13 @@ def test_tensors_that_change_in_half_lose_their_threshold(weights, tmp_path, hal
     risk = RiskThreshold("error", 0.2, 0.1, None, 20, ("00",))
     card = read_card(weights)
     narrow = {512: FittedParts(risk=risk)}
-    card = replace(card, risk=risk, widths=(card.sensor.width, 512), of_widths=narrow)
+    card = replace(card, risk=risk, widths=(card.sensor.width, 512), parts_of_widths=narrow)
     save_with_card(weights, source, card)
     halved = import_weights(source, target, half=True, overwrite=True)
     expected = risk if halved_before else None
-    assert (halved.risk, halved.of_widths[512].risk) == (expected, expected)
+    assert (halved.risk, halved.parts_of_widths[512].risk) == (expected, expected)
     unchanged = import_weights(source, target, description="the same", overwrite=True)
-    assert unchanged.risk == unchanged.of_widths[512].risk == risk
+    assert unchanged.risk == unchanged.parts_of_widths[512].risk == risk
 
 
 def test_weights_for_another_sensor_lose_their_threshold(weights, tmp_path):
