@@ -8,7 +8,7 @@ from pathlib import Path
 from salsanext_cli.core.optional_packages import import_extra
 from salsanext_cli.core.records import CHANNELS
 from salsanext_cli.core.sensors.sensor import Sensor
-from salsanext_cli.io.files.atomic import require_target, write_bytes
+from salsanext_cli.io.files.atomic import require_target, write_target
 from salsanext_cli.io.weights.card_file import ONNX_SUFFIX
 from salsanext_cli.io.weights.onnx_export import OPSET, difference, exported
 from salsanext_cli.io.weights.weights import read_weights
@@ -85,5 +85,5 @@ def export_onnx(
         difference=difference(content, module, card) if find_spec("onnxruntime") else None,
         size=len(content),
     )
-    write_bytes(target, content, durable=True)
+    write_target(target, content, overwrite=overwrite)
     return report

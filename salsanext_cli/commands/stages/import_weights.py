@@ -82,7 +82,7 @@ def import_weights(
     card = imported.card
     if view is not None or (half and changes_in_half(imported.module)):
         card = _without_thresholds(card)
-    save_weights(target, imported.module, card, half=half)
+    save_weights(target, imported.module, card, half=half, overwrite=overwrite)
     return read_card(target)
 
 

@@ -5,9 +5,11 @@ import sys
 from dataclasses import replace
 
 import pytest
+from meanwhile import require_kept
 from scans import SMALL, lively, refused
 
 from salsanext_cli import label_space
+from salsanext_cli.commands.stages import export_onnx as stage
 from salsanext_cli.commands.stages.export_onnx import export_onnx
 from salsanext_cli.core.errors import MissingDependency, WeightsError
 from salsanext_cli.core.network.card import WeightsCard
@@ -82,6 +84,15 @@ def test_a_wrong_model_is_refused(tmp_path, weights, monkeypatch):
     monkeypatch.setattr(onnx_export, "run", wrong)
     refused(WeightsError, "ONNX model", export_onnx, weights, tmp_path / "m.onnx")
     assert not (tmp_path / "m.onnx").exists()
+
+
+def test_a_file_that_was_written_meanwhile_is_kept(tmp_path, weights):
+    target = tmp_path / "m.onnx"
+
+    def export(overwrite):
+        export_onnx(weights, target, overwrite=overwrite)
+
+    require_kept(stage, target, export)
 
 
 def test_without_onnx_runtime_the_model_is_not_compared(tmp_path, weights, monkeypatch):
