@@ -51,4 +51,6 @@ def knn_refine(
             options=run,
         )
     following = command_on_labels(outcome, out, selection.split)
-    summary.finish("knn-refine", outcome, out, output, following=following, strict=strict)
+    summary.print_summary_and_exit(
+        "knn-refine", outcome, out, output, following=following, strict=strict
+    )

@@ -79,7 +79,7 @@ def inspect(
     tables = survey_tables(survey.sequences, survey.total, survey.space, sensor_of_images)
     output.result(survey.to_dict(), tables)
     summary.print_failures(survey.failures)
-    summary.leave(survey.failures, failed=strict and bool(survey.warnings))
+    summary.exit_with_status(survey.failures, failed=strict and bool(survey.warnings))
 
 
 def _start_of_fit(named: str | None, *, is_written: bool) -> "Sensor":
@@ -128,7 +128,7 @@ def convert(
     with over_scans("convert", running, output.quiet) as run:
         outcome = stage(source, folder, every=every, limit=limit, options=run)
     following = next_command(outcome, ["predict", folder])
-    summary.finish("convert", outcome, folder, output, following=following)
+    summary.print_summary_and_exit("convert", outcome, folder, output, following=following)
 
 
 def pick(
@@ -185,11 +185,12 @@ def pick(
     output.result(result, picked_table(picking.picked) if picking.picked else None)
     summary.print_failures(failures)
     numbers = f"{len(picking.picked):,} of {counted(picking.scans, 'scan')}"
-    output.print(f"pick: {numbers}{summary.others_text(picking.outcome)} → {out}")
+    counts = ", ".join([numbers, *summary.skipped_and_failed_texts(picking.outcome)])
+    output.print(f"pick: {counts} → {out}")
     if labels is not None:
         for line in lines_after_pick(out, picking, labels, settings.weights, labelled or ()):
             output.print(line)
-    summary.leave(failures, failed=strict and bool(picking.warnings))
+    summary.exit_with_status(failures, failed=strict and bool(picking.warnings))
 
 
 def _labels_as_data(labels: "PickedLabels | None") -> dict[str, object]:
@@ -246,7 +247,7 @@ def import_labels(
         print_line(f"error: {with_hint(failure.reason, failure.hint)}")
     for line in imported_lines(imported, dataset):
         output.print(printable(line))
-    summary.leave(imported.failures)
+    summary.exit_with_status(imported.failures)
 
 
 @option_group

@@ -144,7 +144,7 @@ def predict(
         outcome = _then_fused(outcome, out, folder_of_labels, selection, running, output)
     following = command_on_labels(outcome, folder_of_labels, selection.split)
     numbers = _numbers(outcome, extras.threshold, _advice(settings, outcome, out))
-    summary.finish(
+    summary.print_summary_and_exit(
         "predict", outcome, out, output, following=following, numbers=numbers, strict=strict
     )
 

@@ -48,7 +48,9 @@ def project(
             options=run,
         )
     following = next_command(outcome, ["predict", out, out, *_network_options(settings)])
-    summary.finish("project", outcome, out, output, following=following, strict=strict)
+    summary.print_summary_and_exit(
+        "project", outcome, out, output, following=following, strict=strict
+    )
 
 
 def _network_options(settings: NetworkSettings) -> list[str]:

@@ -54,7 +54,7 @@ def fuse(
     with over_scans("fuse", running, output.quiet) as run:
         outcome = fuse_results(out, target, poses=poses, reach=reach, query=query, options=run)
     following = command_on_labels(outcome, target, query.selection.split)
-    summary.finish("fuse", outcome, target, output, following=following)
+    summary.print_summary_and_exit("fuse", outcome, target, output, following=following)
 
 
 @option_group
@@ -104,7 +104,9 @@ def filter_command(
             query=query,
             options=run,
         )
-    summary.finish("filter", outcome, target, output, numbers=_filter_numbers(outcome))
+    summary.print_summary_and_exit(
+        "filter", outcome, target, output, numbers=_filter_numbers(outcome)
+    )
 
 
 def _filter_numbers(outcome: "FilterOutcome") -> summary.StageNumbers:
@@ -147,7 +149,7 @@ def evaluate(
         metavar="LIMITS",
     ),
     query: ResultQuery,
-    running: arguments.Reading,
+    running: arguments.ReadOnlyRunOptions,
     output: console.Output,
 ) -> None:
     """Compare predictions with labels, as the official benchmark does.
@@ -159,8 +161,8 @@ def evaluate(
     from salsanext_cli.commands import score_limits
     from salsanext_cli.commands.stages.evaluate import evaluate as stage
 
-    lower_limits = score_limits.limits_of(fail_under, score_limits.FAIL_UNDER)
-    upper_limits = score_limits.limits_of(fail_over, score_limits.FAIL_OVER)
+    lower_limits = score_limits.parse_limits(fail_under, score_limits.FAIL_UNDER)
+    upper_limits = score_limits.parse_limits(fail_over, score_limits.FAIL_OVER)
     limits = (*lower_limits, *upper_limits)
     with over_scans("eval", running, output.quiet, at_end=True) as run:
         evaluation = stage(out, by_distance=by_distance, limits=limits, query=query, options=run)
@@ -169,11 +171,11 @@ def evaluate(
     output.result(evaluation.to_dict() | names, _evaluation_tables(evaluation))
     summary.print_failures(evaluation.failures)
     missing = evaluation.missing
-    scans = f"{counted(evaluation.counts.scans, 'scan')}{summary.skipped_text(missing)}"
+    scans = f"{counted(evaluation.counts.scans, 'scan')}{summary.text_of_other_scans(missing)}"
     output.print(f"eval: {scans} → {evaluation.folder}/scores.txt, eval.json, eval_*.png")
     for limit in missed:
         console.print_line(f"error: {limit.text}")
-    summary.leave(evaluation.failures, missing, failed=bool(missed))
+    summary.exit_with_status(evaluation.failures, missing, failed=bool(missed))
 
 
 def _names_of_missed(
@@ -239,4 +241,4 @@ def export_ply(
 
     with over_scans("export-ply", running, output.quiet) as run:
         outcome = stage(out, colour=colour, scale=scale, query=query, options=run)
-    summary.finish("export-ply", outcome, out, output)
+    summary.print_summary_and_exit("export-ply", outcome, out, output)

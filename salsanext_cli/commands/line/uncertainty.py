@@ -58,4 +58,6 @@ def uncertainty(
             options=run,
         )
     following = next_command(outcome, ["export-ply", out, "--colour", "uncertainty"])
-    summary.finish("uncertainty", outcome, out, output, following=following, strict=strict)
+    summary.print_summary_and_exit(
+        "uncertainty", outcome, out, output, following=following, strict=strict
+    )

@@ -22,7 +22,7 @@ from salsanext_cli.runs.results.paths import ERROR, find_outputs
 from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 
-# No scene of the training of the default weights has this seed.
+# The default weights were not trained on a scene with this seed.
 SCENE: dict[str, Any] = {"train": 0, "valid": 1, "seed": 2020, "spacing": 12.0}
 
 
@@ -51,12 +51,16 @@ def demo(
     ----------
     folder : Path
         Folder to write to.
-    scans, samples : int
-        Number of scans of the drive, and of Monte-Carlo passes per scan.
-    settings, options : NetworkSettings and RunOptions
-        Network that predicts, and options of every stage.
+    scans : int
+        Number of scans of the drive.
+    samples : int
+        Number of Monte-Carlo passes per scan.
+    settings : NetworkSettings
+        Network that predicts.
+    options : RunOptions
+        Options of every stage.
     bars : callable
-        Function from the name of a step to a context with its progress callback.
+        Opens a progress bar for a named step, and yields its callback.
 
     Returns
     -------
@@ -74,6 +78,7 @@ def demo(
     with step("synth") as run:
         synthesise(data, scans=scans, **SCENE, overwrite=run.overwrite, progress=run.progress)
     with step("predict") as run:
+        # Whether the error is estimated depends on the settings too, not only on the card.
         extras = (ERROR,) if knows_error(settings.load()) else ()
         predicted = predict_scans(data, out, settings=settings, extras=extras, options=run)
     with step("uncertainty") as run:

@@ -53,28 +53,43 @@ def import_weights(
 
     Parameters
     ----------
-    source, target : Path
-        Checkpoint of ``torch.save`` or weights file of salsanext, and weights file to write.
-    space, dropout : optional
-        Classes and dropout rate of a checkpoint; default: SemanticKITTI's, and `DROPOUT`.
+    source : Path
+        Checkpoint of ``torch.save``, or weights file of salsanext.
+    target : Path
+        Weights file to write.
+    space : LabelSpace, optional
+        Classes of a checkpoint; default: SemanticKITTI's.
     view : Sensor, optional
         Sensor of the weights; default: the sensor of the source, for a checkpoint the HDL-64.
+    dropout : float, optional
+        Dropout rate of a checkpoint; default: `DROPOUT`.
     description : str
         Description of the weights.
-    half, overwrite : bool
-        Store the tensors in float16; replace an existing target.
+    half : bool
+        Whether to store the tensors in float16.
+    overwrite : bool
+        Whether to replace an existing target.
 
     Returns
     -------
     WeightsCard
         Card of the target.
+
+    Raises
+    ------
+    OutputError
+        If the target cannot be written, or may not replace another file.
+    UsageError
+        If weights of salsanext get an argument for checkpoints.
+    WeightsError
+        If the source cannot be used.
     """
     require_target(target, overwrite)
     if source.suffix == WEIGHTS_SUFFIX:
         if space is not None:
-            raise _known_already("space", source)
+            raise _argument_not_needed("space", source)
         if dropout is not None:
-            raise _known_already("dropout", source)
+            raise _argument_not_needed("dropout", source)
         imported = _weights_of_salsanext(source, view, description)
     else:
         rate = DROPOUT if dropout is None else dropout
@@ -94,7 +109,7 @@ def _without_thresholds(card: WeightsCard) -> WeightsCard:
     return card.without_risk(lambda _: True)
 
 
-def _known_already(name: str, source: Path) -> UsageError:
+def _argument_not_needed(name: str, source: Path) -> UsageError:
     """Return the error of an argument for a checkpoint, given with weights of salsanext."""
     problem = f"the weights file {source} contains this already"
     return UsageError(argument(name), problem, "a published checkpoint", f"omit {argument(name)}")
@@ -104,7 +119,7 @@ def _weights_of_salsanext(source: Path, view: Sensor | None, description: str) -
     """Return weights of salsanext with another sensor or description, if one is given."""
     module, card = read_weights(source)
     if view:
-        # Nothing is known about other widths of its images.
+        # The fits for other widths belong to the old sensor.
         card = replace(card, sensor=view, widths=(), of_widths={})
     card = replace(card, description=description or card.description, version=None)
     return ImportedWeights(module, card)

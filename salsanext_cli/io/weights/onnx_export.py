@@ -44,7 +44,9 @@ class _Traced(nn.Module):
         return logits[..., : self.width] if len(self.columns) != self.width else logits
 
 
-def exported(module: SegmentationNetwork, card: WeightsCard, *, dynamic_width: bool = False) -> Any:
+def onnx_model(
+    module: SegmentationNetwork, card: WeightsCard, *, dynamic_width: bool = False
+) -> Any:
     """Return a network as an ONNX model.
 
     Parameters
@@ -95,7 +97,7 @@ def run(content: bytes, image: Float) -> Float:
     return session.run([OUTPUT], {INPUT: image})[0]
 
 
-def difference(content: bytes, module: SegmentationNetwork, card: WeightsCard) -> float:
+def largest_difference(content: bytes, module: SegmentationNetwork, card: WeightsCard) -> float:
     """Compare the logits of ONNX Runtime with those of torch.
 
     Parameters

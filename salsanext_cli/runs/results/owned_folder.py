@@ -20,7 +20,6 @@ from pathlib import Path
 from urllib.parse import quote_from_bytes, unquote_to_bytes
 from uuid import uuid4
 
-from salsanext_cli.core.checks.finding import Finding
 from salsanext_cli.core.errors import OutputError
 from salsanext_cli.core.texts import first_few
 from salsanext_cli.io.files.atomic import MARK, append_line, refusal, sweep, sweep_stale, writing
@@ -36,6 +35,7 @@ RECORDS_LOCK_TIMEOUT_S = 1800.0
 """A hundred other processes may hold the lock for seconds each in runs on a million scans."""
 LINE = re.compile(rb"(\S+)\t(\d{1,19})\t(\d{1,19})")
 States = dict[Path, set[tuple[int, int]]]  # Size and time of modification at each writing
+Texts = tuple[str, str, str]  # Code, message and hint of a warning
 
 log = logging.getLogger(__name__)
 
@@ -45,7 +45,7 @@ class _Findings:
     """Warnings about the scans of all runs of a stage."""
 
     stage: str
-    scans: dict[str, list[tuple[str, str, str]]]  # Fields of `Finding`, by name of the scan
+    scans: dict[str, list[Texts]]  # By name of the scan
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,26 +189,20 @@ class OwnedFolder:
                     states.setdefault(self.root / below, set()).add(state)
         return states
 
-    def findings(self) -> dict[str, list[Finding]]:
+    def findings(self) -> dict[str, list[Texts]]:
         """Return the recorded warnings of all runs of the stage, by name of the scan."""
         recorded = read_record(_Findings, self._findings_path)
-        if recorded is None:
-            return {}
-        return {
-            name: [Finding(*finding) for finding in findings]
-            for name, findings in recorded.scans.items()
-        }
+        return recorded.scans if recorded else {}
 
     def record_findings(
-        self, findings: Mapping[str, list[Finding]], checked: Collection[str]
-    ) -> dict[str, list[Finding]]:
+        self, findings: Mapping[str, list[Texts]], checked: Collection[str]
+    ) -> dict[str, list[Texts]]:
         """Record warnings of checked scans by name; return earlier ones of the other scans."""
         with self.locked_records():
-            recorded = self.findings()
-            earlier = {name: recorded[name] for name in recorded if name not in checked}
+            earlier = {name: t for name, t in self.findings().items() if name not in checked}
             if present(self._findings_path) or findings:
-                scans = earlier | {name: sorted(findings[name]) for name in findings}
-                record = _Findings(self.stage, {name: [*scans[name]] for name in sorted(scans)})
+                scans = earlier | {name: sorted(texts) for name, texts in findings.items()}
+                record = _Findings(self.stage, dict(sorted(scans.items())))
                 write_json(self._findings_path, record)
         return earlier
 
