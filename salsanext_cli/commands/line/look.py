@@ -38,8 +38,8 @@ def picture(
     """
     from salsanext_cli.commands.stages.picture import picture as stage
 
-    with over_scans("picture", running, output.quiet) as run:
-        outcome = stage(out, colours=colour or (), scale=scale, query=query, options=run)
+    with over_scans("picture", running, output.quiet) as options:
+        outcome = stage(out, colours=colour or (), scale=scale, query=query, options=options)
     summary.print_summary_and_exit("picture", outcome, out, output)
 
 
@@ -113,13 +113,13 @@ def report(
     from salsanext_cli.commands.stages.report import report as stage
 
     out = _results_in(out)
-    with over_scans("report", running, output.quiet, at_end=True) as run:
+    with over_scans("report", running, output.quiet, at_end=True) as options:
         written = stage(
             out,
             page,
             scans=names_in(scans, "--scans", "08/000000,08/000010"),
             query=query,
-            options=run,
+            options=options,
         )
     missing = written.run.missing
     output.result(written.to_dict())
@@ -152,8 +152,8 @@ def view(
     from salsanext_cli.commands.stages.report import view as stage
 
     out = _results_in(out)
-    with over_scans("view", running, output.quiet, at_end=True) as run:
-        server = stage(out, port=port, query=query, options=run)
+    with over_scans("view", running, output.quiet, at_end=True) as options:
+        server = stage(out, port=port, query=query, options=options)
     summary.print_failures(server.failures)
     scans = f"{counted(server.scans, 'scan')}{summary.text_of_other_scans(server.missing)}"
     output.print(f"view: {scans}, until Ctrl-C at")

@@ -59,13 +59,13 @@ def inspect(
     named = with_names(start, columns, intensity_field).resized(height, width)
     # The size and the normalisation are for weights that are still to be trained.
     images = height is not None or width is not None
-    with over_scans("inspect", running, output.quiet, at_end=True) as run:
+    with over_scans("inspect", running, output.quiet, at_end=True) as options:
         survey = stage(
             arguments.source(scans, dataset, topic),
             sensor=named,
             space=named_label_space(label_space),
             selection=selection,
-            options=run,
+            options=options,
             fit=fit is not None,
             images=images,
             as_predict=fit is None and _is_fitted(sensor),
@@ -125,8 +125,8 @@ def convert(
     from salsanext_cli.commands.stages.convert import convert as stage
 
     source = arguments.in_topic(recording, topic)
-    with over_scans("convert", running, output.quiet) as run:
-        outcome = stage(source, folder, every=every, limit=limit, options=run)
+    with over_scans("convert", running, output.quiet) as options:
+        outcome = stage(source, folder, every=every, limit=limit, options=options)
     following = next_command(outcome, ["predict", folder])
     summary.print_summary_and_exit("convert", outcome, folder, output, following=following)
 
@@ -162,7 +162,7 @@ def pick(
 
     if names and count is not None:
         raise UsageError("--count", "chooses scans, and so does --from", "one of both")
-    with over_scans("pick", running, output.quiet) as run:
+    with over_scans("pick", running, output.quiet) as options:
         picking = stage(
             arguments.in_topic(scans, topic),
             out,
@@ -172,13 +172,13 @@ def pick(
             names=names,
             settings=settings,
             selection=selection,
-            options=run,
+            options=options,
         )
     failures = picking.outcome.failures
     labels = None
     if picking.picked:
-        with over_scans("predict", running, output.quiet) as run:
-            labels = label_picked_scans(out, settings, run)
+        with over_scans("predict", running, output.quiet) as options:
+            labels = label_picked_scans(out, settings, options)
         failures = (*failures, *labels.failures)
     result = picking.to_dict() | {"out": str(out)} | _labels_as_data(labels)
     result["failures"] = [failure.to_dict() for failure in failures]

@@ -37,7 +37,7 @@ def project(
 
     source, out = arguments.sources(context, scans, out, dataset, topic)
     sensor = settings.named_sensor() or settings.trained_sensor()
-    with over_scans("project", running, output.quiet) as run:
+    with over_scans("project", running, output.quiet) as options:
         outcome = project_scans(
             source,
             out,
@@ -45,7 +45,7 @@ def project(
             fit=settings.fits_view,
             fit_mounting=settings.fits_mounting,
             selection=selection,
-            options=run,
+            options=options,
         )
     following = next_command(outcome, ["predict", out, out, *_network_options(settings)])
     summary.print_summary_and_exit(

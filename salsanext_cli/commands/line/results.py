@@ -51,8 +51,8 @@ def fuse(
     from salsanext_cli.runs.results.paths import FUSED
 
     target = target or out / FUSED
-    with over_scans("fuse", running, output.quiet) as run:
-        outcome = fuse_results(out, target, poses=poses, reach=reach, query=query, options=run)
+    with over_scans("fuse", running, output.quiet) as options:
+        outcome = fuse_results(out, target, poses=poses, reach=reach, query=query, options=options)
     following = command_on_labels(outcome, target, query.selection.split)
     summary.print_summary_and_exit("fuse", outcome, target, output, following=following)
 
@@ -94,7 +94,7 @@ def filter_command(
     """
     from salsanext_cli.commands.stages.filter import filter_scans
 
-    with over_scans("filter", running, output.quiet) as run:
+    with over_scans("filter", running, output.quiet) as options:
         outcome = filter_scans(
             out,
             target,
@@ -102,7 +102,7 @@ def filter_command(
             keep=points.keep,
             max_error=points.max_error,
             query=query,
-            options=run,
+            options=options,
         )
     summary.print_summary_and_exit(
         "filter", outcome, target, output, numbers=_filter_numbers(outcome)
@@ -164,8 +164,10 @@ def evaluate(
     lower_limits = score_limits.parse_limits(fail_under, score_limits.FAIL_UNDER)
     upper_limits = score_limits.parse_limits(fail_over, score_limits.FAIL_OVER)
     limits = (*lower_limits, *upper_limits)
-    with over_scans("eval", running, output.quiet, at_end=True) as run:
-        evaluation = stage(out, by_distance=by_distance, limits=limits, query=query, options=run)
+    with over_scans("eval", running, output.quiet, at_end=True) as options:
+        evaluation = stage(
+            out, by_distance=by_distance, limits=limits, query=query, options=options
+        )
     missed = evaluation.missed_limits(limits)
     names = _names_of_missed(missed, fail_under, fail_over)
     output.result(evaluation.to_dict() | names, _evaluation_tables(evaluation))
@@ -239,6 +241,6 @@ def export_ply(
     """
     from salsanext_cli.commands.stages.export_ply import export_ply as stage
 
-    with over_scans("export-ply", running, output.quiet) as run:
-        outcome = stage(out, colour=colour, scale=scale, query=query, options=run)
+    with over_scans("export-ply", running, output.quiet) as options:
+        outcome = stage(out, colour=colour, scale=scale, query=query, options=options)
     summary.print_summary_and_exit("export-ply", outcome, out, output)

@@ -111,8 +111,9 @@ def poses_beside(files: Sequence[ScanFile]) -> Path | None:
 def readings_of(path: Path, files: Sequence[ScanFile]) -> list[Poses]:
     """Return the possible poses (N, 4, 4) of scans in a file, as of `pose_readings`."""
     listed = sorted(find_scans(files[0].path.parent, unique=False), key=drive_order)
-    stems, wanted = ([*dict.fromkeys(file.stem for file in group)] for group in (listed, files))
-    return pose_readings(path, stems, wanted)
+    stems = [*dict.fromkeys(file.stem for file in listed)]
+    stems_of_run = [*dict.fromkeys(file.stem for file in files)]
+    return pose_readings(path, stems, stems_of_run)
 
 
 def is_registered(files: Sequence[ScanFile], sensor: Sensor, origin_of: OriginOf) -> bool:
