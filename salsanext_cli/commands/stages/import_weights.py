@@ -134,7 +134,8 @@ def _published_weights(
     if outputs != space.class_count:
         expected = f"{space.class_count}, one per class of {space.name}"
         hint = f"give its label space with {argument('space')}"
-        raise WeightsError(source, f"has {outputs} outputs", expected, hint)
+        problem = f"has {outputs} outputs" if outputs else "has no layer logits with outputs"
+        raise WeightsError(source, problem, expected, hint)
     architecture = {"name": "salsanext", "class_count": outputs, "dropout": dropout}
     module = build(architecture, source)
     load_tensors(module, tensors, source)
