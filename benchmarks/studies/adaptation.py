@@ -64,7 +64,7 @@ CERTAIN = 0.9
 COUNTED_SCANS = 32  # Simulated scans of each kind whose points of each class are counted
 REPORTED_STEPS = 50  # Steps between two lines of the log
 PROBABILITIES = "probabilities"  # Folder beside the labels of the drive in a round
-CHANGES: Json = {"batch": 4, "mix": 0.5, "also": 0.5, "folds": 0, "streets": 0}
+CHANGES: Json = {"mix": 0.5, "also": 0.5, "folds": 0, "streets": 0}
 """Changes of the recipe `finetune`."""
 
 
@@ -100,11 +100,11 @@ class StudiedDrive:
 
     def label(self, weights: Path, out: Path) -> None:
         """Label the scans in a folder, and fuse the labels in a folder in it."""
-        words = ("--weights", weights, "--probabilities", "--error", "--overwrite")
+        words = ("--weights", weights, "--probabilities", "--error")
         salsanext("predict", self.scans(), out, *words)
         poses = self.folder / "poses.txt"
         given = ("--poses", poses) if poses.exists() else ()
-        salsanext("fuse", out, *given, "--overwrite")
+        salsanext("fuse", out, *given)
 
     def predicted(self, out: Path, file: ScanFile) -> npt.NDArray[np.uint32]:
         """Return the raw ids of the labels of a scan in a folder, (N,)."""
