@@ -9,6 +9,8 @@ from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
+import pytest
+
 import salsanext_cli
 from salsanext_cli.commands.line.app import COMMANDS
 from salsanext_cli.core.texts import percentage
@@ -59,7 +61,17 @@ LEVELS = (
     ("__main__",),
 )
 """A part may import those in the lines above it, never one beside it."""
-BELOW_COMMANDS = {"version", "core", "io", "runs", "training", "synthesis", "report", "api"}
+BELOW_COMMANDS = {
+    "api",
+    "core",
+    "drive_labels",
+    "io",
+    "report",
+    "runs",
+    "synthesis",
+    "training",
+    "version",
+}
 LEVEL_OF = {part: level for level, parts in enumerate(LEVELS) for part in parts}
 LONGEST = 400
 """Lines of a module, if it is one idea; most are shorter than 200."""
@@ -127,11 +139,19 @@ def test_no_modules_import_each_other_in_a_circle():
     TopologicalSorter(imports).prepare()  # Raises an error that names a circle.
 
 
-def annotations(tree: ast.AST) -> Iterator[str]:
-    """Yield the types of all arguments and fields."""
+def types(tree: ast.AST) -> Iterator[str]:
+    """Yield the types of all arguments, fields and results, and the calls that check a type."""
     for node in ast.walk(tree):
         if isinstance(node, ast.arg | ast.AnnAssign) and node.annotation:
             yield ast.unparse(node.annotation)
+        elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and node.returns:
+            yield ast.unparse(node.returns)
+        elif isinstance(node, ast.Call) and ast.unparse(node.func) == "isinstance":
+            yield ast.unparse(node.args[1])
+
+
+FOLDERS_OF_CACHES = "core/caches.py"
+"""The caches that are handed in lend a temporary folder to libraries that write files."""
 
 
 def test_the_core_takes_no_path():
@@ -141,9 +161,130 @@ def test_the_core_takes_no_path():
     takers = {
         str(module.relative_to(PACKAGE))
         for module in core
-        if any(re.search(r"\bPath\b", kind) for kind in annotations(tree_of(module)))
+        if any(re.search(r"\bPath\b", kind) for kind in types(tree_of(module)))
     }
-    assert takers == set()
+    assert takers == {FOLDERS_OF_CACHES}
+
+
+REMOVAL_NAMES = {"removedirs", "rename", "renames", "rmdir", "rmtree", "unlink"}
+FILE_METHODS = {"write_bytes", "write_text"}
+"""Methods of paths; functions of the package with these names have arguments of their own."""
+REMOVERS = {
+    "io/files/atomic.py": "gives complete files their names; unfinished files of killed runs",
+    "io/files/locks.py": "lock files, and temporary folders of killed runs",
+    "io/files/user_cache.py": "the files of the cache that were not used for the longest time",
+    "runs/loop/finished_attempts.py": "a temporary folder of the run",
+    "runs/results/owned_folder.py": "files of an output folder that salsanext wrote",
+}
+"""Modules that may remove or replace files, and which; see `docs/project/development.md`."""
+REPLACING = {"append_line", "save_weights", "write_bytes", "write_json", "writing"}
+"""Functions that replace a file unless their caller forbids it."""
+WRITERS = {
+    "commands/stages/import_weights.py": "the target, by `overwrite`",
+    "commands/stages/submit.py": "the target, by `overwrite`",
+    "io/files/json_files.py": "records of the callers of `write_json`",
+    "io/files/user_cache.py": "the cache",
+    "io/formats/kitti_labels.py": "`sn.write_labels`, for callers from Python",
+    "io/formats/ply.py": "`sn.write_ply`, for callers from Python",
+    "runs/labelling/label_records.py": "a line at the end of the list of imported labels",
+    "runs/labelling/picked_data_set.py": "the record of `pick`",
+    "runs/records/digest_files.py": "files that are named after their content",
+    "runs/results/manifest.py": "records of stages",
+    "runs/results/owned_folder.py": "files of an output folder that are not foreign",
+}
+"""Modules that may import the functions above, and what they write."""
+
+
+def is_string(node: ast.expr) -> bool:
+    return isinstance(node, ast.Constant) and isinstance(node.value, str | bytes)
+
+
+def replaces_file(call: ast.Call) -> bool:
+    """Return whether a call replaces a file by `PATH.replace(PATH)`, `write_text` or `open`.
+
+    Texts are replaced with two arguments, records with keywords, and a mapping is no path.
+    """
+    function = call.func
+    name = function.attr if isinstance(function, ast.Attribute) else ""
+    if name == "replace":
+        is_of_owned_folder = isinstance(function.value, ast.Call)
+        return len(call.args) == 1 and not call.keywords and not is_of_owned_folder
+    if name in FILE_METHODS:
+        # The formatter of the help has such a method as well.
+        return ast.unparse(function.value) != "formatter"
+    opens = name == "open" or ast.unparse(function) == "open"
+    modes = [argument.value for argument in call.args if is_string(argument)]
+    modes += [keyword.value.value for keyword in call.keywords if is_string(keyword.value)]
+    return opens and any(re.fullmatch(r"[wxa+rbt]*[wxa+][wxa+rbt]*", mode) for mode in modes)
+
+
+def removes_or_replaces(tree: ast.AST) -> bool:
+    """Return whether a module removes, renames or writes files without the helpers of `io`."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and node.attr in REMOVAL_NAMES:
+            return True
+        if isinstance(node, ast.ImportFrom):
+            names = {alias.name for alias in node.names}
+            if names & REMOVAL_NAMES or (node.module == "os" and names & {"remove", "replace"}):
+                return True
+        if isinstance(node, ast.Attribute) and ast.unparse(node) in ("os.remove", "os.replace"):
+            return True
+        if isinstance(node, ast.Call) and replaces_file(node):
+            return True
+    return False
+
+
+@pytest.mark.parametrize(
+    ("code", "expected"),
+    [
+        ("path.unlink(missing_ok=True)", True),
+        ("stack.callback(shutil.rmtree, folder)", True),
+        ("from shutil import rmtree", True),
+        ("os.replace(new, old)", True),
+        ("new.replace(old)", True),
+        ("path.write_text(text)", True),
+        ("open(path, 'w')", True),
+        ("path.open(mode='ab')", True),
+        ("path.open('rb')", False),
+        ("text.replace('a', 'b')", False),
+        ("replace(record, field=1)", False),
+        ("write_bytes(path, content)", False),
+    ],
+)
+def test_what_removes_or_replaces_files(code, expected):
+    assert removes_or_replaces(ast.parse(code)) == expected
+
+
+def test_few_modules_remove_or_replace_files():
+    """A file of the user can only be lost in these; all others call them."""
+    removers = {
+        module.relative_to(PACKAGE).as_posix()
+        for module in MODULES
+        if removes_or_replaces(tree_of(module))
+    }
+    assert removers == REMOVERS.keys()
+    page = (ROOT / "docs/project/development.md").read_text("utf-8")
+    assert {remover for remover in REMOVERS if f"`{remover}`" not in page} == set()
+
+
+def imported_from_io(tree: ast.AST) -> set[str]:
+    """Return the names that a module imports from the wing of files."""
+    return {
+        alias.name
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("salsanext_cli.io.")
+        for alias in node.names
+    }
+
+
+def test_few_modules_import_the_functions_that_replace_files():
+    """Files that the user names are written by `write_target`, which must state `overwrite`."""
+    writers = {
+        module.relative_to(PACKAGE).as_posix()
+        for module in MODULES
+        if imported_from_io(tree_of(module)) & REPLACING
+    }
+    assert writers == WRITERS.keys()
 
 
 OPTION_KEYS = "core/network/tuned_settings.py"

@@ -24,12 +24,14 @@ import refresh
 import yaml
 from command_line import called, every_command, parsed, root
 from pictures import pipeline
+from quick_streets import record
 from scans import SMALL, make_scan, write_array, write_bin, write_sequence
 
 import salsanext_cli
 from salsanext_cli import LabelSpace, Sensor, label_space, load_network, project, read_scan
 from salsanext_cli.commands.line.app import COMMANDS
 from salsanext_cli.commands.stages import predict as stage
+from salsanext_cli.commands.stages import synth
 from salsanext_cli.commands.stages.export_onnx import export_onnx
 from salsanext_cli.core.sensors import sensor as sensors
 from salsanext_cli.io.formats import SCAN_SUFFIXES
@@ -359,6 +361,7 @@ def test_the_simulated_drive_of_the_tutorial_has_the_name_of_its_later_steps(tmp
     page = DOCS / "tutorials/own-sensor.md"
     simulate, copy = blocks(page, "sh")[0].splitlines()
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(synth, "record", record)
     words = shlex.split(simulate.replace("--scans 10", "--scans 1"))
     called(*words[1:], "--jobs", "1")
     program, option, source, target = shlex.split(copy)

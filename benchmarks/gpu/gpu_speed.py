@@ -25,6 +25,7 @@ from salsanext_cli.runs.network_settings import NetworkSettings
 
 PARTS = {"network": 20, "predict": 10, "projection": 20, "knn": 20, "uncertainty": 1}
 """Timed calls of each part of the method."""
+ENGINE = "torch"  # The baseline is in torch
 SAMPLES = 30  # Monte-Carlo passes of a scan
 FEWEST = 2  # Passes in a small run
 WIDTHS = (512, 2048)
@@ -55,8 +56,8 @@ def measure_parts(figures: Figures, weights: Path, sensor: Sensor, scan: Path, p
     task = {
         "weights": str(weights.resolve()),
         "device": figures.device,
-        "precision": choose_precision("auto", figures.device),
-        "engine": "torch",
+        "precision": choose_precision("auto", figures.device, ENGINE),
+        "engine": ENGINE,
         "sensor": sensor.to_dict(),
         "samples": passes,
         "passes": 1,  # Of the baseline's, which are all alike
@@ -82,7 +83,7 @@ def measure_network(figures: Figures, weights: Path, sensor: Sensor) -> None:
     """Measure the network alone on images that are on the device, by precision and batch."""
     precisions = ("float32",) if figures.device == "cpu" else ("float32", "float16", "bfloat16")
     for precision in precisions:
-        network = load_network(weights, figures.device, sensor, precision, "torch")
+        network = load_network(weights, figures.device, sensor, precision, ENGINE)
         for batch in BATCHES:
             name = f"{sensor.height}×{sensor.width} network alone, {precision}, batch {batch}"
             if not figures.has_time_for(name):
@@ -101,7 +102,7 @@ def forward(module: torch.nn.Module, images: torch.Tensor) -> Callable[[], objec
 
 def measure_runs(figures: Figures, weights: Path, scans: list[Path], count: int) -> None:
     """Measure runs of `predict` over a folder, files to labels, in scans a second."""
-    settings = NetworkSettings(weights, figures.device, precision="auto", engine="torch")
+    settings = NetworkSettings(weights, figures.device, precision="auto", engine=ENGINE)
     for batch, jobs in RUNS:
         name = f"predict, --batch {batch or 'auto'} --jobs {jobs}"
         if not figures.has_time_for(name, SECONDS_OF_RUN):

@@ -25,6 +25,7 @@ from rich.table import Table
 from benchmarks.speed.speed_hardware import least_seconds
 from benchmarks.speed.speed_turn import take_turn
 from salsanext_cli.core.engines.device import choose_device, choose_precision
+from salsanext_cli.core.engines.registry import choose_engine
 from salsanext_cli.core.errors import SalsanextError, UsageError, WeightsError
 from salsanext_cli.core.geometry.network_input import noise_of
 from salsanext_cli.core.network.card import WeightsCard
@@ -84,10 +85,12 @@ def benchmark(
     ]
     # They are written with the usual columns, and their intensities are divided already.
     sensor_of_scans = replace(sensor, intensity_scale=1.0, columns=())
+    device = choose_device(network.device)
+    engine = choose_engine(network.engine, device)
     task: dict[str, Any] = {
         "weights": str(weights.resolve()),
-        "device": choose_device(network.device),
-        "precision": choose_precision(network.precision, choose_device(network.device)),
+        "device": device,
+        "precision": choose_precision(network.precision, device, engine),
         "engine": network.engine,
         "sensor": sensor_of_scans.to_dict(),
         "samples": SAMPLES,

@@ -67,7 +67,7 @@ class Comparison:
         self.space, self.sensor = label_space(), sensor(options.sensor)
         files = [file for file in find_scans(options.dataset) if file.label_path.is_file()]
         shape = {"batch": options.batch, "crop_width": options.width}
-        precision = choose_precision(options.precision, "cpu")
+        precision = choose_precision(options.precision, "cpu", "torch")
         self.recipe = Recipe(**shape, epochs=1_000_000, precision=precision)
         source = Source(files=files, space=self.space, sensor=self.sensor)
         counts = count_classes(source).points.sum(axis=0)

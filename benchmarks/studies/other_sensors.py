@@ -29,7 +29,7 @@ from salsanext_cli.core.measures.survey import Survey, survey
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.synthesis import drive
 from salsanext_cli.synthesis.lidar import Beams, Lasers, Rig, hdl64_rig
-from salsanext_cli.training.data.augment import LabelledScan
+from salsanext_cli.training.data.augment import AnnotatedScan
 
 SEED, SEQUENCES, SCANS, SPACING_M = 777, 8, 2, 25.0
 SENSORS = {
@@ -44,7 +44,7 @@ SENSORS = {
 COLUMNS = ("weights", "whole", "fitted", "filled")
 
 
-def simulated(name: str, space: sn.LabelSpace) -> Iterator[LabelledScan]:
+def simulated(name: str, space: sn.LabelSpace) -> Iterator[AnnotatedScan]:
     """Yield synthetic scans of a sensor with the lasers of an HDL-64 at other elevations."""
     elevations, columns = SENSORS[name]
     count = len(elevations)
@@ -65,10 +65,10 @@ def simulated(name: str, space: sn.LabelSpace) -> Iterator[LabelledScan]:
 
     for sequence in range(SEQUENCES):
         for frame in drive.record(SEED, sequence, SCANS, SPACING_M, rig):
-            yield frame.scan, space.to_train(frame.labels)
+            yield AnnotatedScan(frame.scan, space.to_train(frame.labels))
 
 
-def thinned(dataset: Path, step: int, space: sn.LabelSpace) -> Iterator[LabelledScan]:
+def thinned(dataset: Path, step: int, space: sn.LabelSpace) -> Iterator[AnnotatedScan]:
     """Yield the scans of KITTI whose 64 lasers follow each other, every so many of them."""
     for path in sorted(dataset.rglob("velodyne/*.bin")):
         scan = sn.read_scan(path)
@@ -77,30 +77,32 @@ def thinned(dataset: Path, step: int, space: sn.LabelSpace) -> Iterator[Labelled
         if laser[-1] == 63:
             labels = sn.read_labels(path.parents[1] / "labels" / f"{path.stem}.label")
             kept = np.flatnonzero(laser % step == 0)
-            yield scan.take(kept), space.to_train(labels[kept])
+            yield AnnotatedScan(scan.take(kept), space.to_train(labels[kept]))
 
 
-def score(network: Network, scans: list[LabelledScan], sensor: Sensor, *, fill: bool) -> str:
+def score(network: Network, scans: list[AnnotatedScan], sensor: Sensor, *, fill: bool) -> str:
     """Return accuracy and mean IoU of the labels in the view of a sensor."""
-    images = [sn.project(scan, sensor) for scan, _ in scans]
+    images = [sn.project(annotated.scan, sensor) for annotated in scans]
     seen = with_image_statistics(sensor, [image.channels for image in images])
     network = network.for_sensor(seen if fill else replace(seen, row_gaps=None))
     count = network.card.space.class_count
     confusion = np.zeros((count, count), np.int64)
-    for image, (_, truth) in zip(images, scans, strict=True):
+    for image, annotated in zip(images, scans, strict=True):
         labels = sn.knn_refine(image, network.probabilities(image).argmax(0), count)
-        np.add.at(confusion, (truth, labels), 1)
+        np.add.at(confusion, (annotated.labels, labels), 1)
     confusion[0] = 0
     hits, present = np.diag(confusion), confusion.sum(axis=1) > 0
     ious = hits[present] / (confusion.sum(axis=0) + confusion.sum(axis=1) - hits)[present]
     return f"{100 * hits.sum() / confusion.sum():.1f} / {100 * ious.mean():.1f}"
 
 
-def measure(network: Network, scans: list[LabelledScan]) -> list[str]:
+def measure(network: Network, scans: list[AnnotatedScan]) -> list[str]:
     """Return the scores of all columns."""
     usual = replace(network.card.sensor, row_gaps=None, intensity_quantiles=())
-    found = fit_view([scan for scan, _ in scans], usual)
-    surveys = (survey(scan, sn.project(scan, usual), None) for scan, _ in scans)
+    found = fit_view([annotated.scan for annotated in scans], usual)
+    surveys = (
+        survey(annotated.scan, sn.project(annotated.scan, usual), None) for annotated in scans
+    )
     up, down = sum(surveys, start=Survey()).field_of_view()
     views = (usual, replace(usual, fov_up=up, fov_down=down), found)
     plain = [score(network, scans, view, fill=False) for view in views]
@@ -123,7 +125,7 @@ def main(*words: str) -> None:
             row(f"{dataset.name[:12]} 1/{step}", network, list(thinned(dataset, step, space)))
 
 
-def row(name: str, network: Network, scans: list[LabelledScan]) -> None:
+def row(name: str, network: Network, scans: list[AnnotatedScan]) -> None:
     """Measure some scans and print their line."""
     print(f"{name:16}  " + "  ".join(f"{cell:>11}" for cell in measure(network, scans)), flush=True)
 

@@ -114,7 +114,7 @@ class MissedLimit:
         return f"{subject}: {self.score:.4g}{unit}, {side} the limit of {self.limit.limit:g}{unit}"
 
 
-def limits_of(text: str | None, option: str) -> tuple[ScoreLimit, ...]:
+def parse_limits(text: str | None, option: str) -> tuple[ScoreLimit, ...]:
     """Return the limits in the value of an option, such as ``mean_iou=40,iou.person=20``."""
     if text is None:
         return ()
@@ -122,13 +122,13 @@ def limits_of(text: str | None, option: str) -> tuple[ScoreLimit, ...]:
     for typed in map(str.strip, text.split(",")):
         name, equals, number = map(str.strip, typed.partition("="))
         _require_kind(name, typed, option)
-        if name != GUARANTEE:
-            limit = _number(name, number, option)
-        elif equals:
-            expected = f"{GUARANTEE} without a number: `salsanext tune risk` set its limit"
-            raise UsageError(option, f"is {typed}", expected)
-        else:
+        if name == GUARANTEE:
+            if equals:
+                expected = f"{GUARANTEE} without a number: `salsanext tune risk` set its limit"
+                raise UsageError(option, f"is {typed}", expected)
             limit = math.nan
+        else:
+            limit = _number(name, number, option)
         limits[name] = ScoreLimit(option=option, name=name, limit=limit)
     return tuple(limits.values())
 
@@ -139,18 +139,23 @@ def _require_kind(name: str, typed: str, option: str) -> None:
     kind = SCORE_KINDS.get(head)
     if kind is None:
         raise _unknown_score(name, option)
-    if bool(member) != bool(kind.member):
+    has_member = bool(member)
+    needs_member = bool(kind.member)
+    if needs_member and not has_member:
         example = "person" if kind.member == "class" else "error"
-        expected = f"{head}.{example}, for example" if kind.member else head
-        raise UsageError(option, f"no score is called {name!r}", expected)
+        article = "a" if kind.member == "class" else "an"
+        problem = f"{head} needs {article} {kind.member}"
+        raise UsageError(option, problem, f"{head}.{example}, for example")
+    if has_member and not needs_member:
+        raise UsageError(option, f"no score is called {name!r}", head)
     if kind.member == "uncertainty" and member not in EVALUATED_KINDS:
         hint = did_you_mean(member, EVALUATED_KINDS)
         problem = f"no uncertainty is called {member!r}"
         raise UsageError(option, problem, ", ".join(EVALUATED_KINDS), hint)
     if kind.option != option:
-        better = "more" if kind.option == FAIL_UNDER else "less"
+        better = "higher" if kind.option == FAIL_UNDER else "lower"
         hint = f"use {kind.option} {typed}"
-        raise UsageError(option, f"of {name}, {better} is better", hint=hint)
+        raise UsageError(option, f"a {better} {name} is better", hint=hint)
 
 
 def _unknown_score(name: str, option: str) -> UsageError:
@@ -245,12 +250,13 @@ def missed_limits(
     Parameters
     ----------
     limits : sequence of ScoreLimit
+        Limits on scores of `values`, and on the guarantee.
     values : mapping of str to float
         As of `score_values`.
     guarantee : RiskBoundCheck or None
         Check of the guarantee of the run, if it has one.
     doubt : str
-        Why the check proves nothing about the guarantee; empty if it does.
+        Why the check is no evidence about the guarantee; empty if it is.
 
     Returns
     -------
@@ -280,10 +286,14 @@ def _missed_score(limit: ScoreLimit, values: Mapping[str, float]) -> MissedLimit
 def _missed_guarantee(
     limit: ScoreLimit, guarantee: RiskBoundCheck | None, doubt: str
 ) -> MissedLimit | None:
+    """Return the guarantee if the labels exceed its limit, or are no evidence about it."""
     if guarantee is None:
         reason = with_hint("the run has no guarantee", limit.kind.made_by)
         return MissedLimit(limit=limit, score=math.nan, reason=reason)
     bound = ScoreLimit(option=limit.option, name=GUARANTEE, limit=100 * guarantee.limit)
-    if guarantee.warning:
+    exceeds_limit = bool(guarantee.warning)
+    if exceeds_limit:
         return MissedLimit(limit=bound, score=100 * guarantee.measured)
-    return MissedLimit(limit=bound, score=math.nan, reason=doubt) if doubt else None
+    if doubt:
+        return MissedLimit(limit=bound, score=math.nan, reason=doubt)
+    return None

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
 """The way of one scan: its sensor, its checks, its range image, labels of pixels, of points.
 
-`label_scan` is the whole way. Stages take the same steps by themselves: reader threads prepare
-scans, a device predicts batches of them, and a writer thread refines their labels.
+`label_scan` is the whole way in memory. The job of `predict`, `PredictJob`, takes the same steps:
+reader threads prepare scans, a device predicts batches of them, and a writer thread refines their
+labels.
 """
 
 from collections.abc import Sequence

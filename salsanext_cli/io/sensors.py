@@ -38,4 +38,4 @@ def sensor(name_or_file: str | Path, base: Sensor | None = None) -> Sensor:
     if base is not None and data.keys().isdisjoint(FIELD_OF_VIEW):
         optional = FIELD_OF_VIEW + NOISE
         defaults |= {key: base_values[key] for key in optional if key in base_values}
-    return Sensor.from_dict({"name": path.stem, **defaults, **data}, path)
+    return Sensor.from_dict({"name": path.stem, **defaults, **data}, path, is_file=True)

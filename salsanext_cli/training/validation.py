@@ -79,9 +79,10 @@ def validate(
 
     def read(file: ScanFile) -> ProjectedTruth:
         fitted = network.for_sensor(source.sensor_of(file))
-        scan, labels = read_labelled(file, source.space, fitted.sensor)
-        fitted = fitted.for_sensor(sensor_of(scan, fitted.sensor))
-        return ProjectedTruth(network=fitted, labels=labels, image=project(scan, fitted.sensor))
+        annotated = read_labelled(file, source.space, fitted.sensor)
+        fitted = fitted.for_sensor(sensor_of(annotated.scan, fitted.sensor))
+        image = project(annotated.scan, fitted.sensor)
+        return ProjectedTruth(network=fitted, labels=annotated.labels, image=image)
 
     def logits_of(scans: Sequence[ProjectedTruth]) -> list[Float]:
         return network.backend.logits([s.network.input(s.image.channels) for s in scans])

@@ -13,8 +13,8 @@ from salsanext_cli.commands.score_limits import (
     FAIL_OVER,
     FAIL_UNDER,
     SCORE_KINDS,
-    limits_of,
     missed_limits,
+    parse_limits,
     require_classes,
     score_values,
 )
@@ -36,11 +36,11 @@ CHECK = RiskBoundCheck(
 
 
 def limits_in(text, option):
-    return {limit.name: limit.limit for limit in limits_of(text, option)}
+    return {limit.name: limit.limit for limit in parse_limits(text, option)}
 
 
 def missed(text, option, values, guarantee=None, doubt=""):
-    limits = limits_of(text, option)
+    limits = parse_limits(text, option)
     return [limit.name for limit in missed_limits(limits, values, guarantee, doubt)]
 
 
@@ -48,7 +48,7 @@ def test_limits_are_numbers_in_the_unit_of_their_score_by_name():
     assert limits_in("mean_iou=40, accuracy = 80%", FAIL_UNDER) == {"mean_iou": 40, "accuracy": 80}
     assert limits_in("iou.other-vehicle=0.25%", FAIL_UNDER) == {"iou.other-vehicle": 0.25}
     assert limits_in("nll=0.5,brier=0.1,ece=2", FAIL_OVER) == {"nll": 0.5, "brier": 0.1, "ece": 2}
-    assert limits_of(None, FAIL_UNDER) == ()
+    assert parse_limits(None, FAIL_UNDER) == ()
 
 
 @pytest.mark.parametrize(
@@ -71,7 +71,7 @@ def test_limits_are_numbers_in_the_unit_of_their_score_by_name():
 )
 def test_other_limits_are_refused(option, text):
     with refused(UsageError, option):
-        limits_of(text, option)
+        parse_limits(text, option)
 
 
 @pytest.mark.parametrize(
@@ -87,15 +87,15 @@ def test_other_limits_are_refused(option, text):
 )
 def test_the_hint_about_a_wrong_limit_can_be_typed(option, text, hint):
     with pytest.raises(UsageError) as caught:
-        limits_of(text, option)
+        parse_limits(text, option)
     assert caught.value.hint == hint
 
 
 def test_a_class_is_one_that_the_label_space_scores():
-    require_classes(limits_of("iou.person=1,accuracy=1", FAIL_UNDER), SPACE)
+    require_classes(parse_limits("iou.person=1,accuracy=1", FAIL_UNDER), SPACE)
     for name, hint in {"persn": "did you mean person?", "unlabeled": ""}.items():
         with pytest.raises(UsageError) as caught:
-            require_classes(limits_of(f"recall.{name}=1", FAIL_UNDER), SPACE)
+            require_classes(parse_limits(f"recall.{name}=1", FAIL_UNDER), SPACE)
         assert (caught.value.subject, caught.value.hint) == ("--fail-under recall", hint)
 
 

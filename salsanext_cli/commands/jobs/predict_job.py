@@ -1,5 +1,13 @@
 # SPDX-License-Identifier: MIT
-"""Job of `predict`: a scan to labels of its points and further results."""
+"""Job of `predict`: the way of a scan from its file to its results.
+
+1. `PredictJob.prepare` reads, checks and projects it: `read_prepared` calls `read_measured`,
+   `project_scan` and `prepare_for`.
+2. `PredictJob.compute` labels the pixels of a batch: `predict_pixels`.
+3. `PredictJob.finish` refines the labels on the points, `refine_labels`, and writes the results.
+
+`core/labelling.py` has all these steps but the reading; its `label_scan` takes them in memory.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace

@@ -33,13 +33,14 @@ OUT_VARIABLE = "SALSANEXT_OUT"
 SCANS_HELP = "Scan file, folder of scans, sequence folder, data set or recording."
 FORMATS = f"{' '.join(SCAN_SUFFIXES)}; of recordings: {' '.join(RECORDING_SUFFIXES)}"
 SUBSET = {"names": ("--subset",), "help": "Only N scans, evenly spaced over the data."}
+EXPECTED_SCANS = "scan file, folder of scans, sequence folder, data set or recording"
 DEFAULT_SCANS = "the data set or sequence in the current folder"
 
 
 def _option_of(record: type[Any], field_name: str, **changes: Any) -> Any:
     """Return the option of one field of a record, for a command that takes no other of its fields.
 
-    The value stays as it is typed. `changes`: arguments of `option` that replace those of the
+    The `parse` of the field is dropped. `changes`: arguments of `option` that replace those of the
     field.
     """
     default = next(field.default for field in fields(record) if field.name == field_name)
@@ -97,8 +98,9 @@ JOBS = jobs_option()
 OVERWRITE = _option_of(RunOptions, "overwrite")
 STRICT = running_option("Exit with status 1 after a warning about a scan.", default=False)
 Unsharded = Annotated[RunOptions, Without({"shard"})]
-Reading = Annotated[RunOptions, Without({"shard", "overwrite"})]
 """For results over all scans, which several runs cannot share."""
+ReadOnlyRunOptions = Annotated[RunOptions, Without({"shard", "overwrite"})]
+"""For commands over all scans that write no results."""
 
 
 def sensor(name: str | None) -> "Sensor | None":
@@ -113,8 +115,7 @@ def source(scans: Path | None, dataset: Path | None, topic: str | None) -> Path:
     is_here = any(Path(name).is_dir() for name in ("sequences", "velodyne"))
     if scans is None and dataset is None and not is_here:
         problem = "not given, and the current folder is neither a data set nor a sequence"
-        expected = SCANS_HELP[0].lower() + SCANS_HELP[1:-1]
-        raise UsageError("SCANS", problem, expected, "give . for the scans in this folder")
+        raise UsageError("SCANS", problem, EXPECTED_SCANS, "give . for the scans in this folder")
     return in_topic(scans or dataset or Path(), topic)
 
 
@@ -125,14 +126,11 @@ def sources(
     from salsanext_cli.io.files.reading import is_folder, present
     from salsanext_cli.runs.results.paths import require_none_hidden
 
-    paths = [out, *map(Path, context.args)]
-    if scans:
-        paths.insert(0, scans)
-    out = paths.pop()
+    sources_of_scans, out = _split_sources(context, scans, out)
     if present(out) and not is_folder(out):
         hint = "give OUT last: salsanext predict a.bin b.bin out/"
         raise UsageError("OUT", f"{out} is a file", "a folder for the results", hint)
-    if len(paths) < 2:
+    if len(sources_of_scans) < 2:
         single = source(scans, dataset, topic)
         if scans is not None:
             if _is_apart(out, single):
@@ -140,13 +138,25 @@ def sources(
             _notice_shared_folder(single, out)
         return single, out
     if topic is not None:
-        raise UsageError("--topic", f"{len(paths)} sources were given", "one recording")
+        raise UsageError("--topic", f"{len(sources_of_scans)} sources were given", "one recording")
     require_none_hidden(out)
-    return paths, out
+    return sources_of_scans, out
+
+
+def _split_sources(
+    context: typer.Context, scans: Path | None, out: Path
+) -> tuple[list[Path], Path]:
+    """Return the sources that are named, and OUT: the last of all arguments."""
+    # Typer fills SCANS and OUT with the first two; the rest is in `context.args`.
+    paths = [out, *map(Path, context.args)]
+    if scans:
+        paths.insert(0, scans)
+    return paths[:-1], paths[-1]
 
 
 def _is_apart(out: Path, source: Path) -> bool:
-    """Return whether results and scans are in different folders, none of them in the other."""
+    """Return whether results and scans are in different folders, neither inside the other."""
+    # This needs no access to the disk, which may be slow.
     if out in (source, *source.parents):
         return False
     out_folder = out.resolve()
@@ -188,7 +198,7 @@ def share(option: str, text: str, word: str = "") -> float: ...
 @overload
 def share(option: str, text: str | None, word: str = "") -> float | None: ...
 def share(option: str, text: str | None, word: str = "") -> float | None:
-    """Return a share, 0…1, that is typed as ``5%`` or ``0.05``.
+    """Return a share of at most 1 that is typed as ``5%`` or ``0.05``; stages check its range.
 
     `word`: what the option takes besides a share, for the error.
     """
@@ -206,8 +216,9 @@ def share(option: str, text: str | None, word: str = "") -> float | None:
             expected = f"a share such as 5% or 0.05, or {word}"
             hint = did_you_mean(text, [word])
         raise UsageError(option, problem, expected, hint) from None
-    typed = value / 100 if text.endswith("%") else value
-    if typed > 1:
+    fraction = value / 100 if text.endswith("%") else value
+    if fraction > 1:
         hint = f"did you mean {number}%?" if 1 < value <= 100 else ""
-        raise UsageError(option, f"{text} is {100 * typed:g} %", "a share of at most 100%", hint)
-    return typed
+        problem = f"{text} is {100 * fraction:g} %"
+        raise UsageError(option, problem, "a share of at most 100%", hint)
+    return fraction

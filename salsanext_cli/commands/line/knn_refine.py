@@ -40,7 +40,7 @@ def knn_refine(
     scan_sensor = arguments.sensor(sensor)
     if columns is not None:
         scan_sensor = with_names(scan_sensor or Manifest(out).sensor(), columns)
-    with over_scans("knn-refine", running, output.quiet) as run:
+    with over_scans("knn-refine", running, output.quiet) as options:
         outcome = knn_refine_scans(
             out,
             dataset=dataset,
@@ -48,7 +48,9 @@ def knn_refine(
             space=named_label_space(label_space),
             knn=knn,
             selection=selection,
-            options=run,
+            options=options,
         )
     following = command_on_labels(outcome, out, selection.split)
-    summary.finish("knn-refine", outcome, out, output, following=following, strict=strict)
+    summary.print_summary_and_exit(
+        "knn-refine", outcome, out, output, following=following, strict=strict
+    )

@@ -38,9 +38,9 @@ def picture(
     """
     from salsanext_cli.commands.stages.picture import picture as stage
 
-    with over_scans("picture", running, output.quiet) as run:
-        outcome = stage(out, colours=colour or (), scale=scale, query=query, options=run)
-    summary.finish("picture", outcome, out, output)
+    with over_scans("picture", running, output.quiet) as options:
+        outcome = stage(out, colours=colour or (), scale=scale, query=query, options=options)
+    summary.print_summary_and_exit("picture", outcome, out, output)
 
 
 def demo(
@@ -83,7 +83,7 @@ def demo(
     output.print(f"scans: {folder / 'data'}; results: {results}")
     output.print(f"point clouds for CloudCompare, MeshLab or Open3D: {results}/ply/*.ply")
     output.print(f"one page with all results, for any browser: {page}")
-    summary.leave(failures, evaluation.missing)
+    summary.exit_with_status(failures, evaluation.missing)
 
 
 def report(
@@ -113,13 +113,13 @@ def report(
     from salsanext_cli.commands.stages.report import report as stage
 
     out = _results_in(out)
-    with over_scans("report", running, output.quiet, at_end=True) as run:
+    with over_scans("report", running, output.quiet, at_end=True) as options:
         written = stage(
             out,
             page,
             scans=names_in(scans, "--scans", "08/000000,08/000010"),
             query=query,
-            options=run,
+            options=options,
         )
     missing = written.run.missing
     output.result(written.to_dict())
@@ -129,12 +129,12 @@ def report(
     verdict = written.verdict
     if verdict is not None:
         output.print(verdict.sentence)
-    count = f"{counted(len(written.run.rows), 'scan')}{summary.skipped_text(missing)}"
+    count = f"{counted(len(written.run.rows), 'scan')}{summary.text_of_other_scans(missing)}"
     megabytes = written.page.stat().st_size / 1e6
     output.print(f"report: {count} → {written.page} ({megabytes:.1f} MB)")
     if opened and typer.launch(written.page.absolute().as_uri()) != 0:
         output.print(f"report: no browser could be started; open {written.page} yourself")
-    summary.leave(written.failures, missing)
+    summary.exit_with_status(written.failures, missing)
 
 
 def view(
@@ -142,7 +142,7 @@ def view(
     *,
     port: int = option("Port on this machine; 0: any free port.", default=8765, min=0, max=65535),
     query: ResultQuery,
-    running: arguments.Reading,
+    running: arguments.ReadOnlyRunOptions,
     output: console.Output,
 ) -> None:
     """Show all scans of a run in the browser, until Ctrl-C.
@@ -152,10 +152,10 @@ def view(
     from salsanext_cli.commands.stages.report import view as stage
 
     out = _results_in(out)
-    with over_scans("view", running, output.quiet, at_end=True) as run:
-        server = stage(out, port=port, query=query, options=run)
+    with over_scans("view", running, output.quiet, at_end=True) as options:
+        server = stage(out, port=port, query=query, options=options)
     summary.print_failures(server.failures)
-    scans = f"{counted(server.scans, 'scan')}{summary.skipped_text(server.missing)}"
+    scans = f"{counted(server.scans, 'scan')}{summary.text_of_other_scans(server.missing)}"
     output.print(f"view: {scans}, until Ctrl-C at")
     forwarding = _forwarding(server.server_port, os.environ.get("SSH_CONNECTION", ""))
     if forwarding:
@@ -167,7 +167,7 @@ def view(
     except KeyboardInterrupt:
         ARRIVED.clear()
         output.print("view: ended")
-    summary.leave(server.failures, server.missing)
+    summary.exit_with_status(server.failures, server.missing)
 
 
 def _results_in(folder: Path) -> Path:

@@ -59,13 +59,13 @@ def inspect(
     named = with_names(start, columns, intensity_field).resized(height, width)
     # The size and the normalisation are for weights that are still to be trained.
     images = height is not None or width is not None
-    with over_scans("inspect", running, output.quiet, at_end=True) as run:
+    with over_scans("inspect", running, output.quiet, at_end=True) as options:
         survey = stage(
             arguments.source(scans, dataset, topic),
             sensor=named,
             space=named_label_space(label_space),
             selection=selection,
-            options=run,
+            options=options,
             fit=fit is not None,
             images=images,
             as_predict=fit is None and _is_fitted(sensor),
@@ -79,7 +79,7 @@ def inspect(
     tables = survey_tables(survey.sequences, survey.total, survey.space, sensor_of_images)
     output.result(survey.to_dict(), tables)
     summary.print_failures(survey.failures)
-    summary.leave(survey.failures, failed=strict and bool(survey.warnings))
+    summary.exit_with_status(survey.failures, failed=strict and bool(survey.warnings))
 
 
 def _start_of_fit(named: str | None, *, is_written: bool) -> "Sensor":
@@ -125,10 +125,10 @@ def convert(
     from salsanext_cli.commands.stages.convert import convert as stage
 
     source = arguments.in_topic(recording, topic)
-    with over_scans("convert", running, output.quiet) as run:
-        outcome = stage(source, folder, every=every, limit=limit, options=run)
+    with over_scans("convert", running, output.quiet) as options:
+        outcome = stage(source, folder, every=every, limit=limit, options=options)
     following = next_command(outcome, ["predict", folder])
-    summary.finish("convert", outcome, folder, output, following=following)
+    summary.print_summary_and_exit("convert", outcome, folder, output, following=following)
 
 
 def pick(
@@ -162,7 +162,7 @@ def pick(
 
     if names and count is not None:
         raise UsageError("--count", "chooses scans, and so does --from", "one of both")
-    with over_scans("pick", running, output.quiet) as run:
+    with over_scans("pick", running, output.quiet) as options:
         picking = stage(
             arguments.in_topic(scans, topic),
             out,
@@ -172,24 +172,25 @@ def pick(
             names=names,
             settings=settings,
             selection=selection,
-            options=run,
+            options=options,
         )
     failures = picking.outcome.failures
     labels = None
     if picking.picked:
-        with over_scans("predict", running, output.quiet) as run:
-            labels = label_picked_scans(out, settings, run)
+        with over_scans("predict", running, output.quiet) as options:
+            labels = label_picked_scans(out, settings, options)
         failures = (*failures, *labels.failures)
     result = picking.to_dict() | {"out": str(out)} | _labels_as_data(labels)
     result["failures"] = [failure.to_dict() for failure in failures]
     output.result(result, picked_table(picking.picked) if picking.picked else None)
     summary.print_failures(failures)
     numbers = f"{len(picking.picked):,} of {counted(picking.scans, 'scan')}"
-    output.print(f"pick: {numbers}{summary.others_text(picking.outcome)} → {out}")
+    counts = ", ".join([numbers, *summary.skipped_and_failed_texts(picking.outcome)])
+    output.print(f"pick: {counts} → {out}")
     if labels is not None:
         for line in lines_after_pick(out, picking, labels, settings.weights, labelled or ()):
             output.print(line)
-    summary.leave(failures, failed=strict and bool(picking.warnings))
+    summary.exit_with_status(failures, failed=strict and bool(picking.warnings))
 
 
 def _labels_as_data(labels: "PickedLabels | None") -> dict[str, object]:
@@ -246,7 +247,7 @@ def import_labels(
         print_line(f"error: {with_hint(failure.reason, failure.hint)}")
     for line in imported_lines(imported, dataset):
         output.print(printable(line))
-    summary.leave(imported.failures)
+    summary.exit_with_status(imported.failures)
 
 
 @option_group

@@ -120,11 +120,11 @@ def predict(
     if extras.fuse:
         extras.require_fusable(source, out, running)
     settings = replace(settings, classes=named_label_space(classes))
-    with over_scans("predict", running, output.quiet) as run:
+    with over_scans("predict", running, output.quiet) as options:
         if isinstance(source, Path) and projected_sensor(source) is not None:
             _refuse_options_of_points(extras, knn, batch)
             outcome = predict_range_images(
-                source, out, settings=settings, selection=selection, options=run
+                source, out, settings=settings, selection=selection, options=options
             )
         else:
             outcome = predict_scans(
@@ -136,7 +136,7 @@ def predict(
                 reject=extras.threshold,
                 batch=batch,
                 selection=selection,
-                options=run,
+                options=options,
             )
     folder_of_labels = out
     if extras.fuse and outcome.has_results:
@@ -144,7 +144,7 @@ def predict(
         outcome = _then_fused(outcome, out, folder_of_labels, selection, running, output)
     following = command_on_labels(outcome, folder_of_labels, selection.split)
     numbers = _numbers(outcome, extras.threshold, _advice(settings, outcome, out))
-    summary.finish(
+    summary.print_summary_and_exit(
         "predict", outcome, out, output, following=following, numbers=numbers, strict=strict
     )
 
@@ -208,8 +208,8 @@ def _then_fused(
     from salsanext_cli.commands.stages.fuse import fuse_results
 
     _wait_for_other_runs(out, output)
-    with over_scans("fuse", running, output.quiet) as run:
-        fused = fuse_results(out, target, query=ResultQuery(selection=selection), options=run)
+    with over_scans("fuse", running, output.quiet) as options:
+        fused = fuse_results(out, target, query=ResultQuery(selection=selection), options=options)
     output.print(f"fuse: {counted(fused.done, 'scan')} → {target}")
     if outcome.summary is not None and fused.summary is not None:
         outcome.summary.findings.update(fused.summary.findings)

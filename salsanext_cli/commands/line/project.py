@@ -37,7 +37,7 @@ def project(
 
     source, out = arguments.sources(context, scans, out, dataset, topic)
     sensor = settings.named_sensor() or settings.trained_sensor()
-    with over_scans("project", running, output.quiet) as run:
+    with over_scans("project", running, output.quiet) as options:
         outcome = project_scans(
             source,
             out,
@@ -45,10 +45,12 @@ def project(
             fit=settings.fits_view,
             fit_mounting=settings.fits_mounting,
             selection=selection,
-            options=run,
+            options=options,
         )
     following = next_command(outcome, ["predict", out, out, *_network_options(settings)])
-    summary.finish("project", outcome, out, output, following=following, strict=strict)
+    summary.print_summary_and_exit(
+        "project", outcome, out, output, following=following, strict=strict
+    )
 
 
 def _network_options(settings: NetworkSettings) -> list[str]:

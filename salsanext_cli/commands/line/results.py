@@ -51,10 +51,10 @@ def fuse(
     from salsanext_cli.runs.results.paths import FUSED
 
     target = target or out / FUSED
-    with over_scans("fuse", running, output.quiet) as run:
-        outcome = fuse_results(out, target, poses=poses, reach=reach, query=query, options=run)
+    with over_scans("fuse", running, output.quiet) as options:
+        outcome = fuse_results(out, target, poses=poses, reach=reach, query=query, options=options)
     following = command_on_labels(outcome, target, query.selection.split)
-    summary.finish("fuse", outcome, target, output, following=following)
+    summary.print_summary_and_exit("fuse", outcome, target, output, following=following)
 
 
 @option_group
@@ -94,7 +94,7 @@ def filter_command(
     """
     from salsanext_cli.commands.stages.filter import filter_scans
 
-    with over_scans("filter", running, output.quiet) as run:
+    with over_scans("filter", running, output.quiet) as options:
         outcome = filter_scans(
             out,
             target,
@@ -102,9 +102,11 @@ def filter_command(
             keep=points.keep,
             max_error=points.max_error,
             query=query,
-            options=run,
+            options=options,
         )
-    summary.finish("filter", outcome, target, output, numbers=_filter_numbers(outcome))
+    summary.print_summary_and_exit(
+        "filter", outcome, target, output, numbers=_filter_numbers(outcome)
+    )
 
 
 def _filter_numbers(outcome: "FilterOutcome") -> summary.StageNumbers:
@@ -147,7 +149,7 @@ def evaluate(
         metavar="LIMITS",
     ),
     query: ResultQuery,
-    running: arguments.Reading,
+    running: arguments.ReadOnlyRunOptions,
     output: console.Output,
 ) -> None:
     """Compare predictions with labels, as the official benchmark does.
@@ -159,21 +161,23 @@ def evaluate(
     from salsanext_cli.commands import score_limits
     from salsanext_cli.commands.stages.evaluate import evaluate as stage
 
-    lower_limits = score_limits.limits_of(fail_under, score_limits.FAIL_UNDER)
-    upper_limits = score_limits.limits_of(fail_over, score_limits.FAIL_OVER)
+    lower_limits = score_limits.parse_limits(fail_under, score_limits.FAIL_UNDER)
+    upper_limits = score_limits.parse_limits(fail_over, score_limits.FAIL_OVER)
     limits = (*lower_limits, *upper_limits)
-    with over_scans("eval", running, output.quiet, at_end=True) as run:
-        evaluation = stage(out, by_distance=by_distance, limits=limits, query=query, options=run)
+    with over_scans("eval", running, output.quiet, at_end=True) as options:
+        evaluation = stage(
+            out, by_distance=by_distance, limits=limits, query=query, options=options
+        )
     missed = evaluation.missed_limits(limits)
     names = _names_of_missed(missed, fail_under, fail_over)
     output.result(evaluation.to_dict() | names, _evaluation_tables(evaluation))
     summary.print_failures(evaluation.failures)
     missing = evaluation.missing
-    scans = f"{counted(evaluation.counts.scans, 'scan')}{summary.skipped_text(missing)}"
+    scans = f"{counted(evaluation.counts.scans, 'scan')}{summary.text_of_other_scans(missing)}"
     output.print(f"eval: {scans} → {evaluation.folder}/scores.txt, eval.json, eval_*.png")
     for limit in missed:
         console.print_line(f"error: {limit.text}")
-    summary.leave(evaluation.failures, missing, failed=bool(missed))
+    summary.exit_with_status(evaluation.failures, missing, failed=bool(missed))
 
 
 def _names_of_missed(
@@ -237,6 +241,6 @@ def export_ply(
     """
     from salsanext_cli.commands.stages.export_ply import export_ply as stage
 
-    with over_scans("export-ply", running, output.quiet) as run:
-        outcome = stage(out, colour=colour, scale=scale, query=query, options=run)
-    summary.finish("export-ply", outcome, out, output)
+    with over_scans("export-ply", running, output.quiet) as options:
+        outcome = stage(out, colour=colour, scale=scale, query=query, options=options)
+    summary.print_summary_and_exit("export-ply", outcome, out, output)

@@ -33,7 +33,7 @@ class StageNumbers:
 NO_NUMBERS = StageNumbers()
 
 
-def finish(
+def print_summary_and_exit(
     stage: str,
     outcome: Outcome,
     out: Path,
@@ -76,16 +76,17 @@ def finish(
         if following is not None:
             output.print(f"next: {following}")
     is_doubtful = outcome.summary is not None and bool(outcome.summary.findings)
-    leave(outcome.failures, outcome.missing, failed=strict and is_doubtful)
+    exit_with_status(outcome.failures, outcome.missing, failed=strict and is_doubtful)
 
 
 def _headline(stage: str, outcome: Outcome, out: Path, seconds: float) -> str:
     """Return the line about the number of scans, the time and the folder of the results."""
-    time_text = f" in {duration_text(seconds)}"
+    counts = ", ".join([counted(outcome.done, "scan"), *skipped_and_failed_texts(outcome)])
+    times = [duration_text(seconds)]
     if outcome.done:
-        time_text += f", {duration_text(outcome.seconds / outcome.done)} per scan"
-    scans = f"{counted(outcome.done, 'scan')}{others_text(outcome)}{time_text}"
-    return f"{stage}: {scans}{skipped_text(outcome.missing)} → {out}"
+        times.append(f"{duration_text(outcome.seconds / outcome.done)} per scan")
+    scans = f"{counts} in {', '.join(times)}{text_of_other_scans(outcome.missing)}"
+    return f"{stage}: {scans} → {out}"
 
 
 def run_data(outcome: Outcome) -> dict[str, Any]:
@@ -115,7 +116,7 @@ def scans_data(summary: RunSummary, *, has_results: bool) -> dict[str, Any]:
         "unmeasured_share": round(summary.unmeasured_share, 4),
         "largest_classes": summary.largest_classes(),
         "ego_share": round(summary.ego_share, 4),
-        "expected_accuracy": expected and asdict(expected),
+        "expected_accuracy": None if expected is None else asdict(expected),
         "warnings": plain(summary.warnings()),
     }
 
@@ -165,7 +166,9 @@ def print_failures(failures: tuple[Failure, ...]) -> None:
         groups.setdefault((problem, failure.hint), []).append(failure)
     for (problem, hint), group in groups.items():
         if len(group) > MAX_NAMES_SHOWN:
-            if problem != group[0].reason:
+            names_its_scan = problem != group[0].reason
+            if names_its_scan:
+                # The path of a single scan was removed, so the scans are named.
                 names = first_few([failure.scan.name for failure in group])
                 problem = f"{problem}: {names}"
             print_line(f"error: {counted(len(group), 'scan')}: {with_hint(problem, hint)}")
@@ -174,14 +177,15 @@ def print_failures(failures: tuple[Failure, ...]) -> None:
                 print_line(f"error: {text}")
 
 
-def others_text(outcome: Outcome) -> str:
-    """Return how many scans were done already and how many failed, if any."""
-    already = f", {outcome.skipped} done already" if outcome.skipped else ""
-    failed = f", {len(outcome.failures)} failed" if outcome.failures else ""
-    return f"{already}{failed}"
+def skipped_and_failed_texts(outcome: Outcome) -> Iterator[str]:
+    """Yield how many scans were done already and how many failed, if any."""
+    if outcome.skipped:
+        yield f"{outcome.skipped} done already"
+    if outcome.failures:
+        yield f"{len(outcome.failures)} failed"
 
 
-def leave(
+def exit_with_status(
     failures: Sequence[object], missing: MissingResults | None = None, *, failed: bool = False
 ) -> NoReturn:
     """Exit with status 1 if scans failed or lack results, else with 0."""
@@ -189,7 +193,7 @@ def leave(
     raise typer.Exit(FAILED if failed or failures or has_missing else DONE)
 
 
-def skipped_text(missing: MissingResults | None) -> str:
+def text_of_other_scans(missing: MissingResults | None) -> str:
     """Return the part of a summary about scans that the earlier stages were not run on."""
     count = missing.not_asked_for if missing else 0
     return f" (not part of the run: {counted(count, 'other scan')})" if count else ""

@@ -4,7 +4,6 @@
 import shlex
 from collections.abc import Iterable
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -62,14 +61,14 @@ class Start:
         metavar="DATASET",
     )
 
-    def plan(self) -> "Recipe":
+    def changed_recipe(self) -> "Recipe":
         """Return the recipe with its changes."""
         from salsanext_cli.commands.line.recipe_changes import read_overrides
         from salsanext_cli.training.recipe import recipe
 
         changes = read_overrides(self.changes or ())
-        plan = recipe(self.recipe).with_changes(**changes)
-        return plan if self.epochs is None else plan.with_changes(epochs=self.epochs)
+        changed = recipe(self.recipe).with_changes(**changes)
+        return changed if self.epochs is None else changed.with_changes(epochs=self.epochs)
 
 
 def train(
@@ -93,15 +92,15 @@ def train(
     from salsanext_cli.training.distributed import group_of_environment
     from salsanext_cli.training.run_folder import resumption
 
+    # Of the processes that torchrun starts, only the main one prints.
     if not group_of_environment().is_main:
         output = console.Output(quiet=True)
         console.log_to_stderr(quiet=True)
-    resumed = partial(resumption, run)
-    with progress("train", output.quiet, unit="steps") as bar, stating(resumed):
+    with progress("train", output.quiet, unit="steps") as bar, stating(lambda: resumption(run)):
         result = stage(
             dataset,
             run,
-            recipe=start.plan(),
+            recipe=start.changed_recipe(),
             sensor=arguments.sensor(start.sensor),
             space=named_label_space(label_space),
             device=device,
@@ -160,8 +159,8 @@ def _print_step(report: "StepReport", bar: "Progress | None", output: console.Ou
         bar(report.step, report.steps)
     if report.row is None:
         return
-    fold = f"fold {report.fold}, " if report.fold else ""
-    text = f"{fold}epoch {report.epoch}/{report.epochs}: loss {report.row['loss']:.3f}"
+    fold_text = f"fold {report.fold}, " if report.fold else ""
+    text = f"{fold_text}epoch {report.epoch}/{report.epochs}: loss {report.row['loss']:.3f}"
     for name, key in (("mIoU", "miou"), ("accuracy", "accuracy")):
         score = report.row.get(key)
         if score is not None:

@@ -153,7 +153,12 @@ def tune_risk(
         raise
     if record:
         write_risk_record(
-            record, tuned.fit, source=dataset, weights=fit.settings.path, target=target
+            record,
+            tuned.fit,
+            source=dataset,
+            weights=fit.settings.path,
+            target=target,
+            overwrite=fit.overwrite,
         )
     output.result(tuned.to_dict(), risk_tables(tuned.fit))
     _end(output, f"tune risk: {tuned.fit.guarantee} → {target}", target, "--reject risk ")

@@ -47,7 +47,7 @@ def uncertainty(
     from salsanext_cli.core.uncertainty.method import UncertaintyMethod
 
     source, out = arguments.sources(context, scans, out, dataset, topic)
-    with over_scans("uncertainty", running, output.quiet) as run:
+    with over_scans("uncertainty", running, output.quiet) as options:
         outcome = stage(
             source,
             out,
@@ -55,7 +55,9 @@ def uncertainty(
             knn=knn,
             method=UncertaintyMethod(samples, seed, aleatoric),
             selection=selection,
-            options=run,
+            options=options,
         )
     following = next_command(outcome, ["export-ply", out, "--colour", "uncertainty"])
-    summary.finish("uncertainty", outcome, out, output, following=following, strict=strict)
+    summary.print_summary_and_exit(
+        "uncertainty", outcome, out, output, following=following, strict=strict
+    )

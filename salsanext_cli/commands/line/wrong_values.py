@@ -8,9 +8,9 @@ from typing import Any
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.texts import nearest, shortened
 
-LIKE_OPTION = 0.75  # Least likeness of the name of an option that may be meant
+MIN_SIMILARITY = 0.75  # Of a misspelt option and the option that may be meant, 0…1
 SAME_PURPOSE = {"--limit": "--subset", "--subset": "--limit"}
-"""Option of other commands, and the one for the same purpose; no command has both."""
+"""Option typed by mistake, and the option of this command for the same purpose."""
 NUMBERS = {"N": "a whole number", "NUMBER": "a number"}
 """What is expected, by the word for a value in the help."""
 
@@ -39,29 +39,35 @@ def usage_error(raised: Any, arguments: Sequence[str]) -> UsageError:
     value = None if parameter is None else _value(parameter, arguments)
     expected = "" if parameter is None else _expected(parameter)
     if value is not None and expected:
-        name = max(parameter.opts, key=len)
-        choices = str(parameter.metavar).split("|")
-        likely = nearest(value, choices) if len(choices) > 1 else None
-        hint = f"did you mean {name} {likely}?" if likely else f"see {path} --help"
-        return UsageError(name, f"is {shortened(value)}", expected, hint)
+        return _wrong_value(parameter, value, expected, path)
     message = raised.format_message().rstrip(".")
     problem = message[:1].lower() + message[1:]
     return UsageError(path, problem, hint=f"see {path} --help")
+
+
+def _wrong_value(parameter: Any, value: str, expected: str, path: str) -> UsageError:
+    """Return the error about the value of an option of a command."""
+    long_name = max(parameter.opts, key=len)
+    choices = str(parameter.metavar).split("|")
+    likely = nearest(value, choices) if len(choices) > 1 else None
+    hint = f"did you mean {long_name} {likely}?" if likely else f"see {path} --help"
+    return UsageError(long_name, f"is {shortened(value)}", expected, hint)
 
 
 def _unknown_option(name: str, offered: Sequence[str], path: str) -> UsageError:
     """Return the error about an option that a command does not offer."""
     likely = SAME_PURPOSE.get(name, "")
     if likely not in offered:
-        # The dashes of all options are alike.
+        # Compare without the dashes, which all options share.
         words = {option.removeprefix("--"): option for option in offered if option[:2] == "--"}
-        likely = words.get(nearest(name.removeprefix("--"), words, LIKE_OPTION), "")
+        likely = words.get(nearest(name.removeprefix("--"), words, MIN_SIMILARITY), "")
     hint = f"did you mean {likely}?" if likely else f"see {path} --help"
     return UsageError(path, f"no such option: {name}", hint=hint)
 
 
 def _value(parameter: Any, arguments: Sequence[str]) -> str | None:
     """Return the value of an option as it was typed, or that of its variable."""
+    # The last one that is typed counts.
     for place, word in reversed([*enumerate(arguments)]):
         name, equals, value = word.partition("=")
         if name not in parameter.opts:

@@ -1,2 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Folder to folder: one file per command."""
+"""Stages: one file per command, from folder to folder, or from file to file.
+
+`eval` is in `evaluate`, and `view` in `report`; `training_scenes` serves `train`.
+"""

@@ -22,7 +22,7 @@ from salsanext_cli.runs.results.paths import ERROR, find_outputs
 from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 
-# No scene of the training of the default weights has this seed.
+# The default weights were not trained on a scene with this seed.
 SCENE: dict[str, Any] = {"train": 0, "valid": 1, "seed": 2020, "spacing": 12.0}
 
 
@@ -60,7 +60,7 @@ def demo(
     options : RunOptions
         Options of every stage.
     bars : callable
-        Function from the name of a step to a context with its progress callback.
+        Opens a progress bar for a named step, and yields its callback.
 
     Returns
     -------
@@ -75,22 +75,29 @@ def demo(
         with bars(name) as progress:
             yield replace(options, progress=progress)
 
-    with step("synth") as run:
-        synthesise(data, scans=scans, **SCENE, overwrite=run.overwrite, progress=run.progress)
-    with step("predict") as run:
+    with step("synth") as step_options:
+        synthesise(
+            data,
+            scans=scans,
+            **SCENE,
+            overwrite=step_options.overwrite,
+            progress=step_options.progress,
+        )
+    with step("predict") as step_options:
+        # Whether the error is estimated depends on the settings too, not only on the card.
         extras = (ERROR,) if knows_error(settings.load()) else ()
-        predicted = predict_scans(data, out, settings=settings, extras=extras, options=run)
-    with step("uncertainty") as run:
+        predicted = predict_scans(data, out, settings=settings, extras=extras, options=step_options)
+    with step("uncertainty") as step_options:
         method = UncertaintyMethod(samples=samples)
-        sampled = uncertainty(data, out, settings=settings, method=method, options=run)
-    with step("export-ply") as run:
-        exported = export_ply(out, colour="label", options=run)
-    with step("picture") as run:
-        pictured = picture(out, options=run)
-    with step("eval") as run:
-        evaluation = evaluate(out, query=valid, options=run)
-    with step("report") as run:
-        page = report(out, query=valid, options=run).page
+        sampled = uncertainty(data, out, settings=settings, method=method, options=step_options)
+    with step("export-ply") as step_options:
+        exported = export_ply(out, colour="label", options=step_options)
+    with step("picture") as step_options:
+        pictured = picture(out, options=step_options)
+    with step("eval") as step_options:
+        evaluation = evaluate(out, query=valid, options=step_options)
+    with step("report") as step_options:
+        page = report(out, query=valid, options=step_options).page
     outcomes = (predicted, sampled, exported, pictured)
     return Demonstration(
         evaluation=evaluation,

@@ -8,9 +8,9 @@ from pathlib import Path
 from salsanext_cli.core.optional_packages import import_extra
 from salsanext_cli.core.records import CHANNELS
 from salsanext_cli.core.sensors.sensor import Sensor
-from salsanext_cli.io.files.atomic import require_target, write_bytes
+from salsanext_cli.io.files.atomic import require_target, write_target
 from salsanext_cli.io.weights.card_file import ONNX_SUFFIX
-from salsanext_cli.io.weights.onnx_export import OPSET, difference, onnx_model
+from salsanext_cli.io.weights.onnx_export import OPSET, largest_difference, onnx_model
 from salsanext_cli.io.weights.weights import read_weights
 
 
@@ -56,7 +56,7 @@ def export_onnx(
     target : Path
         ONNX model to write.
     view : Sensor, optional
-        Sensor of the images, with its intensity matched to that of the weights; default: the
+        Sensor of the images; the intensity quantiles stay those of the weights. Default: the
         sensor of the weights.
     dynamic_width : bool
         Whether the model accepts any width that is a multiple of the stride.
@@ -73,21 +73,25 @@ def export_onnx(
         If the weights cannot be used, or the model computes different logits.
     MissingDependency
         If the package onnx is not installed.
+    OutputError
+        If the target cannot be written, or may not replace another file.
     """
     import_extra("onnx", "onnx")
+    require_target(target, overwrite, ONNX_SUFFIX)
     module, card = read_weights(weights)
     if view is not None:
         trained = card.sensor.intensity_quantiles
         card = replace(card, sensor=replace(view, intensity_quantiles=trained))
-    require_target(target, overwrite, ONNX_SUFFIX)
     content = onnx_model(module, card, dynamic_width=dynamic_width).SerializeToString()
+    can_compare = find_spec("onnxruntime") is not None
+    difference = largest_difference(content, module, card) if can_compare else None
     report = OnnxReport(
         opset=OPSET,
         class_count=card.space.class_count,
         height=card.sensor.height,
         width=None if dynamic_width else card.sensor.width,
-        difference=difference(content, module, card) if find_spec("onnxruntime") else None,
+        difference=difference,
         size=len(content),
     )
-    write_bytes(target, content, durable=True)
+    write_target(target, content, overwrite=overwrite)
     return report

@@ -59,10 +59,10 @@ def import_weights(
         Weights file to write.
     space : LabelSpace, optional
         Classes of a checkpoint; default: SemanticKITTI's.
-    dropout : float, optional
-        Dropout rate of a checkpoint; default: `DROPOUT`.
     view : Sensor, optional
         Sensor of the weights; default: the sensor of the source, for a checkpoint the HDL-64.
+    dropout : float, optional
+        Dropout rate of a checkpoint; default: `DROPOUT`.
     description : str
         Description of the weights.
     half : bool
@@ -74,13 +74,22 @@ def import_weights(
     -------
     WeightsCard
         Card of the target.
+
+    Raises
+    ------
+    OutputError
+        If the target cannot be written, or may not replace another file.
+    UsageError
+        If weights of salsanext get an argument for checkpoints.
+    WeightsError
+        If the source cannot be used.
     """
     require_target(target, overwrite)
     if source.suffix == WEIGHTS_SUFFIX:
         if space is not None:
-            raise _known_already("space", source)
+            raise _argument_not_needed("space", source)
         if dropout is not None:
-            raise _known_already("dropout", source)
+            raise _argument_not_needed("dropout", source)
         imported = _weights_of_salsanext(source, view, description)
     else:
         rate = DROPOUT if dropout is None else dropout
@@ -88,7 +97,7 @@ def import_weights(
     card = imported.card
     if view is not None or (half and changes_in_half(imported.module)):
         card = _without_thresholds(card)
-    save_weights(target, imported.module, card, half=half)
+    save_weights(target, imported.module, card, half=half, overwrite=overwrite)
     return read_card(target)
 
 
@@ -100,7 +109,7 @@ def _without_thresholds(card: WeightsCard) -> WeightsCard:
     return card.without_risk(lambda _: True)
 
 
-def _known_already(name: str, source: Path) -> UsageError:
+def _argument_not_needed(name: str, source: Path) -> UsageError:
     """Return the error of an argument for a checkpoint, given with weights of salsanext."""
     problem = f"the weights file {source} contains this already"
     return UsageError(argument(name), problem, "a published checkpoint", f"omit {argument(name)}")
@@ -110,7 +119,7 @@ def _weights_of_salsanext(source: Path, view: Sensor | None, description: str) -
     """Return weights of salsanext with another sensor or description, if one is given."""
     module, card = read_weights(source)
     if view:
-        # Nothing is known about other widths of its images.
+        # The fits for other widths belong to the old sensor.
         card = replace(card, sensor=view, widths=(), parts_of_widths={})
     card = replace(card, description=description or card.description, version=None)
     return ImportedWeights(module=module, card=card)
@@ -125,7 +134,8 @@ def _published_weights(
     if outputs != space.class_count:
         expected = f"{space.class_count}, one per class of {space.name}"
         hint = f"give its label space with {argument('space')}"
-        raise WeightsError(source, f"has {outputs} outputs", expected, hint)
+        problem = f"has {outputs} outputs" if outputs else "has no layer logits with outputs"
+        raise WeightsError(source, problem, expected, hint)
     architecture = {"name": "salsanext", "class_count": outputs, "dropout": dropout}
     module = build(architecture, source)
     load_tensors(module, tensors, source)

@@ -18,7 +18,7 @@ from salsanext_cli.core.measures.survey import Survey, survey
 from salsanext_cli.core.plain_data import plain
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.texts import counted
-from salsanext_cli.io.files.atomic import require_absent, write_bytes
+from salsanext_cli.io.files.atomic import write_target
 from salsanext_cli.io.files.reading import present
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.formats.kitti_labels import read_labels
@@ -226,6 +226,10 @@ def write_sensor(
         Whether to write the size and normalisation of the images too.
     overwrite : bool
         Whether to replace an existing file.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written, or may not replace another.
     """
-    require_absent(path, overwrite)
-    write_bytes(path, sensor.to_toml(images=images).encode())
+    write_target(path, sensor.to_toml(images=images).encode(), overwrite=overwrite)

@@ -105,7 +105,7 @@ def predict_scans(
     extras = _possible_extras(extras, rejection, network)
     recorded = _recorded_settings(network, knn, extras, rejection)
     summary = _new_summary(network, scans, recorded, rejection)
-    run = output_run(
+    opening = output_run(
         out,
         "predict",
         recorded,
@@ -114,7 +114,7 @@ def predict_scans(
         overwrite=options.overwrite,
         weights=settings.named_path,
     )
-    with run as output, recorded_summary(summary, output, scans):
+    with opening as output, recorded_summary(summary, output, scans):
         by_poses = origins.result_origins(output, scans, network.sensor)
         job = partial(PredictJob, knn=knn, output=output, reject=rejection, origins=by_poses)
         task = NetworkTask(
@@ -214,7 +214,7 @@ def predict_range_images(
         origins_of=OriginsOfRun(out=folder, stage="predict", listed=listed).sample_origins,
     )
     summary = RunSummary(sensor=network.sensor, trained=network.card.sensor)
-    run = output_run(
+    opening = output_run(
         out,
         "predict",
         settings_of_network(network, PredictSettings),
@@ -223,7 +223,7 @@ def predict_range_images(
         overwrite=options.overwrite,
         weights=settings.named_path,
     )
-    with run as output, recorded_summary(summary, output, scans):
+    with opening as output, recorded_summary(summary, output, scans):
         job = partial(PredictImageJob, folder=folder, output=output)
         task = NetworkTask(job=job, settings=settings.resolved(network), network=network)
         outcome = run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)

@@ -12,7 +12,7 @@ from salsanext_cli.core.errors import NoInputError
 from salsanext_cli.core.measures.counts import ScanCounts, SeparateCounts
 from salsanext_cli.core.measures.decision import Verdict, verdict
 from salsanext_cli.core.plain_data import plain
-from salsanext_cli.io.files.atomic import require_target, write_bytes
+from salsanext_cli.io.files.atomic import require_target, write_target
 from salsanext_cli.report.colours import screen_colours
 from salsanext_cli.report.page.clouds import scales_of
 from salsanext_cli.report.page.html import html_of
@@ -139,7 +139,7 @@ def report(
         _thumbnails(run, reasons, options),
     )
     if target:
-        write_bytes(target, html.encode())
+        write_target(target, html.encode(), overwrite=options.overwrite)
     else:
         OwnedFolder(out).replace({page: html.encode()})
     return Report(

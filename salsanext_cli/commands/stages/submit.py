@@ -48,9 +48,14 @@ Predictions = dict[tuple[str, str], Path]  # Label files by sequence and stem
 log = logging.getLogger(__name__)
 
 
-def _write_zip(path: Path, members: Mapping[str, Path], advance: Callable[[], None]) -> None:
+def _write_zip(
+    path: Path, members: Mapping[str, Path], advance: Callable[[], None], *, overwrite: bool
+) -> None:
     """Write a ZIP file of members by name, with an entry for each folder before its files."""
-    with writing(path, durable=True) as file, ZipFile(file, "w", ZIP_DEFLATED) as archive:
+    with (
+        writing(path, durable=True, overwrite=overwrite) as file,
+        ZipFile(file, "w", ZIP_DEFLATED) as archive,
+    ):
         folders: set[PurePosixPath] = set()
         for name, member in members.items():
             for parent in reversed(PurePosixPath(name).parents[:-1]):
@@ -137,7 +142,7 @@ def submit(
         _check_labels(files[name], clouds.get(name), space)
         members[files[name].relative_to(out).as_posix()] = files[name]
         advance()
-    _write_zip(target, members, advance)
+    _write_zip(target, members, advance, overwrite=overwrite)
     return Submission(scans=len(required), lengths_checked=not unchecked)
 
 

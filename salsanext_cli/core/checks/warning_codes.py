@@ -15,7 +15,7 @@ class WarningCode(StrEnum):
         One line for the table of the documentation.
     withholds_estimate : bool
         Whether no accuracy is estimated for a scan with the warning, since it is unlike the drives
-        that the estimate was judged on.
+        that the estimate was judged on. `MIXED_SENSORS` withholds the estimate of the whole run.
     """
 
     meaning: str

@@ -7,7 +7,7 @@ import sys
 from functools import cache
 from pathlib import Path
 
-from salsanext_cli.core.engines.registry import computes_int8
+from salsanext_cli.core.engines.registry import computes_int8, int8_settings
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.texts import counted
 from salsanext_cli.core.wording import argument, setting
@@ -50,7 +50,7 @@ def choose_device(name: str) -> str:
     return "cpu" if device.type == "cpu" else str(device)
 
 
-def choose_precision(name: str, device: str, engine: str = "openvino") -> str:
+def choose_precision(name: str, device: str, engine: str) -> str:
     """Return the number type of a name on a device.
 
     Parameters
@@ -77,8 +77,7 @@ def choose_precision(name: str, device: str, engine: str = "openvino") -> str:
     if name == "int8":
         if not computes_int8(engine, device):
             problem = f"{engine} does not compute int8 on {device}"
-            others = f"{setting('device', 'cpu')} and {setting('engine', 'openvino')}"
-            hint = f"use {others}, or another precision"
+            hint = f"use {int8_settings()}, or another precision"
             raise UsageError(argument("precision"), problem, hint=hint)
         return name
     if device == "cpu":

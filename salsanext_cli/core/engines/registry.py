@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Registry of the libraries that compute networks, and the choice among them.
 
-A further library is a module with a `Backend`, and a row of `LIBRARIES`.
+A further library is a module with a `Backend`, and a row of `LIBRARIES`. The row declares on which
+devices it computes, and whether it computes int8. Floats depend on the device alone, not on the
+library: `device.choose_precision` chooses among them.
 """
 
 from __future__ import annotations
@@ -132,9 +134,17 @@ def choose_engine(name: str, device: str) -> str:
         raise UsageError(argument("engine"), problem, hint=f"use {setting('device', 'cpu')}")
     failure = library.failure()
     if failure:
-        hint = f"install it again, or use {setting('engine', 'torch')}"
-        raise MissingDependency(name, failure, hint=hint)
+        raise MissingDependency(name, failure, hint=_hint_of_failure(library, device))
     return name
+
+
+def _hint_of_failure(broken: Library, device: str) -> str:
+    """Return what helps against a library that does not start: another one, if one starts."""
+    hint = "install it again"
+    for library in LIBRARIES.values():
+        if library is not broken and library.computes_on(device) and not library.failure():
+            return f"{hint}, or use {setting('engine', library.name)}"
+    return hint
 
 
 def _fastest_engine(device: str) -> str:
@@ -157,3 +167,9 @@ def computes_int8(engine: str | None, device: str = "cpu") -> bool:
     """Return whether an engine computes layers in int8 on a device."""
     library = LIBRARIES.get(engine or "")
     return library is not None and library.computes_int8 and library.computes_on(device)
+
+
+def int8_settings() -> str:
+    """Return the settings by which the fastest library that computes int8 computes."""
+    library = next(library for library in LIBRARIES.values() if library.computes_int8)
+    return f"{setting('device', library.devices[0])} and {setting('engine', library.name)}"

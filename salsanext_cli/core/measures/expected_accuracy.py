@@ -12,9 +12,9 @@ from salsanext_cli.core.network.card import AccuracyLine
 from salsanext_cli.core.texts import counted
 
 OF_RUN = (WarningCode.MIXED_SENSORS,)
-"""Warnings that concern every scan of a run: the fit to its scans suits none of the sensors."""
+"""Warnings that withhold the estimate of the whole run: its fit suits none of the sensors."""
 WITHHELD_FOR = tuple(code for code in WarningCode if code.withholds_estimate)
-"""Warnings that a scan is unlike the judged drives."""
+"""Warnings that a scan is unlike the judged drives; those of `OF_RUN` withhold all scans."""
 EDGE = 1e-6  # Mean confidences closer to 0 or 1 have no useful logit
 
 

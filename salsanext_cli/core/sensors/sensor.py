@@ -11,7 +11,6 @@ from dataclasses import MISSING, asdict, dataclass, fields, replace
 from functools import cache, partial
 from importlib import resources
 from operator import lt
-from pathlib import Path
 from typing import Any
 
 from salsanext_cli.core.errors import UsageError
@@ -173,14 +172,30 @@ class Sensor:
         return {key: value for key, value in values.items() if key not in omitted}
 
     @classmethod
-    def from_dict(cls, data: Mapping[str, Any], source: object = "sensor") -> Sensor:
-        """Build a sensor from plain data; an unknown or missing key raises `UsageError`."""
+    def from_dict(
+        cls, data: Mapping[str, Any], source: object = "sensor", *, is_file: bool = False
+    ) -> Sensor:
+        """Build a sensor from plain data; an unknown or missing key raises `UsageError`.
+
+        Parameters
+        ----------
+        data : mapping
+            Fields by name.
+        source : object
+            Origin of the data in errors.
+        is_file : bool
+            Whether the source is a file of a sensor, which the hint can name.
+
+        Returns
+        -------
+        Sensor
+        """
         refuse_unknown(data, cls, source)
         missing = [f.name for f in fields(cls) if f.default is MISSING and f.name not in data]
         if missing:
             inspect = command("salsanext inspect SCANS", setting("fit", "FILE.toml"))
             hint = f"estimate them with `{inspect}`"
-            if isinstance(source, Path) and data.keys().isdisjoint(FIELD_OF_VIEW):
+            if is_file and data.keys().isdisjoint(FIELD_OF_VIEW):
                 file = setting("sensor", source)
                 inspect = command("salsanext inspect SCANS", file, setting("fit", "NEW.toml"))
                 hint = f"run `{inspect}`, then use NEW.toml"
@@ -192,7 +207,8 @@ class Sensor:
         others = values.pop("others", ())
         if not (isinstance(others, tuple) and all(isinstance(other, Mapping) for other in others)):
             raise UsageError(source, f"has others {quoted(others)}", "a list of sensors")
-        return cls(**values, others=tuple(cls.from_dict(other, source) for other in others))
+        sensors = [cls.from_dict(other, source, is_file=is_file) for other in others]
+        return cls(**values, others=tuple(sensors))
 
     def to_toml(self, *, images: bool = True) -> str:
         """Return a TOML file that `sensor` reads; size and normalisation only with `images`."""

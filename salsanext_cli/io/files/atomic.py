@@ -168,6 +168,16 @@ def write_bytes(path: Path, content: bytes, *, durable: bool = False) -> None:
         file.write(content)
 
 
+def write_target(path: Path, content: bytes, *, overwrite: bool) -> None:
+    """Write a file that the user named, durably; `overwrite`: whether it may replace another.
+
+    `require_target` refuses before the work begins; a file may get the name during the work.
+    """
+    require_absent(path, overwrite)
+    with writing(path, durable=True, overwrite=overwrite) as file:
+        file.write(content)
+
+
 def append_line(path: Path, line: bytes, *, durable: bool = False) -> None:
     """Append a line to a file that other processes append to as well, or raise `OutputError`."""
     try:

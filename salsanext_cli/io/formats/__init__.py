@@ -1,6 +1,12 @@
 # SPDX-License-Identifier: MIT
 """Formats of scan files by suffix: built-in ones and plug-ins.
 
+A reader, `Format.read`, returns a `Scan`. Readers of files with named columns first collect
+`Columns`, arrays (N,) by the names of the file, and return `columns.scan_of(columns, path, …)`.
+`Columns` must hold numbers named x, y and z, in metres unless the name states another unit; the
+intensity is the usual name among the others, and 0 without any. `Format.label_columns` returns the
+`Columns` of a file themselves, with its labels.
+
 The functions of a built-in format are imported when they are first used.
 """
 

@@ -16,7 +16,8 @@ from salsanext_cli.core.wording import argument, setting
 from salsanext_cli.io.formats.field_names import AxisFields, fields_beside, intensity_among
 from salsanext_cli.io.formats.split_fields import split_field
 
-Columns = Mapping[str, npt.NDArray[Any]]  # Values by name, each (N,)
+Columns = Mapping[str, npt.NDArray[Any]]
+"""Values (N,) by the names of a file; numbers x, y and z at least, if `scan_of` takes them."""
 
 USUAL_COLUMNS = ("x", "y", "z", "intensity")
 MAX_UNNAMED_COLUMNS = 5  # Six may end in colours

@@ -97,7 +97,7 @@ def run(content: bytes, image: Float) -> Float:
     return session.run([OUTPUT], {INPUT: image})[0]
 
 
-def difference(content: bytes, module: SegmentationNetwork, card: WeightsCard) -> float:
+def largest_difference(content: bytes, module: SegmentationNetwork, card: WeightsCard) -> float:
     """Compare the logits of ONNX Runtime with those of torch.
 
     Parameters

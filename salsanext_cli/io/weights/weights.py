@@ -15,16 +15,37 @@ from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.network.registry import build
 from salsanext_cli.core.network.segmentation import SegmentationNetwork
 from salsanext_cli.core.texts import error_text, first_few, shortened
-from salsanext_cli.io.files.atomic import write_bytes, writing
+from salsanext_cli.io.files.atomic import write_target
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.tensor_digest import require_intact, tensor_digest
 
 NORM_SUFFIXES = (".running_mean", ".running_var")
 
 
-def save_weights(path: Path, module: nn.Module, card: WeightsCard, *, half: bool = False) -> None:
-    """Write a weights file; `half` stores all but the statistics of batch norm in float16."""
-    write_bytes(path, encode_weights(module, card, half=half), durable=True)
+def save_weights(
+    path: Path, module: nn.Module, card: WeightsCard, *, half: bool = False, overwrite: bool = True
+) -> None:
+    """Write a weights file.
+
+    Parameters
+    ----------
+    path : Path
+        Name of the new file.
+    module : Module
+        Network with the tensors.
+    card : WeightsCard
+        Its card.
+    half : bool
+        Whether to store all tensors but the statistics of batch norm in float16.
+    overwrite : bool
+        Whether it may replace a file.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written, or may not replace another.
+    """
+    write_target(path, encode_weights(module, card, half=half), overwrite=overwrite)
 
 
 def encode_weights(module: nn.Module, card: WeightsCard, *, half: bool = False) -> bytes:
@@ -64,8 +85,7 @@ def save_with_card(
     """
     tensors = safetensors.torch.load_file(source)
     require_intact(source, read_card(source).tensors_sha256)
-    with writing(target, durable=True, overwrite=overwrite) as file:
-        file.write(_encoded(tensors, card))
+    write_target(target, _encoded(tensors, card), overwrite=overwrite)
 
 
 def changes_in_half(module: nn.Module) -> bool:

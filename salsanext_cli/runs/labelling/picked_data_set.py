@@ -171,8 +171,8 @@ class PickedDataSet(OwnedFolder):
                     with reading(poses) as file:
                         lines = [*filter(None, map(bytes.strip, file.read().splitlines()))]
                     stems = [scan.stem for scan in find_scans(source)]
-                    wanted = [scan.stem for scan in picked]
-                    numbers, *others = line_numbers(poses, len(lines), stems, wanted)
+                    picked_stems = [scan.stem for scan in picked]
+                    numbers, *others = line_numbers(poses, len(lines), stems, picked_stems)
                     if others:
                         problem = "has lines that scans may number from 0 or from 1"
                         raise FormatError(poses, problem, "a line for each scan")

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""The loop over scans: reader threads prepare, the calling thread computes, a writer finishes.
+"""Overlap of the three steps of a job: reader threads, the calling thread, a writer thread.
 
 While the calling thread computes a batch, the readers prepare the next scans and the writer
-finishes the previous batch. An error belongs to one scan. The loop is the same on CPUs and GPUs.
+finishes the previous batch. An error belongs to one scan. The overlap is the same on CPUs and GPUs.
 """
 
 from collections import deque

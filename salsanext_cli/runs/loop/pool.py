@@ -1,5 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""Workers of a run: processes of this machine (joblib's loky) that open a task once."""
+"""Workers of a run: processes of this machine (joblib's loky) that open a task once.
+
+`attempts_of_workers` sends the scans in chunks to workers, and yields their attempts to
+`run_over_scans`, which counts them and handles failures. A worker overlaps the steps of the scans
+of a chunk by `pipeline`.
+If a worker dies, the attempts that were finished come first (`finished_attempts`), and
+`WorkersLost` ends the run; nothing is attempted again.
+"""
 
 import os
 import signal
@@ -52,7 +59,7 @@ _OPENED: dict[str, AttemptFunction] = {}  # Task of this process, by the run tha
 class WorkerProcess:
     """What a worker process has from the process that started it."""
 
-    run: str  # Identifies the run, because a process serves several
+    run_id: str  # Identifies the run, because a process serves several
     mark: str  # Begin of the names of temporary files
     folder: Path  # That names of files are relative to
     spelling: wording.Spelling  # Of arguments in messages
@@ -76,13 +83,13 @@ def attempts_of_workers(
     start_silent_trackers()
     with finished_attempts() as finished:
         try:
-            yield from _attempts(task, scans, options, finished)
+            yield from _attempts_by_chunk(task, scans, options, finished)
         except WorkersLost:
             yield from finished
             raise
 
 
-def _attempts(
+def _attempts_by_chunk(
     task: Task, scans: Sequence[ScanFile], options: RunOptions, finished: FinishedAttempts
 ) -> Generator[Attempt[Any], None, None]:
     """Yield the attempts of workers, chunk by chunk."""
@@ -93,7 +100,7 @@ def _attempts(
     most = task.max_chunk_scans if isinstance(task, OpenableTask) else MAX_CHUNK_SCANS
     stop = options.on_error == "stop"
     process = WorkerProcess(
-        run=uuid4().hex, mark=MARK.get(), folder=Path.cwd(), spelling=wording.used()
+        run_id=uuid4().hex, mark=MARK.get(), folder=Path.cwd(), spelling=wording.used()
     )
     function = partial(attempt_chunk, task, process, stop=stop)
     backend = joblib.parallel_config(
@@ -114,15 +121,15 @@ def _attempts(
             )
         with signals_blocked(signal.SIGINT, signal.SIGTERM):
             calls = (
-                joblib.delayed(function)(chunk, number, finished.file(number))
-                for number, chunk in enumerate(chunks(scans, workers, most))
+                joblib.delayed(function)(scans_of_chunk, number, finished.file(number))
+                for number, scans_of_chunk in enumerate(chunks(scans, workers, most))
             )
             results = parallel(calls)
         try:
             with closing(results):
-                for attempted in results:
-                    finished.forget(attempted.number)
-                    yield from attempted.attempts
+                for chunk in results:
+                    finished.forget(chunk.number)
+                    yield from chunk.attempts
         except TerminatedWorkerError as error:
             problem = "the system ended a worker"
             hint = "use fewer jobs, which need less memory"
@@ -135,10 +142,10 @@ def chunks(scans: Sequence[ScanFile], workers: int, most: int = MAX_CHUNK_SCANS)
     size = max(1, min(most, len(scans) // (MIN_CHUNKS_PER_WORKER * workers)))
     cut: list[Chunk] = []
     for _, group in groupby(scans, key=lambda scan: scan.sequence):
-        run = tuple(group)
-        parts = -(-len(run) // size)
-        borders = [len(run) * part // parts for part in range(parts + 1)]
-        cut += [run[start:stop] for start, stop in pairwise(borders)]
+        sequence = tuple(group)
+        count = -(-len(sequence) // size)
+        borders = [len(sequence) * number // count for number in range(count + 1)]
+        cut += [sequence[start:stop] for start, stop in pairwise(borders)]
     return cut
 
 
@@ -168,13 +175,13 @@ def attempt_chunk(
     """
     MARK.set(process.mark)
     wording.use(process.spelling)
-    run = process.run
-    if run not in _OPENED:
+    run_id = process.run_id
+    if run_id not in _OPENED:
         _OPENED.clear()
         os.chdir(process.folder)
-        _OPENED[run] = opened(task)
+        _OPENED[run_id] = opened(task)
     done: list[Attempt[Any]] = []
-    for attempt in _OPENED[run](scans, lambda _: None):
+    for attempt in _OPENED[run_id](scans, lambda _: None):
         append_attempt(finished, attempt)
         done.append(attempt)
         if stop and attempt.error:

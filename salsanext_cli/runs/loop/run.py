@@ -1,5 +1,17 @@
 # SPDX-License-Identifier: MIT
-"""Run of a task over many scans, in this process or by workers; failures and summary."""
+"""The loop over scans: a task on each scan of a shard that has no results yet.
+
+`run_over_scans` decides which scans are attempted, counts the attempts and handles their failures:
+an error of a scan ends the run or is listed in the `Outcome`, by ``options.on_error``. It never
+attempts a scan twice: a further run attempts what failed or is missing.
+
+The attempts come from one of two functions. Both overlap the three steps of a job by `pipeline`,
+which turns the error of a scan into a failed attempt, and computes a batch that does not fit
+into memory again in smaller ones.
+
+- In this process: `pipeline.opened`.
+- By several workers: `pool.attempts_of_workers`, which replaces no dead worker.
+"""
 
 import logging
 import time
@@ -99,8 +111,10 @@ class RunningCount:
         scan = attempt.file
         error = attempt.error
         log.info("%s: %s", scan.name, error.headline if error else "done")
-        if error is None or self.options.on_error == "stop":
+        if error is None:
             self.on_result(attempt.get())
+        elif self.options.on_error == "stop":
+            raise error
         else:
             self.failures.append(Failure.from_error(scan, error))
         self.attempted.add(scan)
@@ -117,7 +131,7 @@ def run_over_scans(
     on_result: Callable[[Any], object] = lambda result: None,
     summary: RunSummary | None = None,
 ) -> Outcome:
-    """Run a task over the scans of this shard that are not done: the loop over scans.
+    """Run a task over the scans of this shard that are not done.
 
     Parameters
     ----------
@@ -140,8 +154,10 @@ def run_over_scans(
 
     Raises
     ------
+    WorkersLost
+        If a worker died.
     SalsanextError
-        If a worker died; or the first failure, if ``options.on_error`` is ``"stop"``.
+        The first failure, if ``options.on_error`` is ``"stop"``.
     """
     start = time.monotonic()
     scans_of_shard = options.shard.select(scans)

@@ -80,10 +80,13 @@ class ScanSource:
 def merged_sources(sources: Iterable[Mapping[str, ScanSource]]) -> dict[str, ScanSource]:
     """Return the union of the files of each sequence."""
     merged: dict[str, ScanSource] = {}
-    for name, source in (item for stage_sources in sources for item in stage_sources.items()):
-        known = merged.get(name, source).suffixes
-        added = {stem: suffix or known.get(stem, "") for stem, suffix in source.suffixes.items()}
-        merged[name] = ScanSource(source.folder, {**known, **added})
+    for sources_of_stage in sources:
+        for sequence, source in sources_of_stage.items():
+            recorded = merged.get(sequence, source).suffixes
+            added = {
+                stem: suffix or recorded.get(stem, "") for stem, suffix in source.suffixes.items()
+            }
+            merged[sequence] = ScanSource(source.folder, {**recorded, **added})
     return merged
 
 

@@ -41,7 +41,7 @@ class EarlierRecords:
     """Records of a folder that concern a run which begins."""
 
     stage: StageRecord | None  # Of the same stage
-    is_same: bool  # Whether that has the settings of the run, or there is none
+    is_same: bool  # Whether that has the settings of the run; true also without one
     others: Sequence[StageRecord]  # Of stages with results that the run replaces or outdates
 
 
@@ -51,7 +51,7 @@ class OutputRun(OwnedFolder):
 
     folders: tuple[str, ...] = ()  # Folders of results, keys of `SUFFIX_OF_FOLDER`
     overwrite: bool = False  # Whether existing results are computed again
-    # Foreign files in the place of results that are missing or of other settings
+    # Files of the user where results of this run belong (see `owned_folder`)
     foreign: frozenset[Path] = frozenset()
 
     def path(self, file: ScanFile, folder: str) -> Path:
@@ -62,22 +62,23 @@ class OutputRun(OwnedFolder):
         """Return the paths of all results of a scan."""
         return [self.path(file, folder) for folder in self.folders]
 
-    def is_there(self, file: ScanFile) -> bool:
+    def has_results(self, sequence: str, stem: str) -> bool:
         """Return whether a scan has all its results."""
-        return all(filled(path) and path not in self.foreign for path in self.paths(file))
+        paths = [output_path(self.root, sequence, folder, stem) for folder in self.folders]
+        return all(filled(path) and path not in self.foreign for path in paths)
 
     def names_of_results(self, names: Iterable[str]) -> set[str]:
         """Return the names, as `ScanFile.name`, of the scans that have all their results."""
         complete: set[str] = set()
         for name in names:
             sequence, _, stem = name.rpartition("/")
-            if self.is_there(ScanFile(sequence=sequence, stem=stem, path=self.root)):
+            if self.has_results(sequence, stem):
                 complete.add(name)
         return complete
 
     def is_done(self, file: ScanFile) -> bool:
         """Return whether a scan has all its results, which are not to be overwritten."""
-        return not self.overwrite and self.is_there(file)
+        return not self.overwrite and self.has_results(file.sequence, file.stem)
 
     def require_replaceable(self, file: ScanFile) -> None:
         """Refuse to replace a foreign file by a result of a scan."""
@@ -201,9 +202,13 @@ class OutputRun(OwnedFolder):
         return continued.settings if continued else settings
 
     def _take_over(self, other: StageRecord, folders: Collection[str]) -> list[Path]:
-        """Remove results of another stage from folders, and results that depend on its labels."""
+        """Remove results of another stage from folders, and results that depend on its labels.
+
+        The record of the other stage then names only the folders that it still has results in.
+        """
         taken = set(folders)
         if "predictions" in folders:
+            # These were computed from the labels that are removed.
             taken |= {ERROR, DISAGREEMENT, "views"}
         removed = [name for name in other.writes if name in taken]
         remaining = [name for name in other.writes if name not in taken]
@@ -215,7 +220,8 @@ class OutputRun(OwnedFolder):
         """Refuse or remove results that no stage recorded: their settings are unknown."""
         results = self._results_in(folders)
         if results and not self.overwrite:
-            hint = f"use another output folder, or {setting('overwrite', True)} to work beside it"
+            overwriting = f"{setting('overwrite', True)} to replace what salsanext wrote"
+            hint = f"use another output folder, or {overwriting}"
             raise OutputError(results[0], "is a result that no stage recorded", hint=hint)
         return self.remove_written(results)
 
@@ -239,16 +245,25 @@ def _scan_sources(out: Path, scans: Iterable[ScanFile]) -> dict[str, ScanSource]
     folders: dict[str, str] = {}
     suffixes: dict[str, dict[str, str]] = {}
     for scan in scans:
-        suffix = scan.path.name[len(scan.stem) :]
         folder = folders.setdefault(scan.sequence, str(scan.path.parent))
         recorded = recorded_sources.get(scan.sequence, ScanSource(folder, {}))
-        name = scan.stem + (recorded.suffixes.get(scan.stem) or suffix)
-        if recorded.folder != str(scan.path.parent) or name != scan.path.name:
-            problem = f"results of sequence {scan.sequence} are of {Path(recorded.folder, name)}"
-            hint = f"use another output folder for {scan.path}"
-            raise OutputError(out, problem, "the same scans", hint)
-        suffixes.setdefault(scan.sequence, {})[scan.stem] = suffix
+        _require_recorded_source(out, scan, recorded)
+        suffixes.setdefault(scan.sequence, {})[scan.stem] = _suffix_of(scan)
     return {name: ScanSource(folders[name], suffixes[name]) for name in folders}
+
+
+def _suffix_of(scan: ScanFile) -> str:
+    """Return what follows the stem in the name of a file."""
+    return scan.path.name[len(scan.stem) :]
+
+
+def _require_recorded_source(out: Path, scan: ScanFile, recorded: ScanSource) -> None:
+    """Refuse a scan if the folder has results of another one in its place."""
+    name = scan.stem + (recorded.suffixes.get(scan.stem) or _suffix_of(scan))
+    if recorded.folder != str(scan.path.parent) or name != scan.path.name:
+        problem = f"results of sequence {scan.sequence} are of {Path(recorded.folder, name)}"
+        hint = f"use another output folder for {scan.path}"
+        raise OutputError(out, problem, "the same scans", hint)
 
 
 @contextmanager
@@ -305,13 +320,25 @@ def output_run(
         with run.locked_records():
             claimed = run.claim(new)
             stack.enter_context(run.open(shared=True))
-        # Foreign files of other settings are no results, so that their scans are not done.
-        foreign = run.foreign_files(out / name for name in claimed.foreign)
-        run = replace(run, foreign=frozenset(foreign))
-        todo = [path for file in scans if not run.is_done(file) for path in run.paths(file)]
-        yield replace(run, foreign=frozenset(run.foreign_files(todo)))
-        record = run.manifest.record(stage)
-        if record is None or not record.has_settings(new.settings):
-            problem = "was removed or replaced while results were written into it"
-            hint = f"run again with {setting('overwrite', True)}"
-            raise OutputError(out, problem, hint=hint)
+        yield _with_foreign_files(run, claimed, scans)
+        _require_still_recorded(run, new)
+
+
+def _with_foreign_files(
+    run: OutputRun, claimed: StageRecord, scans: Sequence[ScanFile]
+) -> OutputRun:
+    """Return a run with the files of the user where results of its scans belong."""
+    # Foreign files of other settings are no results, so that their scans are not done.
+    foreign = run.foreign_files(run.root / name for name in claimed.foreign)
+    run = replace(run, foreign=frozenset(foreign))
+    todo = [path for file in scans if not run.is_done(file) for path in run.paths(file)]
+    return replace(run, foreign=frozenset(run.foreign_files(todo)))
+
+
+def _require_still_recorded(run: OutputRun, new: StageRecord) -> None:
+    """Refuse results of a folder whose record another process or the user has changed since."""
+    record = run.manifest.record(run.stage)
+    if record is None or not record.has_settings(new.settings):
+        problem = "was removed or replaced while results were written into it"
+        hint = f"run again with {setting('overwrite', True)}"
+        raise OutputError(run.root, problem, hint=hint)

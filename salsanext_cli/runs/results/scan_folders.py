@@ -61,9 +61,10 @@ def scan_names(names: Iterable[str]) -> dict[str, str]:
         for name in names
         if name not in OWN_TABLES
     }
-    known = {*suffixes.values()} - {""}
-    tables = [*(suffix for suffix in SCAN_SUFFIXES if suffix in known), *sorted(known)][:1]
-    chosen = [suffix for suffix in known if not is_table(suffix)] or tables
+    present_suffixes = {*suffixes.values()} - {""}
+    built_in = [suffix for suffix in SCAN_SUFFIXES if suffix in present_suffixes]
+    first_table = [*built_in, *sorted(present_suffixes)][:1]
+    chosen = [suffix for suffix in present_suffixes if not is_table(suffix)] or first_table
     return {name: suffix for name, suffix in suffixes.items() if suffix in chosen}
 
 

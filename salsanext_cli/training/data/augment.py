@@ -18,8 +18,6 @@ from salsanext_cli.core.records import Double, Float, Indices, Mask, Scan
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.training.recipe import Recipe
 
-LabelledScan = tuple[Scan, TrainIds]  # A scan and the train ids of its points, (N,) uint8
-
 SHIFT_LOW_M = (-5.0, -3.0, -1.0)
 SHIFT_HIGH_M = (5.0, 3.0, 0.0)
 MAX_DROPPED_SHARE = 0.5
@@ -33,9 +31,25 @@ PASTED_COPIES = 2  # Copies of pasted rare points, each at another angle
 CLEAR_RADIUS_M = 3.0  # Radius without pasted points, for the vehicle
 
 
-def augment(labelled: LabelledScan, recipe: Recipe, random: np.random.Generator) -> LabelledScan:
+@dataclass(frozen=True, slots=True, eq=False)
+class AnnotatedScan:
+    """Scan of N points with the labels that a network learns from.
+
+    Attributes
+    ----------
+    scan : Scan
+        The points.
+    labels : (N,) uint8
+        Train ids of the points, or targets (see `targets`).
+    """
+
+    scan: Scan
+    labels: TrainIds
+
+
+def augment(annotated: AnnotatedScan, recipe: Recipe, random: np.random.Generator) -> AnnotatedScan:
     """Return a labelled scan turned, shifted, mirrored and thinned out, each by chance."""
-    scan, labels = labelled
+    scan = annotated.scan
     chances = (recipe.rotate, recipe.shift, recipe.flip, recipe.drop)
     rotated, shifted, flipped, dropped = random.random(4) < chances
     points = scan.points
@@ -45,7 +59,7 @@ def augment(labelled: LabelledScan, recipe: Recipe, random: np.random.Generator)
         points = shift(points, random.uniform(SHIFT_LOW_M, SHIFT_HIGH_M))
     if flipped:
         points = points * np.array([1, -1, 1], np.float32)
-    changed = replace(scan, points=points), labels
+    changed = AnnotatedScan(replace(scan, points=points), annotated.labels)
     if not dropped:
         return changed
     count = int(len(scan) * random.uniform(0, MAX_DROPPED_SHARE))
@@ -113,38 +127,42 @@ class Checkerboard:
         return odd
 
 
-def mix(even: LabelledScan, odd: LabelledScan, board: Checkerboard) -> LabelledScan:
+def mix(even: AnnotatedScan, odd: AnnotatedScan, board: Checkerboard) -> AnnotatedScan:
     """Return the points of one scan in even cells of a board and of another in odd cells."""
-    even_cells = select(even, ~board.odd(even[0].points))
-    return concatenate(even_cells, select(odd, board.odd(odd[0].points)))
+    from_even = select(even, ~board.odd(even.scan.points))
+    from_odd = select(odd, board.odd(odd.scan.points))
+    return concatenate(from_even, from_odd)
 
 
-def paste(onto: LabelledScan, pasted: LabelledScan, angles: Double) -> LabelledScan:
+def paste(onto: AnnotatedScan, pasted: AnnotatedScan, angles: Double) -> AnnotatedScan:
     """Return a scan with copies of the points of another, turned about z by angles in radians."""
-    points = pasted[0].points
+    points = pasted.scan.points
     with np.errstate(invalid="ignore", over="ignore"):
         clear = np.hypot(points[:, 0], points[:, 1]) > CLEAR_RADIUS_M
-    scan, labels = select(pasted, clear & np.isfinite(points).all(axis=1))
-    turned = [(replace(scan, points=rotate(scan.points, angle)), labels) for angle in angles]
+    copied = select(pasted, clear & np.isfinite(points).all(axis=1))
+    turned = [
+        AnnotatedScan(replace(copied.scan, points=rotate(copied.scan.points, angle)), copied.labels)
+        for angle in angles
+    ]
     return concatenate(onto, *turned)
 
 
-def select(labelled: LabelledScan, chosen: Mask) -> LabelledScan:
+def select(annotated: AnnotatedScan, chosen: Mask) -> AnnotatedScan:
     """Return the chosen points of a labelled scan, (N,) bool."""
     # Indices take a fifth of the time of a mask.
-    return _taken(labelled, np.flatnonzero(chosen))
+    return _taken(annotated, np.flatnonzero(chosen))
 
 
-def _taken(labelled: LabelledScan, index: Indices) -> LabelledScan:
-    scan, labels = labelled
-    return scan.take(index), labels.take(index)
+def _taken(annotated: AnnotatedScan, index: Indices) -> AnnotatedScan:
+    return AnnotatedScan(annotated.scan.take(index), annotated.labels.take(index))
 
 
-def concatenate(*scans: LabelledScan) -> LabelledScan:
+def concatenate(*scans: AnnotatedScan) -> AnnotatedScan:
     """Return the points of all scans, in their order."""
-    points = np.concatenate([scan.points for scan, _ in scans])
-    intensity = np.concatenate([scan.intensity for scan, _ in scans])
-    return Scan(points, intensity), np.concatenate([labels for _, labels in scans])
+    points = np.concatenate([annotated.scan.points for annotated in scans])
+    intensity = np.concatenate([annotated.scan.intensity for annotated in scans])
+    labels = np.concatenate([annotated.labels for annotated in scans])
+    return AnnotatedScan(Scan(points, intensity), labels)
 
 
 def choose_columns(

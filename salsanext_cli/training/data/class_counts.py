@@ -76,10 +76,11 @@ def count_classes(source: Source, jobs: int = 1) -> CountedScans:
     def count(file: ScanFile) -> CountedScan:
         seen = source.sensor_of(file) if source.fitted else plain
         trained = source.sensor if source.fitted else plain
-        scan, labels = read_labelled(file, source.space, seen)
+        annotated = read_labelled(file, source.space, seen)
+        scan = annotated.scan
         check = check_scan(file.path, scan, sensor_of(scan, seen), trained)
         return CountedScan(
-            points=np.bincount(labels, minlength=source.space.class_count),
+            points=np.bincount(annotated.labels, minlength=source.space.class_count),
             summary=ScanSummary(file=file, check=check),
             digest=scan_digest(scan),
         )

@@ -31,7 +31,7 @@ from salsanext_cli.core.records import Float, Mask
 from salsanext_cli.core.sensors.sensor import ORIGIN, UP, Sensor
 from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.training.data import augment, other_sensors
-from salsanext_cli.training.data.augment import LabelledScan
+from salsanext_cli.training.data.augment import AnnotatedScan
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.data.targets import ClassSets, target_mask
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
@@ -141,15 +141,15 @@ class Samples(Dataset[Sample]):
         position, index = key
         recipe = self.recipe
         random = np.random.default_rng((recipe.seed, SAMPLE, position))
-        scan, labels = self._mixed(index, random)
+        annotated = self._mixed(index, random)
         source, file = self.scan_at(index)
         view = replace(source.sensor_of(file), up=UP, origin=ORIGIN, registered=False)
         if recipe.image_widths:
             view = view.resized(width=int(random.choice(recipe.image_widths)))
         if _drawn(recipe.view, random):
             view = other_sensors.other_view(view, random)
-        image = project(scan, view)
-        truth = pixels_from_points(labels, image.point_of_pixel)
+        image = project(annotated.scan, view)
+        truth = pixels_from_points(annotated.labels, image.point_of_pixel)
         # Pixels and rows are removed, and gaps filled, in both alike.
         both = np.concatenate([image.channels, truth[None].astype(np.float32)])
         if _drawn(recipe.holes, random):
@@ -168,31 +168,32 @@ class Samples(Dataset[Sample]):
         )
         return normalise(channels[:, :, columns], self.sensor), truth[:, columns]
 
-    def _mixed(self, index: int, random: np.random.Generator) -> LabelledScan:
+    def _mixed(self, index: int, random: np.random.Generator) -> AnnotatedScan:
         """Return an augmented scan, mixed with others by chance."""
         recipe = self.recipe
-        labelled = self._augmented(self._read(index, random), random)
+        annotated = self._augmented(self._read(index, random), random)
         if _drawn(recipe.mix, random):
             partner = self._augmented(self._partner(index, random), random)
             board = augment.Checkerboard.random(self.sensor, random)
-            labelled = augment.mix(labelled, partner, board)
+            annotated = augment.mix(annotated, partner, board)
         if _drawn(recipe.paste, random):
             partner = self._partner(index, random)
-            is_rare = target_mask(self.rare, self.sets, np.all)[partner[1]]
+            is_rare = target_mask(self.rare, self.sets, np.all)[partner.labels]
             rare = self._augmented(augment.select(partner, is_rare), random)
             angles = random.uniform(-np.pi, np.pi, augment.PASTED_COPIES)
-            labelled = augment.paste(labelled, rare, angles)
-        return labelled
+            annotated = augment.paste(annotated, rare, angles)
+        return annotated
 
-    def _augmented(self, labelled: LabelledScan, random: np.random.Generator) -> LabelledScan:
-        scan, labels = augment.augment(labelled, self.recipe, random)
+    def _augmented(self, annotated: AnnotatedScan, random: np.random.Generator) -> AnnotatedScan:
+        augmented = augment.augment(annotated, self.recipe, random)
+        scan = augmented.scan
         if _drawn(self.recipe.mount, random):
             scan = replace(scan, points=other_sensors.mount_otherwise(scan.points, random))
         if _drawn(self.recipe.jitter, random):
             scan = replace(scan, points=other_sensors.jitter(scan.points, random))
-        return scan, labels
+        return AnnotatedScan(scan, augmented.labels)
 
-    def _partner(self, index: int, random: np.random.Generator) -> LabelledScan:
+    def _partner(self, index: int, random: np.random.Generator) -> AnnotatedScan:
         """Return another scan than one, from further data sets as often as samples are."""
         counts = self.plan.scan_counts
         source = 0
@@ -205,12 +206,14 @@ class Samples(Dataset[Sample]):
             return self._read(int(start + (index - start + away) % count), random)
         return self._read(start + int(random.integers(count)), random)
 
-    def _read(self, index: int, random: np.random.Generator) -> LabelledScan:
+    def _read(self, index: int, random: np.random.Generator) -> AnnotatedScan:
         source, file = self.scan_at(index)
-        scan, labels = source.read(file, self.sets)
-        if _drawn(self.recipe.intensity, random):
-            scan = other_sensors.change_intensity(scan, bright_intensity(self.sensor), random)
-        return scan, labels
+        annotated = source.read(file, self.sets)
+        if not _drawn(self.recipe.intensity, random):
+            return annotated
+        brightest = bright_intensity(self.sensor)
+        scan = other_sensors.change_intensity(annotated.scan, brightest, random)
+        return AnnotatedScan(scan, annotated.labels)
 
 
 def _drawn(chance: float, random: np.random.Generator) -> bool:

@@ -30,7 +30,7 @@ from salsanext_cli.runs.fit.scan_sample import sample_of_files
 from salsanext_cli.runs.labelling.label_records import pre_labelled_scans
 from salsanext_cli.runs.results.paths import ScanFile, find_scans
 from salsanext_cli.runs.results.selection import data_set_label_space, log_unused, with_splits
-from salsanext_cli.training.data.augment import LabelledScan
+from salsanext_cli.training.data.augment import AnnotatedScan
 from salsanext_cli.training.data.targets import ClassSets, to_targets
 
 SPLITS_ARE_NAMED = "labels.yaml in the data set names the sequences of each split"
@@ -40,11 +40,11 @@ log = logging.getLogger(__name__)
 
 def read_labelled(
     file: ScanFile, space: LabelSpace, sensor: Sensor, sets: ClassSets = ()
-) -> LabelledScan:
+) -> AnnotatedScan:
     """Read a scan and the targets of its points, (N,) uint8: train ids if there are no sets."""
     scan = read_scan(file.path, sensor)
     raw = read_labels(file.label_path, len(scan))
-    return scan, to_targets(raw, space, sets, file.label_path)
+    return AnnotatedScan(scan, to_targets(raw, space, sets, file.label_path))
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -71,11 +71,12 @@ class Source:
         fitted = {name: sensor.resized(width=width) for name, sensor in self.fitted.items()}
         return replace(self, sensor=self.sensor.resized(width=width), fitted=fitted)
 
-    def read(self, file: ScanFile, sets: ClassSets) -> LabelledScan:
+    def read(self, file: ScanFile, sets: ClassSets) -> AnnotatedScan:
         """Read a scan without the vehicle's points, in the sensor frame, and its targets, (N,)."""
         sensor = self.sensor_of(file)
-        scan, targets = read_labelled(file, self.space, sensor, sets)
-        scan = in_sensor_frame(scan, sensor_of(scan, sensor))
+        annotated = read_labelled(file, self.space, sensor, sets)
+        scan = in_sensor_frame(annotated.scan, sensor_of(annotated.scan, sensor))
+        targets = annotated.labels
         ego = ego_points(scan.points, sensor)
         if len(ego):
             rest = np.delete(np.arange(len(scan)), ego)
@@ -85,7 +86,7 @@ class Source:
         trained = self.sensor.intensity_quantiles
         if quantiles and trained and quantiles != trained:
             scan = replace(scan, intensity=on_other_scale(scan.intensity, quantiles, trained))
-        return scan, targets
+        return AnnotatedScan(scan, targets)
 
 
 def training_sources(sources: Sequence[Source], *, fit: bool, jobs: int = 1) -> list[Source]:

@@ -5,7 +5,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from salsanext_cli.core.engines.machine import machine, versions
-from salsanext_cli.io.files.json_files import write_json
+from salsanext_cli.io.files.atomic import write_target
+from salsanext_cli.io.files.json_files import encode_json
 from salsanext_cli.io.files.reading import fingerprint
 from salsanext_cli.training.tuning.risk_report import RiskFit
 from salsanext_cli.version import __version__
@@ -15,7 +16,7 @@ PACKAGES = ("torch", "openvino", "numpy", "numba")
 
 
 def write_risk_record(
-    path: Path, fit: RiskFit, *, source: Path, weights: Path, target: Path
+    path: Path, fit: RiskFit, *, source: Path, weights: Path, target: Path, overwrite: bool
 ) -> None:
     """Write what a threshold is based on: scans, weights, settings, guarantee and check.
 
@@ -31,6 +32,13 @@ def write_risk_record(
         Weights that labelled the scans.
     target : Path
         Weights file with the threshold.
+    overwrite : bool
+        Whether to replace an existing file.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written, or may not replace another.
     """
     scans = [
         {
@@ -64,4 +72,4 @@ def write_risk_record(
         "warnings": fit.warnings,
         "check": {"held_out_sequences": fit.held_out},
     }
-    write_json(path, record)
+    write_target(path, encode_json(record), overwrite=overwrite)

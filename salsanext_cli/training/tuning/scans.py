@@ -102,7 +102,9 @@ class LabelledImage:
 
 def read_labelled_image(file: ScanFile, network: Network, space: LabelSpace) -> LabelledImage:
     """Read a scan with its labels and project it."""
-    scan, targets = read_labelled(file, space, network.sensor, class_sets([space]))
+    annotated = read_labelled(file, space, network.sensor, class_sets([space]))
+    scan = annotated.scan
+    targets = annotated.labels
     network = network.for_sensor(sensor_of(scan, network.sensor))
     image = project(scan, network.sensor)
     is_scored = np.isin(targets, np.flatnonzero(space.scored))

@@ -5,9 +5,11 @@ import sys
 from dataclasses import replace
 
 import pytest
+from meanwhile import require_kept
 from scans import SMALL, lively, refused
 
 from salsanext_cli import label_space
+from salsanext_cli.commands.stages import export_onnx as stage
 from salsanext_cli.commands.stages.export_onnx import export_onnx
 from salsanext_cli.core.errors import MissingDependency, WeightsError
 from salsanext_cli.core.network.card import WeightsCard
@@ -15,7 +17,7 @@ from salsanext_cli.core.network.salsanext import SalsaNext
 from salsanext_cli.core.sensors.sensor import INTENSITY_LEVELS
 from salsanext_cli.io.weights import onnx_export
 from salsanext_cli.io.weights.card_file import read_card
-from salsanext_cli.io.weights.onnx_export import difference, onnx_model, run
+from salsanext_cli.io.weights.onnx_export import largest_difference, onnx_model, run
 from salsanext_cli.io.weights.weights import read_weights, save_weights
 from salsanext_cli.runs.network_settings import NetworkSettings
 
@@ -31,7 +33,7 @@ def test_the_model_computes_the_logits_of_torch(sensor):
     module, card = lively(SalsaNext()), WeightsCard({}, label_space(), sensor)
     model = onnx_model(module, card)
     onnx.checker.check_model(model, full_check=True)
-    assert difference(model.SerializeToString(), module, card) < 1e-4
+    assert largest_difference(model.SerializeToString(), module, card) < 1e-4
 
 
 def test_a_dynamic_width(weights):
@@ -40,7 +42,7 @@ def test_a_dynamic_width(weights):
     content = onnx_model(module, card, dynamic_width=True).SerializeToString()
     for width in (16, 128, 304):
         other = replace(card, sensor=replace(card.sensor, width=width))
-        assert difference(content, module, other) < 1e-4
+        assert largest_difference(content, module, other) < 1e-4
 
 
 def test_opset_names_shapes_and_the_whole_card(tmp_path, weights):
@@ -82,6 +84,15 @@ def test_a_wrong_model_is_refused(tmp_path, weights, monkeypatch):
     monkeypatch.setattr(onnx_export, "run", wrong)
     refused(WeightsError, "ONNX model", export_onnx, weights, tmp_path / "m.onnx")
     assert not (tmp_path / "m.onnx").exists()
+
+
+def test_a_file_that_was_written_meanwhile_is_kept(tmp_path, weights):
+    target = tmp_path / "m.onnx"
+
+    def export(overwrite):
+        export_onnx(weights, target, overwrite=overwrite)
+
+    require_kept(stage, target, export)
 
 
 def test_without_onnx_runtime_the_model_is_not_compared(tmp_path, weights, monkeypatch):

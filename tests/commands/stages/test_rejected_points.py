@@ -18,8 +18,21 @@ from salsanext_cli.runs.results.paths import find_scans
 from salsanext_cli.runs.results.query import ResultQuery
 
 NONE, TREE = 0, 70
-TRUTH = [CAR, CAR, ROAD, ROAD, ROAD, TREE, TREE, TREE, NONE, NONE]
-LABELS = [CAR, NONE, ROAD, CAR, NONE, NONE, NONE, NONE, CAR, NONE]
+POINTS = (
+    # truth, label
+    (CAR, CAR),  # right
+    (CAR, NONE),  # rejected
+    (ROAD, ROAD),  # right
+    (ROAD, CAR),  # wrong
+    (ROAD, NONE),  # rejected
+    (TREE, NONE),  # rejected
+    (TREE, NONE),  # rejected
+    (TREE, NONE),  # rejected
+    (NONE, CAR),  # of an unknown class
+    (NONE, NONE),  # of an unknown class
+)
+TRUTH = [truth for truth, _ in POINTS]
+LABELS = [label for _, label in POINTS]
 """Three of eight points of known classes have a label, and one of these is wrong."""
 
 
@@ -45,33 +58,49 @@ def query(world):
     return ResultQuery(world.dataset)
 
 
-def test_the_report_has_coverage_and_risk(world, query):
-    found = report(world.out, query=query)
-    numbers = found.to_dict()
-    assert (numbers["coverage"], numbers["risk"]) == (4 / 16, 1 / 4)
+ACCEPTED = 4
+"""Of 16 points of known classes in both scans, three of scan 0 and one of scan 1."""
+
+
+def test_the_report_has_coverage_and_risk_but_no_accuracy(world, query):
+    written_report = report(world.out, query=query)
+    numbers = written_report.to_dict()
+    # One of the accepted labels is wrong.
+    assert (numbers["coverage"], numbers["risk"]) == (ACCEPTED / 16, 1 / ACCEPTED)
     assert (numbers["accuracy"], numbers["iou_mean_present"]) == (None, None)
-    assert found.shown["08/0"].startswith(
+    assert written_report.shown["08/0"].startswith(
         "most wrong (33.3 % of the accepted points with a true class)"
     )
-    page = found.page.read_text()
+
+
+def test_the_page_has_coverage_and_risk_but_no_accuracy(world, query):
+    page = report(world.out, query=query).page.read_text()
     assert "<b>25.0 %</b>coverage: accepted of 16 labelled points, 2 scans" in page
     assert "<b>25.0 %</b>risk" in page
     assert "accuracy: right" not in page
+
+
+def test_rejected_points_are_no_confusions(world, query):
+    page = report(world.out, query=query).page.read_text()
     confusions = page.partition("Largest confusions")[2].partition("</ol>")[0]
     items = confusions.partition('class="confusions">')[2].split("\n")
     assert [item for item in items if item] == ["<li>road taken for car: 50.0 % of 2 points</li>"]
+
+
+def test_rejected_points_are_wrong_but_for_the_official_accuracy(world):
     evaluation = evaluate_scans(find_scans(world.dataset), world.out, SPACE)
-    scores, rejection = evaluation.scores, evaluation.to_dict()["rejection"]
+    scores = evaluation.scores
+    rejection = evaluation.to_dict()["rejection"]
     assert scores.accuracy == 3 / 16, "rejected points are wrong"
     assert scores.accuracy_official == pytest.approx(3 / 4), "rejected points do not count"
-    assert (rejection["points"], rejection["accepted"], rejection["wrong"]) == (16, 4, 1)
+    assert (rejection["points"], rejection["accepted"], rejection["wrong"]) == (16, ACCEPTED, 1)
 
 
 def test_a_threshold_of_a_run_that_rejected_labels_names_the_accepted_points(world, query):
     for stem in ("0", "1"):
         world.put("uncertainty/error", stem, np.linspace(0.1, 0.4, 10))
-    found = report(world.out, query=query)
-    accepted = found.compared.uncertainty.accepted
+    written_report = report(world.out, query=query)
+    accepted = written_report.compared.uncertainty.accepted
     assert accepted.of_accepted
     assert accepted.points == 4
     assert " % of accepted points with " in accepted.sentence

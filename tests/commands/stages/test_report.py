@@ -9,9 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from evaluated import CAR, MOVING_CAR, ROAD, SPACE, UNKNOWN, World
+from meanwhile import require_kept
 from scans import SMALL, refused, write_array
 
 from salsanext_cli import label_space
+from salsanext_cli.commands.stages import report as stage
 from salsanext_cli.commands.stages.report import read_run, report
 from salsanext_cli.core.errors import NoInputError, OutputError
 from salsanext_cli.runs.loop.run import RunOptions
@@ -76,6 +78,16 @@ def made(world, space=None, **options):
     assert result.page == world.out / "report.html"
     assert result.to_dict()["bytes"] == result.page.stat().st_size
     return result, Page(result.page)
+
+
+def test_a_page_that_was_written_meanwhile_is_kept(world, tmp_path):
+    page = tmp_path / "page.html"
+
+    def write_page(overwrite):
+        query = ResultQuery(world.dataset)
+        report(world.out, page, query=query, options=RunOptions(overwrite=overwrite))
+
+    require_kept(stage, page, write_page)
 
 
 def test_the_date_is_that_at_which_results_were_written(world):

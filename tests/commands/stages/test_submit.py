@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
+from meanwhile import require_kept
 from scans import make_scan, refused, write_bin
 
 from salsanext_cli import label_space, write_labels
@@ -89,6 +90,10 @@ def test_equal_predictions_give_equal_bytes(folders):
     assert folders.zip.read_bytes() == first
     with zipfile.ZipFile(folders.zip) as packed:
         assert packed.read("description.txt") == b"method: mine\n"
+
+
+def test_a_file_that_was_written_meanwhile_is_kept(folders):
+    require_kept(module, folders.zip, lambda overwrite: folders.submit(overwrite=overwrite))
 
 
 def test_missing_predictions_are_one_error(folders):

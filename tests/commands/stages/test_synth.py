@@ -7,9 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from quick_streets import record
 from scans import files_below, refused
 
-from salsanext_cli import Scan, __version__, label_space, read_labels
+from salsanext_cli import __version__, label_space, read_labels
 from salsanext_cli.commands.stages import synth
 from salsanext_cli.commands.stages.synth import synthesise
 from salsanext_cli.core.errors import MissingDependency, OutputError, UsageError
@@ -19,7 +20,6 @@ from salsanext_cli.io.formats.kitti import read_bin
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.paths import find_scans
-from salsanext_cli.synthesis.drive import Frame
 
 TINY = {"scans": 2, "spacing": 12.0, "seed": 3}
 
@@ -96,17 +96,6 @@ def test_the_seed_determines_every_byte_whatever_other_sequences_and_jobs(street
 @pytest.fixture
 def quick(monkeypatch):
     """Record three points instead of a street."""
-
-    def record(seed, sequence, scans, spacing, make_rig):
-        scan = Scan(np.full((3, 3), seed, np.float32), np.zeros(3, np.float32))
-        for index in range(scans):
-            yield Frame(
-                scan=scan,
-                labels=np.array([40, 40, 10], np.uint32),
-                pose=np.eye(4),
-                time=index * spacing,
-            )
-
     monkeypatch.setattr(synth, "record", record)
 
 

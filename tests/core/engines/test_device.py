@@ -14,10 +14,12 @@ from salsanext_cli.core.errors import UsageError
 def test_chosen_devices_precisions_and_engines():
     assert choose_device("cpu") == choose_device("cpu:0") == "cpu"
     assert choose_device("auto") == ("cuda" if torch.cuda.is_available() else "cpu")
-    assert choose_precision("int8", "cpu") == "int8"
-    assert choose_precision("auto", "cpu") != "int8"
-    for place, engine in (("cuda", "torch"), ("cpu", "torch")):
-        refused(UsageError, "precision", choose_precision, "int8", place, engine)
+    assert choose_precision("int8", "cpu", "openvino") == "int8"
+    assert choose_precision("auto", "cpu", "openvino") != "int8"
+    for place in ("cuda", "cpu"):
+        caught = refused(UsageError, "precision", choose_precision, "int8", place, "torch")
+        assert "cpu" in caught.value.hint
+        assert "openvino" in caught.value.hint
     assert choose_engine("auto", "cpu") == choose_engine("openvino", "cpu") == "openvino"
     assert choose_engine("torch", "cpu") == choose_engine("auto", "cuda:1") == "torch"
     for name, place in (("openvino", "cuda"), ("onnx", "cpu")):
@@ -48,13 +50,13 @@ def test_bfloat16_where_the_cpu_multiplies_it(fresh, tmp_path, monkeypatch, flag
         name, value = limit.split("=") if "=" in limit else (device.ISA_VARIABLES[0], limit)
         monkeypatch.setenv(name, value)
     assert " ".join(device.bfloat16_instructions()) == expected
-    assert choose_precision("auto", "cpu") == ("bfloat16" if expected else "float32")
-    assert choose_precision("float32", "cpu") == "float32"
+    assert choose_precision("auto", "cpu", "openvino") == ("bfloat16" if expected else "float32")
+    assert choose_precision("float32", "cpu", "openvino") == "float32"
     if expected:
-        assert choose_precision("bfloat16", "cpu") == "bfloat16"
+        assert choose_precision("bfloat16", "cpu", "openvino") == "bfloat16"
     else:
         with pytest.raises(UsageError) as caught:
-            choose_precision("bfloat16", "cpu")
+            choose_precision("bfloat16", "cpu", "openvino")
         expected = ("precision", "float32 or int8")
         assert (caught.value.subject, caught.value.expected) == expected
 
@@ -63,4 +65,4 @@ def test_bfloat16_where_the_cpu_multiplies_it(fresh, tmp_path, monkeypatch, flag
 def test_a_gpu_with_tensor_cores_takes_float16(monkeypatch, capability):
     monkeypatch.setattr(torch.cuda, "get_device_capability", lambda device: capability)
     expected = "float16" if capability >= (7, 0) else "float32"
-    assert choose_precision("auto", "cuda") == expected
+    assert choose_precision("auto", "cuda", "torch") == expected

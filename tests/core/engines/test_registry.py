@@ -4,6 +4,7 @@
 
 import sys
 from dataclasses import dataclass
+from pathlib import Path
 from types import ModuleType
 from typing import ClassVar, get_args
 
@@ -15,6 +16,7 @@ from shallow import shallow, weights  # noqa: F401
 from salsanext_cli import load_network, project
 from salsanext_cli.commands.line.option_groups import OPTIONS
 from salsanext_cli.commands.stages.predict import predict_scans
+from salsanext_cli.core.engines import registry
 from salsanext_cli.core.engines.registry import LIBRARIES, Library, choose_engine, computes_int8
 from salsanext_cli.core.engines.torch_backend import TorchBackend
 from salsanext_cli.core.errors import MissingDependency, UsageError
@@ -78,6 +80,14 @@ def test_predict_takes_a_third_library_and_records_it(third, weights, tmp_path):
     assert labels_below(tmp_path / "third") == labels_below(tmp_path / "torch")
 
 
+def test_only_the_row_and_the_modules_of_a_library_name_it():
+    """So a further library needs no change of the choice of device and precision."""
+    engines = Path(registry.__file__).parent
+    namers = {path.name for path in engines.glob("*.py") if '"openvino"' in path.read_text("utf-8")}
+    assert namers == {"openvino_backend.py", "registry.py"}
+    assert registry.int8_settings() == 'device="cpu" and engine="openvino"'
+
+
 def test_the_option_takes_the_names_of_the_registry():
     assert get_args(OPTIONS[NetworkSettings]["engine"].metadata["typed"]) == ("auto", *LIBRARIES)
 
@@ -102,6 +112,10 @@ def test_the_fastest_library_that_starts_computes(third, monkeypatch, caplog):
     assert choose_engine("auto", "cpu") == "third"
     assert [record.getMessage().partition(":")[0] for record in caplog.records] == [*broken]
     assert all("third" in record.getMessage() for record in caplog.records)
-    refused(MissingDependency, "second", choose_engine, "second", "cpu")
+    caught = refused(MissingDependency, "second", choose_engine, "second", "cpu")
+    assert "third" in caught.value.hint
+    monkeypatch.setattr(registry, "LIBRARIES", broken)
+    caught = refused(MissingDependency, "second", choose_engine, "second", "cpu")
+    assert caught.value.hint == "install it again"
     refused(UsageError, "engine", choose_engine, "torch", "cpu")
     warn_once.cache_clear()

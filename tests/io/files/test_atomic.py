@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from salsanext_cli.core.errors import OutputError
-from salsanext_cli.io.files.atomic import append_line, write_bytes, writing
+from salsanext_cli.io.files.atomic import append_line, write_bytes, write_target, writing
 
 
 def test_file_appears_whole_and_parents_are_made(tmp_path: Path) -> None:
@@ -49,6 +49,20 @@ def test_interruption_leaves_the_old_file_and_nothing_else(tmp_path, interruptio
         write()
     assert path.read_bytes() == b"old"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_target_is_replaced_only_if_it_may_be(tmp_path):
+    target = tmp_path / "made" / "x"
+    write_target(target, b"first", overwrite=False)
+    with pytest.raises(OutputError):
+        write_target(target, b"second", overwrite=False)
+    assert target.read_bytes() == b"first"
+    write_target(target, b"second", overwrite=True)
+    assert target.read_bytes() == b"second"
+    assert list(target.parent.iterdir()) == [target]
+    for overwrite in (False, True):
+        with pytest.raises(OutputError):
+            write_target(tmp_path, b"x", overwrite=overwrite)
 
 
 def test_file_in_place_of_a_folder_and_folder_in_place_of_the_file(tmp_path: Path) -> None:

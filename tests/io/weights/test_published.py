@@ -10,9 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from meanwhile import require_kept
 from scans import lively, refused
 
 from salsanext_cli import load_network
+from salsanext_cli.commands.stages import import_weights as stage
 from salsanext_cli.commands.stages.import_weights import import_weights
 from salsanext_cli.core.errors import OutputError, WeightsError
 from salsanext_cli.core.network.card import FittedParts, RiskThreshold
@@ -209,6 +211,15 @@ def test_weights_for_another_sensor_lose_their_threshold(weights, tmp_path):
     risk = RiskThreshold("error", 0.2, 0.1, None, 20, ("00",))
     save_with_card(weights, source, replace(read_card(weights), risk=risk))
     assert import_weights(source, target, view=sensor("hdl32")).risk is None
+
+
+def test_a_file_that_was_written_meanwhile_is_kept(checkpoint, tmp_path):
+    target = tmp_path / "w.safetensors"
+
+    def import_checkpoint(overwrite):
+        import_weights(checkpoint, target, overwrite=overwrite)
+
+    require_kept(stage, target, import_checkpoint)
 
 
 def test_an_existing_target_is_replaced_only_by_overwriting(checkpoint, tmp_path):

@@ -165,7 +165,7 @@ def require_same_results_in_three_stages(source: Path, weights: Path, folder: Pa
 
 
 @pytest.mark.parametrize("has_poses", [pytest.param(False, marks=pytest.mark.slow), True])
-@pytest.mark.usefixtures("workers_in_process")
+@pytest.mark.usefixtures("workers_in_process", "places_found_once")
 def test_three_stages_give_the_labels_of_predict(map_drive, tmp_path, has_poses):
     """The poses are those of another point of the vehicle, near the place that the points show."""
     shutil.copytree(map_drive / "velodyne", tmp_path / "velodyne")
@@ -177,7 +177,7 @@ def test_three_stages_give_the_labels_of_predict(map_drive, tmp_path, has_poses)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("has_poses", [False, True])
-@pytest.mark.usefixtures("workers_in_process")
+@pytest.mark.usefixtures("workers_in_process", "places_found_once")
 def test_three_stages_give_the_labels_of_predict_for_several_sensors(tmp_path, has_poses):
     places = np.array([*WAY[:3], (0, 0, 0), (0, 0, 0)], float)
     seeds = enumerate([street(32, seed=seed) for seed in range(3)])

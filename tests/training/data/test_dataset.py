@@ -143,10 +143,10 @@ def test_pixels_of_a_mixed_sample_are_points_of_two_scans(files: list[ScanFile])
     read = [read_labelled(file, SPACE, SMALL) for file in files]
     sources = Counter[int]()
     for point, label in pixels(files, PLAIN.with_changes(mix=1.0), 1)[::5]:
-        off = [np.abs(scan.points - point).max(axis=1) for scan, _ in read]
+        off = [np.abs(annotated.scan.points - point).max(axis=1) for annotated in read]
         source = int(np.argmin([each.min() for each in off]))
         assert off[source].min() < 1e-4
-        assert label == read[source][1][off[source].argmin()]
+        assert label == read[source].labels[off[source].argmin()]
         sources[source] += 1
     assert len(sources) == 2
     assert 1 in sources
@@ -155,8 +155,8 @@ def test_pixels_of_a_mixed_sample_are_points_of_two_scans(files: list[ScanFile])
 
 def test_pasted_pixels_are_turned_points_of_rare_classes(files: list[ScanFile]) -> None:
     read = [read_labelled(file, SPACE, SMALL) for file in files]
-    points = read[1][0].points
-    rare = np.concatenate([scan.points[RARE[labels]] for scan, labels in read])
+    points = read[1].scan.points
+    rare = np.concatenate([annotated.scan.points[RARE[annotated.labels]] for annotated in read])
     pasted = 0
     for point, label in pixels(files, PLAIN.with_changes(paste=1.0), 1)[::3]:
         if np.abs(points - point).max(axis=1).min() > 1e-3:

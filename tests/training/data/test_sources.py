@@ -71,7 +71,7 @@ def roots(tmp_path: Path) -> list[Path]:
 def seen(roots: list[Path]) -> tuple[Source, Source]:
     _, files = labelled_split(roots[0], None, "train")
     plain = Source(files=files, space=SPACE, sensor=SMALL)
-    images = [project(plain.read(file, ())[0], SMALL).channels for file in files]
+    images = [project(plain.read(file, ()).scan, SMALL).channels for file in files]
     sensor = with_image_statistics(SMALL, images)
     return Source(files=files, space=SPACE, sensor=sensor), further_source(roots[1], SPACE, sensor)
 

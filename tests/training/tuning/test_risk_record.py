@@ -7,17 +7,22 @@ import re
 from datetime import UTC, datetime, timedelta
 from importlib.metadata import version
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from command_line import called, subject
+from scans import refused
 
 from salsanext_cli.commands.line.option_names import CommandLine
+from salsanext_cli.core.errors import OutputError
 from salsanext_cli.core.measures.risk_control import needed_scans, useful_scans
-from salsanext_cli.core.network.card import scan_digest
+from salsanext_cli.core.network.card import RiskThreshold, scan_digest
 from salsanext_cli.core.wording import spelled
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.report.tables import needed_scans_table
+from salsanext_cli.training.tuning.risk_record import write_risk_record
+from salsanext_cli.training.tuning.risk_report import ComputedBy
 
 PAGE_OF_JSON = Path(__file__).parents[3] / "docs/reference/json.md"
 PAGE = Path(__file__).parents[3] / "docs/concepts/guarantee.md"
@@ -54,12 +59,35 @@ def test_the_record_states_what_the_threshold_is_based_on(world, tmp_path):
     assert {key for key in content if f"`{key}`" not in documented} == set()
     # An archived record is not replaced, and the refusal comes before the work.
     other = tmp_path / "other.safetensors"
-    refused = called(
+    second = called(
         "tune", "risk", world.data, other, *words, *weights, "--record", record, status=1
     )
-    assert subject(refused) == str(record)
+    assert subject(second) == str(record)
     assert not other.exists()
     assert json.loads(record.read_text()) == content
+
+
+def test_a_record_that_was_written_meanwhile_is_kept(weights, tmp_path):
+    record = tmp_path / "record.json"
+    record.write_text("{}")
+    threshold = RiskThreshold(
+        kind="least_confidence", threshold=0.5, at_most=0.1, confidence=None, scans=0, sequences=()
+    )
+    fit = SimpleNamespace(
+        scans=(),
+        threshold=threshold,
+        guarantee="",
+        computed_by=ComputedBy(device="cpu", engine="torch", precision="float32"),
+        accepted=1.0,
+        warnings=(),
+        held_out=(),
+    )
+    facts = {"source": tmp_path, "weights": weights, "target": weights}
+    with refused(OutputError, record):
+        write_risk_record(record, fit, **facts, overwrite=False)
+    assert record.read_text() == "{}"
+    write_risk_record(record, fit, **facts, overwrite=True)
+    assert json.loads(record.read_text())["at_most"] == 0.1
 
 
 def test_the_least_numbers_of_the_page_are_those_of_the_bounds():
