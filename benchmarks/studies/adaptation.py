@@ -49,7 +49,7 @@ from salsanext_cli.runs.fit.sensor_fit import fit_network
 from salsanext_cli.runs.network_settings import weights_file
 from salsanext_cli.runs.results.paths import DISAGREEMENT, ERROR, FUSED, ScanFile, find_scans
 from salsanext_cli.runs.results.selection import evenly_spaced
-from salsanext_cli.training.data.augment import LabelledScan
+from salsanext_cli.training.data.augment import AnnotatedScan
 from salsanext_cli.training.data.class_counts import class_weights, count_classes, rare_classes
 from salsanext_cli.training.data.dataset import Samples, batches
 from salsanext_cli.training.data.sources import Source
@@ -197,17 +197,18 @@ def write_probable_labels(drive: StudiedDrive, out: Path, target: Path) -> list[
 class ProbableSamples(Samples):
     """Samples of a drive with probable labels, the first source, and of simulated scans."""
 
-    def _read(self, index: int, random: np.random.Generator) -> LabelledScan:
+    def _read(self, index: int, random: np.random.Generator) -> AnnotatedScan:
         """Read a scan; points of the drive have a label with its probability."""
-        scan, labels = Samples._read(self, index, random)
+        annotated = Samples._read(self, index, random)
         source, file = self.scan_at(index)
         if source is self.sources[0]:
             path = file.path.parents[1] / PROBABILITIES / f"{file.stem}.npy"
-            is_drawn = random.random(len(labels), np.float32) < np.load(path)
-            labels = np.where(is_drawn, labels, np.uint8(0))
-        return scan, labels
+            is_drawn = random.random(len(annotated.labels), np.float32) < np.load(path)
+            labels = np.where(is_drawn, annotated.labels, np.uint8(0))
+            return replace(annotated, labels=labels)
+        return annotated
 
-    def _partner(self, index: int, random: np.random.Generator) -> LabelledScan:
+    def _partner(self, index: int, random: np.random.Generator) -> AnnotatedScan:
         """Return a simulated scan for one of the drive, and the other way round."""
         count = len(self.sources[0].files)
         if index >= count:

@@ -88,13 +88,13 @@ def test_points_of_the_drive_have_labels_with_their_probability(tmp_path):
         sources=sources, sensor=SMALL, recipe=Recipe(), rare=np.zeros(SPACE.class_count, bool)
     )
     random = np.random.default_rng(0)
-    _, labels = samples._read(0, random)
+    labels = samples._read(0, random).labels
     truth = SPACE.to_train(read_labels(sources[0].files[0].label_path))
     assert set(labels[labels != truth]) == {0}
     shares = [np.mean(labels[part][truth[part] > 0] > 0) for part in np.split(np.arange(POINTS), 3)]
     assert shares == pytest.approx([0, 0.3, 1], abs=0.07)
-    assert (samples._read(2, random)[1] > 0).mean() > 0.9
-    of_drive = [(samples._partner(index, random)[1] > 0).mean() < 0.6 for index in (0, 1, 2, 3)]
+    assert (samples._read(2, random).labels > 0).mean() > 0.9
+    of_drive = [(samples._partner(index, random).labels > 0).mean() < 0.6 for index in (0, 1, 2, 3)]
     assert of_drive == [False, False, True, True]
 
 

@@ -32,9 +32,7 @@ WAIT_S = 1.0  # Time between two checks whether another run has ended
 class Extras:
     """Results that `predict` writes besides the labels, and the rejection of labels."""
 
-    error: bool = option(
-        "Also write the estimated probability that each label is wrong.", default=False
-    )
+    error: bool = option("Also write the estimated probability of a wrong label.", default=False)
     reject: str | None = option(
         "Leave a point unlabelled if its probability of error exceeds this value, or `risk` for "
         "the threshold chosen by `tune risk`.",
