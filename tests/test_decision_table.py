@@ -80,7 +80,7 @@ def test_the_gains_quoted_are_those_of_the_trials():
         assert f"{min(scans)} to {max(scans)} labelled scans" in text
         quoted = f"{gains.worst:.1f} to {gains.best:.1f} points"
         assert quoted in text
-        assert f"(median {gains.usual:.1f})" in text
+        assert f"(median {gains.median:.1f})" in text
     assert {trial.version for trial in many.trials} == {5}
     assert {trial.version for trial in few.trials} == {0, 2}
     same = sum(trial.same_drive for trial in few.trials)

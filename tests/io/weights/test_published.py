@@ -233,16 +233,16 @@ def test_an_existing_target_is_replaced_only_by_overwriting(checkpoint, tmp_path
 
 
 def test_a_checkpoint_without_usable_outputs_is_refused(tmp_path, state):
-    for bias, outputs in (
-        ({"logits.bias": torch.ones(5)}, 5),
-        ({"logits.bias": torch.tensor(3.0)}, 1),
-        ({}, 0),
+    for bias, found in (
+        ({"logits.bias": torch.ones(5)}, " 5 "),
+        ({"logits.bias": torch.tensor(3.0)}, " 1 "),
+        ({}, "logits"),
     ):
         others = {name: tensor for name, tensor in state.items() if name != "logits.bias"}
         path = save(tmp_path / "SalsaNext", {"state_dict": others | bias})
         with pytest.raises(WeightsError) as caught:
             import_weights(path, tmp_path / "w.safetensors")
-        assert f" {outputs} " in caught.value.problem
+        assert found in caught.value.problem
         assert caught.value.expected.startswith("20")
 
 
