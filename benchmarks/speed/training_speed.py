@@ -130,7 +130,7 @@ class Comparison:
 
 def serve(side: str, options: argparse.Namespace, line: Connection) -> None:
     """Send the loss of the first batch, then the seconds of as many steps as are asked for."""
-    common = Comparison(counts=options)
+    common = Comparison(options)
     loss, step = getattr(common, side)()
     step()
     line.send(loss)
