@@ -169,6 +169,12 @@ def test_the_core_takes_no_path():
 REMOVAL_NAMES = {"removedirs", "rename", "renames", "rmdir", "rmtree", "unlink"}
 FILE_METHODS = {"write_bytes", "write_text"}
 """Methods of paths; functions of the package with these names have arguments of their own."""
+WRITING_FUNCTIONS = {
+    *("np.save", "np.savez", "np.savez_compressed", "torch.save", "os.truncate"),
+    *("shutil.copy", "shutil.copy2", "shutil.copyfile", "shutil.copytree", "shutil.move"),
+    *("ZipFile", "zipfile.ZipFile"),
+}
+"""Functions of libraries that write or replace the file that they are given."""
 REMOVERS = {
     "io/files/atomic.py": "gives complete files their names; unfinished files of killed runs",
     "io/files/locks.py": "lock files, and temporary folders of killed runs",
@@ -177,11 +183,19 @@ REMOVERS = {
     "runs/results/owned_folder.py": "files of an output folder that salsanext wrote",
 }
 """Modules that may remove or replace files, and which; see `docs/project/development.md`."""
-REPLACING = {"append_line", "save_weights", "write_bytes", "write_json", "writing"}
+REPLACING = {
+    "append_line",
+    "save_weights",
+    "save_with_card",
+    "write_bytes",
+    "write_json",
+    "writing",
+}
 """Functions that replace a file unless their caller forbids it."""
 WRITERS = {
     "commands/stages/import_weights.py": "the target, by `overwrite`",
     "commands/stages/submit.py": "the target, by `overwrite`",
+    "commands/stages/tune.py": "the target, by `overwrite`",
     "io/files/json_files.py": "records of the callers of `write_json`",
     "io/files/user_cache.py": "the cache",
     "io/formats/kitti_labels.py": "`sn.write_labels`, for callers from Python",
@@ -196,7 +210,7 @@ WRITERS = {
 
 
 def is_string(node: ast.expr) -> bool:
-    return isinstance(node, ast.Constant) and isinstance(node.value, str | bytes)
+    return isinstance(node, ast.Constant) and isinstance(node.value, str)
 
 
 def replaces_file(call: ast.Call) -> bool:
@@ -206,15 +220,18 @@ def replaces_file(call: ast.Call) -> bool:
     """
     function = call.func
     name = function.attr if isinstance(function, ast.Attribute) else ""
+    if ast.unparse(function) in WRITING_FUNCTIONS and call.args:
+        # Arrays and archives in memory are no files.
+        return ast.unparse(call.args[0]) not in ("file", "buffer")
     if name == "replace":
-        is_of_owned_folder = isinstance(function.value, ast.Call)
+        is_of_owned_folder = ast.unparse(function.value).startswith("OwnedFolder(")
         return len(call.args) == 1 and not call.keywords and not is_of_owned_folder
     if name in FILE_METHODS:
         # The formatter of the help has such a method as well.
         return ast.unparse(function.value) != "formatter"
     opens = name == "open" or ast.unparse(function) == "open"
-    modes = [argument.value for argument in call.args if is_string(argument)]
-    modes += [keyword.value.value for keyword in call.keywords if is_string(keyword.value)]
+    arguments = [*call.args, *(keyword.value for keyword in call.keywords)]
+    modes = [argument.value for argument in arguments if is_string(argument)]
     return opens and any(re.fullmatch(r"[wxa+rbt]*[wxa+][wxa+rbt]*", mode) for mode in modes)
 
 
@@ -245,7 +262,15 @@ def removes_or_replaces(tree: ast.AST) -> bool:
         ("path.write_text(text)", True),
         ("open(path, 'w')", True),
         ("path.open(mode='ab')", True),
+        ("path.with_suffix('.tmp').replace(path)", True),
+        ("Path(a).replace(b)", True),
+        ("np.save(path, array)", True),
+        ("shutil.move(new, old)", True),
+        ("ZipFile(path, 'w')", True),
+        ("np.save(file, array)", False),
+        ("OwnedFolder(out, stage).replace(files)", False),
         ("path.open('rb')", False),
+        ("path.open(b'rb')", False),
         ("text.replace('a', 'b')", False),
         ("replace(record, field=1)", False),
         ("write_bytes(path, content)", False),

@@ -128,8 +128,8 @@ def tiny(tmp_path: Path, monkeypatch) -> Path:
     ("commands", "scans"),
     [
         (QUICK, 12),
-        pytest.param(THOROUGH, 200, marks=(pytest.mark.slow, pytest.mark.drawn)),
-        pytest.param(WITH_SAMPLES, 20, marks=(pytest.mark.slow, pytest.mark.drawn)),
+        pytest.param(THOROUGH, 200, marks=pytest.mark.slow),
+        pytest.param(WITH_SAMPLES, 20, marks=pytest.mark.slow),
     ],
     ids=["quick", "thorough", "sampled"],
 )

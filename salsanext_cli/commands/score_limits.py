@@ -153,9 +153,7 @@ def _require_kind(name: str, typed: str, option: str) -> None:
         problem = f"no uncertainty is called {member!r}"
         raise UsageError(option, problem, ", ".join(EVALUATED_KINDS), hint)
     if kind.option != option:
-        better = "higher" if kind.option == FAIL_UNDER else "lower"
-        hint = f"use {kind.option} {typed}"
-        raise UsageError(option, f"a {better} {name} is better", hint=hint)
+        raise UsageError(option, f"does not apply to {name}", hint=f"use {kind.option} {typed}")
 
 
 def _unknown_score(name: str, option: str) -> UsageError:

@@ -67,9 +67,9 @@ def lovasz_softmax(
     gathered_errors = group.gather(errors.detach())
     gathered_foreground = torch.cat(group.gather(foreground.byte()), 1).bool()
     gradients = jaccard_gradient(torch.cat(gathered_errors, 1), gathered_foreground)
-    own_gradients = torch.split(gradients, [part.shape[1] for part in gathered_errors], 1)[
-        group.rank
-    ]
+    pixels_of_workers = [errors_of_worker.shape[1] for errors_of_worker in gathered_errors]
+    gradients_of_workers = torch.split(gradients, pixels_of_workers, 1)
+    own_gradients = gradients_of_workers[group.rank]
     return (errors * own_gradients).sum() / len(present)
 
 

@@ -79,6 +79,10 @@ def training_settings(
         # The labels of a few scans are often corrected between two trainings.
         digests = "".join(fingerprint(file.label_path) for file in first.files)
         labels = hashlib.sha256(digests.encode()).hexdigest()[:16]
+    further_data = [
+        FurtherData(label_space=source.space, scans=scans_digest(source.files))
+        for source in further
+    ]
     return TrainingSettings(
         recipe=recipe,
         sensor=replace(first.sensor, intensity_quantiles=(), row_gaps=None),
@@ -86,8 +90,7 @@ def training_settings(
         scans=scans_digest([*first.files, *validation.files]),
         weights=fingerprint(weights) if weights else None,
         labels=labels,
-        also=tuple(FurtherData(label_space=s.space, scans=scans_digest(s.files)) for s in further)
-        or None,
+        also=tuple(further_data) or None,
     )
 
 

@@ -22,7 +22,6 @@ from scans import SMALL, write_sequence, write_weights
 import salsanext_cli
 
 psutil = pytest.importorskip("psutil")
-pytestmark = pytest.mark.drawn
 
 HERE = Path(__file__).parent
 OUT = "folder-of-results"

@@ -90,14 +90,11 @@ def import_weights(
             raise _argument_not_needed("space", source)
         if dropout is not None:
             raise _argument_not_needed("dropout", source)
-        imported = _weights_of_salsanext(source, view, description)
+        imported = _weights_of_salsanext(source, view, description, half=half)
     else:
         rate = DROPOUT if dropout is None else dropout
         imported = _published_weights(source, space or label_space(), view, rate, description)
-    card = imported.card
-    if view is not None or (half and changes_in_half(imported.module)):
-        card = _without_thresholds(card)
-    save_weights(target, imported.module, card, half=half, overwrite=overwrite)
+    save_weights(target, imported.module, imported.card, half=half, overwrite=overwrite)
     return read_card(target)
 
 
@@ -115,11 +112,15 @@ def _argument_not_needed(name: str, source: Path) -> UsageError:
     return UsageError(argument(name), problem, "a published checkpoint", f"omit {argument(name)}")
 
 
-def _weights_of_salsanext(source: Path, view: Sensor | None, description: str) -> ImportedWeights:
+def _weights_of_salsanext(
+    source: Path, view: Sensor | None, description: str, *, half: bool
+) -> ImportedWeights:
     """Return weights of salsanext with another sensor or description, if one is given."""
     module, card = read_weights(source)
-    if view:
-        # The fits for other widths belong to the old sensor.
+    if view is not None or (half and changes_in_half(module)):
+        card = _without_thresholds(card)
+    if view is not None:
+        # The widths are those of the old sensor; the parts for its default width stay.
         card = replace(card, sensor=view, widths=(), parts_of_widths={})
     card = replace(card, description=description or card.description, version=None)
     return ImportedWeights(module=module, card=card)

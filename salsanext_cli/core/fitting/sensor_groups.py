@@ -98,8 +98,8 @@ def _placed_scan(number: int, scan: Scan, sensor: Sensor) -> _PlacedScan | None:
     if place is None:
         return None
     up = UP if place.up[UPWARDS] > 0 else (0.0, 0.0, -1.0)
-    placed_sensor = replace(sensor, up=up, origin=tuple(place.position.tolist()))
-    traits = traits_of(in_sensor_frame(scan, placed_sensor))
+    sensor_at_place = replace(sensor, up=up, origin=tuple(place.position.tolist()))
+    traits = traits_of(in_sensor_frame(scan, sensor_at_place))
     if traits is None:
         return None
     is_far = bool(place.distance_aside > REGISTERED_M)

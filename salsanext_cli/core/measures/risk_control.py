@@ -244,7 +244,7 @@ class RiskBoundCheck:
             worst=float(losses.max()),
             scope=_scope(guaranteed),
             are_others=are_others,
-            consecutive=guaranteed.consecutive,
+            consecutive=bool(guaranteed.consecutive),
         )
 
     @property

@@ -82,8 +82,8 @@ class RiskThreshold:
     views: tuple[FittedView, ...] = ()  # Fields of view of the sensors
     population: tuple[UnitTraits, ...] = ()  # Of each unit; empty in files of early versions
     data_set: str | None = None  # Name of its folder; None in files of early versions
-    # Whether most scans follow each other, so that the guarantee of scans does not hold as stated
-    consecutive: bool = False
+    # True if most scans follow each other, so that a guarantee of scans may not hold as stated
+    consecutive: bool | None = None
 
     def __post_init__(self) -> None:
         if not all(map(math.isfinite, (self.threshold, self.at_most))):

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from salsanext_cli.core.checks.warning_codes import WarningCode
 from salsanext_cli.core.errors import TrainingError
 from salsanext_cli.core.measures.accepted_labels import AcceptedLabels
 from salsanext_cli.core.measures.histograms import UNCERTAINTY_BINS, highest_of_bins
@@ -136,8 +137,9 @@ def fit_risk(scans: TuningScans, level: RiskLevel) -> Tuned[RiskFit]:
         {scan.scan: scan.counts for scan in points},
     )
     warnings = _warnings(scans.files, unit, level)
-    threshold = replace(
-        _threshold(scans, judged, kind, unit, level, bins), consecutive=bool(warnings)
+    is_consecutive = any(warning.code == WarningCode.CONSECUTIVE for warning in warnings)
+    threshold = _threshold(
+        scans, judged, kind, unit, level, bins, consecutive=is_consecutive or None
     )
     others = held_out_sequences(shares, level)
     report = RiskFit(
@@ -198,6 +200,8 @@ def _threshold(
     unit: str,
     level: RiskLevel,
     bins: int,
+    *,
+    consecutive: bool | None,
 ) -> RiskThreshold:
     """Return the threshold at the end of a number of bins, with what it depends on."""
     network = scans.network
@@ -214,6 +218,7 @@ def _threshold(
         views=tuple(FittedView.from_sensor(member) for member in network.sensor.members),
         population=_population(judged, unit),
         data_set=(data_set_of(scans.files[0]) or scans.source).resolve().name,
+        consecutive=consecutive,
     )
 
 

@@ -3,11 +3,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scans import SMALL, make_scan, write_bin
+from scans import SMALL, make_scan, refused, write_bin
 
 from salsanext_cli import Scan, project, read_scan, sensor
 from salsanext_cli.commands.stages.inspect import inspect, write_sensor
-from salsanext_cli.core.errors import NoInputError
+from salsanext_cli.core.errors import NoInputError, OutputError
 from salsanext_cli.core.fitting.field_of_view import fit_view
 
 TILT = np.radians(6.5)
@@ -73,3 +73,8 @@ def test_a_fit_for_the_images_of_weights_has_the_view_that_auto_takes(tmp_path):
     write_sensor(tmp_path / "mine.toml", mine, images=False)
     usual = {"means": SMALL.means, "stds": SMALL.stds}
     assert sensor(tmp_path / "mine.toml", SMALL) == replace(mine, **usual)
+    other = replace(mine, fov_up=1.0)
+    with refused(OutputError, tmp_path / "mine.toml"):
+        write_sensor(tmp_path / "mine.toml", other)
+    write_sensor(tmp_path / "mine.toml", other, overwrite=True)
+    assert sensor(tmp_path / "mine.toml", SMALL).fov_up == 1.0

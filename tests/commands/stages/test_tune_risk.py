@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Stage `tune risk`, and what `predict --reject risk` and `eval` make of its threshold."""
 
+import json
 import logging
 import re
 import shutil
@@ -444,6 +445,20 @@ def test_scans_of_other_drives_are_not_those_of_the_threshold(
         assert WarningCode.OTHER_SCANS in caplog.text
         check = evaluate_scans(find_scans(world.data), out, label_space()).guarantee
         assert "not guaranteed" in check.sentence
+
+
+def test_a_run_with_a_threshold_of_an_early_version_continues(unsure_is_wrong: World, target):
+    """Its record says nothing about consecutive scans."""
+    world = unsure_is_wrong
+    assert world.tune("risk", target, at_most=0.6)["consecutive"] is None
+    settings = {"settings": replace(world.network, weights=target), "reject": "risk"}
+    predict_scans(world.data, world.out, **settings)
+    record = world.out / "predict.json"
+    content = json.loads(record.read_text())
+    content["settings"]["guarantee"].pop("consecutive", None)
+    record.write_text(json.dumps(content))
+    again = predict_scans(world.data, world.out, **settings)
+    assert again.done == 0
 
 
 def test_a_threshold_of_consecutive_scans_is_not_called_guaranteed(

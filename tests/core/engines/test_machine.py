@@ -20,8 +20,15 @@ def test_a_processor_has_the_name_that_the_system_states(text):
     assert machine.name_in(text) == CPUINFO[text]
 
 
-def test_without_a_statement_its_kind_is_named():
-    assert machine.name_in("") == (platform.processor() or platform.machine())
+def test_without_a_statement_its_kind_is_named(tmp_path, monkeypatch):
+    monkeypatch.setattr(machine, "CPUINFO", tmp_path / "missing")
+    assert machine.processor_name() == (platform.processor() or platform.machine())
+
+
+def test_the_statement_is_in_a_file_of_the_system(tmp_path, monkeypatch):
+    (tmp_path / "cpuinfo").write_text("model name : Test 1\n")
+    monkeypatch.setattr(machine, "CPUINFO", tmp_path / "cpuinfo")
+    assert machine.processor_name() == "Test 1"
 
 
 def test_versions_are_of_installed_packages_and_of_python():

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Checkpoints as the published code saves them, and files that only look like it."""
 
+import logging
 import os
 import tracemalloc
 from collections import OrderedDict, defaultdict
@@ -206,11 +207,24 @@ def test_tensors_that_change_in_half_lose_their_threshold(weights, tmp_path, hal
     assert unchanged.risk == unchanged.parts_of_widths[512].risk == risk
 
 
-def test_weights_for_another_sensor_lose_their_threshold(weights, tmp_path):
+@pytest.mark.parametrize("is_of_default_width", [True, False])
+def test_weights_for_another_sensor_lose_their_threshold(
+    weights, tmp_path, caplog, is_of_default_width
+):
+    caplog.set_level(logging.INFO)
     source, target = tmp_path / "tuned.safetensors", tmp_path / "other.safetensors"
     risk = RiskThreshold("error", 0.2, 0.1, None, 20, ("00",))
-    save_with_card(weights, source, replace(read_card(weights), risk=risk))
-    assert import_weights(source, target, view=sensor("hdl32")).risk is None
+    card = read_card(weights)
+    if is_of_default_width:
+        tuned = replace(card, risk=risk)
+    else:
+        narrow = {512: FittedParts(risk=risk)}
+        tuned = replace(card, widths=(card.sensor.width, 512), parts_of_widths=narrow)
+    save_with_card(weights, source, tuned)
+    other = import_weights(source, target, view=sensor("hdl32"))
+    assert other.risk is None
+    assert other.parts_of_widths == {}
+    assert "`tune risk`" in caplog.text
 
 
 def test_a_file_that_was_written_meanwhile_is_kept(checkpoint, tmp_path):
