@@ -107,7 +107,12 @@ def _no_threshold(settings: NetworkSettings, network: Network) -> WeightsError:
     if settings.width:
         options.append(setting("width", settings.width))
     tune = command("salsanext tune risk DATASET WEIGHTS_OUT", *options)
-    problem = f"has no threshold of risk for images of {network.sensor.width} columns"
+    problem = "has no threshold of risk"
+    parts_of_widths = network.card.parts_of_widths
+    others = sorted(width for width, parts in parts_of_widths.items() if parts.risk)
+    if others:
+        columns = ", ".join(map(str, others))
+        problem += f" for images of {network.sensor.width} columns, only for {columns}"
     return WeightsError(network.backend.name, problem, hint=f"choose one with `{tune}`")
 
 
@@ -127,7 +132,9 @@ def _not_covered(
 ) -> UsageError:
     """Return the error about a setting by which a guarantee does not cover the labels."""
     problem = f"the guarantee of `{setting('reject', 'risk')}` does not cover other labels"
-    if name in KEY_OF and name != "sensor":
+    if name not in KEY_OF:
+        return UsageError(argument(name), problem, hint=f"omit {argument(name)}")
+    if name != "sensor":
         key = KEY_OF[name]
         tuned = as_typed(name, risk.settings.get(key))
         current = as_typed(name, labels_depend_on(settings, network).get(key))

@@ -71,6 +71,8 @@ def print_summary_and_exit(
     for line in numbers.lines:
         output.print(line)
     if outcome.has_results:
+        if outcome.summary and outcome.done and outcome.skipped:
+            output.print(f"of the {counted(outcome.done, 'new scan')}:")
         for line in _lines_on_scans(outcome.summary):
             output.print(line)
         if following is not None:

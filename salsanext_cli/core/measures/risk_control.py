@@ -282,7 +282,7 @@ class RiskBoundCheck:
         elif self.incomparable:
             guaranteed = (
                 "these scans cannot be compared with those that the threshold was chosen on "
-                f"({self.incomparable}); only for {self.scope}: {bound}"
+                f"({self.incomparable}); the guarantee holds only for {self.scope}: {bound}"
             )
         worst = f"{percentage(self.worst)} in the worst {self.unit}"
         return f"{guaranteed}; measured: {measured}, {worst}"

@@ -50,9 +50,14 @@ def require_scans(source: Path, count: int, level: RiskLevel) -> None:
         return
     if confidence is None:
         lowest = math.ceil(1000 / (count + 1)) / 10
-        useful = min(2 * lowest, 95.0)  # The lowest one leaves no room for wrong points
+        # The lowest level leaves no room for wrong points: ((n + 1) L - 1) / n = L / 2.
+        useful = min(math.ceil(2000 / (count + 2)) / 10, 95.0)
         best = f"{lowest:g} %"
-        room = f"{share('at_most', useful / 100)}, which leaves half of it for wrong points"
+        needed = counted(useful_scans(level.at_most, confidence) - count, "more scan")
+        room = (
+            f"{share('at_most', useful / 100)}, which leaves half of it for wrong points; "
+            f"{needed} would leave half of {percentage(level.at_most, figures=3)}"
+        )
     else:
         exceed = 1 - (1 - confidence) ** (1 / max(count, 1))  # Clopper and Pearson's bound
         best = f"{percentage(exceed, 0)} of scans above the level, "

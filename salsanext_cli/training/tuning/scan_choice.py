@@ -61,6 +61,8 @@ def labelled_scans(
         hint = f"choose scans with {argument('sequences')}"
         if not scans:
             expected = "labelled scans of split valid, or of no split"
+            if not any(present(scan.label_path) for scan in splits_of_scans):
+                raise NoInputError(dataset, "has no labels", expected)
             raise NoInputError(dataset, "has no scans to tune on", expected, hint)
         log_unused(files, scans, splits, hint)
     require_labels(evenly_spaced(scans, selection.limit or 0))

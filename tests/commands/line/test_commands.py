@@ -109,6 +109,14 @@ def test_messages_go_to_stderr(predict, weights, tmp_path):
     assert "08/000000: done" in predict(out, "--overwrite", "--verbose").stderr
 
 
+def test_a_run_that_continues_says_that_its_lines_are_about_the_new_scans(predict, tmp_path):
+    predict(tmp_path / "out", "--limit", 1)
+    continued = predict(tmp_path / "out").stderr.splitlines()
+    headline = next(n for n, line in enumerate(continued) if line.startswith("predict: 1 scan, 1"))
+    assert continued[headline + 1] == "of the 1 new scan:"
+    assert continued[headline + 2].startswith("image: ")
+
+
 def test_quiet_prints_errors_only_and_failures_are_in_the_json(predict, data, tmp_path):
     result = predict(tmp_path / "out", "-q")
     assert (result.exit_code, result.output) == (0, "")

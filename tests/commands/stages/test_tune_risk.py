@@ -20,7 +20,7 @@ from salsanext_cli.commands.stages.models import describe_weights
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.commands.stages.report import read_run, report
 from salsanext_cli.core.checks.warning_codes import WarningCode
-from salsanext_cli.core.errors import TrainingError, UsageError, WeightsError
+from salsanext_cli.core.errors import NoInputError, TrainingError, UsageError, WeightsError
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.measures.risk_control import RISK_BOUND_EXCEEDED
 from salsanext_cli.core.network.card import AccuracyLine, RiskThreshold
@@ -246,7 +246,7 @@ def test_a_guarantee_that_does_not_hold_warns(unsure_is_wrong: World, target, ca
 @pytest.mark.parametrize(
     ("numbers", "expected"),
     [
-        ({"at_most": 0.05}, ("25 %", "16 more", "at_most=0.5,")),
+        ({"at_most": 0.05}, ("25 %", "16 more", "at_most=0.4,")),
         ({"at_most": 0.05, "confidence": 0.9}, ("54 % of scans", "19 more", "lower confidence")),
     ],
 )
@@ -256,6 +256,24 @@ def test_too_few_scans_for_a_guarantee_are_refused(world: World, target, numbers
     error = caught.value
     texts = (error.problem, error.expected, error.hint)
     assert all(part in text for part, text in zip(expected, texts, strict=True))
+
+
+def test_scans_without_labels_are_named_as_such(world: World, target) -> None:
+    (world.data / "sequences/08").rename(world.data / "sequences/mine")
+    for labels in (world.data / "sequences").glob("*/labels"):
+        shutil.rmtree(labels)
+    given = {"at_most": 0.6, "selection": ScanSelection()}
+    error = refused(NoInputError, world.data, world.tune, "risk", target, **given).value
+    assert error.problem == "has no labels"
+
+
+def test_classes_of_which_no_threshold_was_chosen_are_omitted(unsure_is_wrong, target) -> None:
+    world = unsure_is_wrong
+    world.tune("risk", target, at_most=0.6)
+    coarse = replace(world.network, weights=target, classes=label_space("coarse"))
+    given = {"settings": coarse, "reject": "risk"}
+    error = refused(UsageError, "classes", predict_scans, world.data, world.out, **given).value
+    assert error.hint == "omit classes"
 
 
 def test_impossible_levels_are_refused(unsure_is_wrong: World, target) -> None:

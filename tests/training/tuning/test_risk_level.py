@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: MIT
 """A level of risk needs as many scans as the bounds of the guarantee do."""
 
+import re
+
 import pytest
 from scans import refused
 
 from salsanext_cli.core.errors import UsageError
-from salsanext_cli.core.measures.risk_control import needed_scans, useful_scans
+from salsanext_cli.core.measures.risk_control import needed_scans, share_left, useful_scans
 from salsanext_cli.training.tuning.risk_level import (
     FewUnits,
     RiskLevel,
@@ -38,6 +40,14 @@ def test_the_least_number_of_scans_is_enough_and_one_less_is_not(level, tmp_path
     least = needed_scans(*level)
     require_scans(tmp_path, least, level_of(level))
     refused(TooFewScansError, tmp_path, require_scans, tmp_path, least - 1, level_of(level))
+
+
+@pytest.mark.parametrize("scans", [3, 8, 18])
+def test_the_proposed_level_leaves_half_of_it_for_wrong_points(scans, tmp_path):
+    with pytest.raises(TooFewScansError) as caught:
+        require_scans(tmp_path, scans, RiskLevel(at_most=0.01))
+    proposed = float(re.search(r"at_most=([\d.]+)", caught.value.hint)[1])
+    assert share_left(scans, proposed) == pytest.approx(proposed / 2, abs=0.001)
 
 
 @pytest.mark.parametrize("level", LEVELS)
