@@ -40,7 +40,7 @@ CHUNKS_IN_FLIGHT = 2  # Chunks sent per worker, so that the next is ready when o
 HARMLESS_WARNINGS = (
     # The user has stopped the run.
     ".*tasks which were still being processed",
-    # A worker that grows while it loads a network is replaced.
+    # Loky itself replaces an idle worker that has grown while it loaded a network; nothing is lost.
     "A worker stopped while some jobs were given",
 )
 """Warnings of joblib without use for a user; raised as errors, they would stop its threads."""

@@ -2,12 +2,13 @@
 """The loop over scans: a task on each scan of a shard that has no results yet.
 
 `run_over_scans` decides which scans are attempted, counts the attempts and handles their failures:
-an error of a scan ends the run or is listed in the `Outcome`, by ``options.on_error``. It never
-attempts a scan twice: a further run attempts what failed or is missing.
+an error of a scan ends the run or is listed in the `Outcome`, by ``options.on_error``. A failed
+scan is attempted again only by a further run.
 
 The attempts come from one of two functions. Both overlap the three steps of a job by `pipeline`,
-which turns the error of a scan into a failed attempt, and computes a batch that does not fit
-into memory again in smaller ones.
+which turns the error of a scan into a failed attempt. If a batch of several scans fails, `pipeline`
+computes each of them alone, so that one scan does not fail the others; if it did not fit into
+memory, the next batches are smaller.
 
 - In this process: `pipeline.opened`.
 - By several workers: `pool.attempts_of_workers`, which replaces no dead worker.
