@@ -103,8 +103,8 @@ class StudiedDrive:
         words = ("--weights", weights, "--probabilities", "--error")
         salsanext("predict", self.scans(), out, *words)
         poses = self.folder / "poses.txt"
-        given = ("--poses", poses) if poses.exists() else ()
-        salsanext("fuse", out, *given)
+        pose_options = ("--poses", poses) if poses.exists() else ()
+        salsanext("fuse", out, *pose_options)
 
     def predicted(self, out: Path, file: ScanFile) -> npt.NDArray[np.uint32]:
         """Return the raw ids of the labels of a scan in a folder, (N,)."""
@@ -164,8 +164,8 @@ def least_probabilities(scans: Sequence[ProbableLabels]) -> Float:
     probability = np.concatenate([scan.probability for scan in scans])
     least = np.full(label_space().class_count, CERTAIN, np.float32)
     for train_id in np.unique(labels):
-        of_class = probability[labels == train_id]
-        least[train_id] = min(CERTAIN, np.quantile(of_class, REJECTED_SHARE))
+        probability_of_class = probability[labels == train_id]
+        least[train_id] = min(CERTAIN, np.quantile(probability_of_class, REJECTED_SHARE))
     return least
 
 
@@ -231,39 +231,43 @@ def train_round(learner: Learner, samples: Samples, number: int) -> None:
             print(f"step {step + 1}, loss {loss:.3f}, {seconds:.0f} s", flush=True)
 
 
-def study(drive: StudiedDrive, pool: ScenePool, weights: Path, how: Recipe) -> None:
+def study(drive: StudiedDrive, pool: ScenePool, weights: Path, plan: Recipe) -> None:
     """Train on a drive in rounds; write and print the scores before and after each."""
     card = read_card(weights)
-    module, _ = initial_network(weights, card.space, how, card.sensor)
+    module, _ = initial_network(weights, card.space, plan, card.sensor)
     simulated = [pool.source(kind) for kind in KINDS]
     points = np.zeros(card.space.class_count, np.int64)
     for source in simulated:
-        few = replace(source, files=evenly_spaced(source.files, COUNTED_SCANS))
-        points += count_classes(few).points.sum(axis=0)
+        counted = replace(source, files=evenly_spaced(source.files, COUNTED_SCANS))
+        points += count_classes(counted).points.sum(axis=0)
     scored = card.space.scored
-    of_classes = class_weights(points, scored, how.class_weight)
-    learner = Learner(module, how, of_classes, torch.device("cpu"))
+    weights_of_classes = class_weights(points, scored, plan.class_weight)
+    learner = Learner(module, plan, weights_of_classes, torch.device("cpu"))
     fitted = fit_network(load_network(weights, "cpu"), drive.scans()).sensor
     rows: list[Json] = []
     teacher = weights
-    for number in range(how.epochs + 1):
+    for number in range(plan.epochs + 1):
         out = drive.work / f"round-{number}"
         drive.label(teacher, out)
         row = {"single": drive.scores(out), "fused": drive.scores(out / FUSED)}
-        rows.append({"steps": number * how.samples_per_epoch // how.batch, **row})
+        rows.append({"steps": number * plan.samples_per_epoch // plan.batch, **row})
         print(drive.folder.name, json.dumps(rows[-1]), flush=True)
-        content = {"recipe": how.to_dict(), "scans": len(find_scans(drive.scans())), "rounds": rows}
+        content = {
+            "recipe": plan.to_dict(),
+            "scans": len(find_scans(drive.scans())),
+            "rounds": rows,
+        }
         (drive.work / "scores.json").write_text(json.dumps(content, indent=1), "utf-8")
-        if number == how.epochs:
+        if number == plan.epochs:
             break
         files = write_probable_labels(drive, out, drive.work / f"labels-{number}")
-        of_drive = Source(
+        drive_source = Source(
             files=files, space=label_space(), sensor=card.sensor, fitted={drive.folder.name: fitted}
         )
         samples = ProbableSamples(
-            sources=[of_drive, *simulated],
+            sources=[drive_source, *simulated],
             sensor=card.sensor,
-            recipe=how,
+            recipe=plan,
             rare=rare_classes(points, scored),
         )
         train_round(learner, samples, number)
@@ -282,23 +286,23 @@ def main(*words: str) -> None:
     parser.add_argument("--steps", type=int, default=500)
     parser.add_argument("--rounds", type=int, default=2)
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
-    given = parser.parse_args(words or None)
-    how = recipe("finetune").with_changes(**CHANGES | read_overrides(given.set))
-    how = how.with_changes(
+    options = parser.parse_args(words or None)
+    plan = recipe("finetune").with_changes(**CHANGES | read_overrides(options.set))
+    plan = plan.with_changes(
         precision=fastest_precision(torch.device("cpu")),
-        epochs=given.rounds,
-        samples_per_epoch=given.steps // given.rounds * how.batch,
+        epochs=options.rounds,
+        samples_per_epoch=options.steps // options.rounds * plan.batch,
     )
-    weights = weights_file(given.weights)
-    pool = ScenePool(given.scenes, read_card(weights).sensor)
-    for folder in given.drives:
+    weights = weights_file(options.weights)
+    pool = ScenePool(options.scenes, read_card(weights).sensor)
+    for folder in options.drives:
         drive = StudiedDrive(
             folder=folder,
-            work=given.folder / folder.name,
-            truth=label_space(given.label_space),
-            classes=label_space(given.classes),
+            work=options.folder / folder.name,
+            truth=label_space(options.label_space),
+            classes=label_space(options.classes),
         )
-        study(drive, pool, weights, how)
+        study(drive, pool, weights, plan)
 
 
 if __name__ == "__main__":
