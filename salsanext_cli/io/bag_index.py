@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Times of the messages of a ROS bag from its index, without reading the messages.
+"""Times of the messages of a ROS bag without reading them, its compression and metadata.
 
 This is the only module that uses the private interfaces of rosbags, whose versions `pyproject.toml`
 therefore bounds from above.
@@ -45,6 +45,41 @@ def message_times(reader: Any, is_wanted: IsWanted) -> Iterator[int]:
     int
     """
     yield from _times(_storage(reader), is_wanted)
+
+
+def compression_of(reader: Any) -> str:
+    """Return how a bag is compressed, as the writers of rosbags name it; empty if it is not.
+
+    Parameters
+    ----------
+    reader : rosbags.highlevel.AnyReader
+        Open reader of one bag.
+
+    Returns
+    -------
+    str
+        ``BZ2`` or ``LZ4`` for ROS 1; ``FILE``, ``MESSAGE`` or, for the chunks of MCAP files,
+        ``STORAGE`` for ROS 2.
+    """
+    storage = _storage(reader)
+    if hasattr(storage, "indexes"):  # ROS 1
+        from rosbags.rosbag1.reader import decompressors
+
+        names = {decompressor: name.upper() for name, decompressor in decompressors.items()}
+        used = {names[chunk.decompressor] for chunk in storage.chunks.values()} - {"NONE"}
+        return min(used, default="")
+    mode = storage.metadata.compression_mode
+    if mode:
+        return str(mode).upper()
+    for file in getattr(storage, "storages", [storage]):
+        if any(chunk.compression for chunk in getattr(file, "chunks", ())):
+            return "STORAGE"
+    return ""
+
+
+def custom_data(reader: Any) -> dict[str, str]:
+    """Return the texts that the metadata of a bag of ROS 2 has by names of the user."""
+    return dict(_storage(reader).metadata.custom or {})
 
 
 def _storage(reader: Any) -> Any:

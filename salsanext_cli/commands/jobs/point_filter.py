@@ -50,9 +50,9 @@ class FilteredScan:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WrittenScan:
-    """Name of a filtered scan, and the number of its points."""
+    """Filtered scan, and the number of its points."""
 
-    name: str
+    file: ScanFile
     counts: FilteredPoints
 
 
@@ -91,6 +91,24 @@ class PointFilter:
             without_error=without_error,
         )
         return FilteredScan(remains=remains, counts=counts)
+
+    def filtered_cloud(self, file: ScanFile) -> FilteredScan:
+        """Choose the remaining points of a cloud of a bag.
+
+        A cloud without labels has no measurements: its points have neither a class nor an error.
+        """
+        if present(output_path(self.results.root, file.sequence, "predictions", file.stem)):
+            return self.filtered(file)
+        count = len(read_scan(file.path, self.sensor))
+        accepted = bool(self.selected[0]) and not self.settings.measured_only
+        has_limit = self.settings.max_error is not None
+        remains = accepted and not has_limit
+        counts = FilteredPoints(
+            points=count,
+            remaining=count if remains else 0,
+            without_error=count if accepted and has_limit else 0,
+        )
+        return FilteredScan(remains=np.full(count, remains), counts=counts)
 
     def _labels(self, file: ScanFile, count: int | None) -> TrainIds:
         """Read the predicted train ids (N,) of a scan; `count`: number of points, if known."""
@@ -140,4 +158,4 @@ class PointFilter:
             self.owned.write(path, content)
         elif present(path):
             self.owned.remove_written([path])
-        return WrittenScan(name=file.name, counts=filtered.counts)
+        return WrittenScan(file=file, counts=filtered.counts)

@@ -45,6 +45,7 @@ COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
     "Data": {
         "convert": own_data.convert,
         "export-ply": results.export_ply,
+        "export-bag": results.export_bag,
         "picture": look.picture,
         "filter": results.filter_command,
         "synth": own_data.synth,

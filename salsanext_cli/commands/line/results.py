@@ -81,14 +81,16 @@ def filter_command(
     out: Path = argument(
         "Folder with the results of earlier commands.", default=..., metavar="OUT"
     ),
-    target: Path = argument("New folder to write the scans to.", default=..., metavar="TARGET"),
+    target: Path = argument(
+        "New folder to write the scans or bags to.", default=..., metavar="TARGET"
+    ),
     *,
     points: PointChoice,
     query: Annotated[ResultQuery, Without({"split", "label_space", "classes"})],
     running: RunOptions,
     output: console.Output,
 ) -> None:
-    """Copy the scans without some points, chosen by class or by probability of error.
+    """Copy scans or ROS bags without some points, chosen by class or by probability of error.
 
     Example: salsanext filter out/ static/ --drop moving
     """
@@ -107,6 +109,28 @@ def filter_command(
     summary.print_summary_and_exit(
         "filter", outcome, target, output, numbers=_filter_numbers(outcome)
     )
+
+
+def export_bag(
+    out: Path = argument("Folder with the labels of clouds of a bag.", default=..., metavar="OUT"),
+    target: Path = argument("New folder to write the bags to.", default=..., metavar="TARGET"),
+    *,
+    topic: str | None = option(
+        "Topic of the labelled clouds.", metavar="NAME", show_default="TOPIC/labelled"
+    ),
+    query: Annotated[ResultQuery, Without({"split", "limit"})],
+    running: Annotated[RunOptions, Without({"jobs"})],
+    output: console.Output,
+) -> None:
+    """Copy ROS bags with a new topic of the clouds and their labels, errors and colours.
+
+    Example: salsanext export-bag out/ labelled/
+    """
+    from salsanext_cli.commands.stages.export_bag import export_bag as stage
+
+    with over_scans("export-bag", running, output.quiet) as run:
+        outcome = stage(out, target, topic=topic, query=query, options=run)
+    summary.finish("export-bag", outcome, target, output)
 
 
 def _filter_numbers(outcome: "FilterOutcome") -> summary.StageNumbers:

@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: MIT
-"""Stage `filter`: scans in their format, without the points of some classes."""
+"""Stage `filter`: scans in their format, and bags, without the points of some classes."""
 
 import logging
-from collections.abc import Collection
-from contextlib import ExitStack
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from salsanext_cli.commands.jobs.bag_run import BagOfResults, BagRun, bags_of, is_bag
+from salsanext_cli.commands.jobs.filled_folder import begin
 from salsanext_cli.commands.jobs.point_filter import FilterSettings, PointFilter, WrittenScan
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.classes.merging import MOVABLE, named_classes
@@ -16,9 +18,10 @@ from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.measures.filtered_points import FilteredPoints
 from salsanext_cli.core.texts import counted, first_few, with_hint
 from salsanext_cli.core.wording import argument, command, setting
+from salsanext_cli.io.formats.bag_copies import Types
+from salsanext_cli.io.formats.cloud_changes import cloud_subset
 from salsanext_cli.io.formats.recordings import recording_of
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
-from salsanext_cli.runs.results.manifest import StageRecord, require_same_settings, settings_json
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.paths import ERROR, PREDICTION_STAGES, ScanFile, with_outputs
 from salsanext_cli.runs.results.query import ResultQuery
@@ -46,6 +49,9 @@ def filter_scans(
 ) -> FilterOutcome:
     """Write scans in their format, without some of their points, to `FOLDER/sequences/<seq>/`.
 
+    A bag is written to `FOLDER/<seq>.bag` (ROS 1) or `FOLDER/<seq>/` (ROS 2), with all other
+    messages.
+
     Parameters
     ----------
     out : Path
@@ -68,23 +74,63 @@ def filter_scans(
     FilterOutcome
     """
     task, chosen = _point_filter(out, folder, drop, keep, max_error, query)
-    written = list[WrittenScan]()
-    with ExitStack() as stack:
-        with task.owned.locked_records():
-            _begin(task.owned, task.settings, options.overwrite)
-            stack.enter_context(task.owned.open(shared=True))
-        paths = map(task.path, chosen.scans)
-        task = replace(task, foreign=frozenset(task.owned.foreign_files(paths)))
-        outcome = run_over_scans(
-            task.write, chosen.scans, options, is_done=task.is_done, on_result=written.append
-        )
-    total = sum((scan.counts for scan in written), FilteredPoints())
-    empty = sorted(scan.name for scan in written if not scan.counts.remaining)
+    bags = bags_of(chosen.scans)
+    _require_one_kind(chosen.scans, bags, query)
+    written: dict[ScanFile, FilteredPoints] = {}
+    with begin(task.owned, task.settings, options.overwrite):
+        if bags:
+            outcome = _filter_bags(task, bags, options, written)
+        else:
+            outcome = _filter_files(task, chosen.scans, options, written)
+    total = sum(written.values(), FilteredPoints())
+    empty = [scan.name for scan, counts in sorted(written.items()) if not counts.remaining]
     if empty:
         log.warning("no point remains of %s: %s", counted(len(empty), "scan"), first_few(empty))
     if drop and total.rejected:
         log.warning("%s", _warning_of_rejected(total.rejected, drop, task.space))
     return FilterOutcome.from_run(outcome, missing=chosen.missing, filtered_points=total)
+
+
+def _filter_files(
+    task: PointFilter,
+    scans: Sequence[ScanFile],
+    options: RunOptions,
+    written: dict[ScanFile, FilteredPoints],
+) -> Outcome:
+    """Write files of scans without some points; add the numbers of their points to `written`."""
+    paths = map(task.path, scans)
+    task = replace(task, foreign=frozenset(task.owned.foreign_files(paths)))
+
+    def add(scan: WrittenScan) -> None:
+        written[scan.file] = scan.counts
+
+    return run_over_scans(task.write, scans, options, is_done=task.is_done, on_result=add)
+
+
+def _filter_bags(
+    task: PointFilter,
+    bags: Sequence[BagOfResults],
+    options: RunOptions,
+    written: dict[ScanFile, FilteredPoints],
+) -> Outcome:
+    """Write bags without some points; add the numbers of their points to `written`."""
+
+    def new_cloud(file: ScanFile, message: Any, _: Types) -> Any:
+        filtered = task.filtered_cloud(file)
+        written[file] = filtered.counts
+        return cloud_subset(message, filtered.remains, file.path)
+
+    run = BagRun(
+        results=task.results,
+        owned=task.owned,
+        new_topic=lambda bag, topic: topic,
+        new_cloud=new_cloud,
+    )
+    outcome = run.run(bags, options)
+    failed = {failure.scan.sequence for failure in outcome.failures}
+    for file in [file for file in written if file.sequence in failed]:
+        del written[file]
+    return outcome
 
 
 def _warning_of_rejected(count: int, drop: Collection[str], space: LabelSpace) -> str:
@@ -116,7 +162,6 @@ def _point_filter(
     selected = named_classes(keep or space.names, space) & ~named_classes(drop, space)
     if max_error is not None and not with_outputs(chosen.scans, out, ERROR):
         raise results.missing_column("error", chosen.scans[0])
-    _require_files(chosen.scans[0])
     settings = FilterSettings(
         results=str(out.absolute()),
         classes=tuple(np.array(space.names)[selected].tolist()),
@@ -148,26 +193,20 @@ def _require_choice_of_points(
         raise UsageError(argument("max_error"), f"{max_error:g}", "a probability from 0 to 1")
 
 
-def _require_files(scan: ScanFile) -> None:
-    """Refuse scans in a recording."""
-    recording = recording_of(scan.path)
-    if recording:
-        hint = f"run `salsanext convert {recording} DATA`, then predict and filter DATA"
-        problem = "is a recording, which `filter` cannot write"
-        raise UsageError(recording, problem, "files of scans", hint)
-
-
-def _begin(owned: OwnedFolder, settings: FilterSettings, overwrite: bool) -> None:
-    """Record the settings in a new folder, or one with the same settings unless overwriting."""
-    record = StageRecord(stage=owned.stage, settings=settings_json(settings))
-    earlier = owned.manifest.record(owned.stage)
-    if earlier is None:
-        owned.require_new()
-    elif not earlier.has_settings(record.settings):
-        outdated = [path for path in owned.written() if path != owned.record_path]
-        if outdated and not overwrite:
-            require_same_settings(owned.record_path, earlier.settings, record.settings)
-        if owned.is_shared():
-            raise owned.busy()
-        owned.remove_written(outdated)
-    owned.manifest.write(record)
+def _require_one_kind(
+    scans: Sequence[ScanFile], bags: Sequence[BagOfResults], query: ResultQuery
+) -> None:
+    """Refuse captures, scans of bags beside others, and a limit on the clouds of a bag."""
+    recordings = {folder: recording_of(folder) for folder in {scan.path.parent for scan in scans}}
+    for recording in recordings.values():
+        if recording is not None and not is_bag(recording):
+            hint = f"run `salsanext convert {recording} DATA`, then predict and filter DATA"
+            problem = "is a capture of packets, which `filter` cannot write"
+            raise UsageError(recording, problem, "files of scans, or bags", hint)
+    if bags and None in recordings.values():
+        names = tuple(sorted({bag.first.sequence for bag in bags}))
+        hint = f"filter the bags alone, with {setting('sequences', names)}"
+        raise UsageError(bags[0].path, "is a bag, beside files of scans", "one of them", hint)
+    if bags and query.selection.limit is not None:
+        hint = f"omit {argument('limit')}"
+        raise UsageError(argument("limit"), "is of scans; a bag is written as a whole", hint=hint)

@@ -135,6 +135,7 @@ FORMATS: Mapping[str, Format] = {
         read=_reader_of_columns("tables.arrow", "feather_columns"),
         magic=(b"ARROW1", b"FEA1"),
         is_table=True,
+        subset=_imported("tables.arrow", "feather_subset"),
     ),
     "parquet": Format(
         suffixes=(".parquet",),

@@ -3,6 +3,7 @@
 
 import re
 import weakref
+from collections.abc import Collection
 from contextlib import suppress
 from itertools import islice
 from operator import attrgetter
@@ -36,6 +37,7 @@ class Bag:
         from rosbags.typesys import Stores, get_typestore
 
         self.path = path
+        self.is_mcap = any(MCAP in file.suffixes for file in files)
         self._lock = Lock()
         for file in files:
             # The library would block at a pipe and hide the errors of the system.
@@ -68,6 +70,14 @@ class Bag:
         """Return the topics with point clouds, sorted."""
         return [topic for topic, kind in self.topics().items() if kind in CLOUD_MESSAGES]
 
+    def other_points(self, topics: Collection[str]) -> list[str]:
+        """Return the topics with clouds or packets of a sensor that are none of some topics."""
+        return [
+            topic
+            for topic, kind in self.topics().items()
+            if topic not in topics and (kind in CLOUD_MESSAGES or PACKETS.search(kind))
+        ]
+
     def without_clouds(self) -> NoInputError:
         """Return the error of a bag without point clouds, with its topics."""
         kinds = self.topics()
@@ -81,7 +91,7 @@ class Bag:
         """Return the recording times of the clouds of a topic in nanoseconds, sorted."""
         with self._lock, refusing_damage(self.path, EXPECTED, HINT):
             return sorted(
-                message_times(self.reader, lambda connection: _is_cloud(connection, topic))
+                message_times(self.reader, lambda connection: is_cloud(connection, topic))
             )
 
     def point_count(self, topic: str) -> int:
@@ -127,7 +137,7 @@ class Bag:
 
     def _message(self, topic: str, time: int, number: int, path: Path) -> tuple[Any, str]:
         """Return the message of a topic and a time, and its type; `path` is for errors."""
-        clouds = [c for c in self.reader.connections if _is_cloud(c, topic)]
+        clouds = [c for c in self.reader.connections if is_cloud(c, topic)]
         with refusing_damage(path, EXPECTED, HINT):
             with self._lock:
                 messages = self.reader.messages(clouds, time, time + 1)
@@ -138,6 +148,6 @@ class Bag:
             return self.reader.deserialize(raw, connection.msgtype), connection.msgtype
 
 
-def _is_cloud(connection: Any, topic: str) -> bool:
+def is_cloud(connection: Any, topic: str) -> bool:
     """Return whether a connection has clouds of a topic."""
     return connection.topic == topic and connection.msgtype in CLOUD_MESSAGES

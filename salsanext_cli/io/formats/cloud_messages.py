@@ -71,8 +71,8 @@ def columns_of_fields(message: Any, path: Path) -> Columns:
     step = message.point_step
     order = ">" if message.is_bigendian else "<"
     with refusing_damage(path, EXPECTED):
-        row_step = _row_step(message)
-        size = (height - 1) * row_step + width * step if height and width else 0
+        bytes_of_row = row_step(message)
+        size = (height - 1) * bytes_of_row + width * step if height and width else 0
         if len(message.data) < size:
             raise ValueError(f"{len(message.data)} bytes of data, not {size}")
         fields: dict[str, tuple[str, int]] = {}
@@ -88,11 +88,11 @@ def columns_of_fields(message: Any, path: Path) -> Columns:
             }
         )
         data = np.asarray(message.data, np.uint8)
-        points = np.ndarray((height, width), point, data, 0, (row_step, step))
+        points = np.ndarray((height, width), point, data, 0, (bytes_of_row, step))
     return {name: points[name].ravel() for name in fields}
 
 
-def _row_step(message: Any) -> int:
+def row_step(message: Any) -> int:
     """Return the bytes from row to row of a PointCloud2 message."""
     row = int(message.width * message.point_step)
     # Some drivers write 0, or the size of the whole cloud.

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.core.errors import FormatError
+from salsanext_cli.core.errors import FormatError, LabelError
 from salsanext_cli.core.records import Double, FileNotes, Float, Scan, normalised_intensity
 from salsanext_cli.core.sensors.sensor import MAX_COLUMNS, UNUSED_COLUMN
 from salsanext_cli.core.texts import counted
@@ -172,3 +172,9 @@ def require_near_origin(points: Float | Double, path: Path) -> None:
             problem = f"has map coordinates: {axis} from {finite.min():.0f} to {finite.max():.0f}"
             hint = "subtract the position of the sensor from the coordinates"
             raise FormatError(path, problem, "metres from a sensor at the origin", hint)
+
+
+def other_number(points: int, labels: int, path: Path) -> LabelError:
+    """Return the error of a file with another number of points than labels."""
+    expected = f"{labels:,}, the number of labels"
+    return LabelError(path, f"has {counted(points, 'point')}", expected, "predict again")

@@ -143,10 +143,13 @@ def _several_topics(folder: Path, recording: Recording, topics: list[str]) -> Us
 def _names(times: list[int]) -> list[str]:
     """Return the names of scans by their sorted times in nanoseconds; equal times get a suffix."""
     return [
-        f"{time:019d}" + (f"_{number}" if number else "")
-        for time, equal in groupby(times)
-        for number, _ in enumerate(equal)
+        scan_name(time, number) for time, equal in groupby(times) for number, _ in enumerate(equal)
     ]
+
+
+def scan_name(time: int, number: int) -> str:
+    """Return the name of a scan by its time in nanoseconds and its number among equal times."""
+    return f"{time:019d}" + (f"_{number}" if number else "")
 
 
 def recorded_columns(path: Path, _: tuple[str, ...] = ()) -> Columns:

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.core.errors import FormatError, LabelError
+from salsanext_cli.core.errors import FormatError
 from salsanext_cli.core.records import Mask
-from salsanext_cli.core.texts import counted
 from salsanext_cli.io.files.reading import reading, refusing_damage
 from salsanext_cli.io.formats import errors_of_plug_ins, format_of, kitti, npy, pcd, ply
+from salsanext_cli.io.formats.columns import other_number
 from salsanext_cli.io.formats.tables.text import BYTE_ORDER_MARK
 from salsanext_cli.io.formats.tables.text_layout import layout_of, without_comments
 
@@ -69,7 +69,7 @@ def npz_subset(path: Path, _: tuple[str, ...]) -> Subset:
             elif array.ndim == 2 and array.shape[1:] == mask.shape:
                 masked[name] = array[:, mask]
         if not masked and len(mask):
-            raise _other_number(0, len(mask), path)
+            raise other_number(0, len(mask), path)
         save: Callable[..., None] = np.savez_compressed if compressed else np.savez
         return _saved(lambda file: save(file, **arrays | masked))
 
@@ -147,14 +147,8 @@ def _rows_subset(path: Path, content: _Rows, number: re.Pattern[bytes] = NUMBERS
 def _masked(rows: npt.NDArray[Any], mask: Mask, path: Path) -> npt.NDArray[Any]:
     """Return the rows (N, …) of a mask; refuse a mask of another length."""
     if len(rows) != len(mask):
-        raise _other_number(len(rows), len(mask), path)
+        raise other_number(len(rows), len(mask), path)
     return rows[mask]
-
-
-def _other_number(points: int, labels: int, path: Path) -> LabelError:
-    """Return the error of a file with another number of points than labels."""
-    expected = f"{labels:,}, the number of labels"
-    return LabelError(path, f"has {counted(points, 'point')}", expected, "predict again")
 
 
 def _pcd_rows(content: bytes, path: Path) -> _Rows:

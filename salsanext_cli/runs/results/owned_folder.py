@@ -121,6 +121,13 @@ class OwnedFolder:
         with writing(path, durable=durable, before_rename=listed) as file:
             file.write(content)
 
+    def adopt(self, written: Path, path: Path) -> None:
+        """Rename a complete file, or a folder of files, to a path of the folder; list its files."""
+        files = [file for file in written.rglob("*") if file.is_file()] or [written]
+        for file in files:
+            self._list(path / file.relative_to(written), file.stat())
+        written.rename(path)
+
     def write_missing(self, path: Path, content: bytes) -> None:
         """Write a file of the folder unless it exists, since it may be edited."""
         if not filled(path):

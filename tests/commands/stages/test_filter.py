@@ -7,7 +7,6 @@ from functools import partial
 
 import numpy as np
 import pytest
-from bags import KINDS, START, STEP, TOPIC, cloud, structured, write_bag
 from evaluated import World
 from scans import files_below, make_scan, refused, write_array, write_bin
 
@@ -256,24 +255,6 @@ def test_scans_that_changed_or_lack_labels_fail_alone(apply, world, tmp_path):
     assert [failure.scan.stem for failure in outcome.failures] == ["000000", "000001"]
     assert "8 points" in outcome.failures[0].reason
     assert not (tmp_path / "to/sequences/08/velodyne").exists()
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_bag_is_refused(tmp_path, kind):
-    """Three clouds, of which the last two have one time."""
-    points = structured(6)
-    times = [START, START + STEP, START + STEP]
-    path = write_bag(tmp_path, kind, [(TOPIC, time, cloud(points)) for time in times])
-    source = (path if kind == ".bag" else path.parent) / TOPIC.strip("/")
-    for stem in (START, START + STEP, f"{START + STEP}_1"):
-        raw = np.uint32([10, 40, 10, 0, 40, 30])
-        write_labels(output_path(tmp_path / "out", "drive", "predictions", str(stem)), raw)
-    call = partial(filter_scans, tmp_path / "out", tmp_path / "to", drop=["car"])
-    with pytest.raises(UsageError) as caught:
-        call(query=ResultQuery(source))
-    assert (caught.value.subject, caught.value.code) == (str(source.parent), "usage")
-    assert f"`salsanext convert {source.parent} DATA`" in str(caught.value.hint)
-    assert not (tmp_path / "to").exists()
 
 
 def test_classes_are_those_of_the_label_space():

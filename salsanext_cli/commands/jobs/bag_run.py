@@ -1,0 +1,233 @@
+# SPDX-License-Identifier: MIT
+"""Run of a stage that copies whole bags with other clouds, for `filter` and `export-bag`."""
+
+import logging
+import shlex
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from salsanext_cli.core.errors import FormatError, NoInputError, OutputError, SalsanextError
+from salsanext_cli.core.geometry.projection import measured_ranges
+from salsanext_cli.core.texts import counted, first_few, with_hint
+from salsanext_cli.io.files.atomic import refusal
+from salsanext_cli.io.files.locks import temporary_folder
+from salsanext_cli.io.files.reading import is_folder, present
+from salsanext_cli.io.formats import BAG_SUFFIXES, read_scan
+from salsanext_cli.io.formats.bag_copies import CloudChange, Types, copy_bag
+from salsanext_cli.io.formats.bags import Bag
+from salsanext_cli.io.formats.recordings import (
+    files_of,
+    is_recording,
+    recorded_paths,
+    recording_of,
+    sequence_of,
+)
+from salsanext_cli.runs.loop.run import Failure, Outcome, RunOptions
+from salsanext_cli.runs.results.making_commands import PREDICT
+from salsanext_cli.runs.results.owned_folder import OwnedFolder, foreign_file
+from salsanext_cli.runs.results.paths import ScanFile, output_path
+from salsanext_cli.runs.results.result_folder import ResultFolder
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BagOfResults:
+    """Bag with the topics whose clouds have results."""
+
+    path: Path
+    folders: tuple[Path, ...]  # Of the topics, as recordings name them
+    first: ScanFile  # First scan with results, which stands for the bag in lists of failures
+
+    def clouds(self) -> list[ScanFile]:
+        """Return all clouds of the topics, with results or not."""
+        return [
+            ScanFile(sequence=self.first.sequence, stem=path.name, path=path)
+            for folder in self.folders
+            for path in recorded_paths(folder)
+        ]
+
+
+def bags_of(scans: Sequence[ScanFile]) -> list[BagOfResults]:
+    """Return the bags that scans are clouds of, in their order; none for scans in files."""
+    first_by_folder: dict[Path, ScanFile] = {}
+    for scan in scans:
+        first_by_folder.setdefault(scan.path.parent, scan)
+    folders_by_bag: dict[Path, list[Path]] = {}
+    for folder in first_by_folder:
+        recording = recording_of(folder)
+        if recording is not None and is_bag(recording):
+            folders_by_bag.setdefault(recording, []).append(folder)
+    return [
+        BagOfResults(path=path, folders=tuple(folders), first=first_by_folder[folders[0]])
+        for path, folders in folders_by_bag.items()
+    ]
+
+
+def is_bag(recording: Path) -> bool:
+    """Return whether a recording is a ROS bag."""
+    return is_folder(recording) or recording.suffix.lower() in BAG_SUFFIXES
+
+
+NewTopic = Callable[[Bag, str], str]
+"""Function from a bag and a topic of it to the topic of the new clouds."""
+NewCloud = Callable[[ScanFile, Any, Types], Any]
+"""Function from a scan, its message and the classes of messages to the new message."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BagRun:
+    """Copies of bags in a folder that a stage fills.
+
+    A bag gets its name when it is complete, and one that fails leaves nothing.
+    """
+
+    results: ResultFolder
+    owned: OwnedFolder
+    new_topic: NewTopic
+    new_cloud: NewCloud
+
+    def run(self, bags: Sequence[BagOfResults], options: RunOptions) -> Outcome:
+        """Copy the bags of this shard that are not done, one after the other."""
+        start = time.monotonic()
+        self._require_a_name_each(bags)
+        firsts = options.shard.of([bag.first for bag in bags])
+        done = 0
+        skipped = 0
+        failures = []
+        for bag in [bag for bag in bags if bag.first in firsts]:
+            try:
+                clouds = bag.clouds()
+                if self._is_done(bag) and not options.overwrite:
+                    skipped += len(clouds)
+                    continue
+                done += self._copy(bag, clouds, options)
+            except SalsanextError as error:
+                if options.on_error == "stop":
+                    raise
+                failures.append(Failure.of(bag.first, error))
+        return Outcome(
+            skipped=skipped, failures=tuple(failures), done=done, seconds=time.monotonic() - start
+        )
+
+    def target(self, bag: BagOfResults) -> Path:
+        """Return the path of a copy: a file for ROS 1, a folder for ROS 2."""
+        suffix = ".bag" if bag.path.suffix.lower() == ".bag" and not is_folder(bag.path) else ""
+        return self.owned.root / f"{sequence_of(bag.path)}{suffix}"
+
+    def _require_a_name_each(self, bags: Sequence[BagOfResults]) -> None:
+        """Refuse two bags whose copies would have the same name."""
+        sources: dict[Path, Path] = {}
+        for bag in bags:
+            target = self.target(bag)
+            if target in sources:
+                problem = f"would be the copy of both {sources[target]} and {bag.path}"
+                raise OutputError(target, problem, "one bag of this name", "rename one of them")
+            sources[target] = bag.path
+
+    def _is_done(self, bag: BagOfResults) -> bool:
+        target = self.target(bag)
+        return present(target) and is_recording(target) and not self._foreign_files(target)
+
+    def _foreign_files(self, target: Path) -> list[Path]:
+        return self.owned.foreign_files(_files_in(target))
+
+    def _copy(self, bag: BagOfResults, clouds: Sequence[ScanFile], options: RunOptions) -> int:
+        """Copy a bag; return the number of its clouds with results."""
+        target = self.target(bag)
+        for path in self._foreign_files(target):
+            raise foreign_file(path)
+        self._require_labels(bag, clouds)
+        opened = Bag(bag.path, files_of(bag.path))
+        changes = self._changes(opened, bag, clouds, options)
+        self._warn_of_other_topics(opened, target, changes)
+        try:
+            with temporary_folder(self.owned.root) as temporary:
+                written = temporary / target.name
+                count = copy_bag(opened, written, changes)
+                if count != len(clouds):
+                    problem = f"has {count:,} clouds, and {len(clouds):,} in its index"
+                    raise FormatError(bag.path, problem, "a complete bag", "repair its index")
+                self._rename(written, target)
+        except OSError as error:
+            raise refusal(target, error) from error
+        return count
+
+    def _rename(self, written: Path, target: Path) -> None:
+        """Give a copy its name, in the place of an earlier one."""
+        for path in self.owned.remove_written(_files_in(target)):
+            raise foreign_file(path)
+        if is_folder(target):
+            target.rmdir()
+        self.owned.adopt(written, target)
+
+    def _changes(
+        self, opened: Bag, bag: BagOfResults, clouds: Sequence[ScanFile], options: RunOptions
+    ) -> Mapping[str, CloudChange]:
+        """Return the new clouds by topic; each one counts as progress."""
+        scans = {cloud.path: cloud for cloud in clouds}
+        counted_clouds = 0
+
+        def changed(path: Path, message: Any, types: Types) -> Any:
+            nonlocal counted_clouds
+            new = self.new_cloud(scans[path], message, types)
+            counted_clouds += 1
+            if options.progress:
+                options.progress(counted_clouds, len(scans))
+            return new
+
+        topics = [t for t in opened.cloud_topics() if bag.path / t.strip("/") in bag.folders]
+        return {
+            topic: CloudChange(topic=self.new_topic(opened, topic), changed=changed)
+            for topic in topics
+        }
+
+    def _require_labels(self, bag: BagOfResults, clouds: Sequence[ScanFile]) -> None:
+        """Refuse a bag if a cloud with measurements has no labels: a bag is copied as a whole."""
+        missing = [
+            cloud
+            for cloud in clouds
+            if not present(label_path(self.results, cloud)) and has_measurements(cloud)
+        ]
+        if missing:
+            names = first_few([cloud.stem for cloud in missing])
+            problem = (
+                f"has no labels of {len(missing):,} of {counted(len(clouds), 'cloud')}: {names}"
+            )
+            hint = self.results.command(PREDICT, missing[0])
+            raise NoInputError(bag.path, problem, "labels of all clouds of the topic", hint)
+
+    def _warn_of_other_topics(
+        self, opened: Bag, target: Path, changes: Mapping[str, CloudChange]
+    ) -> None:
+        """Warn that other topics with points of the bag stay as they are."""
+        others = opened.other_points(changes)
+        if not others or any(topic != change.topic for topic, change in changes.items()):
+            return
+        text = f"{opened.path}: these topics still have all their points: {first_few(others)}"
+        clouds = [topic for topic in others if topic in opened.cloud_topics()]
+        hint = "do not play them"
+        if clouds:
+            words = shlex.join(["salsanext", "predict", str(target / clouds[0].strip("/")), "OUT"])
+            hint = f"do not play them, or filter the new bag in turn: `{words}`, then `filter OUT`"
+        log.warning("%s", with_hint(text, hint))
+
+
+def label_path(results: ResultFolder, file: ScanFile) -> Path:
+    """Return the path of the predicted labels of a scan."""
+    return output_path(results.root, file.sequence, "predictions", file.stem)
+
+
+def has_measurements(file: ScanFile) -> bool:
+    """Return whether any point of a scan has a measurement; the first of a driver may have none."""
+    return bool(measured_ranges(read_scan(file.path).points)[1].any())
+
+
+def _files_in(target: Path) -> list[Path]:
+    """Return a bag that is a file, or the files of one that is a folder."""
+    if not is_folder(target):
+        return [target]
+    return [path for path in sorted(target.rglob("*")) if not is_folder(path)]

@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: MIT
+"""Start of a stage that fills a folder of the user with copies of scans or bags."""
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from typing import Any
+
+from salsanext_cli.runs.results.manifest import StageRecord, require_same_settings, settings_json
+from salsanext_cli.runs.results.owned_folder import OwnedFolder
+
+
+@contextmanager
+def begin(owned: OwnedFolder, settings: Any, overwrite: bool) -> Iterator[None]:
+    """Open a folder that runs of a stage share, and record their settings.
+
+    Parameters
+    ----------
+    owned : OwnedFolder
+        New or empty folder, or one that runs of the stage filled.
+    settings : dataclass
+        Settings that decide the content of the folder.
+    overwrite : bool
+        Whether files of a run with other settings are removed first.
+
+    Raises
+    ------
+    OutputError
+        If the folder contains other files, or results of other settings.
+    """
+    with ExitStack() as stack:
+        with owned.locked_records():
+            _record(owned, settings, overwrite)
+            stack.enter_context(owned.open(shared=True))
+        yield
+
+
+def _record(owned: OwnedFolder, settings: Any, overwrite: bool) -> None:
+    """Record the settings in a new folder, or one with the same settings unless overwriting."""
+    record = StageRecord(stage=owned.stage, settings=settings_json(settings))
+    earlier = owned.manifest.record(owned.stage)
+    if earlier is None:
+        owned.require_new()
+    elif not earlier.has_settings(record.settings):
+        outdated = [path for path in owned.written() if path != owned.record_path]
+        if outdated and not overwrite:
+            require_same_settings(owned.record_path, earlier.settings, record.settings)
+        if owned.is_shared():
+            raise owned.busy()
+        owned.remove_written(outdated)
+    owned.manifest.write(record)

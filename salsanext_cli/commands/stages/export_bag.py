@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: MIT
+"""Stage `export-bag`: bags with a topic of the clouds and their labels and uncertainties."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.commands.jobs.bag_run import BagRun, bags_of, label_path
+from salsanext_cli.commands.jobs.filled_folder import begin
+from salsanext_cli.core.classes.label_space import LabelSpace
+from salsanext_cli.core.errors import OutputError, UsageError
+from salsanext_cli.core.wording import argument, setting
+from salsanext_cli.io.files.reading import present
+from salsanext_cli.io.formats.bag_copies import Types
+from salsanext_cli.io.formats.bags import Bag
+from salsanext_cli.io.formats.cloud_changes import cloud_with_values
+from salsanext_cli.report.colours import PointColours
+from salsanext_cli.runs.loop.run import Outcome, RunOptions
+from salsanext_cli.runs.results.owned_folder import OwnedFolder
+from salsanext_cli.runs.results.paths import PREDICTION_STAGES, ScanFile
+from salsanext_cli.runs.results.query import ResultQuery
+from salsanext_cli.runs.results.result_folder import ResultFolder
+from salsanext_cli.runs.results.scan_results import ScanResults
+
+LABELLED = "labelled"  # Last part of the name of the new topic
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExportBagSettings:
+    """Settings that decide the new clouds; None are not recorded."""
+
+    label_space: LabelSpace
+    origins: Mapping[str, str]  # Digests of the settings of earlier stages, by name
+    results: str  # Absolute path of the folder of the labels
+    topic: str | None = None  # Name of the new topic, if not the usual one
+
+
+def export_bag(
+    out: Path,
+    folder: Path,
+    *,
+    topic: str | None = None,
+    query: ResultQuery = ResultQuery(),
+    options: RunOptions = RunOptions(),
+) -> Outcome:
+    """Write bags with the labelled clouds to `FOLDER/<seq>.bag` (ROS 1) or `FOLDER/<seq>/` (ROS 2).
+
+    The new clouds are PointCloud2 with the fields of the old ones, `label` (uint32, raw ids),
+    `instance` (uint16), all uncertainties (float32) and `rgb` (the colour of the class). All other
+    messages stay.
+
+    Parameters
+    ----------
+    out : Path
+        Folder with labels of clouds in bags.
+    folder : Path
+        Folder for the bags.
+    topic : str, optional
+        Topic of the new clouds; by default that of the old ones with `/labelled` added.
+    query, options
+        Choice of scans, data set and classes; what to do with existing bags.
+
+    Returns
+    -------
+    Outcome
+    """
+    results = ResultFolder(out, query.dataset)
+    chosen = results.chosen(query)
+    results.require_column("label", chosen.scans)
+    bags = bags_of(chosen.scans)
+    if not bags:
+        scan = chosen.scans[0].path
+        hint = "run `export-ply` for clouds in files"
+        raise UsageError(scan, "is no cloud of a bag", "labels of a ROS bag", hint)
+    if topic is not None and any(len(bag.folders) > 1 for bag in bags):
+        hint = f"omit {argument('topic')}"
+        raise UsageError(argument("topic"), "is one name for several topics", hint=hint)
+    space = chosen.space
+    settings = ExportBagSettings(
+        label_space=space,
+        origins=results.manifest.origins(PREDICTION_STAGES),
+        results=str(out.absolute()),
+        topic=topic,
+    )
+    owned = OwnedFolder(folder, "export-bag")
+    sensor = results.manifest.sensor()
+
+    def new_cloud(file: ScanFile, message: Any, types: Types) -> Any:
+        if not present(label_path(results, file)):
+            return None
+        values = point_values(results.read(file, sensor, query.classes), space)
+        return cloud_with_values(message, values, file.path, types)
+
+    run = BagRun(
+        results=results,
+        owned=owned,
+        new_topic=lambda bag, old: _new_topic(bag, old, topic),
+        new_cloud=new_cloud,
+    )
+    with begin(owned, settings, options.overwrite):
+        outcome = run.run(bags, options)
+    return replace(outcome, missing=chosen.missing)
+
+
+def _new_topic(bag: Bag, old: str, name: str | None) -> str:
+    """Return the topic of the labelled clouds of a topic; refuse one that the bag has."""
+    usual = f"{old.rstrip('/')}/{LABELLED}"
+    new = name or usual
+    existing = {connection.topic for connection in bag.reader.connections}
+    if new not in existing:
+        return new
+    numbered = (f"{usual}_{number}" for number in range(2, len(existing) + 3))
+    free = next(topic for topic in numbered if topic not in existing)
+    hint = f"give another name, such as {setting('topic', free)}"
+    raise OutputError(bag.path, f"already has the topic {new}", hint=hint)
+
+
+def point_values(results: ScanResults, space: LabelSpace) -> dict[str, npt.NDArray[Any]]:
+    """Return the values of the points of a labelled scan by the name of their field, each (N,).
+
+    `label` has the type of PCL's PointXYZL, and `rgb` that of its PointXYZRGB.
+    """
+    if results.label is None:
+        raise ValueError("a labelled scan is needed")
+    values: dict[str, npt.NDArray[Any]] = {"label": results.label.astype(np.uint32)}
+    if results.instance is not None:
+        values["instance"] = results.instance
+    values |= results.uncertainty
+    colours = PointColours("label", (0.0, 1.0), space, dark=True).of_points(
+        {"label": results.label}
+    )
+    red, green, blue = colours.astype(np.uint32).T
+    values["rgb"] = (red << 16 | green << 8 | blue).view(np.float32)
+    return values

@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: MIT
+"""Copies of ROS bags with other clouds: all other messages are copied byte for byte."""
+
+import errno
+import sqlite3
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from salsanext_cli.core.errors import FormatError
+from salsanext_cli.io.bag_index import compression_of, custom_data
+from salsanext_cli.io.files.reading import refusing_damage
+from salsanext_cli.io.formats.bags import EXPECTED, HINT, Bag, is_cloud
+from salsanext_cli.io.formats.cloud_messages import POINT_CLOUD2
+from salsanext_cli.io.formats.recordings import scan_name
+
+VERSION = 8  # Of bags of ROS 2: Humble and all later releases read it
+Types = Mapping[str, Any]
+"""Classes of messages by their type, such as ``sensor_msgs/msg/PointCloud2``."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CloudChange:
+    """New clouds of a topic of a bag.
+
+    Attributes
+    ----------
+    topic : str
+        Topic of the new clouds: that of the old ones, which are replaced, or a new one.
+    changed : callable
+        Function from the path of a scan, its message and the classes of messages to the new
+        message; None writes none. A message of a new topic is a PointCloud2.
+    """
+
+    topic: str
+    changed: Callable[[Path, Any, Types], Any]
+
+
+def copy_bag(bag: Bag, target: Path, changes: Mapping[str, CloudChange]) -> int:
+    """Copy a bag, with other clouds of some topics.
+
+    Messages are in the order of their times. Topics, types, definitions, qualities of service,
+    publishers and compression are those of the bag. A bag of ROS 2 becomes a folder.
+
+    Parameters
+    ----------
+    bag : Bag
+        Bag to copy.
+    target : Path
+        New file or folder, which must not exist.
+    changes : mapping of str to CloudChange
+        New clouds by the topic of the old ones.
+
+    Returns
+    -------
+    int
+        Number of clouds of these topics.
+
+    Raises
+    ------
+    FormatError
+        If the bag is damaged, or lacks the definition of a type of message.
+    OSError
+        If the copy cannot be written.
+    """
+    try:
+        with _writer(bag, target) as writer:
+            return _BagCopy(bag, writer, changes).write()
+    except sqlite3.Error as error:
+        is_full = error.sqlite_errorcode == sqlite3.SQLITE_FULL
+        raise OSError(errno.ENOSPC if is_full else errno.EIO, str(error)) from error
+
+
+def _writer(bag: Bag, target: Path) -> Any:
+    """Return the writer of rosbags for a copy of a bag, compressed as the bag is."""
+    from rosbags import rosbag1, rosbag2
+
+    compression = compression_of(bag.reader)
+    writer: Any
+    if not bag.reader.is2:
+        writer = rosbag1.Writer(target)
+        if compression:
+            writer.set_compression(rosbag1.Writer.CompressionFormat[compression])
+        return writer
+    plugin = rosbag2.StoragePlugin.MCAP if bag.is_mcap else rosbag2.StoragePlugin.SQLITE3
+    writer = rosbag2.Writer(target, version=VERSION, storage_plugin=plugin)
+    if compression:
+        mode = rosbag2.CompressionMode[compression]
+        writer.set_compression(mode, rosbag2.CompressionFormat.ZSTD)
+    for key, value in custom_data(bag.reader).items():
+        writer.set_custom_data(key, value)
+    return writer
+
+
+@dataclass(slots=True)
+class _BagCopy:
+    """Copy of a bag that is being written."""
+
+    bag: Bag
+    writer: Any  # Of rosbags, open
+    changes: Mapping[str, CloudChange]
+    # Connections of the copy; publishers that connected twice are one
+    connections: dict[tuple[str, str, str], Any] = field(default_factory=dict)
+
+    def write(self) -> int:
+        """Write all messages; return the number of clouds of the changed topics."""
+        from rosbags.typesys import Stores, get_typestore
+
+        reader = self.bag.reader
+        standard = get_typestore(Stores.ROS2_JAZZY if reader.is2 else Stores.ROS1_NOETIC)
+        for connection in reader.connections:
+            self._add(connection, connection.topic, connection.msgtype, reader.typestore)
+        numbers = Counter[tuple[str, int]]()
+        for connection, time, content in self._messages():
+            topic = connection.topic
+            change = self.changes.get(topic)
+            old = self.connections[self._key(connection, topic, connection.msgtype)]
+            if change is None or not is_cloud(connection, topic):
+                self.writer.write(old, time, content)
+                continue
+            name = scan_name(time, numbers[topic, time])
+            numbers[topic, time] += 1
+            path = self.bag.path / topic.strip("/") / name
+            with refusing_damage(path, EXPECTED, HINT):
+                message = reader.deserialize(content, connection.msgtype)
+            if change.topic == topic:
+                new = old
+                store = reader.typestore
+                kind = connection.msgtype
+            else:
+                self.writer.write(old, time, content)
+                kind = POINT_CLOUD2
+                store = standard
+                new = self._add(connection, change.topic, kind, store)
+            changed = change.changed(path, message, store.types)
+            if changed is not None:
+                encode = store.serialize_cdr if reader.is2 else store.serialize_ros1
+                self.writer.write(new, time, encode(changed, kind))
+        return numbers.total()
+
+    def _messages(self) -> Iterator[tuple[Any, int, bytes]]:
+        """Yield connection, time and content of all messages of the bag."""
+        with refusing_damage(self.bag.path, EXPECTED, HINT):
+            yield from self.bag.reader.messages()
+
+    def _key(self, connection: Any, topic: str, kind: str) -> tuple[str, str, str]:
+        return topic, kind, repr(connection.ext)
+
+    def _add(self, connection: Any, topic: str, kind: str, store: Any) -> Any:
+        """Return the connection of the copy for a topic, which is added at its first call.
+
+        The definition of its type is that of the bag, else that of a typestore of rosbags.
+        """
+        key = self._key(connection, topic, kind)
+        if key in self.connections:
+            return self.connections[key]
+        is2 = self.bag.reader.is2
+        definition = connection.msgdef.data
+        digest = connection.digest
+        if topic != connection.topic:
+            definition = ""
+            digest = ""
+        if (not definition or not digest) and kind not in store.fielddefs:
+            raise _without_definition(self.bag.path, topic, kind)
+        if not definition:
+            definition = store.generate_msgdef(kind, ros_version=2 if is2 else 1)[0]
+        if not digest:
+            digest = store.hash_rihs01(kind) if is2 else store.generate_msgdef(kind)[1]
+        digest_name = "rihs01" if is2 else "md5sum"
+        self.connections[key] = self.writer.add_connection(
+            topic, kind, msgdef=definition, **{digest_name: digest}, **connection.ext._asdict()
+        )
+        return self.connections[key]
+
+
+def _without_definition(path: Path, topic: str, kind: str) -> FormatError:
+    """Return the error of a bag of ROS 2 before Iron with a type that rosbags does not have."""
+    problem = f"has no definition of {kind}, the type of {topic}"
+    expected = "a bag with the definitions of all its messages"
+    hint = (
+        "write it again with `ros2 bag convert` of ROS 2 Iron or later, where the package "
+        f"{kind.partition('/')[0]} is installed"
+    )
+    return FormatError(path, problem, expected, hint)

@@ -1,0 +1,219 @@
+# SPDX-License-Identifier: MIT
+"""Bags that `filter` writes: as they were, but for the points that go."""
+
+import resource
+from functools import partial
+
+import numpy as np
+import pytest
+from scans import files_below, refused
+
+pytest.importorskip("rosbags")
+
+from bags import KINDS, START, STEP, TOPIC, cloud, structured
+from labelled_bags import CAR, NAMES, POINTS, ROAD, LabelledBag, messages_of
+
+from salsanext_cli import label_space, read_scan, sensor
+from salsanext_cli.commands.jobs import bag_run
+from salsanext_cli.commands.stages.filter import filter_scans
+from salsanext_cli.core.errors import FormatError, LabelError, NoInputError, OutputError, UsageError
+from salsanext_cli.core.measures.filtered_points import FilteredPoints
+from salsanext_cli.runs.loop.run import RunOptions
+from salsanext_cli.runs.loop.run_options import Shard
+from salsanext_cli.runs.results.manifest import Manifest, ScanSource, StageRecord
+from salsanext_cli.runs.results.paths import output_path
+from salsanext_cli.runs.results.query import ResultQuery
+from salsanext_cli.runs.results.scan_selection import ScanSelection
+
+STOP = RunOptions(on_error="stop")
+AGAIN = RunOptions(overwrite=True, on_error="stop")
+
+
+def apply_to(bag, tmp_path):
+    return partial(
+        filter_scans, bag.out, tmp_path / "to", drop=["car"], query=ResultQuery(bag.topic)
+    )
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_bag_keeps_all_but_the_points_that_go(tmp_path, kind):
+    bag = LabelledBag(tmp_path, kind)
+    before = files_below(bag.path.parent if kind == ".bag" else bag.path)
+    outcome = apply_to(bag, tmp_path)()
+    assert (outcome.done, outcome.failures) == (3, ())
+    assert outcome.filtered_points == FilteredPoints(18, 9)
+    target = tmp_path / "to" / bag.path.name
+    left = {NAMES[0]: [1, 3, 4, 5], NAMES[1]: [], NAMES[2]: [0, 1, 2, 3, 4]}
+    for name, points, places in zip(NAMES, POINTS, left.values(), strict=True):
+        scan = read_scan(target / TOPIC.strip("/") / name)
+        for axis, column in enumerate("xyz"):
+            np.testing.assert_array_equal(scan.points[:, axis], points[column][places])
+    for old, new in zip(messages_of(bag.path), messages_of(target), strict=True):
+        assert old[:2] == new[:2]
+        if old[0] == TOPIC:
+            assert str(new[2].header) == str(old[2].header)
+            assert str(new[2].fields) == str(old[2].fields)
+        else:
+            assert new[3] == old[3]
+    after = files_below(bag.path.parent if kind == ".bag" else bag.path)
+    assert {name: after[name] for name in before} == before
+
+
+@pytest.mark.parametrize("kind", [".bag", ".mcap"])
+def test_a_bag_is_not_written_again_unless_it_shall_be_replaced(tmp_path, kind):
+    bag = LabelledBag(tmp_path, kind)
+    call = apply_to(bag, tmp_path)
+    assert (call().done, call().skipped, call(options=AGAIN).done) == (3, 3, 3)
+    with pytest.raises(OutputError, match="classes"):
+        call(drop=["person"])
+    assert call(drop=["person"], options=AGAIN).filtered_points.remaining == 17
+    target = tmp_path / "to" / bag.path.name
+    edited = target if kind == ".bag" else target / f"{target.name}.mcap"
+    edited.write_bytes(b"mine")
+    with pytest.raises(OutputError, match="was changed, or not written by salsanext"):
+        call(drop=["person"], options=AGAIN)
+    assert edited.read_bytes() == b"mine"
+
+
+def test_a_bag_that_is_changed_while_it_is_written_anew_is_kept(tmp_path, monkeypatch):
+    bag = LabelledBag(tmp_path, ".bag")
+    call = apply_to(bag, tmp_path)
+    call()
+    target = tmp_path / "to/drive.bag"
+    copy = bag_run.copy_bag
+
+    def slowly(*arguments):
+        target.write_bytes(b"mine")
+        return copy(*arguments)
+
+    monkeypatch.setattr(bag_run, "copy_bag", slowly)
+    refused(OutputError, target, call, options=AGAIN)
+    assert target.read_bytes() == b"mine"
+
+
+def test_clouds_without_labels_are_refused_unless_they_have_no_measurements(tmp_path):
+    """The first clouds of a driver may be empty, or of NaN; `predict` refuses them."""
+    nothing = structured(3)
+    for axis in "xyz":
+        nothing[axis] = np.nan
+    further = ((TOPIC, START - 2, cloud(structured(0))), (TOPIC, START - 1, cloud(nothing)))
+    bag = LabelledBag(tmp_path, ".mcap", further=further)
+    call = apply_to(bag, tmp_path)
+    assert call(options=STOP).filtered_points == FilteredPoints(21, 12)
+    sizes = [m[2].width for m in messages_of(tmp_path / "to/drive") if m[0] == TOPIC]
+    assert sizes == [0, 3, 4, 0, 5]
+    call(drop=["moving"], options=AGAIN)
+    sizes = [m[2].width for m in messages_of(tmp_path / "to/drive") if m[0] == TOPIC]
+    assert sizes == [0, 0, 3, 0, 5]
+    for name in NAMES[1:]:
+        output_path(bag.out, "drive", "predictions", name).unlink()
+    caught = refused(NoInputError, bag.path, call, drop=["moving"], options=AGAIN)
+    assert f"2 of 5 clouds: {NAMES[1]}" in caught.value.problem
+    assert f"salsanext predict {bag.topic}" in caught.value.hint
+    assert messages_of(tmp_path / "to/drive"), "the earlier copy stays"
+
+
+def test_points_above_an_error_go(tmp_path):
+    bag = LabelledBag(tmp_path, ".db3")
+    for name in NAMES:
+        bag.put(name, [0, 0.1, 0.2, np.nan, 1, 0.05])
+    outcome = apply_to(bag, tmp_path)(drop=(), max_error=0.1)
+    assert outcome.filtered_points == FilteredPoints(18, 9, without_error=3)
+
+
+def two_bags(tmp_path):
+    """Return a bag whose last cloud has a label too many, and the bag `evening`."""
+    bag = LabelledBag(tmp_path, ".bag")
+    other = LabelledBag(tmp_path, ".mcap", name="more")
+    evening = tmp_path / "evening"
+    other.path.rename(evening)
+    for name in NAMES:
+        bag.label(name, [ROAD] * 6, "evening")
+    bag.label(NAMES[2], [CAR] * 7)
+    stems = dict.fromkeys(NAMES, "")
+    folders = {"drive": bag.topic, "evening": evening / TOPIC.strip("/")}
+    scans = {name: ScanSource(str(folder), stems) for name, folder in folders.items()}
+    settings = {"label_space": label_space().to_dict(), "sensor": sensor("hdl64").to_dict()}
+    record = StageRecord(stage="predict", settings=settings, writes=("predictions",), scans=scans)
+    Manifest(bag.out).write(record)
+    return bag, evening
+
+
+def test_a_bag_that_fails_leaves_those_of_others(tmp_path):
+    bag, _ = two_bags(tmp_path)
+    call = partial(filter_scans, bag.out, tmp_path / "to", drop=["car"])
+    progress = []
+    outcome = call(options=RunOptions(progress=lambda *numbers: progress.append(numbers)))
+    (failure,) = outcome.failures
+    assert (failure.code, outcome.done) == ("label", 3)
+    assert outcome.filtered_points == FilteredPoints(18, 18)
+    assert progress == [(1, 3), (2, 3), (1, 3), (2, 3), (3, 3)]
+    names = {path.name for path in (tmp_path / "to").iterdir() if path.name[0] != "."}
+    assert names == {"filter.json", "evening"}
+    with pytest.raises(LabelError):
+        call(options=STOP)
+    bag.label(NAMES[2], [ROAD] * 6)
+    assert (call().done, call().skipped) == (3, 6)
+
+
+def test_a_shard_has_some_of_the_bags(tmp_path):
+    bag, _ = two_bags(tmp_path)
+    bag.label(NAMES[2], [ROAD] * 6)
+    for number, name in ((1, "drive.bag"), (2, "evening")):
+        target = tmp_path / f"part {number}"
+        options = RunOptions(shard=Shard(number, 2))
+        filter_scans(bag.out, target, drop=["car"], options=options)
+        names = {path.name for path in target.iterdir() if path.name[0] != "."}
+        assert names == {"filter.json", name}
+
+
+def test_topics_that_keep_their_points_are_named(tmp_path, caplog):
+    bag = LabelledBag(tmp_path, ".bag")
+    apply_to(bag, tmp_path)()
+    assert "all their points: /rear" in caplog.text
+    assert f"predict {tmp_path}/to/drive.bag/rear OUT" in caplog.text
+
+
+def test_limits_captures_and_files_beside_bags_are_refused(tmp_path):
+    bag = LabelledBag(tmp_path, ".bag")
+    call = partial(filter_scans, bag.out, tmp_path / "to", drop=["car"])
+    query = ResultQuery(bag.topic, selection=ScanSelection(limit=2))
+    refused(UsageError, "limit", call, query=query)
+    assert not (tmp_path / "to").exists()
+
+
+def test_a_damaged_bag_leaves_nothing(tmp_path):
+    """A cloud whose data end too early, after those of the other scans were written."""
+    bag = LabelledBag(tmp_path, ".bag")
+    short = cloud(POINTS[0], data=np.zeros(10, np.uint8))
+    damaged = LabelledBag(tmp_path / "b", ".bag", further=((TOPIC, START + 2 * STEP, short),))
+    damaged.label(f"{START + 2 * STEP}", [ROAD] * 6)
+    scan = damaged.topic / f"{START + 2 * STEP}"
+    refused(FormatError, scan, apply_to(damaged, tmp_path), options=STOP)
+    assert {path.name for path in (tmp_path / "to").iterdir()} <= {
+        "filter.json",
+        ".salsanext.files",
+    }
+    assert apply_to(bag, tmp_path / "other")().done == 3
+
+
+@pytest.mark.parametrize("kind", [".bag", ".db3"])
+def test_a_full_disk_names_the_new_bag(tmp_path, monkeypatch, kind):
+    bag = LabelledBag(tmp_path, kind)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    copy = bag_run.copy_bag
+
+    def without_room(*arguments):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
+        try:
+            return copy(*arguments)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+
+    monkeypatch.setattr(bag_run, "copy_bag", without_room)
+    target = tmp_path / "to" / bag.path.name
+    refused(OutputError, target, apply_to(bag, tmp_path), options=STOP)
+    assert {path.name for path in (tmp_path / "to").iterdir()} <= {
+        "filter.json",
+        ".salsanext.files",
+    }
