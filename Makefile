@@ -18,7 +18,7 @@ help:
 	@echo "make test-slow  the slow tests"
 	@echo "make lint       style, types, spelling and words"
 	@echo "make docs       the documentation, into site/"
-	@echo "make wheel      the distribution, into dist/, and a trial of it"
+	@echo "make wheel      the distributions, into dist/, and a trial of them"
 	@echo "make workflows  check the workflows of continuous integration"
 	@echo "make clean      remove what the others made"
 
@@ -65,8 +65,9 @@ docs: $(INSTALLED)
 wheel: $(INSTALLED)
 	rm -rf dist
 	$(BIN)/python -m build --quiet
+	$(BIN)/python -m build --quiet --outdir dist examples/paper_networks
 	$(BIN)/python -m twine check --strict dist/*
-	SALSANEXT_WHEEL=$$(echo dist/*.whl) $(BIN)/python -m pytest -m slow tests/test_wheel.py
+	SALSANEXT_WHEELS=dist $(BIN)/python -m pytest -m slow tests/test_wheel.py
 
 workflows: $(INSTALLED)
 	$(BIN)/python -m pip install --quiet check-jsonschema zizmor

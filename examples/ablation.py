@@ -5,7 +5,8 @@ All networks see the same samples in the same order for the same number of steps
 last step are scored, so that nothing is chosen on the scans that score. A finished training is not
 repeated; an interrupted one is resumed.
 
-Install the networks first: pip install examples/paper_networks
+Install the networks first: pip install 'salsanext[paper]', or in a clone: pip install
+examples/paper_networks
 
 Run: python examples/ablation.py scenes/ ladder/ [steps [recipe [network ...]]]
 """

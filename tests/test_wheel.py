@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The wheel: what it contains, and that it works where only it is installed."""
+"""The wheels: what they contain, and that they work where only they are installed."""
 
 import os
 import subprocess
@@ -14,6 +14,14 @@ import pytest
 from tools.lowest import OTHERS, lowest
 
 ROOT = Path(__file__).parents[1]
+PAPER = ROOT / "examples/paper_networks"
+PARAMETERS = {"salsanext-v1": 23_262_548, "rangenet53": 50_377_364}
+"""Parameters of networks of the papers with 20 classes."""
+COUNT = """
+from salsanext_cli.core.network.registry import build
+for name in {names}:
+    print(sum(parameter.numel() for parameter in build({{"name": name}}).parameters()))
+"""
 LARGEST_MB = 20
 
 
@@ -30,13 +38,40 @@ def test_every_dependency_has_a_lowest_version_that_is_pinned():
 
 
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory):
-    if given := os.environ.get("SALSANEXT_WHEEL"):
+def wheels(tmp_path_factory):
+    """Return the folder with the wheels of the package and of the networks of the papers."""
+    if given := os.environ.get("SALSANEXT_WHEELS"):
         return ROOT / given
     folder = tmp_path_factory.mktemp("dist")
-    subprocess.run([sys.executable, "-m", "build", "--wheel", "--outdir", folder, ROOT], check=True)
-    (path,) = folder.glob("*.whl")
+    for source in (ROOT, PAPER):
+        build = [sys.executable, "-m", "build", "--wheel", "--outdir", folder, source]
+        subprocess.run(build, check=True)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def wheel(wheels):
+    (path,) = wheels.glob("salsanext-*.whl")
     return path
+
+
+@pytest.mark.slow
+def test_the_wheel_of_the_papers_holds_the_networks_and_has_the_version(wheels, wheel):
+    (path,) = wheels.glob("salsanext_paper_networks-*.whl")
+    assert path.name.split("-")[1] == wheel.name.split("-")[1]
+    with ZipFile(path) as archive:
+        names = archive.namelist()
+        (points,) = [name for name in names if name.endswith("entry_points.txt")]
+        listed = archive.read(points).decode()
+    assert {name.split("/")[0].split("-")[0] for name in names} == {
+        "paper_networks",
+        "salsanext_paper_networks",
+    }
+    files = [file for file in (PAPER / "paper_networks").iterdir() if file.suffix != ".pyc"]
+    assert {f"paper_networks/{file.name}" for file in files if file.is_file()} <= {*names}
+    assert any(name.endswith("/LICENSE") for name in names)
+    for name in PARAMETERS:
+        assert f"\n{name} = " in listed
 
 
 @pytest.mark.slow
@@ -51,8 +86,8 @@ def test_the_wheel_holds_the_package_only(wheel):
 
 
 @pytest.mark.slow
-def test_the_wheel_works_where_nothing_else_is(wheel, tmp_path):
-    """The demonstration, and `predict` on its scans, from another folder."""
+def test_the_wheel_works_where_nothing_else_is(wheels, wheel, tmp_path):
+    """The demonstration, `predict` on its scans, and the extra `paper`, from another folder."""
     venv.create(tmp_path / "env", with_pip=True)
     # "bin", or "Scripts" on Windows
     scripts = next(tmp_path.glob("env/[bS]*"))
@@ -76,3 +111,11 @@ def test_the_wheel_works_where_nothing_else_is(wheel, tmp_path):
     run(scripts / "salsanext", "predict", scans, "labels")
     labels = {path.stem for path in folder.glob("labels/sequences/*/predictions/*.label")}
     assert labels == {path.stem for path in scans.glob("*.bin")}
+    assert "pip install 'salsanext[paper]'" in run(scripts / "salsanext", "models")
+    offline = ("-q", "--no-index", "--find-links", wheels)
+    run(scripts / "python", "-m", "pip", "install", *offline, f"{wheel}[paper]")
+    listed = run(scripts / "salsanext", "models")
+    assert "salsanext[paper]" not in listed
+    assert all(name in listed for name in PARAMETERS)
+    counted = run(scripts / "python", "-c", COUNT.format(names=[*PARAMETERS])).split()
+    assert [*map(int, counted)] == [*PARAMETERS.values()]

@@ -17,6 +17,8 @@ from salsanext_cli.core.errors import MissingDependency
 from salsanext_cli.core.texts import error_text
 
 NAME = "salsanext"
+OWN_DISTRIBUTIONS = {"paper": "examples/paper_networks"}
+"""Folder, in a clone, of the distribution that an extra installs from the package index."""
 MIN_ROSBAGS_VERSION = (0, 11, 7)
 CONVERTER = "openvino.tools.ovc"
 """Part of OpenVINO that `import openvino` imports and that reports to a server of Google."""
@@ -48,9 +50,12 @@ def extra_command(extra: str) -> str:
         source = json.loads(distribution(NAME).read_text("direct_url.json") or "{}")
         clone = Path(url2pathname(urlsplit(source["url"]).path))
         if "dir_info" in source and (clone / "pyproject.toml").is_file():
+            if extra in OWN_DISTRIBUTIONS:
+                return f"pip install {shlex.quote(str(clone / OWN_DISTRIBUTIONS[extra]))}"
             editable = "-e " if source["dir_info"].get("editable") else ""
             return f"pip install {editable}{shlex.quote(f'{clone}[{extra}]')}"
-    return f"pip install '{NAME}[{extra}]', or in a clone: pip install '.[{extra}]'"
+    in_clone = OWN_DISTRIBUTIONS.get(extra, f"'.[{extra}]'")
+    return f"pip install '{NAME}[{extra}]', or in a clone: pip install {in_clone}"
 
 
 def import_package(name: str, command: str = "") -> Any:

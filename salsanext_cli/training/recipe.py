@@ -12,6 +12,7 @@ from typing import Annotated, Any, Self
 
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.field_rules import FieldRule
+from salsanext_cli.core.optional_packages import extra_command
 from salsanext_cli.core.plain_data import refuse_unknown
 from salsanext_cli.core.texts import shortened
 from salsanext_cli.core.wording import command, setting
@@ -31,7 +32,7 @@ REMOVED_KEYS = {
 }
 """Hint by key of recipes of earlier versions."""
 REMOVED_RECIPES = ("paper-v1", "rangenet53")
-"""Recipes and networks of earlier versions, which examples/paper_networks has."""
+"""Recipes of earlier versions, whose networks the extra `paper` has."""
 
 Positive = Annotated[int, FieldRule(lambda value: value >= 1, "at least 1")]
 Count = Annotated[int, FieldRule(lambda value: value >= 0, "at least 0")]
@@ -178,9 +179,7 @@ def recipe(name_or_file: str | Path) -> Recipe:
 
 
 def _removed_recipe_hint(name: str) -> str:
-    """Return what replaces a recipe or a network of earlier versions."""
-    install = "`pip install examples/paper_networks` in a clone"
-    if name == "paper-v1":
-        return f"use examples/paper_networks/paper-v1.toml, after {install}"
-    named = command(setting("recipe", "paper"), setting("recipe.architecture", name))
-    return f"run {install}, then use {named}"
+    """Return what replaces a recipe of earlier versions."""
+    network = "salsanext-v1" if name == "paper-v1" else name
+    named = command(setting("recipe", "paper"), setting("recipe.architecture", network))
+    return f"{extra_command('paper')}; then use {named}"

@@ -30,6 +30,8 @@ def test_an_extra_of_a_clone_is_installed_from_it(tmp_path, monkeypatch, is_edit
     directory = {"editable": True} if is_editable else {}
     install_from({"url": clone.as_uri(), "dir_info": directory}, tmp_path, monkeypatch)
     assert shlex.split(extra_command("ros")) == ["pip", "install", *option, f"{clone}[ros]"]
+    plug_in = ["pip", "install", f"{clone}/examples/paper_networks"]
+    assert shlex.split(extra_command("paper")) == plug_in
     with pytest.raises(MissingDependency) as caught:
         import_extra("salsanext_no_such_package", "ros")
     assert caught.value.hint == extra_command("ros")
@@ -51,3 +53,5 @@ def test_otherwise_both_ways_are_named(tmp_path, monkeypatch, record):
     install_from(record, tmp_path, monkeypatch)
     assert "'salsanext[ros]'" in extra_command("ros")
     assert "'.[ros]'" in extra_command("ros")
+    assert "'salsanext[paper]'" in extra_command("paper")
+    assert extra_command("paper").endswith(" examples/paper_networks")

@@ -8,6 +8,7 @@ from scans import refused
 
 from salsanext_cli.commands.line.recipe_changes import read_overrides
 from salsanext_cli.core.errors import UsageError
+from salsanext_cli.core.optional_packages import extra_command
 from salsanext_cli.training.recipe import Recipe, presets, recipe
 
 
@@ -55,9 +56,10 @@ def test_an_unknown_key_or_recipe_and_an_impossible_value_are_refused(tmp_path):
 
 @pytest.mark.parametrize("name", ["paper-v1", "rangenet53"])
 def test_removed_recipes_name_what_to_use_unless_a_file_has_the_name(name, tmp_path, monkeypatch):
-    assert (
-        "examples/paper_networks" in refused(UsageError, f"recipe {name}", recipe, name).value.hint
-    )
+    hint = refused(UsageError, f"recipe {name}", recipe, name).value.hint
+    assert extra_command("paper") in hint
+    network = "salsanext-v1" if name == "paper-v1" else name
+    assert f'architecture="{network}"' in hint
     monkeypatch.chdir(tmp_path)
     (tmp_path / name).write_text("epochs = 7", "utf-8")
     assert recipe(name).epochs == 7

@@ -27,6 +27,8 @@ def models(
 
     from salsanext_cli.commands.stages.models import describe_weights, plug_ins
     from salsanext_cli.core.network.registry import ARCHITECTURES, plugged_networks
+    from salsanext_cli.core.network.weights_names import PAPER_NETWORKS
+    from salsanext_cli.core.optional_packages import extra_command
     from salsanext_cli.report.card_table import card_table
     from salsanext_cli.report.tables import table_of
 
@@ -39,6 +41,8 @@ def models(
         rows = [list(plug_in.values()) for plug_in in installed]
         parts.append(table_of(headings, rows, texts=headings, title="Plug-ins"))
     parts.append(Text(f"networks: {', '.join(networks)}"))
+    if not any(name.startswith(PAPER_NETWORKS) for name in networks):
+        parts.append(Text(f"networks of the papers: {extra_command('paper')}"))
     result = {"stage": "models", "models": networks, "plug_ins": installed, "weights": described}
     output.result(result, Group(*parts))
 

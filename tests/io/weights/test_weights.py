@@ -17,6 +17,7 @@ from salsanext_cli import __version__, label_space
 from salsanext_cli.core.errors import WeightsError
 from salsanext_cli.core.network.card import KEY, WeightsCard
 from salsanext_cli.core.network.registry import build
+from salsanext_cli.core.optional_packages import extra_command
 from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import read_weights, save_weights, save_with_card
@@ -187,4 +188,4 @@ def test_other_files_are_refused(tmp_path, name):
 @pytest.mark.parametrize("name", ["rangenet53", "salsanet-dilated"])
 def test_the_name_of_a_network_of_the_papers_is_no_weights_file(name):
     error = refused(WeightsError, name, read_card, Path(name)).value
-    assert "examples/paper_networks" in error.hint
+    assert extra_command("paper") in error.hint

@@ -17,7 +17,6 @@ from salsanext_cli.io.formats.columns import Columns, other_number
 
 EXTRA = "argoverse"
 FEATHER = "a complete .feather file"
-FEATHER_COMPRESSION = "lz4"  # As pyarrow.feather writes; readers do not tell that of a file
 MAX_RATIO = 1000  # Largest size of the content of a Parquet file, as a multiple of its own
 
 
@@ -29,18 +28,19 @@ def feather_columns(path: Path, _: tuple[str, ...] = ()) -> Columns:
 
 
 def feather_subset(path: Path, _: tuple[str, ...] = ()) -> Callable[[Mask], bytes]:
-    """Read a Feather file; return the function that encodes some of its rows, with all metadata."""
+    """Read a Feather file; return the function that encodes some of its rows, with its metadata.
+
+    Columns are compressed with LZ4, as pyarrow writes them; a file does not say how its own are.
+    """
     table = _feather_table(path)
 
     def subset(mask: Mask) -> bytes:
         if table.num_rows != len(mask):
             raise other_number(table.num_rows, len(mask), path)
         arrow = import_extra("pyarrow", EXTRA)
-        rows = table.filter(arrow.array(mask))
         sink = arrow.BufferOutputStream()
-        options = arrow.ipc.IpcWriteOptions(compression=FEATHER_COMPRESSION)
-        with arrow.ipc.new_file(sink, rows.schema, options=options) as writer:
-            writer.write_table(rows)
+        write = import_extra("pyarrow.feather", EXTRA).write_feather
+        write(table.filter(arrow.array(mask)), sink)
         return bytes(sink.getvalue())
 
     return subset
