@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from salsanext_cli.io.formats.cloud_messages import POINT_CLOUD2, TYPES
+from salsanext_cli.io.formats.ros.cloud_messages import POINT_CLOUD2, TYPES
 
 START = 1_600_000_000_123_456_789
 """Time of the first message in nanoseconds."""

@@ -16,8 +16,6 @@ from salsanext_cli.io.files.atomic import refusal
 from salsanext_cli.io.files.locks import temporary_folder
 from salsanext_cli.io.files.reading import is_folder, present
 from salsanext_cli.io.formats import BAG_SUFFIXES, read_scan
-from salsanext_cli.io.formats.bag_copies import CloudChange, Types, copy_bag
-from salsanext_cli.io.formats.bags import Bag
 from salsanext_cli.io.formats.recordings import (
     files_of,
     is_recording,
@@ -25,6 +23,8 @@ from salsanext_cli.io.formats.recordings import (
     recording_of,
     sequence_of,
 )
+from salsanext_cli.io.formats.ros.bag_copies import CloudChange, Types, copy_bag
+from salsanext_cli.io.formats.ros.bags import Bag
 from salsanext_cli.runs.loop.run import Failure, Outcome, RunOptions
 from salsanext_cli.runs.results.making_commands import PREDICT
 from salsanext_cli.runs.results.owned_folder import OwnedFolder, foreign_file

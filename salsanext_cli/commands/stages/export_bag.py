@@ -15,9 +15,9 @@ from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import OutputError, UsageError
 from salsanext_cli.core.wording import argument, setting
 from salsanext_cli.io.files.reading import present
-from salsanext_cli.io.formats.bag_copies import Types
-from salsanext_cli.io.formats.bags import Bag
-from salsanext_cli.io.formats.cloud_changes import cloud_with_values
+from salsanext_cli.io.formats.ros.bag_copies import Types
+from salsanext_cli.io.formats.ros.bags import Bag
+from salsanext_cli.io.formats.ros.cloud_changes import cloud_with_values
 from salsanext_cli.report.colours import PointColours
 from salsanext_cli.runs.loop.run import Outcome, RunOptions
 from salsanext_cli.runs.results.owned_folder import OwnedFolder

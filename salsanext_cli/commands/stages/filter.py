@@ -18,9 +18,9 @@ from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.measures.filtered_points import FilteredPoints
 from salsanext_cli.core.texts import counted, first_few, with_hint
 from salsanext_cli.core.wording import argument, command, setting
-from salsanext_cli.io.formats.bag_copies import Types
-from salsanext_cli.io.formats.cloud_changes import cloud_subset
 from salsanext_cli.io.formats.recordings import recording_of
+from salsanext_cli.io.formats.ros.bag_copies import Types
+from salsanext_cli.io.formats.ros.cloud_changes import cloud_subset
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.paths import ERROR, PREDICTION_STAGES, ScanFile, with_outputs

@@ -180,7 +180,7 @@ def _open_recording(path: Path) -> _OpenRecording:
 def _recording(path: Path, version: tuple[object, ...]) -> Recording:
     # Few runs need any of these modules.
     if is_folder(path) or path.suffix.lower() in BAG_SUFFIXES:
-        from salsanext_cli.io.formats.bags import Bag
+        from salsanext_cli.io.formats.ros.bags import Bag
 
         return Bag(path, files_of(path))
     if path.suffix.lower() == ".pcap":

@@ -16,7 +16,7 @@ from labelled_bags import LABELS, NAMES, POINTS, LabelledBag, messages_of
 from salsanext_cli import label_space, write_labels
 from salsanext_cli.commands.stages.export_bag import export_bag
 from salsanext_cli.core.errors import NoInputError, OutputError, UsageError
-from salsanext_cli.io.formats.cloud_messages import columns_of_fields
+from salsanext_cli.io.formats.ros.cloud_messages import columns_of_fields
 from salsanext_cli.report.colours import screen_colours
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.results.paths import output_path

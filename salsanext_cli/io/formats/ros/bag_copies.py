@@ -12,9 +12,9 @@ from typing import Any
 from salsanext_cli.core.errors import FormatError
 from salsanext_cli.io.bag_index import compression_of, custom_data
 from salsanext_cli.io.files.reading import refusing_damage
-from salsanext_cli.io.formats.bags import EXPECTED, HINT, Bag, is_cloud
-from salsanext_cli.io.formats.cloud_messages import POINT_CLOUD2
 from salsanext_cli.io.formats.recordings import scan_name
+from salsanext_cli.io.formats.ros.bags import EXPECTED, HINT, Bag, is_cloud
+from salsanext_cli.io.formats.ros.cloud_messages import POINT_CLOUD2
 
 VERSION = 8  # Of bags of ROS 2: Humble and all later releases read it
 Types = Mapping[str, Any]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from salsanext_cli.core.errors import FormatError
-from salsanext_cli.io.formats.cloud_messages import columns_of_fields
+from salsanext_cli.io.formats.ros.cloud_messages import columns_of_fields
 
 PATH = Path("drive.bag/points/1")
 FORMATS = dict(zip(range(1, 9), "bBhHiIfd", strict=True))

@@ -39,10 +39,10 @@ from rosbags.typesys import Stores, get_typestore
 
 from salsanext_cli.core.errors import FormatError
 from salsanext_cli.io.bag_index import compression_of, custom_data
-from salsanext_cli.io.formats.bag_copies import CloudChange, copy_bag
-from salsanext_cli.io.formats.bags import Bag
-from salsanext_cli.io.formats.cloud_messages import POINT_CLOUD2
 from salsanext_cli.io.formats.recordings import files_of
+from salsanext_cli.io.formats.ros.bag_copies import CloudChange, copy_bag
+from salsanext_cli.io.formats.ros.bags import Bag
+from salsanext_cli.io.formats.ros.cloud_messages import POINT_CLOUD2
 
 POINTS = [structured(40, seed) for seed in range(4)]
 OTHERS = [("/name", START + 1, text), ("/rear", START + 2, cloud(POINTS[3]))]

@@ -243,7 +243,7 @@ def test_packets_are_answered_with_a_hint(tmp_path, monkeypatch):
         find_scans(path)
     assert not caught.value.hint
     kinds = {"/velodyne_packets": "velodyne_msgs/msg/VelodyneScan"}
-    monkeypatch.setattr("salsanext_cli.io.formats.bags.Bag.topics", lambda bag: kinds)
+    monkeypatch.setattr("salsanext_cli.io.formats.ros.bags.Bag.topics", lambda bag: kinds)
     with pytest.raises(NoInputError, match="VelodyneScan") as caught:
         find_scans(path)
     assert "driver" in caught.value.hint

@@ -13,8 +13,8 @@ from bags import LIVOX, channels, cloud, livox, structured
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from salsanext_cli.core.errors import FormatError, LabelError
-from salsanext_cli.io.formats.cloud_changes import cloud_subset, cloud_with_values
-from salsanext_cli.io.formats.cloud_messages import CLOUD_MESSAGES
+from salsanext_cli.io.formats.ros.cloud_changes import cloud_subset, cloud_with_values
+from salsanext_cli.io.formats.ros.cloud_messages import CLOUD_MESSAGES
 
 PATH = Path("drive.bag/points/1")
 POINTS = structured(30)

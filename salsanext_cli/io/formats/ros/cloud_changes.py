@@ -11,7 +11,8 @@ import numpy.typing as npt
 
 from salsanext_cli.core.records import Mask
 from salsanext_cli.io.files.reading import refusing_damage
-from salsanext_cli.io.formats.cloud_messages import (
+from salsanext_cli.io.formats.columns import Columns, other_number
+from salsanext_cli.io.formats.ros.cloud_messages import (
     CLOUD_MESSAGES,
     EXPECTED,
     POINT_CLOUD2,
@@ -19,7 +20,6 @@ from salsanext_cli.io.formats.cloud_messages import (
     point_count,
     row_step,
 )
-from salsanext_cli.io.formats.columns import Columns, other_number
 
 CODES = {np.dtype(kind): code for code, kind in TYPES.items()}
 """Codes of PointField by the type of a column."""

@@ -16,9 +16,9 @@ from salsanext_cli.core.optional_packages import require_rosbags
 from salsanext_cli.core.texts import shortened
 from salsanext_cli.io.bag_index import message_times, storage_count
 from salsanext_cli.io.files.reading import filled, reading, refusing_damage
-from salsanext_cli.io.formats.cloud_messages import CLOUD_MESSAGES, point_count, register_livox
 from salsanext_cli.io.formats.columns import Columns
-from salsanext_cli.io.formats.mcap import require_ros2
+from salsanext_cli.io.formats.ros.cloud_messages import CLOUD_MESSAGES, point_count, register_livox
+from salsanext_cli.io.formats.ros.mcap import require_ros2
 
 MCAP = ".mcap"
 MAX_SHOWN = 500  # Characters of a list of topics in an error

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""ROS bags: reading clouds, and copying bags with other clouds."""
