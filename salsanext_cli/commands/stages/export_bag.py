@@ -92,7 +92,7 @@ def export_bag(
     def new_cloud(file: ScanFile, message: Any, types: Types) -> Any:
         if not present(label_path(results, file)):
             return None
-        values = point_values(results.read(file, sensor, query.classes), space)
+        values = _point_values(results.read(file, sensor, query.classes), space)
         return cloud_with_values(message, values, file.path, types)
 
     run = BagRun(
@@ -119,7 +119,7 @@ def _new_topic(bag: Bag, old: str, name: str | None) -> str:
     raise OutputError(bag.path, f"already has the topic {new}", hint=hint)
 
 
-def point_values(results: ScanResults, space: LabelSpace) -> dict[str, npt.NDArray[Any]]:
+def _point_values(results: ScanResults, space: LabelSpace) -> dict[str, npt.NDArray[Any]]:
     """Return the values of the points of a labelled scan by the name of their field, each (N,).
 
     `label` has the type of PCL's PointXYZL, and `rgb` that of its PointXYZRGB.
