@@ -57,7 +57,7 @@ def cloud_subset(message: Any, mask: Mask, path: Path) -> Any:
         return replace(message, height=1, width=len(points), row_step=data.size, data=data)
     remaining = [message.points[index] for index in np.flatnonzero(mask)]
     if hasattr(message, "channels"):
-        channels = [replace(each, values=each.values[mask]) for each in message.channels]
+        channels = [replace(old, values=old.values[mask]) for old in message.channels]
         return replace(message, points=remaining, channels=channels)
     return replace(message, points=remaining, point_num=len(remaining))
 
