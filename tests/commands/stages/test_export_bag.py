@@ -10,6 +10,7 @@ from scans import refused
 pytest.importorskip("rosbags")
 
 from bags import KINDS, START, TOPIC, livox, structured, write_bag
+from command_line import only_json
 from evaluated import World
 from labelled_bags import LABELS, NAMES, POINTS, LabelledBag, messages_of
 
@@ -106,3 +107,28 @@ def test_files_and_missing_labels_are_refused(tmp_path):
     output_path(bag.out, "drive", "predictions", NAMES[1]).unlink()
     refused(NoInputError, bag.path, export(bag, tmp_path))
     assert not (tmp_path / "to/drive.bag").exists()
+
+
+def test_both_commands_copy_a_bag_and_the_keys_of_their_results_are_listed(run, tmp_path):
+    bag = LabelledBag(tmp_path, ".db3")
+    for words in (("export-bag", "--topic", "/new"), ("filter", "--drop", "car")):
+        target = tmp_path / words[0]
+        call = (words[0], bag.out, target, *words[1:], "--dataset", bag.topic, "--json")
+        assert only_json(run(*call, status=0))["done"] == 3
+        assert only_json(run(*call, status=0))["skipped"] == 3
+        assert {path.name for path in (target / "drive").iterdir()} == {
+            "drive.db3",
+            "metadata.yaml",
+        }
+    call = (
+        "filter",
+        bag.out,
+        tmp_path / "to",
+        "--drop",
+        "car",
+        "--dataset",
+        bag.topic,
+        "--limit",
+        1,
+    )
+    assert "--limit: " in run(*call, status=2).stderr
