@@ -24,10 +24,10 @@ from salsanext_cli.io.formats.recordings import (
     sequence_of,
 )
 from salsanext_cli.io.formats.ros.bag_copies import CloudChange, Types, copy_bag
-from salsanext_cli.io.formats.ros.bags import Bag
+from salsanext_cli.io.formats.ros.bags import HINT, Bag
 from salsanext_cli.runs.loop.run import Failure, Outcome, RunOptions
 from salsanext_cli.runs.results.making_commands import PREDICT
-from salsanext_cli.runs.results.owned_folder import OwnedFolder, foreign_file
+from salsanext_cli.runs.results.owned_folder import OwnedFolder, files_at
 from salsanext_cli.runs.results.paths import ScanFile, output_path
 from salsanext_cli.runs.results.result_folder import ResultFolder
 
@@ -130,16 +130,14 @@ class BagRun:
 
     def _is_done(self, bag: BagOfResults) -> bool:
         target = self.target(bag)
-        return present(target) and is_recording(target) and not self._foreign_files(target)
-
-    def _foreign_files(self, target: Path) -> list[Path]:
-        return self.owned.foreign_files(_files_in(target))
+        if not present(target) or not is_recording(target):
+            return False
+        return not self.owned.foreign_files(files_at(target))
 
     def _copy(self, bag: BagOfResults, clouds: Sequence[ScanFile], options: RunOptions) -> int:
         """Copy a bag; return the number of its clouds with results."""
         target = self.target(bag)
-        for path in self._foreign_files(target):
-            raise foreign_file(path)
+        self.owned.refuse_foreign(files_at(target))
         self._require_labels(bag, clouds)
         opened = Bag(bag.path, files_of(bag.path))
         changes = self._changes(opened, bag, clouds, options)
@@ -150,19 +148,11 @@ class BagRun:
                 count = copy_bag(opened, written, changes)
                 if count != len(clouds):
                     problem = f"has {count:,} clouds, and {len(clouds):,} in its index"
-                    raise FormatError(bag.path, problem, "a complete bag", "repair its index")
-                self._rename(written, target)
+                    raise FormatError(bag.path, problem, "a complete bag", HINT)
+                self.owned.adopt(written, target)
         except OSError as error:
             raise refusal(target, error) from error
         return count
-
-    def _rename(self, written: Path, target: Path) -> None:
-        """Give a copy its name, in the place of an earlier one."""
-        for path in self.owned.remove_written(_files_in(target)):
-            raise foreign_file(path)
-        if is_folder(target):
-            target.rmdir()
-        self.owned.adopt(written, target)
 
     def _changes(
         self, opened: Bag, bag: BagOfResults, clouds: Sequence[ScanFile], options: RunOptions
@@ -173,6 +163,8 @@ class BagRun:
 
         def changed(path: Path, message: Any, types: Types) -> Any:
             nonlocal counted_clouds
+            if path not in scans:
+                raise FormatError(path, "is not in the index of the bag", "a complete bag", HINT)
             new = self.new_cloud(scans[path], message, types)
             counted_clouds += 1
             if options.progress:
@@ -224,10 +216,3 @@ def label_path(results: ResultFolder, file: ScanFile) -> Path:
 def has_measurements(file: ScanFile) -> bool:
     """Return whether any point of a scan has a measurement; the first of a driver may have none."""
     return bool(measured_ranges(read_scan(file.path).points)[1].any())
-
-
-def _files_in(target: Path) -> list[Path]:
-    """Return a bag that is a file, or the files of one that is a folder."""
-    if not is_folder(target):
-        return [target]
-    return [path for path in sorted(target.rglob("*")) if not is_folder(path)]

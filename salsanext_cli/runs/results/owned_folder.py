@@ -25,7 +25,7 @@ from salsanext_cli.core.texts import first_few
 from salsanext_cli.io.files.atomic import MARK, append_line, refusal, sweep, sweep_stale, writing
 from salsanext_cli.io.files.json_files import read_record, write_json
 from salsanext_cli.io.files.locks import locked
-from salsanext_cli.io.files.reading import filled, present, reading
+from salsanext_cli.io.files.reading import filled, is_folder, present, reading
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.scan_folders import FILE_LISTS
 
@@ -122,9 +122,16 @@ class OwnedFolder:
             file.write(content)
 
     def adopt(self, written: Path, path: Path) -> None:
-        """Rename a complete file, or a folder of files, to a path of the folder; list its files."""
-        files = [file for file in written.rglob("*") if file.is_file()] or [written]
-        for file in files:
+        """Give a complete file or folder its name, in the place of an earlier one; list its files.
+
+        An earlier one with a foreign file is refused, and stays.
+        """
+        earlier = files_at(path)
+        self.refuse_foreign(earlier)
+        self.remove_written(earlier)
+        if is_folder(path):
+            path.rmdir()
+        for file in files_at(written):
             self._list(path / file.relative_to(written), file.stat())
         written.rename(path)
 
@@ -227,6 +234,13 @@ class OwnedFolder:
         name = quote_from_bytes(os.fsencode(path.relative_to(self.root)))
         line = f"{name}\t{status.st_size}\t{status.st_mtime_ns}".encode()
         append_line(listing, line, durable=durable)
+
+
+def files_at(path: Path) -> list[Path]:
+    """Return a path that is no folder, else the files in it, also those in its subfolders."""
+    if not is_folder(path):
+        return [path]
+    return [file for file in sorted(path.rglob("*")) if not is_folder(file)]
 
 
 def foreign_file(path: Path) -> OutputError:

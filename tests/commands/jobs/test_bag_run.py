@@ -197,6 +197,16 @@ def test_a_damaged_bag_leaves_nothing(tmp_path):
     assert apply_to(bag, tmp_path / "other")().done == 3
 
 
+@pytest.mark.parametrize("change", [lambda paths: paths[:-1], lambda paths: [*paths, paths[0]]])
+def test_a_bag_with_other_clouds_than_its_index_is_refused(tmp_path, monkeypatch, change):
+    bag = LabelledBag(tmp_path, ".bag")
+    paths = bag_run.recorded_paths
+    monkeypatch.setattr(bag_run, "recorded_paths", lambda folder: change(paths(folder)))
+    with pytest.raises(FormatError, match="index"):
+        apply_to(bag, tmp_path)(options=STOP)
+    assert not (tmp_path / "to/drive.bag").exists()
+
+
 @pytest.mark.parametrize("kind", [".bag", ".db3"])
 def test_a_full_disk_names_the_new_bag(tmp_path, monkeypatch, kind):
     bag = LabelledBag(tmp_path, kind)
