@@ -26,6 +26,7 @@ class LabelledBag:
         times = (START, START + STEP, START + STEP)
         written = [(TOPIC, time, make) for time, make in zip(times, clouds, strict=True)]
         others = [("/rear", START + 1, cloud(POINTS[0])), ("/name", START + 2, text)]
+        others += [("/empty", START + 3, cloud(structured(0)))]
         path = write_bag(folder / name, kind, [*written, *others, *further])
         self.path = path if kind == ".bag" else path.parent
         self.topic = self.path / TOPIC.strip("/")

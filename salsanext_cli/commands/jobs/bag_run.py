@@ -204,7 +204,7 @@ class BagRun:
         hint = "do not play them"
         if clouds:
             words = shlex.join(["salsanext", "predict", str(target / clouds[0].strip("/")), "OUT"])
-            hint = f"do not play them, or filter the new bag in turn: `{words}`, then `filter OUT`"
+            hint = f"do not play them, or label the new bag too, `{words}`, and filter it by OUT"
         log.warning("%s", with_hint(text, hint))
 
 

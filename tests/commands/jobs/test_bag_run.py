@@ -170,7 +170,7 @@ def test_a_shard_has_some_of_the_bags(tmp_path):
 def test_topics_that_keep_their_points_are_named(tmp_path, caplog):
     bag = LabelledBag(tmp_path, ".bag")
     apply_to(bag, tmp_path)()
-    assert "all their points: /rear" in caplog.text
+    assert "all their points: /rear\n" in caplog.text
     assert f"predict {tmp_path}/to/drive.bag/rear OUT" in caplog.text
 
 

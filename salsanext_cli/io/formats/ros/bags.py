@@ -71,11 +71,12 @@ class Bag:
         return [topic for topic, kind in self.topics().items() if kind in CLOUD_MESSAGES]
 
     def other_points(self, topics: Collection[str]) -> list[str]:
-        """Return the topics with clouds or packets of a sensor that are none of some topics."""
+        """Return the topics with points or packets of a sensor that are none of some topics."""
+        others = {topic: kind for topic, kind in self.topics().items() if topic not in topics}
         return [
             topic
-            for topic, kind in self.topics().items()
-            if topic not in topics and (kind in CLOUD_MESSAGES or PACKETS.search(kind))
+            for topic, kind in others.items()
+            if PACKETS.search(kind) or (kind in CLOUD_MESSAGES and self.point_count(topic))
         ]
 
     def without_clouds(self) -> NoInputError:
