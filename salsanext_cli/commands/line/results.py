@@ -130,7 +130,7 @@ def export_bag(
 
     with over_scans("export-bag", running, output.quiet) as run:
         outcome = stage(out, target, topic=topic, query=query, options=run)
-    summary.finish("export-bag", outcome, target, output)
+    summary.print_summary_and_exit("export-bag", outcome, target, output)
 
 
 def _filter_numbers(outcome: "FilterOutcome") -> summary.StageNumbers:
