@@ -30,7 +30,7 @@ from salsanext_cli.training.fused_step import is_fused, skip_step
 pytestmark = pytest.mark.private
 BOUNDED = ("numba", "openvino", "rosbags", "torch", "typer")
 USERS = {
-    "io/bag_index.py": r"message_index_offsets|\.dbconn\b|messages_scan",
+    "io/bag_index.py": r"message_index_offsets|\.dbconn\b|messages_scan|decompressors",
     "io/kernel_cache.py": r"numba\.core|\._cache\b",
     "core/engines/conversion.py": r"torch\.jit|openvino\.frontend",
     "training/fused_step.py": r"found_inf",

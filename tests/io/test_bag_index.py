@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The index of a bag, which rosbags does not document, has the times of its messages."""
+"""Parts of rosbags that it does not document: the index of a bag, and its compression."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ pytest.importorskip("rosbags")
 
 from bags import KINDS, START, STEP, TOPIC, messages, structured, text, write_bag
 
-from salsanext_cli.io.bag_index import message_times, storage_count
+from salsanext_cli.io.bag_index import compression_of, message_times, storage_count
 
 pytestmark = pytest.mark.private
 POINTS = [structured(seed=seed) for seed in range(3)]
@@ -37,6 +37,20 @@ def test_the_index_has_the_times_that_the_messages_have(tmp_path, kind, topic):
             times = sorted(message_times(reader, lambda c: c.topic == topic))
             assert times == sorted(times_of_messages(reader, topic))
             assert storage_count(reader) == (1 if source.is_dir() else 0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "compression"),
+    [
+        *((kind, "") for kind in KINDS),
+        *((".bag", "BZ2"), (".bag", "LZ4"), (".db3", "FILE"), (".db3", "MESSAGE")),
+        *((".mcap", "FILE"), (".mcap", "MESSAGE"), (".mcap", "STORAGE")),
+    ],
+)
+def test_the_compression_is_the_one_that_the_bag_was_written_with(tmp_path, kind, compression):
+    path = write_bag(tmp_path, kind, messages(POINTS), compression=compression)
+    with opened(path if kind == ".bag" else path.parent) as reader:
+        assert compression_of(reader) == compression
 
 
 def test_an_index_that_leads_elsewhere_is_refused(tmp_path):

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 from scans import refused
 
 pytest.importorskip("rosbags")
@@ -192,9 +193,38 @@ def test_clouds_of_one_time_are_named_as_their_scans_are(tmp_path, kind):
         assert np.frombuffer(seen[name], POINTS[0].dtype)["x"].tolist() == columns["x"].tolist()
 
 
+@pytest.mark.parametrize("kind", [".db3", ".mcap"])
+def test_a_bag_of_several_files_becomes_one_file(tmp_path, kind):
+    first = write_bag(tmp_path / "a", kind, messages(POINTS[:2]))
+    later = [(TOPIC, START + (2 + n) * STEP, cloud(POINTS[2 + n])) for n in range(2)]
+    second = write_bag(tmp_path / "b", kind, [*later, ("/name", START + 9 * STEP, text)])
+    bag = tmp_path / "drive"
+    bag.mkdir()
+    parts = [bag / f"drive_{number}{kind}" for number in range(2)]
+    for old, new in zip((first, second), parts, strict=True):
+        old.rename(new)
+    described = yaml.safe_load(second.with_name("metadata.yaml").read_text("utf-8"))
+    described["rosbag2_bagfile_information"]["relative_file_paths"] = [part.name for part in parts]
+    (bag / "metadata.yaml").write_text(yaml.safe_dump(described), "utf-8")
+    target = tmp_path / "new"
+    seen = []
+
+    def changed(path, message, types):
+        seen.append(path.name)
+        return message
+
+    copy_bag(opened(bag), target, {TOPIC: CloudChange(topic=TOPIC, changed=changed)})
+    assert seen == [f"{START + n * STEP}" for n in range(4)]
+    assert recorded(target) == recorded(bag)
+    assert len(recorded(target)[1]) == 5
+    names = {path.name for path in target.iterdir()}
+    assert names == {f"new{kind}", "metadata.yaml"}
+
+
 def without_definitions(path):
     """Make a database as ROS 2 wrote it until 2023."""
     with sqlite3.connect(path) as connection:
+        connection.execute("PRAGMA synchronous = OFF")
         connection.execute("DROP TABLE schema")
         connection.execute("DROP TABLE message_definitions")
         connection.execute("UPDATE topics SET type = 'own_msgs/msg/Own' WHERE name = '/own'")
