@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from salsanext_cli.core.errors import FormatError, NoInputError, OutputError, SalsanextError
-from salsanext_cli.core.geometry.projection import measured_ranges
+from salsanext_cli.core.geometry.point_sample import measured_ranges
 from salsanext_cli.core.texts import counted, first_few, with_hint
 from salsanext_cli.io.files.atomic import refusal
 from salsanext_cli.io.files.locks import temporary_folder
@@ -94,7 +94,7 @@ class BagRun:
         """Copy the bags of this shard that are not done, one after the other."""
         start = time.monotonic()
         self._require_a_name_each(bags)
-        firsts = options.shard.of([bag.first for bag in bags])
+        firsts = options.shard.select([bag.first for bag in bags])
         done = 0
         skipped = 0
         failures = []
@@ -108,7 +108,7 @@ class BagRun:
             except SalsanextError as error:
                 if options.on_error == "stop":
                     raise
-                failures.append(Failure.of(bag.first, error))
+                failures.append(Failure.from_error(bag.first, error))
         return Outcome(
             skipped=skipped, failures=tuple(failures), done=done, seconds=time.monotonic() - start
         )

@@ -18,7 +18,7 @@ from salsanext_cli.io.files.reading import present
 from salsanext_cli.io.formats.ros.bag_copies import Types
 from salsanext_cli.io.formats.ros.bags import Bag
 from salsanext_cli.io.formats.ros.cloud_changes import cloud_with_values
-from salsanext_cli.report.colours import PointColours
+from salsanext_cli.report.colours import screen_colours
 from salsanext_cli.runs.loop.run import Outcome, RunOptions
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.paths import PREDICTION_STAGES, ScanFile
@@ -130,9 +130,7 @@ def _point_values(results: ScanResults, space: LabelSpace) -> dict[str, npt.NDAr
     if results.instance is not None:
         values["instance"] = results.instance
     values |= results.uncertainty
-    colours = PointColours("label", (0.0, 1.0), space, dark=True).of_points(
-        {"label": results.label}
-    )
+    colours = screen_colours(space)[space.to_train(results.label, strict=False)]
     red, green, blue = colours.astype(np.uint32).T
     values["rgb"] = (red << 16 | green << 8 | blue).view(np.float32)
     return values
