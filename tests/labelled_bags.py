@@ -5,9 +5,10 @@ from pathlib import Path
 
 import numpy as np
 from bags import START, STEP, TOPIC, cloud, structured, text, write_bag
-from scans import write_array
+from scans import make_scan, write_array, write_bin
 
-from salsanext_cli import write_labels
+from salsanext_cli import label_space, sensor, write_labels
+from salsanext_cli.runs.results.manifest import Manifest, ScanSource, StageRecord
 from salsanext_cli.runs.results.paths import output_path
 
 NAMES = (f"{START}", f"{START + STEP}", f"{START + STEP}_1")
@@ -42,6 +43,24 @@ class LabelledBag:
         """Write the probabilities of error of a cloud."""
         path = output_path(self.out, sequence, "uncertainty/error", stem)
         write_array(path, np.array(error, np.float32))
+
+
+def record_sources(out: Path, sources: dict[str, ScanSource]) -> None:
+    """Record where `predict` found the scans of each sequence."""
+    settings = {"label_space": label_space().to_dict(), "sensor": sensor("hdl64").to_dict()}
+    record = StageRecord(stage="predict", settings=settings, writes=("predictions",), scans=sources)
+    Manifest(out).write(record)
+
+
+def label_a_file_too(bag: LabelledBag, folder: Path) -> Path:
+    """Label a scan in a file of a folder beside the clouds of a bag; return its path."""
+    path = folder / "000000.bin"
+    write_bin(path, make_scan(6))
+    bag.label(path.stem, [ROAD] * 6, folder.name)
+    clouds = ScanSource(str(bag.topic), dict.fromkeys(NAMES, ""))
+    files = ScanSource(str(folder), {path.stem: path.suffix})
+    record_sources(bag.out, {"drive": clouds, folder.name: files})
+    return path
 
 
 def messages_of(path: Path) -> list:

@@ -14,7 +14,7 @@ from salsanext_cli.core.geometry.point_sample import measured_ranges
 from salsanext_cli.core.texts import counted, first_few, with_hint
 from salsanext_cli.io.files.atomic import refusal
 from salsanext_cli.io.files.locks import temporary_folder
-from salsanext_cli.io.files.reading import is_folder, present
+from salsanext_cli.io.files.reading import filled, is_folder, present
 from salsanext_cli.io.formats import BAG_SUFFIXES, read_scan
 from salsanext_cli.io.formats.recordings import (
     files_of,
@@ -30,6 +30,11 @@ from salsanext_cli.runs.results.making_commands import PREDICT
 from salsanext_cli.runs.results.owned_folder import OwnedFolder, files_at
 from salsanext_cli.runs.results.paths import ScanFile, output_path
 from salsanext_cli.runs.results.result_folder import ResultFolder
+
+NewTopic = Callable[[Bag, str], str]
+"""Function from a bag and a topic of it to the topic of the new clouds."""
+NewCloud = Callable[[ScanFile, Any, Types], Any]
+"""Function from a scan, its message and the classes of messages to the new message."""
 
 log = logging.getLogger(__name__)
 
@@ -70,12 +75,6 @@ def bags_of(scans: Sequence[ScanFile]) -> list[BagOfResults]:
 def is_bag(recording: Path) -> bool:
     """Return whether a recording is a ROS bag."""
     return is_folder(recording) or recording.suffix.lower() in BAG_SUFFIXES
-
-
-NewTopic = Callable[[Bag, str], str]
-"""Function from a bag and a topic of it to the topic of the new clouds."""
-NewCloud = Callable[[ScanFile, Any, Types], Any]
-"""Function from a scan, its message and the classes of messages to the new message."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -132,7 +131,8 @@ class BagRun:
         target = self.target(bag)
         if not present(target) or not is_recording(target):
             return False
-        return not self.owned.foreign_files(files_at(target))
+        files = files_at(target)
+        return all(map(filled, files)) and not self.owned.foreign_files(files)
 
     def _copy(self, bag: BagOfResults, clouds: Sequence[ScanFile], options: RunOptions) -> int:
         """Copy a bag; return the number of its clouds with results."""
@@ -179,18 +179,15 @@ class BagRun:
 
     def _require_labels(self, bag: BagOfResults, clouds: Sequence[ScanFile]) -> None:
         """Refuse a bag if a cloud with measurements has no labels: a bag is copied as a whole."""
-        missing = [
-            cloud
-            for cloud in clouds
-            if not present(label_path(self.results, cloud)) and has_measurements(cloud)
-        ]
-        if missing:
-            names = first_few([cloud.stem for cloud in missing])
-            problem = (
-                f"has no labels of {len(missing):,} of {counted(len(clouds), 'cloud')}: {names}"
-            )
-            hint = self.results.command(PREDICT, missing[0])
-            raise NoInputError(bag.path, problem, "labels of all clouds of the topic", hint)
+        missing = [cloud for cloud in clouds if not present(label_path(self.results, cloud))]
+        # The first one that should have labels is enough; reading a cloud takes time.
+        measured = next(filter(has_measurements, missing), None)
+        if measured is None:
+            return
+        of_clouds = f"{len(missing):,} of {counted(len(clouds), 'cloud')}"
+        problem = f"has no labels of {of_clouds}, such as {measured.stem}"
+        hint = self.results.command(PREDICT, measured)
+        raise NoInputError(bag.path, problem, "labels of all clouds of the topic", hint)
 
     def _warn_of_other_topics(
         self, opened: Bag, target: Path, changes: Mapping[str, CloudChange]

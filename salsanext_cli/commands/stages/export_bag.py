@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Stage `export-bag`: bags with a topic of the clouds and their labels and uncertainties."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.commands.jobs.bag_run import BagRun, bags_of, label_path
+from salsanext_cli.commands.jobs.bag_run import BagOfResults, BagRun, bags_of, label_path
 from salsanext_cli.commands.jobs.filled_folder import begin
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import OutputError, UsageError
@@ -72,10 +72,7 @@ def export_bag(
     chosen = results.chosen(query)
     results.require_column("label", chosen.scans)
     bags = bags_of(chosen.scans)
-    if not bags:
-        scan = chosen.scans[0].path
-        hint = "run `export-ply` for clouds in files"
-        raise UsageError(scan, "is no cloud of a bag", "labels of a ROS bag", hint)
+    _require_bags(chosen.scans, bags)
     if topic is not None and any(len(bag.folders) > 1 for bag in bags):
         hint = f"omit {argument('topic')}"
         raise UsageError(argument("topic"), "is one name for several topics", hint=hint)
@@ -104,6 +101,19 @@ def export_bag(
     with begin(owned, settings, options.overwrite):
         outcome = run.run(bags, options)
     return replace(outcome, missing=chosen.missing)
+
+
+def _require_bags(scans: Sequence[ScanFile], bags: Sequence[BagOfResults]) -> None:
+    """Refuse scans that are no clouds of bags, which no bag could have."""
+    folders = {folder for bag in bags for folder in bag.folders}
+    other = next((scan.path for scan in scans if scan.path.parent not in folders), None)
+    if other is None:
+        return
+    hint = "run `export-ply` for clouds in files"
+    if bags:
+        names = tuple(sorted({bag.first.sequence for bag in bags}))
+        hint = f"export the bags alone, with {setting('sequences', names)}"
+    raise UsageError(other, "is no cloud of a bag", "labels of ROS bags", hint)
 
 
 def _new_topic(bag: Bag, old: str, name: str | None) -> str:

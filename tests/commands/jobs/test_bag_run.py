@@ -11,17 +11,27 @@ from scans import files_below, refused
 pytest.importorskip("rosbags")
 
 from bags import KINDS, START, STEP, TOPIC, cloud, structured
-from labelled_bags import CAR, NAMES, POINTS, ROAD, LabelledBag, messages_of
+from captures import Sent, vlp16, write_capture
+from labelled_bags import (
+    CAR,
+    NAMES,
+    POINTS,
+    ROAD,
+    LabelledBag,
+    label_a_file_too,
+    messages_of,
+    record_sources,
+)
 
-from salsanext_cli import label_space, read_scan, sensor
+from salsanext_cli import read_scan, write_labels
 from salsanext_cli.commands.jobs import bag_run
 from salsanext_cli.commands.stages.filter import filter_scans
 from salsanext_cli.core.errors import FormatError, LabelError, NoInputError, OutputError, UsageError
 from salsanext_cli.core.measures.filtered_points import FilteredPoints
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.loop.run_options import Shard
-from salsanext_cli.runs.results.manifest import Manifest, ScanSource, StageRecord
-from salsanext_cli.runs.results.paths import output_path
+from salsanext_cli.runs.results.manifest import ScanSource
+from salsanext_cli.runs.results.paths import find_scans, output_path
 from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 
@@ -108,9 +118,30 @@ def test_clouds_without_labels_are_refused_unless_they_have_no_measurements(tmp_
     for name in NAMES[1:]:
         output_path(bag.out, "drive", "predictions", name).unlink()
     caught = refused(NoInputError, bag.path, call, drop=["moving"], options=AGAIN)
-    assert f"2 of 5 clouds: {NAMES[1]}" in caught.value.problem
+    assert f"4 of 5 clouds, such as {NAMES[1]}" in caught.value.problem
     assert f"salsanext predict {bag.topic}" in caught.value.hint
     assert messages_of(tmp_path / "to/drive"), "the earlier copy stays"
+
+
+def test_only_the_first_cloud_that_lacks_labels_is_read_again(tmp_path, monkeypatch):
+    bag = LabelledBag(tmp_path, ".bag")
+    for name in NAMES[1:]:
+        output_path(bag.out, "drive", "predictions", name).unlink()
+    read = []
+    monkeypatch.setattr(bag_run, "read_scan", lambda path: read.append(path) or read_scan(path))
+    refused(NoInputError, bag.path, apply_to(bag, tmp_path), options=STOP)
+    assert read == [bag.topic / NAMES[1]]
+
+
+def test_a_bag_that_a_power_cut_emptied_is_written_again(tmp_path):
+    bag = LabelledBag(tmp_path, ".bag")
+    call = apply_to(bag, tmp_path)
+    call()
+    target = tmp_path / "to/drive.bag"
+    content = target.read_bytes()
+    target.write_bytes(b"")
+    assert call(options=STOP).done == 3
+    assert len(target.read_bytes()) == len(content)
 
 
 def test_points_above_an_error_go(tmp_path):
@@ -132,10 +163,8 @@ def two_bags(tmp_path):
     bag.label(NAMES[2], [CAR] * 7)
     stems = dict.fromkeys(NAMES, "")
     folders = {"drive": bag.topic, "evening": evening / TOPIC.strip("/")}
-    scans = {name: ScanSource(str(folder), stems) for name, folder in folders.items()}
-    settings = {"label_space": label_space().to_dict(), "sensor": sensor("hdl64").to_dict()}
-    record = StageRecord(stage="predict", settings=settings, writes=("predictions",), scans=scans)
-    Manifest(bag.out).write(record)
+    sources = {name: ScanSource(str(folder), stems) for name, folder in folders.items()}
+    record_sources(bag.out, sources)
     return bag, evening
 
 
@@ -174,12 +203,36 @@ def test_topics_that_keep_their_points_are_named(tmp_path, caplog):
     assert f"predict {tmp_path}/to/drive.bag/rear OUT" in caplog.text
 
 
-def test_limits_captures_and_files_beside_bags_are_refused(tmp_path):
+def test_a_limit_is_refused(tmp_path):
     bag = LabelledBag(tmp_path, ".bag")
     call = partial(filter_scans, bag.out, tmp_path / "to", drop=["car"])
     query = ResultQuery(bag.topic, selection=ScanSelection(limit=2))
     refused(UsageError, "limit", call, query=query)
     assert not (tmp_path / "to").exists()
+
+
+def test_files_beside_bags_are_refused_and_the_hint_filters_the_bags(tmp_path):
+    bag = LabelledBag(tmp_path, ".bag")
+    label_a_file_too(bag, tmp_path / "evening")
+    call = partial(filter_scans, bag.out, tmp_path / "to", drop=["car"])
+    caught = refused(UsageError, bag.path, call)
+    assert 'sequences=("drive",)' in caught.value.hint
+    assert not (tmp_path / "to").exists()
+    selected = ResultQuery(selection=ScanSelection(sequences=("drive",)))
+    assert call(query=selected).done == 3
+
+
+def test_captures_are_refused(tmp_path):
+    pytest.importorskip("velodyne_decoder")
+    distances = np.full((12, 32), 9)
+    packets = [vlp16(4.8 * n % 360, distances, distances, 1327 * n) for n in range(150)]
+    path = write_capture(tmp_path / "drive.pcap", map(Sent, packets))
+    out = tmp_path / "out"
+    for scan in find_scans(path):
+        write_labels(output_path(out, scan.sequence, "predictions", scan.stem), np.uint32([ROAD]))
+    call = partial(filter_scans, out, tmp_path / "to", drop=["car"])
+    caught = refused(UsageError, path, call, query=ResultQuery(path))
+    assert f"salsanext convert {path} DATA" in caught.value.hint
 
 
 def test_a_damaged_bag_leaves_nothing(tmp_path):

@@ -12,7 +12,7 @@ pytest.importorskip("rosbags")
 from bags import KINDS, START, TOPIC, livox, structured, write_bag
 from command_line import only_json
 from evaluated import World
-from labelled_bags import LABELS, NAMES, POINTS, LabelledBag, messages_of
+from labelled_bags import LABELS, NAMES, POINTS, LabelledBag, label_a_file_too, messages_of
 
 from salsanext_cli import label_space, write_labels
 from salsanext_cli.commands.stages.export_bag import export_bag
@@ -22,6 +22,7 @@ from salsanext_cli.report.colours import screen_colours
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.results.paths import output_path
 from salsanext_cli.runs.results.query import ResultQuery
+from salsanext_cli.runs.results.scan_selection import ScanSelection
 
 NEW = f"{TOPIC}/labelled"
 STOP = RunOptions(on_error="stop")
@@ -102,11 +103,22 @@ def test_files_and_missing_labels_are_refused(tmp_path):
     world.add("000000", None, [40] * 4)
     scan = world.dataset / "sequences/08/velodyne/000000.bin"
     call = partial(export_bag, world.out, tmp_path / "to", query=ResultQuery(world.dataset))
-    refused(UsageError, scan, call)
+    caught = refused(UsageError, scan, call)
+    assert "export-ply" in caught.value.hint
     bag = LabelledBag(tmp_path / "b", ".bag")
     output_path(bag.out, "drive", "predictions", NAMES[1]).unlink()
     refused(NoInputError, bag.path, export(bag, tmp_path))
     assert not (tmp_path / "to/drive.bag").exists()
+
+
+def test_scans_in_files_beside_bags_are_refused_and_the_hint_exports_the_bags(tmp_path):
+    bag = LabelledBag(tmp_path, ".bag")
+    file = label_a_file_too(bag, tmp_path / "evening")
+    call = partial(export_bag, bag.out, tmp_path / "to", options=STOP)
+    caught = refused(UsageError, file, call)
+    assert 'sequences=("drive",)' in caught.value.hint
+    selected = ResultQuery(selection=ScanSelection(sequences=("drive",)))
+    assert call(query=selected).done == 3
 
 
 def test_both_commands_copy_a_bag_and_the_keys_of_their_results_are_listed(run, tmp_path):
