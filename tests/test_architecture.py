@@ -55,7 +55,7 @@ LEVELS = (
     ("runs.labelling", "runs.loop"),
     ("training", "synthesis", "report"),
     ("commands.score_limits", "drive_labels"),
-    ("commands.jobs",),
+    ("commands.evaluation", "commands.jobs"),
     ("commands.stages",),
     ("commands.line", "api"),
     ("__main__",),

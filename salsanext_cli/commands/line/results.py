@@ -19,8 +19,8 @@ from salsanext_cli.runs.results.query import ResultQuery
 if TYPE_CHECKING:
     from rich.console import Group
 
+    from salsanext_cli.commands.evaluation import Evaluation
     from salsanext_cli.commands.score_limits import MissedLimit
-    from salsanext_cli.commands.stages.evaluate import Evaluation
     from salsanext_cli.commands.stages.filter import FilterOutcome
     from salsanext_cli.core.measures.accepted_labels import AcceptedLabels
     from salsanext_cli.core.measures.filtered_points import FilteredPoints

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from salsanext_cli.commands.stages.evaluate import Evaluation, evaluate
+from salsanext_cli.commands.evaluation import Evaluation
+from salsanext_cli.commands.stages.evaluate import evaluate
 from salsanext_cli.commands.stages.export_ply import export_ply
 from salsanext_cli.commands.stages.picture import picture
 from salsanext_cli.commands.stages.predict import predict_scans

@@ -53,8 +53,8 @@ class Report:
         trained_on = None
         on_training_scans = None
         if self.run.reader.trained_on.missing is None:
-            trained_on = counts.skipped if counts else 0
-            on_training_scans = bool(counts and counts.trained_on)
+            trained_on = counts.skipped_training_scans if counts else 0
+            on_training_scans = bool(counts and counts.training_scans)
         decision = self.verdict
         return {
             "stage": "report",
@@ -219,7 +219,7 @@ def read_run(
     )
     rows: list[ScanRow] = []
     counts = SeparateCounts(reader.space)
-    trained_on: set[ScanRow] = set()
+    training_rows: set[ScanRow] = set()
 
     def add(result: tuple[ScanRow, ScanCounts | None]) -> None:
         row, scan_counts = result
@@ -227,17 +227,17 @@ def read_run(
         if scan_counts is None:
             return
         counts.add(scan_counts)
-        if scan_counts.trained_on:
-            trained_on.add(row)
+        if scan_counts.training_scans:
+            training_rows.add(row)
 
     task = partial(ScanRow.read, reader=reader)
     outcome = run_over_scans(task, chosen.scans, options, on_result=add)
     if not rows:
         raise NoInputError(out, f"no results can be read: {outcome.failures[0].reason}")
     scored = counts.scored()
-    if scored.skipped:
+    if scored.skipped_training_scans:
         uncounted = np.zeros_like(rows[0].confusion)
-        rows = [replace(row, confusion=uncounted) if row in trained_on else row for row in rows]
+        rows = [replace(row, confusion=uncounted) if row in training_rows else row for row in rows]
     rows.sort(key=lambda row: row.file)  # Workers finish in any order.
     counts_of_run = scored if scored.scans else None
     return RunResults(reader, rows, counts_of_run, chosen.missing), outcome.failures

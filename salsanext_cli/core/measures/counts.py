@@ -53,9 +53,10 @@ class ScanCounts:
     unknown_truth: Counter[int] = field(default_factory=Counter)
     unknown_predictions: Counter[int] = field(default_factory=Counter)
     scans: int = 0  # Number of scans counted
-    trained_on: int = 0  # Number of those that the weights were trained on
-    skipped: int = 0  # Number of scans not counted because the weights were trained on them
-    calibrated: int = 0  # Number of scans that the threshold of their rejection was chosen on
+    training_scans: int = 0  # Number of counted scans that the weights were trained on
+    # Number of scans that are not counted because the weights were trained on them
+    skipped_training_scans: int = 0
+    threshold_scans: int = 0  # Number of counted scans that the threshold was chosen on
     missing: list[str] = field(default_factory=list)  # Names of scans without predictions
     files: Counter[str] = field(default_factory=Counter)  # Number of scans with a file, by folder
     # Points of each scan of a run that rejected labels, by name
@@ -81,9 +82,9 @@ class ScanCounts:
         self.unknown_predictions += other.unknown_predictions
         self.files += other.files
         self.scans += other.scans
-        self.trained_on += other.trained_on
-        self.skipped += other.skipped
-        self.calibrated += other.calibrated
+        self.training_scans += other.training_scans
+        self.skipped_training_scans += other.skipped_training_scans
+        self.threshold_scans += other.threshold_scans
         self.missing += other.missing
         self.calibration_errors += other.calibration_errors
         self.accepted |= other.accepted
@@ -93,13 +94,14 @@ class ScanCounts:
 
     def label_warnings(self, space: LabelSpace) -> Iterator[str]:
         """Yield reasons to doubt the scores, in words."""
-        if self.skipped:
-            share = f"{self.skipped:,} of {counted(self.scans + self.skipped, 'labelled scan')}"
+        if self.skipped_training_scans:
+            labelled = self.scans + self.skipped_training_scans
+            share = f"{self.skipped_training_scans:,} of {counted(labelled, 'labelled scan')}"
             yield f"{share} skipped: the weights were trained on them"
-        elif self.trained_on:
+        elif self.training_scans:
             yield "the weights were trained on every labelled scan: scores on new scans are unknown"
-        if self.calibrated:
-            chosen = f"{self.calibrated:,} of {counted(self.scans, 'scan')}"
+        if self.threshold_scans:
+            chosen = f"{self.threshold_scans:,} of {counted(self.scans, 'scan')}"
             yield f"the threshold was chosen on {chosen}: these scans do not test its guarantee"
         unknown = {"labels": self.unknown_truth, "predictions": self.unknown_predictions}
         for source, ids in unknown.items():
@@ -132,20 +134,23 @@ class SeparateCounts:
     """Counts of scans that the weights were trained on, and of the other scans."""
 
     def __init__(self, space: LabelSpace, by_distance: bool = False) -> None:
+        self.training = ScanCounts.none(space, by_distance)
         self.others = ScanCounts.none(space, by_distance)
-        self.trained_on = ScanCounts.none(space, by_distance)
 
-    def add(self, other: ScanCounts) -> None:
+    def add(self, scan: ScanCounts) -> None:
         """Add the counts of one scan, which are used up."""
-        (self.trained_on if other.trained_on else self.others).add(other)
+        if scan.training_scans:
+            self.training.add(scan)
+        else:
+            self.others.add(scan)
 
     def scored(self) -> ScanCounts:
         """Return the counts of the other scans, or of all if the weights were trained on all."""
-        if self.others.scans or not self.trained_on.scans:
-            self.others.skipped = self.trained_on.scans
+        if self.others.scans or not self.training.scans:
+            self.others.skipped_training_scans = self.training.scans
             return self.others
-        self.trained_on.missing = self.others.missing
-        return self.trained_on
+        self.training.missing = self.others.missing
+        return self.training
 
 
 def band_of_point(points: Float) -> Indices:

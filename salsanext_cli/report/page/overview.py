@@ -94,7 +94,7 @@ def _tiles(run: RunResults, compared: Comparison | None, evidence: Evidence) -> 
 def _score_tiles(compared: Comparison) -> Iterator[Tile]:
     """Yield accuracy and mean IoU, or coverage and risk of a run that rejected labels."""
     scores = compared.scores
-    which = "trained on" if compared.counts.trained_on else "with labels"
+    which = "trained on" if compared.counts.training_scans else "with labels"
     scans = f"{counted(compared.counts.scans, 'scan')} {which}"
     labelled = counted(scores.points, "labelled point")
     labels = compared.accepted

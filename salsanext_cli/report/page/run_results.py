@@ -263,7 +263,7 @@ class RunResults:
             return None
         estimate = expected.accuracy if expected else None
         is_better = estimate is None or accuracy >= estimate
-        return None if counts.trained_on and is_better else accuracy
+        return None if counts.training_scans and is_better else accuracy
 
     @property
     def codes(self) -> dict[str, list[str]]:

@@ -115,7 +115,7 @@ class ScanComparison:
         predicted = space.to_train(raw_predicted, strict=False, source=predictions)
         read = cache(lambda: cloud or read_scan(scan.path, self.sensor))
         counts.scans = 1
-        counts.trained_on = int(is_among(self.trained_on.digests, len(truth), read))
+        counts.training_scans = int(is_among(self.trained_on.digests, len(truth), read))
         counts.unknown_truth.update(self.labels.unknown_ids(raw_truth))
         counts.unknown_predictions.update(space.unknown_ids(raw_predicted))
         counts.confusion = confusion_matrix(truth, predicted, space.class_count)
@@ -145,7 +145,7 @@ class ScanComparison:
                 accepted=int(labelled.sum()),
                 wrong=int((labelled & wrong).sum()),
             )
-            counts.calibrated = int(is_among(self.chosen_on.digests, len(scored), read))
+            counts.threshold_scans = int(is_among(self.chosen_on.digests, len(scored), read))
             values = {kind: np.where(labelled, v, np.nan) for kind, v in values.items()}
         for kind, point_values in values.items():
             counts.histograms[kind] = uncertainty_histogram(point_values, wrong)

@@ -12,7 +12,8 @@ from scans import refused, write_bin
 from world import World
 
 from salsanext_cli import label_space, read_labels, read_scan
-from salsanext_cli.commands.stages.evaluate import Evaluation, evaluate_scans
+from salsanext_cli.commands.evaluation import Evaluation
+from salsanext_cli.commands.stages.evaluate import evaluate_scans
 from salsanext_cli.commands.stages.export_ply import export_ply
 from salsanext_cli.commands.stages.knn_refine import knn_refine_scans
 from salsanext_cli.commands.stages.predict import predict_scans
@@ -71,7 +72,11 @@ def test_they_are_left_out_under_any_name_and_format(trained, caplog):
     caplog.clear()
     trained.network.path.unlink()
     result = judged(trained)
-    assert (result.counts.scans, result.counts.skipped, result.counts.trained_on) == (2, 1, 0)
+    assert (
+        result.counts.scans,
+        result.counts.skipped_training_scans,
+        result.counts.training_scans,
+    ) == (2, 1, 0)
     np.testing.assert_array_equal(result.counts.confusion, counts_of(trained, *EVERY[:2]))
     assert caplog.messages == ["1 of 3 labelled scans skipped: the weights were trained on them"]
     assert json.loads((trained.out / "eval.json").read_text())["trained_on"] == 1
@@ -83,7 +88,11 @@ def test_scores_on_training_scans_only_are_marked(trained, caplog):
     predict(trained)
     caplog.clear()
     result = judged(trained)
-    assert (result.counts.scans, result.counts.skipped, result.counts.trained_on) == (1, 0, 1)
+    assert (
+        result.counts.scans,
+        result.counts.skipped_training_scans,
+        result.counts.training_scans,
+    ) == (1, 0, 1)
     np.testing.assert_array_equal(result.counts.confusion, counts_of(trained, EVERY[2]))
     assert caplog.messages[0].startswith("the weights were trained on every labelled scan")
     heading = (trained.out / "scores.txt").read_text().splitlines()[0]
@@ -140,7 +149,7 @@ def test_the_digests_are_in_a_file_that_the_record_names(trained):
     predict(trained)
     assert (trained.out / "predict.json").read_bytes() == before
     assert digest_file(trained) == path
-    assert judged(trained).counts.skipped == 1
+    assert judged(trained).counts.skipped_training_scans == 1
 
 
 def test_a_record_of_an_early_version_holds_them_itself(trained):
@@ -150,7 +159,7 @@ def test_a_record_of_an_early_version_holds_them_itself(trained):
     record["settings"]["trained_on"] = digest_file(trained).read_text("ascii").replace("\n", "")
     digest_file(trained).unlink()
     path.write_text(json.dumps(record))
-    assert judged(trained).counts.skipped == 1
+    assert judged(trained).counts.skipped_training_scans == 1
     predict(trained)  # With the same settings
     assert json.loads(path.read_text()) == record
 
@@ -165,7 +174,7 @@ def test_a_changed_file_of_digests_is_refused_where_scans_are_compared(trained, 
     refused(OutputError, path, judged, trained)
     path.unlink()
     predict(trained)  # Writes the file again, as the hint of a missing one says.
-    assert judged(trained).counts.skipped == 1
+    assert judged(trained).counts.skipped_training_scans == 1
 
 
 def test_without_the_file_of_digests_only_the_comparison_with_them_is_missing(trained, caplog):
@@ -179,7 +188,7 @@ def test_without_the_file_of_digests_only_the_comparison_with_them_is_missing(tr
     caplog.clear()
     result = judged(trained)
     assert [str(path) in message for message in caplog.messages].count(True) == 1
-    assert (result.counts.scans, result.counts.skipped) == (3, 0)
+    assert (result.counts.scans, result.counts.skipped_training_scans) == (3, 0)
     numbers = json.loads((trained.out / "eval.json").read_text())
     assert (numbers["trained_on"], numbers["on_training_scans"]) == (None, None)
     assert (trained.out / "scores.txt").read_text().startswith("# ")
@@ -198,7 +207,7 @@ def test_the_scans_of_a_threshold_are_unknown_without_their_file(trained, caplog
     settings = record["settings"] | {"reject": 0.5, "guarantee": risk}
     record["settings"] = with_files(settings, trained.out)
     path.write_text(json.dumps(record))
-    assert judged(trained).counts.calibrated == 0  # That scan is skipped.
+    assert judged(trained).counts.threshold_scans == 0  # That scan is skipped.
     named = trained.out / record["settings"]["guarantee"]["digests"]
     assert Manifest(trained.out).scans_of_threshold().digests == digests
     named.unlink()
@@ -235,7 +244,7 @@ def test_records_of_early_versions_stay_as_they_are_when_scans_are_added(trained
     predict(trained)
     assert json.loads(path.read_text())["settings"]["trained_on"] == joined
     assert Manifest(trained.out).origins(["predict"]) == before
-    assert judged(trained).counts.skipped == 1
+    assert judged(trained).counts.skipped_training_scans == 1
 
 
 def test_a_file_of_digests_with_the_former_suffix_is_read(trained):
@@ -244,5 +253,5 @@ def test_a_file_of_digests_with_the_former_suffix_is_read(trained):
     former = path.rename(path.with_suffix(".txt"))
     record = (trained.out / "predict.json").read_text().replace(path.name, former.name)
     (trained.out / "predict.json").write_text(record)
-    assert judged(trained).counts.skipped == 1
+    assert judged(trained).counts.skipped_training_scans == 1
     predict(trained)  # With the same settings

@@ -15,7 +15,8 @@ from scans import refused
 from world import World
 
 from salsanext_cli import label_space, read_labels, write_labels
-from salsanext_cli.commands.stages.evaluate import Evaluation, evaluate_scans
+from salsanext_cli.commands.evaluation import Evaluation
+from salsanext_cli.commands.stages.evaluate import evaluate_scans
 from salsanext_cli.commands.stages.models import describe_weights
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.commands.stages.report import read_run, report
@@ -497,7 +498,7 @@ def test_a_threshold_of_consecutive_scans_is_not_called_guaranteed(
     judged = evaluate_scans(ResultFolder(world.out).scans(), world.out, label_space())
     assert "not guaranteed" in judged.guarantee.sentence
     # The scans are those of the threshold, so others are judged.
-    doubt = replace(judged, counts=replace(judged.counts, calibrated=0)).guarantee_doubt
+    doubt = replace(judged, counts=replace(judged.counts, threshold_scans=0)).guarantee_doubt
     assert WarningCode.CONSECUTIVE in doubt
 
 

@@ -94,11 +94,11 @@ def test_scans_are_named_by_sequence_and_stem_or_by_the_stem_alone():
 
 
 @pytest.mark.parametrize(
-    ("trained_on", "estimate", "measured"),
+    ("training_scans", "estimate", "measured"),
     [(0, None, 0.7), (0, 0.5, 0.7), (1, 0.5, None), (1, 0.8, 0.7), (1, None, None)],
 )
 def test_scores_of_training_scans_count_only_against_the_labels(
-    monkeypatch, trained_on, estimate, measured
+    monkeypatch, training_scans, estimate, measured
 ):
     expected = (
         None
@@ -107,7 +107,7 @@ def test_scores_of_training_scans_count_only_against_the_labels(
     )
     monkeypatch.setattr(RunResults, "expected_accuracy", lambda _: expected)
     confusion = np.array([[0, 0, 0], [0, 3, 2], [0, 1, 4]])
-    counts = ScanCounts(confusion=confusion, scans=1, trained_on=trained_on)
+    counts = ScanCounts(confusion=confusion, scans=1, training_scans=training_scans)
     run = replace(run_of(rows=[row("1")], space=SPACE), counts=counts)
     assert run.evidence().measured == measured
     rejecting = replace(counts, accepted={"00/1": (12, 10, 3)})
