@@ -274,6 +274,7 @@ HELPERS = {
     "core/geometry/evenness.py",
     "core/geometry/ground.py",
     "core/geometry/point_sample.py",
+    "core/geometry/row_gaps.py",
     "core/geometry/scan_traits.py",
     "core/geometry/sensor_frame.py",
     "core/checks/finding.py",

@@ -27,7 +27,6 @@ from benchmarks.speed.speed_turn import take_turn
 from salsanext_cli.core.engines.device import choose_device, choose_precision
 from salsanext_cli.core.engines.registry import choose_engine
 from salsanext_cli.core.errors import SalsanextError, UsageError, WeightsError
-from salsanext_cli.core.geometry.network_input import noise_of
 from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.texts import counted
@@ -127,7 +126,7 @@ def _require(weights: Path, card: WeightsCard, sensor: Sensor, parts: Sequence[s
     if (name := card.architecture.get("name")) != "salsanext":
         raise WeightsError(weights, f"architecture {name}", "salsanext, as the baseline has it")
     if "uncertainty" in parts:
-        noise_of(sensor)
+        sensor.require_noise()
         if not card.architecture.get("dropout", 1):
             hint = "leave uncertainty out of --parts"
             raise WeightsError(weights, "a network without dropout", "one with it", hint)

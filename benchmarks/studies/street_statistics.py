@@ -31,7 +31,7 @@ import numpy.typing as npt
 
 from salsanext_cli import label_space, read_labels, read_scan, sensor
 from salsanext_cli.core.classes.label_space import LabelSpace, TrainIds
-from salsanext_cli.core.geometry.network_input import intensity_quantiles, match_intensity
+from salsanext_cli.core.geometry.intensity import intensity_quantiles, match_intensity
 from salsanext_cli.core.geometry.projection import project
 from salsanext_cli.core.records import Float
 from salsanext_cli.core.sensors.sensor import Sensor

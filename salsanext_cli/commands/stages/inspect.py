@@ -9,7 +9,7 @@ from salsanext_cli.core.checks.scan_checks import ALONE, check_scan, fit_hint
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import NoInputError
 from salsanext_cli.core.fitting.sensor_groups import sensor_groups
-from salsanext_cli.core.geometry.network_input import NO_INTENSITY
+from salsanext_cli.core.geometry.intensity import NO_INTENSITY
 from salsanext_cli.core.geometry.point_sample import measured_ranges
 from salsanext_cli.core.geometry.projection import project
 from salsanext_cli.core.geometry.sensor_frame import without_ego

@@ -11,7 +11,6 @@ from salsanext_cli.commands.jobs.uncertainty_job import UncertaintyJob
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import OutputError
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
-from salsanext_cli.core.geometry.network_input import noise_of
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.uncertainty.error_features import knows_error
@@ -84,6 +83,7 @@ def uncertainty(
         settings, network, listed, out, overwrite=overwrite, origins_of=origins.sample_origins
     )
     method.require(network)
+    noise = network.sensor.require_noise() if method.is_noisy else None
     recorded = replace(
         settings_of_network(network, UncertaintySettings),
         knn=knn,
@@ -91,7 +91,7 @@ def uncertainty(
         aleatoric=method.aleatoric,
         samples=method.samples,
         seed=method.seed,
-        noise=noise_of(network.sensor) if method.is_noisy else None,
+        noise=(noise.range, noise.intensity) if noise else None,
     )
     folders = _folders(out, network, method, labels_too=labels_too)
     _require_network_of_labels(out, recorded)

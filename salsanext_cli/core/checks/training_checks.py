@@ -5,7 +5,12 @@ from collections.abc import Iterator
 
 from salsanext_cli.core.checks.finding import Finding
 from salsanext_cli.core.checks.warning_codes import WarningCode
-from salsanext_cli.core.geometry.network_input import BRIGHT, INTENSITY_FACTOR, NO_INTENSITY
+from salsanext_cli.core.geometry.intensity import (
+    BRIGHT,
+    BRIGHT_LEVEL,
+    INTENSITY_FACTOR,
+    NO_INTENSITY,
+)
 from salsanext_cli.core.sensors.sensor import OF_IMAGES, Sensor
 from salsanext_cli.core.texts import first_few, percentage
 from salsanext_cli.core.wording import argument, setting
@@ -86,7 +91,7 @@ def _scale_findings(bright: float, sensor: Sensor, trained: Sensor) -> Iterator[
     matched = sensor.intensity_quantiles
     quantiles = matched or trained.intensity_quantiles
     if quantiles:
-        expected = quantiles[round(BRIGHT * (len(quantiles) - 1))]
+        expected = quantiles[BRIGHT_LEVEL]
         is_near = expected / INTENSITY_FACTOR <= bright <= expected * INTENSITY_FACTOR
         is_doubtful = expected > 0 and not is_near  # Factors have no meaning below 0.
         origin = "the scans fitted to" if matched else "training"

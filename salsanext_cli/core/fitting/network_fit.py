@@ -14,13 +14,8 @@ from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.fitting.scan_sample import ScanSample
 from salsanext_cli.core.fitting.view_fit import announce_member, fit_views, joined
-from salsanext_cli.core.geometry.network_input import (
-    NO_INTENSITY,
-    column_gaps,
-    fills_rows,
-    intensity_quantiles,
-    row_gaps,
-)
+from salsanext_cli.core.geometry.intensity import NO_INTENSITY, intensity_quantiles
+from salsanext_cli.core.geometry.row_gaps import column_gaps, fills_rows, row_gaps
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.records import Float
 from salsanext_cli.core.sensors.sensor import Sensor

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.core.geometry.network_input import BRIGHT, why_no_intensity
+from salsanext_cli.core.geometry.intensity import BRIGHT, why_no_intensity
 from salsanext_cli.core.geometry.point_sample import few_points, measured_ranges
 from salsanext_cli.core.records import MAX_INTENSITY, Double, Float, Indices, Scan
 from salsanext_cli.core.sensors.sensor import Sensor

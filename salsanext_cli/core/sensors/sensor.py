@@ -17,7 +17,7 @@ from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.field_rules import FieldRule
 from salsanext_cli.core.plain_data import are_numbers, refuse_unknown
 from salsanext_cli.core.texts import quoted, shortened
-from salsanext_cli.core.wording import command, setting
+from salsanext_cli.core.wording import argument, command, setting
 
 MAX_PIXELS = 1 << 21  # Largest range image: 64×32768, eight times the finest sensor
 MAX_NUMBER = 1e6  # Bound of means, deviations, scales and their inverse
@@ -56,6 +56,14 @@ OPTIONAL = (
     "intensity_field",
 )
 """Fields that are only written if their value is not the default."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensorNoise:
+    """Standard deviations of the measurements of a sensor."""
+
+    range: float  # Metres, along the ray
+    intensity: float  # After the division by `Sensor.intensity_scale`
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,6 +165,14 @@ class Sensor:
     def has_registered(self) -> bool:
         """Whether scans of a member are registered to a map."""
         return any(member.registered for member in self.members)
+
+    def require_noise(self) -> SensorNoise:
+        """Return the noise of the measurements; refuse a sensor that does not state it."""
+        if self.range_noise is None or self.intensity_noise is None:
+            expected = "range_noise in metres and intensity_noise"
+            hint = f"write both into a sensor file and pass it with {argument('sensor')}"
+            raise UsageError(f"sensor {self.name}", "states no noise", expected, hint)
+        return SensorNoise(range=self.range_noise, intensity=self.intensity_noise)
 
     def without_noise(self) -> Sensor:
         """Return the sensor without its noise, which labels do not depend on."""

@@ -8,7 +8,7 @@ import numpy as np
 from torch import Tensor
 
 from salsanext_cli.core.engines.network import Network
-from salsanext_cli.core.geometry.network_input import noise_of, with_filled_gaps
+from salsanext_cli.core.geometry.row_gaps import with_filled_gaps
 from salsanext_cli.core.network.segmentation import SegmentationNetwork
 from salsanext_cli.core.records import Float, RangeImage
 from salsanext_cli.core.sensors.sensor import Sensor
@@ -43,25 +43,25 @@ def noisy_copies(image: RangeImage, sensor: Sensor, seed: int) -> Iterator[Float
     (5, H, W) float32
         Channels.
     """
-    range_noise, intensity_noise = noise_of(sensor)
+    noise = sensor.require_noise()
     random = np.random.default_rng(seed)
     occupied = image.channels[0] > 0
     step = _along_ray(image.channels)
     while True:
         along, bright = random.standard_normal((2, *occupied.shape), np.float32)
         copy = image.channels.copy()
-        copy[:4] += step * np.float32(range_noise) * along
-        copy[4] += occupied * np.float32(intensity_noise) * bright
+        copy[:4] += step * np.float32(noise.range) * along
+        copy[4] += occupied * np.float32(noise.intensity) * bright
         yield copy
 
 
 def input_variance(channels: Float, sensor: Sensor) -> Float:
     """Return the variance (5, H, W) float32 of normalised channels (5, H, W)."""
-    range_noise, intensity_noise = noise_of(sensor)
+    noise = sensor.require_noise()
     deviations = np.zeros_like(channels)
     deviations[:4] = _along_ray(channels)
-    deviations[:4] *= range_noise
-    deviations[4] = (channels[0] > 0) * np.float32(intensity_noise)
+    deviations[:4] *= noise.range
+    deviations[4] = (channels[0] > 0) * np.float32(noise.intensity)
     deviations /= np.asarray(sensor.stds, np.float32).reshape(-1, 1, 1)
     return np.square(deviations)
 

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import UsageError
-from salsanext_cli.core.geometry.network_input import noise_of
 from salsanext_cli.core.network.dropout import require_dropout
 from salsanext_cli.core.records import RangeImage
 from salsanext_cli.core.uncertainty.aleatoric import aleatoric, noise_variance
@@ -56,7 +55,7 @@ class UncertaintyMethod:
         """Raise the errors of `estimate`, before any scan is read."""
         require_dropout(network.module)
         if self.is_noisy:
-            noise_of(network.sensor)
+            network.sensor.require_noise()
         if self.aleatoric == "paper" and network.merging is not None:
             problem = "paper does not cover merged classes"
             hint = f"use {setting('aleatoric', 'copies')}"

@@ -18,15 +18,10 @@ from torch.utils.data import DataLoader, Dataset, default_collate
 from salsanext_cli.core import wording
 from salsanext_cli.core.classes.label_space import TrainIds
 from salsanext_cli.core.errors import SalsanextError
-from salsanext_cli.core.geometry.network_input import (
-    NO_INTENSITY,
-    bright_intensity,
-    match_intensity,
-    normalise,
-    row_gaps,
-    with_filled_gaps,
-)
+from salsanext_cli.core.geometry.intensity import NO_INTENSITY, bright_intensity, match_intensity
+from salsanext_cli.core.geometry.network_input import normalise
 from salsanext_cli.core.geometry.projection import pixels_from_points, project
+from salsanext_cli.core.geometry.row_gaps import row_gaps, with_filled_gaps
 from salsanext_cli.core.records import Float, Mask
 from salsanext_cli.core.sensors.sensor import ORIGIN, UP, Sensor
 from salsanext_cli.runs.results.paths import ScanFile

@@ -14,7 +14,8 @@ from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.classes.merging import ClassMerging, is_merged
 from salsanext_cli.core.errors import LabelError, NoInputError
 from salsanext_cli.core.fitting.field_of_view import fit_view
-from salsanext_cli.core.geometry.network_input import on_other_scale, with_image_statistics
+from salsanext_cli.core.geometry.intensity import on_other_scale
+from salsanext_cli.core.geometry.network_input import with_image_statistics
 from salsanext_cli.core.geometry.projection import project
 from salsanext_cli.core.geometry.sensor_frame import ego_points, in_sensor_frame
 from salsanext_cli.core.geometry.sensor_of_scan import sensor_of

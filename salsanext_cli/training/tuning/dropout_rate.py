@@ -12,7 +12,6 @@ import numpy.typing as npt
 
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import TrainingError
-from salsanext_cli.core.geometry.network_input import noise_of
 from salsanext_cli.core.network.dropout import dropouts
 from salsanext_cli.core.records import Double, Float
 from salsanext_cli.core.uncertainty.aleatoric import aleatoric
@@ -89,7 +88,7 @@ def fit_dropout(scans: TuningScans, samples: int = SAMPLES) -> Tuned[DropoutFit]
     before = max((layer.rate for layer in dropouts(scans.loaded.module)), default=0.0)
     rates = sorted({*RATES, before} - {0.0})
     require_sampling(with_dropout(scans.loaded, RATES[0]), samples)
-    noise_of(scans.loaded.sensor)
+    scans.loaded.sensor.require_noise()
     network = scans.network
     candidates = [with_dropout(network, rate) for rate in rates]
 

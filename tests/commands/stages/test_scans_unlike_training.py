@@ -21,7 +21,8 @@ from salsanext_cli.commands.stages.predict import predict_range_images, predict_
 from salsanext_cli.commands.stages.project import project_scans
 from salsanext_cli.commands.stages.uncertainty import uncertainty
 from salsanext_cli.core.errors import OutputError, UsageError
-from salsanext_cli.core.geometry.network_input import fill_rows, intensity_quantiles, row_gaps
+from salsanext_cli.core.geometry.intensity import intensity_quantiles
+from salsanext_cli.core.geometry.row_gaps import fill_rows, row_gaps
 from salsanext_cli.core.sensors.sensor import INTENSITY_LEVELS
 from salsanext_cli.core.uncertainty.method import UncertaintyMethod
 from salsanext_cli.runs.loop.run import RunOptions

@@ -26,7 +26,8 @@ from salsanext_cli.core.errors import (
     UsageError,
     WeightsError,
 )
-from salsanext_cli.core.geometry.network_input import intensity_quantiles, row_gaps
+from salsanext_cli.core.geometry.intensity import intensity_quantiles
+from salsanext_cli.core.geometry.row_gaps import row_gaps
 from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.network.registry import ARCHITECTURES
 from salsanext_cli.core.network.salsanext import SalsaNext

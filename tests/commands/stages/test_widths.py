@@ -16,7 +16,7 @@ from salsanext_cli.commands.stages.project import project_scans
 from salsanext_cli.commands.stages.uncertainty import uncertainty
 from salsanext_cli.core.errors import OutputError, UsageError, WeightsError
 from salsanext_cli.core.geometry.knn import knn_refine
-from salsanext_cli.core.geometry.network_input import column_gaps
+from salsanext_cli.core.geometry.row_gaps import column_gaps
 from salsanext_cli.core.network.card import AccuracyLine, FittedParts
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import save_with_card

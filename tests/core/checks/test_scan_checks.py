@@ -10,7 +10,7 @@ from salsanext_cli import Scan, project
 from salsanext_cli.core.checks.scan_checks import ALONE, check_scan
 from salsanext_cli.core.errors import FormatError
 from salsanext_cli.core.fitting.field_of_view import fit_view
-from salsanext_cli.core.geometry.network_input import NO_INTENSITY, intensity_quantiles
+from salsanext_cli.core.geometry.intensity import NO_INTENSITY, intensity_quantiles
 from salsanext_cli.core.sensors.sensor import INTENSITY_LEVELS
 from salsanext_cli.io.formats import SCAN_SUFFIXES, read_scan
 from salsanext_cli.io.sensors import sensor

@@ -14,7 +14,7 @@ from salsanext_cli.core.checks.scan_structure import structure_of
 from salsanext_cli.core.checks.structure_checks import MAX_HIDDEN, MAX_IN_AIR
 from salsanext_cli.core.fitting.field_of_view import fit_view
 from salsanext_cli.core.geometry.directions import COLUMNS, NEAREST_M, NO_CELL, ROWS, direction_grid
-from salsanext_cli.core.geometry.network_input import NO_INTENSITY
+from salsanext_cli.core.geometry.intensity import NO_INTENSITY
 from salsanext_cli.core.measures.expected_accuracy import WITHHELD_FOR, expected_accuracy
 from salsanext_cli.core.network.card import AccuracyLine
 from salsanext_cli.core.records import FieldSplit, FileNotes

@@ -4,10 +4,11 @@ import math
 from dataclasses import replace
 
 import pytest
+from scans import refused
 from valid_sensor import VALID
 
 from salsanext_cli.core.errors import UsageError
-from salsanext_cli.core.sensors.sensor import Sensor, presets
+from salsanext_cli.core.sensors.sensor import Sensor, SensorNoise, presets
 from salsanext_cli.io.sensors import sensor
 
 
@@ -63,6 +64,13 @@ def test_impossible_sensors_and_excessive_sizes_are_refused():
         VALID.resized(4096, 4096)
     with pytest.raises(UsageError, match=r"a number of \d+ bits"):
         VALID.resized(1 << 2000, 1 << 2000)
+
+
+@pytest.mark.parametrize("missing", ["range_noise", "intensity_noise"])
+def test_noise_that_a_sensor_does_not_state_is_refused(missing):
+    noisy = replace(VALID, name="noisy", range_noise=0.03, intensity_noise=0.1)
+    assert noisy.require_noise() == SensorNoise(range=0.03, intensity=0.1)
+    refused(UsageError, "sensor noisy", replace(noisy, **{missing: None}).require_noise)
 
 
 def test_the_view_is_all_but_name_noise_and_quantiles():

@@ -10,7 +10,7 @@ from scans import SMALL, refused
 from shallow import slow_on_openvino
 
 from salsanext_cli.core.errors import UsageError
-from salsanext_cli.core.geometry.network_input import noise_of, normalise
+from salsanext_cli.core.geometry.network_input import normalise
 from salsanext_cli.core.uncertainty.aleatoric import (
     COPIES,
     aleatoric,
@@ -42,7 +42,6 @@ def test_the_variance_is_that_of_copies_shifted_along_their_rays(image):
 def test_a_sensor_that_does_not_know_its_noise(image, missing):
     with refused(UsageError, "sensor small"):
         input_variance(image.channels, replace(NOISY, **{missing: None}))
-    assert noise_of(NOISY) == (0.03, 0.1)
 
 
 def softmax_of(network, channels):

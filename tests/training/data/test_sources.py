@@ -11,11 +11,9 @@ from scans import SMALL, make_scan, refused, write_bin, write_sequence
 
 from salsanext_cli import LabelSpace, Scan, label_space, project, read_scan
 from salsanext_cli.core.errors import LabelError, NoInputError, UsageError
-from salsanext_cli.core.geometry.network_input import (
-    match_intensity,
-    with_filled_gaps,
-    with_image_statistics,
-)
+from salsanext_cli.core.geometry.intensity import match_intensity
+from salsanext_cli.core.geometry.network_input import with_image_statistics
+from salsanext_cli.core.geometry.row_gaps import with_filled_gaps
 from salsanext_cli.training.data.dataset import Samples, SamplingPlan
 from salsanext_cli.training.data.sources import (
     Source,
