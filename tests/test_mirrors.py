@@ -38,6 +38,7 @@ ELSEWHERE: dict[str, dict[str, str]] = {
         "io/formats/velodyne.py": "io/formats/test_captures.py",
     },
     THROUGH_STAGE: {
+        "commands/evaluation.py": "commands/stages/test_evaluate.py",
         "commands/jobs/filled_folder.py": "commands/stages/test_filter.py",
         "commands/jobs/fuse_task.py": "commands/stages/test_fuse.py",
         "commands/jobs/image_job.py": "commands/stages/test_predict.py",

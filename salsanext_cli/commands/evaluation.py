@@ -91,7 +91,7 @@ class Evaluation:
         """Yield reasons to doubt the scores or the guarantee, in words."""
         yield from self.counts.label_warnings(self.space)
         yield from self.comparison.warnings()
-        if self.guarantee and self.guarantee.warning:
+        if self.guarantee and self.guarantee.exceeds_limit:
             yield self.guarantee.warning
         elif self.guarantee and self.guarantee.are_others:
             yield NOT_COVERED

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Limits on scores, as `eval --fail-under` and `eval --fail-over` take them."""
+"""Limits on scores, and the scores that do not keep to them."""
 
 import math
 from dataclasses import replace
@@ -9,12 +9,11 @@ import pytest
 from evaluated import SPACE, calibration_result, ranking_result
 from scans import refused
 
+from salsanext_cli.commands.line.option_names import CommandLine
 from salsanext_cli.commands.score_limits import (
-    FAIL_OVER,
-    FAIL_UNDER,
     SCORE_KINDS,
+    ScoreLimit,
     missed_limits,
-    parse_limits,
     require_classes,
     score_values,
 )
@@ -23,6 +22,7 @@ from salsanext_cli.core.measures.accepted_labels import AcceptedCounts, Accepted
 from salsanext_cli.core.measures.risk_control import RiskBoundCheck
 from salsanext_cli.core.measures.scores import confusion_matrix, scores
 from salsanext_cli.core.measures.uncertainty_evaluation import UncertaintyEvaluation
+from salsanext_cli.core.wording import Spelling, spelled
 
 CAR, PERSON, ROAD = (SPACE.names.index(name) for name in ("car", "person", "road"))
 TRUTH = np.array([CAR, CAR, PERSON, PERSON, PERSON, PERSON, ROAD, ROAD])
@@ -35,68 +35,20 @@ CHECK = RiskBoundCheck(
 )
 
 
-def limits_in(text, option):
-    return {limit.name: limit.limit for limit in parse_limits(text, option)}
+def limits(**limit_of_name):
+    return [ScoreLimit(name=name, limit=limit) for name, limit in limit_of_name.items()]
 
 
-def missed(text, option, values, guarantee=None, doubt=""):
-    limits = parse_limits(text, option)
-    return [limit.name for limit in missed_limits(limits, values, guarantee, doubt)]
-
-
-def test_limits_are_numbers_in_the_unit_of_their_score_by_name():
-    assert limits_in("mean_iou=40, accuracy = 80%", FAIL_UNDER) == {"mean_iou": 40, "accuracy": 80}
-    assert limits_in("iou.other-vehicle=0.25%", FAIL_UNDER) == {"iou.other-vehicle": 0.25}
-    assert limits_in("nll=0.5,brier=0.1,ece=2", FAIL_OVER) == {"nll": 0.5, "brier": 0.1, "ece": 2}
-    assert parse_limits(None, FAIL_UNDER) == ()
-
-
-@pytest.mark.parametrize(
-    ("option", "text"),
-    [
-        (FAIL_UNDER, ""),
-        (FAIL_UNDER, "iou=3"),
-        (FAIL_UNDER, "accuracy.car=3"),
-        (FAIL_UNDER, "accuracy"),
-        (FAIL_UNDER, "accuracy=much"),
-        (FAIL_UNDER, "mean_iou=101"),
-        (FAIL_UNDER, "accuracy=nan"),
-        (FAIL_UNDER, "mean_iou=0.25"),
-        (FAIL_UNDER, "auroc.luck=50"),
-        (FAIL_OVER, "nll=50%"),
-        (FAIL_OVER, "nll=inf"),
-        (FAIL_OVER, "guarantee=10"),
-        (FAIL_OVER, "ece=-1"),
-    ],
-)
-def test_other_limits_are_refused(option, text):
-    with refused(UsageError, option):
-        parse_limits(text, option)
-
-
-@pytest.mark.parametrize(
-    ("option", "text", "hint"),
-    [
-        (FAIL_UNDER, "miou=40", "did you mean mean_iou?"),
-        (FAIL_OVER, "ece=0.02", "use ece=2, or ece=0.02% if this is meant"),
-        (FAIL_UNDER, "ece=2", "use --fail-over ece=2"),
-        (FAIL_OVER, "iou.person=2", "use --fail-under iou.person=2"),
-        (FAIL_UNDER, "guarantee", "use --fail-over guarantee"),
-        (FAIL_OVER, "aurc.errors=5", "did you mean error?"),
-    ],
-)
-def test_the_hint_about_a_wrong_limit_can_be_typed(option, text, hint):
-    with pytest.raises(UsageError) as caught:
-        parse_limits(text, option)
-    assert caught.value.hint == hint
+def missed(chosen, values, guarantee=None, doubt=""):
+    return [limit.name for limit in missed_limits(chosen, values, guarantee, doubt)]
 
 
 def test_a_class_is_one_that_the_label_space_scores():
-    require_classes(parse_limits("iou.person=1,accuracy=1", FAIL_UNDER), SPACE)
+    require_classes(limits(**{"iou.person": 1, "accuracy": 1}), SPACE)
     for name, hint in {"persn": "did you mean person?", "unlabeled": ""}.items():
-        with pytest.raises(UsageError) as caught:
-            require_classes(parse_limits(f"recall.{name}=1", FAIL_UNDER), SPACE)
-        assert (caught.value.subject, caught.value.hint) == ("--fail-under recall", hint)
+        recall = limits(**{f"recall.{name}": 1})
+        caught = refused(UsageError, f"limit of recall.{name}", require_classes, recall, SPACE)
+        assert caught.value.hint == hint
 
 
 def test_scores_are_percentages_by_name():
@@ -132,10 +84,24 @@ def test_every_kind_of_score_has_a_value_if_its_results_are_there():
 
 def test_a_limit_is_missed_on_its_side_or_without_a_value():
     values = {"mean_iou": 25.0, "accuracy": 50.0, "ece": 2.0, "nll": math.nan}
-    assert missed("mean_iou=25,accuracy=50.1", FAIL_UNDER, values) == ["accuracy"]
-    assert missed("iou.person=0", FAIL_UNDER, values) == ["iou.person"]
-    assert missed("ece=2", FAIL_OVER, values) == []
-    assert missed("ece=1.9,nll=99", FAIL_OVER, values) == ["ece", "nll"]
+    assert missed(limits(mean_iou=25, accuracy=50.1), values) == ["accuracy"]
+    assert missed(limits(**{"iou.person": 0}), values) == ["iou.person"]
+    assert missed(limits(ece=2), values) == []
+    assert missed(limits(ece=1.9, nll=99), values) == ["ece", "nll"]
+
+
+@pytest.mark.parametrize("spelling", [Spelling(), CommandLine()])
+def test_a_score_without_results_has_a_hint_in_the_words_of_the_caller(spelling):
+    """The hint of every kind names an argument or an option; scores of labels need none."""
+    needing = {name: kind for name, kind in SCORE_KINDS.items() if kind.needs}
+    assert len(needing) == 12
+    with spelled(spelling):
+        scores_without_value = missed_limits(limits(**dict.fromkeys(needing, 1)), {}, None)
+    assert [score.name for score in scores_without_value] == [*needing]
+    for score in scores_without_value:
+        hint = score.reason.partition("\nhint: ")[2]
+        assert hint.startswith("run `salsanext ")
+        assert ("--" in hint) == isinstance(spelling, CommandLine)
 
 
 @pytest.mark.parametrize(
@@ -150,4 +116,5 @@ def test_a_limit_is_missed_on_its_side_or_without_a_value():
     ],
 )
 def test_the_guarantee_is_a_limit_of_its_own(check, doubt, is_missed):
-    assert missed("guarantee", FAIL_OVER, {}, check, doubt) == ["guarantee"] * is_missed
+    limit = limits(guarantee=math.nan)
+    assert missed(limit, {}, check, doubt) == ["guarantee"] * is_missed

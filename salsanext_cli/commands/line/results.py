@@ -182,11 +182,16 @@ def evaluate(
 
     Example: salsanext eval --split valid
     """
-    from salsanext_cli.commands import score_limits
+    from salsanext_cli.commands.line.limit_options import (
+        FAIL_OVER,
+        FAIL_UNDER,
+        option_of,
+        parse_limits,
+    )
     from salsanext_cli.commands.stages.evaluate import evaluate as stage
 
-    lower_limits = score_limits.parse_limits(fail_under, score_limits.FAIL_UNDER)
-    upper_limits = score_limits.parse_limits(fail_over, score_limits.FAIL_OVER)
+    lower_limits = parse_limits(fail_under, FAIL_UNDER)
+    upper_limits = parse_limits(fail_over, FAIL_OVER)
     limits = (*lower_limits, *upper_limits)
     with over_scans("eval", running, output.quiet, at_end=True) as options:
         evaluation = stage(
@@ -199,8 +204,8 @@ def evaluate(
     missing = evaluation.missing
     scans = f"{counted(evaluation.counts.scans, 'scan')}{summary.text_of_other_scans(missing)}"
     output.print(f"eval: {scans} → {evaluation.folder}/scores.txt, eval.json, eval_*.png")
-    for limit in missed:
-        console.print_line(f"error: {limit.text}")
+    for score in missed:
+        console.print_line(f"error: {option_of(score.limit.kind)} {score.text}")
     summary.exit_with_status(evaluation.failures, missing, failed=bool(missed))
 
 
@@ -208,13 +213,11 @@ def _names_of_missed(
     missed: "Sequence[MissedLimit]", fail_under: str | None, fail_over: str | None
 ) -> dict[str, list[str]]:
     """Return the names of the missed limits of each option that was given, as keys of JSON."""
-    from salsanext_cli.commands.score_limits import FAIL_OVER, FAIL_UNDER
-
     names = {}
     if fail_under is not None:
-        names["below"] = [limit.name for limit in missed if limit.option == FAIL_UNDER]
+        names["below"] = [score.name for score in missed if score.limit.kind.higher_is_better]
     if fail_over is not None:
-        names["above"] = [limit.name for limit in missed if limit.option == FAIL_OVER]
+        names["above"] = [score.name for score in missed if not score.limit.kind.higher_is_better]
     return names
 
 

@@ -248,9 +248,14 @@ class RiskBoundCheck:
         )
 
     @property
+    def exceeds_limit(self) -> bool:
+        """Whether the losses are larger than the guarantee allows."""
+        return self.measured > self.limit
+
+    @property
     def warning(self) -> str:
         """Warning if the losses are larger than the guarantee allows, else an empty text."""
-        return RISK_BOUND_EXCEEDED if self.measured > self.limit else ""
+        return RISK_BOUND_EXCEEDED if self.exceeds_limit else ""
 
     @property
     def measured(self) -> float:

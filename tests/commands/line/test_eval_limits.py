@@ -58,7 +58,7 @@ def test_eval_fails_if_a_score_misses_its_limit(world, evaluated):
 
 def test_a_limit_on_an_unknown_class_is_refused_before_the_work(world, evaluated):
     result = evaluated("--fail-under", "iou.rode=50", status=2)
-    assert subject(result) == "--fail-under iou"
+    assert subject(result) == "limit of iou.rode"
     assert result.stderr.endswith("hint: did you mean road?\n")
     assert not (world.out / "eval.json").exists()
 
