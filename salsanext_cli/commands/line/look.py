@@ -68,7 +68,7 @@ def demo(
         samples=samples,
         settings=NetworkSettings(device=device, precision=AUTO, classes=space),
         options=RunOptions(jobs=jobs, overwrite=overwrite),
-        bars=lambda step: progress(step, output.quiet),
+        progress_of_step=lambda step: progress(step, output.quiet),
     )
     evaluation = demonstration.evaluation
     page = demonstration.page

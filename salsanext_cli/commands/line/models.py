@@ -80,7 +80,7 @@ def import_weights(
         source,
         target,
         space=named_label_space(label_space),
-        view=arguments.sensor(sensor),
+        sensor=arguments.sensor(sensor),
         dropout=dropout,
         description=description,
         half=half,
@@ -112,7 +112,7 @@ def export_onnx(
     report = stage(
         weights_file(weights),
         target,
-        view=arguments.sensor(sensor),
+        sensor=arguments.sensor(sensor),
         dynamic_width=dynamic_width,
         overwrite=overwrite,
     )

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Whole pipeline on a simulated drive, from the scans to the page of the run."""
+"""Stage `demo`: the pipeline on a simulated drive, from its scans to the page of the run."""
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from salsanext_cli.commands.evaluation import Evaluation
 from salsanext_cli.commands.stages.evaluate import evaluate
@@ -23,8 +22,8 @@ from salsanext_cli.runs.results.paths import ERROR, find_outputs
 from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 
-# The default weights were not trained on a scene with this seed.
-SCENE: dict[str, Any] = {"train": 0, "valid": 1, "seed": 2020, "spacing": 12.0}
+SEED = 2020  # The default weights were not trained on the scene of this seed.
+SPACING_M = 12.0  # Distance between two scans
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,9 +43,11 @@ def demo(
     samples: int,
     settings: NetworkSettings,
     options: RunOptions,
-    bars: Callable[[str], AbstractContextManager[Progress | None]],
+    progress_of_step: Callable[[str], AbstractContextManager[Progress | None]],
 ) -> Demonstration:
-    """Run every stage on a simulated drive, in ``data/`` and ``out/`` of a folder.
+    """Simulate a drive, label its scans, and evaluate and show the labels.
+
+    The simulated scans are in ``data/`` of the folder, the results in ``out/``.
 
     Parameters
     ----------
@@ -55,13 +56,13 @@ def demo(
     scans : int
         Number of scans of the drive.
     samples : int
-        Number of Monte-Carlo passes per scan.
+        Number of passes of Monte-Carlo dropout per scan.
     settings : NetworkSettings
         Network that predicts.
     options : RunOptions
-        Options of every stage.
-    bars : callable
-        Opens a progress bar for a named step, and yields its callback.
+        Workers, and treatment of existing results and failures, in every stage.
+    progress_of_step : callable
+        Opens a progress bar for a step of that name, and yields its callback, if there is one.
 
     Returns
     -------
@@ -73,14 +74,17 @@ def demo(
 
     @contextmanager
     def step(name: str) -> Iterator[RunOptions]:
-        with bars(name) as progress:
+        with progress_of_step(name) as progress:
             yield replace(options, progress=progress)
 
     with step("synth") as step_options:
         synthesise(
             data,
+            train=0,
+            valid=1,
             scans=scans,
-            **SCENE,
+            spacing=SPACING_M,
+            seed=SEED,
             overwrite=step_options.overwrite,
             progress=step_options.progress,
         )

@@ -43,7 +43,7 @@ def export_onnx(
     weights: Path,
     target: Path,
     *,
-    view: Sensor | None = None,
+    sensor: Sensor | None = None,
     dynamic_width: bool = False,
     overwrite: bool = False,
 ) -> OnnxReport:
@@ -55,7 +55,7 @@ def export_onnx(
         Weights file.
     target : Path
         ONNX model to write.
-    view : Sensor, optional
+    sensor : Sensor, optional
         Sensor of the images; the intensity quantiles stay those of the weights. Default: the
         sensor of the weights.
     dynamic_width : bool
@@ -79,9 +79,9 @@ def export_onnx(
     import_extra("onnx", "onnx")
     require_target(target, overwrite, ONNX_SUFFIX)
     module, card = read_weights(weights)
-    if view is not None:
+    if sensor is not None:
         trained = card.sensor.intensity_quantiles
-        card = replace(card, sensor=replace(view, intensity_quantiles=trained))
+        card = replace(card, sensor=replace(sensor, intensity_quantiles=trained))
     content = onnx_model(module, card, dynamic_width=dynamic_width).SerializeToString()
     can_compare = find_spec("onnxruntime") is not None
     difference = largest_difference(content, module, card) if can_compare else None

@@ -15,7 +15,7 @@ from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.wording import argument
 from salsanext_cli.io.files.atomic import WEIGHTS_SUFFIX, require_target
 from salsanext_cli.io.label_spaces import label_space
-from salsanext_cli.io.sensors import sensor
+from salsanext_cli.io.sensors import sensor as named_sensor
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.published import read_published
 from salsanext_cli.io.weights.weights import (
@@ -43,7 +43,7 @@ def import_weights(
     target: Path,
     *,
     space: LabelSpace | None = None,
-    view: Sensor | None = None,
+    sensor: Sensor | None = None,
     dropout: float | None = None,
     description: str = "",
     half: bool = False,
@@ -59,7 +59,7 @@ def import_weights(
         Weights file to write.
     space : LabelSpace, optional
         Classes of a checkpoint; default: SemanticKITTI's.
-    view : Sensor, optional
+    sensor : Sensor, optional
         Sensor of the weights; default: the sensor of the source, for a checkpoint the HDL-64.
     dropout : float, optional
         Dropout rate of a checkpoint; default: `DROPOUT`.
@@ -90,10 +90,10 @@ def import_weights(
             raise _argument_not_needed("space", source)
         if dropout is not None:
             raise _argument_not_needed("dropout", source)
-        imported = _weights_of_salsanext(source, view, description, half=half)
+        imported = _weights_of_salsanext(source, sensor, description, half=half)
     else:
         rate = DROPOUT if dropout is None else dropout
-        imported = _published_weights(source, space or label_space(), view, rate, description)
+        imported = _published_weights(source, space or label_space(), sensor, rate, description)
     save_weights(target, imported.module, imported.card, half=half, overwrite=overwrite)
     return read_card(target)
 
@@ -113,21 +113,21 @@ def _argument_not_needed(name: str, source: Path) -> UsageError:
 
 
 def _weights_of_salsanext(
-    source: Path, view: Sensor | None, description: str, *, half: bool
+    source: Path, sensor: Sensor | None, description: str, *, half: bool
 ) -> ImportedWeights:
     """Return weights of salsanext with another sensor or description, if one is given."""
     module, card = read_weights(source)
-    if view is not None or (half and changes_in_half(module)):
+    if sensor is not None or (half and changes_in_half(module)):
         card = _without_thresholds(card)
-    if view is not None:
+    if sensor is not None:
         # The widths are those of the old sensor; the parts for its default width stay.
-        card = replace(card, sensor=view, widths=(), parts_of_widths={})
+        card = replace(card, sensor=sensor, widths=(), parts_of_widths={})
     card = replace(card, description=description or card.description, version=None)
     return ImportedWeights(module=module, card=card)
 
 
 def _published_weights(
-    source: Path, space: LabelSpace, view: Sensor | None, dropout: float, description: str
+    source: Path, space: LabelSpace, sensor: Sensor | None, dropout: float, description: str
 ) -> ImportedWeights:
     """Return the weights of a published checkpoint; refuse one with other classes."""
     tensors = read_published(source)
@@ -141,5 +141,5 @@ def _published_weights(
     module = build(architecture, source)
     load_tensors(module, tensors, source)
     described = description or f"Imported from the published checkpoint {source.name}."
-    card = WeightsCard(architecture, space, view or sensor("hdl64"), description=described)
+    card = WeightsCard(architecture, space, sensor or named_sensor("hdl64"), description=described)
     return ImportedWeights(module=module, card=card)

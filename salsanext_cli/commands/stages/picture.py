@@ -164,7 +164,7 @@ def _scales(
     colours: Sequence[str],
     scale: tuple[float, float] | None,
     continued: PictureSettings | None,
-    view: Sensor,
+    sensor: Sensor,
 ) -> Scales:
     """Return the ends of the scale of each colour of values: given, as recorded, or common ones.
 
@@ -180,7 +180,7 @@ def _scales(
         Ends of the scale of the only colour.
     continued : PictureSettings, optional
         Settings of the pictures that are continued, whose scales stay.
-    view : Sensor
+    sensor : Sensor
         Sensor of the range images.
 
     Returns
@@ -199,7 +199,7 @@ def _scales(
     elif continued is not None:
         scales = dict(continued.scales or {})
     unscaled = [colour for colour in values if colour not in scales]
-    return scales | common_scales(results.root, chosen.scans, unscaled, chosen.space, view)
+    return scales | common_scales(results.root, chosen.scans, unscaled, chosen.space, sensor)
 
 
 def _recorded(results: ResultFolder) -> PictureSettings | None:

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Results in merged classes, which have no probability of error."""
+"""Labels in merged classes, which have no probability of error."""
 
 from __future__ import annotations
 
 import os
 import shlex
-from contextlib import suppress
 from pathlib import Path
 
 from salsanext_cli.core.classes.label_space import LabelSpace
@@ -16,18 +15,19 @@ from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.io.weights.card_file import default_weights, read_card
 from salsanext_cli.runs.results.paths import ERROR
 
-OTHER_FOLDER = "-error"  # Ending of the folder that a hint suggests
+SUFFIX_OF_FOLDER = "-error"  # What a hint appends to the name of the output folder
 
 
-def are_merged(space: LabelSpace | None, weights: str | None) -> bool:
+def are_in_merged_classes(space: LabelSpace | None, weights_sha256: str | None) -> bool:
     """Return whether labels are in merged classes, as far as that is known.
 
     Parameters
     ----------
     space : LabelSpace, optional
         Recorded classes of the labels.
-    weights : str, optional
-        Recorded SHA-256 of the weights; the classes of others than the default weights are unknown.
+    weights_sha256 : str, optional
+        Recorded SHA-256 of the weights. The classes of other weights than the default ones are
+        unknown.
 
     Returns
     -------
@@ -37,19 +37,29 @@ def are_merged(space: LabelSpace | None, weights: str | None) -> bool:
         return False
     if space.fits(label_space("coarse")):
         return True
-    # An installation without its weights still shows results.
-    with suppress(SalsanextError):
-        path = default_weights()
-        return weights == fingerprint(path) and not space.fits(read_card(path).space)
-    return False
+    try:
+        weights = default_weights()
+        is_default = weights_sha256 == fingerprint(weights)
+        return is_default and not space.fits(read_card(weights).space)
+    except SalsanextError:  # An installation without its weights still shows results.
+        return False
 
 
-def unmerged_error_hint(out: Path, scans: str) -> str:
-    """Return the hint that makes a probability of error for the scans of merged results.
+def hint_for_error(out: Path, scans: str) -> str:
+    """Return the hint that gives scans with merged labels a probability of error.
 
-    `scans`: the scans as words of a command line.
+    Parameters
+    ----------
+    out : Path
+        Output folder with the merged labels.
+    scans : str
+        The scans as words of a command line.
+
+    Returns
+    -------
+    str
     """
-    other = shlex.quote(f"{os.path.normpath(out)}{OTHER_FOLDER}")
-    predict = command(f"salsanext predict {scans} {other}", setting("extras", (ERROR,)))
-    remedy = f"run `{predict}`, then give {other}"
+    folder = shlex.quote(f"{os.path.normpath(out)}{SUFFIX_OF_FOLDER}")
+    predict = command(f"salsanext predict {scans} {folder}", setting("extras", (ERROR,)))
+    remedy = f"run `{predict}`, then give {folder}"
     return f"the error belongs to the classes of the weights: {remedy}"

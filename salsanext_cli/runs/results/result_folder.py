@@ -25,7 +25,7 @@ from salsanext_cli.io.formats.recordings import recording_of
 from salsanext_cli.runs.results.layouts import SCAN_FOLDER
 from salsanext_cli.runs.results.making_commands import PREDICT, made_by
 from salsanext_cli.runs.results.manifest import Manifest, ScanSource
-from salsanext_cli.runs.results.merged_labels import are_merged, unmerged_error_hint
+from salsanext_cli.runs.results.merged_labels import are_in_merged_classes, hint_for_error
 from salsanext_cli.runs.results.moved_scans import scans_in, scans_of_renamed
 from salsanext_cli.runs.results.paths import (
     PREDICTION_STAGES,
@@ -318,10 +318,9 @@ class ResultFolder:
             return NoInputError(file.path, "has no labels", f"the file {file.label_path}")
         expected = f"the file {self._path(file, column)}"
         hint = self.command(made_by(column), file)
-        if column == "error" and are_merged(
-            self.manifest.label_space(), self.manifest.weights("predictions")
-        ):
-            hint = unmerged_error_hint(self.root, self.command("{scans}", file))
+        weights = self.manifest.weights("predictions")
+        if column == "error" and are_in_merged_classes(self.manifest.label_space(), weights):
+            hint = hint_for_error(self.root, self.command("{scans}", file))
         return NoInputError(file.path, f"has no {column}", expected, hint)
 
     def command(self, template: str, *files: ScanFile) -> str:

@@ -70,7 +70,7 @@ def test_the_card_has_the_sensor_of_the_images_and_the_intensity_of_the_training
     known = replace(card, sensor=replace(SMALL, intensity_quantiles=quantiles))
     source, target = tmp_path / "w.safetensors", tmp_path / "m.onnx"
     save_weights(source, module, known)
-    report = export_onnx(source, target, view=SMALL.resized(16, 64), dynamic_width=True)
+    report = export_onnx(source, target, sensor=SMALL.resized(16, 64), dynamic_width=True)
     assert report.to_dict()["output"] == [1, 20, 16, "any"]
     metadata = {p.key: p.value for p in onnx.load(target).metadata_props}
     expected = replace(SMALL.resized(16, 64), intensity_quantiles=quantiles)

@@ -221,7 +221,7 @@ def test_weights_for_another_sensor_lose_their_threshold(
         narrow = {512: FittedParts(risk=risk)}
         tuned = replace(card, widths=(card.sensor.width, 512), parts_of_widths=narrow)
     save_with_card(weights, source, tuned)
-    other = import_weights(source, target, view=sensor("hdl32"))
+    other = import_weights(source, target, sensor=sensor("hdl32"))
     assert other.risk is None
     assert other.parts_of_widths == {}
     assert "`tune risk`" in caplog.text
