@@ -12,7 +12,7 @@ from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.wording import argument
-from salsanext_cli.io.sensors import sensor
+from salsanext_cli.io.sensors import sensor as named_sensor
 from salsanext_cli.report.colours import CLASS_COLOURS, Scales, common_scales, require_colouring
 from salsanext_cli.report.scan_pictures import known_views, picture_of_results
 from salsanext_cli.runs.fit.sensor_fit import fitted_view
@@ -104,25 +104,25 @@ def picture(
     is_outdated = earlier is not None and earlier.origins != origins
     overwrite = options.overwrite or is_outdated
     continued = None if overwrite else earlier
-    view = _view(results, chosen.scans, continued)
-    scales = _scales(results, chosen, colours, scale, continued, view)
+    sensor = _sensor_of_images(results, chosen.scans, continued)
+    scales = _scales(results, chosen, colours, scale, continued, sensor)
     settings = PictureSettings(
         colours=tuple(colours),
         scales=scales,
-        sensor=view,
+        sensor=sensor,
         label_space=chosen.space,
         origins=origins,
     )
     run = output_run(
         out, STAGE, settings, (FOLDER,), chosen.scans, overwrite=overwrite, record_scans=False
     )
-    draws_truth = _draws_truth(chosen, colours, view)
+    draws_truth = _draws_truth(chosen, colours, sensor)
     with run as output:
         task = PictureTask(
             colours=colours,
             scales=scales,
             space=chosen.space,
-            sensor=view,
+            sensor=sensor,
             output=output,
             classes=query.classes,
             truth_in=(chosen.labels, chosen.space) if draws_truth else None,
@@ -150,12 +150,12 @@ def _drawn_colours(
     return list(drawn)
 
 
-def _view(
+def _sensor_of_images(
     results: ResultFolder, scans: Sequence[ScanFile], continued: PictureSettings | None
 ) -> Sensor:
     """Return the sensor of the range images: as recorded, else fitted to the scans."""
     recorded = results.manifest.known_sensor() or (continued.sensor if continued else None)
-    return recorded or fitted_view(scans, sensor("hdl64"))
+    return recorded or fitted_view(scans, named_sensor("hdl64"))
 
 
 def _scales(
