@@ -14,7 +14,7 @@ def main() -> None:
 
         run()
     except Exception as error:
-        from salsanext_cli.core.memory import out_of_memory
+        from salsanext_cli.core.engines.memory import out_of_memory
         from salsanext_cli.core.texts import error_text
 
         if not out_of_memory(error):

@@ -26,7 +26,6 @@ LEVELS = (
     (
         "core.compiled",
         "core.field_rules",
-        "core.memory",
         "core.optional_packages",
         "core.plain_data",
         "core.plug_ins",

@@ -129,7 +129,7 @@ ELSEWHERE: dict[str, dict[str, str]] = {
         "runs/results/scan_selection.py": "runs/results/test_selection.py",
     },
     GPU_OR_LIBRARY: {
-        "core/memory.py": "core/engines/test_torch_backend.py",
+        "core/engines/memory.py": "core/engines/test_torch_backend.py",
         "core/engines/conversion.py": "core/engines/test_graphs.py",
         "core/engines/openvino_backend.py": "core/engines/test_graphs.py",
         "core/engines/openvino_runtime.py": "core/engines/test_graphs.py",

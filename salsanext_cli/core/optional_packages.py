@@ -4,7 +4,6 @@
 import json
 import re
 import shlex
-import sys
 from contextlib import suppress
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, distribution, version
@@ -14,16 +13,11 @@ from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
 from salsanext_cli.core.errors import MissingDependency
-from salsanext_cli.core.texts import error_text
 
 NAME = "salsanext"
 OWN_DISTRIBUTIONS = {"paper": "examples/paper_networks"}
 """Folder, in a clone, of the distribution that an extra installs from the package index."""
 MIN_ROSBAGS_VERSION = (0, 11, 7)
-CONVERTER = "openvino.tools.ovc"
-"""Part of OpenVINO that `import openvino` imports and that reports to a server of Google."""
-OPENVINO_ERRORS = (AttributeError, ImportError, OSError, RuntimeError, TypeError, ValueError)
-"""Errors of damaged installations and those of another platform."""
 
 
 def import_open3d() -> Any:
@@ -77,17 +71,3 @@ def require_rosbags() -> None:
         expected = f"{'.'.join(map(str, MIN_ROSBAGS_VERSION))} or newer"
         hint = f"in another environment than ouster-sdk: {extra_command('ros')}"
         raise MissingDependency("rosbags", f"has version {installed}", expected, hint)
-
-
-def import_openvino() -> Any:
-    """Import OpenVINO without its converter."""
-    is_loaded = CONVERTER in sys.modules
-    sys.modules.setdefault(CONVERTER, None)  # type: ignore[arg-type]
-    try:
-        return import_module("openvino")
-    except OPENVINO_ERRORS as error:
-        problem = f"cannot be imported: {error_text(error)}"
-        raise MissingDependency("openvino", problem, hint="install it again") from error
-    finally:
-        if not is_loaded:
-            sys.modules.pop(CONVERTER, None)

@@ -14,7 +14,7 @@ from salsanext_cli.commands.line.option_fields import (
     selection_option,
 )
 from salsanext_cli.commands.line.shard_option import typed_shard
-from salsanext_cli.core.engines.registry import engine_names
+from salsanext_cli.core.engines.registry import LIBRARIES, engine_names
 from salsanext_cli.core.fusion.reach import FusionReach
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.runs.loop.run_options import RunOptions
@@ -22,6 +22,8 @@ from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.query import ResultQuery, named_label_space
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 
+TITLES = " and ".join(library.title for library in LIBRARIES.values())
+"""Libraries that compute, the fastest first."""
 OPTIONS: dict[type, dict[str, Any]] = {
     ScanSelection: {
         "split": selection_option("Only the sequences of this split.", metavar="train|valid|test"),
@@ -63,7 +65,7 @@ OPTIONS: dict[type, dict[str, Any]] = {
             typed=Literal["auto", "float32", "bfloat16", "float16", "int8"],
         ),
         "engine": network_option(
-            "Library that computes; auto uses OpenVINO on a CPU that it supports.",
+            f"Library that computes; auto uses the first of {TITLES} that runs on the device.",
             envvar="SALSANEXT_ENGINE",
             typed=Literal[engine_names()],
         ),

@@ -8,7 +8,7 @@ from importlib.metadata import requires
 
 from salsanext_cli.version import __version__
 
-PACKAGES = ("torch", "openvino", "numpy", "numba", "open3d", "typer")
+OTHER_PACKAGES = ("open3d", "typer")
 INSTRUCTIONS = ("avx2", "avx_vnni", "avx512f", "avx512_vnni", "avx512_bf16", "amx_int8", "amx_bf16")
 EXTRA = re.compile(r"""(?P<package>[\w.-]+).*;.*extra == ["'](?P<extra>\w+)["']""")
 NOT_LISTED = {"dev", "docs"}
@@ -17,11 +17,11 @@ NOT_LISTED = {"dev", "docs"}
 def version_lines() -> Iterator[str]:
     """Yield a line for each package, the device, the instructions of the CPU, and the extras."""
     from salsanext_cli.core.engines.device import choose_device, flags
-    from salsanext_cli.core.engines.machine import processor_name, version_of
+    from salsanext_cli.core.engines.machine import computing_packages, processor_name, version_of
 
     yield f"salsanext {__version__}"
     yield f"Python {platform.python_version()} on {platform.platform()}"
-    for name in PACKAGES:
+    for name in (*computing_packages(), *OTHER_PACKAGES):
         yield f"{name} {version_of(name) or 'is not installed'}"
     yield f"device: {choose_device('auto')}"
     yield f"CPU: {processor_name()}"

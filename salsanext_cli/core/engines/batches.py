@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
-from salsanext_cli.core.memory import out_of_memory
+from salsanext_cli.core.engines.memory import out_of_memory
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")

@@ -7,7 +7,7 @@ import sys
 from functools import cache
 from pathlib import Path
 
-from salsanext_cli.core.engines.registry import computes_int8, int8_settings
+from salsanext_cli.core.engines.registry import LIBRARIES, computes_int8, int8_settings
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.texts import counted
 from salsanext_cli.core.wording import argument, setting
@@ -80,18 +80,28 @@ def choose_precision(name: str, device: str, engine: str) -> str:
             hint = f"use {int8_settings()}, or another precision"
             raise UsageError(argument("precision"), problem, hint=hint)
         return name
+    library = LIBRARIES[engine]
+    of_device = floats_of_device(device)
+    possible = [precision for precision in of_device if precision in library.precisions]
+    if name == "auto":
+        return possible[-1]
+    if name not in possible:
+        lacking = library.title if name in of_device else "this CPU"
+        int8 = ["int8"] if computes_int8(engine, device) else []
+        expected = " or ".join([*possible, *int8])
+        raise UsageError(argument("precision"), f"{lacking} does not compute {name}", expected)
+    return name
+
+
+def floats_of_device(device: str) -> tuple[str, ...]:
+    """Return the floats that a device computes, the fastest last."""
     if device == "cpu":
-        possible = ("float32", "bfloat16") if bfloat16_instructions() else ("float32",)
-        if name not in ("auto", *possible):
-            problem = f"this CPU does not compute {name}"
-            expected = " or ".join((*possible, "int8"))
-            raise UsageError(argument("precision"), problem, expected)
-        return possible[-1] if name == "auto" else name
-    if name != "auto":
-        return name
+        return ("float32", "bfloat16") if bfloat16_instructions() else ("float32",)
     import torch
 
-    return "float16" if torch.cuda.get_device_capability(device) >= (7, 0) else "float32"
+    if torch.cuda.get_device_capability(device) >= (7, 0):
+        return ("float32", "bfloat16", "float16")
+    return ("bfloat16", "float16", "float32")
 
 
 @cache

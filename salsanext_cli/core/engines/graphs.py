@@ -16,9 +16,9 @@ import numpy as np
 from salsanext_cli.core import caches
 from salsanext_cli.core.engines.backend import LOGITS
 from salsanext_cli.core.engines.device import processor
+from salsanext_cli.core.engines.memory import out_of_memory
 from salsanext_cli.core.engines.openvino_runtime import openvino_core
 from salsanext_cli.core.errors import OutputError, WeightsError
-from salsanext_cli.core.memory import out_of_memory
 from salsanext_cli.core.network.int8_inputs import LEVELS, Int8Input
 from salsanext_cli.core.records import CHANNELS, Float
 from salsanext_cli.core.texts import error_text

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from importlib.metadata import PackageNotFoundError, version
 
 from salsanext_cli.core.engines.device import CPUINFO
+from salsanext_cli.core.engines.registry import library_packages
 
 NAME_KEYS = ("model name", "Model", "Hardware")  # Of the processor, of x86 and of ARM
 
@@ -22,6 +23,11 @@ def version_of(package: str) -> str | None:
 def versions(packages: Iterable[str]) -> dict[str, str | None]:
     """Return the version of Python and of packages by name."""
     return {"python": platform.python_version()} | {name: version_of(name) for name in packages}
+
+
+def computing_packages() -> tuple[str, ...]:
+    """Return the packages whose version may change a label."""
+    return (*library_packages(), "numpy", "numba")
 
 
 def processor_name() -> str:

@@ -1,12 +1,18 @@
 # SPDX-License-Identifier: MIT
 """OpenVINO in this process, and why it does not start."""
 
+import sys
 from functools import cache
+from importlib import import_module
 from typing import Any
 
 from salsanext_cli.core.errors import MissingDependency
-from salsanext_cli.core.optional_packages import OPENVINO_ERRORS, import_openvino
 from salsanext_cli.core.texts import error_text
+
+CONVERTER = "openvino.tools.ovc"
+"""Part of OpenVINO that `import openvino` imports and that reports to a server of Google."""
+OPENVINO_ERRORS = (AttributeError, ImportError, OSError, RuntimeError, TypeError, ValueError)
+"""Errors of damaged installations and those of another platform."""
 
 
 @cache
@@ -33,3 +39,17 @@ def openvino_failure() -> str:
     except OPENVINO_ERRORS as error:
         return f"does not start: {error_text(error)}"
     return ""
+
+
+def import_openvino() -> Any:
+    """Import OpenVINO without its converter."""
+    is_loaded = CONVERTER in sys.modules
+    sys.modules.setdefault(CONVERTER, None)  # type: ignore[arg-type]
+    try:
+        return import_module("openvino")
+    except OPENVINO_ERRORS as error:
+        problem = f"cannot be imported: {error_text(error)}"
+        raise MissingDependency("openvino", problem, hint="install it again") from error
+    finally:
+        if not is_loaded:
+            sys.modules.pop(CONVERTER, None)

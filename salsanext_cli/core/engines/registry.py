@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Registry of the libraries that compute networks, and the choice among them.
 
-A further library is a module with a `Backend`, and a row of `LIBRARIES`. The row declares on which
-devices it computes, and whether it computes int8. Floats depend on the device alone, not on the
-library: `device.choose_precision` chooses among them.
+A further library is a module with a `Backend`, and a row of `LIBRARIES`. The row declares all that
+other modules ask about it: devices and number types for the choice of the engine, packages for
+lists of versions, and its words for a lack of memory.
 """
 
 from __future__ import annotations
@@ -52,10 +52,14 @@ class Library:
         Module of its backend, which is imported when it computes, and the class in it.
     devices : tuple of str
         Kinds of devices on which it computes, ``"cpu"`` and ``"cuda"``.
+    precisions : tuple of str
+        Number types of layers in which it computes; float32 is one of them.
+    packages : tuple of str
+        Installed packages whose version may change a label.
+    memory_errors : tuple of str
+        Words in its errors, in lower case, when memory runs out, besides those of C++ and Python.
     failure : callable
         Returns why it does not start on this machine; an empty text if it does.
-    computes_int8 : bool
-        Whether it computes layers in int8.
     """
 
     name: str
@@ -63,8 +67,10 @@ class Library:
     module: str
     backend: str
     devices: tuple[str, ...]
+    precisions: tuple[str, ...]
+    packages: tuple[str, ...]
+    memory_errors: tuple[str, ...] = ()
     failure: Callable[[], str] = starts
-    computes_int8: bool = False
 
     def computes_on(self, device: str) -> bool:
         """Return whether it computes on a device, such as ``"cuda:1"``."""
@@ -83,8 +89,10 @@ LIBRARIES = {
         module="salsanext_cli.core.engines.openvino_backend",
         backend="OpenVinoBackend",
         devices=("cpu",),
+        precisions=("float32", "bfloat16", "int8"),
+        packages=("openvino",),
+        memory_errors=("can't alloc",),
         failure=_openvino_failure,
-        computes_int8=True,
     ),
     "torch": Library(
         name="torch",
@@ -92,6 +100,15 @@ LIBRARIES = {
         module="salsanext_cli.core.engines.torch_backend",
         backend="TorchBackend",
         devices=("cpu", "cuda"),
+        precisions=("float32", "bfloat16", "float16"),
+        packages=("torch",),
+        memory_errors=(
+            "cuda out of memory",
+            "cuda error: out of memory",
+            "cublas_status_alloc_failed",
+            "cudnn_status_alloc_failed",
+            "cublas_status_not_initialized",
+        ),
     ),
 }
 """Libraries by name, the fastest first."""
@@ -131,7 +148,8 @@ def choose_engine(name: str, device: str) -> str:
         raise UsageError(argument("engine"), f"unknown engine {name}", ", ".join(engine_names()))
     if not library.computes_on(device):
         problem = f"{library.title} does not compute on {device}"
-        raise UsageError(argument("engine"), problem, hint=f"use {setting('device', 'cpu')}")
+        hint = f"use {setting('device', library.devices[0])}"
+        raise UsageError(argument("engine"), problem, hint=hint)
     failure = library.failure()
     if failure:
         raise MissingDependency(name, failure, hint=_hint_of_failure(library, device))
@@ -166,10 +184,15 @@ def _fastest_engine(device: str) -> str:
 def computes_int8(engine: str | None, device: str = "cpu") -> bool:
     """Return whether an engine computes layers in int8 on a device."""
     library = LIBRARIES.get(engine or "")
-    return library is not None and library.computes_int8 and library.computes_on(device)
+    return library is not None and "int8" in library.precisions and library.computes_on(device)
 
 
 def int8_settings() -> str:
     """Return the settings by which the fastest library that computes int8 computes."""
-    library = next(library for library in LIBRARIES.values() if library.computes_int8)
+    library = next(library for library in LIBRARIES.values() if "int8" in library.precisions)
     return f"{setting('device', library.devices[0])} and {setting('engine', library.name)}"
+
+
+def library_packages() -> tuple[str, ...]:
+    """Return the packages of all libraries."""
+    return tuple(package for library in LIBRARIES.values() for package in library.packages)

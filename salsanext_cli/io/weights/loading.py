@@ -42,8 +42,8 @@ def load_network(
         Sensor of the range images; default: the sensor of the weights.
     precision : {"auto", "float32", "bfloat16", "float16", "int8"}
         Number type; ``"auto"`` is the fastest float on the device.
-    engine : {"auto", "openvino", "torch"}
-        Library; ``"auto"`` is OpenVINO on CPUs on which it starts.
+    engine : str
+        Library, a name of `LIBRARIES`; ``"auto"`` is the fastest that starts on the device.
     classes : LabelSpace, optional
         Classes into which the classes of the weights are merged.
 
@@ -58,7 +58,7 @@ def load_network(
     UsageError
         If device, precision, engine or `classes` are impossible.
     MissingDependency
-        If OpenVINO was requested and does not start.
+        If the library was requested and does not start.
     """
     file = default_weights() if path is None else Path(path)
     card = read_card(file)

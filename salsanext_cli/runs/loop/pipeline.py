@@ -14,8 +14,8 @@ from itertools import chain, islice
 from typing import Any, Generic, TypeVar
 
 from salsanext_cli.core.engines.batches import BatchSize
+from salsanext_cli.core.engines.memory import out_of_memory
 from salsanext_cli.core.errors import FormatError, SalsanextError
-from salsanext_cli.core.memory import out_of_memory
 from salsanext_cli.core.wording import argument, setting
 from salsanext_cli.runs.loop.job import Attempt, Computed, OpenableTask, Prepared, ScanJob, Task
 from salsanext_cli.runs.results.paths import ScanFile

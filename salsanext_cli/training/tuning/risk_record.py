@@ -4,15 +4,12 @@
 from datetime import UTC, datetime
 from pathlib import Path
 
-from salsanext_cli.core.engines.machine import machine, versions
+from salsanext_cli.core.engines.machine import computing_packages, machine, versions
 from salsanext_cli.io.files.atomic import write_target
 from salsanext_cli.io.files.json_files import encode_json
 from salsanext_cli.io.files.reading import fingerprint
 from salsanext_cli.training.tuning.risk_report import RiskFit
 from salsanext_cli.version import __version__
-
-PACKAGES = ("torch", "openvino", "numpy", "numba")
-"""Packages whose version may change a label."""
 
 
 def write_risk_record(
@@ -62,7 +59,7 @@ def write_risk_record(
         "weights": {"path": str(weights), "sha256": fingerprint(weights)},
         "weights_with_threshold": {"path": str(target), "sha256": fingerprint(target)},
         "computed_by": fit.computed_by,
-        "versions": {"salsanext": __version__} | versions(PACKAGES),
+        "versions": {"salsanext": __version__} | versions(computing_packages()),
         "machine": machine(fit.computed_by.device),
         "settings": threshold.settings,
         "views": threshold.views,

@@ -2,6 +2,7 @@
 # ruff: noqa: F811
 """Libraries that compute networks: a further one is a module and a row."""
 
+import ast
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,10 +14,14 @@ import pytest
 from scans import SMALL, labels_below, make_scan, refused, write_bin
 from shallow import shallow, weights  # noqa: F401
 
+import salsanext_cli
 from salsanext_cli import load_network, project
 from salsanext_cli.commands.line.option_groups import OPTIONS
+from salsanext_cli.commands.line.version_report import version_lines
 from salsanext_cli.commands.stages.predict import predict_scans
-from salsanext_cli.core.engines import registry
+from salsanext_cli.core.engines import device, machine, registry
+from salsanext_cli.core.engines.batches import BatchSize
+from salsanext_cli.core.engines.device import choose_precision
 from salsanext_cli.core.engines.registry import LIBRARIES, Library, choose_engine, computes_int8
 from salsanext_cli.core.engines.torch_backend import TorchBackend
 from salsanext_cli.core.errors import MissingDependency, UsageError
@@ -29,12 +34,14 @@ MODULE = "third_backend"
 
 @dataclass(frozen=True, eq=False)
 class ThirdBackend(TorchBackend):
-    """Counts the images that it predicts, and lets torch compute them."""
+    """Has memory for one image, counts those that it predicts, and lets torch compute them."""
 
     library: ClassVar[str] = "third"
     predicted: ClassVar[list[int]] = []
 
     def predict(self, images, temperature, *, softmax=False):
+        if len(images) > 1:
+            raise RuntimeError("Third: ARENA EXHAUSTED")
         self.predicted.append(len(images))
         return super().predict(images, temperature, softmax=softmax)
 
@@ -46,7 +53,14 @@ def third(monkeypatch):
     module.ThirdBackend = ThirdBackend
     monkeypatch.setitem(sys.modules, MODULE, module)
     row = Library(
-        name="third", title="Third", module=MODULE, backend="ThirdBackend", devices=("cpu",)
+        name="third",
+        title="Third",
+        module=MODULE,
+        backend="ThirdBackend",
+        devices=("cpu",),
+        precisions=("float32",),
+        packages=("third-library",),
+        memory_errors=("arena exhausted",),
     )
     monkeypatch.setitem(LIBRARIES, row.name, row)
     ThirdBackend.predicted.clear()
@@ -70,21 +84,80 @@ def test_a_third_library_predicts(third, weights):
 
 
 def test_predict_takes_a_third_library_and_records_it(third, weights, tmp_path):
-    write_bin(tmp_path / "scans/0.bin", make_scan())
+    for number in range(3):
+        write_bin(tmp_path / f"scans/{number}.bin", make_scan(seed=number))
     for engine in ("third", "torch"):
         settings = NetworkSettings(weights, "cpu", engine=engine)
         outcome = predict_scans(tmp_path / "scans", tmp_path / engine, settings=settings)
-        assert outcome.done == 1
+        assert outcome.done == 3
         assert Manifest(tmp_path / engine).settings("predict").engine == engine
-    assert ThirdBackend.predicted == [1]
+    assert ThirdBackend.predicted == [1, 1, 1]
     assert labels_below(tmp_path / "third") == labels_below(tmp_path / "torch")
 
 
+def test_images_of_a_third_library_that_lack_memory_are_computed_in_smaller_batches(
+    third, weights, caplog
+):
+    """As it is for the other libraries: the row has the words of its error."""
+    network = load_network(weights, "cpu", SMALL, engine="third")
+    images = [network.input(project(make_scan(seed=seed), SMALL).channels) for seed in range(3)]
+    sizes = BatchSize(3, "scans")
+    predictions = [p for batch in sizes.in_batches(network.predict, images) for p in batch]
+    assert len(predictions) == 3
+    assert ThirdBackend.predicted == [1, 1, 1]
+    assert len(caplog.records) == 1
+
+
+def test_the_words_of_a_library_that_is_not_there_mean_nothing():
+    with pytest.raises(RuntimeError, match="EXHAUSTED"):
+        list(BatchSize(2, "scans").in_batches(_exhausted, [1, 2]))
+
+
+def _exhausted(_):
+    raise RuntimeError("Third: ARENA EXHAUSTED")
+
+
+def test_a_third_library_computes_in_its_number_types_only(third, monkeypatch):
+    monkeypatch.setattr(device, "bfloat16_instructions", lambda: ["bf16"])
+    assert choose_precision("auto", "cpu", "openvino") == "bfloat16"
+    assert choose_precision("auto", "cpu", "third") == "float32"
+    for precision in ("bfloat16", "int8"):
+        refused(UsageError, "precision", choose_precision, precision, "cpu", "third")
+
+
+def test_a_third_library_is_among_the_versions_of_reports_and_records(third):
+    assert "third-library is not installed" in version_lines()
+    versions = machine.versions(machine.computing_packages())
+    assert versions["third-library"] is None
+    assert versions.keys() > {"python", "torch", "openvino", "numpy", "numba"}
+
+
+def texts(path):
+    """Return the texts in the code of a module, without its docstrings."""
+    tree = ast.parse(path.read_text("utf-8"))
+    constants = (node.value for node in ast.walk(tree) if isinstance(node, ast.Constant))
+    docstrings = {
+        ast.get_docstring(node, clean=False)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)
+    }
+    return [text for text in constants if isinstance(text, str) and text not in docstrings]
+
+
 def test_only_the_row_and_the_modules_of_a_library_name_it():
-    """So a further library needs no change of the choice of device and precision."""
-    engines = Path(registry.__file__).parent
-    namers = {path.name for path in engines.glob("*.py") if '"openvino"' in path.read_text("utf-8")}
-    assert namers == {"openvino_backend.py", "registry.py"}
+    """So a further library needs no change of any other module."""
+    package = Path(salsanext_cli.__file__).parent
+    namers = {
+        path.relative_to(package).as_posix()
+        for path in package.rglob("*.py")
+        if any("openvino" in text.lower() for text in texts(path))
+    }
+    engines = "core/engines"
+    assert namers == {
+        f"{engines}/openvino_backend.py",
+        f"{engines}/openvino_runtime.py",
+        f"{engines}/registry.py",
+    }
     assert registry.int8_settings() == 'device="cpu" and engine="openvino"'
 
 
@@ -101,14 +174,13 @@ def test_the_fastest_library_that_starts_computes(third, monkeypatch, caplog):
             module=MODULE,
             backend="ThirdBackend",
             devices=("cpu",),
+            precisions=("float32",),
+            packages=(),
             failure=lambda: "does not start: no licence",
         )
         for name in ("first", "second")
     }
-    for name in list(LIBRARIES):
-        monkeypatch.delitem(LIBRARIES, name)
-    for name, library in {**broken, "third": third}.items():
-        monkeypatch.setitem(LIBRARIES, name, library)
+    monkeypatch.setattr(registry, "LIBRARIES", {**broken, "third": third})
     assert choose_engine("auto", "cpu") == "third"
     assert [record.getMessage().partition(":")[0] for record in caplog.records] == [*broken]
     assert all("third" in record.getMessage() for record in caplog.records)

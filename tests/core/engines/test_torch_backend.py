@@ -9,13 +9,13 @@ from scans import SMALL
 from tiny_network import TinyNetwork
 
 from salsanext_cli import label_space
+from salsanext_cli.core.engines.memory import out_of_memory
 from salsanext_cli.core.engines.torch_backend import (
     Float32Convolution,
     TorchBackend,
     keep_ends_in_float32,
     set_up_cuda,
 )
-from salsanext_cli.core.memory import out_of_memory
 from salsanext_cli.core.network.card import WeightsCard
 
 
