@@ -69,6 +69,8 @@ def encode_labels(raw: RawIds) -> bytes:
 def write_labels(path: Path, raw: RawIds) -> None:
     """Write the raw ids of the points of a scan.
 
+    An existing file is replaced.
+
     Parameters
     ----------
     path : Path

@@ -79,6 +79,8 @@ def write_ply(
 ) -> None:
     """Write points and their scalars as a binary little-endian PLY file.
 
+    An existing file is replaced.
+
     Parameters
     ----------
     path : Path
