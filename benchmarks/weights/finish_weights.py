@@ -139,7 +139,7 @@ def add_error_models(weights: Path, datasets: Sequence[Path]) -> None:
     card = read_card(weights)
     copies: dict[Path, list[ScanFile]] = {}
     for dataset in datasets:
-        scans, _ = labelled_scans(dataset, ScanSelection(split="valid"), card)
+        scans = labelled_scans(dataset, ScanSelection(split="valid"), card).files
         copies[dataset] = corrupted_copies(dataset, scans, weights.with_name("corrupted"))
     for width in card.trained_widths:
         settings = at_width(weights, width)
@@ -156,14 +156,15 @@ def error_model(
     judged: dict[ScanFile, JudgedPoints] = {}
     parts: list[list[ScanFile]] = [[] for _ in range(FOLDS)]
     for dataset, corrupted in copies.items():
-        scans, space = labelled_scans(dataset, ScanSelection(split="valid"), network.card)
+        labelled = labelled_scans(dataset, ScanSelection(split="valid"), network.card)
+        scans = labelled.files
         fold_of = {file.sequence: n for n, fold in enumerate(folds(scans, FOLDS)) for file in fold}
         for (_, sequence), members in groupby(
             [*scans, *corrupted], lambda file: (file.path.parents[3], file.sequence)
         ):
             files = list(members)
             own = fit_scans(settings, network, sample_of_files(files, network.sensor))
-            read = partial(read_labelled_image, network=own, space=space)
+            read = partial(read_labelled_image, network=own, space=labelled.space)
             points = network_pipeline(judge_job(own, read, POINTS_OF_SCAN), own).results(files)
             judged |= zip(files, points, strict=True)
             parts[fold_of[sequence]] += files

@@ -56,7 +56,7 @@ WRONG = (255, 72, 48)
 NOT_JUDGED = (62, 76, 150)
 """Colour of points without a true label, or whose label was rejected, on a dark background."""
 SCALE_PERCENTILES = (1.0, 99.0)  # Ends of a colour scale, which exclude outliers
-SCANS_FOR_SCALE = 20
+SCANS_FOR_SCALE = 20  # Most scans whose values decide a common scale
 OUTCOME_LEGEND = (("right", RIGHT), ("wrong", WRONG), ("not judged (no label)", NOT_JUDGED))
 OUTCOMES = np.array((EMPTY, RIGHT, WRONG), np.uint8)  # Not judged, right and wrong
 OUTCOMES_ON_DARK = np.array((NOT_JUDGED, RIGHT, WRONG), np.uint8)
@@ -75,23 +75,43 @@ def value_range(values: npt.NDArray[Any]) -> tuple[float, float]:
 def common_scales(
     out: Path, scans: Sequence[ScanFile], colours: Iterable[str], space: LabelSpace, sensor: Sensor
 ) -> Scales:
-    """Return the fixed scale of each value, or its range over some evenly spaced scans."""
+    """Return the scale of each colour of values, the same for all scans.
+
+    Parameters
+    ----------
+    out : Path
+        Output folder.
+    scans : sequence of ScanFile
+        Scans with results.
+    colours : iterable of str
+        Some of `COLOURS`; those of classes have no scale.
+    space : LabelSpace
+        Classes of the results.
+    sensor : Sensor
+        Sensor of the scans.
+
+    Returns
+    -------
+    dict
+        The fixed scale of a colour, or the range of its values over `SCANS_FOR_SCALE` scans.
+    """
     folder = ResultFolder(out)
     scales = dict[str, Scale]()
     values: dict[str, list[npt.NDArray[Any]]] = {}
-    sampled: dict[ScanFile, list[str]] = {}
+    colours_of_scan: dict[ScanFile, list[str]] = {}  # Of the scans that are read
     for colour in colours:
         if colour in FIXED_SCALES:
             scales[colour] = FIXED_SCALES[colour]
         elif colour not in CLASS_COLOURS:
             values[colour] = [np.empty(0, np.float32)]
             with_values = folder.with_column(colour, scans)
-            for file in with_values[:: -(-len(with_values) // SCANS_FOR_SCALE) or 1]:
-                sampled.setdefault(file, []).append(colour)
-    for file, values_of_scan in sampled.items():
+            step = max(1, math.ceil(len(with_values) / SCANS_FOR_SCALE))
+            for file in with_values[::step]:
+                colours_of_scan.setdefault(file, []).append(colour)
+    for file, colours_of_values in colours_of_scan.items():
         with suppress(SalsanextError):  # The run itself reports scans that cannot be read.
             columns = scalar_columns(folder.read(file, sensor), space)
-            for colour in values_of_scan:
+            for colour in colours_of_values:
                 values[colour].append(columns[colour])
     return scales | {name: value_range(np.concatenate(arrays)) for name, arrays in values.items()}
 
@@ -131,17 +151,24 @@ def screen_colours(space: LabelSpace) -> Colours:
     one of `PALETTE`, and after these one of evenly spread hues.
     """
     built_in = {*label_space().names, *label_space("coarse").names}
-    changed = ON_SCREEN if built_in.issuperset(space.names) else {}
-    colours = on_dark([changed.get((*rgb,), rgb) for rgb in space.colours.tolist()])
-    hues = [hsv_to_rgb(GOLDEN_RATIO * n % 1, 0.3 + n % 3 * 0.3, 1.0) for n in range(1024)]
-    palette = np.frombuffer(PALETTE, np.uint8).reshape(-1, 3)
-    spare = dict.fromkeys(map(tuple, on_dark([*palette, *np.multiply(hues, 255)]).tolist()))
-    preferred = [*map(tuple, colours.tolist())]
-    unused = (rgb for rgb in spare if rgb not in preferred)
-    chosen: dict[tuple[int, ...], None] = {}
+    replacements = ON_SCREEN if built_in.issuperset(space.names) else {}
+    colours = [tuple(rgb) for rgb in space.colours.tolist()]
+    preferred = [
+        tuple(rgb) for rgb in on_dark([replacements.get(rgb, rgb) for rgb in colours]).tolist()
+    ]
+    unused = (rgb for rgb in _spare_colours() if rgb not in preferred)
+    chosen: list[tuple[int, ...]] = []
     for rgb in preferred:
-        chosen[next(unused) if rgb in chosen else rgb] = None
-    return np.array([*chosen], np.uint8).reshape(-1, 3)
+        chosen.append(next(unused) if rgb in chosen else rgb)
+    return np.array(chosen, np.uint8).reshape(-1, 3)
+
+
+def _spare_colours() -> list[tuple[int, ...]]:
+    """Return different colours for a dark background: those of `PALETTE`, and then 1024 hues."""
+    palette = np.frombuffer(PALETTE, np.uint8).reshape(-1, 3)
+    hues = [hsv_to_rgb(GOLDEN_RATIO * n % 1, 0.3 + n % 3 * 0.3, 1.0) for n in range(1024)]
+    colours = on_dark([*palette, *np.multiply(hues, 255)]).tolist()
+    return list(dict.fromkeys(tuple(rgb) for rgb in colours))
 
 
 @cache
@@ -153,7 +180,21 @@ def map_on_dark() -> Colours:
 def value_colours(
     values: npt.NDArray[Any], *scale: float, colour_map: Colours | None = None
 ) -> Colours:
-    """Colour values, (…) to (…, 3), along a map (256, 3), else `map_on_dark`; NaN is `EMPTY`."""
+    """Return the colours of values along a colour map; NaN is `EMPTY`.
+
+    Parameters
+    ----------
+    values : (…) array
+        Values.
+    *scale : float
+        Rising values at equal steps along the map, two or more.
+    colour_map : (256, 3) uint8, optional
+        Colours; default: `map_on_dark`.
+
+    Returns
+    -------
+    (…, 3) uint8
+    """
     marks = scale if scale[-1] > scale[0] else (scale[0], scale[0] + 1)
     share = np.interp(values, marks, np.linspace(0, 1, len(marks)))
     position = np.rint(np.nan_to_num(share) * 255).astype(np.intp)

@@ -21,12 +21,23 @@ from salsanext_cli.synthesis.street.traffic import Mover, draw_movers
 
 SPEED_M_PER_S = (4.0, 12.0)  # Slowest and fastest drive
 VIEW_M = 90.0  # Largest distance of recorded moving objects
+FROM_KERB_M = 2.4  # Distance of the vehicle from the edge of its lane
+SHORTEST_WAVE_M = 25.0  # Shortest period of sway, pitch and roll along the street
+MAX_PITCH_DEG = 0.25  # Of the vehicle on its suspension
+MAX_ROLL_DEG = 0.3
 
 
-def build_street(
-    rng: Rng, style: Numbers, distance: float, ego_speed: float
-) -> tuple[Plan, Mesh, tuple[Mover, ...]]:
-    """Build a street for a drive of `distance` metres: plan, static mesh and moving objects."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Street:
+    """Street for one drive."""
+
+    plan: Plan
+    standing: Mesh  # Ground and all objects that do not move
+    movers: tuple[Mover, ...]
+
+
+def build_street(rng: Rng, style: Numbers, distance: float, ego_speed: float) -> Street:
+    """Build a street for a drive of `distance` metres at `ego_speed` metres per second."""
     plan = draw_plan(rng, style, distance + 2 * RUN_OUT_M)
     builder = Builder(rng, plan)
     builder.parts.append(ground(rng, plan))
@@ -41,8 +52,8 @@ def build_street(
     movers = draw_movers(builder, ego_speed, distance / ego_speed)
     brightness = draw_brightness(rng)
     standing = with_brightness(merge(builder.parts), brightness)
-    shown = (replace(m, mesh=with_brightness(m.mesh, brightness)) for m in movers)
-    return plan, standing, tuple(shown)
+    coloured = [replace(mover, mesh=with_brightness(mover.mesh, brightness)) for mover in movers]
+    return Street(plan=plan, standing=standing, movers=tuple(coloured))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,24 +74,45 @@ def record(
     make_rig: RigMaker = hdl64_rig,
     make_scene: Callable[[Mesh], Scene] = Scene,
 ) -> Iterator[Frame]:
-    """Yield the frames of one sequence, `spacing` metres apart."""
-    # Seed, sequence and length of the drive determine the street, whatever the sensor; the sequence
-    # chooses its style and its mix of objects. Seed, sequence and frame determine the noise.
+    """Yield the frames of one sequence.
+
+    Seed, sequence and length of the drive determine the street, whatever the sensor; the sequence
+    chooses its style and its mix of objects. Seed, sequence and frame determine the noise.
+
+    Parameters
+    ----------
+    seed : int
+        Random seed.
+    sequence : int
+        Number of the sequence.
+    scans : int
+        Number of frames.
+    spacing : float
+        Distance between two frames in metres.
+    make_rig : callable
+        Draws a sensor and its mounting.
+    make_scene : callable
+        Prepares a mesh for the casting of rays.
+
+    Yields
+    ------
+    Frame
+    """
     rng = np.random.default_rng([seed, sequence])
     speed = float(rng.uniform(*SPEED_M_PER_S))
     style = style_of(sequence)
-    plan, standing, movers = build_street(rng, style, spacing * (scans - 1), speed)
+    street = build_street(rng, style, spacing * (scans - 1), speed)
     rig = make_rig(rng)
-    track = _Track(rng, plan, speed, rig)
-    *rays, lasers = rig.rays()
-    scene = make_scene(standing)
+    track = _Track(rng, street.plan, speed, rig)
+    ray_origins, ray_directions, ray_times, lasers = rig.rays()
+    standing = make_scene(street.standing)
     for index in range(scans):
         noise = np.random.default_rng([seed, sequence, index, 1])
         s = RUN_OUT_M + index * spacing
         time = index * spacing / speed
         pose = track.pose(s)
-        scenes = [scene, *map(make_scene, _nearby(plan, movers, time, pose))]
-        origins, directions = track.in_motion(s, *rays)
+        scenes = [standing, *map(make_scene, _nearby(street, time, pose))]
+        origins, directions = track.in_motion(s, ray_origins, ray_directions, ray_times)
         cast = np.concatenate([origins, directions], 1)
         distance, intensity, labels = measure(noise, scenes, cast, lasers, rig.response)
         returned = np.isfinite(distance)
@@ -90,35 +122,43 @@ def record(
         yield Frame(scan=scan, labels=labels[returned], pose=pose, time=time)
 
 
-def _nearby(plan: Plan, movers: tuple[Mover, ...], time: float, pose: Array) -> list[Mesh]:
+def _nearby(street: Street, time: float, pose: Array) -> list[Mesh]:
     """Return moving objects near the sensor at a time, merged into at most one mesh."""
-    meshes = (mover.at(plan, time) for mover in movers)
-    near = [m for m in meshes if m and np.hypot(*(m.vertices[0, :2] - pose[:2, 3])) < VIEW_M]
+    near = []
+    for mover in street.movers:
+        mesh = mover.at(street.plan, time)
+        if mesh and np.hypot(*(mesh.vertices[0, :2] - pose[:2, 3])) < VIEW_M:
+            near.append(mesh)
     return [merge(near)] if near else []
 
 
 class _Track:
-    """Path of the sensor: in its lane, swaying, pitching and rolling a little."""
+    """Path of the sensor: in its lane, swaying, pitching and rolling a little.
+
+    Positions are ``s``, metres along the street, and ``t``, metres to its left, as in a `Plan`.
+    """
 
     def __init__(self, rng: Rng, plan: Plan, speed: float, rig: Rig) -> None:
         self._speed = speed
         self._plan = plan
-        self._lane = min(0.0, 2.4 + plan.shoulder - plan.half) + rng.normal(0, 0.1)
+        middle_of_lane = min(0.0, FROM_KERB_M + plan.shoulder - plan.half)
+        self._lane = middle_of_lane + rng.normal(0, 0.1)
         self._sway = rng.normal(0, 0.12)
-        self._waves = rng.uniform(0.3, 1, (3, 2)) * [2 * np.pi / 25, 2 * np.pi]
+        # Angular frequency along s and phase of sway, pitch and roll
+        self._waves = rng.uniform(0.3, 1, (3, 2)) * [2 * np.pi / SHORTEST_WAVE_M, 2 * np.pi]
         self._tilt = rig.tilt
         self._mount = rig.mount
 
     def pose(self, s: float) -> Array:
-        """Return the pose at s, sensor frame to world, (4, 4)."""
+        """Return the pose of the sensor at s, (4, 4): sensor frame to world."""
         wave = np.sin(self._waves[:, 0] * s + self._waves[:, 1])
         t = self._lane + self._sway * wave[0]
         foot = self._plan.world([s - 1, s, s + 1], t)
         ahead = foot[2] - foot[0]
         yaw = np.arctan2(ahead[1], ahead[0])
         slope = np.arctan2(ahead[2], np.hypot(ahead[0], ahead[1]))
-        pitch = -slope + self._tilt[0] + np.radians(0.25) * wave[1]
-        roll = self._tilt[1] + np.radians(0.3) * wave[2]
+        pitch = -slope + self._tilt[0] + np.radians(MAX_PITCH_DEG) * wave[1]
+        roll = self._tilt[1] + np.radians(MAX_ROLL_DEG) * wave[2]
         pose = np.eye(4)
         pose[:3, :3] = rotation("z", yaw) @ rotation("y", pitch) @ rotation("x", roll)
         pose[:3, 3] = foot[1] + [0, 0, self._mount]
@@ -127,7 +167,26 @@ class _Track:
     def in_motion(
         self, s: float, origins: Array, directions: Array, times: Array
     ) -> tuple[Array, Array]:
-        """Return world origins and directions of rays around s while the pose changes linearly."""
+        """Return origins and directions of rays in the world while the sensor moves past s.
+
+        Parameters
+        ----------
+        s : float
+            Position at time 0.
+        origins : (R, 3) float64
+            Origins of the rays in the sensor frame, metres.
+        directions : (R, 3) float64
+            Unit vectors in the sensor frame.
+        times : (R,) float64
+            Times of the rays in seconds; between the first and the last, the pose changes linearly.
+
+        Returns
+        -------
+        origins : (R, 3) float64
+            In the world, metres.
+        directions : (R, 3) float64
+            Unit vectors in the world.
+        """
         start = times.min()
         end = times.max()
         first = self.pose(s + self._speed * start)

@@ -18,10 +18,22 @@ from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
 def weighted_cross_entropy(
     log_probabilities: Tensor, truth: Tensor, weights: Tensor, total_weight: Tensor | None = None
 ) -> Tensor:
-    """Return the mean of -log p(truth) weighted by the true class of each pixel, 0-d.
+    """Return the mean of -log p(truth), weighted by the true class of each pixel.
 
-    Log-probabilities (P, T), truth (P,) int64, weights (T,). `total_weight` is the weight of all
-    pixels if these are a part of them.
+    Parameters
+    ----------
+    log_probabilities : (P, T) float
+        Of P pixels and T targets.
+    truth : (P,) int64
+        True target of each pixel.
+    weights : (T,) float
+        Weights of the targets.
+    total_weight : 0-d Tensor, optional
+        Weight to divide by if the pixels are a part of a batch: that of the whole batch.
+
+    Returns
+    -------
+    0-d Tensor
     """
     loss = F.nll_loss(log_probabilities, truth, weights, reduction="sum")
     total = weights[truth].sum() if total_weight is None else total_weight
@@ -30,11 +42,21 @@ def weighted_cross_entropy(
 
 @torch.no_grad()
 def jaccard_gradient(errors: Tensor, foreground: Tensor) -> Tensor:
-    """Return the gradient of the Lovász extension of the Jaccard loss by pixel, (K, P).
+    """Return the gradient of the Lovász extension of the Jaccard loss by pixel.
 
-    `errors` (K, P) for K classes; `foreground` (K, P) bool: pixels of the class, at least one. With
-    pixels sorted by falling error, the weight of pixel i is the growth of the Jaccard loss when it
-    joins the mispredicted set {1 … i-1} (Berman et al. 2018, eq. 9 and algorithm 1).
+    With pixels sorted by falling error, the weight of pixel i is the growth of the Jaccard loss
+    when it joins the mispredicted set {1 … i-1} (Berman et al. 2018, eq. 9 and algorithm 1).
+
+    Parameters
+    ----------
+    errors : (K, P) float
+        Error of each pixel for K classes.
+    foreground : (K, P) bool
+        Pixels of each class, at least one.
+
+    Returns
+    -------
+    (K, P) float
     """
     order = errors.argsort(dim=1, descending=True)
     belongs = foreground.gather(1, order)
@@ -52,15 +74,29 @@ def jaccard_gradient(errors: Tensor, foreground: Tensor) -> Tensor:
 def lovasz_softmax(
     probabilities: Tensor, truth: Tensor, group: ProcessGroup = SINGLE_PROCESS
 ) -> Tensor:
-    """Return a worker's share of the mean Lovász-Softmax loss of softmax (P, C); truth on a CPU."""
+    """Return a worker's share of the Lovász-Softmax loss, a mean over the classes of the truth.
+
+    Parameters
+    ----------
+    probabilities : (P, C) float
+        Softmax of the pixels of the worker.
+    truth : (P,) int64
+        True classes, on the CPU.
+    group : ProcessGroup
+        The workers.
+
+    Returns
+    -------
+    0-d Tensor
+    """
     counts = truth.bincount(minlength=probabilities.shape[1])
     if group.size > 1:
         counts = group.sum(counts.to(probabilities.device)).cpu()
     present = counts.nonzero()[:, 0]
     if not len(present):
         return probabilities.sum()
-    truth, present = (to_device(indices, probabilities.device) for indices in (truth, present))
-    foreground = truth == present[:, None]
+    present = to_device(present, probabilities.device)
+    foreground = to_device(truth, probabilities.device) == present[:, None]
     predicted = probabilities.t()[present]
     errors = torch.where(foreground, 1 - predicted, predicted)
     # The pixels of all workers are sorted together.
@@ -82,9 +118,18 @@ def to_device(indices: Tensor, device: torch.device) -> Tensor:
 class SegmentationLoss(nn.Module):
     """Weighted cross-entropy plus Lovász-Softmax on logits (paper eq. 3).
 
-    Both terms ignore classes with weight 0, of weights (C,). The probability of target C + k is the
-    sum over the k-th set of classes, its weight the least positive weight of them; Lovász-Softmax
-    ignores it.
+    A target is a class, or a set of classes: target C + k is the k-th set. Its probability is the
+    sum over the set, and its weight is the least positive one of the set. Lovász-Softmax ignores
+    such targets.
+
+    Parameters
+    ----------
+    weights : (C,) float
+        Weights of the classes; both terms ignore classes with weight 0.
+    lovasz : float
+        Factor of Lovász-Softmax.
+    sets : tuple of tuple of int
+        Classes of each set.
     """
 
     weights: Tensor
@@ -92,10 +137,10 @@ class SegmentationLoss(nn.Module):
     def __init__(self, weights: Tensor, lovasz: float = 1.0, sets: ClassSets = ()) -> None:
         super().__init__()
         positive = weights.masked_fill(weights <= 0, math.inf)
-        smallest = [positive[list(several)].min().nan_to_num(posinf=0.0) for several in sets]
+        smallest = [positive[list(classes)].min().nan_to_num(posinf=0.0) for classes in sets]
         weights_of_sets = [weight[None] for weight in smallest]
         self.register_buffer("weights", torch.cat([weights, *weights_of_sets]))
-        self.counts = self.weights > 0  # (T,) bool; stays on the CPU
+        self.is_scored = self.weights > 0  # (T,) bool; stays on the CPU
         self.class_count = len(weights)
         self.lovasz = lovasz
         self.sets = sets
@@ -108,29 +153,43 @@ class SegmentationLoss(nn.Module):
         parts: int = 1,
         group: ProcessGroup = SINGLE_PROCESS,
     ) -> Tensor:
-        """Return the loss of logits (B, C, H, W) for integer targets (B, H, W) on a CPU, 0-d.
+        """Return the loss of a batch, or the share of a part of it.
 
-        The CPU chooses the scored pixels, since reading them from a GPU would wait. Of a batch in
-        `parts`, a part has its share: of cross-entropy by `total_weight`, the weight of the pixels
-        of all parts, of Lovász-Softmax by their number.
+        Parameters
+        ----------
+        logits : (B, C, H, W) float
+            Logits of the network.
+        truth : (B, H, W) integers
+            Targets, on the CPU: it chooses the scored pixels, since reading them from a GPU would
+            wait.
+        total_weight : 0-d Tensor, optional
+            Weight of the pixels of all parts, by which the cross-entropy of a part is divided.
+        parts : int
+            Number of parts of the batch, by which Lovász-Softmax is divided.
+        group : ProcessGroup
+            The workers.
+
+        Returns
+        -------
+        0-d Tensor
         """
         truth = truth.flatten().long()
-        counted = self.counts[truth].nonzero()[:, 0]
-        truth = truth[counted]
+        scored = self.is_scored[truth].nonzero()[:, 0]
+        truth = truth[scored]
         device = logits.device
-        classes = logits.movedim(1, -1).reshape(-1, logits.shape[1])[to_device(counted, device)]
+        pixels = logits.movedim(1, -1).reshape(-1, logits.shape[1])[to_device(scored, device)]
         precise = torch.promote_types(logits.dtype, torch.float32)
-        log_probabilities = F.log_softmax(classes, 1, dtype=precise)
-        sets = [to_device(torch.tensor(several), device) for several in self.sets]
-        sums = [log_probabilities[:, several].logsumexp(1, keepdim=True) for several in sets]
+        log_probabilities = F.log_softmax(pixels, 1, dtype=precise)
+        sets = [to_device(torch.tensor(classes), device) for classes in self.sets]
+        sums = [log_probabilities[:, classes].logsumexp(1, keepdim=True) for classes in sets]
         columns = torch.cat([log_probabilities, *sums], 1) if sums else log_probabilities
         weights = self.weights.to(precise)
         loss = weighted_cross_entropy(columns, to_device(truth, device), weights, total_weight)
         if self.lovasz:
             if sums:
-                single = (truth < self.class_count).nonzero()[:, 0]
-                log_probabilities = log_probabilities[to_device(single, device)]
-                truth = truth[single]
+                is_of_class = (truth < self.class_count).nonzero()[:, 0]
+                log_probabilities = log_probabilities[to_device(is_of_class, device)]
+                truth = truth[is_of_class]
             lovasz = lovasz_softmax(log_probabilities.exp(), truth, group)
             loss = loss + self.lovasz / parts * lovasz
         return loss

@@ -369,8 +369,10 @@ def _candidates(
 ) -> _Candidates:
     """Find the labelled scans of a fit; refuse an existing file first."""
     require_target(target, overwrite)
-    files, space = labelled_scans(source, selection, read_card(settings.path))
-    return _Candidates(source=source, files=files, space=space, limit=selection.limit)
+    labelled = labelled_scans(source, selection, read_card(settings.path))
+    return _Candidates(
+        source=source, files=labelled.files, space=labelled.space, limit=selection.limit
+    )
 
 
 def _write(settings: NetworkSettings, target: Path, card: WeightsCard, *, overwrite: bool) -> None:

@@ -52,6 +52,22 @@ from salsanext_cli.core.sensors.sensor import FITTED_NAME, ORIGIN, UP, Sensor, p
 from salsanext_cli.core.texts import counted, percentage
 from salsanext_cli.core.wording import argument, command, setting
 
+MAX_SHARE_OUTSIDE = 0.2  # Most points outside without a warning; a matching sensor has 0.07
+MEDIAN_RANGES_M = (0.3, 250.0)  # Possible median ranges of a scan in metres; real scans had 4 to 32
+USUAL_RANGES_M = (60.0, 300.0)
+"""Largest usual median range and 99 % quantile of ranges; real scans had up to 32 and 104."""
+MIN_FAR_M = 15.0  # Least usual 99 % quantile of ranges; roads had 27 m, a room and a hall 8 and 9
+MIN_MEASURED = 0.4  # Least usual share of measured points; organised clouds had 0.55 or more
+FEW_OF_ROW = 0.1  # Least share of the mean points of a row in a row that counts
+MIN_ROWS = 0.35  # Least usual share of rows that count; scans had 0.47 or more
+SECTORS = 64  # Equal parts of the directions around, as seen from above
+MIN_SECTORS = 0.6  # Least share of the directions around with a point; revolutions had 0.89 or more
+FEW_SECTORS = 0.1  # The same for a narrow field of view; solid-state sensors had 0.14 or more
+
+ALONE = f"expect wrong labels; if the other scans are of another sensor or mounting, {APART}"
+IN_MAP = "expect wrong labels: correct its pose, or `salsanext predict` this scan alone"
+TRAIN = "expect worse labels, or `salsanext train` weights on such scans"
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScanCheck:
@@ -64,22 +80,6 @@ class ScanCheck:
 
 
 UNCHECKED = ScanCheck()
-
-MAX_SHARE_OUTSIDE = 0.2  # Most points outside without a warning; a matching sensor has 0.07
-MEDIAN_RANGES_M = (0.3, 250.0)  # Possible median ranges of a scan in metres; real scans had 4 to 32
-USUAL_RANGES_M = (60.0, 300.0)
-"""Largest usual median range and 99 % quantile of ranges; real scans had up to 32 and 104."""
-MIN_FAR_M = 15.0  # Least usual 99 % quantile of ranges; roads had 27 m, a room and a hall 8 and 9
-MIN_MEASURED = 0.4  # Least usual share of measured points; organised clouds had 0.55 or more
-FEW_OF_ROW = 0.1  # Least share of the mean points of a row in a row that counts
-MIN_ROWS = 0.35  # Least usual share of rows that count; scans had 0.47 or more
-SECTORS = 64
-MIN_SECTORS = 0.6  # Least share of the directions around with a point; revolutions had 0.89 or more
-FEW_SECTORS = 0.1  # The same for a narrow field of view; solid-state sensors had 0.14 or more
-
-ALONE = f"expect wrong labels; if the other scans are of another sensor or mounting, {APART}"
-IN_MAP = "expect wrong labels: correct its pose, or `salsanext predict` this scan alone"
-TRAIN = "expect worse labels, or `salsanext train` weights on such scans"
 
 
 def origin_hint() -> str:
@@ -145,7 +145,7 @@ def check_scan(
     trained : Sensor, optional
         Sensor of the weights, if the intensity matters; without quantiles it stands for 0 to 1.
     fit : str
-        Hint if a fit of the sensor may help.
+        Hint about a wrong field of view or mounting, if a fit of the sensor may help.
 
     Returns
     -------
@@ -237,16 +237,19 @@ def _structure_at_place(
 
 
 def _accumulated(findings: Iterable[Finding]) -> list[Finding]:
+    """Return the findings of several scans in one."""
     return [finding for finding in findings if finding.code == WarningCode.ACCUMULATED]
 
 
 def _file_findings(notes: FileNotes) -> Iterator[Finding]:
+    """Yield the doubt about a file with fewer points than it states."""
     if notes.missing_points:
         problem = f"lacks {counted(notes.missing_points, 'point')} of those in its header"
         yield Finding(WarningCode.MISSING_POINTS, problem, "the file may be cut off: copy it again")
 
 
 def _require_metres(source: object, count: int, ranges: Double) -> None:
+    """Refuse a scan of `count` points without a measurement, or with impossible ranges (M,)."""
     if count >= MIN_TRAIT_POINTS and not len(ranges):
         problem = f"none of its {count} points is a measurement"
         raise FormatError(source, problem, "finite coordinates around the sensor")
@@ -260,22 +263,24 @@ def _require_metres(source: object, count: int, ranges: Double) -> None:
         raise FormatError(source, f"has a median range of {median:.3g} m", expected, hint)
 
 
-def _unit_findings(ranges: Double, measured: float) -> Iterator[Finding]:
+def _unit_findings(ranges: Double, measured_share: float) -> Iterator[Finding]:
+    """Yield doubts about ranges (M,) in metres, and about the share of points that have one."""
     median, far = np.quantile(ranges, (0.5, 0.99))
     if median > USUAL_RANGES_M[0] or far > USUAL_RANGES_M[1]:
-        problem = f"has a median range of {median:.0f} m, and 1% of the points beyond {far:.0f} m"
+        problem = f"has a median range of {median:.0f} m, and 1 % of the points beyond {far:.0f} m"
         yield Finding(WarningCode.UNITS, problem, f"convert them to metres, or {columns_hint()}")
     if far < MIN_FAR_M:
         yield Finding(
-            WarningCode.INDOOR, f"99% of the points lie within {far:.0f} m, as in a room", TRAIN
+            WarningCode.INDOOR, f"99 % of the points lie within {far:.0f} m, as in a room", TRAIN
         )
-    if measured < MIN_MEASURED:
-        problem = f"{percentage(1 - measured, 0)} of the points are not measurements"
+    if measured_share < MIN_MEASURED:
+        problem = f"{percentage(1 - measured_share, 0)} of the points are not measurements"
         hint = f"they stay unlabelled; if they should not, {columns_hint()}"
         yield Finding(WarningCode.NOT_MEASURED, problem, hint)
 
 
 def _view_findings(scan: Scan, sines: Float, sensor: Sensor, fit: str) -> Iterator[Finding]:
+    """Yield doubts about the directions of the points: outside the view, few around, few rows."""
     outside = share_outside(sines, sensor)
     if outside > MAX_SHARE_OUTSIDE:
         view = f"{sensor.name}, {sensor.fov_up:+g}° to {sensor.fov_down:+g}°"
@@ -301,6 +306,7 @@ def _view_findings(scan: Scan, sines: Float, sensor: Sensor, fit: str) -> Iterat
 
 
 def _ground_findings(ground: Ground | None, sensor: Sensor, fit: str) -> Iterator[Finding]:
+    """Yield the doubt about a ground that is above the sensor, tilted or at an unusual height."""
     if ground is None or ground.share < MIN_SHARE_OF_GROUND:
         return
     if ground.tilt_deg > UPSIDE_DOWN_DEG:
@@ -324,9 +330,12 @@ def _raised(ground: Ground, sensor: Sensor) -> str:
 
 
 def _place_findings(misplaced: PlaceProblem | None, sensor: Sensor, fit: str) -> Iterator[Finding]:
-    if misplaced is not None:
-        lines = f"{fit}, or write {misplaced.remedy} into a file for {argument('sensor')}"
-        hint = lines if misplaced.remedy else origin_hint()
-        yield Finding(
-            WarningCode.OUT_OF_PLACE, misplaced.problem, IN_MAP if sensor.registered else hint
-        )
+    """Yield the doubt about the position of the sensor."""
+    if misplaced is None:
+        return
+    hint = origin_hint()
+    if sensor.registered:
+        hint = IN_MAP
+    elif misplaced.remedy:
+        hint = f"{fit}, or write {misplaced.remedy} into a file for {argument('sensor')}"
+    yield Finding(WarningCode.OUT_OF_PLACE, misplaced.problem, hint)

@@ -71,7 +71,7 @@ def _roughness(deviations: Double) -> float:
 def compare_with_neighbours(
     nearest: Float, cells: Int, ranges: Float, is_hidden: Mask, is_in_air: Mask, deviations: Double
 ) -> None:
-    """Write for each point (M,) of some cells and ranges how it lies to its neighbours.
+    """Compare each of M points of a sample with its neighbours in the grid of directions.
 
     Parameters
     ----------

@@ -70,10 +70,21 @@ class Network:
         return network_input(channels, self.sensor, self.card.sensor)
 
     def predict(self, inputs: Sequence[Float], *, softmax: bool = False) -> list[PixelPrediction]:
-        """Predict the pixels of inputs (1, 5, H, W), in the classes of `space`.
+        """Predict the pixels of inputs, in the classes of `space`.
 
-        The logits are divided by the card's temperature, which preserves their order; the
-        probabilities of merged classes are added. `softmax` adds the probabilities of all classes.
+        The logits are divided by the card's temperature, which preserves their order. The
+        probabilities of merged classes are added.
+
+        Parameters
+        ----------
+        inputs : sequence of (1, 5, H, W) float32
+            Inputs, as of `input`.
+        softmax : bool
+            Whether the predictions have the probabilities of all classes.
+
+        Returns
+        -------
+        list of PixelPrediction
         """
         temperature = self.card.temperature
         merging = self.merging
@@ -91,9 +102,24 @@ class Network:
         return logits
 
     def probabilities(self, image: RangeImage, source: object = "a scan") -> Float:
-        """Return the softmax (C, H, W) float32 of `predict`, with sum 1 over C.
+        """Return the softmax of `predict`.
 
-        A softmax that is not finite raises a `WeightsError` with the source.
+        Parameters
+        ----------
+        image : RangeImage
+            H × W pixels.
+        source : object
+            Name of the scan in errors.
+
+        Returns
+        -------
+        (C, H, W) float32
+            Probabilities of the classes of `space`, with sum 1 over C.
+
+        Raises
+        ------
+        WeightsError
+            If they are not finite.
         """
         (prediction,) = self.predict([self.input(image.channels)], softmax=True)
         self.backend.require_finite(prediction.confidence, source)

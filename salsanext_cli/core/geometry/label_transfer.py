@@ -14,7 +14,8 @@ from salsanext_cli.core.records import Double, Float, Indices, Mask
 
 TOLERANCE_M = 1e-3  # Largest distance of a copy; millimetres rounded per axis differ by 0.87
 MAX_NEIGHBOURS = 16  # Nearest places around a point; no LiDAR resolves so many
-NOTHING = np.iinfo(np.int64).max  # Lowest of no labels; the highest is -1, below it
+NO_LOWEST = np.iinfo(np.int64).max  # Lowest label where there is none, above every label
+NO_HIGHEST = -1  # Highest label where there is none, below every label
 
 Labels = npt.NDArray[np.uint32]
 
@@ -68,20 +69,20 @@ def transfer_labels(points: Float, cloud: Float, labels: Labels) -> LabelTransfe
     places = _places(np.concatenate([cloud, finite_points]))
     place_of_cloud, place_of_point = np.split(places, [len(cloud)])
     count = places.max(initial=-1) + 1
-    lowest = np.full(count, NOTHING)
-    highest = np.full(count, -1, np.int64)
+    lowest = np.full(count, NO_LOWEST)
+    highest = np.full(count, NO_HIGHEST, np.int64)
     np.minimum.at(lowest, place_of_cloud, labels)
     np.maximum.at(highest, place_of_cloud, labels)
     low = lowest[place_of_point]
     high = highest[place_of_point]
-    is_alone = low > high
+    has_no_copy = low > high
     # A search tree of thousands of equal points, such as the zeros of no return, is slow.
     cloud_places, first = np.unique(place_of_cloud, return_index=True)
-    index = _nearby(finite_points[is_alone], cloud[first])
-    lowest_nearby = np.where(index < 0, NOTHING, lowest[cloud_places][index])
-    highest_nearby = np.where(index < 0, -1, highest[cloud_places][index])
-    low[is_alone] = lowest_nearby.min(axis=1, initial=NOTHING)
-    high[is_alone] = highest_nearby.max(axis=1, initial=-1)
+    index = _nearby(finite_points[has_no_copy], cloud[first])
+    lowest_nearby = np.where(index < 0, NO_LOWEST, lowest[cloud_places][index])
+    highest_nearby = np.where(index < 0, NO_HIGHEST, highest[cloud_places][index])
+    low[has_no_copy] = lowest_nearby.min(axis=1, initial=NO_LOWEST)
+    high[has_no_copy] = highest_nearby.max(axis=1, initial=NO_HIGHEST)
     has_label = np.zeros(len(points), bool)
     has_label[is_finite] = low == high
     ambiguous = np.zeros(len(points), bool)
@@ -131,8 +132,10 @@ def _nearest(points: Float, others: Float) -> Double:
 
 
 def _search(points: Float) -> Any:
+    """Return a search of open3d for the nearest of points (K, 3)."""
     return import_open3d().core.nns.NearestNeighborSearch(_tensor(points))
 
 
 def _tensor(points: Float) -> Any:
+    """Return points as a tensor of open3d."""
     return import_open3d().core.Tensor(points.astype(np.float64))

@@ -51,7 +51,7 @@ def find_objects(image: RangeImage, labels: TrainIds, things: Mask) -> Objects:
     labels : (N,) uint8
         Train ids.
     things : (C,) bool
-        Whether the points of a class are of objects.
+        Whether a class is of things that can be counted, such as cars, unlike roads.
 
     Returns
     -------
@@ -153,7 +153,7 @@ def components(image: Float, labels: TrainIds) -> Int:
 
 @compiled
 def nearest_pixels(
-    labels: TrainIds, pixel_of_point: Int, point_range: Float, image: Float, seen: TrainIds
+    labels: TrainIds, pixel_of_point: Int, point_range: Float, image: Float, pixel_labels: TrainIds
 ) -> Int:
     """Return the pixel around each point of the same class and nearest range.
 
@@ -167,7 +167,7 @@ def nearest_pixels(
         Range of each point in metres.
     image : (5, H, W) float32
         Range image.
-    seen : (H, W) uint8
+    pixel_labels : (H, W) uint8
         Train ids of the pixels; 0 for pixels of no object.
 
     Returns
@@ -175,7 +175,7 @@ def nearest_pixels(
     (N,) int32
         Flat pixel indices; -1 for none.
     """
-    height, width = seen.shape
+    height, width = pixel_labels.shape
     nearest = np.full(len(labels), -1, np.int32)
     for i in range(len(labels)):
         if labels[i] == 0 or pixel_of_point[i] < 0:
@@ -184,13 +184,13 @@ def nearest_pixels(
         u = pixel_of_point[i] % width
         least = SAME_M
         for row in range(max(v - 2, 0), min(v + 3, height)):
-            for column in range(u - 2, u + 3):
-                place = row * width + column % width
-                if seen[row, column % width] == labels[i]:
-                    difference = abs(image[0, row, column % width] - point_range[i])
+            for step in range(-2, 3):
+                column = (u + step) % width
+                if pixel_labels[row, column] == labels[i]:
+                    difference = abs(image[0, row, column] - point_range[i])
                     if difference < least:
                         least = difference
-                        nearest[i] = place
+                        nearest[i] = row * width + column
     return nearest
 
 
@@ -218,9 +218,9 @@ def fit_boxes(
     inside = np.flatnonzero(objects)
     inside = inside[np.argsort(objects[inside], kind="stable")]
     ends = np.cumsum(np.bincount(objects)[1:])
-    boxes: list[list[float]] = []
     if not len(ends):
-        return boxes
+        return []
+    boxes: list[list[float]] = []
     sensor = np.asarray(position, np.float32)
     for members, is_of_car in zip(np.split(points[inside], ends[:-1]), is_car, strict=True):
         box = fit_box(members)
@@ -248,9 +248,9 @@ def fit_box(points: Float) -> list[float]:
     sines = np.sin(ANGLES_RAD).astype(np.float32)
     best = _best_side(points[::step, :2], cosines, sines)
     yaw = ANGLES_RAD[best]
-    c = cosines[best]
-    s = sines[best]
-    turn = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+    cosine = cosines[best]
+    sine = sines[best]
+    turn = np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]])
     turned = points @ turn.T
     low = turned.min(axis=0)
     high = turned.max(axis=0)
@@ -262,7 +262,7 @@ def fit_box(points: Float) -> list[float]:
 
 
 def _best_side(flat: Float, cosines: Float, sines: Float) -> int:
-    """Return the number of the direction with most points near the sides of the box.
+    """Return the index of the direction along which the points are nearest to the sides of a box.
 
     Parameters
     ----------

@@ -31,20 +31,45 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class UnseenScans:
-    """Scans that the weights were not trained on, in order, and the number of skipped ones."""
+class LabelledScans:
+    """Scans of a data set that a part of the weights may be fitted to."""
 
     files: list[ScanFile]
-    skipped: int
+    space: LabelSpace  # Classes of their labels
 
 
-def labelled_scans(
-    dataset: Path, selection: ScanSelection, card: WeightsCard
-) -> tuple[list[ScanFile], LabelSpace]:
-    """Find labelled scans in the classes of a network, without regard to the limit.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UnseenScans:
+    """Scans that the weights were not trained on."""
 
-    By default they are the scans of the split ``valid`` and of no split. As many as the limit
-    allows must have labels.
+    files: list[ScanFile]  # In the order of the labelled scans
+    skipped: int  # Number of scans of the training, and of copies of other scans
+
+
+def labelled_scans(dataset: Path, selection: ScanSelection, card: WeightsCard) -> LabelledScans:
+    """Find scans with labels in the classes of a network.
+
+    The limit of the selection does not shorten the result: skipped scans are replaced by others.
+
+    Parameters
+    ----------
+    dataset : Path
+        Data set.
+    selection : ScanSelection
+        Choice of the scans; by default those of the split ``valid`` and those of no split.
+    card : WeightsCard
+        Card of the weights.
+
+    Returns
+    -------
+    LabelledScans
+
+    Raises
+    ------
+    LabelError
+        If the labels are of other classes, or a scan that the limit allows has none.
+    NoInputError
+        If no scan is left.
     """
     files = scans_of(dataset)
     space = space_of(files, card.space)
@@ -54,41 +79,72 @@ def labelled_scans(
         raise LabelError(dataset, problem, expected, "use weights for these classes")
     scans = choose(files, replace(selection, limit=None), space, dataset)
     if not (selection.split or selection.sequences):
-        splits = with_splits(space, data_set_of(scans[0]))
-        splits_of_scans = {scan: splits.split_of(scan.sequence) for scan in scans}
-        unsplit = [scan for scan in scans if not splits_of_scans[scan] and present(scan.label_path)]
-        scans = sorted([scan for scan in scans if splits_of_scans[scan] == "valid"] + unsplit)
-        hint = f"choose scans with {argument('sequences')}"
-        if not scans:
-            expected = "labelled scans of split valid, or of no split"
-            if not any(present(scan.label_path) for scan in splits_of_scans):
-                raise NoInputError(dataset, "has no labels", expected)
-            raise NoInputError(dataset, "has no scans to tune on", expected, hint)
-        log_unused(files, scans, splits, hint)
+        scans = _without_training_split(dataset, files, scans, space)
     require_labels(evenly_spaced(scans, selection.limit or 0))
-    return scans, space
+    return LabelledScans(files=scans, space=space)
+
+
+def _without_training_split(
+    dataset: Path, files: list[ScanFile], scans: Sequence[ScanFile], space: LabelSpace
+) -> list[ScanFile]:
+    """Return the scans of the split ``valid``, and the labelled scans of no split."""
+    splits = with_splits(space, data_set_of(scans[0]))
+    split_of_scan = {scan: splits.split_of(scan.sequence) for scan in scans}
+    of_valid = [scan for scan in scans if split_of_scan[scan] == "valid"]
+    of_no_split = [scan for scan in scans if not split_of_scan[scan] and present(scan.label_path)]
+    chosen = sorted(of_valid + of_no_split)
+    hint = f"choose scans with {argument('sequences')}"
+    if not chosen:
+        expected = "labelled scans of split valid, or of no split"
+        if not any(present(scan.label_path) for scan in scans):
+            raise NoInputError(dataset, "has no labels", expected)
+        raise NoInputError(dataset, "has no scans to tune on", expected, hint)
+    log_unused(files, chosen, splits, hint)
+    return chosen
 
 
 def unseen_scans(
     scans: Sequence[ScanFile], network: Network, source: Path, limit: int | None = None
 ) -> UnseenScans:
-    """Choose scans that the weights were not trained on, without copies; log the others.
+    """Choose scans that the weights were not trained on, and one of each group of copies.
 
-    With a limit the scans are evenly spaced, and further ones replace those that are skipped.
+    Parameters
+    ----------
+    scans : sequence of ScanFile
+        Labelled scans.
+    network : Network
+        Network with the weights, which know their training scans.
+    source : Path
+        Data set, for errors.
+    limit : int, optional
+        Number of scans to choose, evenly spaced; others replace those that are skipped.
+
+    Returns
+    -------
+    UnseenScans
+
+    Raises
+    ------
+    LabelError
+        If a scan has no labels.
+    TrainingError
+        If every scan is skipped.
     """
-    known = set(network.card.trained_on)
+    count = limit or len(scans)
+    seen_digests = set(network.card.trained_on)
     remaining = list(scans)
     accepted = set[ScanFile]()
     skipped = 0
-    while remaining and (missing := (limit or len(scans)) - len(accepted)):
-        read = evenly_spaced(remaining, missing)
-        remaining = sorted({*remaining} - {*read})
-        require_labels(read)
-        for scan in read:
-            if (digest := scan_digest(read_scan(scan.path, network.sensor))) in known:
+    while remaining and len(accepted) < count:
+        candidates = evenly_spaced(remaining, count - len(accepted))
+        remaining = sorted({*remaining} - {*candidates})
+        require_labels(candidates)
+        for scan in candidates:
+            digest = scan_digest(read_scan(scan.path, network.sensor))
+            if digest in seen_digests:
                 skipped += 1
             else:
-                known.add(digest)
+                seen_digests.add(digest)
                 accepted.add(scan)
     reason = "the weights were trained on them, or they are copies"
     if not accepted:

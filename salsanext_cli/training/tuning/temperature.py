@@ -45,11 +45,12 @@ class TemperatureFit:
     """Report of the fit of the temperature."""
 
     before: TemperatureScores
-    after: TemperatureScores  # With several scans: of held-out ones, at the temperature of others
-    folds: int  # 0 for a single scan
-    changed: bool
-    scans: int
-    points: int
+    # With several scans, of each fold of scans at the best temperature of the other ones
+    after: TemperatureScores
+    folds: int  # Number of folds; 0 for a single scan
+    changed: bool  # Whether the weights get the new temperature
+    scans: int  # Number of scans
+    points: int  # Number of points
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -68,7 +69,7 @@ class PointLogits:
         return cls(logits=logits, truth=truth)
 
     def best_temperature(self) -> float:
-        """Return the temperature with the least negative log-likelihood, as the function does."""
+        """Return the temperature with the least negative log-likelihood of the points."""
         return best_temperature(self.logits, self.truth)
 
 
@@ -191,7 +192,10 @@ def _sample(scan: LabelledImage, logits: Float, most: int) -> PointLogits:
 
 
 def _scores(folds: Sequence[TemperedPoints], temperature: float) -> TemperatureScores:
-    """Return the scores of all points, each fold at its temperature; state a `temperature`."""
+    """Return the scores of all points, each fold at its own temperature.
+
+    `temperature` is the one that the scores are of, in reports.
+    """
     softmax = torch.cat(
         [torch.softmax(fold.points.logits / fold.temperature, dim=1) for fold in folds]
     )
