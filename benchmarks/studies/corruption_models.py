@@ -12,6 +12,7 @@ angle of incidence is known; what is below `DETECTABLE` is lost, unless it was b
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -21,8 +22,6 @@ from salsanext_cli.core.classes.label_space import RawIds
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
-LabelledScan = tuple[Scan, RawIds]
-Model = Callable[[Scan, RawIds, float, np.random.Generator], LabelledScan]
 
 DETECTABLE = 6e-6
 """Signal in 1/m² below which an HDL-64 reports nothing: asphalt at 40 m, beside its border."""
@@ -53,7 +52,18 @@ BEAM_DEG = 0.4375
 """Distance of the beams of an HDL-64: 28° / 64."""
 
 
-def fog(scan: Scan, labels: RawIds, per_km: float, rng: np.random.Generator) -> LabelledScan:
+@dataclass(frozen=True, slots=True, eq=False)
+class CorruptedScan:
+    """Scan of N points, and their raw ids (N,) uint32."""
+
+    scan: Scan
+    labels: RawIds
+
+
+Model = Callable[[Scan, RawIds, float, np.random.Generator], CorruptedScan]
+
+
+def fog(scan: Scan, labels: RawIds, per_km: float, rng: np.random.Generator) -> CorruptedScan:
     """Weaken echoes, and put echoes of fog in the place of weaker ones.
 
     At extinction α the signal is ρ exp(−2αr) / r². Fog of backscatter β = 0.046 α / ln 20 gives
@@ -64,7 +74,7 @@ def fog(scan: Scan, labels: RawIds, per_km: float, rng: np.random.Generator) -> 
     """
     extinction = np.log(20) * per_km / 1000
     ranges, signal = _ranges_and_signals(scan)
-    shown = np.exp(-2 * extinction * ranges)
+    transmitted = np.exp(-2 * extinction * ranges)
     depth = FOG_M + PULSE_M * rng.random((len(scan), len(FOG_M)))
     uneven = rng.exponential(size=depth.shape)
     reflectivity = np.pi * 0.046 * per_km / 1000 * PULSE_M * uneven
@@ -72,16 +82,15 @@ def fog(scan: Scan, labels: RawIds, per_km: float, rng: np.random.Generator) -> 
     strength = np.where(depth < ranges[:, None], reflectivity / depth**2, 0)
     best = strength.argmax(axis=1)[:, None]
     strongest = np.take_along_axis(strength, best, 1)[:, 0]
-    echo = strongest > np.maximum(signal * shown, DETECTABLE)
-    depth, reflectivity = (
-        np.take_along_axis(each, best, 1)[:, 0] for each in (depth, reflectivity)
-    )
-    return _in_air(scan, labels, shown, echo, depth, reflectivity)
+    echo = strongest > np.maximum(signal * transmitted, DETECTABLE)
+    depth_of_echo = np.take_along_axis(depth, best, 1)[:, 0]
+    reflectivity_of_echo = np.take_along_axis(reflectivity, best, 1)[:, 0]
+    return _in_air(scan, labels, transmitted, echo, depth_of_echo, reflectivity_of_echo)
 
 
 def wet_ground(
     scan: Scan, labels: RawIds, film_mm: float, rng: np.random.Generator
-) -> LabelledScan:
+) -> CorruptedScan:
     """Darken hard ground below a film of water, and lose what is too dark.
 
     The film covers the share f = film / roughness. There ρ becomes (1 − F)² ρ / (n² (1 − p ρ)): in
@@ -103,10 +112,10 @@ def wet_ground(
     darker = Scan(scan.points, (scan.intensity * share).astype(np.float32))
     before = np.full(len(scan), np.inf)
     np.divide(dry * cosine, ranges**2, out=before, where=ground)
-    return _kept(darker, labels, ~_is_lost(before * share, before))
+    return _selected(darker, labels, ~_is_lost(before * share, before))
 
 
-def snow(scan: Scan, labels: RawIds, mm_per_h: float, rng: np.random.Generator) -> LabelledScan:
+def snow(scan: Scan, labels: RawIds, mm_per_h: float, rng: np.random.Generator) -> CorruptedScan:
     """Put snowflakes in the place of weaker echoes, and weaken those behind them.
 
     Of N₀ exp(−ΛD) flakes per m³ and mm of melted diameter, N₀ = 3800 R^−0.87 and
@@ -116,14 +125,14 @@ def snow(scan: Scan, labels: RawIds, mm_per_h: float, rng: np.random.Generator) 
     all is exp(−2κr), κ being the area of the flakes per volume. Snow on the ground is left out.
     """
     if not mm_per_h:
-        return scan, labels
+        return CorruptedScan(scan, labels)
     slope = 2.55 * mm_per_h**-0.48
     per_m3 = 3800 * mm_per_h**-0.87 / slope
     area = per_m3 * np.pi / 4 * 2 * FLAKE_GROWTH**2 / slope**2 * 1e-6
     ranges, signal = _ranges_and_signals(scan)
-    shown = np.exp(-2 * area * ranges)
+    transmitted = np.exp(-2 * area * ranges)
     beam = APERTURE_M + DIVERGENCE * SNOW_M
-    needed = np.sqrt(np.maximum(signal * shown, DETECTABLE) / FLAKE_REFLECTIVITY)
+    needed = np.sqrt(np.maximum(signal * transmitted, DETECTABLE) / FLAKE_REFLECTIVITY)
     least_mm = 1000 * needed[:, None] * SNOW_M * beam / FLAKE_GROWTH
     met = per_m3 * np.pi / 4 * beam**2 * np.exp(-slope * least_mm)
     met = np.cumsum(np.where(ranges[:, None] > SNOW_M, met, 0), axis=1)
@@ -134,12 +143,12 @@ def snow(scan: Scan, labels: RawIds, mm_per_h: float, rng: np.random.Generator) 
     least = np.take_along_axis(least_mm, cell[:, None], 1)[:, 0]
     flake = FLAKE_GROWTH * (least + rng.exponential(size=len(scan)) / slope) / 1000
     reflectivity = FLAKE_REFLECTIVITY * np.minimum(flake / beam[cell], 1) ** 2
-    return _in_air(scan, labels, shown, echo, depth, reflectivity)
+    return _in_air(scan, labels, transmitted, echo, depth, reflectivity)
 
 
 def motion_blur(
     scan: Scan, labels: RawIds, jitter: float, rng: np.random.Generator
-) -> LabelledScan:
+) -> CorruptedScan:
     """Jitter points, and leave the motion during a revolution in them.
 
     x' = x − v t + ε with ε ~ N(0, jitter²) in metres along each axis, speed v forward in proportion
@@ -149,19 +158,19 @@ def motion_blur(
     time = REVOLUTION_S * np.arctan2(scan.points[:, 1], scan.points[:, 0]) / (2 * np.pi)
     moved = scan.points + jitter * noise
     moved[:, 0] -= SPEED_PER_JITTER * jitter * time
-    return Scan(moved.astype(np.float32), scan.intensity), labels
+    return CorruptedScan(Scan(moved.astype(np.float32), scan.intensity), labels)
 
 
 def missing_beams(
     scan: Scan, labels: RawIds, share: float, rng: np.random.Generator
-) -> LabelledScan:
+) -> CorruptedScan:
     """Lose all points of a share of the beams, drawn without replacement."""
     beam = _beams(scan)
     beams = rng.permutation(np.unique(beam))
-    return _kept(scan, labels, ~np.isin(beam, beams[: round(share * len(beams))]))
+    return _selected(scan, labels, ~np.isin(beam, beams[: round(share * len(beams))]))
 
 
-def crosstalk(scan: Scan, labels: RawIds, share: float, rng: np.random.Generator) -> LabelledScan:
+def crosstalk(scan: Scan, labels: RawIds, share: float, rng: np.random.Generator) -> CorruptedScan:
     """Put pulses of another sensor in the place of a share of the echoes, at any range."""
     hit = rng.random(len(scan)) < share
     depth = rng.uniform(NEAREST_M, FARTHEST_M, len(scan))
@@ -171,7 +180,7 @@ def crosstalk(scan: Scan, labels: RawIds, share: float, rng: np.random.Generator
 
 def incomplete_echo(
     scan: Scan, labels: RawIds, share: float, rng: np.random.Generator
-) -> LabelledScan:
+) -> CorruptedScan:
     """Lose weak echoes, of what is dark or far: half of those at a quantile of the signal s.
 
     One is detected with probability 1 / (1 + (s₀ / s)^2.2), s₀ being the quantile. (Robo3D thins
@@ -179,12 +188,14 @@ def incomplete_echo(
     """
     _, signal = _ranges_and_signals(scan)
     half = np.quantile(signal, share) if share else 0.0
-    return _kept(scan, labels, rng.random(len(scan)) < 1 / (1 + (half / signal) ** 2.2))
+    return _selected(scan, labels, rng.random(len(scan)) < 1 / (1 + (half / signal) ** 2.2))
 
 
-def other_sensor(scan: Scan, labels: RawIds, step: float, rng: np.random.Generator) -> LabelledScan:
+def other_sensor(
+    scan: Scan, labels: RawIds, step: float, rng: np.random.Generator
+) -> CorruptedScan:
     """Keep only every so many-th beam."""
-    return _kept(scan, labels, _beams(scan) % round(step) == 0)
+    return _selected(scan, labels, _beams(scan) % round(step) == 0)
 
 
 LEVELS: dict[str, tuple[Model, tuple[float, float, float, float]]] = {
@@ -211,7 +222,7 @@ def _ranges_and_signals(scan: Scan) -> tuple[Array, Array]:
 
 
 def _is_lost(signal: Array, before: Array) -> Mask:
-    """Say which signals (N,) are not detected, of those that were, or are no weaker than these."""
+    """Return which signals (N,) are not detected, of those that were detected before."""
     return signal < np.minimum(DETECTABLE, before)
 
 
@@ -222,27 +233,30 @@ def _beams(scan: Scan) -> npt.NDArray[np.int64]:
 
 
 def _in_air(
-    scan: Scan, labels: RawIds, shown: Array, echo: Mask, ranges: Array, reflectivity: Array
-) -> LabelledScan:
+    scan: Scan, labels: RawIds, transmitted: Array, echo: Mask, ranges: Array, reflectivity: Array
+) -> CorruptedScan:
     """Let a share (N,) of the light through, lose what is too weak then, and put echoes on rays."""
     _, signal = _ranges_and_signals(scan)
-    weaker = Scan(scan.points, (scan.intensity * shown).astype(np.float32))
-    changed, labels = _with_echoes(weaker, labels, echo, ranges, reflectivity)
-    return _kept(changed, labels, echo | ~_is_lost(signal * shown, signal))
+    weaker = Scan(scan.points, (scan.intensity * transmitted).astype(np.float32))
+    changed = _with_echoes(weaker, labels, echo, ranges, reflectivity)
+    is_detected = echo | ~_is_lost(signal * transmitted, signal)
+    return _selected(changed.scan, changed.labels, is_detected)
 
 
 def _with_echoes(
     scan: Scan, labels: RawIds, where: Mask, ranges: Array, reflectivity: Array
-) -> LabelledScan:
+) -> CorruptedScan:
     """Put other echoes on some rays, of label 0, at ranges (N,) with reflectivities (N,)."""
-    points, intensity, labels = scan.points.copy(), scan.intensity.copy(), labels.copy()
+    points = scan.points.copy()
+    intensity = scan.intensity.copy()
+    labels = labels.copy()
     old = points[where].astype(float)
     points[where] = old * (ranges[where] / np.linalg.norm(old, axis=1))[:, None]
     intensity[where] = np.minimum(reflectivity[where], 1)
     labels[where] = 0
-    return Scan(points, intensity), labels
+    return CorruptedScan(Scan(points, intensity), labels)
 
 
-def _kept(scan: Scan, labels: RawIds, kept: Mask) -> LabelledScan:
-    """Return the points of a mask, with their labels."""
-    return scan.take(np.flatnonzero(kept)), labels[kept]
+def _selected(scan: Scan, labels: RawIds, is_selected: Mask) -> CorruptedScan:
+    """Return the points of a mask (N,), with their labels."""
+    return CorruptedScan(scan.take(np.flatnonzero(is_selected)), labels[is_selected])

@@ -27,7 +27,7 @@ import numpy as np
 
 import salsanext_cli as sn
 from benchmarks.commands import salsanext
-from benchmarks.studies.corruption_models import LEVELS, LabelledScan
+from benchmarks.studies.corruption_models import LEVELS, CorruptedScan
 from salsanext_cli.io.files.atomic import write_bytes
 from salsanext_cli.io.files.json_files import read_json, write_json
 from salsanext_cli.io.files.reading import fingerprint
@@ -43,14 +43,14 @@ SEVERITIES = (1, 2, 3)
 Shares = dict[str, tuple[float, ...]]
 
 
-def corrupted(file: ScanFile, kind: str, severity: int, seed: int) -> LabelledScan:
-    """Read a scan and its labels, and corrupt them; its name and the seed say how."""
+def corrupted(file: ScanFile, kind: str, severity: int, seed: int) -> CorruptedScan:
+    """Read a scan and its labels, and corrupt them; its name and the seed determine the noise."""
     scan = sn.read_scan(file.path)
     labels = sn.read_labels(file.label_path, len(scan))
     if scan.intensity.max(initial=0) > 1:
         sys.exit(f"error: {file.path} · intensity above 1 · expected 0 to 1 · divide it")
     if kind == CLEAN:
-        return scan, labels
+        return CorruptedScan(scan, labels)
     model, levels = LEVELS[kind]
     name = zlib.crc32(f"{kind}/{file.sequence}/{file.stem}".encode())
     return model(scan, labels, levels[severity], np.random.default_rng([seed, name]))
@@ -59,10 +59,10 @@ def corrupted(file: ScanFile, kind: str, severity: int, seed: int) -> LabelledSc
 def write_data_set(root: Path, space: sn.LabelSpace, files: Sequence[ScanFile], *how: Any) -> None:
     """Write a data set of corrupted scans; `how` is what `corrupted` takes."""
     for file in files:
-        scan, labels = corrupted(file, *how)
+        changed = corrupted(file, *how)
         folder = root / "sequences" / file.sequence
-        write_bytes(folder / "velodyne" / f"{file.stem}.bin", encode_bin(scan))
-        sn.write_labels(folder / "labels" / f"{file.stem}.label", labels)
+        write_bytes(folder / "velodyne" / f"{file.stem}.bin", encode_bin(changed.scan))
+        sn.write_labels(folder / "labels" / f"{file.stem}.label", changed.labels)
     # Last: it says that the data set is complete.
     write_json(root / "labels.yaml", space.to_dict())
 

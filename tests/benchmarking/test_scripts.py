@@ -227,22 +227,23 @@ def test_points_of_the_scene_keep_order_label_and_place(kind):
     scan = make_scan(2**16 - 1)
     raw = np.where(scan.points[:, 2] < -1.69, ROAD, BUILDING)
     labels = (raw | np.arange(len(scan)) << 16).astype(np.uint32)
-    before = scan.points.copy(), scan.intensity.copy(), labels.copy()
+    arguments = (scan.points, scan.intensity, labels)
+    before = [array.copy() for array in arguments]
     for severity in range(4):
-        found, kept = corrupted(kind, severity, scan, labels)
-        assert len(found) == len(kept) > 1000
-        of_scene = kept != 0
-        number = (kept >> 16)[of_scene]
+        changed = corrupted(kind, severity, scan, labels)
+        assert len(changed.scan) == len(changed.labels) > 1000
+        is_of_scene = changed.labels != 0
+        number = (changed.labels >> 16)[is_of_scene]
         assert (np.diff(number.astype(int)) > 0).all()
-        np.testing.assert_array_equal(kept[of_scene], labels[number])
-        assert (found.intensity[of_scene] <= scan.intensity[number]).all()
+        np.testing.assert_array_equal(changed.labels[is_of_scene], labels[number])
+        assert (changed.scan.intensity[is_of_scene] <= scan.intensity[number]).all()
         if kind != "motion blur" or severity == 0:
-            np.testing.assert_array_equal(found.points[of_scene], scan.points[number])
+            np.testing.assert_array_equal(changed.scan.points[is_of_scene], scan.points[number])
         if severity == 0:
-            np.testing.assert_array_equal(kept, labels)
-            np.testing.assert_array_equal(found.intensity, scan.intensity)
-        for old, given in zip(before, (scan.points, scan.intensity, labels), strict=True):
-            np.testing.assert_array_equal(old, given)
+            np.testing.assert_array_equal(changed.labels, labels)
+            np.testing.assert_array_equal(changed.scan.intensity, scan.intensity)
+        for old, argument in zip(before, arguments, strict=True):
+            np.testing.assert_array_equal(old, argument)
 
 
 @pytest.mark.parametrize("reflectivity", [0.02, 0.2])
@@ -252,14 +253,15 @@ def test_share_of_fog_echoes(reflectivity):
     points = np.tile(np.array([ranges, 0, 0], np.float32), (count, 1))
     scan = Scan(points, np.full(count, reflectivity, np.float32))
     labels = np.full(count, BUILDING, np.uint32)
-    _, kept = LEVELS["fog"][0](scan, labels, 1000 / visibility, np.random.default_rng(0))
+    fog = LEVELS["fog"][0]
+    changed = fog(scan, labels, 1000 / visibility, np.random.default_rng(0))
     depth = np.linspace(2, 5, 3001)
     extinction = np.log(20) / visibility
     needed = reflectivity * np.exp(-2 * extinction * ranges) / ranges**2
     mean = np.pi * 0.046 / visibility * 3 * np.exp(-2 * extinction * depth) / depth**2
     share = np.exp(-needed / mean).mean()
     assert 0.001 < share < 0.9
-    assert (kept == 0).mean() == pytest.approx(share, abs=4 * (share / count) ** 0.5)
+    assert (changed.labels == 0).mean() == pytest.approx(share, abs=4 * (share / count) ** 0.5)
 
 
 def test_wet_ground():
@@ -267,13 +269,13 @@ def test_wet_ground():
     down, far, wall = [0, 0, -1.7], [30, 0, -1.7], [30, 1, 0]
     scan = Scan(np.array([down, far, wall], np.float32), np.full(3, 0.2, np.float32))
     labels = np.array([ROAD, ROAD, BUILDING], np.uint32)
-    found, kept = corrupted("wet ground", 3, scan, labels)
-    assert kept.tolist() == [ROAD, BUILDING]
+    changed = corrupted("wet ground", 3, scan, labels)
+    assert changed.labels.tolist() == [ROAD, BUILDING]
     reflected = (0.33 / 2.33) ** 2
     expected = 0.2 * (1 - reflected) ** 2 / 1.33**2 / (1 - 0.48 * 0.2)
-    np.testing.assert_allclose(found.intensity, [expected, 0.2], rtol=1e-6)
-    half, _ = corrupted("wet ground", 2, scan, labels)
-    assert half.intensity[0] == pytest.approx((0.2 + expected) / 2)
+    np.testing.assert_allclose(changed.scan.intensity, [expected, 0.2], rtol=1e-6)
+    half = corrupted("wet ground", 2, scan, labels)
+    assert half.scan.intensity[0] == pytest.approx((0.2 + expected) / 2)
 
 
 ODD = replace(SMALL, height=17, width=120)
