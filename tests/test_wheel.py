@@ -6,6 +6,7 @@ import subprocess
 import sys
 import tomllib
 import venv
+from dataclasses import dataclass
 from pathlib import Path
 from zipfile import ZipFile
 
@@ -85,37 +86,67 @@ def test_the_wheel_holds_the_package_only(wheel):
     assert wheel.stat().st_size < LARGEST_MB * 1e6
 
 
-@pytest.mark.slow
-def test_the_wheel_works_where_nothing_else_is(wheels, wheel, tmp_path):
-    """The demonstration, `predict` on its scans, and the extra `paper`, from another folder."""
-    venv.create(tmp_path / "env", with_pip=True)
+@dataclass(frozen=True, slots=True)
+class Installation:
+    """Environment in which only the wheel and its dependencies are installed."""
+
+    scripts: Path
+    folder: Path  # Working folder of the programs
+    version: str  # Of the wheel
+
+    def run(self, name: str, *words: object) -> str:
+        """Run a program of the environment; return what it prints."""
+        path = os.pathsep.join((str(self.scripts), os.environ["PATH"]))
+        environment = {"PATH": path, "HOME": str(self.folder)}
+        command = [self.scripts / name, *words]
+        finished = subprocess.run(
+            command, cwd=self.folder, env=environment, check=True, capture_output=True, text=True
+        )
+        return finished.stdout
+
+    def install(self, *words: object) -> None:
+        """Run ``pip install``."""
+        self.run("python", "-m", "pip", "install", "-q", *words)
+
+
+@pytest.fixture(scope="module")
+def installation(wheel, tmp_path_factory):
+    """Install the wheel into an environment of its own."""
+    root = tmp_path_factory.mktemp("installation")
+    venv.create(root / "env", with_pip=True)
     # "bin", or "Scripts" on Windows
-    scripts = next(tmp_path.glob("env/[bS]*"))
-    path = os.pathsep.join((str(scripts), os.environ["PATH"]))
-    environment = {"PATH": path, "HOME": str(tmp_path)}
-    folder = tmp_path / "elsewhere"
+    scripts = next(root.glob("env/[bS]*"))
+    folder = root / "elsewhere"
     folder.mkdir()
+    installed = Installation(scripts, folder, version=wheel.name.split("-")[1])
+    installed.install("-c", ROOT / "constraints.txt", wheel)
+    return installed
 
-    def run(*words):
-        options = {"check": True, "capture_output": True, "text": True}
-        return subprocess.run(words, cwd=folder, env=environment, **options).stdout
 
-    run(scripts / "python", "-m", "pip", "install", "-q", "-c", ROOT / "constraints.txt", wheel)
+@pytest.mark.slow
+def test_the_wheel_has_its_version(installation):
     code = "import salsanext_cli as s; print(s.__version__)"
-    version = run(scripts / "python", "-c", code).strip()
-    assert version == wheel.name.split("-")[1]
-    assert run(scripts / "salsanext", "--version").strip() == f"salsanext {version}"
-    run(scripts / "salsanext", "demo", "demo")
-    assert (folder / "demo/out/report.html").exists()
-    (scans,) = folder.glob("demo/data/sequences/*/velodyne")
-    run(scripts / "salsanext", "predict", scans, "labels")
-    labels = {path.stem for path in folder.glob("labels/sequences/*/predictions/*.label")}
-    assert labels == {path.stem for path in scans.glob("*.bin")}
-    assert "pip install 'salsanext[paper]'" in run(scripts / "salsanext", "models")
-    offline = ("-q", "--no-index", "--find-links", wheels)
-    run(scripts / "python", "-m", "pip", "install", *offline, f"{wheel}[paper]")
-    listed = run(scripts / "salsanext", "models")
+    assert installation.run("python", "-c", code).strip() == installation.version
+    printed = installation.run("salsanext", "--version").strip()
+    assert printed == f"salsanext {installation.version}"
+
+
+@pytest.mark.slow
+def test_the_wheel_runs_the_demonstration_and_predicts_its_scans(installation):
+    installation.run("salsanext", "demo", "demo")
+    assert (installation.folder / "demo/out/report.html").exists()
+    (scans,) = installation.folder.glob("demo/data/sequences/*/velodyne")
+    installation.run("salsanext", "predict", scans, "labels")
+    results = installation.folder.glob("labels/sequences/*/predictions/*.label")
+    assert {path.stem for path in results} == {path.stem for path in scans.glob("*.bin")}
+
+
+@pytest.mark.slow
+def test_the_extra_of_the_papers_adds_their_networks(wheels, wheel, installation):
+    assert "pip install 'salsanext[paper]'" in installation.run("salsanext", "models")
+    installation.install("--no-index", "--find-links", wheels, f"{wheel}[paper]")
+    listed = installation.run("salsanext", "models")
     assert "salsanext[paper]" not in listed
     assert all(name in listed for name in PARAMETERS)
-    counted = run(scripts / "python", "-c", COUNT.format(names=[*PARAMETERS])).split()
+    counted = installation.run("python", "-c", COUNT.format(names=[*PARAMETERS])).split()
     assert [*map(int, counted)] == [*PARAMETERS.values()]
