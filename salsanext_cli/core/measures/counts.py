@@ -95,8 +95,8 @@ class ScanCounts:
     def label_warnings(self, space: LabelSpace) -> Iterator[str]:
         """Yield reasons to doubt the scores, in words."""
         if self.skipped_training_scans:
-            labelled = self.scans + self.skipped_training_scans
-            share = f"{self.skipped_training_scans:,} of {counted(labelled, 'labelled scan')}"
+            scans = self.scans + self.skipped_training_scans
+            share = f"{self.skipped_training_scans:,} of {counted(scans, 'labelled scan')}"
             yield f"{share} skipped: the weights were trained on them"
         elif self.training_scans:
             yield "the weights were trained on every labelled scan: scores on new scans are unknown"
