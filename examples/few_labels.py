@@ -44,8 +44,9 @@ def score(scans: Path, out: Path, truth: Path, weights: Path | None) -> str:
     labels = {file.stem: file.label_path for file in find_scans(truth)}
     for file in find_scans(scans):
         predicted = output_path(out, file.sequence, "predictions", file.stem)
-        pair = (space.to_train(sn.read_labels(path)) for path in (labels[file.stem], predicted))
-        confusion += confusion_matrix(*pair, space.class_count)
+        train_ids = space.to_train(sn.read_labels(labels[file.stem]))
+        predicted_ids = space.to_train(sn.read_labels(predicted))
+        confusion += confusion_matrix(train_ids, predicted_ids, space.class_count)
     result = scores(confusion, space)
     return f"accuracy {100 * result.accuracy:.1f} %, mean IoU {100 * result.iou_mean_present:.1f} %"
 

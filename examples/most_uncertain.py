@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Rank the scans of an output folder of `salsanext uncertainty` by epistemic uncertainty.
 
-Run: python examples/most_uncertain.py out/
+Run: python examples/most_uncertain.py out/ [10]
 """
 
 import sys
@@ -12,12 +12,12 @@ import numpy as np
 from salsanext_cli.runs.results.paths import find_outputs
 
 
-def main(out: str, count: int = 10) -> None:
+def main(out: str, count: str = "10") -> None:
     files = find_outputs(Path(out), "uncertainty/epistemic")
     if not files:
         sys.exit(f"{out} contains no uncertainty: run `salsanext uncertainty SCANS {out}` first")
     means = {scan: float(np.nanmean(np.load(path))) for scan, path in files.items()}
-    for sequence, stem in sorted(means, key=means.__getitem__, reverse=True)[:count]:
+    for sequence, stem in sorted(means, key=means.__getitem__, reverse=True)[: int(count)]:
         print(f"{means[sequence, stem]:.6f}  {sequence}/{stem}")
 
 

@@ -21,7 +21,7 @@ from matplotlib.ticker import LogLocator, NullLocator
 
 import salsanext_cli as sn
 from salsanext_cli.core.engines.network import Network
-from salsanext_cli.core.records import RangeImage
+from salsanext_cli.core.records import Float, RangeImage
 from salsanext_cli.core.uncertainty.aleatoric import COPIES, aleatoric, noise_variance, noisy_copies
 from salsanext_cli.core.uncertainty.monte_carlo import sample
 
@@ -30,11 +30,18 @@ PASSES = (2, 3, 5, 10, 20, 30, 50, 100)
 COPIES_NAME = f"{COPIES} other copies"
 
 
+def softmax_of(network: Network, image: Float) -> Float:
+    """Return the softmax (C, H, W) of an input (1, 5, H, W)."""
+    (prediction,) = network.predict([image], softmax=True)
+    assert prediction.softmax is not None
+    return prediction.softmax
+
+
 def deviation_of_copies(image: RangeImage, network: Network, count: int) -> Values:
     """Return the standard deviation of pixels over noisy copies: √ of the mean over classes."""
     copies = islice(noisy_copies(image, network.sensor, 0), count)
     inputs = (network.input(copy) for copy in copies)
-    passes = (network.predict([image], softmax=True)[0].softmax for image in inputs)
+    passes = (softmax_of(network, image) for image in inputs)
     first = next(passes).astype(np.float64)
     # Differences from the first copy keep the digits of small variances.
     total, squares = np.zeros_like(first), np.zeros_like(first)
@@ -74,13 +81,13 @@ class Comparison:
 
 def rank_correlation(one: np.ndarray, other: np.ndarray) -> float:
     """Return Spearman's correlation of the ranks of (N,) values."""
-    ranks = [values.argsort().argsort() for values in (one, other)]
-    return float(np.corrcoef(ranks)[0, 1])
+    ranks = np.array([values.argsort().argsort() for values in (one, other)])
+    return float(np.corrcoef(ranks[0], ranks[1])[0, 1])
 
 
-def compared(scan: Path, copies: int, passes: int, *weights: str) -> Comparison:
+def compared(scan: Path, copies: int, passes: int, weights: str | None = None) -> Comparison:
     """Estimate both kinds of uncertainty of a scan by fast ways and by slow ones."""
-    network = sn.load_network(*weights, device="cpu")
+    network = sn.load_network(weights, device="cpu")
     # Uncertainty is estimated from the softmax at temperature 1.
     card = replace(network.card, temperature=1.0)
     network = replace(network, backend=replace(network.backend, card=card))
@@ -142,8 +149,10 @@ def drawn(comparison: Comparison) -> Figure:
     return figure
 
 
-def main(scan: str, folder: str, copies: str = "256", passes: str = "200", *weights: str) -> None:
-    comparison = compared(Path(scan), int(copies), int(passes), *weights)
+def main(
+    scan: str, folder: str, copies: str = "256", passes: str = "200", weights: str | None = None
+) -> None:
+    comparison = compared(Path(scan), int(copies), int(passes), weights)
     for way in comparison.fast:
         rank = comparison.rank(way)
         print(f"aleatoric, {way}: rank correlation {rank:.3f}, scale {comparison.scale(way):.3f}")

@@ -69,12 +69,18 @@ def run_part(
     command = script_command("benchmarks.gpu.gpu_run", *given.words, *words)
     environment = {**script_environment(), "PYTHONUNBUFFERED": "1"}
     tell(log, f"\n== {part}, {seconds:.0f} s\n")
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
     # In a group of their own, the part and its processes end together.
-    with subprocess.Popen(command, env=environment, process_group=0, **pipes) as process:
+    with subprocess.Popen(
+        command,
+        env=environment,
+        process_group=0,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    ) as process:
         killer = threading.Timer(seconds + GRACE_S, os.killpg, (process.pid, signal.SIGKILL))
         killer.start()
-        for line in process.stdout:
+        for line in process.stdout or ():
             tell(log, line)
         killed = process.wait() and not killer.is_alive()
         killer.cancel()

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import torch
 
@@ -17,6 +18,7 @@ from benchmarks.speed import speed_product as product
 from benchmarks.weights.scene_pool import KINDS, SPACING_M, write_scene
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.core.engines.device import choose_precision
+from salsanext_cli.core.engines.torch_backend import TorchBackend
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.loading import load_network
@@ -91,7 +93,8 @@ def measure_network(figures: Figures, weights: Path, sensor: Sensor) -> None:
             images = torch.randn(batch, 5, sensor.height, sensor.width, device=figures.device)
             images = images.to(memory_format=torch.channels_last)
             with torch.inference_mode(), figures.peak_memory() as peak:
-                seconds = figures.seconds(forward(network.backend.torch_module, images), 10)
+                module = cast(TorchBackend, network.backend).torch_module
+                seconds = figures.seconds(forward(module, images), 10)
                 figures.add(name, 1e3 * seconds / batch, f"ms a scan{peak()}")
 
 

@@ -62,7 +62,7 @@ def measure(figures: Figures, weights: Path, scratch: Path, *, small: bool = Fal
 
 def small_weights(path: Path, weights: Path) -> Path:
     """Write random weights of few channels and pixels; salsanext has these in this process now."""
-    few = {"context_width": 8, "widths": (8, 16), "decoder_widths": (16,)}
+    few: dict[str, Any] = {"context_width": 8, "widths": (8, 16), "decoder_widths": (16,)}
     ARCHITECTURES["salsanext"] = partial(SalsaNext, **few)
     architecture = {"name": "salsanext", "class_count": label_space().class_count, "dropout": 0.1}
     sensor = replace(read_card(weights).sensor, height=16, width=64)

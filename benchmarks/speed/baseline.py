@@ -42,7 +42,7 @@ def read_points(path: Path) -> np.ndarray:
     return np.fromfile(path, np.float32).reshape(-1, 4)
 
 
-def seen(points: np.ndarray, sensor: dict) -> np.ndarray:
+def seen(points: np.ndarray, sensor: dict[str, Any]) -> np.ndarray:
     """Return which points (N, 4) measured something that the sensor keeps."""
     depth = np.linalg.norm(points[:, :3], axis=1)
     kept = np.isfinite(depth) & (depth > 0)
@@ -53,7 +53,7 @@ def seen(points: np.ndarray, sensor: dict) -> np.ndarray:
     return kept
 
 
-def project(points: np.ndarray, sensor: dict) -> tuple[np.ndarray, ...]:
+def project(points: np.ndarray, sensor: dict[str, Any]) -> tuple[np.ndarray, ...]:
     """Project points (N, 4) that are seen.
 
     Returns the image (5, H, W) of range, x, y, z, intensity, -1 where it is empty, and of each
@@ -75,14 +75,14 @@ def project(points: np.ndarray, sensor: dict) -> tuple[np.ndarray, ...]:
     return image.transpose(2, 0, 1), v * width + u, depth
 
 
-def as_input(image: np.ndarray, sensor: dict, device: torch.device) -> Tensor:
+def as_input(image: np.ndarray, sensor: dict[str, Any], device: torch.device) -> Tensor:
     """Normalise an image (5, H, W) and pad it to (1, 5, H', W'): around, and empty below."""
     means = np.array(sensor["means"], np.float32)[:, None, None]
     stds = np.array(sensor["stds"], np.float32)[:, None, None]
     return padded((image - means) / stds * (image[0] > 0), device)
 
 
-def input_variance(image: np.ndarray, sensor: dict, device: torch.device) -> Tensor:
+def input_variance(image: np.ndarray, sensor: dict[str, Any], device: torch.device) -> Tensor:
     """Return the variance of the input by the sensor's noise, along the ray and in intensity."""
     ray = np.concatenate((np.ones_like(image[:1]), image[1:4] / image[0])) * sensor["range_noise"]
     noise = np.concatenate((ray, np.full_like(image[:1], sensor["intensity_noise"])))
@@ -147,7 +147,9 @@ class Baseline:
         Another one than that of the weights, in the same form.
     """
 
-    def __init__(self, weights: Path, device: str = "cpu", sensor: dict | None = None) -> None:
+    def __init__(
+        self, weights: Path, device: str = "cpu", sensor: dict[str, Any] | None = None
+    ) -> None:
         with safetensors.safe_open(weights, framework="pt") as file:
             card = json.loads(file.metadata()["salsanext"])
         self.device, self.sensor = torch.device(device), sensor or card["sensor"]
@@ -174,16 +176,17 @@ class Baseline:
         mean = as_input(image, self.sensor, self.device)
         variance = input_variance(image, self.sensor, self.device)
         moments = softmax_moments(self.moments((mean, variance)))
-        return tuple(self.cropped(part, image) for part in moments)
+        mean, variance = (self.cropped(part, image) for part in moments)
+        return mean, variance
 
     def uncertainty(self, image: np.ndarray, passes: int = 30) -> tuple[np.ndarray, ...]:
         """Return prediction (C, H, W), epistemic and aleatoric uncertainty (H, W) of an image."""
         drop(self.moments)
-        means, variances = zip(*(self.aleatoric(image) for _ in range(passes)), strict=True)
+        drawn = [self.aleatoric(image) for _ in range(passes)]
         self.moments.eval()
-        means = torch.stack(means)
+        means = torch.stack([mean for mean, _ in drawn])
         epistemic = means.var(0, correction=0).mean(0)
-        aleatoric = torch.stack(variances).mean((0, 1))
+        aleatoric = torch.stack([variance for _, variance in drawn]).mean((0, 1))
         return tuple(part.cpu().numpy() for part in (means.mean(0), epistemic, aleatoric))
 
     def refine(

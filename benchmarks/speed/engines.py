@@ -17,6 +17,7 @@ import warnings
 from collections.abc import Callable
 from functools import partial
 from importlib.util import find_spec
+from typing import cast
 
 import numpy as np
 import torch
@@ -26,6 +27,8 @@ from benchmarks.speed.speed_hardware import seconds_of
 from salsanext_cli.core.compiled import thread_count
 from salsanext_cli.core.engines.device import bfloat16_instructions
 from salsanext_cli.core.engines.network import Network
+from salsanext_cli.core.engines.openvino_backend import OpenVinoBackend
+from salsanext_cli.core.engines.torch_backend import TorchBackend
 
 KINDS = ("float32", "bfloat16") if bfloat16_instructions() else ("float32",)
 Engine = Callable[[np.ndarray], np.ndarray]
@@ -33,7 +36,7 @@ Engine = Callable[[np.ndarray], np.ndarray]
 
 
 def by_torch(module: torch.nn.Module, layout: torch.memory_format) -> Engine:
-    module = module.to(memory_format=layout)
+    module.to(memory_format=layout)  # type: ignore[call-overload]
 
     def run(image: np.ndarray) -> np.ndarray:
         with torch.inference_mode():
@@ -49,13 +52,20 @@ def by_onnx_runtime(module: torch.nn.Module, image: np.ndarray) -> Engine:
     settings.intra_op_num_threads = thread_count()
     inputs = (torch.from_numpy(image),)
     with warnings.catch_warnings(action="ignore"):
-        torch.onnx.export(module, inputs, file, opset_version=17, input_names=["x"], dynamo=False)
+        torch.onnx.export(
+            module,
+            inputs,
+            file,  # type: ignore[arg-type]
+            opset_version=17,
+            input_names=["x"],
+            dynamo=False,
+        )
     session = onnxruntime.InferenceSession(file.getvalue(), settings, ["CPUExecutionProvider"])
     return lambda image: session.run(None, {"x": image})[0]
 
 
 def by_openvino(network: Network) -> Engine:
-    graph = network.backend.output_graph(None)
+    graph = cast(OpenVinoBackend, network.backend).output_graph(None)
     return lambda image: graph(image)[0]
 
 
@@ -64,7 +74,7 @@ def engines(load: Callable[[str, str], Network], image: np.ndarray) -> dict[str,
     plain = load("torch", "float32").module
     found = {"eager float32": by_torch(plain, torch.contiguous_format)}
     for kind in KINDS:
-        module = load("torch", kind).backend.torch_module
+        module = cast(TorchBackend, load("torch", kind).backend).torch_module
         found[f"channels last {kind}"] = by_torch(module, torch.channels_last)
     if find_spec("onnx") and find_spec("onnxruntime"):
         found["ONNX Runtime float32"] = by_onnx_runtime(plain, image)
@@ -80,7 +90,7 @@ def compare(scan: sn.Scan, sensor: sn.Sensor, weights: str | None, rounds: int) 
     projected = sn.project(scan, sensor)
     image = load("torch", "float32").input(projected.channels)
     found = engines(load, image)
-    times = {name: [] for name in found}
+    times: dict[str, list[float]] = {name: [] for name in found}
     for _ in range(rounds):
         for name, run in found.items():
             times[name].append(min(seconds_of(partial(run, image))))

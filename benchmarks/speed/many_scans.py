@@ -16,6 +16,7 @@ from typing import TypeVar
 
 from salsanext_cli.runs.loop.run import RunOptions, run_over_scans
 from salsanext_cli.runs.loop.run_options import Shard
+from salsanext_cli.runs.records.stage_settings import PredictSettings
 from salsanext_cli.runs.results.output_run import OutputRun, output_run
 from salsanext_cli.runs.results.paths import ScanFile, find_scans, output_path
 
@@ -50,7 +51,7 @@ def fill(folder: Path, count: int) -> tuple[Path, Path]:
 
 def record(out: Path, scans: list[ScanFile]) -> None:
     """Record a run in the output folder, and end it."""
-    with output_run(out, "predict", {}, ("probabilities",), scans, overwrite=False):
+    with output_run(out, "predict", PredictSettings(), ("probabilities",), scans, overwrite=False):
         pass
 
 

@@ -17,7 +17,9 @@ from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.training.recipe import Recipe
 
 
-def augment(points: np.ndarray, labels: np.ndarray, recipe: Recipe, random: np.random.Generator):
+def augment(
+    points: np.ndarray, labels: np.ndarray, recipe: Recipe, random: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
     """Drop, flip, turn and shift points (N, 4), each with its probability."""
     if random.random() < recipe.drop:
         count = int(len(points) * random.uniform(0, 0.5))
@@ -35,7 +37,9 @@ def augment(points: np.ndarray, labels: np.ndarray, recipe: Recipe, random: np.r
     return points, labels
 
 
-def project(points: np.ndarray, labels: np.ndarray, sensor: Sensor):
+def project(
+    points: np.ndarray, labels: np.ndarray, sensor: Sensor
+) -> tuple[np.ndarray, np.ndarray]:
     """Project points (N, 4); return channels (5, H, W) and labels (H, W), 0 where it is empty."""
     up, down = np.radians(sensor.fov_up), np.radians(sensor.fov_down)
     depth = np.linalg.norm(points[:, :3], axis=1)
@@ -60,7 +64,7 @@ def lovasz_softmax(probabilities: Tensor, truth: Tensor) -> Tensor:
     flat = probabilities.permute(0, 2, 3, 1).reshape(-1, probabilities.shape[1])
     truth = truth.view(-1)
     flat, truth = flat[truth != 0], truth[truth != 0]
-    losses = []
+    losses: list[Tensor] = []
     for c in truth.unique():
         members = (truth == c).float()
         errors, order = torch.sort((members - flat[:, c]).abs(), descending=True)
@@ -70,7 +74,7 @@ def lovasz_softmax(probabilities: Tensor, truth: Tensor) -> Tensor:
         jaccard = 1 - intersection / union
         jaccard[1:] = jaccard[1:] - jaccard[:-1]
         losses.append(torch.dot(errors, jaccard))
-    return sum(losses) / len(losses)
+    return torch.stack(losses).sum() / len(losses)
 
 
 class PlainTraining:
@@ -116,9 +120,10 @@ class PlainTraining:
     def sample(self, file: ScanFile) -> tuple[Tensor, Tensor]:
         """Read, augment, project, normalise and crop a scan."""
         points = np.fromfile(file.path, np.float32).reshape(-1, 4)
-        raw = np.fromfile(file.label_path, np.uint32) & 0xFFFF
+        raw = np.fromfile(file.label_path, np.uint32) & np.uint32(0xFFFF)
         labels = self.space.to_train(raw, source=file.label_path)
-        image, truth = project(*augment(points, labels, self.recipe, self.random), self.sensor)
+        points, labels = augment(points, labels, self.recipe, self.random)
+        image, truth = project(points, labels, self.sensor)
         empty = image[0] == 0
         image = image - np.array(self.sensor.means, np.float32)[:, None, None]
         image = image / np.array(self.sensor.stds, np.float32)[:, None, None]

@@ -63,7 +63,7 @@ def main(dataset: str, out: str, samples: str = "30", weights: str | None = None
         evaluate(whole, options=options)
 
     torch.set_num_threads(1)
-    numba.config.NUMBA_NUM_THREADS = 1
+    numba.config.NUMBA_NUM_THREADS = 1  # type: ignore[attr-defined]
     measure("project", lambda o: project_scans(data, steps, sensor=sensor, options=o))
     measure(
         "predict, range images",

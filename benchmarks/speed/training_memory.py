@@ -56,8 +56,8 @@ def main() -> None:
         return
     print("images  width  GB     bytes per pixel")
     for images, width in SIZES:
-        words = ("--one", images, width)
-        words += ("--device", options.device, "--precision", options.precision)
+        words = ["--one", images, width]
+        words += ["--device", options.device, "--precision", options.precision]
         command = script_command("benchmarks.speed.training_memory", *words)
         environment = script_environment()
         done = subprocess.run(command, check=True, capture_output=True, text=True, env=environment)

@@ -24,19 +24,23 @@ def seconds(work: Callable[[], object]) -> float:
 
 
 def main(
-    scan: str, sensor: str = "hdl64", samples: str = "30", rounds: str = "5", *weights: str
+    scan: str,
+    sensor: str = "hdl64",
+    samples: str = "30",
+    rounds: str = "5",
+    weights: str | None = None,
 ) -> None:
-    network = sn.load_network(*weights, device="cpu", sensor=sn.sensor(sensor))
+    network = sn.load_network(weights, device="cpu", sensor=sn.sensor(sensor))
     image = sn.project(sn.read_scan(scan), network.sensor)
     passes = int(samples)
-    ways = {
+    ways: dict[str, Callable[[], object]] = {
         "one deterministic pass": lambda: network.probabilities(image),
         f"{passes} passes of dropout": lambda: sample(network, image, samples=passes, seed=0),
         "assumed density filtering": lambda: aleatoric(network, image),
         "eight noisy copies": lambda: noise_variance(network, image, 0),
     }
     ways["one deterministic pass"]()
-    times = {name: [] for name in ways}
+    times: dict[str, list[float]] = {name: [] for name in ways}
     for _ in range(int(rounds)):
         for name, way in ways.items():
             times[name].append(seconds(way))

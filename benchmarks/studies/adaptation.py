@@ -115,7 +115,7 @@ class StudiedDrive:
         size = self.classes.class_count
         confusion = np.zeros((size, size), np.int64)
         for file in find_scans(self.scans()):
-            raw = read_labels(file.label_path) & 0xFFFF
+            raw = read_labels(file.label_path) & np.uint32(0xFFFF)
             truth = self.truth.to_train(raw)
             predicted = self.classes.to_train(self.predicted(out, file))
             for merged, several in self.truth.alternatives.items():
@@ -188,7 +188,7 @@ def write_probable_labels(drive: StudiedDrive, out: Path, target: Path) -> list[
         raw = label_space().to_raw(labels)
         write_bytes(sequence / f"labels/{file.stem}.label", encode_labels(raw))
         np.save(sequence / PROBABILITIES / f"{file.stem}.npy", probability)
-        labelled += np.count_nonzero(probability)
+        labelled += int(np.count_nonzero(probability))
     total = sum(len(scan.labels) for scan in scans)
     print(f"{100 * labelled / total:.1f} % of the points have a label in samples", flush=True)
     return find_scans(target)

@@ -65,7 +65,7 @@ def moving_right(drive: Path, out: Path, space_name: str, classes_name: str) -> 
     moving = [raw for raw, name in space.labels.items() if "moving" in name]
     right = total = 0
     for path in sorted((drive / "labels").glob("*.label")):
-        truth = read_labels(path) & 0xFFFF
+        truth = read_labels(path) & np.uint32(0xFFFF)
         chosen = np.isin(truth, moving)
         predicted = read_labels(out / "sequences" / drive.name / "predictions" / path.name)
         same = space.to_train(truth[chosen]) == classes.to_train(predicted[chosen], strict=False)

@@ -14,6 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from benchmarks.commands import salsanext
 from salsanext_cli.core.network.card import AccuracyLine
@@ -47,8 +48,10 @@ def measured(dataset: str, out: Path, weights: Path, width: int) -> dict[str, tu
     return found
 
 
-def logit(share: np.ndarray) -> np.ndarray:
-    return np.log(share / (1 - share))
+def logit(share: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """Return the logits of shares, 0 to 1."""
+    values = np.asarray(share, np.float64)
+    return np.log(values / (1 - values))
 
 
 def line_at(
@@ -60,7 +63,8 @@ def line_at(
         for number, dataset in enumerate(fit)
         for pair in measured(dataset, folder / f"fit{number}-{width}", weights, width).values()
     ]
-    slope, offset = np.polyfit(*logit(np.array(pairs)).T, 1)
+    logits_of_confidence, logits_of_accuracy = logit(np.array(pairs)).T
+    slope, offset = np.polyfit(logits_of_confidence, logits_of_accuracy, 1)
     print(f"\n{width} columns\n")
     print("| set | mean confidence % | expected % | right % |\n|---|---|---|---|")
     misses = []
@@ -69,7 +73,7 @@ def line_at(
         out = folder / f"{name}-{width}"
         for sequence, pair in measured(dataset, out, weights, width).items():
             confidence, accuracy = pair
-            expected = 1 / (1 + np.exp(-slope * logit(np.float64(confidence)) - offset))
+            expected = 1 / (1 + np.exp(-slope * float(logit(confidence)) - offset))
             misses.append(expected - accuracy)
             shares = " | ".join(f"{100 * share:.1f}" for share in (confidence, expected, accuracy))
             print(f"| {name} {sequence} | {shares} |")

@@ -65,7 +65,7 @@ def published_card(card: WeightsCard, description: str) -> WeightsCard:
         temperature=1.0,
         error=None,
         accuracy=None,
-        int8=None,
+        int8={},
         risk=None,
         parts_of_widths={},
         version=VERSION,

@@ -49,7 +49,8 @@ def shares(path: Path, given: Sensor, limit: int) -> npt.NDArray[np.float64]:
     files = evenly_spaced(find_scans(path), limit)
     own = fitted_view(files, given)
     images = (project(read_scan(file.path, own), own) for file in files)
-    pixels, holes, going_on = sum(count_holes(image.channels[0]) for image in images)
+    counts = np.sum([count_holes(image.channels[0]) for image in images], axis=0)
+    pixels, holes, going_on = counts
     total = holes.sum(axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
         by_range = np.where(pixels < MIN_PIXELS, np.nan, holes / pixels)

@@ -100,8 +100,8 @@ def unpack(file: Path, folder: Path) -> list[Path]:
 def unpack_dataset(arrays: Mapping[str, npt.NDArray[Any]], root: Path) -> None:
     """Write the scans and labels of a data set."""
     high, low = arrays["points"].astype(np.uint16)
-    points = (high << 8 | low).view(np.int16).T.astype(np.float32) / STEPS_PER_M
-    intensity = arrays["intensity"].astype(np.float32) / MAX_INTENSITY
+    points = (high << 8 | low).view(np.int16).T.astype(np.float32) / np.float32(STEPS_PER_M)
+    intensity = arrays["intensity"].astype(np.float32) / np.float32(MAX_INTENSITY)
     ends = np.cumsum(arrays["counts"])
     for name, end, count in zip(arrays["names"], ends, arrays["counts"], strict=True):
         part, (sequence, stem) = slice(end - count, end), str(name).split("/")

@@ -103,7 +103,7 @@ def best_split(
         for side in range(3):
             centre = np.float64(low[each, side] + high[each, side])
             starts[side], stops[side] = min(starts[side], centre), max(stops[side], centre)
-    axis = np.argmax(stops - starts)
+    axis = int(np.argmax(stops - starts))
     start, width = starts[axis], (stops[axis] - starts[axis]) / BINS
     if not width > 1e-9:
         return axis, start

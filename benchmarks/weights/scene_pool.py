@@ -115,7 +115,7 @@ class ScenePool:
         """Make scenes in so many processes for the duration of the context."""
         context = multiprocessing.get_context("spawn")
         counter = context.Value("q", 0)
-        workers = [
+        workers: list[BaseProcess] = [
             context.Process(target=work, args=(self, counter, os.getpid()), daemon=True)
             for _ in range(processes)
         ]

@@ -6,6 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 import salsanext_cli as sn
 from pictures.example import FAR_M, WIDTHS, Values, behind, example, hidden_shares
@@ -60,7 +61,7 @@ KINDS = {
 """Marks and title of each kind of uncertainty; equal units have equal marks."""
 
 
-def class_colours(labels: Values, empty: Values = DARK) -> Values:
+def class_colours(labels: Values, empty: npt.ArrayLike = DARK) -> Values:
     """Return the colours of train ids, (…) to (…, 3), 0 to 1."""
     colours = screen_colours(sn.label_space()) / 255
     return np.where(labels[..., None] > 0, colours[labels], empty)
@@ -136,7 +137,7 @@ def vote(data: Path, picture: Path) -> None:
     figure = sheet(5.2)
     titles = {"class of the pixel": shown.before_vote, "after the vote": shown.labels}
     for axis, (title, labels) in zip(panels(figure, 1, 2), titles.items(), strict=True):
-        faded = 0.4 * class_colours(labels) + 0.6 * DARK
+        faded = 0.4 * class_colours(labels) + 0.6 * np.array(DARK)
         colours = np.where(changed[:, None], class_colours(labels), faded)
         from_above(axis, points[order], colours[order], centre, reach, 20)
         titled(axis, title)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -32,7 +33,7 @@ def draw(data: Path, picture: Path) -> None:
     axis.plot(THRESHOLDS, mean, color=INK, linewidth=4)
     axis.axhline(limit, color=ORANGE, linestyle="--", linewidth=2.5)
     axis.axvline(chosen, color=GREEN, linewidth=2.5)
-    texts = {"fontsize": TEXT_PT, "va": "bottom"}
+    texts: dict[str, Any] = {"fontsize": TEXT_PT, "va": "bottom"}
     axis.text(1, limit, f"limit for the mean: {limit:.1f} %", color=ORANGE, ha="right", **texts)
     top = losses.max()
     axis.text(chosen + 0.01, 0.9 * top, f"threshold {chosen:.2f}", color=GREEN, **texts)

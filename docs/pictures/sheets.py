@@ -22,6 +22,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 
+
+def share_of_colour(rgb: tuple[int, int, int]) -> tuple[float, float, float]:
+    """Return red, green and blue, 0 to 255, as shares, 0 to 1."""
+    red, green, blue = rgb
+    return red / 255, green / 255, blue / 255
+
+
 WIDTH_PX, DOTS = 1000, 100
 """Width of a figure, which a telephone shows with 390 pixels, and its dots per inch."""
 TEXT_PT = 19
@@ -29,10 +36,10 @@ TEXT_PT = 19
 BAR_CELLS = 256
 SMALL = 0.005
 """Marks below this are shown as powers of ten."""
-DARK = np.array(BACKGROUND) / 255
+DARK = share_of_colour(BACKGROUND)
 INK = "#e6e6e6"
-GREY = np.array(RIGHT) / 255
-RED = np.array(WRONG) / 255
+GREY = share_of_colour(RIGHT)
+RED = share_of_colour(WRONG)
 ORANGE, GREEN, FAINT = "#ff9d3b", "#3fbf6f", "#2b2e36"
 
 Values = npt.NDArray[Any]
@@ -90,7 +97,7 @@ def mark_name(mark: float) -> str:
 def legend(figure: Figure | SubFigure, entries: Legend, columns: int) -> None:
     """Put names with their colours below the axes of a figure."""
     handles = [
-        Line2D([], [], linestyle="", marker="s", markersize=13, color=np.array(colour) / 255)
+        Line2D([], [], linestyle="", marker="s", markersize=13, color=share_of_colour(colour))
         for _, colour in entries
     ]
     box = figure.legend(
