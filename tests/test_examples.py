@@ -104,7 +104,7 @@ def test_most_uncertain(tmp_path, capsys):
     for stem, value in (("calm", 0.01), ("wild", 0.2), ("middling", 0.1)):
         path = output_path(tmp_path, "08", "uncertainty/epistemic", stem)
         write_array(path, np.array([value, value, np.nan], np.float32))
-    load("most_uncertain")(str(tmp_path), 2)
+    load("most_uncertain")(str(tmp_path), "2")
     assert capsys.readouterr().out.split() == ["0.200000", "08/wild", "0.100000", "08/middling"]
     with pytest.raises(SystemExit):
         load("most_uncertain")(str(tmp_path / "other"))
