@@ -17,7 +17,7 @@ from salsanext_cli.core.texts import shortened
 from salsanext_cli.io.bag_index import message_times, storage_count
 from salsanext_cli.io.files.reading import filled, reading, refusing_damage
 from salsanext_cli.io.formats.columns import Columns
-from salsanext_cli.io.formats.ros.cloud_messages import CLOUD_MESSAGES, point_count, register_livox
+from salsanext_cli.io.formats.ros.cloud_messages import CLOUD_MESSAGES, default_types, point_count
 from salsanext_cli.io.formats.ros.mcap import require_ros2
 
 MCAP = ".mcap"
@@ -34,7 +34,6 @@ class Bag:
     def __init__(self, path: Path, files: list[Path]) -> None:
         require_rosbags()
         from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
 
         self.path = path
         self.is_mcap = any(MCAP in file.suffixes for file in files)
@@ -50,10 +49,7 @@ class Bag:
             if file.suffix.lower() == MCAP:
                 require_ros2(file)
         with refusing_damage(path, EXPECTED, HINT):
-            # Databases from before 2023 lack definitions; clouds have the same one in all releases.
-            typestore = get_typestore(Stores.ROS2_JAZZY)
-            register_livox(typestore)
-            self.reader = AnyReader([path], default_typestore=typestore)
+            self.reader = AnyReader([path], default_typestore=default_types())
             self.reader.open()
             # The garbage collector would close it with a warning.
             weakref.finalize(self, self.reader.close)

@@ -2,6 +2,7 @@
 """Messages of ROS that contain the points of a scan, decoded to columns."""
 
 from collections.abc import Callable, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -35,14 +36,22 @@ TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 EXPECTED = "a complete cloud"
 
 
-def register_livox(typestore: Any) -> None:
-    """Add the messages of Livox to a typestore of rosbags, for bags without definitions."""
-    from rosbags.typesys import get_types_from_msg
+@cache
+def default_types() -> Any:
+    """Return the typestore of rosbags for bags without definitions, with the messages of Livox.
 
+    All readers of a process share it, since they only copy from it; parsing the messages takes
+    longer than opening a small bag.
+    """
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    # Databases from before 2023 lack definitions; clouds have the same one in all releases.
+    types = get_typestore(Stores.ROS2_JAZZY)
     for package in LIVOX_PACKAGES:
         point = get_types_from_msg(CUSTOM_POINT, f"{package}/msg/CustomPoint")
         message = get_types_from_msg(CUSTOM_MESSAGE, f"{package}/msg/CustomMsg")
-        typestore.register({**point, **message})
+        types.register({**point, **message})
+    return types
 
 
 def columns_of_fields(message: Any, path: Path) -> Columns:

@@ -28,6 +28,7 @@ from bags import (
 from salsanext_cli import read_scan
 from salsanext_cli.core.errors import FormatError, MissingDependency, NoInputError, UsageError
 from salsanext_cli.core.optional_packages import extra_command
+from salsanext_cli.io.formats.ros.cloud_messages import default_types
 from salsanext_cli.runs.results.paths import find_scans
 
 POINTS = [structured(seed=seed) for seed in range(5)]
@@ -160,6 +161,20 @@ def without_definitions(path):
         connection.execute("DROP TABLE schema")
         connection.execute("DROP TABLE message_definitions")
     connection.close()
+
+
+def test_types_for_bags_without_definitions_are_parsed_once_and_stay_as_they_are(
+    tmp_path, monkeypatch
+):
+    without = write_bag(tmp_path / "without", ".db3", messages(POINTS))
+    without_definitions(without)
+    own = write_bag(tmp_path / "own", ".db3", messages(POINTS))
+    require_equal(read_scan(find_scans(without)[0].path), POINTS[0])
+    definitions = dict(default_types().fielddefs)
+    monkeypatch.setattr("rosbags.typesys.get_types_from_msg", None)
+    for path in (own, without):
+        require_equal(read_scan(find_scans(path)[1].path), POINTS[1])
+    assert default_types().fielddefs == definitions
 
 
 def whole_intensities(seed=0):
