@@ -31,13 +31,22 @@ def made(tmp_path, monkeypatch):
     return lambda name: READERS[name](tmp_path / "valid")
 
 
-def read_damaged(reader, path, content):
-    """Read a damaged file without a warning or an error of another kind."""
+def replace(path, content, number):
+    """Write a file in place of another, with a time of its own: readers cache files by it.
+
+    A file that is only truncated would be waited for until it is on the disk, at least with ext4.
+    """
+    path.unlink()
     path.write_bytes(content)
+    os.utime(path, ns=(number, number))
+
+
+def read_damaged(reader, path, size):
+    """Read a damaged file of `size` bytes without a warning or an error of another kind."""
     message = ""
     with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
-        with bounded(len(content)):
+        with bounded(size):
             try:
                 reader.read(path)
             except SalsanextError as error:
@@ -61,8 +70,9 @@ def test_damaged_files(made, tmp_path, name, cases):
     assert read, "no valid file is read"
     for case in range(cases):
         content = damage(Random(f"{name} {case}"), reader.seeds)
+        replace(path, content, case)
         try:
-            read_damaged(reader, path, content)
+            read_damaged(reader, path, len(content))
         except Exception as error:
             error.add_note(f"case {case}: {content!r}"[:5000])
             raise

@@ -48,19 +48,24 @@ def slow_direction(point):
     return column, math.floor(math.degrees(math.atan2(z, math.hypot(x, y))) / 90 * 256)
 
 
-def slowly_standing(places, number, scans, poses, reach):
+def slowly_nearest(scan):
+    """Return the distance of the nearest point of a scan in each direction."""
+    nearest = {}
+    for point in scan.points.astype(float):
+        direction = slow_direction(point)
+        nearest[direction] = min(nearest.get(direction, np.inf), np.linalg.norm(point))
+    return nearest
+
+
+def slowly_standing(places, number, nearest, poses, reach):
     """Return of each place whether more of the other scans see something there than through."""
     standing = {}
     for voxel, place in places.items():
         there = through = 0
-        for other in range(max(0, number - reach), min(len(scans), number + reach + 1)):
-            nearest = {}
-            for point in scans[other].points.astype(float):
-                here = slow_direction(point)
-                nearest[here] = min(nearest.get(here, np.inf), np.linalg.norm(point))
+        for other in range(max(0, number - reach), min(len(nearest), number + reach + 1)):
             point = (place - poses[other][:3, 3]) @ poses[other][:3, :3]
             distance = np.linalg.norm(point)
-            behind = nearest.get(slow_direction(point), np.nan) - distance
+            behind = nearest[other].get(slow_direction(point), np.nan) - distance
             inclination = math.degrees(math.atan2(point[2], math.hypot(*point[:2])))
             is_seen = other != number and abs(inclination) < 45
             there += is_seen and abs(behind) <= 0.3
@@ -69,27 +74,37 @@ def slowly_standing(places, number, scans, poses, reach):
     return standing
 
 
+def slow_view(world, softmax, size):
+    """Return the mean softmax of the labelled points in each voxel."""
+    voxels = defaultdict(list)
+    for place, probabilities in zip(world, softmax, strict=True):
+        if probabilities[0] < 1:
+            voxels[tuple(np.floor(place / size))].append(probabilities)
+    return {voxel: np.mean(all_, axis=0) for voxel, all_ in voxels.items()}
+
+
 def slowly(scans, softmax, poses, reach, movable):
     """Add up votes in dictionaries."""
     results = []
-    for index in range(len(scans)):
-        shares = np.zeros((len(VOXEL_SIZES_M), len(scans[index].points), CLASSES))
+    nearest = [slowly_nearest(scan) for scan in scans]
+    worlds = [
+        scan.points.astype(float) @ pose[:3, :3].T + pose[:3, 3]
+        for scan, pose in zip(scans, poses, strict=True)
+    ]
+    views_by_size = [
+        [slow_view(world, of_points, size) for world, of_points in zip(worlds, softmax, strict=True)]
+        for size in VOXEL_SIZES_M
+    ]
+    for index, world in enumerate(worlds):
+        shares = np.zeros((len(VOXEL_SIZES_M), len(world), CLASSES))
         for which, size in enumerate(VOXEL_SIZES_M):
-            views = []
-            for scan, of_points, pose in zip(scans, softmax, poses, strict=True):
-                voxels = defaultdict(list)
-                world = scan.points.astype(float) @ pose[:3, :3].T + pose[:3, 3]
-                for place, probabilities in zip(world, of_points, strict=True):
-                    if probabilities[0] < 1:
-                        voxels[tuple(np.floor(place / size))].append(probabilities)
-                views.append({voxel: np.mean(all_, axis=0) for voxel, all_ in voxels.items()})
-            world = scans[index].points.astype(float) @ poses[index][:3, :3].T + poses[index][:3, 3]
+            views = views_by_size[which]
             firsts = {}
             for place, probabilities in zip(world, softmax[index], strict=True):
                 if probabilities[0] < 1:
                     firsts.setdefault(tuple(np.floor(place / size)), place)
             asked = {k: v for k, v in firsts.items() if views[index][k][movable].sum() > 0.2}
-            standing = slowly_standing(asked, index, scans, poses, reach.reach)
+            standing = slowly_standing(asked, index, nearest, poses, reach.reach)
             seen = np.zeros(len(world), int)
             for number, place in enumerate(world):
                 voxel = tuple(np.floor(place / size))
