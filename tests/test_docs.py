@@ -454,8 +454,16 @@ def test_every_make_target_mentioned_exists():
         assert set(mentioned) <= targets, page.name
 
 
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory) -> Path:
+    """Return the folder with simulated scans that the pages begin with."""
+    folder = tmp_path_factory.mktemp("simulated")
+    prepared.prepared_folder(folder, None)
+    return folder
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", RUN)
-def test_the_commands_of_the_page_work_as_typed(name, tmp_path):
-    prepared.prepared_folder(tmp_path, None)
+def test_the_commands_of_the_page_work_as_typed(name, simulated, tmp_path):
+    shutil.copytree(simulated, tmp_path, dirs_exist_ok=True)
     guide.outputs((DOCS / name).read_text("utf-8"), tmp_path)

@@ -5,7 +5,7 @@ import os
 import statistics
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import cast
@@ -34,6 +34,7 @@ WIDTHS = (512, 2048)
 BATCHES = (1, 4, 16)
 RUNS = ((1, 1), (4, 1), (16, 1), (None, 1), (None, 8))
 """Batch, None for the default, and workers of each run over a folder."""
+SMALL_RUNS = (*RUNS[:-1], (None, 2))
 SCANS_OF_RUN = 256  # For each worker
 SECONDS_OF_RUN = 12.0  # Least time that is left for a run
 
@@ -45,12 +46,15 @@ def measure(figures: Figures, weights: Path, *, small: bool = False) -> None:
         folder = Path(name)
         write_scene(folder, 0, KINDS[0], 0, 2 if small else 8, SPACING_M, trained)
         scans = sorted((folder / "sequences/000000/velodyne").iterdir())
-        for width in (64,) if small else WIDTHS:
-            height = 16 if small else trained.height
-            sensor = replace(trained, height=height, width=width)
+        tiny = replace(trained, height=16, width=64)
+        sensors = [tiny] if small else [replace(trained, width=width) for width in WIDTHS]
+        for sensor in sensors:
             measure_parts(figures, weights, sensor, scans[0], FEWEST if small else SAMPLES)
             measure_network(figures, weights, sensor)
-        measure_runs(figures, weights, scans, 8 if small else SCANS_OF_RUN)
+        if small:
+            measure_runs(figures, NetworkSettings(weights, sensor=tiny), scans, SMALL_RUNS, 8)
+        else:
+            measure_runs(figures, NetworkSettings(weights), scans, RUNS, SCANS_OF_RUN)
 
 
 def measure_parts(figures: Figures, weights: Path, sensor: Sensor, scan: Path, passes: int) -> None:
@@ -103,10 +107,16 @@ def forward(module: torch.nn.Module, images: torch.Tensor) -> Callable[[], objec
     return lambda: module(images)
 
 
-def measure_runs(figures: Figures, weights: Path, scans: list[Path], count: int) -> None:
+def measure_runs(
+    figures: Figures,
+    network: NetworkSettings,
+    scans: list[Path],
+    runs: Sequence[tuple[int | None, int]],
+    count: int,
+) -> None:
     """Measure runs of `predict` over a folder, files to labels, in scans a second."""
-    settings = NetworkSettings(weights, figures.device, precision="auto", engine=ENGINE)
-    for batch, jobs in RUNS:
+    settings = replace(network, device=figures.device, precision="auto", engine=ENGINE)
+    for batch, jobs in runs:
         name = f"predict, --batch {batch or 'auto'} --jobs {jobs}"
         if not figures.has_time_for(name, SECONDS_OF_RUN):
             continue
