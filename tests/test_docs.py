@@ -454,7 +454,7 @@ def test_every_make_target_mentioned_exists():
         assert set(mentioned) <= targets, page.name
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def simulated(tmp_path_factory) -> Path:
     """Return the folder with simulated scans that the pages begin with."""
     folder = tmp_path_factory.mktemp("simulated")

@@ -16,7 +16,7 @@ MAX_BYTES, MAX_BYTES_PER_BYTE = 16 << 20, 100
 """Memory for any file, and in addition for each byte of it."""
 
 
-class Compiled(Exception):
+class UnmeasuredError(Exception):
     """A kernel was compiled, which takes seconds, and is done once."""
 
 
@@ -25,7 +25,7 @@ def bounded(size: int) -> Iterator[None]:
     """Fail if the body exceeds the time or the memory for a file of `size` bytes.
 
     Memory is that which Python and NumPy allocate, touched or not. A body that compiles a kernel
-    cannot be measured, and raises `Compiled`.
+    cannot be measured, and raises `UnmeasuredError`.
     """
     tracemalloc.start(1)
     start = time.process_time()
@@ -37,6 +37,6 @@ def bounded(size: int) -> Iterator[None]:
     finally:
         tracemalloc.stop()
     if compilations.buffer:
-        raise Compiled
+        raise UnmeasuredError
     assert seconds <= MAX_CPU_S
     assert peak <= MAX_BYTES + MAX_BYTES_PER_BYTE * size

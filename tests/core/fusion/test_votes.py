@@ -92,7 +92,10 @@ def slowly(scans, softmax, poses, reach, movable):
         for scan, pose in zip(scans, poses, strict=True)
     ]
     views_by_size = [
-        [slow_view(world, of_points, size) for world, of_points in zip(worlds, softmax, strict=True)]
+        [
+            slow_view(world, of_points, size)
+            for world, of_points in zip(worlds, softmax, strict=True)
+        ]
         for size in VOXEL_SIZES_M
     ]
     for index, world in enumerate(worlds):
