@@ -95,7 +95,15 @@ def begin_and_end(
     *,
     overwrite: bool = False,
 ) -> OutputRun:
-    """Register a run in an output folder that has nothing to do."""
+    """Register a run in an output folder that has nothing to do, as if it had been killed.
+
+    Its record stays, although it has no results.
+    """
     typed = record_of(settings_type(stage), settings, Path("settings"))
     with output_run(out, stage, typed, folders, scans, overwrite=overwrite) as output:
-        return output
+        written = {path: path.read_bytes() for path in out.glob("*.*") if path.is_file()}
+    out.mkdir(parents=True, exist_ok=True)
+    for path, content in written.items():
+        if not path.exists() and not path.name.startswith("."):
+            path.write_bytes(content)
+    return output

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from salsanext_cli.commands.score_limits import MissedLimit, ScoreLimit, missed_limits, score_values
+from salsanext_cli.commands.score_limits import JudgedLimit, ScoreLimit, judged_limits, score_values
 from salsanext_cli.core.checks.warning_codes import WarningCode
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.measures.accepted_labels import AcceptedLabels
@@ -82,10 +82,10 @@ class Evaluation:
             return f"{NOT_COMPARED} ({reason})"
         return ""
 
-    def missed_limits(self, limits: Sequence[ScoreLimit]) -> list[MissedLimit]:
-        """Return the limits that the scores do not keep to."""
+    def judged_limits(self, limits: Sequence[ScoreLimit]) -> list[JudgedLimit]:
+        """Compare the scores with limits."""
         values = score_values(self.scores, self.uncertainty, self.accepted)
-        return missed_limits(limits, values, self.guarantee, self.guarantee_doubt)
+        return judged_limits(limits, values, self.guarantee, self.guarantee_doubt)
 
     def warnings(self) -> Iterator[str]:
         """Yield reasons to doubt the scores or the guarantee, in words."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Limits on scores, and the scores that do not keep to them."""
+"""Limits on scores, and whether scores keep to them."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -106,11 +106,12 @@ class ScoreLimit:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MissedLimit:
-    """Score that does not keep to its limit, or that has no value."""
+class JudgedLimit:
+    """Limit with the score that was compared with it."""
 
     limit: ScoreLimit
     score: float  # In the unit of the limit; NaN without a value
+    is_kept: bool  # False without a value
     reason: str = ""  # Why there is no value, and a hint
 
     @property
@@ -124,7 +125,9 @@ class MissedLimit:
         if self.reason:
             return f"{self.name}: not known, since {self.reason}"
         kind = self.limit.kind
-        side = "below" if kind.higher_is_better else "above"
+        side = "within"
+        if not self.is_kept:
+            side = "below" if kind.higher_is_better else "above"
         unit = f" {kind.unit}".rstrip()
         limit = f"{self.limit.limit:g}{unit}"
         return f"{self.name}: {self.score:.4g}{unit}, {side} the limit of {limit}"
@@ -184,13 +187,13 @@ def _ratio(part: int, whole: int) -> float:
     return part / whole if whole else math.nan
 
 
-def missed_limits(
+def judged_limits(
     limits: Sequence[ScoreLimit],
     values: Mapping[str, float],
     guarantee: RiskBoundCheck | None,
     doubt: str = "",
-) -> list[MissedLimit]:
-    """Return the limits that scores do not keep to.
+) -> list[JudgedLimit]:
+    """Compare scores with their limits.
 
     Parameters
     ----------
@@ -205,40 +208,43 @@ def missed_limits(
 
     Returns
     -------
-    list of MissedLimit
+    list of JudgedLimit
+        In the order of the limits.
     """
-    missed = []
+    judged = []
     for limit in limits:
         if limit.name == GUARANTEE:
-            result = _missed_guarantee(limit, guarantee, doubt)
+            judged.append(_judged_guarantee(limit, guarantee, doubt))
         else:
-            result = _missed_score(limit, values)
-        if result:
-            missed.append(result)
-    return missed
+            judged.append(_judged_score(limit, values))
+    return judged
 
 
-def _missed_score(limit: ScoreLimit, values: Mapping[str, float]) -> MissedLimit | None:
-    """Return a score that does not keep to its limit, or that has no value; else None."""
+def _judged_score(limit: ScoreLimit, values: Mapping[str, float]) -> JudgedLimit:
+    """Return whether a score keeps to its limit; it does not without a value."""
     if limit.name not in values:
         reason = with_hint("the results do not have it", _remedies()[limit.kind.needs])
-        return MissedLimit(limit=limit, score=math.nan, reason=reason)
+        return _unknown(limit, reason)
     score = values[limit.name]
     if math.isnan(score):
-        return MissedLimit(limit=limit, score=score, reason="there is no labelled point to count")
-    return None if limit.holds(score) else MissedLimit(limit=limit, score=score)
+        return _unknown(limit, "there is no labelled point to count")
+    return JudgedLimit(limit=limit, score=score, is_kept=limit.holds(score))
 
 
-def _missed_guarantee(
+def _judged_guarantee(
     limit: ScoreLimit, guarantee: RiskBoundCheck | None, doubt: str
-) -> MissedLimit | None:
-    """Return the guarantee if the labels exceed its limit, or are no evidence about it."""
+) -> JudgedLimit:
+    """Return whether the labels keep to the guarantee, and are evidence about it."""
     if guarantee is None:
         reason = with_hint("the run has no guarantee", _remedies()[limit.kind.needs])
-        return MissedLimit(limit=limit, score=math.nan, reason=reason)
+        return _unknown(limit, reason)
     bound = replace(limit, limit=100 * guarantee.limit)
-    if guarantee.exceeds_limit:
-        return MissedLimit(limit=bound, score=100 * guarantee.measured)
-    if doubt:
-        return MissedLimit(limit=bound, score=math.nan, reason=doubt)
-    return None
+    if doubt and not guarantee.exceeds_limit:
+        return _unknown(bound, doubt)
+    is_kept = not guarantee.exceeds_limit
+    return JudgedLimit(limit=bound, score=100 * guarantee.measured, is_kept=is_kept)
+
+
+def _unknown(limit: ScoreLimit, reason: str) -> JudgedLimit:
+    """Return a limit that is not kept, because its score is not known."""
+    return JudgedLimit(limit=limit, score=math.nan, is_kept=False, reason=reason)

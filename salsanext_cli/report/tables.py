@@ -114,7 +114,7 @@ def _calibration_table(softmax: CalibrationScores | None, error: RankingScores |
         rows.append(("error", "", "", percent(error.ece, 2), "", *counts))
         mean = percent(error.mean)
         wrong = percent(error.wrong / max(error.points, 1))
-        caption = f"error: probability that a label is wrong; mean {mean} %, wrong {wrong} %"
+        caption = f"kind `error`, the probability of a wrong label: mean {mean} %, wrong {wrong} %"
     errors = ("ECE %,\nall points", "ECE %, mean\nof scans")
     headings = ("calibration", "NLL,\nnats", "Brier", *errors, "scans", "points")
     return table_of(headings, rows, caption=caption)

@@ -50,6 +50,34 @@ class NetworkSettings:
         """The weights file that the user named; None for the default weights."""
         return self.path if self.weights else None
 
+    def named(self) -> dict[str, object]:
+        """Return the settings that the user named and that can be typed, by argument.
+
+        The path of a sensor file is absolute. Weights, device and classes are not among them.
+        """
+        from salsanext_cli.core.sensors.sensor import presets
+
+        values = {
+            "precision": self.precision,
+            "engine": self.engine,
+            "sensor": self.sensor,
+            "columns": self.columns,
+            "intensity_field": self.intensity_field,
+            "width": self.width,
+            "min_range": self.min_range,
+            "ego": self.ego,
+            "intensity": self.intensity,
+        }
+        named = {
+            name: value
+            for name, value in values.items()
+            if isinstance(value, str | int | float) and value != AUTO
+        }
+        sensor = named.get("sensor")
+        if sensor is not None and sensor not in presets():
+            named["sensor"] = str(Path(str(sensor)).absolute())
+        return named
+
     @property
     def fits_view(self) -> bool:
         """Whether to fit the field of view to the scans."""

@@ -13,7 +13,7 @@ from salsanext_cli.commands.line.option_names import CommandLine
 from salsanext_cli.commands.score_limits import (
     SCORE_KINDS,
     ScoreLimit,
-    missed_limits,
+    judged_limits,
     require_classes,
     score_values,
 )
@@ -40,7 +40,9 @@ def limits(**limit_of_name):
 
 
 def missed(chosen, values, guarantee=None, doubt=""):
-    return [limit.name for limit in missed_limits(chosen, values, guarantee, doubt)]
+    judged = judged_limits(chosen, values, guarantee, doubt)
+    assert [limit.name for limit in judged] == [limit.name for limit in chosen]
+    return [limit.name for limit in judged if not limit.is_kept]
 
 
 def test_a_class_is_one_that_the_label_space_scores():

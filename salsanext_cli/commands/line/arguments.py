@@ -19,7 +19,7 @@ from salsanext_cli.commands.line.option_fields import (
 from salsanext_cli.commands.line.option_groups import OPTIONS
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.notices import notice_once
-from salsanext_cli.core.texts import did_you_mean
+from salsanext_cli.core.texts import did_you_mean, with_hint
 from salsanext_cli.core.uncertainty.kinds import UNCERTAINTY
 from salsanext_cli.io.formats import RECORDING_SUFFIXES, SCAN_SUFFIXES
 from salsanext_cli.runs.loop.run_options import RunOptions
@@ -172,14 +172,15 @@ def _notice_shared_folder(source: Path, out: Path) -> None:
 
     out_folder = out.resolve()
     source_folder = source.resolve()
-    place = ""
+    problem = ""
     if out_folder == source_folder:
         if projected_sensor(source) is None:
-            place = "the folder of the scans"
+            problem = "is given as SCANS and as OUT, so the results go into the folder of the scans"
     elif out_folder.is_relative_to(source_folder) and not is_folder(source / "sequences"):
-        place = "inside the folder of the scans"
-    if place:
-        notice_once(f"{out}: is {place}, which gets the results, too; give OUT to separate them")
+        problem = "is inside the folder of the scans"
+    if problem:
+        hint = "give another folder as OUT to separate scans and results"
+        notice_once(with_hint(f"{out}: {problem}", hint))
 
 
 def in_topic(source: Path, topic: str | None) -> Path:

@@ -28,7 +28,7 @@ from salsanext_cli.commands.line.option_names import CommandLine
 from salsanext_cli.commands.line.typer_interface import USAGE_ERROR
 from salsanext_cli.commands.line.wrong_values import usage_error
 from salsanext_cli.core.errors import SalsanextError, UsageError
-from salsanext_cli.core.notices import NOTICE
+from salsanext_cli.core.notices import NOTICE, files_known
 from salsanext_cli.core.texts import HINT, escaped, printable
 from salsanext_cli.core.wording import spelled
 
@@ -237,29 +237,56 @@ def over_scans(
         yield dataclasses.replace(options, progress=bar)
 
 
+@contextmanager
+def over_results(
+    label: str, options: "RunOptions", quiet: bool, *, at_end: bool = False
+) -> Iterator["RunOptions"]:
+    """Do what `over_scans` does for scans that an earlier command has read.
+
+    That command has printed what readers assume about their files.
+    """
+    with files_known(), over_scans(label, options, quiet, at_end=at_end) as running:
+        yield running
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Reached:
+    """Number of units that were done at a time."""
+
+    done: int
+    time: float  # Seconds of a clock
+
+
 class Lines:
-    """Progress as lines of text, at most one in `LINE_INTERVAL_S` of a clock in seconds."""
+    """Progress as lines of text, at most one in `LINE_INTERVAL_S` of a clock in seconds.
+
+    The rate is measured from the first finished unit on, because that one includes the time to
+    load and compile the network.
+    """
 
     def __init__(self, label: str, unit: str, clock: Callable[[], float] = time.monotonic) -> None:
         self.label = label
         self.unit = unit
         self.clock = clock
-        self.start = clock()
-        self.last = self.start
-        self.before: int | None = None
+        self.last = clock()
+        self.first: Reached | None = None
 
     def __call__(self, done: int, total: int) -> None:
         """Print a line if one is due."""
+        if not done:
+            return
         now = self.clock()
-        if self.before is None:
-            self.before = max(done - 1, 0)  # A resumed training does not begin at 1.
+        if self.first is None:
+            self.first = Reached(done, now)
         if now - self.last < LINE_INTERVAL_S or done == total:
             return
         self.last = now
-        seconds = (now - self.start) / (done - self.before)
-        left = f"{duration_text(seconds * (total - done))} left"
-        rate = rate_text(1 / seconds, self.unit)
-        print_line(f"{self.label}: {done}/{total} {self.unit}, {rate}, {left}")
+        texts = [f"{done}/{total} {self.unit}"]
+        if done > self.first.done:
+            seconds = (now - self.first.time) / (done - self.first.done)
+            left = duration_text(seconds * (total - done))
+            texts += [rate_text(1 / seconds, self.unit), f"{left} left"]
+        print_line(f"{self.label}: {', '.join(texts)}")
 
 
 def rate_text(rate: float, unit: str) -> str:
@@ -292,6 +319,7 @@ def _bar(unit: str) -> "Bar":
         progress.BarColumn(),
         progress.MofNCompleteColumn(),
         RateColumn(),
+        progress.TimeElapsedColumn(),
         progress.TimeRemainingColumn(),
         console=console.Console(stderr=True),
     )

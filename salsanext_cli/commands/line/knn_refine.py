@@ -4,7 +4,7 @@
 from pathlib import Path
 
 from salsanext_cli.commands.line import arguments, console, summary
-from salsanext_cli.commands.line.console import over_scans
+from salsanext_cli.commands.line.console import over_results
 from salsanext_cli.commands.line.next_command import command_on_labels
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.runs.loop.run_options import RunOptions
@@ -40,7 +40,7 @@ def knn_refine(
     scan_sensor = arguments.sensor(sensor)
     if columns is not None:
         scan_sensor = with_names(scan_sensor or Manifest(out).sensor(), columns)
-    with over_scans("knn-refine", running, output.quiet) as options:
+    with over_results("knn-refine", running, output.quiet) as options:
         outcome = knn_refine_scans(
             out,
             dataset=dataset,

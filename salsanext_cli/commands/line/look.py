@@ -8,7 +8,7 @@ from pathlib import Path
 import typer
 
 from salsanext_cli.commands.line import arguments, console, summary
-from salsanext_cli.commands.line.console import over_scans, progress
+from salsanext_cli.commands.line.console import over_results, progress
 from salsanext_cli.commands.line.interruption import ARRIVED
 from salsanext_cli.commands.line.option_fields import argument, names_in, option
 from salsanext_cli.core.texts import counted
@@ -38,7 +38,7 @@ def picture(
     """
     from salsanext_cli.commands.stages.picture import picture as stage
 
-    with over_scans("picture", running, output.quiet) as options:
+    with over_results("picture", running, output.quiet) as options:
         outcome = stage(out, colours=colour or (), scale=scale, query=query, options=options)
     summary.print_summary_and_exit("picture", outcome, out, output)
 
@@ -113,7 +113,7 @@ def report(
     from salsanext_cli.commands.stages.report import report as stage
 
     out = _results_in(out)
-    with over_scans("report", running, output.quiet, at_end=True) as options:
+    with over_results("report", running, output.quiet, at_end=True) as options:
         written = stage(
             out,
             page,
@@ -152,7 +152,7 @@ def view(
     from salsanext_cli.commands.stages.report import view as stage
 
     out = _results_in(out)
-    with over_scans("view", running, output.quiet, at_end=True) as options:
+    with over_results("view", running, output.quiet, at_end=True) as options:
         server = stage(out, port=port, query=query, options=options)
     summary.print_failures(server.failures)
     scans = f"{counted(server.scans, 'scan')}{summary.text_of_other_scans(server.missing)}"

@@ -76,7 +76,9 @@ def inspect(
         write_sensor(fit, fitted, images=images, overwrite=running.overwrite)
         output.print(f"inspect: sensor, {view_text(fitted)} → {fit}")
     sensor_of_images = None if fit is None else survey.sensor
-    tables = survey_tables(survey.sequences, survey.total, survey.space, sensor_of_images)
+    tables = None
+    if survey.sequences:
+        tables = survey_tables(survey.sequences, survey.total, survey.space, sensor_of_images)
     output.result(survey.to_dict(), tables)
     summary.print_failures(survey.failures)
     summary.exit_with_status(survey.failures, failed=strict and bool(survey.warnings))
@@ -186,7 +188,7 @@ def pick(
     summary.print_failures(failures)
     numbers = f"{len(picking.picked):,} of {counted(picking.scans, 'scan')}"
     counts = ", ".join([numbers, *summary.skipped_and_failed_texts(picking.outcome)])
-    output.print(f"pick: {counts} → {out}")
+    output.print(f"pick: {counts} → {out}" if picking.picked else f"pick: {counts}")
     if labels is not None:
         for line in lines_after_pick(out, picking, labels, settings.weights, labelled or ()):
             output.print(line)

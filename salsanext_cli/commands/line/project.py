@@ -60,4 +60,10 @@ def _network_options(settings: NetworkSettings) -> list[str]:
         options += ["--weights", str(settings.weights)]
     if settings.sensor and settings.sensor != AUTO:
         options += ["--sensor", str(settings.sensor)]
+    if settings.width is not None:
+        options += ["--width", str(settings.width)]
+    if settings.min_range is not None:
+        options += ["--min-range", f"{settings.min_range:g}"]
+    if settings.ego != AUTO:
+        options += ["--ego", settings.ego]
     return options

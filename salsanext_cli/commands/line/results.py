@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from salsanext_cli.commands.line import arguments, console, summary
-from salsanext_cli.commands.line.console import over_scans
+from salsanext_cli.commands.line.console import over_results
 from salsanext_cli.commands.line.expansion import Without
 from salsanext_cli.commands.line.next_command import command_on_labels
 from salsanext_cli.commands.line.option_fields import argument, names_in, option, option_group
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rich.console import Group
 
     from salsanext_cli.commands.evaluation import Evaluation
-    from salsanext_cli.commands.score_limits import MissedLimit
+    from salsanext_cli.commands.score_limits import JudgedLimit
     from salsanext_cli.commands.stages.filter import FilterOutcome
     from salsanext_cli.core.measures.accepted_labels import AcceptedLabels
     from salsanext_cli.core.measures.filtered_points import FilteredPoints
@@ -51,7 +51,7 @@ def fuse(
     from salsanext_cli.runs.results.paths import FUSED
 
     target = target or out / FUSED
-    with over_scans("fuse", running, output.quiet) as options:
+    with over_results("fuse", running, output.quiet) as options:
         outcome = fuse_results(out, target, poses=poses, reach=reach, query=query, options=options)
     following = command_on_labels(outcome, target, query.selection.split)
     summary.print_summary_and_exit("fuse", outcome, target, output, following=following)
@@ -96,7 +96,7 @@ def filter_command(
     """
     from salsanext_cli.commands.stages.filter import filter_scans
 
-    with over_scans("filter", running, output.quiet) as options:
+    with over_results("filter", running, output.quiet) as options:
         outcome = filter_scans(
             out,
             target,
@@ -128,7 +128,7 @@ def export_bag(
     """
     from salsanext_cli.commands.stages.export_bag import export_bag as stage
 
-    with over_scans("export-bag", running, output.quiet) as run:
+    with over_results("export-bag", running, output.quiet) as run:
         outcome = stage(out, target, topic=topic, query=query, options=run)
     summary.print_summary_and_exit("export-bag", outcome, target, output)
 
@@ -193,24 +193,29 @@ def evaluate(
     lower_limits = parse_limits(fail_under, FAIL_UNDER)
     upper_limits = parse_limits(fail_over, FAIL_OVER)
     limits = (*lower_limits, *upper_limits)
-    with over_scans("eval", running, output.quiet, at_end=True) as options:
+    with over_results("eval", running, output.quiet, at_end=True) as options:
         evaluation = stage(
             out, by_distance=by_distance, limits=limits, query=query, options=options
         )
-    missed = evaluation.missed_limits(limits)
+    judged = evaluation.judged_limits(limits)
+    missed = [score for score in judged if not score.is_kept]
     names = _names_of_missed(missed, fail_under, fail_over)
     output.result(evaluation.to_dict() | names, _evaluation_tables(evaluation))
     summary.print_failures(evaluation.failures)
     missing = evaluation.missing
     scans = f"{counted(evaluation.counts.scans, 'scan')}{summary.text_of_other_scans(missing)}"
     output.print(f"eval: {scans} → {evaluation.folder}/scores.txt, eval.json, eval_*.png")
-    for score in missed:
-        console.print_line(f"error: {option_of(score.limit.kind)} {score.text}")
+    for score in judged:
+        text = f"{option_of(score.limit.kind)} {score.text}"
+        if score.is_kept:
+            output.print(text)
+        else:
+            console.print_line(f"error: {text}")
     summary.exit_with_status(evaluation.failures, missing, failed=bool(missed))
 
 
 def _names_of_missed(
-    missed: "Sequence[MissedLimit]", fail_under: str | None, fail_over: str | None
+    missed: "Sequence[JudgedLimit]", fail_under: str | None, fail_over: str | None
 ) -> dict[str, list[str]]:
     """Return the names of the missed limits of each option that was given, as keys of JSON."""
     names = {}
@@ -268,6 +273,6 @@ def export_ply(
     """
     from salsanext_cli.commands.stages.export_ply import export_ply as stage
 
-    with over_scans("export-ply", running, output.quiet) as options:
+    with over_results("export-ply", running, output.quiet) as options:
         outcome = stage(out, colour=colour, scale=scale, query=query, options=options)
     summary.print_summary_and_exit("export-ply", outcome, out, output)

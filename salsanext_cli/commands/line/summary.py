@@ -82,13 +82,13 @@ def print_summary_and_exit(
 
 
 def _headline(stage: str, outcome: Outcome, out: Path, seconds: float) -> str:
-    """Return the line about the number of scans, the time and the folder of the results."""
+    """Return the line about the number of scans, the time and the folder of the results, if any."""
     counts = ", ".join([counted(outcome.done, "scan"), *skipped_and_failed_texts(outcome)])
     times = [duration_text(seconds)]
     if outcome.done:
         times.append(f"{duration_text(outcome.seconds / outcome.done)} per scan")
     scans = f"{counts} in {', '.join(times)}{text_of_other_scans(outcome.missing)}"
-    return f"{stage}: {scans} → {out}"
+    return f"{stage}: {scans} → {out}" if outcome.has_results else f"{stage}: {scans}"
 
 
 def run_data(outcome: Outcome) -> dict[str, Any]:

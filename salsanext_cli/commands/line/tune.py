@@ -161,7 +161,8 @@ def tune_risk(
             overwrite=fit.overwrite,
         )
     output.result(tuned.to_dict(), risk_tables(tuned.fit))
-    _end(output, f"tune risk: {tuned.fit.guarantee} → {target}", target, "--reject risk ")
+    written = f"{target}, {record}" if record else f"{target}"
+    _end(output, f"tune risk: {tuned.fit.guarantee} → {written}", target, "--reject risk ")
 
 
 def tune_dropout(

@@ -113,6 +113,7 @@ def predict_scans(
         scans,
         overwrite=options.overwrite,
         weights=settings.named_path,
+        options=settings.named(),
     )
     with opening as output, recorded_summary(summary, output, scans):
         by_poses = origins.result_origins(output, scans, network.sensor)
@@ -222,6 +223,7 @@ def predict_range_images(
         scans,
         overwrite=options.overwrite,
         weights=settings.named_path,
+        options=settings.named(),
     )
     with opening as output, recorded_summary(summary, output, scans):
         job = partial(PredictImageJob, folder=folder, output=output)

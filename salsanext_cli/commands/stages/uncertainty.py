@@ -16,7 +16,12 @@ from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.uncertainty.error_features import knows_error
 from salsanext_cli.core.uncertainty.method import UncertaintyMethod
 from salsanext_cli.core.wording import argument, command, setting
-from salsanext_cli.runs.fit.sensor_fit import network_of_run, resolved_for, settings_of_network
+from salsanext_cli.runs.fit.sensor_fit import (
+    is_unreadable,
+    network_of_run,
+    resolved_for,
+    settings_of_network,
+)
 from salsanext_cli.runs.loop.network_task import NetworkTask
 from salsanext_cli.runs.loop.recorded_names import with_recorded_names
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
@@ -96,13 +101,23 @@ def uncertainty(
     folders = _folders(out, network, method, labels_too=labels_too)
     _require_network_of_labels(out, recorded)
     summary = RunSummary.from_network(network, scans)
-    run = output_run(out, "uncertainty", recorded, folders, scans, overwrite=options.overwrite)
+    run = output_run(
+        out,
+        "uncertainty",
+        recorded,
+        folders,
+        scans,
+        overwrite=options.overwrite,
+        weights=settings.named_path,
+        options=settings.named(),
+    )
     with run as output, recorded_summary(summary, output, scans):
         by_poses = origins.result_origins(output, scans, network.sensor)
         job = partial(UncertaintyJob, knn=knn, method=method, output=output, origins=by_poses)
-        task = NetworkTask(
-            job=job, settings=resolved_for(settings, network, scans), network=network, batch=1
-        )
+        resolved = resolved_for(settings, network, scans)
+        if not is_unreadable(scans, network):
+            log.log(NOTICE, "each scan takes %s", method.passes_text)
+        task = NetworkTask(job=job, settings=resolved, network=network, batch=1)
         return run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)
 
 

@@ -64,6 +64,11 @@ class WarningCode(StrEnum):
         "a guarantee counts scans, and most of them follow each other",
         False,
     )
+    SEEN_BY_FIT = (
+        "seen-by-fit",
+        "the error model of a guarantee was fitted to the same sequences",
+        False,
+    )
     APART = "apart", "`fuse` divides a sequence into parts", False
     ONE_CLASS = (
         "one-class",

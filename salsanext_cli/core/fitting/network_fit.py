@@ -19,6 +19,7 @@ from salsanext_cli.core.geometry.row_gaps import column_gaps, fills_rows, row_ga
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.records import Float
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.texts import percentage, with_hint
 from salsanext_cli.core.wording import argument, setting
 
 log = logging.getLogger(__name__)
@@ -80,33 +81,35 @@ def fit_to_sample(
     UsageError
         If `settings.intensity` is another word, or the weights do not state that of training.
     """
-    fitted = network.for_sensor(_fitted_sensor(network, sample, settings, earlier))
-    width = _width_of_columns(fitted, sample, settings)
-    if width == fitted.sensor.width:
-        return fitted
-    network = network.at_width(width)
-    return network.for_sensor(_fitted_sensor(network, sample, settings, earlier))
+    viewed = _with_views(network.sensor, sample, settings, earlier)
 
+    @cache
+    def images_at(width: int) -> list[list[Float]]:
+        return sample.images_of_members(viewed.resized(width=width))
 
-def _fitted_sensor(
-    network: Network, sample: ScanSample, settings: FitSettings, earlier: Sensor | None
-) -> Sensor:
-    """Return the sensor of a network, fitted to the view and then to the images of scans."""
-    sensor = network.sensor
-    if not sample.has_images:
-        sensor = fit_views(sample, sensor, earlier, view=settings.view, mounting=settings.mounting)
-    elif sensor.others:
-        _announce_members(sample, sensor)
-    images_of_members = cache(lambda: sample.images_of_members(sensor))
+    width = _width_of_columns(network, sample, settings, images_at)
+    if width != viewed.width:
+        network = network.at_width(width)
     members = []
-    for number, member in enumerate(sensor.members):
+    for number, member in enumerate(viewed.resized(width=width).members):
         before = earlier.members[number] if earlier and earlier.others else earlier
 
         def images(number: int = number) -> list[Float]:
-            return images_of_members()[number]
+            return images_at(width)[number]
 
         members.append(_with_statistics(network, settings, member, before, images))
-    return joined(members)
+    return network.for_sensor(joined(members))
+
+
+def _with_views(
+    sensor: Sensor, sample: ScanSample, settings: FitSettings, earlier: Sensor | None
+) -> Sensor:
+    """Return a sensor fitted to the views of scans, unless they were projected before."""
+    if not sample.has_images:
+        return fit_views(sample, sensor, earlier, view=settings.view, mounting=settings.mounting)
+    if sensor.others:
+        _announce_members(sample, sensor)
+    return sensor
 
 
 def _announce_members(sample: ScanSample, sensor: Sensor) -> None:
@@ -165,26 +168,51 @@ def intensity_method(intensity: str, network: Network) -> str:
     return "none" if intensity == "none" else "match"
 
 
-def _width_of_columns(fitted: Network, sample: ScanSample, settings: FitSettings) -> int:
-    """Return the largest width of training at most that of a fitted network with few gaps.
+def _width_of_columns(
+    network: Network,
+    sample: ScanSample,
+    settings: FitSettings,
+    images_at: Callable[[int], list[list[Float]]],
+) -> int:
+    """Return the largest width of training at most that of a network with few gaps.
 
     A width that was named stays; then the log says which width would have few gaps.
+
+    Parameters
+    ----------
+    network : Network
+        Network before its fit.
+    sample : ScanSample
+        Scans of the fit.
+    settings : FitSettings
+        What the fit may change.
+    images_at : callable
+        Returns the range images (5, H, W) of each member of the fitted sensor for a width.
+
+    Returns
+    -------
+    int
+        Number of columns.
     """
-    wide = fitted.sensor.width
-    trained = fitted.card.trained_widths
+    wide = network.sensor.width
+    trained = network.card.trained_widths
     widths = sorted((width for width in trained if width < wide), reverse=True)
     if not widths or not settings.view or sample.has_images:
         return wide
-    shares = {
-        width: column_gaps(sample.images(fitted.sensor.resized(width=width))) or 0.0
-        for width in (wide, *widths)
-    }
-    suited = next((w for w, share in shares.items() if share <= MAX_COLUMN_GAPS), widths[-1])
+
+    @cache
+    def gaps_at(width: int) -> float:
+        images = [image for member in images_at(width) for image in member]
+        return column_gaps(images) or 0.0
+
+    suited = next((w for w in (wide, *widths) if gaps_at(w) <= MAX_COLUMN_GAPS), widths[-1])
     if suited == wide:
         return wide
-    text = "%.0f %% of the pixels between columns of the sensor are empty in images of %d columns"
-    log.log(NOTICE, text, 100 * shares[wide], wide)
+    gaps = f"{percentage(gaps_at(wide), 0)} of the pixels between columns of the sensor are empty"
     if settings.is_width_named or wide != trained[0]:
-        log.log(NOTICE, "omit %s, or use %s", argument("width"), setting("width", suited))
+        remedy = f"omit {argument('width')}, or use {setting('width', suited)}"
+        text = f"{gaps} in images of {wide} columns"
+        log.log(NOTICE, "%s", with_hint(text, remedy))
         return wide
+    log.log(NOTICE, "%s in images of %d columns; these have %d instead", gaps, wide, suited)
     return suited

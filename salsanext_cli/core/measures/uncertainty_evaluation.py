@@ -7,7 +7,7 @@ Functions of counts take the numbers of right and of wrong points in bins of asc
 
 import logging
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Self
 
 import numpy as np
@@ -184,27 +184,25 @@ class AcceptedPoints:
     threshold: float = math.nan
     coverage: float = math.nan  # Share of the points below the threshold, exact
     risk: float = math.nan  # Share of the accepted points that is wrong, exact
-    of_accepted: bool = False  # Whether the run rejected labels, and the points are the accepted
 
     @property
     def sentence(self) -> str:
         """Suggested threshold in words."""
         kind = self.kind
         risk_of_all = _percent(self.risk_of_all)
-        noun = "accepted points" if self.of_accepted else "points"
         if math.isnan(self.threshold):
             return (
-                f"no threshold of {kind} helps: {risk_of_all} of {self.points:,} {noun} are wrong"
+                f"no threshold of {kind} helps: {risk_of_all} of {self.points:,} points are wrong"
             )
         unit = UNCERTAINTY[kind].unit if kind in UNCERTAINTY else ""
         below = f"{kind} below {self.threshold:.4g} {unit}".rstrip()
         # 99.96 % is not 100 %.
-        accepted = f"the {percentage(min(self.coverage, 0.999), figures=3)} of {noun} with {below}"
+        accepted = f"the {percentage(min(self.coverage, 0.999), figures=3)} of points with {below}"
         risk = _percent(self.risk)
         if self.risk < self.risk_of_all and risk != risk_of_all:
             return f"accept {accepted}: {risk} of them are wrong instead of {risk_of_all}"
         shares = f"{risk} of {accepted} are wrong, {risk_of_all} of all"
-        return f"{kind} does not detect wrong points: {shares}"
+        return f"the kind `{kind}` does not detect wrong points: {shares}"
 
 
 def accepted_points(kind: str, histogram: Histogram) -> AcceptedPoints:
@@ -258,7 +256,8 @@ class UncertaintyEvaluation:
 
     calibration: CalibrationScores | None  # Scores of the probabilities; None without any
     kinds: dict[str, RankingScores]  # Scores by kind of uncertainty
-    accepted: AcceptedPoints | None = None  # Suggested threshold, if all scans have a kind
+    # Suggested threshold, if all scans have a kind and the run rejected no labels
+    accepted: AcceptedPoints | None = None
 
     @classmethod
     def from_counts(cls, counts: ScanCounts) -> Self:
@@ -288,9 +287,8 @@ class UncertaintyEvaluation:
             log.warning(text, argument("reject"))
         if error and error.ece and softmax and error.ece > softmax.ece:
             log.warning("the error is calibrated worse than the softmax: do not read it as a share")
-        accepted = _suggested_threshold(counts)
-        if accepted and counts.accepted:
-            accepted = replace(accepted, of_accepted=True)
+        # A run that rejected labels has a threshold already.
+        accepted = None if counts.accepted else _suggested_threshold(counts)
         return cls(calibration=softmax, kinds=kinds, accepted=accepted)
 
     def to_json(self) -> dict[str, object]:

@@ -238,9 +238,11 @@ class Sensor:
         return self.to_dict(NO_VIEW)
 
     def resized(self, height: int | None = None, width: int | None = None) -> Sensor:
-        """Return the sensor with another image size, in pixels."""
+        """Return the sensor with another image size, in pixels; its members have the same."""
         height = self.height if height is None else height
-        return replace(self, height=height, width=self.width if width is None else width)
+        width = self.width if width is None else width
+        others = tuple(replace(other, height=height, width=width) for other in self.others)
+        return replace(self, height=height, width=width, others=others)
 
 
 @dataclass(frozen=True, slots=True)

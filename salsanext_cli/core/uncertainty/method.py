@@ -7,7 +7,7 @@ from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.network.dropout import require_dropout
 from salsanext_cli.core.records import RangeImage
-from salsanext_cli.core.uncertainty.aleatoric import aleatoric, noise_variance
+from salsanext_cli.core.uncertainty.aleatoric import COPIES, aleatoric, noise_variance
 from salsanext_cli.core.uncertainty.monte_carlo import Estimate, require_samples, sample, scan_seed
 from salsanext_cli.core.wording import argument, setting
 
@@ -50,6 +50,14 @@ class UncertaintyMethod:
     def is_noisy(self) -> bool:
         """Whether the noise of the sensor is needed."""
         return self.aleatoric != "none"
+
+    @property
+    def passes_text(self) -> str:
+        """Passes of the network for each scan, in words."""
+        passes = f"{self.samples} passes with dropout"
+        if self.aleatoric == "copies":
+            return f"{passes} and {COPIES} of noisy copies"
+        return f"{passes} and one that propagates the noise" if self.is_noisy else passes
 
     def require(self, network: Network) -> None:
         """Raise the errors of `estimate`, before any scan is read."""

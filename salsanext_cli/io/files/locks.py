@@ -3,9 +3,11 @@
 
 import errno
 import logging
+import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from itertools import takewhile
 from pathlib import Path
 from shutil import rmtree
 from tempfile import TemporaryDirectory, gettempdir
@@ -74,6 +76,18 @@ def locked(path: Path, timeout_s: float = 0.0, *, stage: str = "") -> Iterator[N
         with suppress(OSError):
             path.unlink()
         lock.release()
+
+
+@contextmanager
+def removed_if_empty(folder: Path) -> Iterator[None]:
+    """Remove a folder, and folders above it, if the body created them and left them empty."""
+    created = list(takewhile(lambda path: not os.path.lexists(path), (folder, *folder.parents)))
+    try:
+        yield
+    finally:
+        with suppress(OSError):
+            for path in created:
+                path.rmdir()
 
 
 @contextmanager

@@ -12,11 +12,12 @@ from salsanext_cli.core.fusion.drive import Drive
 from salsanext_cli.core.fusion.reach import FusionReach
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.texts import counted
-from salsanext_cli.core.wording import argument, command, setting
+from salsanext_cli.core.wording import argument, setting
 from salsanext_cli.runs.drives.by_sequence import by_sequence
 from salsanext_cli.runs.drives.scans_of_drive import drive_of_scans
 from salsanext_cli.runs.records.digest_files import recorded_scans
 from salsanext_cli.runs.records.stage_settings import FuseSettings, PredictSettings
+from salsanext_cli.runs.results.making_commands import PREDICT_VOTES
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.paths import SINGLE_SCAN_STAGES, ScanFile, drive_order, with_outputs
 from salsanext_cli.runs.results.query import ResultQuery
@@ -154,12 +155,9 @@ def _require_unrejected(out: Path) -> None:
 
 def _no_softmax(results: ResultFolder, scans: Sequence[ScanFile]) -> NoInputError:
     """Return the error of a folder without a softmax, with the command that writes one."""
-    settings = [setting("extras", ("votes",))]
-    if results.manifest.record("fuse"):
-        settings.append(setting("overwrite", True))
-    predict = command("salsanext predict {scans} {out}", *settings)
-    alternative = setting("extras", ("probabilities",))
-    hint = results.command(f"run `{predict}`, or with {alternative}", *scans[:1])
+    was_fused = results.manifest.record("fuse") is not None
+    predict = PREDICT_VOTES.text(results.root, *scans[:1], overwrite=was_fused)
+    hint = f"run `{predict}`, or with {setting('extras', ('probabilities',))}"
     return NoInputError(results.root, "has no softmax of any scan", "votes or probabilities", hint)
 
 

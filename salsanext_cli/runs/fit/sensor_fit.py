@@ -70,12 +70,13 @@ def fit_network(
 def resolved_for(
     settings: NetworkSettings, network: Network, scans: Sequence[ScanFile]
 ) -> NetworkSettings:
-    """Return settings with which each worker loads the network; announce it if it computes.
+    """Return settings with which each worker loads the network; announce it if it computes."""
+    return settings.resolved(network, silent=is_unreadable(scans, network))
 
-    It computes nothing if the only scan cannot be read.
-    """
-    fails = len(scans) == 1 and not sample_of_files(scans, network.sensor).read
-    return settings.resolved(network, silent=fails)
+
+def is_unreadable(scans: Sequence[ScanFile], network: Network) -> bool:
+    """Return whether the only scan cannot be read, so that nothing is computed."""
+    return len(scans) == 1 and not sample_of_files(scans, network.sensor).read
 
 
 def fit_scans(

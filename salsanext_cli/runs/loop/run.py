@@ -166,6 +166,8 @@ def run_over_scans(
     count = RunningCount(
         options=options, scans=len(todo), on_result=summary.add if summary else on_result
     )
+    if todo and options.progress:
+        options.progress(0, len(todo))
     try:
         if todo:
             with closing(_attempts(task, todo, options, count.add)) as attempts:

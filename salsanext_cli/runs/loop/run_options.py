@@ -60,7 +60,7 @@ class RunOptions:
     shard: Shard = Shard()
     overwrite: bool = False
     on_error: Literal["skip", "stop"] = "skip"
-    # Called after each scan, or for several together when a worker has finished its chunk
+    # Called before the first scan and after each; for those of a chunk when its worker has ended it
     progress: Progress | None = None
 
     def __post_init__(self) -> None:

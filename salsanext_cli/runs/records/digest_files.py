@@ -128,6 +128,19 @@ def names_files(settings: Mapping[Any, object]) -> bool:
     )
 
 
+def files_of(settings: Mapping[Any, object]) -> set[str]:
+    """Return the names of the files of digests in settings."""
+    names: set[str] = set()
+
+    def note(text: str) -> str:
+        if NAME.fullmatch(text):
+            names.add(text)
+        return text
+
+    _changed(settings, note)
+    return names
+
+
 def _changed(settings: Mapping[Any, object], change: Change) -> dict[str, object]:
     """Return settings with changed digests of training scans and of scans of the guarantee."""
     changed = dict(settings)

@@ -1,13 +1,65 @@
 # SPDX-License-Identifier: MIT
 """Commands that make the results of scans, for hints about results that are missing."""
 
-from salsanext_cli.core.wording import command, setting
-from salsanext_cli.runs.results.paths import ERROR
+from __future__ import annotations
 
-PREDICT = "run `salsanext predict {scans} {out}` first"
-UNCERTAINTY_STAGE = "run `salsanext uncertainty {scans} {out}` first"
-FUSE = "run `salsanext fuse {out}` first"
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+
+from salsanext_cli.core.wording import command, setting
+from salsanext_cli.runs.results.manifest import Manifest
+from salsanext_cli.runs.results.paths import ERROR, ScanFile
+from salsanext_cli.runs.results.repeated_settings import extras_of_run, settings_of_run
+from salsanext_cli.runs.results.selection import data_set_of
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MakingCommand:
+    """Command that makes results in a folder."""
+
+    stage: str
+    extras: tuple[str, ...] = ()  # Further results of `predict`
+
+    def text(
+        self, out: Path, *files: ScanFile, target: Path | None = None, overwrite: bool = False
+    ) -> str:
+        """Return the command line, with the settings of the run in a folder.
+
+        Parameters
+        ----------
+        out : Path
+            Folder with results.
+        *files : ScanFile
+            Scans of the results, if they are known.
+        target : Path, optional
+            Folder that the command writes to, by default the same.
+        overwrite : bool
+            Whether the command replaces results.
+
+        Returns
+        -------
+        str
+        """
+        words = ["salsanext", self.stage]
+        settings: list[str] = []
+        if self.stage != "fuse":
+            words += [str(data_set_of(file) or file.path.parent) for file in files] or ["SCANS"]
+            settings += settings_of_run(Manifest(out))
+        if self.stage == "predict":
+            settings += extras_of_run(Manifest(out), self.extras)
+        if overwrite:
+            settings.append(setting("overwrite", True))
+        return command(shlex.join([*words, str(target or out)]), *settings)
+
+
+PREDICT = MakingCommand(stage="predict")
+PREDICT_ERROR = MakingCommand(stage="predict", extras=(ERROR,))
+PREDICT_VOTES = MakingCommand(stage="predict", extras=("votes",))
+UNCERTAINTY_STAGE = MakingCommand(stage="uncertainty")
+FUSE = MakingCommand(stage="fuse")
 MADE_BY = {
+    "error": PREDICT_ERROR,
     "epistemic": UNCERTAINTY_STAGE,
     "aleatoric": UNCERTAINTY_STAGE,
     "total": UNCERTAINTY_STAGE,
@@ -15,13 +67,12 @@ MADE_BY = {
     "mutual_information": UNCERTAINTY_STAGE,
     "disagreement": FUSE,
 }
-"""Hint by kind of uncertainty; labels and their confidence are made by `PREDICT`."""
+"""Command by kind of uncertainty; labels and their confidence are made by `PREDICT`."""
 
 
-def made_by(column: str) -> str:
-    """Return the hint for an output folder ``out`` of ``scans`` without a kind of uncertainty."""
-    if column == "error":
-        predict = command("salsanext predict {scans} {out}", setting("extras", (ERROR,)))
-        weights = "the default weights or weights of `salsanext tune error`"
-        return f"run `{predict}` with {weights}"
-    return MADE_BY.get(column, PREDICT)
+def making_hint(column: str, out: Path, *files: ScanFile) -> str:
+    """Return the hint for a folder of results of scans without labels or a kind of uncertainty."""
+    text = MADE_BY.get(column, PREDICT).text(out, *files)
+    if column != "error":
+        return f"run `{text}` first"
+    return f"run `{text}`; other weights than the default ones need `salsanext tune error`"

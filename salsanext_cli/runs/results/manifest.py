@@ -102,6 +102,8 @@ class StageRecord:
     # Files of other settings or origin that were not removed, as paths below the folder
     foreign: tuple[str, ...] = ()
     weights_file: str = ""  # Absolute path that the last run was given; empty for the default
+    # Further settings of the network that the last run was given, by argument; paths are absolute
+    options: Mapping[str, object] = field(default_factory=dict)
     version: str = __version__
 
     def __post_init__(self) -> None:
@@ -110,7 +112,8 @@ class StageRecord:
 
     def to_dict(self) -> dict[str, object]:
         """Return the content of the record's file, long values last."""
-        names = ("stage", "version", "writes", "settings", "scans", "foreign", "weights_file")
+        names = ["stage", "version", "writes", "settings", "scans", "foreign"]
+        names += ["weights_file", "options"]
         content = {name: plain(getattr(self, name)) for name in names}
         return {name: value for name, value in content.items() if value or name == "settings"}
 

@@ -9,11 +9,11 @@ from pathlib import Path
 
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import SalsanextError
-from salsanext_cli.core.wording import command, setting
 from salsanext_cli.io.files.reading import fingerprint
 from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.io.weights.card_file import default_weights, read_card
-from salsanext_cli.runs.results.paths import ERROR
+from salsanext_cli.runs.results.making_commands import PREDICT_ERROR
+from salsanext_cli.runs.results.paths import ScanFile
 
 SUFFIX_OF_FOLDER = "-error"  # What a hint appends to the name of the output folder
 
@@ -45,21 +45,21 @@ def are_in_merged_classes(space: LabelSpace | None, weights_sha256: str | None) 
         return False
 
 
-def hint_for_error(out: Path, scans: str) -> str:
+def hint_for_error(out: Path, file: ScanFile) -> str:
     """Return the hint that gives scans with merged labels a probability of error.
 
     Parameters
     ----------
     out : Path
         Output folder with the merged labels.
-    scans : str
-        The scans as words of a command line.
+    file : ScanFile
+        One of the scans.
 
     Returns
     -------
     str
     """
-    folder = shlex.quote(f"{os.path.normpath(out)}{SUFFIX_OF_FOLDER}")
-    predict = command(f"salsanext predict {scans} {folder}", setting("extras", (ERROR,)))
-    remedy = f"run `{predict}`, then give {folder}"
+    folder = Path(f"{os.path.normpath(out)}{SUFFIX_OF_FOLDER}")
+    predict = PREDICT_ERROR.text(out, file, target=folder)
+    remedy = f"run `{predict}`, then give {shlex.quote(str(folder))}"
     return f"the error belongs to the classes of the weights: {remedy}"

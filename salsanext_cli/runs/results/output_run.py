@@ -6,6 +6,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -14,9 +15,10 @@ import numpy.typing as npt
 from salsanext_cli.core.classes.label_space import RawIds
 from salsanext_cli.core.errors import OutputError
 from salsanext_cli.core.wording import setting
+from salsanext_cli.io.files.locks import removed_if_empty
 from salsanext_cli.io.files.reading import filled
 from salsanext_cli.io.formats.kitti_labels import encode_labels
-from salsanext_cli.runs.records.digest_files import names_files, with_files
+from salsanext_cli.runs.records.digest_files import files_of, names_files, with_files
 from salsanext_cli.runs.records.stage_settings import StageSettings
 from salsanext_cli.runs.results.manifest import (
     Manifest,
@@ -123,6 +125,18 @@ class OutputRun(OwnedFolder):
         # The record comes last, so that the next run repeats what a killed run did not finish.
         self.manifest.write(record)
         return record
+
+    def withdraw(self) -> None:
+        """Remove the record of a run that has ended without any result."""
+        with self.locked_records():
+            record = self.manifest.record(self.stage)
+            if record is None or self.is_shared() or self._results_in(record.writes):
+                return
+            others = [other for other in self.manifest.records().values() if other != record]
+            needed = {name for other in others for name in files_of(other.settings)}
+            self.record_path.unlink(missing_ok=True)
+            for name in files_of(record.settings) - needed:
+                (self.root / name).unlink(missing_ok=True)
 
     def _earlier_records(self, new: StageRecord) -> EarlierRecords:
         """Return the records of the folder that concern a run of this stage."""
@@ -277,11 +291,13 @@ def output_run(
     overwrite: bool,
     record_scans: bool = True,
     weights: Path | None = None,
+    options: Mapping[str, object] = MappingProxyType({}),
 ) -> Iterator[OutputRun]:
     """Record the run of a stage in `OUT/<stage>.json`, or refuse to mix it with other results.
 
     Runs with the same settings may share the folder; runs with other settings must wait. What is
-    removed from the folder is decided by `OutputRun.claim`.
+    removed from the folder is decided by `OutputRun.claim`. The first run of a stage that ends
+    without any result leaves neither a record nor an empty folder.
 
     Parameters
     ----------
@@ -301,6 +317,8 @@ def output_run(
         Whether to record where the scans are; not for a stage on the scans of an earlier one.
     weights : Path, optional
         File that the user named, whose path is recorded.
+    options : mapping of str to object
+        Further settings of the network that the user named, by argument.
 
     Yields
     ------
@@ -315,10 +333,14 @@ def output_run(
         writes=tuple(sorted(run.folders)),
         scans=sources,
         weights_file=str(weights.absolute()) if weights else "",
+        options=options,
     )
-    with ExitStack() as stack:
+    with removed_if_empty(out), ExitStack() as stack:
         with run.locked_records():
+            is_first = run.manifest.record(stage) is None
             claimed = run.claim(new)
+            if is_first:
+                stack.callback(run.withdraw)
             stack.enter_context(run.open(shared=True))
         yield _with_foreign_files(run, claimed, scans)
         _require_still_recorded(run, new)

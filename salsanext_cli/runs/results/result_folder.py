@@ -23,7 +23,7 @@ from salsanext_cli.io.files.reading import is_folder, present
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.formats.recordings import recording_of
 from salsanext_cli.runs.results.layouts import SCAN_FOLDER
-from salsanext_cli.runs.results.making_commands import PREDICT, made_by
+from salsanext_cli.runs.results.making_commands import PREDICT_VOTES, making_hint
 from salsanext_cli.runs.results.manifest import Manifest, ScanSource
 from salsanext_cli.runs.results.merged_labels import are_in_merged_classes, hint_for_error
 from salsanext_cli.runs.results.moved_scans import scans_in, scans_of_renamed
@@ -126,7 +126,7 @@ class ResultFolder:
             return self._is_data_set()
         problem = "contains no results" if self.root.is_dir() else "no such folder"
         expected = "the output folder of an earlier stage"
-        return NoInputError(self.root, problem, expected, self.command(PREDICT))
+        return NoInputError(self.root, problem, expected, making_hint("label", self.root))
 
     def _require_current(self) -> None:
         """Refuse fused labels if the labels of single scans were replaced since."""
@@ -136,15 +136,12 @@ class ResultFolder:
         single = Manifest(self.root / fused.fused_of)
         origins = single.origins(SINGLE_SCAN_STAGES)
         if origins and origins != fused.origins:
-            out = os.path.normpath(single.root)
-            softmax = single.owner("votes", "probabilities")
-            if softmax:
-                words = ["fuse", out, str(self.root)]
-                extras = []
+            out = Path(os.path.normpath(single.root))
+            if single.owner("votes", "probabilities"):
+                words = shlex.join(["salsanext", "fuse", str(out), str(self.root)])
+                again = command(words, setting("overwrite", True))
             else:
-                words = ["predict", "SCANS", out]
-                extras = [setting("extras", ("votes",))]
-            again = command(f"salsanext {shlex.join(words)}", *extras, setting("overwrite", True))
+                again = PREDICT_VOTES.text(out, overwrite=True)
             problem = f"is outdated: labels in {out} were replaced"
             raise OutputError(self.root, problem, hint=f"run `{again}`")
 
@@ -214,7 +211,7 @@ class ResultFolder:
         self.manifest.require_same_weights()
         scans = with_outputs(chosen, self.root, *FOLDERS)[:limit]
         if not scans:
-            hint = self.command(PREDICT, *chosen[:1])
+            hint = making_hint("label", self.root, *chosen[:1])
             raise NoInputError(self.root, "contains no results of these scans", hint=hint)
         if len(scans) == limit:
             # Scans after the last one of the limit are not missing.
@@ -317,17 +314,11 @@ class ResultFolder:
         if column in ("truth", "wrong") and not present(file.label_path):
             return NoInputError(file.path, "has no labels", f"the file {file.label_path}")
         expected = f"the file {self._path(file, column)}"
-        hint = self.command(made_by(column), file)
+        hint = making_hint(column, self.root, file)
         weights = self.manifest.weights("predictions")
         if column == "error" and are_in_merged_classes(self.manifest.label_space(), weights):
-            hint = hint_for_error(self.root, self.command("{scans}", file))
+            hint = hint_for_error(self.root, file)
         return NoInputError(file.path, f"has no {column}", expected, hint)
-
-    def command(self, template: str, *files: ScanFile) -> str:
-        """Return a hint with a command that makes results in this folder, of these scans if any."""
-        places = [str(data_set_of(file) or file.path.parent) for file in files]
-        scans = shlex.join(places) if places else "SCANS"
-        return template.format(scans=scans, out=shlex.quote(str(self.root)))
 
     def _path(self, file: ScanFile, column: str) -> Path:
         return output_path(self.root, file.sequence, FOLDER_OF_COLUMN[column], file.stem)

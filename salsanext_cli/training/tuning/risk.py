@@ -122,7 +122,8 @@ def fit_risk(scans: TuningScans, level: RiskLevel) -> Tuned[RiskFit]:
     require_scans(scans.source, len(scans.files), level)
     unit = _unit_of_guarantee(scans.files, level)
     few = _few_units(scans.files, unit, level)
-    kind = _kind_of_threshold(scans)
+    kind = "error" if knows_error(scans.network) else "least_confidence"
+    warnings_of_fit = _warnings_of_fit(scans)
     classes = scans.space.class_count
     counts = np.zeros((classes, classes, UNCERTAINTY_BINS + 1), np.int64)
     judged = judged_scans(scans, kind, counts)
@@ -136,7 +137,7 @@ def fit_risk(scans: TuningScans, level: RiskLevel) -> Tuned[RiskFit]:
         scans.space,
         {scan.scan: scan.counts for scan in points},
     )
-    warnings = _warnings(scans.files, unit, level)
+    warnings = [*warnings_of_fit, *_warnings(scans.files, unit, level)]
     is_consecutive = any(warning.code == WarningCode.CONSECUTIVE for warning in warnings)
     threshold = _threshold(
         scans, judged, kind, unit, level, bins, consecutive=is_consecutive or None
@@ -300,14 +301,18 @@ def _warn_of_held_out(others: Sequence[HeldOutSequence], level: RiskLevel, unit:
         log.warning("%s: above the level with the threshold of the others", first_few(above))
 
 
-def _kind_of_threshold(scans: TuningScans) -> str:
-    """Return the kind of uncertainty of the threshold; warn if it was fitted to these sequences."""
-    if not knows_error(scans.network):
-        return "least_confidence"
-    error = scans.network.card.error
+def _warnings_of_fit(scans: TuningScans) -> list[ScanWarning]:
+    """Log and return a warning if the error model was fitted to sequences of the scans."""
+    error = scans.network.card.error if knows_error(scans.network) else None
     fitted = set(error.scores.get("sequences", ())) if error else set()
     same = sorted(fitted & {file.sequence for file in scans.files})
-    if same:
-        message = "the error was fitted to %s too: the guarantee needs scans that no fit has seen"
-        log.warning(message, first_few(same))
-    return "error"
+    if not same:
+        return []
+    warning = ScanWarning(
+        code=WarningCode.SEEN_BY_FIT,
+        message="the error model was fitted to it too, but a guarantee needs scans that no fit saw",
+        hint="choose the threshold on scans of other sequences",
+        scans=same,
+    )
+    log_recorded([warning])
+    return [warning]

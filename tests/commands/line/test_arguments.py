@@ -207,7 +207,7 @@ def test_a_share_above_one_is_answered_by_the_percentage(run):
     ("line", "expected"),
     [
         ("train data run --recipe fi", ["finetune"]),
-        ("predict a b --sensor hdl64", ["hdl64", "hdl64-512"]),
+        ("predict a b --sensor hdl64", ["hdl64", "hdl64-1024", "hdl64-512"]),
         ("predict a b --weights d", ["default"]),
         ("export-ply a --colour entr", ["entropy"]),
         ("predict a b --classes coa", ["coarse"]),

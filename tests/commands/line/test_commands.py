@@ -13,6 +13,7 @@ from command_line import only_json, subject
 from evaluated import CAR, ROAD, World
 from scans import SMALL, labels_below, make_scan, write_array, write_bin, write_sequence
 
+from salsanext_cli.core.notices import log_once
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.runs.results.paths import output_path
 
@@ -160,6 +161,8 @@ def test_errors_of_points_are_evaluated(run, results):
         write_array(path, np.linspace(0, 1, 1500, dtype=np.float32))
     result = run("eval", results, status=0)
     printed = " ".join(result.stdout.split())
+    # A kind of uncertainty is called error; a line that begins with it would be a failure.
+    assert not any(line.lower().startswith("error") for line in result.stdout.splitlines())
     assert only_json(run("eval", results, "--json"))["accepted"]["sentence"] in printed
 
 
@@ -325,6 +328,66 @@ def test_results_beside_their_scans_are_announced(run, weights, tmp_path):
     apart = tmp_path / "apart"
     result = run("project", tmp_path / "drive", apart, *words, status=0)
     assert not any(line.startswith(f"{apart}: is ") for line in result.stderr.splitlines())
+
+
+def test_the_next_command_after_project_names_its_settings(run, data, weights, tmp_path):
+    options = ("--width", 64, "--min-range", 2, "--ego", "none")
+    printed = only_json(run("project", data, tmp_path, "--weights", weights, *options, "--json"))
+    words = printed["next"].split()
+    assert words[words.index("--width") :] == [
+        *["--width", "64", "--min-range", "2", "--ego", "none"]
+    ]
+    assert run(*words[1:]).exit_code == 0
+
+
+def test_notes_about_files_are_printed_by_the_command_that_reads_them_first(run, weights, tmp_path):
+    drive = tmp_path / "drive"
+    drive.mkdir()
+    scan = make_scan()
+    table = np.column_stack([scan.points, scan.intensity]).T
+    np.save(drive / "0.npy", np.ascontiguousarray(table))
+    out = tmp_path / "out"
+    note = "are transposed to (N, columns)"
+    log_once.cache_clear()
+    assert note in run("predict", drive, out, "--weights", weights, status=0).stderr
+    for words in (["export-ply", out], ["picture", out, "--colour", "label"]):
+        log_once.cache_clear()
+        assert note not in run(*words, status=0).stderr
+    log_once.cache_clear()
+    assert note in run("export-ply", out, "--colour", "range", "--verbose", status=0).stderr
+
+
+def test_a_run_without_results_leaves_no_folder_and_no_record(run, weights, tmp_path):
+    """The hint about the columns of a file can be followed into the same folder."""
+    points = np.random.default_rng(0).uniform(-20, 20, (1501, 5)).astype(np.float32)
+    path = tmp_path / "drive/0.bin"
+    path.parent.mkdir()
+    path.write_bytes(points.tobytes()[:-2])
+    out = tmp_path / "new/out"
+    words = ("--weights", weights)
+    for command in ("predict", "uncertainty", "project"):
+        assert run(command, path, out, *words).exit_code == 1
+        assert not out.parent.exists()
+    assert run("pick", path, out, *words).exit_code == 1
+    assert not out.parent.exists()
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    assert run("predict", path, mine, *words).exit_code == 1
+    assert [*mine.iterdir()] == []
+    # The record of an earlier run stays.
+    write_bin(tmp_path / "drive/1.bin", make_scan())
+    assert run("predict", path.parent, mine, *words).exit_code == 1
+    before = (mine / "predict.json").read_bytes()
+    assert run("predict", path, mine, *words).exit_code == 1
+    assert (mine / "predict.json").read_bytes() == before
+
+
+def test_inspect_prints_no_tables_of_nothing(run, tmp_path):
+    notes = tmp_path / "notes.txt"
+    notes.write_text("my notes\nof today\n")
+    result = run("inspect", notes, status=1)
+    assert result.stdout == ""
+    assert "'my notes'" in result.stderr
 
 
 def test_report_writes_to_a_file_and_opens_it(run, tmp_path, monkeypatch):

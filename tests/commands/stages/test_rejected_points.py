@@ -96,17 +96,14 @@ def test_rejected_points_are_wrong_but_for_the_official_accuracy(world):
     assert (rejection["points"], rejection["accepted"], rejection["wrong"]) == (16, ACCEPTED, 1)
 
 
-def test_a_threshold_of_a_run_that_rejected_labels_names_the_accepted_points(world, query):
+def test_no_second_threshold_is_proposed_to_a_run_that_rejected_labels(world, query):
     for stem in ("0", "1"):
         world.put("uncertainty/error", stem, np.linspace(0.1, 0.4, 10))
-    written_report = report(world.out, query=query)
-    accepted = written_report.compared.uncertainty.accepted
-    assert accepted.of_accepted
-    assert accepted.points == 4
-    assert " % of accepted points with " in accepted.sentence
-    assert (
-        evaluate_scans(find_scans(world.dataset), world.out, SPACE).uncertainty.accepted == accepted
-    )
+    assert report(world.out, query=query).compared.uncertainty.accepted is None
+    evaluation = evaluate_scans(find_scans(world.dataset), world.out, SPACE)
+    assert evaluation.uncertainty.accepted is None
+    assert evaluation.to_dict()["accepted"] is None
+    assert evaluation.uncertainty.kinds["error"].points == ACCEPTED
 
 
 def test_the_served_page_does_not_judge_rejected_points(world, query):

@@ -291,8 +291,10 @@ def test_an_error_that_was_fitted_to_these_scans_warns(unsure_is_wrong, target, 
     world, fitted = unsure_is_wrong, tmp_path / "fitted.safetensors"
     world.tune("error", fitted, selection=ScanSelection("valid"))
     network = replace(world.network, weights=fitted)
-    world.tune("risk", target, settings=network, at_most=0.6)
-    assert "the error was fitted to 08 too" in caplog.text
+    fit = world.tune("risk", target, settings=network, at_most=0.6)
+    warned = [warning for warning in fit["warnings"] if warning["code"] == WarningCode.SEEN_BY_FIT]
+    assert [warning["scans"] for warning in warned] == [["08"]]
+    assert caplog.text.count(f"({WarningCode.SEEN_BY_FIT})") == 1
 
 
 @pytest.mark.parametrize(("confidence", "is_above"), [(None, False), (0.9, True)])

@@ -10,7 +10,7 @@ from captures import START_NS, STEP_NS, Sent, vlp16, vlp16_points, write_capture
 
 from salsanext_cli import read_scan
 from salsanext_cli.core.errors import FormatError, MissingDependency, UsageError
-from salsanext_cli.core.notices import NOTICE, notice_once
+from salsanext_cli.core.notices import NOTICE, log_once
 from salsanext_cli.io.formats.captures import HESAI, LIVOX, OUSTER, ROBOSENSE, VELODYNE, maker_of
 from salsanext_cli.runs.results.paths import find_scans
 
@@ -139,7 +139,7 @@ def test_the_scans_of_a_velodyne_are_its_revolutions(tmp_path):
 
 def test_revolutions_that_are_cut_by_the_ends_of_the_capture_are_no_scans(tmp_path, caplog):
     pytest.importorskip("velodyne_decoder")
-    notice_once.cache_clear()
+    log_once.cache_clear()
     caplog.set_level(NOTICE, "salsanext_cli")
     packets = payloads(drive(260))
     path = tmp_path / "drive.pcap"
@@ -150,7 +150,7 @@ def test_revolutions_that_are_cut_by_the_ends_of_the_capture_are_no_scans(tmp_pa
         (10, 60, (10,), ""),
     ):
         caplog.clear()
-        notice_once.cache_clear()
+        log_once.cache_clear()
         write_capture(path, map(Sent, packets[first:last]))
         stems = [scan.stem for scan in find_scans(path)]
         assert stems == [f"{START_NS + (number - first) * STEP_NS}" for number in starts]

@@ -15,7 +15,7 @@ from hypothesis.extra import numpy as hnp
 from scans import make_scan, real_columns, real_scans
 
 from salsanext_cli.core.errors import FormatError, LabelError
-from salsanext_cli.core.notices import NOTICE, notice_once
+from salsanext_cli.core.notices import NOTICE, log_once
 from salsanext_cli.io.files.reading import read_values
 from salsanext_cli.io.formats import kitti
 from salsanext_cli.io.formats.kitti_labels import read_labels, write_labels
@@ -223,7 +223,7 @@ def test_any_columns(tmp_path):
 @pytest.mark.parametrize("columns", [(), ("x", "y", "z", "intensity")])
 @pytest.mark.parametrize("layout", ["decimals", "dyadic", "planar", "planar float64"])
 def test_float64_and_planar_files_are_read_with_a_notice(tmp_path, caplog, columns, layout):
-    notice_once.cache_clear()
+    log_once.cache_clear()
     caplog.set_level(NOTICE, "salsanext_cli")
     table = np.column_stack([SCAN.points, SCAN.intensity]).astype("<f8")
     table = np.rint(table * 128) / 128 if layout == "dyadic" else table.round(3)
@@ -259,7 +259,7 @@ def test_the_hints_of_other_types_and_orders_work(tmp_path):
 
 
 def test_unmeasured_returns_that_recur_are_no_further_columns(tmp_path, caplog):
-    notice_once.cache_clear()
+    log_once.cache_clear()
     caplog.set_level(NOTICE, "salsanext_cli")
     path, rows = tmp_path / "s.bin", TABLE.astype("<f4")
     for order in (rows, np.random.default_rng(0).permutation(rows)):

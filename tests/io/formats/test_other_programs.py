@@ -13,7 +13,7 @@ from scans import SMALL, make_scan
 from salsanext_cli import read_scan
 from salsanext_cli.core.checks.scan_checks import check_scan
 from salsanext_cli.core.errors import FormatError
-from salsanext_cli.core.notices import NOTICE, notice_once
+from salsanext_cli.core.notices import NOTICE, log_once
 from salsanext_cli.io.formats.kitti import read_bin
 from salsanext_cli.io.formats.npy import read_integers
 from salsanext_cli.io.formats.pcd import pcd_columns
@@ -62,7 +62,7 @@ LAYOUTS = {
 @pytest.fixture
 def said(caplog):
     """Return the log of a process that has not read any file."""
-    notice_once.cache_clear()
+    log_once.cache_clear()
     caplog.set_level(NOTICE, "salsanext_cli")
     return caplog
 

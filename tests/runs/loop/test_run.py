@@ -76,7 +76,7 @@ def test_results_can_be_handed_on_as_they_come(tmp_path):
     scans = scans_of("a", "bad", "b", "c")
     outcome = run_over_scans(work, scans, chosen, on_result=taken.append)
     assert sorted(taken) == list("abc")
-    assert progress == [(1, 4), (2, 4), (3, 4), (4, 4)]
+    assert progress == [(0, 4), (1, 4), (2, 4), (3, 4), (4, 4)]
     assert sorted(seen) == seen
     assert seen[0] <= 1
     assert (outcome.done, len(outcome.failures)) == (3, 1)

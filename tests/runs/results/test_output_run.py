@@ -24,7 +24,11 @@ from salsanext_cli.io.files.reading import fingerprint
 from salsanext_cli.runs.loop.network_task import NetworkTask
 from salsanext_cli.runs.loop.run import RunOptions, run_over_scans
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.records.stage_settings import ExportSettings, PredictSettings
+from salsanext_cli.runs.records.stage_settings import (
+    ExportSettings,
+    PredictSettings,
+    UncertaintySettings,
+)
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.output_run import OutputRun, output_run
 from salsanext_cli.runs.results.paths import ScanFile, find_scans
@@ -229,9 +233,54 @@ def test_runs_side_by_side(tmp_path: Path) -> None:
 
 def test_records_contain_the_scans_of_all_runs(tmp_path: Path) -> None:
     stems = [f"{number:03d}" for number in range(40)]
+    predicted(tmp_path, scans_of(tmp_path, "first"))
     with ThreadPoolExecutor(8) as threads:
         list(threads.map(lambda s: predict(tmp_path, scans=scans_of(tmp_path, s)), stems))
-    assert {*Manifest(tmp_path).record("predict").scans["08"].suffixes} == {*stems}
+    assert {*Manifest(tmp_path).record("predict").scans["08"].suffixes} == {*stems, "first"}
+
+
+def test_the_first_run_without_results_is_withdrawn_and_others_are_not(tmp_path: Path) -> None:
+    out = tmp_path / "a/b"
+    scans = scans_of(tmp_path, "a")
+    run = (out, "predict", TYPED, ("predictions",), scans)
+
+    def fail() -> None:
+        with output_run(*run, overwrite=False):
+            assert (out / "predict.json").exists()
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        fail()
+    assert not (tmp_path / "a").exists()
+    with output_run(*run, overwrite=False) as output:
+        output.write_labels(scans[0], np.uint32([40]))
+    with output_run(*run, overwrite=True):
+        output.path(scans[0], "predictions").unlink()
+    assert (out / "predict.json").exists()
+
+
+def test_a_file_of_digests_stays_while_a_record_names_it(tmp_path: Path) -> None:
+    digests = PredictSettings(weights="abc", trained_on="0" * 64)
+    scans = scans_of(tmp_path, "a")
+    with output_run(
+        tmp_path, "predict", digests, ("predictions",), scans, overwrite=False
+    ) as output:
+        output.write_labels(scans[0], np.uint32([40]))
+    (named,) = tmp_path.glob("digests-*")
+    other = UncertaintySettings(weights="abc", trained_on="0" * 64)
+    with output_run(
+        tmp_path, "uncertainty", other, ("uncertainty/epistemic",), scans, overwrite=False
+    ):
+        assert (tmp_path / "uncertainty.json").exists()
+    assert not (tmp_path / "uncertainty.json").exists()
+    assert named.exists()
+    assert (tmp_path / "predict.json").exists()
+
+
+def test_a_folder_of_the_user_stays_if_a_run_has_no_results(tmp_path: Path) -> None:
+    with output_run(tmp_path, "predict", TYPED, ("predictions",), (), overwrite=False):
+        (tmp_path / "notes.txt").write_text("mine")
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 
 
 def test_old_temporary_files_are_removed(tmp_path: Path) -> None:

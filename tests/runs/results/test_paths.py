@@ -116,6 +116,23 @@ def test_sources_without_scans_are_refused(tmp_path: Path, source: str) -> None:
     refused(NoInputError, tmp_path / source, find_scans, tmp_path / source)
 
 
+def test_labels_in_place_of_scans_are_answered_by_the_folder_of_the_scans(
+    dataset: Path, monkeypatch
+) -> None:
+    sequence = dataset / "sequences/00"
+    monkeypatch.chdir(sequence)
+    for source in (Path("labels"), Path("labels/000000.label")):
+        hint = refused(NoInputError, source, find_scans, source).value.hint
+        assert hint == "labels are no scans: give velodyne"
+        assert len(find_scans(Path("velodyne"))) == 2
+    monkeypatch.chdir(sequence / "labels")
+    hint = refused(NoInputError, ".", find_scans, Path()).value.hint
+    assert hint.endswith(" give ../velodyne")
+    (sequence / "velodyne").rename(sequence / "clouds")
+    hint = refused(NoInputError, ".", find_scans, Path()).value.hint
+    assert hint.endswith(" give the folder of the scans")
+
+
 @pytest.mark.parametrize("name", ["s.las", "S.LAZ"])
 def test_files_of_las_are_unsupported_and_to_be_converted(tmp_path: Path, name) -> None:
     make(tmp_path, name)

@@ -33,7 +33,8 @@ def test_the_record_states_what_the_threshold_is_based_on(world, tmp_path):
     record = tmp_path / "record.json"
     words = ("--at-most", "90%", "--sequences", "00,08", "--engine", "torch", "--device", "cpu")
     weights = ("--weights", world.network.weights)
-    called("tune", "risk", world.data, target, *words, *weights, "--record", record)
+    tuned = called("tune", "risk", world.data, target, *words, *weights, "--record", record)
+    assert f" → {target}, {record}\n" in tuned.stderr
     content = json.loads(record.read_text())
     risk = read_card(target).risk
     assert content["threshold"] == risk.threshold

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from salsanext_cli.core.errors import FormatError
-from salsanext_cli.core.texts import shortened
+from salsanext_cli.core.texts import quoted
 from salsanext_cli.core.wording import setting
 from salsanext_cli.io.formats.columns import columns_of_width, names_to_try
 from salsanext_cli.io.formats.field_names import AXES, has_axes
@@ -56,7 +56,7 @@ class Layout:
 
     def _unusable_header(self, path: Path) -> FormatError:
         """Return the error of a header without the names of coordinates."""
-        problem = f"has {shortened(self.header)} instead of numbers or names x, y, z"
+        problem = f"has {quoted(self.header)} instead of numbers or names x, y, z"
         hint = ""
         if self.width >= len(AXES):
             named = setting("columns", names_to_try(self.width))
@@ -91,7 +91,7 @@ def layout_of(content: bytes, marks: str = MARKS) -> Layout:
             return Layout(end, delimiter, len(words), words, count)
         elif line and count is None:
             if not _is_followed(content[end:], delimiter, len(words)):
-                raise ValueError(f"has {shortened(line)} instead of numbers or names x, y, z")
+                raise ValueError(f"has {quoted(line)} instead of numbers or names x, y, z")
             return Layout(end, delimiter, len(words), (), count, header=line)
         at = end
     raise ValueError("has no points")

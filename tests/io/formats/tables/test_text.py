@@ -11,7 +11,7 @@ from scans import SMALL, named_by_hint, refused
 
 from salsanext_cli import read_scan
 from salsanext_cli.core.errors import FormatError
-from salsanext_cli.core.notices import NOTICE, notice_once
+from salsanext_cli.core.notices import NOTICE, log_once
 from salsanext_cli.io.formats.subsets import subsets_of
 
 ROWS = [[1.5, -2.0, 3e-3, 0.25], [4.0, 5.0, -6.0, 1.0]]
@@ -66,7 +66,7 @@ def test_names_with_units_prefixes_and_synonyms(tmp_path, name):
 
 
 def test_other_units_than_metres_are_noticed(tmp_path, caplog):
-    notice_once.cache_clear()
+    log_once.cache_clear()
     caplog.set_level(NOTICE, "salsanext_cli")
     (tmp_path / "s.csv").write_text(HEADERS["Ouster"])
     read_scan(tmp_path / "s.csv")

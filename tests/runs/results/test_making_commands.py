@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: MIT
+"""Commands in hints about missing results: followed as printed, they continue the same run."""
+
+import shlex
+from dataclasses import replace
+
+import pytest
+from command_line import called
+from scans import SMALL
+from world import World
+
+from salsanext_cli.commands.line.option_names import CommandLine
+from salsanext_cli.core.wording import spelled
+from salsanext_cli.runs.results.making_commands import (
+    FUSE,
+    PREDICT,
+    UNCERTAINTY_STAGE,
+    MakingCommand,
+    making_hint,
+)
+from salsanext_cli.runs.results.paths import find_outputs, find_scans
+
+PROBABILITIES = MakingCommand(stage="predict", extras=("probabilities",))
+
+
+def words_of(making: MakingCommand, out, *files, **changes) -> list[str]:
+    """Return the words of a command as they are typed."""
+    with spelled(CommandLine()):
+        return shlex.split(making.text(out, *files, **changes))
+
+
+@pytest.fixture
+def run_with_options(world: World, tmp_path, monkeypatch) -> World:
+    """Predict with weights, a sensor file and other options, which a hint must repeat."""
+    monkeypatch.chdir(tmp_path)
+    sensor = replace(SMALL, fov_up=4.0)
+    (tmp_path / "my sensor.toml").write_text(sensor.to_toml())
+    options = ("--sensor", "my sensor.toml", "--width", 64, "--min-range", 2, "--knn-k", 3)
+    network = ("--weights", world.network.weights, "--engine", "torch", "--precision", "float32")
+    called("predict", world.data, world.out, *options, *network, "--objects")
+    return world
+
+
+def test_a_hint_about_missing_results_continues_the_same_run(run_with_options):
+    world = run_with_options
+    words = words_of(PROBABILITIES, world.out, find_scans(world.data)[0])
+    assert words[:4] == ["salsanext", "predict", str(world.data), str(world.out)]
+    for option, value in {"--sensor": "my sensor.toml", "--width": "64", "--knn-k": "3"}.items():
+        assert words[words.index(option) + 1] == value
+    called(*words[1:])
+    assert len(find_outputs(world.out, "probabilities")) == 3
+    # Without the options, the settings are others.
+    called("predict", world.data, world.out, "--weights", world.network.weights, status=1)
+
+
+def test_the_uncertainty_is_that_of_the_network_of_the_labels(run_with_options):
+    world = run_with_options
+    words = words_of(UNCERTAINTY_STAGE, world.out, find_scans(world.data)[0])
+    assert "--objects" not in words
+    called(*words[1:], "--samples", 2)
+    assert len(find_outputs(world.out, "uncertainty/epistemic")) == 3
+
+
+def test_a_run_with_the_defaults_needs_no_options(world, tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        "salsanext_cli.runs.results.repeated_settings.default_weights",
+        lambda: world.network.weights,
+    )
+    assert words_of(PREDICT, tmp_path) == ["salsanext", "predict", "SCANS", str(tmp_path)]
+    world.predict()
+    # Python computes in float32 unless it is told otherwise.
+    repeated = ["--precision", "float32", "--engine", "torch"]
+    assert words_of(PREDICT, world.out) == [
+        *("salsanext", "predict", "SCANS", str(world.out)),
+        *repeated,
+    ]
+    assert words_of(PREDICT, world.out, overwrite=True)[-1] == "--overwrite"
+    assert words_of(FUSE, world.out) == ["salsanext", "fuse", str(world.out)]
+
+
+def test_the_hint_about_the_error_names_its_option(world):
+    world.predict()
+    with spelled(CommandLine()):
+        assert " --error`" in making_hint("error", world.out, find_scans(world.data)[0])
+        assert making_hint("entropy", world.out).startswith("run `salsanext uncertainty SCANS ")
