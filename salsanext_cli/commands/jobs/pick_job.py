@@ -2,12 +2,13 @@
 """Job of `pick`: a picked scan to its copy, and a coloured cloud with pre-labels."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from salsanext_cli.core.engines.backend import PixelPrediction
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.labelling import refine_labels
+from salsanext_cli.core.records import Origins
 from salsanext_cli.core.uncertainty.monte_carlo import Estimate
 from salsanext_cli.io.formats.kitti_labels import encode_labels
 from salsanext_cli.report.picked import picked_cloud
@@ -33,10 +34,11 @@ class PickJob:
     seed: int
     samples: int  # Passes of Monte-Carlo dropout
     data_set: PickedDataSet
+    origins: Origins = field(default_factory=dict)  # Of registered scans with poses
 
     def prepare(self, file: ScanFile) -> PreparedFile:
         """Read, check and project a scan."""
-        return read_prepared(file, self.network)
+        return read_prepared(file, self.network, self.origins.get(file.name))
 
     def compute(self, files: Sequence[PreparedFile]) -> list[Estimate]:
         """Sample each scan."""

@@ -38,6 +38,7 @@ from salsanext_cli.runs.labelling.picked_data_set import (
 from salsanext_cli.runs.labelling.scan_description import DescribeJob, ScanDescription
 from salsanext_cli.runs.loop.network_task import NetworkTask
 from salsanext_cli.runs.loop.run import Failure, Outcome, RunOptions, run_over_scans
+from salsanext_cli.runs.loop.run_origins import OriginsOfSource
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.records.stage_settings import ComputedSettings
 from salsanext_cli.runs.results.manifest import settings_json
@@ -126,7 +127,9 @@ def pick(
     count = count if names is None else len(scans)
     done = _done(scans, labelled, source)
     with data_set.open():
-        network = fit_scans(settings, network, sample_of_files(listed, network.sensor))
+        by_poses = OriginsOfSource(listed=listed)
+        sample = sample_of_files(listed, network.sensor, origins_of=by_poses.sample_origins)
+        network = fit_scans(settings, network, sample)
         labels = done if labelled else None
         recorded = _settings(network, count, seed, scans, labels, is_list=names is not None)
         record = data_set.earlier(recorded, overwrite=options.overwrite)
@@ -134,12 +137,15 @@ def pick(
             log_recorded(record.warnings)
             return _picking(record, scans)
         resolved = settings.resolved(network)
+        origins = by_poses.scan_origins(scans, network.sensor)
         if record is None:
-            record = _chosen(resolved, network, scans, recorded, done, options)
+            describe = partial(DescribeJob, samples=SAMPLES, seed=seed, origins=origins)
+            task = NetworkTask(job=describe, settings=resolved, network=network, batch=1)
+            record = _chosen(task, network, scans, recorded, done, options)
             if not record.picked:
                 return _picking(record, scans)
             data_set.begin(record)
-        write = partial(PickJob, seed=seed, samples=SAMPLES, data_set=data_set)
+        write = partial(PickJob, seed=seed, samples=SAMPLES, data_set=data_set, origins=origins)
         task = NetworkTask(job=write, settings=resolved, network=network, batch=1)
         space = space if space.fits(network.space) else space_of([], network.space)
         outcome = _written(task, data_set, record, scans, options, space)
@@ -221,7 +227,7 @@ def _digest(scans: Sequence[ScanFile]) -> str:
 
 
 def _chosen(
-    resolved: NetworkSettings,
+    task: NetworkTask,
     network: Network,
     scans: Sequence[ScanFile],
     settings: PickSettings,
@@ -229,8 +235,6 @@ def _chosen(
     options: RunOptions,
 ) -> PickRecord:
     """Describe scans; choose uncertain ones that differ from each other and from labelled ones."""
-    describe = partial(DescribeJob, samples=SAMPLES, seed=settings.seed)
-    task = NetworkTask(job=describe, settings=resolved, network=network, batch=1)
     summary = RunSummary(sensor=network.sensor, scans=scans)
     descriptions: dict[ScanFile, ScanDescription] = {}
 

@@ -7,8 +7,10 @@ neither rings nor beams, which are blurred if a program corrected the scan for t
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -24,6 +26,7 @@ from salsanext_cli.core.geometry.evenness import (
 from salsanext_cli.core.geometry.ground import UPWARDS, find_ground
 from salsanext_cli.core.geometry.point_sample import few_points
 from salsanext_cli.core.geometry.sensor_frame import in_sensor_frame, upright_rotation
+from salsanext_cli.core.memo import Memo
 from salsanext_cli.core.records import Double, Scan
 from salsanext_cli.core.sensors.sensor import ORIGIN, Sensor
 
@@ -48,6 +51,8 @@ MAX_CROWDED_BEAMS = 4.0  # The fullest sector, if the beams prove the position
 MIN_OFFSET_M = 1.25  # Least distance of a sensor from the origin; the search was up to 0.9 m off
 MIN_OFFSET_OF_BEAMS_M = 0.3  # The same if the beams show it; optical centres are 0.2 m off
 MAX_LEAN_DEG = 2.0  # Largest angle between ground normal and z axis that stays as it is
+REMEMBERED = 256
+"""Places that are remembered; a run asks again for those of scans that it reads at once."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,10 +76,14 @@ class SensorPlace:
         return self.shows_beams and bool(np.linalg.norm(self.position) > MIN_OFFSET_OF_BEAMS_M)
 
 
+_places: Memo[SensorPlace | None] = Memo(REMEMBERED)
+
+
 def find_place(scan: Scan, *, verified: bool = True) -> SensorPlace | None:
     """Return position and direction up of the sensor of a scan.
 
-    The frame may have its origin anywhere within kilometres, and z up or down.
+    The frame may have its origin anywhere within kilometres, and z up or down. The steps of a run
+    ask for the place of the same scan, so that the last places are remembered.
 
     Parameters
     ----------
@@ -91,6 +100,12 @@ def find_place(scan: Scan, *, verified: bool = True) -> SensorPlace | None:
     many = measured_positions(few_points(scan, MANY_POINTS))
     if len(many) < MIN_POINTS:
         return None
+    digest = hashlib.blake2b(np.ascontiguousarray(many), digest_size=16).digest()
+    return _places.result((digest, verified), partial(_place, many, verified=verified))
+
+
+def _place(many: Double, *, verified: bool) -> SensorPlace | None:
+    """Do what `find_place` does for measured points (N, 3)."""
     few = _thinned(many, FEW_POINTS)
     candidates = [_view_from(few, crowd) for crowd in _crowds(few)]
     views = [view for view in candidates if view]

@@ -2,7 +2,7 @@
 """Description of a scan by features and uncertainty of the network."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from torch import Tensor
@@ -12,7 +12,7 @@ from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import FormatError
 from salsanext_cli.core.labelling import PreparedScan
 from salsanext_cli.core.network.segmentation import SegmentationNetwork
-from salsanext_cli.core.records import Double, Float
+from salsanext_cli.core.records import Double, Float, Origins
 from salsanext_cli.core.uncertainty.monte_carlo import Estimate, sample
 from salsanext_cli.runs.fit.scan_reading import PreparedFile, read_prepared
 from salsanext_cli.runs.results.paths import ScanFile
@@ -35,10 +35,11 @@ class DescribeJob:
     network: Network
     samples: int
     seed: int
+    origins: Origins = field(default_factory=dict)  # Of registered scans with poses
 
     def prepare(self, file: ScanFile) -> PreparedFile:
         """Read, check and project a scan."""
-        prepared = read_prepared(file, self.network)
+        prepared = read_prepared(file, self.network, self.origins.get(file.name))
         if not (prepared.scan.projected.image.point_of_pixel >= 0).any():
             raise FormatError(file.path, "has no point in the field of view of the sensor")
         return prepared

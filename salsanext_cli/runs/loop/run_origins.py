@@ -51,7 +51,7 @@ class OriginsOfRun:
                     if origin is not None:
                         recorded[file.name] = origin
         others = [file for file in files if file.name not in recorded]
-        by_poses, _ = self._by_poses(others, sensor)
+        by_poses, _ = _by_poses(others, sensor, self.listed)
         return recorded | by_poses
 
     def result_origins(
@@ -64,20 +64,47 @@ class OriginsOfRun:
         todo = [file for file in files if not output.is_done(file)]
         if not are_replaced(self.out, self.stage, overwrite=self.overwrite):
             todo = [file for file in todo if not _is_recorded(self.out, file, sensor)]
-        by_poses, lines = self._by_poses(todo, sensor)
+        by_poses, lines = _by_poses(todo, sensor, self.listed)
         for line in lines:
             log.log(NOTICE, "%s", line)
         return by_poses
 
-    def _by_poses(self, files: Sequence[ScanFile], sensor: Sensor) -> tuple[Origins, list[str]]:
-        """Return the origins of scans by poses, and lines about the poses."""
-        if not (files and sensor.has_registered):
-            return {}, []
-        # Labels of scans that are not registered need nothing of `fusion`.
-        from salsanext_cli.runs.drives.pose_origins import origins_by_poses
 
-        by_poses = origins_by_poses(files, sensor, self.listed)
-        return by_poses.origins, by_poses.lines
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OriginsOfSource:
+    """Origins of the registered scans of a source, for a stage that records none.
+
+    Attributes
+    ----------
+    listed : sequence of ScanFile
+        All scans of the source, from which a few show whether the poses of a sequence are used.
+    """
+
+    listed: Sequence[ScanFile]
+
+    def sample_origins(self, files: Sequence[ScanFile], sensor: Sensor) -> Origins:
+        """Return the origins, in metres, of scans that a fit reads; points show the others."""
+        return _by_poses(files, sensor, self.listed)[0]
+
+    def scan_origins(self, files: Sequence[ScanFile], sensor: Sensor) -> Origins:
+        """Return the origins of scans that a stage works on, and log which poses are used."""
+        by_poses, lines = _by_poses(files, sensor, self.listed)
+        for line in lines:
+            log.log(NOTICE, "%s", line)
+        return by_poses
+
+
+def _by_poses(
+    files: Sequence[ScanFile], sensor: Sensor, listed: Sequence[ScanFile]
+) -> tuple[Origins, list[str]]:
+    """Return the origins of scans by poses, and lines about the poses."""
+    if not (files and sensor.has_registered):
+        return {}, []
+    # Labels of scans that are not registered need nothing of `fusion`.
+    from salsanext_cli.runs.drives.pose_origins import origins_by_poses
+
+    by_poses = origins_by_poses(files, sensor, listed)
+    return by_poses.origins, by_poses.lines
 
 
 def _is_recorded(out: Path, file: ScanFile, sensor: Sensor) -> bool:

@@ -72,9 +72,10 @@ def judged_scans(scans: TuningScans, kind: str, counts: Counts) -> list[JudgedSc
         If no point of a scan has a scored class.
     """
     network = scans.network
+    origins = scans.origins
 
     def prepare(file: ScanFile) -> PreparedFile:
-        return read_prepared(file, network)
+        return read_prepared(file, network, origins.get(file.name))
 
     def predict(files: Sequence[PreparedFile]) -> list[PixelPrediction]:
         return predict_pixels(network, [file.scan for file in files], softmax=kind == "error")

@@ -15,11 +15,12 @@ from salsanext_cli.core.errors import LabelError
 from salsanext_cli.core.geometry.projection import project
 from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
 from salsanext_cli.core.network.card import WeightsCard
-from salsanext_cli.core.records import Float, Indices, RangeImage
+from salsanext_cli.core.records import Float, Indices, Origin, Origins, RangeImage
 from salsanext_cli.runs.fit.scan_sample import sample_of_files
 from salsanext_cli.runs.fit.sensor_fit import fit_scans
 from salsanext_cli.runs.loop.job import Computed, Prepared, ScanJob
 from salsanext_cli.runs.loop.network_task import network_pipeline
+from salsanext_cli.runs.loop.run_origins import OriginsOfSource
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.paths import ScanFile, find_scans
 from salsanext_cli.training.data.sources import read_labelled
@@ -39,6 +40,14 @@ class Tuned(Generic[Fit]):
     fit: Fit  # Report of the fit, a record
 
 
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _FitOfScans:
+    """Network that is fitted to scans, and the origins of those that are registered."""
+
+    network: Network
+    origins: Origins
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class TuningScans:
     """Scans that a part of the weights is fitted to; `space` holds the classes of their labels."""
@@ -50,17 +59,30 @@ class TuningScans:
     loaded: Network  # As it is in its file
     progress: Callable[[int, int], object] | None = None  # Called after each scan
 
-    @cached_property
+    @property
     def network(self) -> Network:
         """Network fitted to the sensor of the scans, which are read at the first use."""
-        sample = sample_of_files(find_scans(self.source), self.loaded.sensor)
+        return self._fit.network
+
+    @property
+    def origins(self) -> Origins:
+        """Origins of registered scans by the poses of their sequences, as `predict` takes them."""
+        return self._fit.origins
+
+    @cached_property
+    def _fit(self) -> _FitOfScans:
+        by_poses = OriginsOfSource(listed=find_scans(self.source))
+        sample = sample_of_files(
+            by_poses.listed, self.loaded.sensor, origins_of=by_poses.sample_origins
+        )
         fitted = fit_scans(self.settings, self.loaded, sample)
         self.settings.announce(fitted)
-        return fitted
+        origins = by_poses.scan_origins(self.files, fitted.sensor)
+        return _FitOfScans(network=fitted, origins=origins)
 
     def read(self, file: ScanFile) -> "LabelledImage":
         """Read and project a scan with its labels."""
-        return read_labelled_image(file, self.network, self.space)
+        return read_labelled_image(file, self.network, self.space, self.origins.get(file.name))
 
     def run(self, job: ScanJob[Prepared, Computed, Result]) -> dict[ScanFile, Result]:
         """Run a job on the scans and return its results; report progress after each scan."""
@@ -100,12 +122,14 @@ class LabelledImage:
         return pixel_values.reshape(len(pixel_values), -1)[:, pixels].T
 
 
-def read_labelled_image(file: ScanFile, network: Network, space: LabelSpace) -> LabelledImage:
-    """Read a scan with its labels and project it."""
+def read_labelled_image(
+    file: ScanFile, network: Network, space: LabelSpace, origin: Origin | None = None
+) -> LabelledImage:
+    """Read a scan with its labels and project it; `origin` as of `sensor_of`."""
     annotated = read_labelled(file, space, network.sensor, class_sets([space]))
     scan = annotated.scan
     targets = annotated.labels
-    network = network.for_sensor(sensor_of(scan, network.sensor))
+    network = network.for_sensor(sensor_of(scan, network.sensor, origin))
     image = project(scan, network.sensor)
     is_scored = np.isin(targets, np.flatnonzero(space.scored))
     seen = image.pixel_of_point >= 0

@@ -10,6 +10,7 @@ from scans import SMALL
 from street_scans import moved, street
 
 from salsanext_cli import Scan, read_scan
+from salsanext_cli.core.geometry import sensor_place
 from salsanext_cli.core.geometry.evenness import is_out_of_place
 from salsanext_cli.core.geometry.sensor_frame import in_sensor_frame
 from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
@@ -114,3 +115,25 @@ def test_huge_coordinates_are_no_measurements():
     damaged = find_place(Scan(points, scan.intensity))
     assert np.hypot(*(damaged.position - PLACES[1])[:2]) < 0.8
     is_out_of_place(Scan(points, scan.intensity))
+
+
+def test_the_place_of_a_scan_is_searched_once(monkeypatch):
+    """Further readings of the file give equal points."""
+    scan = moved(street(0, seed=41), (12, 5, 1))
+    searched = []
+    search = sensor_place._place
+
+    def counted(many, *, verified):
+        searched.append(verified)
+        return search(many, verified=verified)
+
+    monkeypatch.setattr(sensor_place, "_place", counted)
+    first = find_place(scan)
+    again = find_place(Scan(scan.points.copy(), scan.intensity))
+    assert searched == [True]
+    assert again.position.tolist() == first.position.tolist()
+    assert find_place(scan, verified=False) is not None
+    assert searched == [True, False]
+    other = scan.points + np.float32([0.01, 0, 0])
+    find_place(Scan(other, scan.intensity))
+    assert searched == [True, False, True]

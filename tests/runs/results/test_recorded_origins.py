@@ -13,9 +13,10 @@ from map_drives import WAY, drive, write_poses
 from scans import SMALL, labels_below, write_bin, write_weights
 from street_scans import HEIGHT, low_street, moved, street
 
-from salsanext_cli import Scan, read_scan
+from salsanext_cli import Scan, label_space, read_scan
 from salsanext_cli.commands.stages.fuse import fuse_results
 from salsanext_cli.commands.stages.knn_refine import knn_refine_scans
+from salsanext_cli.commands.stages.pick import pick
 from salsanext_cli.commands.stages.picture import picture
 from salsanext_cli.commands.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.commands.stages.project import project_scans
@@ -29,12 +30,14 @@ from salsanext_cli.core.geometry.sensor_of_scan import placed_sensor, sensor_of
 from salsanext_cli.core.measures.expected_accuracy import WITHHELD_FOR
 from salsanext_cli.core.sensors.sensor import INTENSITY_LEVELS, Sensor
 from salsanext_cli.core.uncertainty.method import UncertaintyMethod
+from salsanext_cli.runs.fit.scan_reading import read_prepared
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.paths import ORIGINS, find_scans, output_path
 from salsanext_cli.runs.results.recorded_origins import recorded_origin
 from salsanext_cli.runs.results.result_folder import ResultFolder
+from salsanext_cli.training.tuning.scans import TuningScans
 
 DOWN = np.diag([1.0, -1, -1])
 
@@ -165,7 +168,7 @@ def require_same_results_in_three_stages(source: Path, weights: Path, folder: Pa
 
 
 @pytest.mark.parametrize("has_poses", [pytest.param(False, marks=pytest.mark.slow), True])
-@pytest.mark.usefixtures("workers_in_process", "places_found_once")
+@pytest.mark.usefixtures("workers_in_process")
 def test_three_stages_give_the_labels_of_predict(map_drive, tmp_path, has_poses):
     """The poses are those of another point of the vehicle, near the place that the points show."""
     shutil.copytree(map_drive / "velodyne", tmp_path / "velodyne")
@@ -177,7 +180,7 @@ def test_three_stages_give_the_labels_of_predict(map_drive, tmp_path, has_poses)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("has_poses", [False, True])
-@pytest.mark.usefixtures("workers_in_process", "places_found_once")
+@pytest.mark.usefixtures("workers_in_process")
 def test_three_stages_give_the_labels_of_predict_for_several_sensors(tmp_path, has_poses):
     places = np.array([*WAY[:3], (0, 0, 0), (0, 0, 0)], float)
     seeds = enumerate([street(32, seed=seed) for seed in range(3)])
@@ -190,6 +193,30 @@ def test_three_stages_give_the_labels_of_predict_for_several_sensors(tmp_path, h
     weights = tmp_path / "w.safetensors"
     require_same_results_in_three_stages(tmp_path / "velodyne", weights, tmp_path)
     assert len(Manifest(tmp_path / "out").settings("predict").sensor.members) == 2
+
+
+@pytest.mark.usefixtures("workers_in_process")
+def test_pick_and_tune_see_scans_from_the_poses_that_predict_uses(map_drive, tmp_path):
+    shutil.copytree(map_drive / "velodyne", tmp_path / "velodyne")
+    places = np.array(WAY, float) + (0.4, -0.3, 0.2)
+    write_poses(tmp_path / "poses.txt", places)
+    network = NetworkSettings(map_drive / "w.safetensors", "cpu", engine="torch")
+    scans = find_scans(tmp_path / "velodyne")
+    expected = dict(zip([scan.name for scan in scans], map(tuple, places.tolist()), strict=True))
+    tuning = TuningScans(
+        source=tmp_path / "velodyne",
+        files=scans,
+        space=label_space(),
+        settings=network,
+        loaded=network.load(),
+    )
+    assert tuning.origins == pytest.approx(expected)
+    with calls_of(read_prepared) as prepared:
+        pick(tmp_path / "velodyne", tmp_path / "picked", count=1, settings=network)
+    # All scans are described, and one of them is written.
+    assert len(prepared) == len(scans) + 1
+    for call in prepared:
+        assert call["origin"] == pytest.approx(expected[call["file"].name])
 
 
 def test_the_origin_of_each_scan_is_recorded(predicted_map, tmp_path):
