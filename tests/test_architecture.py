@@ -21,7 +21,15 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 WINGS = ("core", "io", "runs", "commands")
 """Parts that consist of parts: arrays, files, output folders, and the command line."""
 LEVELS = (
-    ("version", "core.caches", "core.notices", "core.records", "core.texts", "core.wording"),
+    (
+        "version",
+        "core.caches",
+        "core.memo",
+        "core.notices",
+        "core.records",
+        "core.texts",
+        "core.wording",
+    ),
     ("core.errors",),
     (
         "core.compiled",
@@ -165,7 +173,7 @@ WRITING_FUNCTIONS = {
 """Functions of libraries that write or replace the file that they are given."""
 REMOVERS = {
     "io/files/atomic.py": "gives complete files their names; unfinished files of killed runs",
-    "io/files/locks.py": "lock files, and temporary folders of killed runs",
+    "io/files/locks.py": "lock files, temporary folders of killed runs, empty folders",
     "io/files/user_cache.py": "the files of the cache that were not used for the longest time",
     "runs/loop/finished_attempts.py": "a temporary folder of the run",
     "runs/results/owned_folder.py": "files of an output folder that salsanext wrote",

@@ -68,7 +68,7 @@ class NetworkSettings:
             "ego": self.ego,
             "intensity": self.intensity,
         }
-        named = {
+        named: dict[str, object] = {
             name: value
             for name, value in values.items()
             if isinstance(value, str | int | float) and value != AUTO

@@ -98,7 +98,7 @@ def test_a_score_without_results_has_a_hint_in_the_words_of_the_caller(spelling)
     needing = {name: kind for name, kind in SCORE_KINDS.items() if kind.needs}
     assert len(needing) == 12
     with spelled(spelling):
-        scores_without_value = missed_limits(limits(**dict.fromkeys(needing, 1)), {}, None)
+        scores_without_value = judged_limits(limits(**dict.fromkeys(needing, 1)), {}, None)
     assert [score.name for score in scores_without_value] == [*needing]
     for score in scores_without_value:
         hint = score.reason.partition("\nhint: ")[2]

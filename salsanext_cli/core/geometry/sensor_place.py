@@ -100,7 +100,7 @@ def find_place(scan: Scan, *, verified: bool = True) -> SensorPlace | None:
     many = measured_positions(few_points(scan, MANY_POINTS))
     if len(many) < MIN_POINTS:
         return None
-    digest = hashlib.blake2b(np.ascontiguousarray(many), digest_size=16).digest()
+    digest = hashlib.blake2b(many.tobytes(), digest_size=16).digest()
     return _places.result((digest, verified), partial(_place, many, verified=verified))
 
 

@@ -134,9 +134,7 @@ class OutputRun(OwnedFolder):
                 return
             others = [other for other in self.manifest.records().values() if other != record]
             needed = {name for other in others for name in files_of(other.settings)}
-            self.record_path.unlink(missing_ok=True)
-            for name in files_of(record.settings) - needed:
-                (self.root / name).unlink(missing_ok=True)
+            self.remove_records([self.record_path.name, *(files_of(record.settings) - needed)])
 
     def _earlier_records(self, new: StageRecord) -> EarlierRecords:
         """Return the records of the folder that concern a run of this stage."""

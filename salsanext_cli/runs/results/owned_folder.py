@@ -185,6 +185,11 @@ class OwnedFolder:
             log.warning(text, first_few(foreign))
         return foreign
 
+    def remove_records(self, names: Iterable[str]) -> None:
+        """Remove records of the stage by name, which no list contains."""
+        for name in names:
+            (self.root / name).unlink(missing_ok=True)
+
     def written(self) -> list[Path]:
         """Return every listed file that exists, whether foreign or not, sorted."""
         return sorted(path for path in self.states() if os.path.lexists(path))

@@ -3,7 +3,6 @@
 
 import os
 import re
-import shlex
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -33,6 +32,7 @@ from salsanext_cli.runs.results.scan_folders import (
     ambiguous_folders,
     folders_in,
     folders_of_one_name,
+    hint_of_labels,
     names_in,
     other_files_below,
     scan_names,
@@ -44,7 +44,6 @@ from salsanext_cli.runs.results.scan_folders import (
 )
 
 SINGLE_SCAN_STAGES = ("predict", "knn-refine", "uncertainty")
-LABEL_SUFFIX = ".label"
 FUSED = "fused"  # Folder of the fused labels in the folder of the labels of single scans
 PREDICTION_STAGES = (*SINGLE_SCAN_STAGES, "fuse")  # Stages whose results later stages read
 ERROR = "uncertainty/error"
@@ -83,7 +82,7 @@ def _unread_file_error(path: Path) -> NoInputError:
     problem = f"{path.suffix} files are not supported" if path.suffix else "has no suffix"
     if unread_kind(path.name) == UNFINISHED:
         problem = "is a bag that was never closed"
-    hint = _hint_of_labels(path.parent, [path.name]) or conversion_hint(path)
+    hint = hint_of_labels(path.parent, [path.name]) or conversion_hint(path)
     return NoInputError(path, problem, f"one of {suffixes_in_words()}", hint)
 
 
@@ -96,17 +95,8 @@ def _no_scans_error(source: Path, others: list[str]) -> NoInputError:
         return NoInputError(source, problem, expected, f"give one recording, such as {inside[0]}")
     paths = [source / name for name in others]
     problem = f"contains no scans{f', but {counted_by_suffix(paths)}' if paths else ''}"
-    hint = _hint_of_labels(source, others) or folder_hint(source, others)
+    hint = hint_of_labels(source, others) or folder_hint(source, others)
     return NoInputError(source, problem, f"{expected}, or a recording", hint)
-
-
-def _hint_of_labels(folder: Path, names: list[str]) -> str:
-    """Return the hint for files of labels in a folder, to give that of their scans; else ""."""
-    if not any(name.endswith(LABEL_SUFFIX) for name in names):
-        return ""
-    scans = Path(os.path.normpath(folder / os.pardir / SCAN_FOLDER))
-    place = shlex.quote(str(scans)) if scans.is_dir() else "the folder of the scans"
-    return f"labels are no scans: give {place}"
 
 
 @dataclass(frozen=True, slots=True, order=True, kw_only=True)

@@ -22,6 +22,7 @@ OWN_TABLES = ("scores.txt", "log.csv", "picked.csv")
 """Tables of `eval`, `train` and `pick`, which are scans only if they are named."""
 FILE_LISTS = ".salsanext.files"
 """Folder with the lists of written files, in the root of folders that stages fill."""
+LABEL_SUFFIX = ".label"
 TEXT_SUFFIXES = (".txt", ".csv", ".asc", ".pts")
 """Suffixes of tables that are usually no scans."""
 CERTAIN = 2  # Rank of clouds and of files in a known layout
@@ -296,3 +297,12 @@ def _counted(folder: ScanFolder, root: Path) -> str:
     counts = sorted(Counter(folder.suffixes.values()).items())
     text = ", ".join(f"{count} {suffix}" for suffix, count in counts)
     return f"{folder.path.relative_to(root)} ({text})"
+
+
+def hint_of_labels(folder: Path, names: Iterable[str]) -> str:
+    """Return the hint for files of labels in a folder, to give that of their scans; else ""."""
+    if not any(name.endswith(LABEL_SUFFIX) for name in names):
+        return ""
+    scans = Path(os.path.normpath(folder / os.pardir / SCAN_FOLDER))
+    place = shlex.quote(str(scans)) if scans.is_dir() else "the folder of the scans"
+    return f"labels are no scans: give {place}"

@@ -260,14 +260,14 @@ def test_the_first_run_without_results_is_withdrawn_and_others_are_not(tmp_path:
 
 
 def test_a_file_of_digests_stays_while_a_record_names_it(tmp_path: Path) -> None:
-    digests = PredictSettings(weights="abc", trained_on="0" * 64)
+    digests = PredictSettings(weights="abc", trained_on="0" * 24)
     scans = scans_of(tmp_path, "a")
     with output_run(
         tmp_path, "predict", digests, ("predictions",), scans, overwrite=False
     ) as output:
         output.write_labels(scans[0], np.uint32([40]))
     (named,) = tmp_path.glob("digests-*")
-    other = UncertaintySettings(weights="abc", trained_on="0" * 64)
+    other = UncertaintySettings(weights="abc", trained_on="0" * 24)
     with output_run(
         tmp_path, "uncertainty", other, ("uncertainty/epistemic",), scans, overwrite=False
     ):
