@@ -26,7 +26,7 @@ from salsanext_cli.io.formats.recordings import (
 from salsanext_cli.io.formats.ros.bag_copies import CloudChange, Types, copy_bag
 from salsanext_cli.io.formats.ros.bags import HINT, Bag
 from salsanext_cli.runs.loop.run import Failure, Outcome, RunOptions
-from salsanext_cli.runs.results.making_commands import PREDICT
+from salsanext_cli.runs.results.making_commands import making_hint
 from salsanext_cli.runs.results.owned_folder import OwnedFolder, files_at
 from salsanext_cli.runs.results.paths import ScanFile, output_path
 from salsanext_cli.runs.results.result_folder import ResultFolder
@@ -186,7 +186,7 @@ class BagRun:
             return
         of_clouds = f"{len(missing):,} of {counted(len(clouds), 'cloud')}"
         problem = f"has no labels of {of_clouds}, such as {measured.stem}"
-        hint = self.results.command(PREDICT, measured)
+        hint = making_hint("label", self.results.root, measured)
         raise NoInputError(bag.path, problem, "labels of all clouds of the topic", hint)
 
     def _warn_of_other_topics(
