@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Arguments and options of more than one command: scans, sensors and networks."""
 
-from dataclasses import fields
+from dataclasses import MISSING, dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, overload
@@ -10,7 +10,9 @@ import typer
 
 from salsanext_cli.commands.line.expansion import Default, Without
 from salsanext_cli.commands.line.option_fields import (
+    DeclarationChange,
     argument,
+    declared_field,
     network_option,
     option,
     running_option,
@@ -32,23 +34,34 @@ if TYPE_CHECKING:
 OUT_VARIABLE = "SALSANEXT_OUT"
 SCANS_HELP = "Scan file, folder of scans, sequence folder, data set or recording."
 FORMATS = f"{' '.join(SCAN_SUFFIXES)}; of recordings: {' '.join(RECORDING_SUFFIXES)}"
-SUBSET = {"names": ("--subset",), "help": "Only N scans, evenly spaced over the data."}
+SUBSET = DeclarationChange(names=("--subset",), help="Only N scans, evenly spaced over the data.")
+"""Declaration of `ScanSelection.limit` in commands that spread the scans over the data."""
 EXPECTED_SCANS = "scan file, folder of scans, sequence folder, data set or recording"
 DEFAULT_SCANS = "the data set or sequence in the current folder"
 
 
-def _option_of(record: type[Any], field_name: str, **changes: Any) -> Any:
+def _option_of(
+    record: type[Any], field_name: str, *, default: Any = MISSING, show_default: str | None = None
+) -> Any:
     """Return the option of one field of a record, for a command that takes no other of its fields.
 
-    The `parse` of the field is dropped. `changes`: arguments of `option` that replace those of the
-    field.
+    Parameters
+    ----------
+    record : type
+        The record.
+    field_name : str
+        Name of its field. The command gets the text that was typed, also if the field has a
+        `parse`.
+    default : object, optional
+        Default of the option; by default that of the field.
+    show_default : str, optional
+        Default in words; by default as of the field.
     """
-    default = next(field.default for field in fields(record) if field.name == field_name)
-    metadata = OPTIONS[record][field_name].metadata
-    declaration = {"default": default, **metadata["option"], **changes}
-    text = declaration.pop("help")
-    panel = declaration.pop("rich_help_panel")
-    return option(text, *metadata["names"], panel=panel, **declaration)
+    if default is MISSING:
+        default = next(field.default for field in fields(record) if field.name == field_name)
+    declaration = replace(OPTIONS[record][field_name], parse=None)
+    changed = declaration.changed(DeclarationChange(show_default=show_default))
+    return declared_field(changed, default)
 
 
 SCANS = argument(SCANS_HELP, metavar="SCANS", show_default=DEFAULT_SCANS)
@@ -119,39 +132,73 @@ def source(scans: Path | None, dataset: Path | None, topic: str | None) -> Path:
     return in_topic(scans or dataset or Path(), topic)
 
 
-def sources(
-    context: typer.Context, scans: Path | None, out: Path, dataset: Path | None, topic: str | None
-) -> tuple[Path | list[Path], Path]:
-    """Return the sources of the scans, and OUT, which is the last argument of several."""
-    from salsanext_cli.io.files.reading import is_folder, present
-    from salsanext_cli.runs.results.paths import require_none_hidden
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScansAndOut:
+    """Where a command reads its scans, and where it writes its results."""
 
-    sources_of_scans, out = _split_sources(context, scans, out)
+    scans: Path | list[Path]  # One source, or several
+    out: Path
+
+
+def scans_and_out(
+    context: typer.Context, scans: Path | None, out: Path, dataset: Path | None, topic: str | None
+) -> ScansAndOut:
+    """Return the sources of the scans, and OUT, which is the last argument of several.
+
+    Parameters
+    ----------
+    context : typer.Context
+        Its `args` are the paths after the second.
+    scans : Path, optional
+        First path that was typed.
+    out : Path
+        Second path that was typed, else the default of OUT.
+    dataset : Path, optional
+        Value of ``--dataset``.
+    topic : str, optional
+        Value of ``--topic``.
+
+    Raises
+    ------
+    UsageError
+        If there are no scans, or OUT is a file.
+    OutputError
+        If the results would hide scans that lie in OUT.
+    """
+    from salsanext_cli.runs.results.paths import require_no_hidden_scans
+
+    paths = _typed_paths(context, scans, out)
+    sources = paths[:-1]
+    out = paths[-1]
+    _require_folder(out)
+    if len(sources) > 1:
+        if topic is not None:
+            raise UsageError("--topic", f"{len(sources)} sources were given", "one recording")
+        require_no_hidden_scans(out)
+        return ScansAndOut(scans=sources, out=out)
+    single = source(scans, dataset, topic)
+    if scans is not None:
+        # Without SCANS, no OUT was typed that could be a wrong one.
+        if _is_apart(out, single):
+            require_no_hidden_scans(out)
+        _notice_shared_folder(single, out)
+    return ScansAndOut(scans=single, out=out)
+
+
+def _typed_paths(context: typer.Context, scans: Path | None, out: Path) -> list[Path]:
+    """Return all paths that were typed, in their order; the last one is OUT."""
+    # Typer fills SCANS and OUT with the first two; the rest is in `context.args`.
+    first = [] if scans is None else [scans]
+    return [*first, out, *map(Path, context.args)]
+
+
+def _require_folder(out: Path) -> None:
+    """Refuse a file as OUT."""
+    from salsanext_cli.io.files.reading import is_folder, present
+
     if present(out) and not is_folder(out):
         hint = "give OUT last: salsanext predict a.bin b.bin out/"
         raise UsageError("OUT", f"{out} is a file", "a folder for the results", hint)
-    if len(sources_of_scans) < 2:
-        single = source(scans, dataset, topic)
-        if scans is not None:
-            if _is_apart(out, single):
-                require_none_hidden(out)
-            _notice_shared_folder(single, out)
-        return single, out
-    if topic is not None:
-        raise UsageError("--topic", f"{len(sources_of_scans)} sources were given", "one recording")
-    require_none_hidden(out)
-    return sources_of_scans, out
-
-
-def _split_sources(
-    context: typer.Context, scans: Path | None, out: Path
-) -> tuple[list[Path], Path]:
-    """Return the sources that are named, and OUT: the last of all arguments."""
-    # Typer fills SCANS and OUT with the first two; the rest is in `context.args`.
-    paths = [out, *map(Path, context.args)]
-    if scans:
-        paths.insert(0, scans)
-    return paths[:-1], paths[-1]
 
 
 def _is_apart(out: Path, source: Path) -> bool:

@@ -20,8 +20,8 @@ from salsanext_cli.commands.line.interruption import (
     end_line,
     interruptible,
     keep_exit_status,
+    on_interruption,
     signal_number,
-    stating,
 )
 from salsanext_cli.commands.line.option_fields import option, option_group
 from salsanext_cli.commands.line.option_names import CommandLine
@@ -221,7 +221,7 @@ def writing(
     """Show the progress of the body, and state what is finished if it is interrupted."""
     with progress(label, quiet, unit) as bar:
         written = Written(unit=unit, at_end=at_end, show=bar)
-        with stating(written.finished):
+        with on_interruption(written.finished):
             yield written
 
 

@@ -4,7 +4,7 @@
 import dataclasses
 import functools
 import inspect
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
@@ -12,7 +12,8 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 import typer
 
 from salsanext_cli.commands.line.completion import COMPLETERS
-from salsanext_cli.commands.line.option_groups import declaration
+from salsanext_cli.commands.line.option_fields import Declaration, DeclarationChange, declaration_in
+from salsanext_cli.commands.line.option_groups import declaration_of
 
 
 class Without(frozenset[str]):
@@ -23,11 +24,8 @@ class Default(dict[str, Any]):
     """Fields with another default: ``Annotated[ScanSelection, Default(limit=20)]``."""
 
 
-class Declared(dict[str, dict[str, Any]]):
-    """Fields with another declaration: ``Annotated[ScanSelection, Declared(limit={"help": "…"})]``.
-
-    The keys are arguments of `typer.Option`, and ``names``.
-    """
+class Declared(dict[str, DeclarationChange]):
+    """Fields with another declaration, ``Annotated[ScanSelection, Declared(limit=SUBSET)]``."""
 
 
 METAVARS = {int: "N", float: "NUMBER", Path: "PATH", str: "NAME"}
@@ -53,9 +51,8 @@ def expanded(command: Callable[..., None]) -> Callable[..., None]:
         if dataclasses.is_dataclass(kind) and isinstance(kind, type):
             groups[name] = OptionGroup.from_dataclass(kind, marks)
             parameters += groups[name].parameters()
-        elif isinstance(parameter.default, dataclasses.Field):
-            declared = parameter.default.metadata
-            parameters.append(_parameter(name, hint, declared, parameter.default.default))
+        elif declaration := declaration_in(parameter.default):
+            parameters.append(_parameter(name, hint, declaration, parameter.default.default))
         else:
             parameters.append(parameter.replace(annotation=hint, kind=parameter.KEYWORD_ONLY))
 
@@ -103,15 +100,15 @@ class OptionGroup:
         group = cls(kind=kind, defaults=defaults)
         for name, field in fields.items():
             defaults[name] = changes.defaults.get(name, field.default)
-            declared = declaration(kind, field)
-            if declared is None and isinstance(field.type, type):
+            declaration = declaration_of(kind, field)
+            if declaration is None and isinstance(field.type, type):
                 group.nested[name] = OptionGroup.from_dataclass(field.type, marks)
-            elif declared is not None and name not in changes.hidden:
-                arguments = changes.arguments.get(name, {})
-                option = _parameter(name, field.type, declared, defaults[name], arguments)
-                group.options[name] = option
-                if declared["parse"]:
-                    group.parsers[name] = declared["parse"]
+            elif declaration is not None and name not in changes.hidden:
+                if name in changes.declarations:
+                    declaration = declaration.changed(changes.declarations[name])
+                group.options[name] = _parameter(name, field.type, declaration, defaults[name])
+                if declaration.parse:
+                    group.parsers[name] = declaration.parse
         return group
 
     def parameters(self) -> Iterator[inspect.Parameter]:
@@ -140,7 +137,7 @@ class Changes:
     """Changes of the options of a dataclass, from the marks of its annotation."""
 
     defaults: dict[str, Any] = dataclasses.field(default_factory=dict)
-    arguments: dict[str, dict[str, Any]] = dataclasses.field(default_factory=dict)
+    declarations: dict[str, DeclarationChange] = dataclasses.field(default_factory=dict)
     hidden: set[str] = dataclasses.field(default_factory=set)
 
     @classmethod
@@ -151,27 +148,21 @@ class Changes:
             if isinstance(mark, Default):
                 changes.defaults |= mark
             elif isinstance(mark, Declared):
-                changes.arguments |= mark
+                changes.declarations |= mark
             elif isinstance(mark, Without):
                 changes.hidden |= mark
         return changes
 
 
-def _parameter(
-    name: str,
-    kind: Any,
-    declared: Mapping[str, Any],
-    default: Any,
-    changes: Mapping[str, Any] | None = None,
-) -> inspect.Parameter:
+def _parameter(name: str, kind: Any, declaration: Declaration, default: Any) -> inspect.Parameter:
     """Return the parameter that typer reads for a declaration by `option` or `argument`."""
-    if "argument" in declared:
-        arguments = {"metavar": _metavar(kind), **declared["argument"]}
-        mark = typer.Argument(**arguments)
+    mark: typer.models.ParameterInfo
+    if declaration.is_argument:
+        mark = typer.Argument(**{"metavar": _metavar(kind), **declaration.typer_arguments})
     else:
-        kind = declared["typed"] or kind
-        mark = _option(name, kind, declared, changes or {})
-        if declared["parse"]:
+        kind = declaration.typed or kind
+        mark = _option(name, kind, declaration)
+        if declaration.parse:
             default = None
             kind = str | None
     return inspect.Parameter(
@@ -182,16 +173,14 @@ def _parameter(
     )
 
 
-def _option(
-    name: str, kind: Any, declared: Mapping[str, Any], changes: Mapping[str, Any]
-) -> typer.models.OptionInfo:
+def _option(name: str, kind: Any, declaration: Declaration) -> typer.models.OptionInfo:
     """Return typer's declaration of an option."""
     option_name = f"--{name.replace('_', '-')}"
-    arguments = {"metavar": _metavar(kind), **declared["option"], **changes}
-    names = arguments.pop("names", declared["names"])
+    arguments = {"metavar": _metavar(kind), **declaration.typer_arguments}
+    names = declaration.names
     if not names and kind is bool:
         # A flag of one name, without its contrary.
-        names = [option_name]
+        names = (option_name,)
     first_name = names[0] if names else option_name
     if first_name in COMPLETERS and get_origin(kind) is not Literal:
         arguments["autocompletion"] = COMPLETERS[first_name]

@@ -13,7 +13,7 @@ WORDS: dict[int, str] = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminat
 NO_HALF_FILES = "no file is incomplete"
 ARRIVED: list[int] = []  # Number of the first signal, if any
 BUSY: list[bool] = []  # Not empty while a command runs
-PROGRESS: list[Callable[[], str]] = []  # The last one states what is finished, in words
+STATEMENTS: list[Callable[[], str]] = []  # The last one returns what is finished, in words
 REPEATED_S = 1.0  # `timeout` sends one signal twice: to a process and to its group
 
 
@@ -50,7 +50,7 @@ def handle_signals() -> None:
 def interruptible() -> Iterator[None]:
     """Raise `KeyboardInterrupt` after a body with a signal, even if a library has caught it."""
     BUSY.append(True)
-    PROGRESS.clear()
+    STATEMENTS.clear()
     try:
         yield
     finally:
@@ -60,12 +60,15 @@ def interruptible() -> Iterator[None]:
 
 
 @contextmanager
-def stating(finished: Callable[[], str]) -> Iterator[None]:
-    """State what is finished by a function if the body is interrupted."""
-    PROGRESS.append(finished)
+def on_interruption(state: Callable[[], str]) -> Iterator[None]:
+    """If the body is interrupted, end with a line that states what is finished.
+
+    `state`: called after the interruption; returns what is finished, in words.
+    """
+    STATEMENTS.append(state)
     yield
-    # After an exception it stays, since the line about the interruption needs it.
-    PROGRESS.remove(finished)
+    # After an exception it stays, since `end_line` needs it.
+    STATEMENTS.remove(state)
 
 
 def require_uninterrupted() -> None:
@@ -90,5 +93,5 @@ def signal_number() -> int:
 
 def end_line() -> str:
     """Return the line to print after an interruption, which states what is finished."""
-    finished = PROGRESS[-1]() if PROGRESS else NO_HALF_FILES
+    finished = STATEMENTS[-1]() if STATEMENTS else NO_HALF_FILES
     return f"{WORDS[signal_number()]}: {finished}"

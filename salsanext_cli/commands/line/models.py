@@ -35,16 +35,16 @@ def models(
     networks = [*ARCHITECTURES, *plugged_networks()]
     installed = plug_ins()
     described = [describe_weights(weights_file(path)) for path in weights or [DEFAULT_WEIGHTS]]
-    parts: list[RenderableType] = [card_table(card) for card in described]
+    tables: list[RenderableType] = [card_table(card) for card in described]
     if installed:
         headings = list(installed[0])
         rows = [list(plug_in.values()) for plug_in in installed]
-        parts.append(table_of(headings, rows, texts=headings, title="Plug-ins"))
-    parts.append(Text(f"networks: {', '.join(networks)}"))
+        tables.append(table_of(headings, rows, texts=headings, title="Plug-ins"))
+    tables.append(Text(f"networks: {', '.join(networks)}"))
     if not any(name.startswith(PAPER_NETWORKS) for name in networks):
-        parts.append(Text(f"networks of the papers: {extra_command('paper')}"))
+        tables.append(Text(f"networks of the papers: {extra_command('paper')}"))
     result = {"stage": "models", "models": networks, "plug_ins": installed, "weights": described}
-    output.result(result, Group(*parts))
+    output.result(result, Group(*tables))
 
 
 def import_weights(

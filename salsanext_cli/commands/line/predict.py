@@ -114,7 +114,9 @@ def predict(
     from salsanext_cli.runs.fit.range_images import projected_sensor
     from salsanext_cli.runs.results.paths import FUSED
 
-    source, out = arguments.sources(context, scans, out, dataset, topic)
+    places = arguments.scans_and_out(context, scans, out, dataset, topic)
+    source = places.scans
+    out = places.out
     if extras.fuse:
         extras.require_fusable(source, out, running)
     settings = replace(settings, classes=named_label_space(classes))

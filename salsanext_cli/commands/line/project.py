@@ -35,7 +35,9 @@ def project(
     """
     from salsanext_cli.commands.stages.project import project_scans
 
-    source, out = arguments.sources(context, scans, out, dataset, topic)
+    places = arguments.scans_and_out(context, scans, out, dataset, topic)
+    source = places.scans
+    out = places.out
     sensor = settings.named_sensor() or settings.trained_sensor()
     with over_scans("project", running, output.quiet) as options:
         outcome = project_scans(

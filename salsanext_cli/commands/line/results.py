@@ -233,16 +233,16 @@ def _evaluation_tables(evaluation: "Evaluation") -> "Group":
 
     from salsanext_cli.report import tables
 
-    parts: list[Any] = [tables.score_table(evaluation.scores, evaluation.doubt)]
+    printed: list[Any] = [tables.score_table(evaluation.scores, evaluation.doubt)]
     if evaluation.by_distance:
-        parts.append(tables.band_table(evaluation.by_distance))
-    parts += tables.uncertainty_tables(evaluation.uncertainty)
+        printed.append(tables.band_table(evaluation.by_distance))
+    printed += tables.uncertainty_tables(evaluation.uncertainty)
     if evaluation.uncertainty.accepted:
-        parts.append(Text(evaluation.uncertainty.accepted.sentence))
+        printed.append(Text(evaluation.uncertainty.accepted.sentence))
     if evaluation.accepted:
-        parts.append(tables.accepted_table(evaluation.accepted.classes))
-        parts.append(Text("\n".join(_rejection_sentences(evaluation, evaluation.accepted))))
-    return Group(*parts)
+        printed.append(tables.accepted_table(evaluation.accepted.classes))
+        printed.append(Text("\n".join(_rejection_sentences(evaluation, evaluation.accepted))))
+    return Group(*printed)
 
 
 def _rejection_sentences(evaluation: "Evaluation", accepted: "AcceptedLabels") -> list[str]:

@@ -3,14 +3,13 @@
 
 import shlex
 from collections.abc import Iterable
-from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from salsanext_cli.commands.line import arguments, console
 from salsanext_cli.commands.line.completion import completer
 from salsanext_cli.commands.line.console import progress
-from salsanext_cli.commands.line.interruption import require_uninterrupted, stating
+from salsanext_cli.commands.line.interruption import on_interruption, require_uninterrupted
 from salsanext_cli.commands.line.option_fields import argument, network_option, option_group
 from salsanext_cli.core.texts import counted, percentage
 from salsanext_cli.runs.network_settings import weights_file
@@ -96,7 +95,10 @@ def train(
     if not group_of_environment().is_main:
         output = console.Output(quiet=True)
         console.log_to_stderr(quiet=True)
-    with progress("train", output.quiet, unit="steps") as bar, stating(lambda: resumption(run)):
+    with (
+        progress("train", output.quiet, unit="steps") as bar,
+        on_interruption(lambda: resumption(run)),
+    ):
         result = stage(
             dataset,
             run,
@@ -108,15 +110,9 @@ def train(
             weights=weights_file(start.weights) if start.weights else None,
             overwrite=overwrite,
             also=start.also or (),
-            progress=lambda report: _print_step(report, bar, output),
+            progress=lambda report: _show_step(report, bar, output),
         )
-    data: dict[str, Any] = {"stage": "train", "best_miou": result.best_miou}
-    if result.expected:
-        data["expected"] = asdict(result.expected)
-    data["best"] = str(result.best)
-    data["last"] = str(result.last)
-    data["warnings"] = result.warnings
-    output.result(data)
+    output.result(result.to_dict())
     output.print(f"train: {_score_text(result)} → {result.best}")
     output.print(f"next: salsanext predict SCANS OUT --weights {shlex.quote(str(result.best))}")
 
@@ -152,7 +148,7 @@ def _estimate_text(name: str, mean: float, spread: float | None, before: float |
     return text
 
 
-def _print_step(report: "StepReport", bar: "Progress | None", output: console.Output) -> None:
+def _show_step(report: "StepReport", bar: "Progress | None", output: console.Output) -> None:
     """Move the bar at every step; print a line at the end of an epoch."""
     require_uninterrupted()
     if bar is not None:

@@ -11,7 +11,13 @@ from salsanext_cli.commands.line import arguments, console
 from salsanext_cli.commands.line.console import guarded, writing
 from salsanext_cli.commands.line.expansion import Declared, Default, Without, expanded
 from salsanext_cli.commands.line.help import Command, Group
-from salsanext_cli.commands.line.option_fields import argument, option, option_group, running_option
+from salsanext_cli.commands.line.option_fields import (
+    DeclarationChange,
+    argument,
+    option,
+    option_group,
+    running_option,
+)
 from salsanext_cli.core.texts import counted, percentage
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.scan_selection import ScanSelection
@@ -29,7 +35,8 @@ class Fit:
 FitOptions = Annotated[
     Fit,
     Declared(
-        split={"show_default": "valid, and the sequences of no split"}, limit=arguments.SUBSET
+        split=DeclarationChange(show_default="valid, and the sequences of no split"),
+        limit=arguments.SUBSET,
     ),
     Default(precision="auto"),
 ]
@@ -203,7 +210,7 @@ def tune_int8(
     fit: Annotated[
         Fit,
         Without({"device", "precision", "engine"}),
-        Declared(split={"show_default": "all scans"}, limit=arguments.SUBSET),
+        Declared(split=DeclarationChange(show_default="all scans"), limit=arguments.SUBSET),
         Default(limit=16),
     ],
     output: console.Output,

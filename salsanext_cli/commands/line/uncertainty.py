@@ -46,7 +46,9 @@ def uncertainty(
     from salsanext_cli.commands.stages.uncertainty import uncertainty as stage
     from salsanext_cli.core.uncertainty.method import UncertaintyMethod
 
-    source, out = arguments.sources(context, scans, out, dataset, topic)
+    places = arguments.scans_and_out(context, scans, out, dataset, topic)
+    source = places.scans
+    out = places.out
     with over_scans("uncertainty", running, output.quiet) as options:
         outcome = stage(
             source,

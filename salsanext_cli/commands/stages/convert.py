@@ -18,7 +18,7 @@ from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.results.layouts import SCAN_FOLDER
 from salsanext_cli.runs.results.manifest import StageRecord
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
-from salsanext_cli.runs.results.paths import ScanFile, find_scans, require_none_hidden
+from salsanext_cli.runs.results.paths import ScanFile, find_scans, require_no_hidden_scans
 
 TIMES = "times.txt"
 
@@ -66,7 +66,7 @@ def convert(
     owned = OwnedFolder(folder, "convert", str(sequence))
     scan_folder = folder / sequence / SCAN_FOLDER
     times = folder / sequence / TIMES
-    require_none_hidden(folder)
+    require_no_hidden_scans(folder)
     with owned.open():
         owned.refuse_foreign([*_visible_files(scan_folder), times])
         owned.manifest.write(_source_of(listed[0], owned))

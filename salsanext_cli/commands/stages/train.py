@@ -16,6 +16,7 @@ from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.notices import NOTICE
+from salsanext_cli.core.plain_data import plain
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.texts import counted
 from salsanext_cli.core.wording import setting
@@ -79,6 +80,16 @@ class TrainResult:
     rows: Sequence[Row]  # The log, a row per epoch
     warnings: list[ScanWarning]  # Reasons to doubt scans
     expected: Expectation | None = None  # Estimate for new scans, after a cross-validation
+
+    def to_dict(self) -> dict[str, object]:
+        """Return plain data for JSON; the log is a file of its own."""
+        data: dict[str, object] = {"stage": "train", "best_miou": self.best_miou}
+        if self.expected is not None:
+            data["expected"] = plain(self.expected)
+        data["best"] = str(self.best)
+        data["last"] = str(self.last)
+        data["warnings"] = plain(self.warnings)
+        return data
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

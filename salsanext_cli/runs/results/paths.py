@@ -142,15 +142,15 @@ def find_scans(
     `unique`: whether to refuse several files of one name.
     """
     try:
-        place = _absolute(source)
+        root = _absolute(source)  # Messages name the source as the user gave it
         is_file = present(source) and not source.is_dir()
-        if is_file and not recording_of(place) and not scan_suffix(source.name):
+        if is_file and not recording_of(root) and not scan_suffix(source.name):
             raise _unread_file_error(source)
-        scans = sorted(_scans_of(place))
+        scans = sorted(_scans_of(root))
         if source.is_dir() and all(is_table(scan.path.name) for scan in scans[:1]):
-            scans = _scans_below(source, place, scans)
+            scans = _scans_below(source, root, scans)
         elif source.is_dir():
-            scans = _with_scans_elsewhere(source, place, scans)
+            scans = _with_scans_elsewhere(source, root, scans)
         others = names_in(source) if not scans and source.is_dir() else []
     except OSError as error:
         raise NoInputError(source, reason(error), "a scan or a folder of scans") from error
@@ -205,15 +205,15 @@ def _scans_of_folder(path: Path) -> list[ScanFile]:
     return scans_of_sequence or _scans_at(path)
 
 
-def require_none_hidden(root: Path) -> None:
+def require_no_hidden_scans(out: Path) -> None:
     """Refuse to write sequences of scans into a folder if they would hide other scans there."""
-    place = _absolute(root)
-    first = next(_scans_of(place), None) if place.is_dir() else None
+    absolute = _absolute(out)
+    first = next(_scans_of(absolute), None) if absolute.is_dir() else None
     if first is None or is_table(first.path.name):
         return
-    if place / "sequences" not in first.path.parents:
+    if absolute / "sequences" not in first.path.parents:
         problem = f"contains scans, such as {first.path.name}, that `sequences` would hide"
-        raise OutputError(root, problem, "a separate output folder", "use another, such as data/")
+        raise OutputError(out, problem, "a separate output folder", "use another, such as data/")
 
 
 def _scans_at(path: Path) -> list[ScanFile]:
@@ -246,61 +246,61 @@ def _scan_files(folder: ScanFolder, sequence: str) -> Iterator[ScanFile]:
         yield ScanFile(sequence=drive or sequence, stem=stem, path=folder.path / name)
 
 
-def _scans_below(source: Path, place: Path, tables: list[ScanFile]) -> list[ScanFile]:
+def _scans_below(source: Path, root: Path, tables: list[ScanFile]) -> list[ScanFile]:
     """Return the scans of a folder that contains none, or only tables, from the folders below it.
 
     Tables are the scans unless there is a known layout below.
     """
-    if recording_of(place) or (tables and layout_of(place, [scan.path.name for scan in tables])):
+    if recording_of(root) or (tables and layout_of(root, [scan.path.name for scan in tables])):
         return tables
     if tables:
-        return _layout_below(source, place) or tables
-    search = search_below(place)
+        return _layout_below(source, root) or tables
+    search = search_below(root)
     chosen = [] if search.stopped_after else usable(search.folders)
     if not chosen and search.folders:
-        raise ambiguous_folders(source, place, search)
+        raise ambiguous_folders(source, root, search)
     if not chosen:
         error = other_files_below(source, search)
         if error is not None:
             raise error
         return []
-    notice_once(words_of_choice(source, place, chosen, search.folders))
-    return _scans_of_folders(source, place, chosen)
+    notice_once(words_of_choice(source, root, chosen, search.folders))
+    return _scans_of_folders(source, root, chosen)
 
 
-def _layout_below(source: Path, place: Path) -> list[ScanFile]:
+def _layout_below(source: Path, root: Path) -> list[ScanFile]:
     """Return the scans of the only known layout below a folder of tables; print what is not used.
 
     Refuse a known layout that a search found before it stopped.
     """
-    search = search_below(place, MAX_ENTRIES_BESIDE_TABLES)
-    itself = ScanFolder(place, scan_names(names_in(place)))
+    search = search_below(root, MAX_ENTRIES_BESIDE_TABLES)
+    itself = ScanFolder(root, scan_names(names_in(root)))
     layouts = [folder for folder in search.folders if folder.layout]
     if search.stopped_after and layouts:
         tables = itself if itself.suffixes else None
-        raise ambiguous_folders(source, place, replace(search, folders=layouts), tables)
+        raise ambiguous_folders(source, root, replace(search, folders=layouts), tables)
     if chosen := usable(layouts):
-        notice_once(words_of_choice(source, place, chosen, [itself, *search.folders]))
-        return _scans_of_folders(source, place, chosen)
+        notice_once(words_of_choice(source, root, chosen, [itself, *search.folders]))
+        return _scans_of_folders(source, root, chosen)
     clouds = [folder for folder in search.folders if folder.rank == CERTAIN]
-    if words := words_of_others(source, place, clouds, 0):
+    if words := words_of_others(source, root, clouds, 0):
         notice_once(words)
     return []
 
 
-def _scans_of_folders(source: Path, place: Path, folders: Iterable[ScanFolder]) -> list[ScanFile]:
+def _scans_of_folders(source: Path, root: Path, folders: Iterable[ScanFolder]) -> list[ScanFile]:
     """Return the scans of folders below a root; refuse several folders of one sequence."""
     scans: list[ScanFile] = []
     for folder in folders:
         name = sequence_name(folder.path, folder.suffixes)
         if folder.layout:
-            name = folder.layout.sequence_below(folder.path, place)
+            name = folder.layout.sequence_below(folder.path, root)
         scans += _scan_files(folder, name)
-    _require_a_folder_each(source, place, scans)
+    _require_a_folder_each(source, root, scans)
     return sorted(scans)
 
 
-def _require_a_folder_each(source: Path, place: Path, scans: Iterable[ScanFile]) -> None:
+def _require_a_folder_each(source: Path, root: Path, scans: Iterable[ScanFile]) -> None:
     """Refuse scans of one sequence in several folders, which results could not tell apart."""
     by_sequence: dict[str, dict[Path, dict[str, str]]] = {}
     for scan in scans:
@@ -309,31 +309,31 @@ def _require_a_folder_each(source: Path, place: Path, scans: Iterable[ScanFile])
     for sequence, names_by_folder in sorted(by_sequence.items()):
         if len(names_by_folder) > 1:
             folders = [ScanFolder(path, names) for path, names in sorted(names_by_folder.items())]
-            raise folders_of_one_name(source, place, sequence, folders)
+            raise folders_of_one_name(source, root, sequence, folders)
 
 
-def _with_scans_elsewhere(source: Path, place: Path, scans: list[ScanFile]) -> list[ScanFile]:
+def _with_scans_elsewhere(source: Path, root: Path, scans: list[ScanFile]) -> list[ScanFile]:
     """Return scans with those of deeper folders of drives; print a line about other folders.
 
     Drives in `PLACE/*/velodyne` are a collection, to which deeper drives belong. Other drives
     below a sequence, a data set or a folder of scans are only named.
     """
-    if recording_of(place):
+    if recording_of(root):
         return scans
     used = {scan.path.parent for scan in scans}
-    search = search_below(place, MAX_ENTRIES_BESIDE_SCANS, skipped=used)
+    search = search_below(root, MAX_ENTRIES_BESIDE_SCANS, skipped=used)
     others = [folder for folder in search.folders if folder.rank == CERTAIN]
-    itself = ScanFolder(place, {} if place in used else scan_names(names_in(place)))
+    itself = ScanFolder(root, {} if root in used else scan_names(names_in(root)))
     if itself.suffixes and itself.rank == CERTAIN:
         others.insert(0, itself)
-    is_collection = all(path.parent.parent == place for path in used)
+    is_collection = all(path.parent.parent == root for path in used)
     drives = [folder for folder in others if is_collection and _is_drive(folder.path)]
     others = [folder for folder in others if folder not in drives]
     if drives:
-        notice_once(words_of_drives(source, place, drives))
-        scans = sorted([*scans, *_scans_of_folders(source, place, drives)])
-        _require_a_folder_each(source, place, scans)
-    if words := words_of_others(source, place, others, search.stopped_after):
+        notice_once(words_of_drives(source, root, drives))
+        scans = sorted([*scans, *_scans_of_folders(source, root, drives)])
+        _require_a_folder_each(source, root, scans)
+    if words := words_of_others(source, root, others, search.stopped_after):
         notice_once(words)
     return scans
 

@@ -176,7 +176,7 @@ def _subfolders(folder: Path, *, is_root: bool = False) -> list[Path]:
     # Results of stages are no scans, but `convert`, `filter` and `synth` write data sets.
     names = folders_in(sequences) if is_folder(sequences) else []
     places = [sequences / name / SCAN_FOLDER for name in names]
-    data_sets = [place for place in places if is_folder(place)]
+    data_sets = [folder for folder in places if is_folder(folder)]
     if not is_root:
         return data_sets
     return [other for other in others if other != sequences] + data_sets
@@ -198,77 +198,77 @@ def usable(folders: Collection[ScanFolder]) -> list[ScanFolder]:
 
 
 def words_of_choice(
-    source: Path, place: Path, chosen: Collection[ScanFolder], folders: Collection[ScanFolder]
+    source: Path, root: Path, chosen: Collection[ScanFolder], folders: Collection[ScanFolder]
 ) -> str:
     """Return the line about the folders that are used, and those that are not.
 
-    `source` is the folder as the user gave it, `place` its absolute path.
+    `source` is the folder as the user gave it, `root` its absolute path.
     """
     layout = next(iter(chosen)).layout
-    used = first_few([_counted(folder, place) for folder in chosen])
+    used = first_few([_counted(folder, root) for folder in chosen])
     kind = f" in the layout of {layout.name}" if layout else ""
     others = [folder for folder in folders if folder not in chosen and folder.rank > UNLIKELY]
-    unused = first_few([_counted(folder, place) for folder in others])
+    unused = first_few([_counted(folder, root) for folder in others])
     text = f"{source}: contains no scans itself; using {used}{kind}"
     return f"{text}; not used: {unused}" if unused else text
 
 
 def words_of_others(
-    source: Path, place: Path, others: Collection[ScanFolder], stopped_after: int
+    source: Path, root: Path, others: Collection[ScanFolder], stopped_after: int
 ) -> str:
     """Return the line about folders of scans that are not used; empty if there is none to name.
 
-    `source` is the folder as the user gave it, `place` its absolute path.
+    `source` is the folder as the user gave it, `root` its absolute path.
     """
     words = []
     if others:
-        listed = first_few([_counted(folder, place) for folder in others])
-        words = [f"not used: {listed}", _commands(source, place, others)]
+        listed = first_few([_counted(folder, root) for folder in others])
+        words = [f"not used: {listed}", _commands(source, root, others)]
     if stopped_after:
         words.append(f"the search for other scans stopped after {stopped_after:,} files")
     return f"{source}: {'; '.join(words)}" if words else ""
 
 
-def words_of_drives(source: Path, place: Path, drives: Collection[ScanFolder]) -> str:
+def words_of_drives(source: Path, root: Path, drives: Collection[ScanFolder]) -> str:
     """Return the line about deeper folders of drives that are used too."""
-    return f"{source}: also using {first_few([_counted(folder, place) for folder in drives])}"
+    return f"{source}: also using {first_few([_counted(folder, root) for folder in drives])}"
 
 
 def ambiguous_folders(
-    source: Path, place: Path, search: FolderSearch, tables: ScanFolder | None = None
+    source: Path, root: Path, search: FolderSearch, tables: ScanFolder | None = None
 ) -> NoInputError:
     """Return the error of a folder below which several may contain the scans, or more may be.
 
-    `source` is the folder as the user gave it, `place` its absolute path, and `tables` the tables
+    `source` is the folder as the user gave it, `root` its absolute path, and `tables` the tables
     in it.
     """
     best = max(folder.rank for folder in search.folders)
     likely = [folder for folder in search.folders if folder.rank == best]
-    listed = first_few([_counted(folder, place) for folder in likely])
+    listed = first_few([_counted(folder, root) for folder in likely])
     problem = f"contains no scans itself, but there are some below it: {listed}"
     if tables:
-        problem = f"may contain scans itself, {_counted(tables, place)}, or below it: {listed}"
+        problem = f"may contain scans itself, {_counted(tables, root)}, or below it: {listed}"
     if search.stopped_after:
         problem = f"{problem}; the search stopped after {search.stopped_after:,} files"
-    hint = _commands(source, place, [tables, *likely] if tables else likely)
+    hint = _commands(source, root, [tables, *likely] if tables else likely)
     return NoInputError(source, problem, "one folder of scans", hint)
 
 
 def folders_of_one_name(
-    source: Path, place: Path, name: str, folders: Collection[ScanFolder]
+    source: Path, root: Path, name: str, folders: Collection[ScanFolder]
 ) -> NoInputError:
     """Return the error of several folders with scans of one sequence."""
-    listed = first_few([_counted(folder, place) for folder in folders])
+    listed = first_few([_counted(folder, root) for folder in folders])
     problem = f"contains several folders with scans of sequence {name}: {listed}"
-    return NoInputError(source, problem, "one of each name", _commands(source, place, folders))
+    return NoInputError(source, problem, "one of each name", _commands(source, root, folders))
 
 
-def _commands(source: Path, place: Path, folders: Iterable[ScanFolder]) -> str:
-    """Return the command for each of the first folders, for the files in the place itself."""
+def _commands(source: Path, root: Path, folders: Iterable[ScanFolder]) -> str:
+    """Return the command for each of the first folders, for the files in the root itself."""
     words = []
     for folder in folders:
-        word = shlex.quote(str(source / folder.path.relative_to(place)))
-        if folder.path == place:
+        word = shlex.quote(str(source / folder.path.relative_to(root)))
+        if folder.path == root:
             word = f"{word}/*{min(folder.suffixes.values())}"
         words.append(f"salsanext predict {word} out")
     return f"give one as SCANS: {'; or '.join(words[:MAX_NAMES_SHOWN])}"

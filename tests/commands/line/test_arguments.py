@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 from salsanext_cli.commands.line.app import app
 from salsanext_cli.commands.line.arguments import share
 from salsanext_cli.commands.line.expansion import Declared, Default, Without, expanded
+from salsanext_cli.commands.line.option_fields import DeclarationChange
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.io.formats import RECORDING_SUFFIXES, SCAN_SUFFIXES
@@ -34,7 +35,7 @@ def test_a_group_is_expanded_filled_and_handed_over():
             ScanSelection,
             Without({"split"}),
             Default(limit=4),
-            Declared(limit={"help": "Some.", "names": ("--subset",)}),
+            Declared(limit=DeclarationChange(help="Some.", names=("--subset",))),
         ],
         knn: Annotated[KnnParameters, Without({"window", "sigma", "cutoff"})],
     ) -> None:

@@ -9,7 +9,7 @@ from command_line import called, only_json
 from scans import make_scan, refused, write_bin, write_sequence
 
 from salsanext_cli.core.errors import OutputError
-from salsanext_cli.runs.results.paths import find_scans, require_none_hidden
+from salsanext_cli.runs.results.paths import find_scans, require_no_hidden_scans
 
 
 @pytest.fixture
@@ -61,6 +61,6 @@ def test_later_commands_find_the_scans(drive: None, weights, source: str, out: s
 @pytest.mark.usefixtures("drive")
 def test_sequences_with_scans_would_hide_others() -> None:
     for place in ("plain", "data/sequences/00", "streets"):
-        refused(OutputError, place, require_none_hidden, Path(place))
+        refused(OutputError, place, require_no_hidden_scans, Path(place))
     for place in ("data", "tables", "new"):
-        require_none_hidden(Path(place))
+        require_no_hidden_scans(Path(place))

@@ -162,7 +162,7 @@ def test_only_the_row_and_the_modules_of_a_library_name_it():
 
 
 def test_the_option_takes_the_names_of_the_registry():
-    assert get_args(OPTIONS[NetworkSettings]["engine"].metadata["typed"]) == ("auto", *LIBRARIES)
+    assert get_args(OPTIONS[NetworkSettings]["engine"].typed) == ("auto", *LIBRARIES)
 
 
 def test_the_fastest_library_that_starts_computes(third, monkeypatch, caplog):
