@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: MIT
 """Finding of a check: a reason to doubt the labels of a scan."""
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 from salsanext_cli.core.texts import with_hint
 
 
-class Finding(NamedTuple):
-    """Reason to doubt the labels of a scan."""
+@dataclass(frozen=True, slots=True, order=True)
+class Finding:
+    """Reason to doubt the labels of a scan; sorted by code and texts."""
 
     code: str  # A `WarningCode`, or one of another version that a record has
     problem: str

@@ -6,8 +6,9 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 
+from salsanext_cli.core.checks.finding import Finding
 from salsanext_cli.core.texts import counted, first_few
-from salsanext_cli.runs.results.owned_folder import OwnedFolder, Texts
+from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.paths import PREDICTION_STAGES, ScanFile
 
 CHECKED_STAGES = ("project", *PREDICTION_STAGES)  # Stages that record warnings about scans
@@ -16,9 +17,10 @@ CHECKED_STAGES = ("project", *PREDICTION_STAGES)  # Stages that record warnings 
 def warnings_of_run(out: Path, names: Collection[str]) -> list[str]:
     """Return the recorded warnings about some scans and sequences, one line per code."""
     texts: dict[str, dict[str, str]] = {}  # By code and name
-    for name, (code, message, hint) in _findings(out):
+    for name, finding in _findings(out):
         if name in names:
-            texts.setdefault(code, {}).setdefault(name, f"{message}; {hint}")
+            text = f"{finding.problem}; {finding.hint}"
+            texts.setdefault(finding.code, {}).setdefault(name, text)
     return [
         f"{code} in {counted(len(by_name), 'scan' if '/' in min(by_name) else 'sequence')} "
         f"({first_few([*by_name])}): {next(iter(by_name.values()))}"
@@ -29,8 +31,8 @@ def warnings_of_run(out: Path, names: Collection[str]) -> list[str]:
 def codes_by_scan(out: Path, files: Sequence[ScanFile]) -> dict[str, list[str]]:
     """Return the sorted codes of the warnings about each scan or its sequence, by name."""
     codes: dict[str, set[str]] = {}  # By name of the scan or sequence
-    for name, (code, _, _) in _findings(out):
-        codes.setdefault(name, set()).add(code)
+    for name, finding in _findings(out):
+        codes.setdefault(name, set()).add(finding.code)
     none = set[str]()
     return {
         file.name: sorted(codes.get(file.name, none) | codes.get(file.sequence, none))
@@ -38,7 +40,7 @@ def codes_by_scan(out: Path, files: Sequence[ScanFile]) -> dict[str, list[str]]:
     }
 
 
-def _findings(out: Path) -> Iterator[tuple[str, Texts]]:
+def _findings(out: Path) -> Iterator[tuple[str, Finding]]:
     """Yield every recorded warning with the name of its scan or sequence."""
     for stage in CHECKED_STAGES:
         for name, findings in OwnedFolder(out, stage).findings().items():

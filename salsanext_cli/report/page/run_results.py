@@ -225,8 +225,8 @@ class RunResults:
         recorded = OwnedFolder(records.root, "predict").findings()
         for sequence, stem in find_outputs(records.root, "predictions"):
             name = f"{sequence}/{stem}"
-            for code, *_ in recorded.get(name, ()):
-                warnings.setdefault(code, []).append(name)
+            for finding in recorded.get(name, ()):
+                warnings.setdefault(finding.code, []).append(name)
         return expected_accuracy(settings.accuracy, confidences, warnings)
 
     def evidence(self) -> Evidence:

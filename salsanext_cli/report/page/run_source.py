@@ -34,10 +34,10 @@ def _day_of_results(out: Path) -> str:
     Empty without such a list. A copy of a folder has the list; its files may have other times.
     """
     times_ns = [
-        time_ns
+        state.time_ns
         for path, states in OwnedFolder(out).states().items()
         if _folder_of_sequence(path.relative_to(out)) in DATED_FOLDERS
-        for _, time_ns in states
+        for state in states
     ]
     if not times_ns:
         return ""

@@ -12,7 +12,7 @@ import logging
 import os
 import re
 import socket
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -20,6 +20,7 @@ from pathlib import Path
 from urllib.parse import quote_from_bytes, unquote_to_bytes
 from uuid import uuid4
 
+from salsanext_cli.core.checks.finding import Finding
 from salsanext_cli.core.errors import OutputError
 from salsanext_cli.core.texts import first_few
 from salsanext_cli.io.files.atomic import MARK, append_line, refusal, sweep, sweep_stale, writing
@@ -29,23 +30,58 @@ from salsanext_cli.io.files.reading import filled, is_folder, present, reading
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.scan_folders import FILE_LISTS
 
-PLACES = (*("sequences/*/", "sequences/*/*/", "sequences/*/*/*/"), *("folds/*/", "eval/*/"))
-"""Subfolders that stages write into."""
+SUBFOLDERS = ("sequences/*/", "sequences/*/*/", "sequences/*/*/*/", "folds/*/", "eval/*/")
+"""Patterns of the subfolders that stages write into."""
 RECORDS_LOCK_TIMEOUT_S = 1800.0
 """A hundred other processes may hold the lock for seconds each in runs on a million scans."""
-LINE = re.compile(rb"(\S+)\t(\d{1,19})\t(\d{1,19})")
-States = dict[Path, set[tuple[int, int]]]  # Size and time of modification at each writing
-Texts = tuple[str, str, str]  # Code, message and hint of a warning
+LINE = re.compile(rb"(?P<name>\S+)\t(?P<size>\d{1,19})\t(?P<time>\d{1,19})")
+"""Line of a list of written files."""
 
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Findings:
-    """Warnings about the scans of all runs of a stage."""
+class FileState:
+    """State of a file right after it was written."""
+
+    size: int  # Bytes
+    time_ns: int  # Time of modification
+
+    @classmethod
+    def from_status(cls, status: os.stat_result) -> "FileState":
+        """Return the state of a file as the system reports it."""
+        return cls(size=status.st_size, time_ns=status.st_mtime_ns)
+
+
+States = dict[Path, set[FileState]]
+"""State of each listed file at each writing."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _RecordedFindings:
+    """Warnings about the scans of all runs of a stage, as their file has them."""
 
     stage: str
-    scans: dict[str, list[Texts]]  # By name of the scan
+    # Code, problem and hint of each finding, by name of the scan or sequence
+    scans: dict[str, list[tuple[str, str, str]]]
+
+    @classmethod
+    def from_findings(
+        cls, stage: str, findings: Mapping[str, Iterable[Finding]]
+    ) -> "_RecordedFindings":
+        """Return the record of findings by name, sorted."""
+        scans = {
+            name: [(finding.code, finding.problem, finding.hint) for finding in sorted(of_name)]
+            for name, of_name in sorted(findings.items())
+        }
+        return cls(stage=stage, scans=scans)
+
+    def findings(self) -> dict[str, list[Finding]]:
+        """Return the findings by name of the scan or sequence."""
+        return {
+            name: [Finding(code, problem, hint) for code, problem, hint in rows]
+            for name, rows in self.scans.items()
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,12 +90,12 @@ class OwnedFolder:
 
     root: Path  # The folder may not exist yet
     stage: str = ""  # Name of the stage on the command line
-    part: str = ""  # Subfolder with lock and record, if it is not the root
+    record_folder: str = ""  # Subfolder with lock and record, if it is not the root
 
     @property
     def manifest(self) -> Manifest:
         """Records of the stages that ran in the folder."""
-        return Manifest(self.root / self.part)
+        return Manifest(self.root / self.record_folder)
 
     @property
     def record_path(self) -> Path:
@@ -74,14 +110,14 @@ class OwnedFolder:
         token = MARK.set(mark)
         name = f".{self.stage}.{mark}.lock" if shared else f".{self.stage}.lock"
         try:
-            folder = self.root / self.part
+            folder = self.root / self.record_folder
             with removed_if_empty(folder), locked(folder / name, stage=self.stage):
-                for place in self._places():
+                for place in self._folders():
                     sweep_stale(place)
                 try:
                     yield
                 finally:
-                    for place in self._places():
+                    for place in self._folders():
                         sweep(place, mark)
         finally:
             MARK.reset(token)
@@ -106,14 +142,19 @@ class OwnedFolder:
         """Lock the records of the folder against other processes."""
         return locked(self.root / ".records.lock", RECORDS_LOCK_TIMEOUT_S)
 
-    def _places(self) -> list[Path]:
-        return [self.root, *(place for below in PLACES for place in self.root.glob(below))]
+    def _folders(self) -> list[Path]:
+        """Return the root and the existing subfolders that stages write into."""
+        folders = [self.root]
+        for pattern in SUBFOLDERS:
+            folders += self.root.glob(pattern)
+        return folders
 
     def require_new(self) -> None:
         """Refuse a folder that contains files, but no record of the stage."""
         if present(self.record_path) or not present(self.root):
             return
-        if not self.root.is_dir() or any(p.name[0] != "." for p in self.root.iterdir()):
+        is_folder = self.root.is_dir()
+        if not is_folder or any(path.name[0] != "." for path in self.root.iterdir()):
             raise OutputError(self.root, "contains other files", "a new or empty folder")
 
     def write(self, path: Path, content: bytes, *, durable: bool = False) -> None:
@@ -153,20 +194,27 @@ class OwnedFolder:
 
     def foreign_files(self, paths: Iterable[Path], states: States | None = None) -> list[Path]:
         """Return the foreign files among some paths; `states`: as of `states()`."""
-        there = {path: path.lstat() for path in paths if os.path.lexists(path)}
+        existing = {
+            path: FileState.from_status(path.lstat()) for path in paths if os.path.lexists(path)
+        }
+        if not existing:
+            return []
         if states is None:
-            states = self.states() if there else {}
+            states = self.states()
+        return [
+            path
+            for path, state in existing.items()
+            if not self._is_written(path, state, states.get(path, set()))
+        ]
 
-        def is_written(path: Path, status: os.stat_result) -> bool:
-            # A power cut may leave an empty file.
-            listed = (status.st_size, status.st_mtime_ns) in states.get(path, ())
-            return (listed or status.st_size == 0) and not self._behind_link(path)
-
-        return [path for path, status in there.items() if not is_written(path, status)]
+    def _is_written(self, path: Path, state: FileState, listed: Collection[FileState]) -> bool:
+        """Return whether a file is one of the listed ones; a power cut may leave an empty one."""
+        return (state in listed or state.size == 0) and not self._behind_link(path)
 
     def refuse_foreign(self, paths: Iterable[Path]) -> None:
         """Raise an error if a path is a foreign file."""
-        if foreign := self.foreign_files(paths):
+        foreign = self.foreign_files(paths)
+        if foreign:
             raise foreign_file(foreign[0])
 
     def remove_written(self, paths: Iterable[Path]) -> list[Path]:
@@ -199,30 +247,44 @@ class OwnedFolder:
         states: States = {}
         for listing in sorted((self.root / FILE_LISTS).glob("*.tsv")):
             with reading(listing) as file:
-                # Truncated lines are skipped.
-                lines = [match for line in file if (match := LINE.fullmatch(line.rstrip()))]
-            for name, size, time_ns in (line.groups() for line in lines):
-                below = Path(os.fsdecode(unquote_to_bytes(name)))
+                matches = [LINE.fullmatch(line.rstrip()) for line in file]
+            for match in matches:
+                if match is None:
+                    continue  # The line was cut off.
+                below = Path(os.fsdecode(unquote_to_bytes(match["name"])))
                 # A list from elsewhere must not name files outside the folder.
                 if not below.is_absolute() and ".." not in below.parts:
-                    state = int(size), int(time_ns)
+                    state = FileState(size=int(match["size"]), time_ns=int(match["time"]))
                     states.setdefault(self.root / below, set()).add(state)
         return states
 
-    def findings(self) -> dict[str, list[Texts]]:
+    def findings(self) -> dict[str, list[Finding]]:
         """Return the recorded warnings of all runs of the stage, by name of the scan."""
-        recorded = read_record(_Findings, self._findings_path)
-        return recorded.scans if recorded else {}
+        recorded = read_record(_RecordedFindings, self._findings_path)
+        return recorded.findings() if recorded else {}
 
     def record_findings(
-        self, findings: Mapping[str, list[Texts]], checked: Collection[str]
-    ) -> dict[str, list[Texts]]:
-        """Record warnings of checked scans by name; return earlier ones of the other scans."""
+        self, findings: Mapping[str, Sequence[Finding]], checked: Collection[str]
+    ) -> dict[str, list[Finding]]:
+        """Record warnings about scans, and return the earlier ones about scans not checked now.
+
+        Parameters
+        ----------
+        findings : mapping of str to sequence of Finding
+            Warnings by name of the scan or sequence.
+        checked : collection of str
+            Names of all scans and sequences that were checked, whose earlier warnings go.
+
+        Returns
+        -------
+        dict of str to list of Finding
+        """
         with self.locked_records():
-            earlier = {name: t for name, t in self.findings().items() if name not in checked}
+            earlier = {
+                name: recorded for name, recorded in self.findings().items() if name not in checked
+            }
             if present(self._findings_path) or findings:
-                scans = earlier | {name: sorted(texts) for name, texts in findings.items()}
-                record = _Findings(stage=self.stage, scans=dict(sorted(scans.items())))
+                record = _RecordedFindings.from_findings(self.stage, {**earlier, **findings})
                 write_json(self._findings_path, record)
         return earlier
 
@@ -231,10 +293,12 @@ class OwnedFolder:
         return self.root / f"{self.stage}.warnings.json"
 
     def _behind_link(self, path: Path) -> bool:
-        above = path.relative_to(self.root).parents[:-1]
-        return path.is_symlink() or any((self.root / part).is_symlink() for part in above)
+        """Return whether a path, or a folder between it and the root, is a link."""
+        folders = path.relative_to(self.root).parents[:-1]
+        return path.is_symlink() or any((self.root / folder).is_symlink() for folder in folders)
 
     def _list(self, path: Path, status: os.stat_result, *, durable: bool = False) -> None:
+        """Append a file of a status to the list of this machine."""
         machine = re.sub(r"[^\w.-]", "_", socket.gethostname())
         listing = self.root / FILE_LISTS / f"{machine}.tsv"
         name = quote_from_bytes(os.fsencode(path.relative_to(self.root)))

@@ -8,7 +8,6 @@ from contextlib import contextmanager
 
 from salsanext_cli.core.checks.finding import Finding
 from salsanext_cli.runs.results.output_run import OutputRun
-from salsanext_cli.runs.results.owned_folder import Texts
 from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.runs.summary.scan_summary import RunSummary
 
@@ -33,28 +32,30 @@ def recorded_summary(
         yield
     finally:
         summary.compare_scans()
-        earlier = run.record_findings(_texts_by_scan(summary), summary.names)
+        earlier = run.record_findings(_findings_by_name(summary), summary.names)
         _add_earlier(summary, earlier, run, scans)
         summary.finished()
 
 
-def _texts_by_scan(summary: RunSummary) -> dict[str, list[Texts]]:
+def _findings_by_name(summary: RunSummary) -> dict[str, list[Finding]]:
     """Return the findings of a summary by name of scan or sequence."""
-    texts: dict[str, list[Texts]] = {}
+    by_name: dict[str, list[Finding]] = {}
     for findings in summary.findings.values():
         for name, finding in findings:
-            texts.setdefault(name, []).append(finding)
-    return texts
+            by_name.setdefault(name, []).append(finding)
+    return by_name
 
 
 def _add_earlier(
-    summary: RunSummary, earlier: dict[str, list[Texts]], run: OutputRun, scans: Sequence[ScanFile]
+    summary: RunSummary,
+    earlier: dict[str, list[Finding]],
+    run: OutputRun,
+    scans: Sequence[ScanFile],
 ) -> None:
     """Add the findings of earlier runs about scans whose results are in the folder."""
     names_of_run = {file.name for file in scans}
     for name in sorted(earlier.keys() & run.names_of_results(earlier)):
-        for code, problem, hint in earlier[name]:
-            summary.earlier_warnings.setdefault(code, []).append(name)
+        for finding in earlier[name]:
+            summary.earlier_warnings.setdefault(finding.code, []).append(name)
             if name in names_of_run:
-                finding = Finding(code=code, problem=problem, hint=hint)
                 summary.add_finding(name, finding)

@@ -354,7 +354,7 @@ def guarantee_of_run(
     RiskBoundCheck or None
     """
     findings = OwnedFolder(out, "predict").findings()
-    codes = {code for name in losses for code, *_ in findings.get(name, ())}
+    codes = {finding.code for name in losses for finding in findings.get(name, ())}
     threshold = Manifest(out).guarantee(space)
     check = RiskBoundCheck.from_scans(
         threshold, losses, are_others=WarningCode.OTHER_SCANS in codes

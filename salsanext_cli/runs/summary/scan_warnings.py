@@ -6,7 +6,7 @@ from __future__ import annotations
 import logging
 import shlex
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from salsanext_cli.core.checks.finding import Finding
@@ -38,7 +38,7 @@ def hint_in(out: Path | None, hint: str) -> str:
 
 def log_finding(name: str, finding: Finding, out: Path | None = None) -> None:
     """Log a reason to doubt a scan or sequence as a warning; `out`: folder of the results."""
-    finding = finding._replace(hint=hint_in(out, finding.hint))
+    finding = replace(finding, hint=hint_in(out, finding.hint))
     log.warning("%s", finding.about(log_text(name)))
 
 

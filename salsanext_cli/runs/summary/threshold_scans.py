@@ -39,23 +39,24 @@ class ThresholdComparison:
         problem = self._other_drives(risk) or self._other_view(risk)
         if problem:
             return f"{UNLIKE}: {problem}"
-        # Workers finish in any order, and the comparison draws from the scans in theirs.
-        traits = dict(sorted(self.traits.items()))
-        now = tuple(traits.values())
-        if not now or not risk.population:
+        # Workers finish in any order. The comparison draws at random from the scans in their order.
+        names = sorted(self.traits)
+        population = tuple(self.traits[name] for name in names)
+        if not population or not risk.population:
             return ""
         if risk.unit == "drive":
-            now = traits_of_units(now, [name.rpartition("/")[0] for name in traits])
-        codes = new_codes(risk.population, now) if have_measures(risk.population) else []
+            population = traits_of_units(population, [_sequence_of(name) for name in names])
+        codes = new_codes(risk.population, population) if have_measures(risk.population) else []
         if codes:
             return f"{UNLIKE}: they have the warning {first_few(codes)}"
-        difference = population_difference(risk.population, now, self.classes)
+        difference = population_difference(risk.population, population, self.classes)
         return f"{UNLIKE}: {difference}" if difference else ""
 
     def units(self, risk: RiskThreshold) -> int:
         """Return the number of scans or drives, as the guarantee of a threshold counts them."""
-        names = self.traits if risk.unit == "scan" else {n.rpartition("/")[0] for n in self.traits}
-        return len(names)
+        if risk.unit == "scan":
+            return len(self.traits)
+        return len({_sequence_of(name) for name in self.traits})
 
     def _other_drives(self, risk: RiskThreshold) -> str:
         """Return data set or drives that a guarantee about scans of named drives does not cover."""
@@ -73,11 +74,18 @@ class ThresholdComparison:
         return ""
 
     def _other_view(self, risk: RiskThreshold) -> str:
-        is_other = any(
-            all(is_other_view(view, sensor) for view in risk.views)
-            for sensor in self.sensor.members
-        )
-        return "another field of view" if risk.views and is_other else ""
+        """Return the difference of a sensor whose field of view is unlike all of the threshold."""
+        if not risk.views:
+            return ""
+        for sensor in self.sensor.members:
+            if all(is_other_view(view, sensor) for view in risk.views):
+                return "another field of view"
+        return ""
+
+
+def _sequence_of(name: str) -> str:
+    """Return the sequence in the name of a scan, such as 08 of 08/000000."""
+    return name.rpartition("/")[0]
 
 
 def _data_set(file: ScanFile) -> str:

@@ -15,6 +15,7 @@ from scans import SMALL, refused, write_array
 from salsanext_cli import label_space
 from salsanext_cli.commands.stages import report as stage
 from salsanext_cli.commands.stages.report import read_run, report
+from salsanext_cli.core.checks.finding import Finding
 from salsanext_cli.core.errors import NoInputError, OutputError
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.results.manifest import Manifest, StageRecord
@@ -142,7 +143,7 @@ def test_the_tiles_and_the_decision_have_the_numbers_of_the_run(world):
     assert tiles["0"] == "scans with warnings"
     assert result.to_dict()["decision"]["decision"] == "coarse"
     assert "<b>Use coarse classes</b>: the estimated accuracy is 73 to 87 %" in page.source
-    sparse = {"08/000000": [("sparse", "few rows", "look")]}
+    sparse = {"08/000000": [Finding("sparse", "few rows", "look")]}
     sparse["08/000001"] = sparse["08/000000"]
     OwnedFolder(world.out, "predict").record_findings(sparse, set(sparse))
     result, page = made(world)
@@ -171,7 +172,9 @@ def test_rejected_points_have_a_tile_and_withhold_the_estimate(world):
     assert result.to_dict()["decision"] is None
     assert 'class="decision"' not in page.source
     assert "No decision" in page.text
-    tilted = {f"08/{stem}": [("tilted", "leans", "level it")] for stem in ("000000", "000001")}
+    tilted = {
+        f"08/{stem}": [Finding("tilted", "leans", "level it")] for stem in ("000000", "000001")
+    }
     OwnedFolder(world.out, "predict").record_findings(tilted, set(tilted))
     result, _ = made(world)
     assert result.to_dict()["decision"]["decision"] == "correct"

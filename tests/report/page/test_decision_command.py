@@ -14,6 +14,7 @@ from scans import write_sequence
 
 from salsanext_cli.commands.line.option_names import CommandLine
 from salsanext_cli.commands.stages.report import report
+from salsanext_cli.core.checks.finding import Finding
 from salsanext_cli.core.wording import spelled
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 
@@ -29,7 +30,7 @@ def words_of_command(out) -> list[str]:
 def record(out) -> None:
     """Record a warning about each scan that leads to a decision with a command."""
     scans = {f"{path.parts[-3]}/{path.stem}" for path in out.rglob("*.label")}
-    findings = {name: [("sparse", "few rows", "look")] for name in scans}
+    findings = {name: [Finding("sparse", "few rows", "look")] for name in scans}
     OwnedFolder(out, "predict").record_findings(findings, scans)
 
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Files that salsanext wrote are recognised; foreign files are never removed."""
 
+import json
 import os
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -8,6 +9,8 @@ from pathlib import Path
 import pytest
 from scans import refused
 
+from salsanext_cli.core.checks.finding import Finding
+from salsanext_cli.core.checks.warning_codes import WarningCode
 from salsanext_cli.core.errors import OutputError
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.scan_folders import FILE_LISTS
@@ -24,6 +27,24 @@ def test_damaged_warnings_are_refused(tmp_path: Path, scans: str) -> None:
     path.write_text(f'{{"scans": {scans}}}')
     with refused(OutputError, path):
         OwnedFolder(tmp_path, "predict").findings()
+
+
+def test_warnings_are_recorded_in_order_and_replaced_by_those_of_scans_checked_again(
+    tmp_path: Path,
+) -> None:
+    sparse = Finding(WarningCode.SPARSE, "few rows", "look")
+    tilted = Finding(WarningCode.TILTED, "leans", "level it")
+    folder = OwnedFolder(tmp_path, "predict")
+    assert folder.record_findings({"08/1": [tilted, sparse], "08/0": [sparse]}, {"08/0"}) == {}
+    # Folders of earlier versions have this form.
+    rows = {"08/0": [["sparse", "few rows", "look"]]}
+    rows["08/1"] = [*rows["08/0"], ["tilted", "leans", "level it"]]
+    recorded = json.loads((tmp_path / "predict.warnings.json").read_text())
+    assert recorded == {"stage": "predict", "scans": rows}
+    assert list(recorded["scans"]) == ["08/0", "08/1"]
+    assert folder.findings() == {"08/0": [sparse], "08/1": [sparse, tilted]}
+    assert folder.record_findings({"08/0": [tilted]}, {"08/0"}) == {"08/1": [sparse, tilted]}
+    assert folder.findings() == {"08/0": [tilted], "08/1": [sparse, tilted]}
 
 
 @pytest.mark.parametrize(
