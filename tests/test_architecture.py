@@ -5,19 +5,15 @@ import ast
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
-import pytest
+from package_trees import MODULES, PACKAGE, name_of, tree_of
 
-import salsanext_cli
 from salsanext_cli.commands.line.app import COMMANDS
 from salsanext_cli.core.texts import percentage
 
 ROOT = Path(__file__).parents[1]
-PACKAGE = Path(salsanext_cli.__file__).parent
-MODULES = sorted(PACKAGE.rglob("*.py"))
 WINGS = ("core", "io", "runs", "commands")
 """Parts that consist of parts: arrays, files, output folders, and the command line."""
 LEVELS = (
@@ -71,11 +67,6 @@ LEVELS = (
 LEVEL_OF = {part: level for level, parts in enumerate(LEVELS) for part in parts}
 LONGEST = 400
 """Lines of a module, if it is one idea; most are shorter than 200."""
-
-
-@cache
-def tree_of(module: Path) -> ast.Module:
-    return ast.parse(module.read_text("utf-8"))
 
 
 def part_of(module: Path) -> str:
@@ -155,157 +146,11 @@ def test_the_core_takes_no_path():
     core = [module for module in MODULES if module.is_relative_to(PACKAGE / "core")]
     assert len(core) > 60
     takers = {
-        str(module.relative_to(PACKAGE))
+        name_of(module)
         for module in core
         if any(re.search(r"\bPath\b", kind) for kind in types(tree_of(module)))
     }
     assert takers == {FOLDERS_OF_CACHES}
-
-
-REMOVAL_NAMES = {"removedirs", "rename", "renames", "rmdir", "rmtree", "unlink"}
-FILE_METHODS = {"write_bytes", "write_text"}
-"""Methods of paths; functions of the package with these names have arguments of their own."""
-WRITING_FUNCTIONS = {
-    *("np.save", "np.savez", "np.savez_compressed", "torch.save", "os.truncate"),
-    *("shutil.copy", "shutil.copy2", "shutil.copyfile", "shutil.copytree", "shutil.move"),
-    *("ZipFile", "zipfile.ZipFile"),
-}
-"""Functions of libraries that write or replace the file that they are given."""
-REMOVERS = {
-    "io/files/atomic.py": "gives complete files their names; unfinished files of killed runs",
-    "io/files/locks.py": "lock files, temporary folders of killed runs, empty folders",
-    "io/files/user_cache.py": "the files of the cache that were not used for the longest time",
-    "runs/loop/finished_attempts.py": "a temporary folder of the run",
-    "runs/results/owned_folder.py": "files of an output folder that salsanext wrote",
-}
-"""Modules that may remove or replace files, and which; see `docs/project/development.md`."""
-REPLACING = {
-    "append_line",
-    "save_weights",
-    "save_with_card",
-    "write_bytes",
-    "write_json",
-    "writing",
-}
-"""Functions that replace a file unless their caller forbids it."""
-WRITERS = {
-    "commands/stages/import_weights.py": "the target, by `overwrite`",
-    "commands/stages/submit.py": "the target, by `overwrite`",
-    "commands/stages/tune.py": "the target, by `overwrite`",
-    "io/files/json_files.py": "records of the callers of `write_json`",
-    "io/files/user_cache.py": "the cache",
-    "io/formats/kitti_labels.py": "`sn.write_labels`, for callers from Python",
-    "io/formats/ply.py": "`sn.write_ply`, for callers from Python",
-    "runs/labelling/label_records.py": "a line at the end of the list of imported labels",
-    "runs/labelling/picked_data_set.py": "the record of `pick`",
-    "runs/records/digest_files.py": "files that are named after their content",
-    "runs/results/manifest.py": "records of stages",
-    "runs/results/owned_folder.py": "files of an output folder that are not foreign",
-}
-"""Modules that may import the functions above, and what they write."""
-
-
-def is_string(node: ast.expr) -> bool:
-    return isinstance(node, ast.Constant) and isinstance(node.value, str)
-
-
-def replaces_file(call: ast.Call) -> bool:
-    """Return whether a call replaces a file by `PATH.replace(PATH)`, `write_text` or `open`.
-
-    Texts are replaced with two arguments, records with keywords, and a mapping is no path.
-    """
-    function = call.func
-    name = function.attr if isinstance(function, ast.Attribute) else ""
-    if ast.unparse(function) in WRITING_FUNCTIONS and call.args:
-        # Arrays and archives in memory are no files.
-        return ast.unparse(call.args[0]) not in ("file", "buffer")
-    if name == "replace":
-        is_of_owned_folder = ast.unparse(function.value).startswith("OwnedFolder(")
-        return len(call.args) == 1 and not call.keywords and not is_of_owned_folder
-    if name in FILE_METHODS:
-        # The formatter of the help has such a method as well.
-        return ast.unparse(function.value) != "formatter"
-    opens = name == "open" or ast.unparse(function) == "open"
-    arguments = [*call.args, *(keyword.value for keyword in call.keywords)]
-    modes = [argument.value for argument in arguments if is_string(argument)]
-    return opens and any(re.fullmatch(r"[wxa+rbt]*[wxa+][wxa+rbt]*", mode) for mode in modes)
-
-
-def removes_or_replaces(tree: ast.AST) -> bool:
-    """Return whether a module removes, renames or writes files without the helpers of `io`."""
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Attribute) and node.attr in REMOVAL_NAMES:
-            return True
-        if isinstance(node, ast.ImportFrom):
-            names = {alias.name for alias in node.names}
-            if names & REMOVAL_NAMES or (node.module == "os" and names & {"remove", "replace"}):
-                return True
-        if isinstance(node, ast.Attribute) and ast.unparse(node) in ("os.remove", "os.replace"):
-            return True
-        if isinstance(node, ast.Call) and replaces_file(node):
-            return True
-    return False
-
-
-@pytest.mark.parametrize(
-    ("code", "expected"),
-    [
-        ("path.unlink(missing_ok=True)", True),
-        ("stack.callback(shutil.rmtree, folder)", True),
-        ("from shutil import rmtree", True),
-        ("os.replace(new, old)", True),
-        ("new.replace(old)", True),
-        ("path.write_text(text)", True),
-        ("open(path, 'w')", True),
-        ("path.open(mode='ab')", True),
-        ("path.with_suffix('.tmp').replace(path)", True),
-        ("Path(a).replace(b)", True),
-        ("np.save(path, array)", True),
-        ("shutil.move(new, old)", True),
-        ("ZipFile(path, 'w')", True),
-        ("np.save(file, array)", False),
-        ("OwnedFolder(out, stage).replace(files)", False),
-        ("path.open('rb')", False),
-        ("path.open(b'rb')", False),
-        ("text.replace('a', 'b')", False),
-        ("replace(record, field=1)", False),
-        ("write_bytes(path, content)", False),
-    ],
-)
-def test_what_removes_or_replaces_files(code, expected):
-    assert removes_or_replaces(ast.parse(code)) == expected
-
-
-def test_few_modules_remove_or_replace_files():
-    """A file of the user can only be lost in these; all others call them."""
-    removers = {
-        module.relative_to(PACKAGE).as_posix()
-        for module in MODULES
-        if removes_or_replaces(tree_of(module))
-    }
-    assert removers == REMOVERS.keys()
-    page = (ROOT / "docs/project/development.md").read_text("utf-8")
-    assert {remover for remover in REMOVERS if f"`{remover}`" not in page} == set()
-
-
-def imported_from_io(tree: ast.AST) -> set[str]:
-    """Return the names that a module imports from the wing of files."""
-    return {
-        alias.name
-        for node in ast.walk(tree)
-        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("salsanext_cli.io.")
-        for alias in node.names
-    }
-
-
-def test_few_modules_import_the_functions_that_replace_files():
-    """Files that the user names are written by `write_target`, which must state `overwrite`."""
-    writers = {
-        module.relative_to(PACKAGE).as_posix()
-        for module in MODULES
-        if imported_from_io(tree_of(module)) & REPLACING
-    }
-    assert writers == WRITERS.keys()
 
 
 OPTION_KEYS = "core/network/tuned_settings.py"
@@ -334,7 +179,7 @@ def test_only_the_command_line_names_options():
     below = [m for m in MODULES if part_of(m) not in ("commands.line", "__main__")]
     assert len(below) > 300
     namers = {
-        module.relative_to(PACKAGE).as_posix()
+        name_of(module)
         for module in below
         if any(option.search(text) for text in texts(tree_of(module)))
     }
@@ -376,7 +221,7 @@ def test_rooms_and_files_are_small():
 def test_percentages_of_messages_have_one_form():
     """Python's format "%" has no space before the sign; `percentage` has."""
     specs = [
-        f"{module.relative_to(PACKAGE)}:{node.lineno}"
+        f"{name_of(module)}:{node.lineno}"
         for module in MODULES
         for node in ast.walk(tree_of(module))
         if isinstance(node, ast.FormattedValue) and node.format_spec

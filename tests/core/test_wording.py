@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 from command_line import called, every_command, only_json, parsed, subject
+from package_trees import MODULES, PACKAGE, tree_of
 from scans import refused, write_sequence
 from works import name_argument, scans_of
 
-import salsanext_cli
 from salsanext_cli.commands.line.option_groups import OPTIONS
 from salsanext_cli.commands.line.option_names import OPTION_OF_EXTRA, RECIPE, CommandLine
 from salsanext_cli.commands.stages.inspect import inspect
@@ -22,8 +22,7 @@ from salsanext_cli.io.sensors import sensor
 from salsanext_cli.runs.loop.run import RunOptions, run_over_scans
 from salsanext_cli.training.recipe import Recipe
 
-PACKAGE = Path(salsanext_cli.__file__).parent
-TREES = {path: ast.parse(path.read_text("utf-8")) for path in sorted(PACKAGE.rglob("*.py"))}
+TREES = {module: tree_of(module) for module in MODULES}
 SPELLERS = ("argument", "setting", "share", "part")
 
 
@@ -92,7 +91,8 @@ def test_fields_of_records_are_spelled_as_their_options():
         begin = "knn." if record is KnnParameters else ""
         for name, option in options.items():
             spelled = CommandLine().name(f"{begin}{name}")
-            assert spelled == (option.metadata["names"] or (f"--{name.replace('_', '-')}",))[0]
+            names = option.names or (f"--{name.replace('_', '-')}",)
+            assert spelled == names[0]
 
 
 def spelled_names() -> set[str]:

@@ -17,6 +17,7 @@ from tiny_network import TinyNetwork
 
 from salsanext_cli.core.errors import SalsanextError
 from salsanext_cli.core.network.registry import ARCHITECTURES
+from salsanext_cli.io.formats import FORMATS, format_of
 
 FEW_CASES = 12
 MANY_CASES = int(os.environ.get("FUZZ_CASES", "5000"))
@@ -53,6 +54,12 @@ def read_damaged(reader, path, size):
                 message = str(error)
     assert len(message) < MAX_CHARACTERS, message
     assert not warned, warned[0]
+
+
+def test_every_format_of_scans_has_a_reader():
+    """The name of a reader begins with the suffix of its files."""
+    read = [format_of(f"a.{name.partition(' ')[0]}") for name in READERS]
+    assert [name for name, form in FORMATS.items() if form not in read] == []
 
 
 @pytest.mark.parametrize("cases", [FEW_CASES, pytest.param(MANY_CASES, marks=pytest.mark.slow)])

@@ -5,23 +5,17 @@ import ast
 import json
 import pickle
 import re
-from pathlib import Path
 
 import pytest
+from package_trees import MODULES, PACKAGE, name_of, tree_of
 
-import salsanext_cli
 from salsanext_cli.core.checks.warning_codes import WarningCode
 from salsanext_cli.core.measures.decision import CODES
 from salsanext_cli.core.measures.expected_accuracy import OF_RUN, WITHHELD_FOR
 
-PACKAGE = Path(salsanext_cli.__file__).parent
 PAGE = (PACKAGE.parent / "docs/reference/warnings.md").read_text("utf-8")
 REGISTRY = PACKAGE / "core/checks/warning_codes.py"
-TREES = {
-    path.relative_to(PACKAGE).as_posix(): ast.parse(path.read_text("utf-8"))
-    for path in PACKAGE.rglob("*.py")
-    if path != REGISTRY
-}
+TREES = {name_of(module): tree_of(module) for module in MODULES if module != REGISTRY}
 CODES_OF_WARNINGS = {"Finding", "ScanWarning"}
 """Records whose first argument is a code."""
 

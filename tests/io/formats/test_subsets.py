@@ -2,6 +2,7 @@
 """Files with some of their points, byte for byte."""
 
 import io
+import re
 from pathlib import Path
 
 import numpy as np
@@ -98,6 +99,20 @@ def test_most_formats_can_be_written():
     assert {scan_suffix(name) for name in MADE} | others == {*SCAN_SUFFIXES}
     error = refused(FormatError, "s.parquet", subsets_of, Path("s.parquet"))
     assert "write the scans as" in error.value.hint
+
+
+def test_the_page_states_for_each_format_what_filter_writes():
+    page = (Path(__file__).parents[3] / "docs/how-to/fuse.md").read_text("utf-8")
+    table = page.partition("| what changes in the header |")[2].partition("\n\n")[0]
+    refused_suffixes: set[str] = set()
+    written_suffixes: set[str] = set()
+    for row in table.splitlines()[2:]:
+        _, names, change, _ = row.split("|")
+        suffixes = refused_suffixes if change.strip().startswith("refused") else written_suffixes
+        suffixes.update(re.findall(r"`(.+?)`", names))
+    writable = {suffix for suffix in SCAN_SUFFIXES if format_of(suffix).subset}
+    assert written_suffixes == writable
+    assert refused_suffixes == {*SCAN_SUFFIXES} - writable
 
 
 def test_other_elements_and_missing_points_are_refused(tmp_path):
