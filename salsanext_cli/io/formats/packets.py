@@ -78,22 +78,22 @@ def udp_packets(file: BufferedReader) -> Iterator[UdpPacket]:
     order, unit_ns = MAGICS[start[:4]]
     (link,) = struct.unpack_from(order + "I", start, 20)
     record = struct.Struct(order + "IIII")
-    place = FILE_HEADER
+    offset = FILE_HEADER
     size = size_of(file)
-    while place + RECORD_HEADER <= size:
-        seconds, parts, stored, _ = record.unpack(file.read(RECORD_HEADER))
-        place += RECORD_HEADER
-        if place + stored > size:
+    while offset + RECORD_HEADER <= size:
+        seconds, fraction, stored, _ = record.unpack(file.read(RECORD_HEADER))
+        offset += RECORD_HEADER
+        if offset + stored > size:
             return
         data = file.read(stored)
-        packet = _udp_of(data, place, link & 0xFFFF, seconds * 1_000_000_000 + parts * unit_ns)
+        packet = _udp_of(data, offset, link & 0xFFFF, seconds * 1_000_000_000 + fraction * unit_ns)
         if packet:
             yield packet
-        place += stored
+        offset += stored
 
 
-def _udp_of(data: bytes, place: int, link: int, time_ns: int) -> UdpPacket | None:
-    """Return the UDP packet in the data of a record at a place in the file; None for others."""
+def _udp_of(data: bytes, offset: int, link: int, time_ns: int) -> UdpPacket | None:
+    """Return the UDP packet in the data of a record at an offset in the file; None for others."""
     if link not in LINK_HEADERS:
         return None
     begin = LINK_HEADERS[link]
@@ -115,7 +115,7 @@ def _udp_of(data: bytes, place: int, link: int, time_ns: int) -> UdpPacket | Non
         source=source,
         source_port=source_port,
         port=port,
-        offset=place + begin + 8,
+        offset=offset + begin + 8,
         size=length - 8,
         payload=payload,
     )

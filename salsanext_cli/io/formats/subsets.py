@@ -156,17 +156,17 @@ def _pcd_rows(content: bytes, path: Path) -> _Rows:
     file = io.BytesIO(content)
     header = pcd.read_header(file, path)
     start = file.tell()
-    width = header.point.itemsize
+    width = header.point_type.itemsize
     head = ROWS_OF_PCD.sub(rb"\g<1>1", content[:start])
-    if header.kind == "ascii":
+    if header.encoding == "ascii":
         return _Rows(header=head, body=content[start:], width=0)
-    if header.kind == "binary":
+    if header.encoding == "binary":
         end = start + header.point_count * width
         return _Rows(header=head, body=content[start:end], width=width)
     columns = pcd.read_compressed(file, header)
-    points = np.zeros(header.point_count, header.point)
+    points = np.zeros(header.point_count, header.point_type)
     for name in header.scalars:
-        if name not in columns or columns[name].dtype != header.point[name]:
+        if name not in columns or columns[name].dtype != header.point_type[name]:
             problem = f"has compressed values of {name}, which open3d converts"
             hint = "rewrite it as binary, for example with pcl_convert_pcd_ascii_binary"
             raise FormatError(path, problem, "binary or ascii", hint)

@@ -21,9 +21,9 @@ class Layout:
     ----------
     name : str
         Name of the data set.
-    parts : tuple of str
-        Last parts of the path of a folder of scans: names, `ANY`, and `SEQUENCE` for the folder
-        that names the sequence. Without it, the folder of scans names it.
+    folder_names : tuple of str
+        Last names in the path of a folder of scans; `ANY` stands for any name, and `SEQUENCE` for
+        that of the sequence. Without `SEQUENCE`, the folder of scans names it.
     has_labels : bool
         Whether labels lie in the same folders below ``labels`` instead of the first part.
     scan_ending, label_ending : str
@@ -39,7 +39,7 @@ class Layout:
     """
 
     name: str
-    parts: tuple[str, ...]
+    folder_names: tuple[str, ...]
     has_labels: bool = False
     scan_ending: str = ""
     label_ending: str = ""
@@ -50,22 +50,25 @@ class Layout:
 
     def fits(self, folder: Path, names: Collection[str]) -> bool:
         """Return whether a folder of scans with these names is one of this layout."""
-        parts = folder.parts[-len(self.parts) :]
-        return (
-            len(folder.parts) > len(self.parts)
-            and all(
-                pattern in (ANY, SEQUENCE, part)
-                for pattern, part in zip(self.parts, parts, strict=True)
-            )
-            and any(name.partition(".")[0].endswith(self.scan_ending) for name in names)
-            and any(name.endswith(self.scan_suffix) for name in names)
-            and (not self.files_beside or any(present(folder / n) for n in self.files_beside))
-        )
+        if len(folder.parts) <= len(self.folder_names):
+            return False
+        for pattern, name in zip(self.folder_names, self._folders(folder), strict=True):
+            if pattern not in (ANY, SEQUENCE, name):
+                return False
+        has_ending = any(name.partition(".")[0].endswith(self.scan_ending) for name in names)
+        has_suffix = any(name.endswith(self.scan_suffix) for name in names)
+        if not (has_ending and has_suffix):
+            return False
+        return not self.files_beside or any(present(folder / name) for name in self.files_beside)
+
+    def _folders(self, folder: Path) -> tuple[str, ...]:
+        """Return the last names in the path of a folder, one for each of `folder_names`."""
+        return folder.parts[-len(self.folder_names) :]
 
     def sequence(self, folder: Path) -> str:
         """Return the name of the sequence of a folder of scans."""
-        parts = folder.parts[-len(self.parts) :]
-        return dict(zip(self.parts, parts, strict=True)).get(SEQUENCE, folder.name)
+        by_pattern = dict(zip(self.folder_names, self._folders(folder), strict=True))
+        return by_pattern.get(SEQUENCE, folder.name)
 
     def sequence_below(self, folder: Path, root: Path) -> str:
         """Return the name of the sequence of a folder of scans below a root.
@@ -76,8 +79,8 @@ class Layout:
             return self.sequence(folder)
         relative = folder.relative_to(root).parts
         above = (ANY,) * len(relative)
-        pairs = zip((*above, *self.parts)[-len(relative) :], relative, strict=True)
-        names = [part for pattern, part in pairs if pattern in (ANY, SEQUENCE)]
+        pairs = zip((*above, *self.folder_names)[-len(relative) :], relative, strict=True)
+        names = [name for pattern, name in pairs if pattern in (ANY, SEQUENCE)]
         return "_".join(names) or self.sequence(folder)
 
     def drive(self, stem: str) -> str:
@@ -87,34 +90,38 @@ class Layout:
 
     def root(self, folder: Path) -> Path:
         """Return the root of the data set with a folder of scans."""
-        return folder.parents[len(self.parts) - 1]
+        return folder.parents[len(self.folder_names) - 1]
 
     def label_path(self, folder: Path, stem: str) -> Path | None:
         """Return the path of the labels of a scan, which may not exist; None without labels."""
         if not self.has_labels:
             return None
-        inside = Path(LABEL_FOLDER, *folder.parts[1 - len(self.parts) :])
+        inside = Path(LABEL_FOLDER, *folder.parts[1 - len(self.folder_names) :])
         if self.scan_ending and stem.endswith(self.scan_ending):
             stem = stem.removesuffix(self.scan_ending) + self.label_ending
         return self.root(folder) / inside / f"{stem}.label"
 
 
 LAYOUTS = (
-    Layout(name="SemanticKITTI", parts=("sequences", SEQUENCE, SCAN_FOLDER)),
-    Layout(name="SemanticKITTI", parts=(SEQUENCE, SCAN_FOLDER), is_general=True),
-    Layout(name="SemanticKITTI", parts=(SCAN_FOLDER, SEQUENCE), has_labels=True, is_general=True),
-    Layout(name="KITTI raw data", parts=(SEQUENCE, "velodyne_points", "data")),
-    Layout(name="nuScenes", parts=("samples", "LIDAR_TOP"), after_drive="__LIDAR_TOP__"),
-    Layout(name="Argoverse 2", parts=(SEQUENCE, "sensors", "lidar"), scan_suffix=".feather"),
+    Layout(name="SemanticKITTI", folder_names=("sequences", SEQUENCE, SCAN_FOLDER)),
+    Layout(name="SemanticKITTI", folder_names=(SEQUENCE, SCAN_FOLDER), is_general=True),
+    Layout(
+        name="SemanticKITTI", folder_names=(SCAN_FOLDER, SEQUENCE), has_labels=True, is_general=True
+    ),
+    Layout(name="KITTI raw data", folder_names=(SEQUENCE, "velodyne_points", "data")),
+    Layout(name="nuScenes", folder_names=("samples", "LIDAR_TOP"), after_drive="__LIDAR_TOP__"),
+    Layout(name="Argoverse 2", folder_names=(SEQUENCE, "sensors", "lidar"), scan_suffix=".feather"),
     Layout(
         name="GOOSE",
-        parts=("lidar", ANY, SEQUENCE),
+        folder_names=("lidar", ANY, SEQUENCE),
         has_labels=True,
         scan_ending="_vls128",
         label_ending="_goose",
     ),
     Layout(
-        name="PandaSet", parts=(SEQUENCE, "lidar"), files_beside=("poses.json", "timestamps.json")
+        name="PandaSet",
+        folder_names=(SEQUENCE, "lidar"),
+        files_beside=("poses.json", "timestamps.json"),
     ),
 )
 """Known layouts; the first one that fits a folder counts."""

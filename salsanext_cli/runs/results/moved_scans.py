@@ -9,7 +9,7 @@ from salsanext_cli.runs.results.paths import ScanFile, find_scans, scans_at_top,
 
 
 def scans_in(folder: Path, sequence: str) -> list[ScanFile]:
-    """Return the scans in a folder of a sequence, which may have several in some layouts."""
+    """Return the scans of a sequence in a folder, which in some layouts contains several."""
     try:
         scans = scans_at_top(folder)
     except NoInputError:
@@ -22,6 +22,8 @@ def scans_in(folder: Path, sequence: str) -> list[ScanFile]:
 def scans_of_renamed(dataset: Path, sequence: str) -> list[ScanFile]:
     """Return the scans of a sequence whose folder or recording may have been renamed."""
     scans = find_scans(dataset, unique=False)
-    if len({(scan.path.parent, scan.sequence) for scan in scans}) > 1:
+    folders = {(scan.path.parent, scan.sequence) for scan in scans}
+    if len(folders) > 1:
         return scans_of_sequences(scans, [sequence], dataset)
+    # The only one is the sequence, whatever its name is now.
     return [replace(scan, sequence=sequence) for scan in scans]

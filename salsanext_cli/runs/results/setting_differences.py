@@ -40,41 +40,68 @@ def differences(recorded: Mapping[str, object], settings: Mapping[str, object]) 
     """Describe how recorded settings differ from others, arguments first; empty if they do not."""
     before = dict(_flat(recorded))
     after = dict(_flat(settings))
-    changed = sorted(k for k in before.keys() | after if before.get(k) != after.get(k))
+    changed = sorted(key for key in before.keys() | after if before.get(key) != after.get(key))
     causes = [key for key in changed if key.partition(".")[0] not in DERIVED] or changed
     ordered = sorted(causes, key=lambda key: (key not in ARGUMENT_OF and key != "objects", key))
-    return first_few([_difference(k, before.get(k), after.get(k)) for k in ordered])
+    return first_few([_difference(key, before.get(key), after.get(key)) for key in ordered])
 
 
 def _difference(key: str, before: Any, after: Any) -> str:
     """Describe how a setting differs, in lists of equal length by the first differing value."""
     if key == "sensor.intensity_quantiles":
-        was, now = (("matched" if any(q) else "none") if q else "raw" for q in (before, after))
-        now = "matched to other scans" if now == was else now
-        return f"intensity was {was} and is {now} ({argument('intensity')})"
+        return _change_of_intensity(before, after)
     if key == "sensor.ego_box":
-        was, now = (",".join(f"{v:g}" for v in box or ()) or "no box" for box in (before, after))
-        return f"the box of the vehicle was {was} and is {now} ({argument('ego')})"
+        change = f"the box of the vehicle was {_box_text(before)} and is {_box_text(after)}"
+        return f"{change} ({argument('ego')})"
     if key.startswith("origins."):
         return f"`{key.removeprefix('origins.')}` has replaced its results since"
     if isinstance(before, dict) and isinstance(after, dict):
-        old, new = (LabelSpace.from_dict(space, key) for space in (before, after))
-        if old.names != new.names:
-            return f"the classes were {old.name} and are {new.name} ({argument('classes')})"
-        return f"{key} ({first_few(old.differences(new))})"
+        return _change_of_classes(key, before, after)
     if isinstance(before, list) and isinstance(after, list) and len(before) == len(after):
-        place = next(i for i, value in enumerate(before) if value != after[i])
-        key = f"{key}[{place}]"
-        before = before[place]
-        after = after[place]
-    was, now = (
-        "not set" if value is None else shortened(json.dumps(value, ensure_ascii=False), 40)
-        for value in (before, after)
-    )
-    change = f"{key.removeprefix('sensor.')} was {was} and is {now}"
+        index = next(i for i, value in enumerate(before) if value != after[i])
+        key = f"{key}[{index}]"
+        before = before[index]
+        after = after[index]
+    name = key.removeprefix("sensor.")
+    change = f"{name} was {_value_text(before)} and is {_value_text(after)}"
     if key == "objects":
         return f"{change} ({setting('extras', ('objects',))})"
     return f"{change} ({argument(ARGUMENT_OF[key])})" if key in ARGUMENT_OF else change
+
+
+def _change_of_intensity(before: Any, after: Any) -> str:
+    """Describe how the treatment of the intensity differs, by its quantiles."""
+    old = _intensity_text(before)
+    new = _intensity_text(after)
+    if new == old:
+        new = "matched to other scans"
+    return f"intensity was {old} and is {new} ({argument('intensity')})"
+
+
+def _intensity_text(quantiles: list[float] | None) -> str:
+    """Return how the intensity was treated, as its option takes it."""
+    if not quantiles:
+        return "raw"
+    return "matched" if any(quantiles) else "none"
+
+
+def _box_text(box: list[float] | None) -> str:
+    """Return the box of a vehicle as its option takes it."""
+    return ",".join(f"{limit:g}" for limit in box or ()) or "no box"
+
+
+def _value_text(value: object) -> str:
+    """Return a value as JSON."""
+    return "not set" if value is None else shortened(json.dumps(value, ensure_ascii=False), 40)
+
+
+def _change_of_classes(key: str, before: Mapping[str, Any], after: Mapping[str, Any]) -> str:
+    """Describe how two label spaces differ."""
+    old = LabelSpace.from_dict(before, key)
+    new = LabelSpace.from_dict(after, key)
+    if old.names != new.names:
+        return f"the classes were {old.name} and are {new.name} ({argument('classes')})"
+    return f"{key} ({first_few(old.differences(new))})"
 
 
 def _flat(settings: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, object]]:

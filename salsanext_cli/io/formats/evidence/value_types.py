@@ -12,11 +12,12 @@ from salsanext_cli.io.formats.evidence.column_measures import (
     least_explained,
 )
 
-LEAST = 1e-12  # Least possible magnitude of a value other than 0, in any unit
-MOST = 1e7  # Largest possible magnitude, in metres and in any unit of intensity and time
+LEAST_MAGNITUDE = 1e-12  # Least possible one of a value other than 0, in any unit
+LARGEST_MAGNITUDE = 1e7  # Largest possible one, in metres and in any unit of intensity and time
 MIN_POSSIBLE_SHARE = 0.5  # Share of coordinates possible in any scan; random bytes have a quarter
 MIN_POSSIBLE_SHARE_OF_LOW = 0.42
-"""The same of every second float32; half of those of a planar scanner, z, are 0."""
+"""The same of every second value, if they are float32; of a planar scanner, half of them are z = 0.
+"""
 MIN_POSSIBLE_SHARE_OF_FLOAT64 = 0.9
 SCAN_RANGES_M = (0.3, 250.0)  # Possible median ranges of a scan
 PAIR_BLOCKS = 8  # Blocks of a file that show whether its values are float64
@@ -42,8 +43,9 @@ def blocks_of_pairs(count: int) -> list[range]:
 
 def are_halves(pairs: Float) -> bool:
     """Return whether pairs (M, 2) of float32 values are the halves of float64 ones."""
-    # Then most are possible as float64, and most low halves are impossible as float32: random bits
-    # for rounded decimals; for former float32 one of eight values, six of which are impossible.
+    # Most pairs are then possible as float64, and most low halves are impossible as float32. Those
+    # of rounded decimals are random bits; those of former float32 values have one of eight values,
+    # six of which are impossible.
     halves = np.ascontiguousarray(pairs)
     # Values that were not measured, 0 or NaN, show nothing.
     doubles = halves.view("<f8").ravel()
@@ -93,4 +95,4 @@ def are_possible(values: npt.NDArray[np.floating]) -> Mask:
     """Mark the magnitudes of measurements; 0 and NaN are none."""
     with np.errstate(invalid="ignore"):  # of a signalling NaN
         magnitudes = np.abs(values)
-        return (magnitudes > LEAST) & (magnitudes < MOST)
+        return (magnitudes > LEAST_MAGNITUDE) & (magnitudes < LARGEST_MAGNITUDE)
