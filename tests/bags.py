@@ -24,6 +24,11 @@ LIVOX = {
     "uint8[3] rsvd\nCustomPoint[] points\n",
 }
 """Definitions of the messages of Livox drivers, by name."""
+VELODYNE = {
+    "VelodynePacket": "time stamp\nuint8[1206] data\n",
+    "VelodyneScan": "std_msgs/Header header\nVelodynePacket[] packets\n",
+}
+"""Definitions of the messages of Velodyne's driver for ROS 1, by name."""
 Message = tuple[str, int, Any]
 """Topic, time, and function from the types of a version of ROS to the message."""
 
@@ -99,6 +104,11 @@ def text(types: Any) -> Any:
     return types["std_msgs/msg/String"]("drive")
 
 
+def packets(types: Any) -> Any:
+    """Make a message of the packets of a Velodyne sensor, without any."""
+    return types["velodyne_msgs/msg/VelodyneScan"](header(types), [])
+
+
 def messages(points: Iterable[np.ndarray], topic: str = TOPIC) -> list[Message]:
     """Return messages of clouds, a tenth of a second apart."""
     return [(topic, START + n * STEP, cloud(each)) for n, each in enumerate(points)]
@@ -119,6 +129,8 @@ def write_bag(
     for package in ("livox_ros_driver", "livox_ros_driver2"):
         for name, definition in LIVOX.items():
             store.register(get_types_from_msg(definition, f"{package}/msg/{name}"))
+    for name, definition in VELODYNE.items():
+        store.register(get_types_from_msg(definition, f"velodyne_msgs/msg/{name}"))
     writer: Any
     if is_ros1:
         folder.mkdir(parents=True, exist_ok=True)

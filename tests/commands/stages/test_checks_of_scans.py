@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from calls import calls_of
 from scans import SMALL, refused, write_bin, write_sequence
 
 from salsanext_cli import Scan, read_scan
@@ -18,7 +19,7 @@ from salsanext_cli.core.plain_data import plain
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.scan_selection import ScanSelection
-from salsanext_cli.training.data import class_counts as counting
+from salsanext_cli.training.data.class_counts import count_classes
 from salsanext_cli.training.recipe import Recipe
 
 UPWARDS = replace(SMALL, name="upwards", fov_up=30.0, fov_down=-2.0)
@@ -134,19 +135,18 @@ def test_fitted_sequences_are_checked_with_the_fit(dataset):
     assert trained(dataset, fitted, overwrite=True) == []
 
 
-def test_a_resumed_training_repeats_the_warnings(dataset, monkeypatch):
+def test_a_resumed_training_repeats_the_warnings(dataset):
     change(dataset, brighter=0.0)
     warnings = trained(dataset)
     kept = dataset.parent / "run/class_counts.json"
     content = json.loads(kept.read_bytes())
     assert content["warnings"] == plain(warnings)
-    check, checked = counting.check_scan, []
-    counted = lambda path, *a, **k: checked.append(path) or check(path, *a, **k)  # noqa: E731
-    monkeypatch.setattr(counting, "check_scan", counted)
-    assert trained(dataset) == warnings
-    assert not checked
+    with calls_of(count_classes) as counts:
+        assert trained(dataset) == warnings
+    assert not counts
     # A record of an older version has none.
     older = {key: value for key, value in content.items() if key != "warnings"}
     OwnedFolder(kept.parent).write(kept, json.dumps(older).encode())
-    assert trained(dataset) == warnings
-    assert len(checked) == 4
+    with calls_of(count_classes) as counts:
+        assert trained(dataset) == warnings
+    assert sum(len(call["source"].files) for call in counts) == 4

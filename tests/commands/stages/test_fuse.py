@@ -4,6 +4,7 @@ import shlex
 import shutil
 import sys
 from contextlib import ExitStack
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -24,7 +25,6 @@ from salsanext_cli.core.errors import (
     SalsanextError,
     UsageError,
 )
-from salsanext_cli.core.fusion.window import FusionWindow
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.wording import spelled
 from salsanext_cli.io.poses import encode_poses, read_fused_poses
@@ -352,7 +352,7 @@ def shifted(folder, metres):
     (folder / "sequences/08/poses.txt").write_bytes(encode_poses(poses))
 
 
-def test_a_killed_run_by_other_poses_leaves_no_labels_of_the_earlier_ones(drive, monkeypatch):
+def test_a_killed_run_by_other_poses_leaves_no_labels_of_the_earlier_ones(drive):
     overwrite = RunOptions(overwrite=True)
     shifted(drive.data, 0.07)
     fuse_results(drive.out)
@@ -361,17 +361,12 @@ def test_a_killed_run_by_other_poses_leaves_no_labels_of_the_earlier_ones(drive,
     shifted(drive.data, 0.2)
     fuse_results(drive.out, options=overwrite)
     shifted(drive.data, 0.07)
-    tally = FusionWindow.tally
-    with monkeypatch.context() as patch:
 
-        def killed(window, index):
-            if index == 1:
-                raise KeyboardInterrupt
-            return tally(window, index)
+    def end_after_the_first(done, total):
+        raise KeyboardInterrupt
 
-        patch.setattr(FusionWindow, "tally", killed)
-        with pytest.raises(KeyboardInterrupt):
-            fuse_results(drive.out, options=overwrite)
+    with pytest.raises(KeyboardInterrupt):
+        fuse_results(drive.out, options=replace(overwrite, progress=end_after_the_first))
     assert fuse_results(drive.out).done == 2
     assert files_below(labels) == expected
 

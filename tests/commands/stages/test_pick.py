@@ -20,7 +20,6 @@ from salsanext_cli import (
     sample,
     write_labels,
 )
-from salsanext_cli.commands.stages import pick as stage
 from salsanext_cli.commands.stages.pick import pick
 from salsanext_cli.core.errors import (
     FormatError,
@@ -75,8 +74,8 @@ def with_drive(world):
     return world
 
 
-def run(world, source=None, out=None, *, jobs=1, overwrite=False, **how):
-    options = RunOptions(jobs=jobs, overwrite=overwrite)
+def run(world, source=None, out=None, *, jobs=1, overwrite=False, progress=None, **how):
+    options = RunOptions(jobs=jobs, overwrite=overwrite, progress=progress)
     given = {"settings": world.network, "count": 3} | how
     return pick(source or world.data, out or world.out, options=options, **given)
 
@@ -219,16 +218,14 @@ def test_files_that_were_changed_are_never_replaced(picked):
         run(picked, overwrite=True)
 
 
-def test_labels_that_are_imported_during_a_run_are_not_replaced(picked, monkeypatch):
+def test_labels_that_are_imported_during_a_run_are_not_replaced(picked):
     labels = next((picked.out / "sequences/08/labels").iterdir())
-    corrected, chosen = labels.read_bytes()[::-1], stage._chosen
+    corrected = labels.read_bytes()[::-1]
 
-    def slowly(*given):
+    def import_meanwhile(done, total):
         OwnedFolder(picked.out, "import-labels").write(labels, corrected)
-        return chosen(*given)
 
-    monkeypatch.setattr(stage, "_chosen", slowly)
-    refused(OutputError, labels, run, picked, count=2, overwrite=True)
+    refused(OutputError, labels, run, picked, count=2, overwrite=True, progress=import_meanwhile)
     assert labels.read_bytes() == corrected
 
 

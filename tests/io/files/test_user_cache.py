@@ -34,7 +34,10 @@ def test_without_a_writable_folder_files_are_always_made(tmp_path, monkeypatch, 
     for content in (b"one", b"two"):
         assert cached("a/x.blob", lambda content=content: content) == content
     assert len(caplog.records) == 1
-    monkeypatch.setattr(user_cache, "cache_folder", lambda: "")
+    # Nobody's home, in which no cache folder can be.
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setenv("HOME", "~")
+    assert user_cache.cache_folder() == ""
     assert cached("a/x.blob", lambda: b"three") == b"three"
 
 

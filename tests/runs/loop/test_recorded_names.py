@@ -10,19 +10,28 @@ from salsanext_cli.runs.loop.recorded_names import with_recorded_names
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.paths import find_scans
 from salsanext_cli.runs.results.result_folder import ResultFolder
+from salsanext_cli.runs.results.scan_folders import FILE_LISTS
 
 
-def test_sequences_of_older_versions_keep_their_names(weights, tmp_path, monkeypatch):
+def rename_sequence(out, before, after):
+    """Rename a sequence in an output folder: its folder, and its name in all records."""
+    (out / "sequences" / before).rename(out / "sequences" / after)
+    for path in (*out.glob("*.json"), *(out / FILE_LISTS).iterdir()):
+        text = path.read_text()
+        for begin, end in (('"', '":'), ('"', "/"), ("sequences/", "/")):
+            text = text.replace(f"{begin}{before}{end}", f"{begin}{after}{end}")
+        path.write_text(text)
+
+
+def test_sequences_of_older_versions_keep_their_names(weights, tmp_path):
     folder = tmp_path / "drive/velodyne_points/data"
     write_sequence(tmp_path, ["0"])
     folder.parent.mkdir(parents=True)
     (tmp_path / "velodyne").rename(folder)
     out = tmp_path / "out"
     network = NetworkSettings(weights, "cpu", engine="torch")
-    with monkeypatch.context() as patch:
-        patch.setattr("salsanext_cli.runs.results.layouts.LAYOUTS", ())
-        predict_scans(folder, out, settings=network)
-        assert (out / "sequences/data").is_dir()
+    predict_scans(folder, out, settings=network)
+    rename_sequence(out, "drive", "data")  # As an older version named it.
     assert [scan.name for scan in find_scans(folder)] == ["drive/0"]
     assert [scan.name for scan in ResultFolder(out).scans()] == ["data/0"]
     before = (out / "sequences/data/predictions/0.label").stat()

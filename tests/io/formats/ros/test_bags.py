@@ -20,6 +20,7 @@ from bags import (
     cloud,
     livox,
     messages,
+    packets,
     structured,
     text,
     write_bag,
@@ -252,13 +253,12 @@ def test_recordings_of_other_systems_are_named_and_not_called_damaged(
         find_scans(path)
 
 
-def test_packets_are_answered_with_a_hint(tmp_path, monkeypatch):
+def test_packets_are_answered_with_a_hint(tmp_path):
     path = write_bag(tmp_path, ".bag", [("/chatter", START, text)])
     with pytest.raises(NoInputError) as caught:
         find_scans(path)
     assert not caught.value.hint
-    kinds = {"/velodyne_packets": "velodyne_msgs/msg/VelodyneScan"}
-    monkeypatch.setattr("salsanext_cli.io.formats.ros.bags.Bag.topics", lambda bag: kinds)
+    path = write_bag(tmp_path / "packets", ".bag", [("/velodyne_packets", START, packets)])
     with pytest.raises(NoInputError, match="VelodyneScan") as caught:
         find_scans(path)
     assert "driver" in caught.value.hint
