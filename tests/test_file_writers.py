@@ -18,7 +18,10 @@ REMOVERS = {
     "runs/results/owned_folder.py": "files of an output folder that salsanext wrote",
 }
 """Modules that may remove or replace files, and which; see `docs/project/development.md`."""
-LIBRARY_WRITERS = {"core/engines/graphs.py": "a model for OpenVINO, into a new temporary folder"}
+LIBRARY_WRITERS = {
+    "core/engines/graphs.py": "a model for OpenVINO, into a new temporary folder",
+    "io/formats/ros/bag_copies.py": "a copy of a bag, under the name that its caller gives",
+}
 """Modules that may let a library write a file, and which."""
 REPLACING = {
     "append_line",
@@ -60,6 +63,7 @@ NAMES_OF_WRITING = {function.rpartition(".")[2] for function in WRITING_FUNCTION
 WRITING_METHODS = {
     *("write_bytes", "write_text", "hardlink_to", "symlink_to", "tofile", "extractall"),
     *("imsave", "savefig", "save_file", "save_model", "write_image", "write_point_cloud"),
+    *("Writer", "write_feather", "write_table"),
 }
 """The same for methods, and for functions that several libraries have.
 
@@ -229,6 +233,7 @@ def test_what_replaces_no_file_is_allowed(code):
         "openvino.save_model(model, path, compress_to_fp16=False)",
         "safetensors.torch.save_file(tensors, path)",
         "link.symlink_to(path)",
+        "rosbag1.Writer(path)",
     ],
 )
 def test_what_writes_files_is_seen(code):
