@@ -99,6 +99,16 @@ def test_names_of_all_kinds_are_found(tmp_path):
     }
 
 
+@pytest.mark.parametrize(
+    ("name", "is_vague"),
+    [("of_scan", True), ("given", True), ("of_accepted", False), ("share_of_scan", False)],
+)
+def test_a_name_without_its_noun_is_found(tmp_path, name, is_vague):
+    module = tmp_path / "module.py"
+    module.write_text(f"{name} = 1\n", "utf-8")
+    assert bool(list(words.problems_of_names(module))) == is_vague
+
+
 def test_a_vague_name_of_a_module_is_found(tmp_path):
     module = tmp_path / "utils.py"
     module.write_text("scan = 2\n", "utf-8")

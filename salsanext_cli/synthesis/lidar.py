@@ -110,8 +110,8 @@ class Rig:
     def rays(self) -> tuple[Array, Array, Array, Lasers]:
         """Return origins, directions, times and lasers of the rays that leave the vehicle."""
         origins, directions, times = (values[self.unblocked] for values in self.beams.rays())
-        of_rays = (np.repeat(values, self.beams.columns) for values in self.beams.lasers)
-        return origins, directions, times, Lasers(*(values[self.unblocked] for values in of_rays))
+        lasers = (np.repeat(values, self.beams.columns) for values in self.beams.lasers)
+        return origins, directions, times, Lasers(*(values[self.unblocked] for values in lasers))
 
 
 RigMaker = Callable[[Rng], Rig]  # Draws a sensor and its mounting

@@ -184,8 +184,8 @@ class BagRun:
         measured = next(filter(has_measurements, missing), None)
         if measured is None:
             return
-        of_clouds = f"{len(missing):,} of {counted(len(clouds), 'cloud')}"
-        problem = f"has no labels of {of_clouds}, such as {measured.stem}"
+        share = f"{len(missing):,} of {counted(len(clouds), 'cloud')}"
+        problem = f"has no labels of {share}, such as {measured.stem}"
         hint = making_hint("label", self.results.root, measured)
         raise NoInputError(bag.path, problem, "labels of all clouds of the topic", hint)
 

@@ -118,12 +118,12 @@ def _require_bags(scans: Sequence[ScanFile], bags: Sequence[BagOfResults]) -> No
 
 def _new_topic(bag: Bag, old: str, name: str | None) -> str:
     """Return the topic of the labelled clouds of a topic; refuse one that the bag has."""
-    usual = f"{old.rstrip('/')}/{LABELLED}"
-    new = name or usual
+    default = f"{old.rstrip('/')}/{LABELLED}"
+    new = name or default
     existing = {connection.topic for connection in bag.reader.connections}
     if new not in existing:
         return new
-    numbered = (f"{usual}_{number}" for number in range(2, len(existing) + 3))
+    numbered = (f"{default}_{number}" for number in range(2, len(existing) + 3))
     free = next(topic for topic in numbered if topic not in existing)
     hint = f"give another name, such as {setting('topic', free)}"
     raise OutputError(bag.path, f"already has the topic {new}", hint=hint)

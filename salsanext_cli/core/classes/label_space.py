@@ -233,7 +233,7 @@ class LabelSpace:
     def to_dict(self) -> dict[str, Any]:
         """Return plain data in the form of SemanticKITTI's yaml, which `from_dict` accepts."""
         raw_ids = [self.learning_map_inv[i] for i in range(self.class_count)]
-        alternatives = {i: list(several) for i, several in self.alternatives.items()}
+        alternatives = {i: list(train_ids) for i, train_ids in self.alternatives.items()}
         is_stated = self.movable_ids not in (None, self._movable_ids_of_kitti())
         data = {
             "name": self.name,
@@ -277,8 +277,8 @@ class LabelSpace:
             ignored = data.get("learning_ignore", {0: True})
             ignore = {int(train): bool(flag) for train, flag in ignored.items()}
             alternatives = {
-                int(i): tuple(sorted({int(train) for train in _list(several)}))
-                for i, several in data.get(ALTERNATIVES, {}).items()
+                int(i): tuple(sorted({int(train) for train in _list(train_ids)}))
+                for i, train_ids in data.get(ALTERNATIVES, {}).items()
             }
             stated = data.get("movable")
             movable = None if stated is None else tuple(sorted({int(i) for i in _list(stated)}))
@@ -328,14 +328,14 @@ def _contradiction(
     nameless = set(inverse.values()) - set(labels)
     if nameless:
         return f"lacks names of raw ids {_listed(nameless)} in labels"
-    possible = {train_id for several in alternatives.values() for train_id in several}
+    possible = {train_id for members in alternatives.values() for train_id in members}
     if possible - train_ids:
         ids = _listed(possible - train_ids)
         return f"has train ids {ids} in {ALTERNATIVES} but not in learning_map_inv"
     immovable = set(movable) - (train_ids - {0})
     if immovable:
         return f"has train ids {_listed(immovable)} in movable, not 1…C-1"
-    lacking = [i for i, several in alternatives.items() if learning_map.get(i) not in several]
+    lacking = [i for i, members in alternatives.items() if learning_map.get(i) not in members]
     if lacking:
         return f"lacks the train ids of raw ids {_listed(lacking)} in their {ALTERNATIVES}"
     return ""

@@ -94,8 +94,8 @@ def contradiction(space: LabelSpace, merged: LabelSpace) -> str:
     if missing:
         return f"lacks raw ids {first_few([_named(space, i) for i in missing])}"
     # Ids whose names mostly differ have other meanings. Ids that represent several do not count.
-    several = _ids_of_several(space) | _ids_of_several(merged)
-    both = sorted((space.labels.keys() & merged.labels.keys()) - several)
+    representatives = _representatives(space) | _representatives(merged)
+    both = sorted((space.labels.keys() & merged.labels.keys()) - representatives)
     renamed = [i for i in both if space.labels[i] != merged.labels[i]]
     if 2 * len(renamed) > len(both):
         texts = [f"{merged.labels[i]} for raw id {_named(space, i)}" for i in renamed]
@@ -113,7 +113,7 @@ def contradiction(space: LabelSpace, merged: LabelSpace) -> str:
     return ""
 
 
-def _ids_of_several(space: LabelSpace) -> set[int]:
+def _representatives(space: LabelSpace) -> set[int]:
     """Return the raw ids that represent train ids of several raw ids."""
     counts = Counter(space.learning_map.values())
     return {raw for train_id, raw in space.learning_map_inv.items() if counts[train_id] > 1}
@@ -124,8 +124,8 @@ def _merged_alternatives(
 ) -> dict[int, tuple[int, ...]]:
     """Return the alternatives of a label space in merged classes; one class is no alternative."""
     alternatives = {}
-    for raw, several in space.alternatives.items():
-        others = {targets[i] for i in several if i != space.learning_map[raw]}
+    for raw, train_ids in space.alternatives.items():
+        others = {targets[i] for i in train_ids if i != space.learning_map[raw]}
         ids = others | {merged.learning_map[raw]}
         if len(ids) > 1:
             alternatives[raw] = tuple(sorted(ids))

@@ -81,12 +81,12 @@ def choose_precision(name: str, device: str, engine: str) -> str:
             raise UsageError(argument("precision"), problem, hint=hint)
         return name
     library = LIBRARIES[engine]
-    of_device = floats_of_device(device)
-    possible = [precision for precision in of_device if precision in library.precisions]
+    device_floats = floats_of_device(device)
+    possible = [precision for precision in device_floats if precision in library.precisions]
     if name == "auto":
         return possible[-1]
     if name not in possible:
-        lacking = library.title if name in of_device else "this CPU"
+        lacking = library.title if name in device_floats else "this CPU"
         int8 = ["int8"] if computes_int8(engine, device) else []
         expected = " or ".join([*possible, *int8])
         raise UsageError(argument("precision"), f"{lacking} does not compute {name}", expected)

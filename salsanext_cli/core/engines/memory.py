@@ -16,11 +16,11 @@ NO_MEMORY = (
 
 def out_of_memory(error: BaseException | None) -> bool:
     """Return whether an unexplained error, or one of its causes, means that memory ran out."""
-    of_libraries = [words for library in LIBRARIES.values() for words in library.memory_errors]
+    library_words = [words for library in LIBRARIES.values() for words in library.memory_errors]
     while error is not None and not isinstance(error, SalsanextError):
         text = str(error).lower()
         is_named = isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError"
-        if is_named or any(words in text for words in (*NO_MEMORY, *of_libraries)):
+        if is_named or any(words in text for words in (*NO_MEMORY, *library_words)):
             return True
         error = error.__cause__ or error.__context__
     return False

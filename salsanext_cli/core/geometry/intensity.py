@@ -115,8 +115,8 @@ def intensity_quantiles(images: Iterable[Float]) -> tuple[float, ...]:
     enough = [values for values in intensities if len(values) >= MIN_PIXELS] or intensities
     levels = np.linspace(0, 1, INTENSITY_LEVELS)
     quantiles = np.array([np.quantile(values, levels) for values in enough])
-    of_scale = quantiles[_has_usual_scale(quantiles[:, BRIGHT_LEVEL])]
-    return tuple(float(f"{value:.{QUANTILE_DIGITS}g}") for value in of_scale.mean(axis=0))
+    compared = quantiles[_has_usual_scale(quantiles[:, BRIGHT_LEVEL])]
+    return tuple(float(f"{value:.{QUANTILE_DIGITS}g}") for value in compared.mean(axis=0))
 
 
 def _has_usual_scale(upper: npt.NDArray[np.floating]) -> Mask:

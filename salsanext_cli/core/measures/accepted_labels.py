@@ -109,9 +109,9 @@ class AcceptedLabels:
     def sentences(self) -> Iterator[str]:
         """Coverage, risk, the worst scan and missed people."""
         loss = percentage(self.wrong / max(self.points, 1))
-        known = f"{self.points:,} points of known classes in all scans"
+        points = f"{self.points:,} points of known classes in all scans"
         wrong = f"{percentage(self.risk)} of the accepted are wrong ({loss} of all)"
-        yield f"accepted: {percentage(self.coverage)} of {known}; {wrong}"
+        yield f"accepted: {percentage(self.coverage)} of {points}; {wrong}"
         worst = self.worst
         risk = f"{percentage(worst.wrong / max(worst.accepted, 1))} of the {worst.accepted:,}"
         loss = f"{percentage(worst.loss)} of its points are accepted and wrong"

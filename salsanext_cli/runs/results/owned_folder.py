@@ -71,8 +71,8 @@ class _RecordedFindings:
     ) -> "_RecordedFindings":
         """Return the record of findings by name, sorted."""
         scans = {
-            name: [(finding.code, finding.problem, finding.hint) for finding in sorted(of_name)]
-            for name, of_name in sorted(findings.items())
+            name: [(finding.code, finding.problem, finding.hint) for finding in sorted(members)]
+            for name, members in sorted(findings.items())
         }
         return cls(stage=stage, scans=scans)
 

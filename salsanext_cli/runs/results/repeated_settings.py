@@ -36,10 +36,10 @@ def settings_of_run(records: Manifest) -> list[str]:
     knn = recorded.knn if recorded else None
     if knn is None:
         return settings
-    usual = KnnParameters()
+    defaults = KnnParameters()
     for field in fields(KnnParameters):
         value = getattr(knn, field.name)
-        if value != getattr(usual, field.name):
+        if value != getattr(defaults, field.name):
             settings.append(setting(f"knn.{field.name}", value))
     return settings
 

@@ -27,9 +27,9 @@ def draw_brightness(rng: Rng) -> Array:
     return np.clip(brightness, BRIGHTNESS.least, BRIGHTNESS.most)
 
 
-def by_material(numbers: Mapping[str, float], usual: float) -> Array:
-    """Return a number per material, (materials,), `usual` for those that are not named."""
-    values = np.full(len(Material), usual)
+def by_material(numbers: Mapping[str, float], default: float) -> Array:
+    """Return a number per material, (materials,), `default` for those that are not named."""
+    values = np.full(len(Material), default)
     for name, value in numbers.items():
         values[Material[name]] = value
     return values

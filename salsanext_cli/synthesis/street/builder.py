@@ -16,9 +16,9 @@ PIECE_M = 5.0  # Longest straight piece of objects along a bend
 Maker = Callable[[float], Mesh]  # Returns a piece of a length in metres
 
 
-def with_brightness(mesh: Mesh, of_material: Array) -> Mesh:
+def with_brightness(mesh: Mesh, brightness: Array) -> Mesh:
     """Return a mesh with its shades multiplied by the brightness of its materials, (materials,)."""
-    shades = np.clip(mesh.shades * of_material[mesh.materials], 0, BRIGHTNESS.most)
+    shades = np.clip(mesh.shades * brightness[mesh.materials], 0, BRIGHTNESS.most)
     return replace(mesh, shades=shades.astype(np.float32))
 
 

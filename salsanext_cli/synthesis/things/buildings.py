@@ -60,7 +60,7 @@ def _facade(rng: Rng, house: House, ends: Array, *, front: bool) -> Mesh:
     bare = rng.uniform(0.1, 0.6)
     shop = front and bool(rng.random() < 0.25)
     size = rng.uniform([0.45, 1.1, 0.7], [0.75, 1.7, 1.0])
-    of_ground = np.array([*size[:2], rng.uniform(0.7, 2.0)])
+    shop_size = np.array([*size[:2], rng.uniform(0.7, 2.0)])
     panels = base, flat, glass, closed = [list[Corners]() for _ in range(4)]
     for row in range(rows):
         bottom = row * house.storey if row else FOOT_M
@@ -68,7 +68,7 @@ def _facade(rng: Rng, house: House, ends: Array, *, front: bool) -> Mesh:
         walls = flat if row else base
         for column, (x0, x1) in enumerate(pairwise(lows)):
             kind = "window" if row else "door" if column == door else "shop" if shop else "window"
-            hole = _hole(rng, x0, x1, row, house.storey, size if row else of_ground, kind)
+            hole = _hole(rng, x0, x1, row, house.storey, size if row else shop_size, kind)
             if hole is None or rng.random() > open_chance[min(row, 1)]:
                 walls.append(_panel(x0, x1, bottom, top, 0))
                 continue

@@ -24,8 +24,8 @@ ClassSets = tuple[tuple[int, ...], ...]  # Sets of train ids, each in rising ord
 def class_sets(spaces: Iterable[LabelSpace]) -> ClassSets:
     """Return the sets of several classes among the labels of these spaces."""
     spaces = list(spaces)
-    sets = {several for space in spaces for several in space.alternatives.values()}
-    ordered = tuple(sorted(several for several in sets if len(several) > 1))
+    sets = {train_ids for space in spaces for train_ids in space.alternatives.values()}
+    ordered = tuple(sorted(train_ids for train_ids in sets if len(train_ids) > 1))
     most = UNKNOWN - spaces[0].class_count
     if len(ordered) > most:
         raise UsageError("alternatives", f"are {len(ordered)} sets of classes", f"at most {most}")
@@ -46,5 +46,5 @@ def to_targets(raw: RawIds, space: LabelSpace, sets: ClassSets, source: object) 
 
 def target_mask(class_mask: Mask, sets: ClassSets, rule: Callable[[Mask], np.bool_]) -> Mask:
     """Append to the values of classes (C,) the result of a rule for each set, (C + K,) bool."""
-    set_mask = [bool(rule(class_mask[list(several)])) for several in sets]
+    set_mask = [bool(rule(class_mask[list(train_ids)])) for train_ids in sets]
     return np.append(class_mask, np.array(set_mask, np.bool_))

@@ -124,7 +124,9 @@ def judged_points(scan: LabelledImage, pixels: PixelPrediction, most: int) -> Ju
     chosen = random.permutation(len(scan.truth))[:most]
     points = scan.points[chosen]
     wrong = labels[points] != scan.truth[chosen]
-    return JudgedPoints(features=features[points], wrong=wrong, several=scan.several)
+    return JudgedPoints(
+        features=features[points], wrong=wrong, ambiguous_share=scan.ambiguous_share
+    )
 
 
 def fit_error_model(scans: TuningScans) -> Tuned[ErrorFit]:
@@ -208,7 +210,7 @@ def cross_validated(
         sequences=sorted(sequences | fitted_before),
         points=len(wrong),
         wrong=float(wrong.mean()),
-        several=float(np.mean([points.several for points in every])),
+        several=float(np.mean([points.ambiguous_share for points in every])),
         held_out=_scores_held_out(judged, folds, start),
     )
     model = replace(fit_error(every, start, len(sequences)), scores=report.scores())

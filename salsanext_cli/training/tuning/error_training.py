@@ -33,7 +33,7 @@ class JudgedPoints:
 
     features: Float  # (M, F), in the order of `FEATURES`
     wrong: Mask  # (M,)
-    several: float = 0.0  # Share of skipped points, whose label is of several classes
+    ambiguous_share: float = 0.0  # Share of skipped points, whose label is of several classes
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

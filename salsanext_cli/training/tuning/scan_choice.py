@@ -90,9 +90,11 @@ def _without_training_split(
     """Return the scans of the split ``valid``, and the labelled scans of no split."""
     splits = with_splits(space, data_set_of(scans[0]))
     split_of_scan = {scan: splits.split_of(scan.sequence) for scan in scans}
-    of_valid = [scan for scan in scans if split_of_scan[scan] == "valid"]
-    of_no_split = [scan for scan in scans if not split_of_scan[scan] and present(scan.label_path)]
-    chosen = sorted(of_valid + of_no_split)
+    valid_scans = [scan for scan in scans if split_of_scan[scan] == "valid"]
+    scans_of_no_split = [
+        scan for scan in scans if not split_of_scan[scan] and present(scan.label_path)
+    ]
+    chosen = sorted(valid_scans + scans_of_no_split)
     hint = f"choose scans with {argument('sequences')}"
     if not chosen:
         expected = "labelled scans of split valid, or of no split"

@@ -109,7 +109,8 @@ class LabelledImage:
     image: RangeImage
     points: Indices  # (M,): their indices in the scan
     truth: TrainIds  # (M,) uint8
-    several: float  # Share of the labelled points with a pixel whose label is of several classes
+    # Share of the labelled points with a pixel whose label is of several classes
+    ambiguous_share: float
 
     @property
     def input(self) -> Float:
@@ -132,10 +133,14 @@ def read_labelled_image(
     network = network.for_sensor(sensor_of(scan, network.sensor, origin))
     image = project(scan, network.sensor)
     is_scored = np.isin(targets, np.flatnonzero(space.scored))
-    seen = image.pixel_of_point >= 0
-    points = np.flatnonzero(is_scored & seen)
-    several = int(((targets >= space.class_count) & seen).sum())
-    share = several / max(len(points) + several, 1)
+    has_pixel = image.pixel_of_point >= 0
+    points = np.flatnonzero(is_scored & has_pixel)
+    ambiguous = int(((targets >= space.class_count) & has_pixel).sum())
     return LabelledImage(
-        file=file, network=network, image=image, points=points, truth=targets[points], several=share
+        file=file,
+        network=network,
+        image=image,
+        points=points,
+        truth=targets[points],
+        ambiguous_share=ambiguous / max(len(points) + ambiguous, 1),
     )
