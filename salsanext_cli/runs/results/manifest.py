@@ -70,11 +70,15 @@ class ScanSource:
     @classmethod
     def from_dict(cls, entry: Json) -> "ScanSource":
         """Read the entry of a sequence; raise a `TypeError` or the like for any other data."""
-        folder, *names = decoded(list[str], [entry["folder"], *entry["asked_for"]])
+        folder = decoded(str, entry["folder"])
+        names = decoded(list[str], entry["asked_for"])
         if "\0" in folder:
             raise ValueError("a folder with a NUL in its name")
-        stems = [name[: len(name) - len(scan_suffix(name))] for name in names]
-        return cls(folder, {s: n[len(s) :] for s, n in zip(stems, names, strict=True)})
+        suffixes: dict[str, str] = {}
+        for name in names:
+            stem = name[: len(name) - len(scan_suffix(name))]
+            suffixes[stem] = name[len(stem) :]
+        return cls(folder, suffixes)
 
 
 def merged_sources(sources: Iterable[Mapping[str, ScanSource]]) -> dict[str, ScanSource]:
@@ -107,7 +111,8 @@ class StageRecord:
     version: str = __version__
 
     def __post_init__(self) -> None:
-        if unknown := {*self.writes} - {*SUFFIX_OF_FOLDER}:
+        unknown = {*self.writes} - {*SUFFIX_OF_FOLDER}
+        if unknown:
             raise ValueError(f"unknown folder of results {min(unknown)}")
 
     def to_dict(self) -> dict[str, object]:
@@ -141,7 +146,8 @@ def _read(path: Path, stage: str, _: tuple[object, ...]) -> StageRecord | None:
         hint = "delete it or use another folder"
         raise OutputError(path, f"is not a record of `{stage}`", hint=hint)
     content = {RENAMED.get(key, key): value for key, value in content.items()}
-    if isinstance(settings := content.get("settings"), dict):
+    settings = content.get("settings")
+    if isinstance(settings, dict):
         content["settings"] = {RENAMED.get(key, key): value for key, value in settings.items()}
     return record_of(StageRecord, content, path)
 
@@ -202,8 +208,12 @@ class Manifest:
 
     def owner(self, *folders: str) -> str | None:
         """Return the stage that writes the first recorded one of some folders of results."""
-        writers = {f: stage for stage, r in reversed(self.records().items()) for f in r.writes}
-        return next((writers[folder] for folder in folders if folder in writers), None)
+        records = self.records()
+        for folder in folders:
+            for stage, record in records.items():
+                if folder in record.writes:
+                    return stage
+        return None
 
     def settings_of(self, *folders: str) -> StageSettings | None:
         """Return the settings of the owner of some folders of results."""
@@ -212,12 +222,16 @@ class Manifest:
 
     def origins(self, stages: Iterable[str]) -> dict[str, str]:
         """Return digests of the settings of stages that ran, for the records of later stages."""
-        texts = {}
-        for record in filter(None, map(self.record, stages)):
+        digests: dict[str, str] = {}
+        for stage in stages:
+            record = self.record(stage)
+            if record is None:
+                continue
             # Digests that older versions recorded are of their keys.
             settings = {FORMER.get(key, key): value for key, value in record.settings.items()}
-            texts[record.stage] = json.dumps(settings, sort_keys=True)
-        return {s: hashlib.sha256(text.encode()).hexdigest()[:12] for s, text in texts.items()}
+            text = json.dumps(settings, sort_keys=True)
+            digests[stage] = hashlib.sha256(text.encode()).hexdigest()[:12]
+        return digests
 
     def label_space(self, *folders: str) -> LabelSpace | None:
         """Return the classes of the first recorded folder, by default of the predictions."""
@@ -243,8 +257,9 @@ class Manifest:
         target = classes or recorded or space
         named_alike = other_ids and space.names == target.names
         if classes is not None:
-            for finer in (recorded or space, *(() if named_alike else (space,))):
-                ClassMerging.needed(finer, classes)
+            ClassMerging.needed(recorded or space, classes)
+            if not named_alike:
+                ClassMerging.needed(space, classes)
         elif target.fits(space):
             return space
         elif not named_alike and contradiction(space, target):
@@ -348,7 +363,8 @@ def require_same_settings(
     path: Path, recorded: Mapping[str, object], settings: Mapping[str, object]
 ) -> None:
     """Refuse to mix or to replace results of other settings, and name the differences."""
-    if changed := differences(with_names(recorded), with_names(settings)):
+    changed = differences(with_names(recorded), with_names(settings))
+    if changed:
         overwrite = setting("overwrite", True)
         hint = f"use another output folder, or {overwrite} to replace all its results"
         raise OutputError(path, f"was made with other settings: {changed}", hint=hint)

@@ -348,10 +348,12 @@ def scans_of_sequences(
 ) -> list[ScanFile]:
     """Return the scans of some sequences; "8" also means "08"."""
     existing = {scan.sequence for scan in scans}
+    numbers = {sequence: int(sequence) for sequence in existing if sequence.isdecimal()}
     chosen: set[str] = set()
     for name in sequences:
-        same = (e for e in existing if name.isdecimal() and e.isdecimal() and int(e) == int(name))
-        matches = {name} & existing or {*same}
+        matches = {name} & existing
+        if not matches and name.isdecimal():
+            matches = {sequence for sequence in numbers if numbers[sequence] == int(name)}
         if not matches:
             expected = f"one of {', '.join(sorted(existing))}"
             raise NoInputError(source, f"has no scans of sequence {name}", expected)
