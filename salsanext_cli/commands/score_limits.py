@@ -125,9 +125,9 @@ class JudgedLimit:
         if self.reason:
             return f"{self.name}: not known, since {self.reason}"
         kind = self.limit.kind
-        side = "within"
-        if not self.is_kept:
-            side = "below" if kind.higher_is_better else "above"
+        side = "below" if kind.higher_is_better else "above"
+        if self.is_kept:
+            side = f"not {side}"
         unit = f" {kind.unit}".rstrip()
         limit = f"{self.limit.limit:g}{unit}"
         return f"{self.name}: {self.score:.4g}{unit}, {side} the limit of {limit}"

@@ -214,5 +214,5 @@ def _width_of_columns(
         text = f"{gaps} in images of {wide} columns"
         log.log(NOTICE, "%s", with_hint(text, remedy))
         return wide
-    log.log(NOTICE, "%s in images of %d columns; these have %d instead", gaps, wide, suited)
+    log.log(NOTICE, "%s in images of %d columns: %d columns replace them", gaps, wide, suited)
     return suited

@@ -76,7 +76,15 @@ class SensorPlace:
         return self.shows_beams and bool(np.linalg.norm(self.position) > MIN_OFFSET_OF_BEAMS_M)
 
 
-_places: Memo[SensorPlace | None] = Memo(REMEMBERED)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _FoundPlaces:
+    """Places of the sensor of a scan."""
+
+    proven: SensorPlace | None  # None if the points do not prove the position
+    likeliest: SensorPlace | None  # None if no points could show one
+
+
+_places: Memo[_FoundPlaces] = Memo(REMEMBERED)
 
 
 def find_place(scan: Scan, *, verified: bool = True) -> SensorPlace | None:
@@ -101,22 +109,23 @@ def find_place(scan: Scan, *, verified: bool = True) -> SensorPlace | None:
     if len(many) < MIN_POINTS:
         return None
     digest = hashlib.blake2b(many.tobytes(), digest_size=16).digest()
-    return _places.result((digest, verified), partial(_place, many, verified=verified))
+    found = _places.result(digest, partial(_found_places, many))
+    return found.proven or (None if verified else found.likeliest)
 
 
-def _place(many: Double, *, verified: bool) -> SensorPlace | None:
-    """Do what `find_place` does for measured points (N, 3)."""
+def _found_places(many: Double) -> _FoundPlaces:
+    """Search measured points (N, 3) for the place of their sensor."""
     few = _thinned(many, FEW_POINTS)
     candidates = [_view_from(few, crowd) for crowd in _crowds(few)]
     views = [view for view in candidates if view]
     if not views:
-        return None
+        return _FoundPlaces(proven=None, likeliest=None)
     best = max(views, key=lambda view: evenness(view.upright(few), view.seen_from))
     # The ground near the sensor differs from that near the crowd.
     best = _view_from(few, best.position, best) or best
     position = _climbed(best.upright(many), best.seen_from, MIDDLE_M, FINE_M, OFFSETS)
     best = replace(best, seen_from=position)
-    return _verified(best, _thinned(many, POINTS)) or (None if verified else best.place)
+    return _FoundPlaces(proven=_verified(best, _thinned(many, POINTS)), likeliest=best.place)
 
 
 def _thinned(points: Double, count: int) -> Double:

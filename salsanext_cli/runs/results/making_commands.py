@@ -10,7 +10,11 @@ from pathlib import Path
 from salsanext_cli.core.wording import command, setting
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.paths import ERROR, ScanFile
-from salsanext_cli.runs.results.repeated_settings import extras_of_run, settings_of_run
+from salsanext_cli.runs.results.repeated_settings import (
+    extras_of_run,
+    network_record,
+    settings_of_run,
+)
 from salsanext_cli.runs.results.selection import data_set_of
 
 
@@ -75,4 +79,7 @@ def making_hint(column: str, out: Path, *files: ScanFile) -> str:
     text = MADE_BY.get(column, PREDICT).text(out, *files)
     if column != "error":
         return f"run `{text}` first"
-    return f"run `{text}`; other weights than the default ones need `salsanext tune error`"
+    record = network_record(Manifest(out))
+    if record is None or not record.weights_file:
+        return f"run `{text}`"
+    return f"run `{text}`; the weights need an error model, which `salsanext tune error` fits"

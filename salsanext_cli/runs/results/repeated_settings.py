@@ -22,7 +22,7 @@ UNKNOWN_WEIGHTS = "WEIGHTS"
 
 def settings_of_network(records: Manifest) -> list[str]:
     """Return the settings that the network of a run was given, as `setting` spells them."""
-    record = _network_record(records)
+    record = network_record(records)
     if record is None:
         return []
     named = {name: _path_as_typed(value) for name, value in record.options.items()}
@@ -68,7 +68,7 @@ def _path_as_typed(value: object) -> object:
     return path_as_typed(Path(value)) if isinstance(value, str) and is_path else value
 
 
-def _network_record(records: Manifest) -> StageRecord | None:
+def network_record(records: Manifest) -> StageRecord | None:
     """Return the record of the stage that ran the network, None without any."""
     recorded = [records.record(stage) for stage in NETWORK_STAGES]
     return next((record for record in recorded if record), None)

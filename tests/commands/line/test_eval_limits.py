@@ -78,8 +78,8 @@ def test_a_kept_guarantee_passes_and_an_absent_one_fails(world, evaluated):
     assert only_json(kept)["above"] == []
     lines = [line for line in kept.stderr.splitlines() if line.startswith("--fail-over ")]
     assert lines == [
-        "--fail-over guarantee: 25 %, within the limit of 25 %",
-        "--fail-over risk: 33.33 %, within the limit of 34 %",
+        "--fail-over guarantee: 25 %, not above the limit of 25 %",
+        "--fail-over risk: 33.33 %, not above the limit of 34 %",
     ]
     record(world, reject=0.25)
     assert only_json(evaluated("--fail-over", "guarantee", status=1))["above"] == ["guarantee"]

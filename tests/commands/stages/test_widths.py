@@ -170,7 +170,7 @@ def test_images_are_as_narrow_as_the_sensor_unless_a_width_is_named(mixed, caplo
     mixed.predict()
     settings = Manifest(mixed.out).settings("predict")
     assert (settings.sensor.width, settings.temperature) == (NARROW, 2.0)
-    assert f"in images of {WIDE} columns; these have {NARROW} instead" in caplog.text
+    assert f"in images of {WIDE} columns: {NARROW} columns replace them" in caplog.text
     lines = [record.getMessage() for record in caplog.records]
     assert [line for line in lines if line.startswith("50 % of the pixels between columns")]
     # The fit to the narrower images repeats no line.
