@@ -77,14 +77,14 @@ class SensorPlace:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _FoundPlaces:
+class _SearchedPlaces:
     """Places of the sensor of a scan."""
 
     proven: SensorPlace | None  # None if the points do not prove the position
     likeliest: SensorPlace | None  # None if no points could show one
 
 
-_places: Memo[_FoundPlaces] = Memo(REMEMBERED)
+_places: Memo[_SearchedPlaces] = Memo(REMEMBERED)
 
 
 def find_place(scan: Scan, *, verified: bool = True) -> SensorPlace | None:
@@ -109,23 +109,23 @@ def find_place(scan: Scan, *, verified: bool = True) -> SensorPlace | None:
     if len(many) < MIN_POINTS:
         return None
     digest = hashlib.blake2b(many.tobytes(), digest_size=16).digest()
-    found = _places.result(digest, partial(_found_places, many))
-    return found.proven or (None if verified else found.likeliest)
+    places = _places.result(digest, partial(_searched_places, many))
+    return places.proven or (None if verified else places.likeliest)
 
 
-def _found_places(many: Double) -> _FoundPlaces:
+def _searched_places(many: Double) -> _SearchedPlaces:
     """Search measured points (N, 3) for the place of their sensor."""
     few = _thinned(many, FEW_POINTS)
     candidates = [_view_from(few, crowd) for crowd in _crowds(few)]
     views = [view for view in candidates if view]
     if not views:
-        return _FoundPlaces(proven=None, likeliest=None)
+        return _SearchedPlaces(proven=None, likeliest=None)
     best = max(views, key=lambda view: evenness(view.upright(few), view.seen_from))
     # The ground near the sensor differs from that near the crowd.
     best = _view_from(few, best.position, best) or best
     position = _climbed(best.upright(many), best.seen_from, MIDDLE_M, FINE_M, OFFSETS)
     best = replace(best, seen_from=position)
-    return _FoundPlaces(proven=_verified(best, _thinned(many, POINTS)), likeliest=best.place)
+    return _SearchedPlaces(proven=_verified(best, _thinned(many, POINTS)), likeliest=best.place)
 
 
 def _thinned(points: Double, count: int) -> Double:

@@ -121,13 +121,13 @@ def test_the_place_of_a_scan_is_searched_once(monkeypatch):
     """Further readings of the file give equal points."""
     scan = moved(street(0, seed=41), (12, 5, 1))
     searched = []
-    search = sensor_place._found_places
+    search = sensor_place._searched_places
 
     def counted(many):
         searched.append(len(many))
         return search(many)
 
-    monkeypatch.setattr(sensor_place, "_found_places", counted)
+    monkeypatch.setattr(sensor_place, "_searched_places", counted)
     first = find_place(scan)
     again = find_place(Scan(scan.points.copy(), scan.intensity))
     assert again.position.tolist() == first.position.tolist()
