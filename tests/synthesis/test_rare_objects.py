@@ -210,6 +210,6 @@ def test_equal_seeds_build_equal_streets():
     first, second = (
         build_street(np.random.default_rng(4), BALANCED_STYLES[4], 10.0, 6.0) for _ in range(2)
     )
-    np.testing.assert_array_equal(first[1].vertices, second[1].vertices)
-    np.testing.assert_array_equal(first[1].labels, second[1].labels)
-    assert len(first[2]) == len(second[2])
+    np.testing.assert_array_equal(first.standing.vertices, second.standing.vertices)
+    np.testing.assert_array_equal(first.standing.labels, second.standing.labels)
+    assert len(first.movers) == len(second.movers)

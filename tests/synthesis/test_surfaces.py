@@ -121,8 +121,9 @@ def test_a_median_has_its_class_and_kerb_and_ends_at_junctions(label, height):
 def test_vehicles_and_the_sensor_pass_beside_medians_and_shoulders(seed):
     rng = np.random.default_rng(seed)
     style = Numbers(**vars(STYLES[5]) | {"median": 1.0, "shoulder": 1.0, "traffic": 3.0})
-    plan, _, movers = build_street(rng, style, 30.0, 8.0)
-    driving = [m for m in movers if abs(m.speed) > 3 and abs(m.t) < plan.half - 1]
+    street = build_street(rng, style, 30.0, 8.0)
+    plan = street.plan
+    driving = [m for m in street.movers if abs(m.speed) > 3 and abs(m.t) < plan.half - 1]
     assert driving
     assert plan.median.half > 0
     for mover in driving:
