@@ -21,6 +21,11 @@ settings.load_profile("few")
 os.environ.setdefault("SALSANEXT_PRECISION", "float32")
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the tests that are marked `long`; they keep their order, and so do the others."""
+    items.sort(key=lambda item: item.get_closest_marker("long") is None)
+
+
 @pytest.fixture(autouse=True, scope="session")
 def interruptible() -> Iterator[None]:
     """Heed Ctrl-C also where the tests were started in the background, which ignores it."""

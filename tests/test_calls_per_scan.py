@@ -124,15 +124,22 @@ def tiny(tmp_path: Path, monkeypatch) -> Path:
     return write_weights(tmp_path / "tiny.safetensors")
 
 
+@pytest.fixture
+def unrendered(monkeypatch) -> None:
+    """Write pictures that matplotlib does not draw; how long that takes depends on their size."""
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda _, png, **__: png.write(b"PNG"))
+
+
 @pytest.mark.parametrize(
     ("commands", "scans"),
     [
         (QUICK, 12),
-        pytest.param(THOROUGH, 200, marks=pytest.mark.slow),
-        pytest.param(WITH_SAMPLES, 20, marks=pytest.mark.slow),
+        pytest.param(THOROUGH, 200, marks=[pytest.mark.slow, pytest.mark.long]),
+        pytest.param(WITH_SAMPLES, 20, marks=[pytest.mark.slow, pytest.mark.long]),
     ],
     ids=["quick", "thorough", "sampled"],
 )
+@pytest.mark.usefixtures("unrendered")
 def test_steps_over_a_run(tmp_path: Path, tiny: Path, commands, scans: int) -> None:
     # The first run imports libraries and compiles kernels, which is slow with counting.
     numbers = (2, scans, 2 * scans)

@@ -463,7 +463,13 @@ def simulated(tmp_path_factory) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", RUN)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.long if name == "tutorials/few-labels.md" else ())
+        for name in RUN
+    ],
+)
 def test_the_commands_of_the_page_work_as_typed(name, simulated, tmp_path):
     shutil.copytree(simulated, tmp_path, dirs_exist_ok=True)
     guide.outputs((DOCS / name).read_text("utf-8"), tmp_path)

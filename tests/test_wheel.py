@@ -57,6 +57,7 @@ def wheel(wheels):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_the_wheel_of_the_papers_holds_the_networks_and_has_the_version(wheels, wheel):
     (path,) = wheels.glob("salsanext_paper_networks-*.whl")
     assert path.name.split("-")[1] == wheel.name.split("-")[1]
@@ -76,6 +77,7 @@ def test_the_wheel_of_the_papers_holds_the_networks_and_has_the_version(wheels, 
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_the_wheel_holds_the_package_only(wheel):
     names = ZipFile(wheel).namelist()
     assert {name.split("/")[0].split("-")[0] for name in names} == {"salsanext_cli", "salsanext"}
@@ -124,6 +126,7 @@ def installation(wheel, tmp_path_factory):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_the_wheel_has_its_version(installation):
     code = "import salsanext_cli as s; print(s.__version__)"
     assert installation.run("python", "-c", code).strip() == installation.version
@@ -132,6 +135,7 @@ def test_the_wheel_has_its_version(installation):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_the_wheel_runs_the_demonstration_and_predicts_its_scans(installation):
     installation.run("salsanext", "demo", "demo")
     assert (installation.folder / "demo/out/report.html").exists()
@@ -142,6 +146,7 @@ def test_the_wheel_runs_the_demonstration_and_predicts_its_scans(installation):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_the_extra_of_the_papers_adds_their_networks(wheels, wheel, installation):
     assert "pip install 'salsanext[paper]'" in installation.run("salsanext", "models")
     installation.install("--no-index", "--find-links", wheels, f"{wheel}[paper]")

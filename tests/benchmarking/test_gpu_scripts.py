@@ -122,6 +122,7 @@ def test_a_part_that_fails_does_not_stop_the_others(tmp_path, capsys):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_every_part_runs_on_a_cpu(tmp_path):
     stems = [f"{i:06}" for i in range(12)]
     for sequence in ("pandaset/sequences/00", "aachen/sequences/a0", "aachen/sequences/a1"):

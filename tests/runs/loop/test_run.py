@@ -128,6 +128,7 @@ def peak_of(command, scans, out, weights, count):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_the_peak_of_ten_times_the_scans_is_the_same(tmp_path, weights):
     scans = write_sequence(tmp_path / "drive", ["000000"], count=3000, labels=False) / "velodyne"
     for number in range(1, 2000):
