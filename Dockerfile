@@ -9,7 +9,7 @@ RUN apt-get update \
     && rm -rf /var/lib/apt/lists/*
 COPY . /source
 RUN pip install --no-cache-dir ${TORCH_INDEX:+--index-url "$TORCH_INDEX"} "torch>=2.4" \
-    && pip install --no-cache-dir "/source[fuse,ros]" \
+    && pip install --no-cache-dir "/source[fuse,las,ros]" \
     && rm -rf /source \
     && useradd --create-home salsanext \
     && mkdir /cache /data \

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import plyfile
+from las_files import write_las
 
 Array = npt.NDArray[Any]
 Scalars = Mapping[str, Array]
@@ -49,10 +50,19 @@ def write_pcd(path: Path, points: Array, scalars: Scalars, *, form: str = "binar
     return path
 
 
+def write_labelled_las(path: Path, points: Array, scalars: Scalars) -> Path:
+    """Write points (M, 3), in whole millimetres, and scalars (M,), mostly extra dimensions."""
+    own = {name: values for name, values in scalars.items() if name == "classification"}
+    extra = {name: values for name, values in scalars.items() if name not in own}
+    return write_las(path, points, extra=extra, **own)
+
+
 WRITERS: dict[str, Callable[[Path, Array, Scalars], Path]] = {
     "s.ply": write_ply,
     "S.PLY": partial(write_ply, text=True, kind="f8"),
     "s.pcd": write_pcd,
     "t.pcd": partial(write_pcd, form="ascii"),
+    "s.las": write_labelled_las,
+    "s.laz": write_labelled_las,
 }
 """Writers by the names of files."""

@@ -27,6 +27,8 @@ ELSEWHERE: dict[str, dict[str, str]] = {
         "report/picked.py": "report/test_tables.py",
     },
     FILES_OF_FORMAT: {
+        "core/fusion/poses.py": "io/test_poses.py",
+        "core/classes/label_tables.py": "core/classes/test_label_space.py",
         "io/formats/columns.py": "io/formats/test_kitti.py",
         "io/formats/evidence/": "io/formats/evidence/test_column_evidence.py",
         "io/formats/kitti_labels.py": "io/formats/test_kitti.py",

@@ -44,6 +44,8 @@ class FileNotes:
     fields: tuple[str, ...] = ()  # Names of the fields with numbers, without the coordinates
     missing_points: int = 0  # Points that its header states, but that it lacks
     split: FieldSplit | None = None  # Field that tells scans or sensors apart, if any
+    # Position of the origin of the points in the coordinates of the file, metres
+    frame: Origin = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)

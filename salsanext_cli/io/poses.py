@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from salsanext_cli.core.errors import FormatError
-from salsanext_cli.core.fusion.poses import CALIBRATION, POSES, Poses
+from salsanext_cli.core.fusion.poses import CALIBRATION, POSES, Poses, rotation
 from salsanext_cli.core.texts import counted
 from salsanext_cli.core.wording import setting
 from salsanext_cli.io.files.reading import present, reading
@@ -139,15 +139,6 @@ def _numbers(path: Path, number: int, line: str) -> Poses:
         expected = "12 finite numbers (KITTI) or 8 (TUM)"
         raise FormatError(path, f"line {number + 1}: {line[:60]!r}", expected)
     return row
-
-
-def rotation(x: float, y: float, z: float, w: float) -> list[list[float]]:
-    """Return the matrix (3, 3) of a quaternion of length 1."""
-    return [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
 
 
 def _rigid(path: Path, name: str, row: Poses) -> Poses:

@@ -12,6 +12,7 @@ from salsanext_cli.runs.sensor_request import AUTO, requested_sensor
 if TYPE_CHECKING:
     from salsanext_cli.core.classes.label_space import LabelSpace
     from salsanext_cli.core.engines.network import Network
+    from salsanext_cli.core.records import Origin
     from salsanext_cli.core.sensors.sensor import Sensor
     from salsanext_cli.io.stated_fields import StatedFields
 
@@ -34,6 +35,8 @@ class NetworkSettings:
     width: int | None = None
     min_range: float | None = None
     ego: str = AUTO
+    # Position of the sensor in the local frame of the scans, metres; None: as `sensor` states it
+    origin: "Origin | None" = None
     intensity: str = AUTO
     # Whether to fit field of view and mounting to the scans; None: what `sensor` does not state
     fit: bool | None = None
@@ -86,7 +89,8 @@ class NetworkSettings:
     @property
     def fits_mounting(self) -> bool:
         """Whether to fit the direction up and the position of the sensor to the scans."""
-        return self.fits_view and (self.fit is not None or not self._stated.mounting)
+        is_stated = self._stated.mounting or self.origin is not None
+        return self.fits_view and (self.fit is not None or not is_stated)
 
     @property
     def _stated(self) -> "StatedFields":
@@ -117,6 +121,7 @@ class NetworkSettings:
             width=self.width,
             min_range=self.min_range,
             ego=self.ego,
+            origin=self.origin,
         )
 
     def load(self) -> "Network":

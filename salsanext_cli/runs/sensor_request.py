@@ -14,6 +14,7 @@ TYPE_CHECKING = False  # Importing it from `typing` takes time.
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from salsanext_cli.core.records import Origin
     from salsanext_cli.core.sensors.sensor import Sensor
 
 AUTO = "auto"
@@ -29,6 +30,7 @@ def requested_sensor(
     width: int | None = None,
     min_range: float | None = None,
     ego: str = AUTO,
+    origin: Origin | None = None,
 ) -> Sensor | None:
     """Return the requested sensor of a network, None if nothing is requested.
 
@@ -49,6 +51,8 @@ def requested_sensor(
         Range in metres below which points are the housing.
     ego : str
         Box of the vehicle, six numbers with commas, ``"none"`` or ``"auto"``.
+    origin : 3 floats, optional
+        Position of the sensor in the frame of the scans, in metres.
 
     Returns
     -------
@@ -59,8 +63,8 @@ def requested_sensor(
     UsageError
         If a request is impossible.
     """
-    changes = (columns, intensity_field, width, min_range)
-    if (name, ego) == (AUTO, AUTO) and changes == (None, None, None, None):
+    changes = (columns, intensity_field, width, min_range, origin)
+    if (name, ego) == (AUTO, AUTO) and all(change is None for change in changes):
         return None
     chosen = _named_sensor(name, trained())
     chosen = with_names(chosen, columns, intensity_field)
@@ -70,6 +74,8 @@ def requested_sensor(
         chosen = replace(chosen, min_range=min_range)
     if ego != AUTO:
         chosen = replace(chosen, ego_box=_ego_box(ego))
+    if origin is not None:
+        chosen = replace(chosen, origin=origin, registered=False)
     # The scans have another intensity and other gaps than the training.
     return replace(chosen, intensity_quantiles=(), row_gaps=None)
 

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import torch
 import yaml
+from e57_files import Station, write_e57
 from edited_clouds import write_pcd
 from fuzzing.cloud_seeds import (
     feather,
@@ -26,6 +27,7 @@ from fuzzing.cloud_seeds import (
     parquet,
     structured,
 )
+from las_files import write_las
 from ouster_recordings import write_recording
 from scans import SMALL, make_scan
 from tiny_network import TinyNetwork
@@ -169,6 +171,20 @@ def _velodyne(folder: Path) -> Reader:
     return Reader("v.pcap", [_capture(folder)], _recorded)
 
 
+def _las(folder: Path, name: str) -> Reader:
+    """Return the seeds of LAS files of an old and of a new point format."""
+    pytest.importorskip("lazrs")
+    points = make_scan(COUNT).points
+    seeds = [write_las(folder / name, points, kind=kind).read_bytes() for kind in (3, 6)]
+    return Reader(name, seeds, _scan)
+
+
+def _e57(folder: Path) -> Reader:
+    pytest.importorskip("pye57")
+    path = write_e57(folder / "a.e57", [Station(make_scan(COUNT).points.astype(np.float64))])
+    return Reader("a.e57", [path.read_bytes()], _recorded)
+
+
 def _recorded(path: Path) -> None:
     """Read every scan of a recording, or fail at the first."""
     recordings._recording.cache_clear()
@@ -203,6 +219,9 @@ READERS: dict[str, Callable[[Path], Reader]] = {
     "npy of rows": lambda _: Reader("s.npy", organised(_table()), _scan),
     "feather": lambda _: Reader("s.feather", feather(_table()), _scan),
     "parquet": lambda _: Reader("s.parquet", parquet(_table()), _scan),
+    "las": lambda folder: _las(folder, "a.las"),
+    "laz": lambda folder: _las(folder, "a.laz"),
+    "e57": _e57,
     "csv with names": lambda _: Reader("s.csv", named_lines(_table()), _scan),
     "pts": lambda _: Reader("s.pts", leica(_table()), _scan),
     "csv": lambda _: Reader("s.csv", lines(_table(), ","), _scan),

@@ -46,6 +46,7 @@ COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
         "convert": own_data.convert,
         "export-ply": results.export_ply,
         "export-bag": results.export_bag,
+        "export-las": results.export_las,
         "picture": look.picture,
         "filter": results.filter_command,
         "synth": own_data.synth,

@@ -3,6 +3,7 @@
 
 from dataclasses import MISSING, dataclass, fields, replace
 from functools import partial
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, overload
 
@@ -105,6 +106,12 @@ sensor_option = partial(network_option, "Sensor of the scans.", metavar="NAME|FI
 SENSOR = sensor_option(show_default="hdl64")
 columns_option = partial(_option_of, NetworkSettings, "columns")
 COLUMNS = columns_option()
+ORIGIN = network_option(
+    "Position of the sensor in the coordinates of the files, in metres, if nothing shows it, as in "
+    "a survey.",
+    metavar="X,Y,Z",
+    show_default="fitted to the scans",
+)
 INTENSITY_FIELD = _option_of(NetworkSettings, "intensity_field")
 jobs_option = partial(_option_of, RunOptions, "jobs")
 JOBS = jobs_option()
@@ -270,3 +277,17 @@ def share(option: str, text: str | None, word: str = "") -> float | None:
         problem = f"{text} is {100 * fraction:g} %"
         raise UsageError(option, problem, "a share of at most 100%", hint)
     return fraction
+
+
+def position(option: str, text: str | None) -> tuple[float, ...] | None:
+    """Return a position in metres, which is typed as ``500100,5400020,312``; None for no text."""
+    if text is None:
+        return None
+    try:
+        numbers = tuple(float(number) for number in text.split(","))
+    except ValueError:
+        numbers = ()
+    if len(numbers) != 3 or not all(isfinite(number) for number in numbers):
+        hint = f"for example {option} 500100,5400020,312"
+        raise UsageError(option, f"is {text!r}", "three numbers in metres: x,y,z", hint)
+    return numbers

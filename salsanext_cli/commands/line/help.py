@@ -14,10 +14,10 @@ DOCUMENTATION = "https://salsanext.readthedocs.io"
 NAMES_WIDTH = 24  # Columns of the names of options; longer ones get a line
 HIDDEN = {
     "": "--batch --ego --engine --install-completion --intensity "
-    "--knn-cutoff --knn-k --knn-sigma --knn-window --min-range --movable-reach --on-error "
+    "--knn-cutoff --knn-k --knn-sigma --knn-window --min-range --movable-reach --on-error --origin "
     "--pixel-labels --precision --shard --show-completion",
     "pick": "--seed",
-    **dict.fromkeys(("export-ply", "picture", "report", "view"), "--label-space"),
+    **dict.fromkeys(("export-las", "export-ply", "picture", "report", "view"), "--label-space"),
 }
 """Options that only `--help-all` lists, by command, "" for all commands."""
 HELP = ("-h, --help", "Show this message.")

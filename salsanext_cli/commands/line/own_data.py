@@ -40,6 +40,7 @@ def inspect(
     ),
     columns: str | None = arguments.COLUMNS,
     intensity_field: str | None = arguments.INTENSITY_FIELD,
+    origin: str | None = arguments.ORIGIN,
     running: arguments.Unsharded,
     strict: bool = arguments.STRICT,
     output: console.Output,
@@ -70,6 +71,7 @@ def inspect(
             images=images,
             as_predict=fit is None and _is_fitted(sensor),
             fit_mounting=not stated_fields(sensor or AUTO).mounting,
+            origin=arguments.position("--origin", origin),
         )
     if fit is not None:
         fitted = survey.fitted_sensor(fit.stem, images=images)
@@ -108,7 +110,8 @@ def _is_fitted(named: str | None) -> bool:
 
 def convert(
     recording: Path = argument(
-        "ROS bag (.bag, .mcap, .db3, a folder), or recording of Ouster or Velodyne (.pcap, .osf).",
+        "ROS bag (.bag, .mcap, .db3, a folder), recording of Ouster or Velodyne (.pcap, .osf), or "
+        "E57 file.",
         default=...,
         metavar="RECORDING",
     ),
@@ -203,7 +206,8 @@ def _labels_as_data(labels: "PickedLabels | None") -> dict[str, object]:
 
 def import_labels(
     edited: Path = argument(
-        "Labelled point cloud (.ply, .pcd), .label or .npy file, or a folder of such files.",
+        "Labelled point cloud (.ply, .pcd, .las, .laz), .label or .npy file, or a folder of such "
+        "files.",
         default=...,
         metavar="EDITED",
     ),

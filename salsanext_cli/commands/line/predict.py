@@ -23,6 +23,7 @@ from salsanext_cli.runs.sensor_request import AUTO
 
 if TYPE_CHECKING:
     from salsanext_cli.commands.stages.predict import PredictOutcome
+    from salsanext_cli.core.records import Origin
 
 MANY_SCANS = 100  # Fewer take so little time that no faster option is named
 WAIT_S = 1.0  # Time between two checks whether another run has ended
@@ -97,6 +98,7 @@ def predict(
     topic: str | None = arguments.TOPIC,
     classes: str | None = arguments.CLASSES,
     settings: arguments.Network,
+    origin: str | None = arguments.ORIGIN,
     knn: KnnParameters,
     batch: int | None = running_option(
         "Scans computed together, halved if memory runs out.",
@@ -120,9 +122,10 @@ def predict(
     if extras.fuse:
         extras.require_fusable(source, out, running)
     settings = replace(settings, classes=named_label_space(classes))
+    position = arguments.position("--origin", origin)
     with over_scans("predict", running, output.quiet) as options:
         if isinstance(source, Path) and projected_sensor(source) is not None:
-            _refuse_options_of_points(extras, knn, batch)
+            _refuse_options_of_points(extras, knn, batch, position)
             outcome = predict_range_images(
                 source, out, settings=settings, selection=selection, options=options
             )
@@ -135,6 +138,7 @@ def predict(
                 extras=extras.names,
                 reject=extras.threshold,
                 batch=batch,
+                origin=position,
                 selection=selection,
                 options=options,
             )
@@ -229,7 +233,9 @@ def _wait_for_other_runs(out: Path, output: console.Output) -> None:
         time.sleep(WAIT_S)
 
 
-def _refuse_options_of_points(extras: Extras, knn: KnnParameters, batch: int | None) -> None:
+def _refuse_options_of_points(
+    extras: Extras, knn: KnnParameters, batch: int | None, origin: "Origin | None"
+) -> None:
     """Refuse options that need scans, where the source is range images of `project`."""
     for name in ("probabilities", "error", "fuse", "objects", "reject"):
         if getattr(extras, name):
@@ -238,5 +244,8 @@ def _refuse_options_of_points(extras: Extras, knn: KnnParameters, batch: int | N
     if knn != KnnParameters():
         hint = "give the options to `knn-refine`"
         raise UsageError("--knn-*", "`predict` does not refine range images", hint=hint)
+    if origin is not None:
+        problem = "range images are seen from one position already"
+        raise UsageError("--origin", problem, "scans as the source")
     if batch is not None:
         raise UsageError("--batch", "range images are computed one by one", "scans as the source")

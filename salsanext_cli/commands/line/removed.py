@@ -36,7 +36,7 @@ REMOVED_OPTIONS = {
     },
     "export-onnx": {"--int8": "quantise the exported model with other software"},
     "export-ply": {
-        "--format": "omit it: clouds are PLY, which PDAL converts to LAS or LAZ",
+        "--format": "omit it: clouds are PLY; `export-las` writes LAS and LAZ",
         "--map": "use examples/drive_map.py",
         "--map-voxel": "use examples/drive_map.py --voxel",
         "--max-error": "use `predict --reject`, or `filter --max-error`",

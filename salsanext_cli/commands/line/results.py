@@ -276,3 +276,22 @@ def export_ply(
     with over_results("export-ply", running, output.quiet) as options:
         outcome = stage(out, colour=colour, scale=scale, query=query, options=options)
     summary.print_summary_and_exit("export-ply", outcome, out, output)
+
+
+def export_las(
+    out: Path = arguments.RESULTS,
+    *,
+    compressed: bool = option("Write .laz files into laz/.", "--compressed", default=False),
+    query: ResultQuery,
+    running: RunOptions,
+    output: console.Output,
+) -> None:
+    """Write LAS point clouds with classification, labels and all values of every point.
+
+    Example: salsanext export-las out/ --compressed
+    """
+    from salsanext_cli.commands.stages.export_las import export_las as stage
+
+    with over_scans("export-las", running, output.quiet) as options:
+        outcome = stage(out, compressed=compressed, query=query, options=options)
+    summary.print_summary_and_exit("export-las", outcome, out, output)

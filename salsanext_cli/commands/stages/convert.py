@@ -8,12 +8,14 @@ from functools import partial
 from pathlib import Path
 
 from salsanext_cli.core.errors import OutputError, UsageError
+from salsanext_cli.core.fusion.poses import POSES
 from salsanext_cli.core.texts import counted, first_few, shortened
 from salsanext_cli.core.wording import argument
 from salsanext_cli.io.files.reading import filled
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.formats.kitti import encode_bin
-from salsanext_cli.io.formats.recordings import recording_of
+from salsanext_cli.io.formats.recordings import is_site, recorded_poses, recording_of
+from salsanext_cli.io.poses import encode_poses
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.results.layouts import SCAN_FOLDER
 from salsanext_cli.runs.results.manifest import StageRecord
@@ -21,6 +23,7 @@ from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.paths import ScanFile, find_scans, require_no_hidden_scans
 
 TIMES = "times.txt"
+EXPECTED = "a ROS bag, a recording of Ouster or Velodyne, or an E57 file"
 
 log = logging.getLogger(__name__)
 
@@ -35,12 +38,13 @@ def convert(
 ) -> Outcome:
     """Write `FOLDER/sequences/NAME/velodyne/<time>.bin` of scans with points, and `times.txt`.
 
-    Times are seconds since the first scan. Intensities of one byte are divided by 255.
+    Times are seconds since the first scan. Intensities of one byte are divided by 255. Scans of an
+    E57 file have numbers instead of times, and `poses.txt`.
 
     Parameters
     ----------
     recording : Path
-        ROS bag, recording of Ouster or Velodyne, or topic of one.
+        ROS bag, recording of Ouster or Velodyne, or topic of one; or E57 file.
     folder : Path
         Folder of the data set.
     every : int
@@ -59,16 +63,17 @@ def convert(
         _require_positive("limit", limit)
     if recording_of(recording.absolute()) is None:
         problem = "is not a recording" if recording.exists() else "no such recording"
-        raise UsageError(recording, problem, "a ROS bag, or a recording of Ouster or Velodyne")
+        raise UsageError(recording, problem, EXPECTED)
     listed = find_scans(recording)
     chosen = listed[::every][:limit]
     sequence = Path("sequences", listed[0].sequence)
     owned = OwnedFolder(folder, "convert", str(sequence))
     scan_folder = folder / sequence / SCAN_FOLDER
     times = folder / sequence / TIMES
+    poses = folder / sequence / POSES
     require_no_hidden_scans(folder)
     with owned.open():
-        owned.refuse_foreign([*_visible_files(scan_folder), times])
+        owned.refuse_foreign([*_visible_files(scan_folder), times, poses])
         owned.manifest.write(_source_of(listed[0], owned))
         empty: set[str] = set()
         task = partial(_convert_scan, owned=owned, scan_folder=scan_folder)
@@ -77,7 +82,12 @@ def convert(
             return filled(_target(scan_folder, scan))
 
         outcome = run_over_scans(task, chosen, options, is_done=is_done, on_result=empty.update)
-        owned.write(times, _encoded_times([scan for scan in listed if is_done(scan)]))
+        written = [scan for scan in listed if is_done(scan)]
+        if not is_site(recording):
+            owned.write(times, _encoded_times(written))
+        elif (poses_of_site := recorded_poses(recording)) is not None:
+            numbers = [int(scan.stem) for scan in written]
+            owned.write(poses, encode_poses(poses_of_site[numbers]))
     if empty:
         names = first_few(sorted(empty))
         log.warning("%s without points skipped: %s", counted(len(empty), "scan"), names)

@@ -21,7 +21,7 @@ from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.texts import first_few
 from salsanext_cli.core.wording import argument, setting
 from salsanext_cli.io.files.reading import is_folder
-from salsanext_cli.io.formats import read_scan
+from salsanext_cli.io.formats import FORMATS, format_of, read_scan
 from salsanext_cli.io.formats.kitti_labels import encode_labels
 from salsanext_cli.io.formats.label_scalars import LabelIds
 from salsanext_cli.io.formats.recordings import recording_of
@@ -89,9 +89,9 @@ def import_labels(
             locks.enter_context(record.owned.open())
         for done, (scan, paths) in enumerate(edited_files.items(), start=1):
             try:
-                points = read_scan(scan.path, sensor).points
+                cloud = read_scan(scan.path, sensor)
                 labels = {
-                    path: read_edited(path, scan, points, meanings, space, scalar) for path in paths
+                    path: read_edited(path, scan, cloud, meanings, space, scalar) for path in paths
                 }
                 record = records[labels_root(scan)]
                 _import_scan(scan, labels, record, imported, overwrite=overwrite, named=is_named)
@@ -129,7 +129,8 @@ def _edited_files(
     files = find_edited(edited)
     if is_folder(edited):
         files_of_data_set = {path for scan in scans for path in (scan.path, scan.label_path)}
-        files = [path for path in files if path not in files_of_data_set]
+        own_labels = [path for path in files if format_of(path.name) is FORMATS["las"]]
+        files = [path for path in files if path not in files_of_data_set] or own_labels
         if not files:
             problem = "contains only the labels of the data set itself"
             raise NoInputError(edited, problem, "files of a labelling tool elsewhere")

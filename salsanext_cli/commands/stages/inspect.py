@@ -16,6 +16,7 @@ from salsanext_cli.core.geometry.sensor_frame import without_ego
 from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
 from salsanext_cli.core.measures.survey import Survey, survey
 from salsanext_cli.core.plain_data import plain
+from salsanext_cli.core.records import Origin
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.texts import counted
 from salsanext_cli.io.files.atomic import write_target
@@ -26,6 +27,7 @@ from salsanext_cli.io.weights.card_file import default_weights, read_card
 from salsanext_cli.runs.fit.mixed_sensors import APART
 from salsanext_cli.runs.fit.scan_sample import sample_of_files
 from salsanext_cli.runs.fit.sensor_fit import fitted_view
+from salsanext_cli.runs.fit.stated_origin import origin_in_frame
 from salsanext_cli.runs.loop.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.runs.results.paths import ScanFile, find_scans
 from salsanext_cli.runs.results.scan_selection import ScanSelection
@@ -83,6 +85,7 @@ def inspect(
     images: bool = True,
     as_predict: bool = False,
     fit_mounting: bool = True,
+    origin: Origin | None = None,
 ) -> Inspection:
     """Survey and check scans, and fit a sensor to them.
 
@@ -107,6 +110,8 @@ def inspect(
         Whether to judge scans by the sensor that `predict` fits to them, or by several.
     fit_mounting : bool
         Whether a fit estimates the mounting too; else that of the sensor stays.
+    origin : 3 floats, optional
+        Position of the sensor in the coordinates of the files, in metres, which no fit changes.
 
     Returns
     -------
@@ -120,6 +125,9 @@ def inspect(
     scans = select_scans(source, selection, space)
     files = find_scans(source)
     hint = ALONE if fit else fit_hint()
+    if origin is not None:
+        fit_mounting = False
+        sensor = replace(sensor, origin=origin_in_frame(origin, files, sensor))
     if fit:
         sensor = _fitted_sensor(source, files, sensor, mounting=fit_mounting)
         if images:

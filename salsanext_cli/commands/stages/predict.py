@@ -13,6 +13,7 @@ from salsanext_cli.commands.jobs.predict_job import PredictJob
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
+from salsanext_cli.core.records import Origin
 from salsanext_cli.core.uncertainty.error_features import error_model
 from salsanext_cli.core.wording import argument, setting
 from salsanext_cli.runs.fit.range_images import projected_sensor, range_image, sensor_of_images
@@ -22,6 +23,7 @@ from salsanext_cli.runs.fit.sensor_fit import (
     resolved_for,
     settings_of_network,
 )
+from salsanext_cli.runs.fit.stated_origin import origin_in_frame
 from salsanext_cli.runs.loop.network_task import NetworkTask
 from salsanext_cli.runs.loop.recorded_names import with_recorded_names
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
@@ -57,6 +59,7 @@ def predict_scans(
     extras: tuple[str, ...] = (),
     reject: float | Literal["risk"] | None = None,
     batch: int | None = None,
+    origin: Origin | None = None,
     selection: ScanSelection = ScanSelection(),
     options: RunOptions = RunOptions(),
 ) -> PredictOutcome:
@@ -78,6 +81,8 @@ def predict_scans(
         Probability of error above which points become unlabelled, or the threshold in the weights.
     batch : int, optional
         Number of scans that are computed together; by default chosen for the device.
+    origin : 3 floats, optional
+        Position of the sensor in the coordinates of the files, in metres.
     selection : ScanSelection, optional
         Choice of the scans; all by default.
     options : RunOptions, optional
@@ -89,6 +94,9 @@ def predict_scans(
     """
     if batch is not None and batch < 1:
         raise UsageError(argument("batch"), str(batch), "at least 1, or auto")
+    if origin is not None:
+        reader = settings.named_sensor() or settings.trained_sensor()
+        settings = replace(settings, origin=origin_in_frame(origin, scans_of(source), reader))
     network = settings.load()
     listed = with_recorded_names(scans_of(source), out)
     scans = choose(listed, selection, space_of(listed, network.card.space), source)

@@ -12,7 +12,8 @@ from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
 import numpy as np
 
-from salsanext_cli.core.classes.label_space import MOVING, RAW_ID_COUNT, LabelSpace
+from salsanext_cli.core.classes.label_space import MOVING, LabelSpace
+from salsanext_cli.core.classes.label_tables import RAW_ID_COUNT
 from salsanext_cli.core.errors import LabelError, NoInputError, UsageError
 from salsanext_cli.core.texts import counted, first_few, with_hint
 from salsanext_cli.core.wording import argument, command, setting

@@ -27,6 +27,7 @@ from salsanext_cli.core.checks.structure_checks import (
     accumulated_from_file,
     depth_image_findings,
     structure_findings,
+    survey_hint,
 )
 from salsanext_cli.core.checks.training_checks import APART, training_findings
 from salsanext_cli.core.checks.warning_codes import WarningCode
@@ -161,7 +162,7 @@ def check_scan(
     if len(sample) < len(scan) and is_measured.sum() < MIN_TRAIT_POINTS:
         sample = in_sensor_frame(scan, sensor)
         ranges, is_measured = measured_ranges(sample.points)
-    _require_metres(source, len(scan), ranges[is_measured])
+    _require_metres(source, scan, ranges[is_measured])
     ego = ego_points(sample.points, sensor)
     ego_share = len(ego) / max(len(sample), 1)
     if len(ego):
@@ -248,8 +249,9 @@ def _file_findings(notes: FileNotes) -> Iterator[Finding]:
         yield Finding(WarningCode.MISSING_POINTS, problem, "the file may be cut off: copy it again")
 
 
-def _require_metres(source: object, count: int, ranges: Double) -> None:
-    """Refuse a scan of `count` points without a measurement, or with impossible ranges (M,)."""
+def _require_metres(source: object, scan: Scan, ranges: Double) -> None:
+    """Refuse points without a measurement, or whose ranges (M,) are not those of a sensor."""
+    count = len(scan)
     if count >= MIN_TRAIT_POINTS and not len(ranges):
         problem = f"none of its {count} points is a measurement"
         raise FormatError(source, problem, "finite coordinates around the sensor")
@@ -257,6 +259,9 @@ def _require_metres(source: object, count: int, ranges: Double) -> None:
         return
     median = float(np.median(ranges))
     least, most = MEDIAN_RANGES_M
+    if median > most and scan.notes.frame != ORIGIN:
+        problem = "is in map coordinates, and its points show no sensor, as in a survey"
+        raise FormatError(source, problem, "scans of a sensor", survey_hint())
     if not least <= median <= most:
         expected = "coordinates in metres, with the sensor at the origin"
         hint = "convert other units; subtract the position of the sensor from map coordinates"

@@ -13,9 +13,10 @@ from salsanext_cli.core.checks.finding import Finding
 from salsanext_cli.core.checks.scan_structure import structure_of
 from salsanext_cli.core.checks.warning_codes import WarningCode
 from salsanext_cli.core.geometry.beam_origin import sharpness
-from salsanext_cli.core.records import FieldSplit, Float, Scan
+from salsanext_cli.core.records import FileNotes, Float, Scan
 from salsanext_cli.core.sensors.sensor import ORIGIN, UP, Sensor
 from salsanext_cli.core.texts import percentage
+from salsanext_cli.core.wording import argument
 
 MAX_HIDDEN = 0.045
 """Largest share of hidden points; single scans had up to 0.037, ten scans in one 0.062 or more."""
@@ -57,7 +58,7 @@ def structure_findings(scan: Scan, sensor: Sensor) -> Iterator[Finding]:
         )
         yield Finding(WarningCode.NEAR_RETURNS, problem, CLEAN)
     else:
-        yield from _accumulated_findings(structure.hidden, scan.notes.split)
+        yield from _accumulated_findings(structure.hidden, scan.notes)
 
 
 def accumulated_from_file(scan: Scan, sensor: Sensor) -> Iterator[Finding]:
@@ -76,20 +77,32 @@ def accumulated_from_file(scan: Scan, sensor: Sensor) -> Iterator[Finding]:
         yield from (finding for finding in findings if finding.code == WarningCode.ACCUMULATED)
 
 
-def _accumulated_findings(hidden: float, split: FieldSplit | None) -> Iterator[Finding]:
+def survey_hint() -> str:
+    """Return what helps to label a cloud without a sensor."""
+    return (
+        "label its single scans, with the trajectory of the sensor in a poses.txt next to them; or "
+        f"state a position that sees the points with {argument('origin')}"
+    )
+
+
+def _accumulated_findings(hidden: float, notes: FileNotes) -> Iterator[Finding]:
+    split = notes.split
     several_sensors = split is not None and split.kind == "sensor"
     if hidden > MAX_HIDDEN:
         problem = f"{percentage(hidden)} of the points lie more than a metre behind others"
         origin = "sensors" if several_sensors else "scans"
         yield Finding(
-            WarningCode.ACCUMULATED, f"{problem}, as in several {origin} at once", _remedy(split)
+            WarningCode.ACCUMULATED, f"{problem}, as in several {origin} at once", _remedy(notes)
         )
     elif split is not None and several_sensors:
         problem = f"has the points of {split.count} sensors, by its field {split.field}"
-        yield Finding(WarningCode.ACCUMULATED, problem, _remedy(split))
+        yield Finding(WarningCode.ACCUMULATED, problem, _remedy(notes))
 
 
-def _remedy(split: FieldSplit | None) -> str:
+def _remedy(notes: FileNotes) -> str:
+    split = notes.split
+    if split is None and notes.frame != ORIGIN:
+        return survey_hint()
     if split is None:
         return f"{SINGLE_SCANS}; {IF_SINGLE}"
     values = f"its field {split.field} has {split.count} values"

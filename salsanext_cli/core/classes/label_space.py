@@ -7,17 +7,28 @@ network predicts train ids: 0…C-1, where 0 is "unlabelled".
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
-from itertools import islice
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import yaml
 
+from salsanext_cli.core.classes.label_tables import (
+    ALTERNATIVES,
+    RAW_ID_COUNT,
+    UNKNOWN,
+    as_codes,
+    as_colour,
+    contradiction,
+    entries,
+    integers,
+    sequence_name,
+    spare_colour,
+)
 from salsanext_cli.core.errors import LabelError, UsageError
 from salsanext_cli.core.texts import did_you_mean, first_few, percentage, shortened
 from salsanext_cli.core.wording import argument, setting
@@ -26,10 +37,6 @@ TrainIds = npt.NDArray[np.uint8]
 RawIds = npt.NDArray[np.uint32]
 
 BUILT_IN = ("semantic-kitti", "coarse")
-RAW_ID_COUNT = 1 << 16
-UNKNOWN = 255  # Train id of unknown raw ids
-SHOWN_DIGITS = 20  # Longest text of an id in an error
-ALTERNATIVES = "learning_alternatives"
 KEYS = (
     "labels",
     "learning_map",
@@ -39,6 +46,7 @@ KEYS = (
     "split",
     ALTERNATIVES,
     "movable",
+    "asprs",
 )
 MAX_UNKNOWN_SHARE = 0.1
 """Largest tolerated share of points with unknown ids; other data sets had 0.4 or more."""
@@ -69,6 +77,8 @@ class LabelSpace:
         Ambiguous raw ids: all train ids that a point may have. Only training uses them.
     movable_ids : tuple of int, optional
         Train ids of movable classes; None if the label space does not state them.
+    asprs : dict of int to int, optional
+        Code of the ASPRS, 0…255, of raw ids; None if the label space does not state them.
     """
 
     name: str
@@ -80,6 +90,7 @@ class LabelSpace:
     splits: dict[str, tuple[str, ...]]
     alternatives: dict[int, tuple[int, ...]] = field(default_factory=dict)
     movable_ids: tuple[int, ...] | None = None
+    asprs: dict[int, int] | None = None
     _train_of_raw: TrainIds = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -117,12 +128,21 @@ class LabelSpace:
     def _movable_ids_of_kitti(self) -> tuple[int, ...]:
         """Return the train ids of SemanticKITTI's movable raw ids, if most names are its own."""
         kitti = built_in(BUILT_IN[0])
-        same = [self.labels[i] == kitti.labels[i] for i in self.labels.keys() & kitti.labels]
-        if 2 * sum(same) <= len(same):
+        if not self._has_names_of(kitti):
             return ()
         movable = kitti.movable_ids or ()
         raw_ids = [i for i, train_id in kitti.learning_map.items() if train_id in movable]
         return tuple(sorted({self.learning_map.get(i, 0) for i in raw_ids} - {0}))
+
+    def _has_names_of(self, other: LabelSpace) -> bool:
+        """Return whether most raw ids of both have the same name."""
+        same = [self.labels[i] == other.labels[i] for i in self.labels.keys() & other.labels]
+        return 2 * sum(same) > len(same)
+
+    @property
+    def asprs_codes(self) -> dict[int, int]:
+        """Code of the ASPRS of each raw id, as LAS files have it (see `default_codes`)."""
+        return default_codes(self) if self.asprs is None else self.asprs
 
     def require_movable(self, subject: str) -> None:
         """Raise `UsageError` about a subject that needs movable classes if there are none."""
@@ -248,6 +268,8 @@ class LabelSpace:
             data[ALTERNATIVES] = alternatives
         if is_stated:
             data["movable"] = list(self.movable_ids or ())
+        if self.asprs not in (None, default_codes(self)):
+            data["asprs"] = self.asprs
         return data
 
     @classmethod
@@ -272,29 +294,30 @@ class LabelSpace:
         """
         try:
             labels = {int(i): str(name) for i, name in data["labels"].items()}
-            learning_map = _integers(data["learning_map"])
-            inverse = _integers(data["learning_map_inv"])
+            learning_map = integers(data["learning_map"])
+            inverse = integers(data["learning_map_inv"])
             ignored = data.get("learning_ignore", {0: True})
             ignore = {int(train): bool(flag) for train, flag in ignored.items()}
             alternatives = {
-                int(i): tuple(sorted({int(train) for train in _list(train_ids)}))
+                int(i): tuple(sorted({int(train) for train in entries(train_ids)}))
                 for i, train_ids in data.get(ALTERNATIVES, {}).items()
             }
             stated = data.get("movable")
-            movable = None if stated is None else tuple(sorted({int(i) for i in _list(stated)}))
-            colours = {int(i): _colour(bgr) for i, bgr in data.get("color_map", {}).items()}
+            movable = None if stated is None else tuple(sorted({int(i) for i in entries(stated)}))
+            asprs = as_codes(data["asprs"]) if "asprs" in data else None
+            colours = {int(i): as_colour(bgr) for i, bgr in data.get("color_map", {}).items()}
             splits = {
-                str(name): tuple(map(_sequence_name, _list(members)))
+                str(name): tuple(map(sequence_name, entries(members)))
                 for name, members in data.get("split", {}).items()
             }
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             problem = f"is not a label space: {shortened(error)}"
             raise UsageError(source, problem, f"keys {', '.join(KEYS)}") from error
-        problem = _contradiction(labels, learning_map, inverse, alternatives, movable or ())
+        problem = contradiction(labels, learning_map, inverse, alternatives, movable or ())
         if problem:
             raise UsageError(source, problem, "a consistent label space")
         ids = range(len(inverse))
-        bgr = [colours.get(inverse[i], _spare_colour(i)) for i in ids]
+        bgr = [colours.get(inverse[i], spare_colour(i)) for i in ids]
         return cls(
             name=str(data.get("name", getattr(source, "stem", source))),
             labels=labels,
@@ -305,74 +328,8 @@ class LabelSpace:
             splits=splits,
             alternatives=alternatives,
             movable_ids=movable,
+            asprs=asprs,
         )
-
-
-def _contradiction(
-    labels: dict[int, str],
-    learning_map: dict[int, int],
-    inverse: dict[int, int],
-    alternatives: dict[int, tuple[int, ...]],
-    movable: tuple[int, ...],
-) -> str:
-    """Return a description of an inconsistency, empty without one."""
-    train_ids = set(inverse)
-    if not inverse or sorted(inverse) != list(range(len(inverse))) or len(inverse) > UNKNOWN:
-        return f"has train ids {_listed(inverse)}, not 0…C-1 with C ≤ {UNKNOWN}"
-    wide = [i for i in [*learning_map, *labels] if not 0 <= i < RAW_ID_COUNT]
-    if wide:
-        return f"has raw ids {_listed(wide)} beyond 16 bits"
-    targets = set(learning_map.values()) - train_ids
-    if targets:
-        return f"has train ids {_listed(targets)} in learning_map but not in learning_map_inv"
-    nameless = set(inverse.values()) - set(labels)
-    if nameless:
-        return f"lacks names of raw ids {_listed(nameless)} in labels"
-    possible = {train_id for members in alternatives.values() for train_id in members}
-    if possible - train_ids:
-        ids = _listed(possible - train_ids)
-        return f"has train ids {ids} in {ALTERNATIVES} but not in learning_map_inv"
-    immovable = set(movable) - (train_ids - {0})
-    if immovable:
-        return f"has train ids {_listed(immovable)} in movable, not 1…C-1"
-    lacking = [i for i, members in alternatives.items() if learning_map.get(i) not in members]
-    if lacking:
-        return f"lacks the train ids of raw ids {_listed(lacking)} in their {ALTERNATIVES}"
-    return ""
-
-
-def _listed(ids: Iterable[int]) -> str:
-    """Return a short text of ids of any number and size."""
-    return first_few([shortened(i, SHOWN_DIGITS) for i in sorted(ids)])
-
-
-def _integers(table: Mapping[Any, Any]) -> dict[int, int]:
-    """Return a table of integers, which YAML may have as texts."""
-    return {int(key): int(value) for key, value in table.items()}
-
-
-def _sequence_name(member: object) -> str:
-    """Return the name of a sequence, which YAML may have as a number."""
-    return f"{member:02d}" if isinstance(member, int) else str(member)
-
-
-def _list(members: object) -> list[Any]:
-    if not isinstance(members, list | tuple):
-        raise TypeError(f"{shortened(members)} is not a list")
-    return list(members)
-
-
-def _colour(channels: Any) -> list[int]:
-    """Return the three bytes of a colour; anything else raises `ValueError`."""
-    colour = [int(channel) for channel in islice(channels, 4)]
-    if len(colour) != 3 or not all(0 <= channel <= 255 for channel in colour):
-        raise ValueError(f"{shortened(channels)} is not a colour of 3 bytes")
-    return colour
-
-
-def _spare_colour(train_id: int) -> list[int]:
-    """Return a fixed blue, green, red for a class without a colour; unlabelled is black."""
-    return [0, 0, 0] if train_id == 0 else [(train_id * step) % 206 + 50 for step in (67, 109, 151)]
 
 
 @cache
@@ -380,3 +337,16 @@ def built_in(name: str) -> LabelSpace:
     """Return a built-in label space by name, one of `BUILT_IN`."""
     file = resources.files("salsanext_cli").joinpath(f"presets/label_spaces/{name}.yaml")
     return LabelSpace.from_dict(yaml.safe_load(file.read_text("utf-8")), name)
+
+
+def default_codes(space: LabelSpace) -> dict[int, int]:
+    """Return the codes of the ASPRS of a label space that states none, by raw id.
+
+    They are those of the built-in label space of its name, else of SemanticKITTI, of raw ids with
+    the same name. If most names differ, raw ids up to 255 are the codes.
+    """
+    model = built_in(space.name if space.name in BUILT_IN else BUILT_IN[0])
+    if not space._has_names_of(model):
+        return {i: i for i in space.labels if i <= 255}
+    codes = model.asprs or {}
+    return {i: code for i, code in codes.items() if space.labels.get(i) == model.labels[i]}

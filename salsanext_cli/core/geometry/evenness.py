@@ -62,7 +62,7 @@ def is_out_of_place(scan: Scan, *, nearby: bool = True) -> bool:
     points = measured_positions(few_points(scan, FEW_POINTS))
     if not _are_outdoors(points):
         return False
-    if np.quantile(_ranges(points), 0.01) > FARTHEST_NEAR_M:
+    if _are_far(points):
         return True
     sectors = sectors_around(points)
     if sectors.is_fan:
@@ -83,6 +83,12 @@ def is_outdoors(scan: Scan) -> bool:
     return _are_outdoors(measured_positions(few_points(scan, FEW_POINTS)))
 
 
+def is_far(scan: Scan) -> bool:
+    """Return whether a scan has no points near the origin, which every sensor sees."""
+    points = measured_positions(few_points(scan, FEW_POINTS))
+    return len(points) >= MIN_POINTS and _are_far(points)
+
+
 def is_fan(scan: Scan, *, even: bool = False) -> bool:
     """Return whether the points of an upright scan cover only a part of the circle.
 
@@ -94,6 +100,10 @@ def is_fan(scan: Scan, *, even: bool = False) -> bool:
 
 def _are_outdoors(points: Double) -> bool:
     return len(points) >= MIN_POINTS and bool(np.quantile(_ranges(points), 0.99) >= MIN_FAR_M)
+
+
+def _are_far(points: Double) -> bool:
+    return bool(np.quantile(_ranges(points), 0.01) > FARTHEST_NEAR_M)
 
 
 def _ranges(points: Double) -> Double:

@@ -111,6 +111,13 @@ FORMATS: Mapping[str, Format] = {
         subset=_imported("subsets", "ply_subset"),
         label_columns=_imported("ply", "ply_columns"),
     ),
+    "las": Format(
+        suffixes=(".las", ".laz"),
+        read=_imported("survey.las_file", "read_las"),
+        magic=(b"LASF",),
+        subset=_imported("survey.las_subset", "las_subset"),
+        label_columns=_imported("survey.las_file", "las_columns"),
+    ),
     "xyz": Format(
         suffixes=(".xyz",),
         read=_imported("tables.text", "read_text"),
@@ -154,7 +161,7 @@ FORMATS: Mapping[str, Format] = {
 SCAN_SUFFIXES = tuple(suffix for form in FORMATS.values() for suffix in form.suffixes)
 """Suffixes of the built-in formats."""
 BAG_SUFFIXES = (".bag", ".mcap", ".db3")
-RECORDING_SUFFIXES = (*BAG_SUFFIXES, ".pcap", ".osf")
+RECORDING_SUFFIXES = (*BAG_SUFFIXES, ".pcap", ".osf", ".e57")
 """Suffixes of recordings that are files."""
 OTHER_SUFFIXES = (".label", ".json", ".jsonl", ".toml", ".yaml", ".yml", ".md", ".safetensors")
 """Suffixes that plug-ins cannot have, beside those of scans and recordings."""
@@ -287,7 +294,7 @@ def read_scan(path: Path | str, sensor: Sensor | None = None) -> Scan:
     if form is None:
         if _call("recordings", "recording_of", path) in (None, path):
             raise FormatError(path, "unknown scan format", f"a {suffixes_in_words()} file")
-        return _read_columns("recordings", "recorded_columns", path, names, scale, field)
+        return _call("recordings", "recorded_scan", path, scale, field)
     try:
         with errors_of_plug_ins(path):
             scan = _read(form, path, names, scale, field)

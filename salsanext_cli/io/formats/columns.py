@@ -9,12 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.core.errors import FormatError, LabelError
-from salsanext_cli.core.records import Double, FileNotes, Float, Scan, normalised_intensity
+from salsanext_cli.core.records import Double, FileNotes, Float, Origin, Scan, normalised_intensity
 from salsanext_cli.core.sensors.sensor import MAX_COLUMNS, UNUSED_COLUMN
 from salsanext_cli.core.texts import counted
 from salsanext_cli.core.wording import argument, setting
 from salsanext_cli.io.formats.field_names import AxisFields, fields_beside, intensity_among
 from salsanext_cli.io.formats.split_fields import split_field
+from salsanext_cli.io.formats.survey.local_frame import NO_SHIFT, local_frame, notice_frame
 
 Columns = Mapping[str, npt.NDArray[Any]]
 """Values (N,) by the names of a file; numbers x, y and z at least, if `scan_of` takes them."""
@@ -32,6 +33,7 @@ def scan_of(
     *,
     unread: Iterable[str] = (),
     missing_points: int = 0,
+    may_be_map: bool = False,
 ) -> Scan:
     """Return the scan of named columns.
 
@@ -49,8 +51,12 @@ def scan_of(
         Names of further fields of the file.
     missing_points : int, optional
         Number of points that the header of the file states, but that it lacks.
+    may_be_map : bool
+        Whether map coordinates are moved into a local frame; else they are refused.
     """
-    points = coordinates(columns, path)
+    frame = frame_of(columns, path) if may_be_map else NO_SHIFT
+    notice_frame(frame)
+    points = coordinates(columns, path, frame)
     require_near_origin(points, path)
     require_no_matrix(points, path)
     numbers = _numbers(columns)
@@ -58,25 +64,55 @@ def scan_of(
     intensity = np.zeros(len(points), np.float32) if name is None else numbers[name]
     fields = tuple(field for field in fields_beside([*numbers, *unread]) if field != name)
     scaled = normalised_intensity(intensity, intensity_scale)
-    return Scan(
-        points,
-        scaled,
-        FileNotes(fields=fields, missing_points=missing_points, split=split_field(numbers)),
-    )
+    split = split_field(numbers)
+    notes = FileNotes(fields=fields, missing_points=missing_points, split=split, frame=frame)
+    return Scan(points, scaled, notes)
 
 
-def coordinates(columns: Columns, path: Path) -> Float:
-    """Return the columns x, y, z, in upper or lower case, as points (N, 3) float32 in metres."""
+def frame_of(columns: Columns, path: Path) -> Origin:
+    """Return the origin of the local frame of coordinates in float64, `NO_SHIFT` of others."""
+    numbers = _numbers(columns)
+    axes = AxisFields.among(list(numbers) or list(columns), path)
+    least = []
+    largest = []
+    for name, metres in zip(axes.names, axes.metres, strict=True):
+        finite = numbers[name][np.isfinite(numbers[name])]
+        if finite.dtype != np.float64 or not len(finite):
+            return NO_SHIFT
+        least.append(metres * float(finite.min()))
+        largest.append(metres * float(finite.max()))
+    return local_frame(least, largest)
+
+
+def coordinates(columns: Columns, path: Path, frame: Origin = NO_SHIFT) -> Float:
+    """Return the coordinates of points.
+
+    Parameters
+    ----------
+    columns : mapping of str to (N,) array
+        Columns of a file, x, y, z in upper or lower case among them.
+    path : Path
+        The file, for errors.
+    frame : 3 floats
+        Position in metres that is subtracted.
+
+    Returns
+    -------
+    (N, 3) float32
+        In metres.
+    """
     numbers = _numbers(columns)
     axes = AxisFields.among(list(numbers) or list(columns), path)
     # Values beyond float32 become infinity, and signalling NaNs are valid: no measurements.
     with np.errstate(over="ignore", invalid="ignore"):
-        pairs = zip(axes.names, axes.metres, strict=True)
-        return np.column_stack([_in_metres(numbers[name], metres) for name, metres in pairs])
+        parts = zip(axes.names, axes.metres, frame, strict=True)
+        return np.column_stack([_in_metres(numbers[name], m, shift) for name, m, shift in parts])
 
 
-def _in_metres(values: npt.NDArray[Any], metres: float) -> Float:
-    return (values if metres == 1 else values * np.float64(metres)).astype(np.float32)
+def _in_metres(values: npt.NDArray[Any], metres: float, shift: float) -> Float:
+    if metres != 1:
+        values = values * np.float64(metres)
+    return (values - shift if shift else values).astype(np.float32)
 
 
 def _numbers(columns: Columns) -> Columns:

@@ -14,13 +14,14 @@ import numpy.typing as npt
 
 from salsanext_cli.core.classes.label_space import LabelSpace, RawIds
 from salsanext_cli.core.errors import FormatError, LabelError, UsageError
-from salsanext_cli.core.records import Float, Mask
+from salsanext_cli.core.records import Float, Mask, Origin
 from salsanext_cli.core.texts import quoted, shortened
 from salsanext_cli.core.wording import argument, setting
 from salsanext_cli.io.files.yaml_toml import read_yaml
-from salsanext_cli.io.formats import errors_of_plug_ins, format_of, suffixes_in_words
-from salsanext_cli.io.formats.columns import Columns, coordinates
+from salsanext_cli.io.formats import FORMATS, errors_of_plug_ins, format_of, suffixes_in_words
+from salsanext_cli.io.formats.columns import Columns, coordinates, frame_of
 from salsanext_cli.io.formats.field_names import PREFIX, listed
+from salsanext_cli.io.formats.survey.local_frame import NO_SHIFT
 
 LABEL_READER = attrgetter("label_columns")  # Of a format; None without one
 LABEL_NAMES = (
@@ -41,6 +42,9 @@ LABEL_NAMES = (
 """Names of label scalars, in lower case, without the prefix."""
 ASPRS_SCALAR = "classification"  # Scalar of LAS, with classes of the ASPRS
 ASPRS_CLASSES = range(2, 23)  # Classes that the ASPRS defines; 0 and 1 are unassigned
+LOWER_VEGETATION = (3, 4)  # Low and medium vegetation
+HIGH_VEGETATION = 5
+UNASSIGNED_CODES = (0, 1, 7, 18)  # Never classified, unassigned, and noise
 NO_VALUE = np.iinfo(np.int64).min  # Id of a point without a value, which programs write as NaN
 MAX_ID = 0xFFFFFFFF  # Largest id of a label file, with the instance in its upper 16 bits
 Ids = npt.NDArray[np.int64]
@@ -55,10 +59,26 @@ class LabelledCloud:
     points: Float  # (M, 3) float32: metres, in the frame of the scan
     ids: Ids  # (M,) int64: ids of the program; `NO_VALUE` for none
     scalar: str  # Name of the scalar in the file
+    has_codes: bool = False  # Whether the ids are codes of the ASPRS
 
     @classmethod
-    def read(cls, path: Path, scalar: str | None = None) -> Self:
-        """Read coordinates and labels of a cloud, by default from the scalar in `LABEL_NAMES`."""
+    def read(cls, path: Path, scalar: str | None = None, frame: Origin = NO_SHIFT) -> Self:
+        """Read coordinates and labels of a cloud.
+
+        Parameters
+        ----------
+        path : Path
+            The file.
+        scalar : str, optional
+            Scalar with the labels, by default one of `LABEL_NAMES`. The classification of a LAS
+            file has codes of the ASPRS, unless it is named.
+        frame : 3 floats
+            Frame of the scan, in which a cloud in map coordinates is returned, in metres.
+
+        Returns
+        -------
+        LabelledCloud
+        """
         form = format_of(path.name)
         if form is None or form.label_columns is None:
             expected = f"a {suffixes_in_words(LABEL_READER)} file"
@@ -66,9 +86,12 @@ class LabelledCloud:
         with errors_of_plug_ins(path):
             columns = form.label_columns(path)
         columns = {name: values for name, values in columns.items() if values.dtype.kind in "iuf"}
-        points = coordinates(columns, path)
+        is_map = frame_of(columns, path) != NO_SHIFT
+        points = coordinates(columns, path, frame if is_map else NO_SHIFT)
         name = _label_column(columns, scalar, path)
         ids = whole_numbers(columns[name], path, name)
+        if scalar is None and form is FORMATS["las"] and name == ASPRS_SCALAR:
+            return cls(points, ids, name, has_codes=True)
         largest = int(ids.max(initial=0))
         if scalar is None and _plain(name) == ASPRS_SCALAR and largest in ASPRS_CLASSES:
             problem = f"has {name} up to {largest}, probably classes of the ASPRS"
@@ -94,6 +117,7 @@ def _label_column(columns: Columns, scalar: str | None, path: Path) -> str:
         expected = f"one named {', '.join(LABEL_NAMES)}"
         raise FormatError(path, problem, expected, f"name it with {argument('scalar')}")
     if len(used) > 1:
+        used.sort(key=lambda name: _plain(name) == ASPRS_SCALAR)  # A label is more specific.
         problem = f"has several scalars that may be labels: {', '.join(used)}"
         hint = f"choose one with {argument('scalar')}, as {setting('scalar', used[0])}"
         raise LabelError(path, problem, "one", hint)
@@ -167,17 +191,46 @@ class LabelIds:
     raw_of: dict[int, int]  # Raw id by id of the tool
     names: dict[int, str]  # Name of the class by id of the tool
     unlabelled: int  # Raw id of points without a label
+    codes: LabelIds | None = None  # Meaning of codes of the ASPRS, if it is another one
 
     @classmethod
     def from_space(cls, space: LabelSpace, tool: Path | None = None) -> LabelIds:
-        """Return the raw ids of a label space, or of the map in the YAML file of a tool."""
+        """Return the raw ids of a label space, or of the map in the YAML file of a tool.
+
+        The codes of the ASPRS mean what the label space states, unless there is such a map.
+        """
         raw_of = {i: i for i in _raw_ids(space)} if tool is None else _read_map(tool, space)
         if not space.ignored[0]:
             expected = "an ignored class 0, for points without a label"
             problem = f"counts class 0, {space.names[0]}"
             raise UsageError(f"label space {space.name}", problem, expected)
         names = {i: space.labels.get(raw, str(raw)) for i, raw in sorted(raw_of.items())}
-        return cls(raw_of, names, space.learning_map_inv[0])
+        unlabelled = space.learning_map_inv[0]
+        return cls(raw_of, names, unlabelled, None if tool else cls._of_codes(space))
+
+    @classmethod
+    def _of_codes(cls, space: LabelSpace) -> LabelIds:
+        """Return the raw ids of those codes of the ASPRS that a single class has."""
+        classes: dict[int, set[int]] = {}
+        for raw, code in space.asprs_codes.items():
+            train_id = space.learning_map.get(raw, 0)
+            if train_id:
+                classes.setdefault(code, set()).add(train_id)
+        unlabelled = space.learning_map_inv[0]
+        raw_of = dict.fromkeys(UNASSIGNED_CODES, unlabelled)
+        for code, train_ids in classes.items():
+            raw_of.pop(code, None)
+            if len(train_ids) == 1:
+                raw_of[code] = space.learning_map_inv[min(train_ids)]
+        if HIGH_VEGETATION in raw_of:
+            lower = [code for code in LOWER_VEGETATION if code not in classes]
+            raw_of |= dict.fromkeys(lower, raw_of[HIGH_VEGETATION])
+        names = {code: space.labels[raw] for code, raw in sorted(raw_of.items())}
+        return cls(raw_of, names, unlabelled)
+
+    def for_cloud(self, cloud: LabelledCloud) -> LabelIds:
+        """Return the meaning of the ids of a cloud."""
+        return self.codes if self.codes is not None and cloud.has_codes else self
 
     def unknown(self, ids: Ids) -> dict[int, int]:
         """Return the number of points of each id (without instance) that has no meaning."""

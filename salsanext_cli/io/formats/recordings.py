@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Recordings of many scans, read scan by scan: ROS bags, and packets of Ouster and Velodyne.
+"""Recordings of many scans, read scan by scan: ROS bags, packets of sensors, and E57 files.
 
 The path of a scan treats recording and topic as folders:
 ``drive.bag/velodyne_points/1612345678000000000``.
@@ -16,12 +16,17 @@ from pathlib import Path
 from typing import Protocol
 
 from salsanext_cli.core.errors import FormatError, NoInputError, UsageError
+from salsanext_cli.core.fusion.poses import Poses
+from salsanext_cli.core.records import Scan
 from salsanext_cli.core.texts import counted, shortened
 from salsanext_cli.core.wording import part
 from salsanext_cli.io.files.reading import identity, is_folder, present
 from salsanext_cli.io.formats import BAG_SUFFIXES, RECORDING_SUFFIXES
-from salsanext_cli.io.formats.columns import Columns
+from salsanext_cli.io.formats.columns import Columns, scan_of
 
+E57 = ".e57"
+DIGITS_OF_NUMBER = 6  # Digits of the name of a scan of E57
+DIGITS_OF_NS = 19  # Of other scans, whose name is their time in nanoseconds
 METADATA = "metadata.yaml"  # In the folder of a ROS 2 bag, beside `.db3` or `.mcap` files
 NAME = re.compile(r"(-?\d{1,20})(?:_(\d{1,9}))?", re.ASCII)
 MAX_SHOWN = 500  # Characters of a list of topics in an error
@@ -32,6 +37,11 @@ def is_recording(path: Path) -> bool:
     if is_folder(path):
         return present(path / METADATA) and bool(storages(path))
     return path.suffix.lower() in RECORDING_SUFFIXES and present(path)
+
+
+def is_site(recording: Path) -> bool:
+    """Return whether a recording is an E57 file, whose scans have numbers, and often poses."""
+    return recording.suffix.lower() == E57
 
 
 def storages(folder: Path) -> list[Path]:
@@ -66,7 +76,7 @@ class Recording(Protocol):
         """Return the error of a recording without topics of point clouds."""
 
     def times(self, topic: str) -> list[int]:
-        """Return the times of the clouds of a topic in nanoseconds, sorted."""
+        """Return the times of the clouds of a topic in nanoseconds, sorted; or their numbers."""
 
     def point_count(self, topic: str) -> int:
         """Return the usual number of points of a cloud of a topic."""
@@ -114,7 +124,8 @@ def recorded_paths(path: Path) -> list[Path]:
     if topic not in clouds:
         listed = shortened(", ".join(clouds.values()), MAX_SHOWN)
         raise NoInputError(folder, f"has no clouds of topic {inside}", f"one of {listed}")
-    names = _names(opened.recording.times(clouds[topic]))
+    digits = DIGITS_OF_NUMBER if is_site(folder) else DIGITS_OF_NS
+    names = _names(opened.recording.times(clouds[topic]), digits)
     if name and name not in names:
         raise NoInputError(path, "no such scan", f"one of the {len(names)} of the recording")
     return [folder / topic / stem for stem in names if name in ("", stem)]
@@ -140,20 +151,25 @@ def _several_topics(folder: Path, recording: Recording, topics: list[str]) -> Us
     return UsageError(folder, problem, "one of them", hint)
 
 
-def _names(times: list[int]) -> list[str]:
+def _names(times: list[int], digits: int) -> list[str]:
     """Return the names of scans by their sorted times in nanoseconds; equal times get a suffix."""
     return [
-        scan_name(time, number) for time, equal in groupby(times) for number, _ in enumerate(equal)
+        scan_name(time, number, digits)
+        for time, equal in groupby(times)
+        for number, _ in enumerate(equal)
     ]
 
 
-def scan_name(time: int, number: int) -> str:
+def scan_name(time: int, number: int, digits: int = DIGITS_OF_NS) -> str:
     """Return the name of a scan by its time in nanoseconds and its number among equal times."""
-    return f"{time:019d}" + (f"_{number}" if number else "")
+    return f"{time:0{digits}d}" + (f"_{number}" if number else "")
 
 
-def recorded_columns(path: Path, _: tuple[str, ...] = ()) -> Columns:
-    """Read a scan of a recording, whose path is one of the `recorded_paths`."""
+def recorded_scan(path: Path, intensity_scale: float, intensity_field: str = "") -> Scan:
+    """Read a scan of a recording, whose path is one of the `recorded_paths`.
+
+    `intensity_scale`, `intensity_field`: as of `scan_of`.
+    """
     opened = _open_recording(path)
     topic = "/".join(path.parent.relative_to(opened.folder).parts)
     match = NAME.fullmatch(path.name)
@@ -161,7 +177,23 @@ def recorded_columns(path: Path, _: tuple[str, ...] = ()) -> Columns:
         raise FormatError(path, "no such scan", "a scan that the recording lists")
     time = int(match[1])
     number = int(match[2] or 0)
-    return opened.recording.columns(opened.topics[topic], time, number, path)
+    columns = opened.recording.columns(opened.topics[topic], time, number, path)
+    may_be_map = is_site(opened.folder)
+    return scan_of(columns, path, intensity_scale, intensity_field, may_be_map=may_be_map)
+
+
+def recorded_poses(path: Path) -> Poses | None:
+    """Return the poses (N, 4, 4) of the N scans of a recording, which a path is or leads into.
+
+    None if the recording has none.
+    """
+    folder = recording_of(path)
+    if folder is None or not is_site(folder):
+        return None
+    from salsanext_cli.io.formats.survey.e57 import E57Recording
+
+    recording = _open_recording(path).recording
+    return recording.poses() if isinstance(recording, E57Recording) else None
 
 
 def _open_recording(path: Path) -> _OpenRecording:
@@ -190,6 +222,10 @@ def _recording(path: Path, version: tuple[object, ...]) -> Recording:
             from salsanext_cli.io.formats.velodyne import VelodyneCapture
 
             return VelodyneCapture(path)
+    if is_site(path):
+        from salsanext_cli.io.formats.survey.e57 import E57Recording
+
+        return E57Recording(path)
     from salsanext_cli.io.formats.ouster import OusterRecording
 
     return OusterRecording(path)

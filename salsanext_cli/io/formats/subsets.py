@@ -48,8 +48,8 @@ def npy_subset(path: Path, names: tuple[str, ...]) -> Subset:
     """Read a `.npy` table; an organised cloud becomes one row."""
     table = npy.rows_of(npy.load_npy(path, npy.EXPECTED))
     if npy.is_transposed(table, len(names)):
-        return lambda mask: _npy_content(_masked(table.T, mask, path).T)
-    return lambda mask: _npy_content(_masked(table, mask, path))
+        return lambda mask: _npy_content(masked(table.T, mask, path).T)
+    return lambda mask: _npy_content(masked(table, mask, path))
 
 
 def _npy_content(table: npt.NDArray[Any]) -> bytes:
@@ -86,7 +86,7 @@ def _saved(save: Callable[[io.BytesIO], object]) -> bytes:
 def bin_subset(path: Path, names: tuple[str, ...]) -> Subset:
     """Read a file of values without a header."""
     table = kitti.read_table(path, names)
-    return lambda mask: table.encode(_masked(table.values, mask, path))
+    return lambda mask: table.encode(masked(table.values, mask, path))
 
 
 def pcd_subset(path: Path, _: tuple[str, ...]) -> Subset:
@@ -137,14 +137,14 @@ def _rows_subset(path: Path, content: _Rows, number: re.Pattern[bytes] = NUMBERS
         rows = np.array([line for line in body.splitlines(True) if line.strip()], object)
 
     def subset(mask: Mask) -> bytes:
-        remaining = _masked(rows, mask, path)
+        remaining = masked(rows, mask, path)
         points = remaining.tobytes() if width else b"".join(remaining)
         return number.sub(rb"\g<1>%d" % len(remaining), content.header) + points
 
     return subset
 
 
-def _masked(rows: npt.NDArray[Any], mask: Mask, path: Path) -> npt.NDArray[Any]:
+def masked(rows: npt.NDArray[Any], mask: Mask, path: Path) -> npt.NDArray[Any]:
     """Return the rows (N, …) of a mask; refuse a mask of another length."""
     if len(rows) != len(mask):
         raise other_number(len(rows), len(mask), path)

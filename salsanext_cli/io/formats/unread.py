@@ -7,15 +7,13 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-OF_LAS = "convert it to .ply: `pdal translate in.las out.ply`"
 OTHERWISE = "convert it to .ply, for example with CloudCompare"
-LAS_SUFFIXES = (".las", ".laz")
 UNFINISHED = ".bag.active"
 PICKLES = (".pkl.gz", ".pkl", ".pickle")
 ARCHIVES = (".tar.gz", ".tgz", ".tar", ".zip", ".7z")
 PCAPNG = ".pcapng"
 GZIP = ".gz"
-UNREAD_SUFFIXES = (*LAS_SUFFIXES, UNFINISHED, *PICKLES, *ARCHIVES, PCAPNG, GZIP)
+UNREAD_SUFFIXES = (UNFINISHED, *PICKLES, *ARCHIVES, PCAPNG, GZIP)
 """Suffixes of files with a hint of their own, longer ones first."""
 
 
@@ -27,8 +25,6 @@ def unread_kind(name: str) -> str:
 def conversion_hint(path: Path) -> str:
     """Return how to convert a file that is not read to one that is."""
     kind = unread_kind(path.name)
-    if kind in LAS_SUFFIXES:
-        return OF_LAS
     if kind == UNFINISHED:
         finished = path.name[: -len(".active")]
         file = shlex.quote(str(path))

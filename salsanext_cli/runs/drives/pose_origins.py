@@ -18,12 +18,16 @@ from salsanext_cli.core.geometry.sensor_frame import in_sensor_frame
 from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
 from salsanext_cli.core.geometry.sensor_place import MIN_OFFSET_M
 from salsanext_cli.core.notices import NOTICE
-from salsanext_cli.core.records import Double, Origins
+from salsanext_cli.core.records import Double, Origin, Origins
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.texts import counted, first_few
 from salsanext_cli.core.wording import argument
 from salsanext_cli.io.formats import read_scan
-from salsanext_cli.runs.drives.poses_of_sequence import poses_beside, readings_of
+from salsanext_cli.runs.drives.poses_of_sequence import (
+    poses_beside,
+    position_in_file,
+    readings_of,
+)
 from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.runs.results.selection import evenly_spaced
 
@@ -98,11 +102,10 @@ def _add_sequence(
     by_poses.lines.append(f"sequence {sequence}: the origins of its scans are those of {path}")
     unused = []
     for file in scans:
-        position = tuple(positions[numbers[file.name]].tolist())
-        is_seen_from_pose = _is_seen_from(file, sensor, position)
-        if is_seen_from_pose:
-            by_poses.origins[file.name] = position
-        elif is_seen_from_pose is not None:
+        seen = _seen_from(file, sensor, positions[numbers[file.name]])
+        if seen is not None and seen.agrees:
+            by_poses.origins[file.name] = seen.origin
+        elif seen is not None:
             unused.append(file.name)
     if unused:
         poses = counted(len(unused), "pose")
@@ -171,7 +174,10 @@ def _agreeing_positions(
 
 
 def _origins_by_points(files: Sequence[ScanFile], sensor: Sensor) -> dict[int, Double]:
-    """Return the origins (3,) that the points of a few registered scans show, by their number."""
+    """Return the origins (3,) that the points of a few registered scans show, by their number.
+
+    They are in the coordinates of the files, as poses are.
+    """
     origins = {}
     for number in evenly_spaced(range(len(files)), COMPARED_SCANS):
         try:
@@ -180,17 +186,29 @@ def _origins_by_points(files: Sequence[ScanFile], sensor: Sensor) -> dict[int, D
             continue  # The run reports the error.
         member = sensor_of(scan, sensor)
         if member.registered:
-            origins[number] = np.array(member.origin)
+            origins[number] = position_in_file(member.origin, scan)
     return origins
 
 
-def _is_seen_from(file: ScanFile, sensor: Sensor, position: tuple[float, ...]) -> bool | None:
-    """Return whether a registered scan looks as if seen from a position; None for other scans."""
+@dataclass(frozen=True, slots=True)
+class _Position:
+    """Position of a pose in the frame of a scan."""
+
+    origin: Origin  # Metres
+    agrees: bool  # Whether the scan looks as if seen from there
+
+
+def _seen_from(file: ScanFile, sensor: Sensor, position: Double) -> _Position | None:
+    """Return whether a registered scan is seen from a position (3,); None for other scans.
+
+    `position` is in the coordinates of the file, in metres.
+    """
     try:
         scan = read_scan(file.path, sensor)
     except SalsanextError:
         return None  # The run reports the error.
-    member = sensor_of(scan, sensor, position)
+    origin = tuple((position - scan.notes.frame).tolist())
+    member = sensor_of(scan, sensor, origin)
     if not member.registered:
         return None
-    return not is_out_of_place(in_sensor_frame(scan, member))
+    return _Position(origin, agrees=not is_out_of_place(in_sensor_frame(scan, member)))

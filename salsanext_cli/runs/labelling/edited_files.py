@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,7 +12,7 @@ import numpy.typing as npt
 from salsanext_cli.core.classes.label_space import LabelSpace, RawIds
 from salsanext_cli.core.errors import LabelError, NoInputError
 from salsanext_cli.core.geometry.label_transfer import TOLERANCE_M, LabelTransfer, transfer_labels
-from salsanext_cli.core.records import Float
+from salsanext_cli.core.records import Float, Scan
 from salsanext_cli.core.texts import counted, first_few
 from salsanext_cli.core.wording import argument
 from salsanext_cli.io.files.reading import is_folder, present
@@ -26,14 +25,12 @@ from salsanext_cli.io.formats.label_scalars import (
     whole_numbers,
 )
 from salsanext_cli.io.formats.npy import read_integers
-from salsanext_cli.io.formats.unread import LAS_SUFFIXES, OF_LAS
 from salsanext_cli.runs.labelling.label_records import ImportedScan
 from salsanext_cli.runs.results.paths import ScanFile, counted_by_suffix
 
 LABEL_SUFFIXES = (".label", ".npy")  # Files with one label per point and no coordinates
 MAX_UNMATCHED = 0.01  # Largest share of the points of a cloud that are not in the scan
 ROUNDED_M = 0.05  # Below it, coordinates were probably rounded; other scans are farther away
-log = logging.getLogger(__name__)
 
 
 def find_edited(source: Path) -> list[Path]:
@@ -53,8 +50,6 @@ def find_edited(source: Path) -> list[Path]:
     if not edited:
         others = f", but {counted_by_suffix(files)}" if files else ""
         raise NoInputError(source, f"contains no labels{others}", expected)
-    if ignored := [path for path in files if path.suffix.lower() in LAS_SUFFIXES]:
-        log.warning("%s: skipped %s; %s", source, counted_by_suffix(ignored), OF_LAS)
     return edited
 
 
@@ -116,22 +111,25 @@ def _words(text: str) -> set[str]:
 def read_edited(
     path: Path,
     scan: ScanFile,
-    points: Float,
+    cloud_of_scan: Scan,
     meanings: LabelIds,
     space: LabelSpace,
     scalar: str | None = None,
 ) -> tuple[RawIds, ImportedScan]:
-    """Read the labels of the points (N, 3) of a scan, matched by coordinates or order.
+    """Read the labels of the N points of a scan, matched by coordinates or order.
 
     Return raw ids with instances, (N,) uint32, unlabelled where there are none, and the numbers of
     points.
     """
+    points = cloud_of_scan.points
     has_points = _has_points(path)
-    cloud = LabelledCloud.read(path, scalar) if has_points else _labels_in_order(path, points)
+    if has_points:
+        cloud = LabelledCloud.read(path, scalar, cloud_of_scan.notes.frame)
+    else:
+        cloud = _labels_in_order(path, points)
+    meanings = meanings.for_cloud(cloud)
     if unknown := meanings.unknown(cloud.ids):
-        listed = ", ".join(f"{i} ({counted(n, 'point')})" for i, n in sorted(unknown.items()))
-        hint = f"map the ids of the tool with {argument('ids')}"
-        raise LabelError(path, f"has unknown label ids {listed}", meanings.described(), hint)
+        raise _unknown_ids(path, cloud, unknown, meanings, space)
     raw = meanings.to_raw(cloud.ids)
     every = np.ones(len(points), bool)
     transfer = LabelTransfer(
@@ -175,6 +173,23 @@ def _labels_in_order(path: Path, points: Float) -> LabelledCloud:
     else:
         values = read_labels(path, len(points))
     return LabelledCloud(points=points, ids=whole_numbers(values, path, "label"), scalar="labels")
+
+
+def _unknown_ids(
+    path: Path, cloud: LabelledCloud, unknown: dict[int, int], meanings: LabelIds, space: LabelSpace
+) -> LabelError:
+    """Return the error of ids without a meaning; `unknown` has their numbers of points."""
+    listed = ", ".join(f"{i} ({counted(n, 'point')})" for i, n in sorted(unknown.items()))
+    if not cloud.has_codes:
+        hint = f"map the ids of the tool with {argument('ids')}"
+        return LabelError(path, f"has unknown label ids {listed}", meanings.described(), hint)
+    several = {code: space.labels[raw] for raw, code in reversed(space.asprs_codes.items())}
+    names = dict.fromkeys(unknown, space.names[0]) | several | meanings.names
+    entries = [f"{code}: {names[code]}" for code in np.unique(cloud.ids).tolist()]
+    problem = f"has {cloud.scalar} {listed}, which no class or several classes of {space.name} have"
+    file = f"a YAML file such as {{{', '.join(entries)}}}"
+    hint = f"map all of them to classes with {argument('ids')}, by {file}"
+    return LabelError(path, problem, meanings.described(), hint)
 
 
 def _require_same_scan(path: Path, transfer: LabelTransfer) -> None:

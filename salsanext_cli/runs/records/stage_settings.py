@@ -125,6 +125,13 @@ class ExportSettings(StageSettings):
             _require_ends([self.scale])
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExportLasSettings(StageSettings):
+    """Settings of `export-las`; without compression, by which the stages of records differ."""
+
+    origins: Mapping[str, str] | None = None  # Digests of the settings of earlier stages, by name
+
+
 def settings_type(stage: str) -> type[StageSettings]:
     """Return the class of the settings of a stage whose results are in an output folder.
 
@@ -150,6 +157,8 @@ _TYPES: dict[str, type[StageSettings]] = {
     "uncertainty": UncertaintySettings,
     "fuse": FuseSettings,
     "picture": PictureSettings,
+    "export-las": ExportLasSettings,
+    "export-laz": ExportLasSettings,
 }
 
 

@@ -53,6 +53,8 @@ Kind = TypeVar("Kind")
 RESULT_STAGES = (
     *("project", "predict", "knn-refine", "uncertainty", "fuse", "picture", "export-ply"),
     *(f"export-ply-{colour}" for colour in COLOURINGS),
+    "export-las",
+    "export-laz",
 )
 
 

@@ -67,6 +67,8 @@ SUFFIX_OF_FOLDER = {
     "pictures": ".png",
     "ply": ".ply",
     **{f"ply/{name}": ".ply" for name in COLOURINGS},
+    "las": ".las",
+    "laz": ".laz",
 }
 """Folders of a sequence in an output folder, and the suffix of the files in each."""
 

@@ -2,6 +2,7 @@
 """Data sets to train on: labelled scans, their label space and the sensors that recorded them."""
 
 import logging
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
@@ -24,7 +25,7 @@ from salsanext_cli.core.records import Float
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.texts import counted, first_few
 from salsanext_cli.core.wording import setting
-from salsanext_cli.io.formats import read_scan
+from salsanext_cli.io.formats import FORMATS, format_of, read_scan
 from salsanext_cli.io.formats.kitti_labels import read_labels
 from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.runs.fit.scan_sample import sample_of_files
@@ -211,11 +212,20 @@ def _labelled_scans(dataset: Path) -> list[ScanFile]:
     text = f", {len(unreviewed)} with pre-labels only" if unreviewed else ""
     if not labelled:
         problem = f"none of {counted(len(files), 'scan')} has labels{text}"
-        raise NoInputError(dataset, problem, f"label files such as {files[0].label_path}")
+        expected = f"label files such as {files[0].label_path}"
+        raise NoInputError(dataset, problem, expected, _hint_of_labels_inside(dataset, files[0]))
     unlabelled = len(files) - len(labelled)
     if unlabelled:
         log.log(NOTICE, "skipped without labels: %s%s", counted(unlabelled, "scan"), text)
     return labelled
+
+
+def _hint_of_labels_inside(dataset: Path, first: ScanFile) -> str:
+    """Return the command that reads the labels in the scans themselves; empty for most formats."""
+    if format_of(first.path.name) is not FORMATS["las"]:
+        return ""
+    words = shlex.join(["salsanext", "import-labels", str(dataset), str(dataset)])
+    return f"run `{words}`, which reads the classification of the scans"
 
 
 def _with_splits_of(dataset: Path, space: LabelSpace | None) -> LabelSpace:

@@ -8,13 +8,8 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from salsanext_cli.core.classes.label_space import (
-    RAW_ID_COUNT,
-    UNKNOWN,
-    LabelSpace,
-    RawIds,
-    TrainIds,
-)
+from salsanext_cli.core.classes.label_space import LabelSpace, RawIds, TrainIds
+from salsanext_cli.core.classes.label_tables import RAW_ID_COUNT, UNKNOWN
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.records import Mask
 

@@ -3,13 +3,16 @@
 
 import hashlib
 import json
+import re
 
 import numpy as np
 import pytest
+import yaml
 from edited_clouds import WRITERS, write_ply
-from scans import files_below, refused, write_sequence
+from las_files import write_las
+from scans import files_below, make_scan, refused, write_sequence
 
-from salsanext_cli import label_space, read_labels, read_scan, write_labels
+from salsanext_cli import LabelSpace, label_space, read_labels, read_scan, write_labels
 from salsanext_cli.commands.stages.import_labels import import_labels
 from salsanext_cli.core.errors import NoInputError
 from salsanext_cli.io.formats.kitti_labels import encode_labels
@@ -60,12 +63,14 @@ def only_failure(found):
     return failure
 
 
-@pytest.mark.parametrize("name", ["S.PLY", "s.pcd"])
+@pytest.mark.parametrize("name", ["S.PLY", "s.pcd", "s.laz"])
 def test_shuffled_and_cut_clouds_give_the_truth_back(world, name):
     random = np.random.default_rng(0)
     order = random.permutation(1500)[:1100]
     scalars = {"scalar_Label": world.truth[0][order].astype("f4")}
     file = f"000010 - Cloud.{name[2:]}"
+    if name.endswith("z"):
+        pytest.importorskip("laspy")
     WRITERS[name](world.edited / file, world.points[0][order], scalars)
     found = world.run()
     expected = np.zeros(1500, np.uint32)
@@ -261,3 +266,86 @@ def test_a_plain_folder_of_scans_will_do(world, tmp_path):
     for place in (plain, tmp_path / "plain"):
         import_labels(world.edited / "any.ply", place)
         np.testing.assert_array_equal(read_labels(plain.with_suffix(".label")), world.truth[0])
+
+
+CODES = {40: 11, 48: 2, 50: 6, 70: 5, 81: 145}
+"""Codes of the ASPRS of some raw ids of SemanticKITTI."""
+UTM = (500_123.4, 5_400_456.7, 312.0)
+
+
+def classified(folder, names, codes):
+    """Write LAS scans in map coordinates with a classification, (N,) each."""
+    pytest.importorskip("laspy")
+    for seed, (name, values) in enumerate(zip(names, codes, strict=True)):
+        points = make_scan(300, seed).points + np.array(UTM)
+        write_las(folder / name, points, offsets=UTM, classification=values.astype(np.uint8))
+    return folder
+
+
+def test_the_classification_of_las_scans_becomes_their_labels_by_the_label_space(tmp_path):
+    raw = np.random.default_rng(0).choice([50, 70, 81], 300)
+    codes = np.array([CODES[i] for i in raw.tolist()])
+    codes[:9] = [0, 1, 7, 18, 3, 4, 5, 6, 145]
+    expected = raw.copy()
+    expected[:9] = [0, 0, 0, 0, 70, 70, 70, 50, 81]
+    folder = classified(tmp_path / "scans", ["a.las", "b.laz"], [codes, codes[::-1]])
+    found = import_labels(folder, folder)
+    assert found.failures == []
+    for stem, order in (("a", 1), ("b", -1)):
+        (scan,) = [file for file in find_scans(folder) if file.stem == stem]
+        np.testing.assert_array_equal(read_labels(scan.label_path), expected[::order])
+
+
+def test_codes_of_several_classes_need_a_map_which_the_hint_has(tmp_path):
+    codes = np.where(np.arange(300) % 2, 2, 6)
+    folder = classified(tmp_path / "scans", ["a.las"], [codes])
+    (failure,) = import_labels(folder, folder).failures
+    assert "2 (150 points)" in failure.reason
+    (entries,) = re.findall(r"such as (\{.*\})", failure.hint)
+    mapped = tmp_path / "map.yaml"
+    mapped.write_text(entries)
+    assert set(yaml.safe_load(entries)) == {2, 6}
+    assert import_labels(folder, folder, ids=mapped).failures == []
+    (scan,) = find_scans(folder)
+    first = SPACE.labels.keys() & {48, 49, 72}
+    labels = read_labels(scan.label_path)
+    np.testing.assert_array_equal(labels[codes == 6], 50)
+    assert set(labels[codes == 2].tolist()) < first
+
+
+def test_a_label_space_may_have_the_codes_as_raw_ids(tmp_path):
+    codes = np.random.default_rng(0).choice([1, 2, 5, 6, 17], 300)
+    folder = classified(tmp_path / "scans", ["a.las"], [codes])
+    names = {1: "unassigned", 2: "ground", 5: "tree", 6: "building", 17: "bridge"}
+    space = LabelSpace.from_dict(
+        {
+            "labels": names,
+            "learning_map": {1: 0, 2: 1, 5: 2, 6: 3, 17: 3},
+            "learning_map_inv": {0: 1, 1: 2, 2: 5, 3: 6},
+        }
+    )
+    assert import_labels(folder, folder, space=space).failures == []
+    (scan,) = find_scans(folder)
+    # The bridge is a building in this label space.
+    np.testing.assert_array_equal(read_labels(scan.label_path), np.where(codes == 17, 6, codes))
+
+
+def test_an_unclassified_las_scan_has_no_labels(tmp_path):
+    folder = classified(tmp_path / "scans", ["a.las"], [np.zeros(300)])
+    (failure,) = import_labels(folder, folder).failures
+    assert "no labelled points" in failure.reason
+
+
+def test_what_export_las_wrote_is_imported_by_its_label(tmp_path):
+    pytest.importorskip("laspy")
+    raw = np.random.default_rng(0).choice([10, 40, 48, 72], 300).astype(np.uint16)
+    points = make_scan(300).points + np.array(UTM)
+    write_las(tmp_path / "scans/a.las", points, offsets=UTM)
+    codes = np.where(raw == 10, 74, np.where(raw == 40, 11, 2)).astype(np.uint8)
+    edited = tmp_path / "edited/a.las"
+    write_las(edited, points, offsets=UTM, extra={"label": raw}, classification=codes)
+    (failure,) = import_labels(edited, tmp_path / "scans").failures
+    assert 'scalar="label"' in failure.hint
+    assert import_labels(edited, tmp_path / "scans", scalar="label").failures == []
+    (scan,) = find_scans(tmp_path / "scans")
+    np.testing.assert_array_equal(read_labels(scan.label_path), raw)

@@ -12,6 +12,7 @@ from salsanext_cli import Scan
 from salsanext_cli.core.checks.scan_checks import check_scan
 from salsanext_cli.core.checks.scan_structure import structure_of
 from salsanext_cli.core.checks.structure_checks import MAX_HIDDEN, MAX_IN_AIR
+from salsanext_cli.core.errors import FormatError
 from salsanext_cli.core.fitting.field_of_view import fit_view
 from salsanext_cli.core.geometry.directions import COLUMNS, NEAREST_M, NO_CELL, ROWS, direction_grid
 from salsanext_cli.core.geometry.intensity import NO_INTENSITY
@@ -327,3 +328,25 @@ def test_ten_real_scans_in_one_are_a_finding(real_data):
         points = scan.points[np.linalg.norm(scan.points, axis=1) > 1]
         clouds.append((points @ pose[:, :3].T + pose[:, 3] - position) @ rotation)
     assert codes(scan_of(np.concatenate(clouds)), sensor("hdl64-512")) == {"accumulated"}
+
+
+IN_MAP = FileNotes(frame=(500_000.0, 5_400_000.0, 0.0))
+
+
+def test_a_survey_that_shows_no_sensor_fails_with_what_helps():
+    """A tile of a map, all of which is far from the origin of its frame."""
+    random = np.random.default_rng(0)
+    points = random.uniform((1000, 2000, 300), (1300, 2300, 301), (5000, 3))
+    tile = replace(scan_of(points), notes=IN_MAP)
+    with pytest.raises(FormatError, match="show no sensor") as caught:
+        check_scan("tile.laz", tile, SMALL)
+    assert "origin" in caught.value.hint
+    assert "poses.txt" in caught.value.hint
+    with pytest.raises(FormatError, match="median range"):
+        check_scan("tile.bin", replace(tile, notes=FileNotes()), SMALL)
+
+
+def test_several_scans_in_a_map_get_the_hint_of_a_survey():
+    several = replace(sweeps(5), notes=IN_MAP)
+    (finding,) = (f for f in check_scan("a", several, SMALL).findings if f.code == "accumulated")
+    assert "origin" in finding.hint

@@ -73,3 +73,11 @@ def test_the_mounting_of_other_scans_is_not_used(other):
     for scans in ([street(32)], [moved(street(32), (0.9, 0, HEIGHT))]):
         found = fit_mounting(scans, replace(SMALL, **other))
         assert found.origin == fit_mounting(scans, SMALL).origin
+
+
+@pytest.mark.parametrize("beams", [0, 32])
+def test_a_sensor_kilometres_from_the_origin_is_found(beams):
+    """As in the local frame of a map, from whose origin all points lie in one direction."""
+    place = (1234.0, -3211.0, 520.0)
+    found = fit_mounting([moved(street(beams), place)], SMALL)
+    assert np.abs(np.subtract(found.origin, place)).max() < 1

@@ -11,7 +11,7 @@ from salsanext_cli import label_space
 from salsanext_cli.core.errors import FormatError, LabelError, UsageError
 from salsanext_cli.io.formats.label_scalars import NO_VALUE, LabelIds, LabelledCloud, whole_numbers
 
-POINTS = np.random.default_rng(0).uniform(-30, 30, (40, 3))
+POINTS = np.random.default_rng(0).uniform(-30, 30, (40, 3)).round(3)  # LAS has millimetres.
 IDS = np.arange(40) % 3 * 40
 
 

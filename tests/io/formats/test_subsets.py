@@ -96,7 +96,7 @@ def test_they_are_as_if_written_without_the_others(tmp_path, name, keep):
 def test_most_formats_can_be_written():
     others = {suffix for suffix in SCAN_SUFFIXES if not format_of(suffix).subset}
     assert others == {".parquet"}
-    assert {scan_suffix(name) for name in MADE} | others == {*SCAN_SUFFIXES}
+    assert {scan_suffix(name) for name in MADE} | others == {*SCAN_SUFFIXES} - {".las", ".laz"}
     error = refused(FormatError, "s.parquet", subsets_of, Path("s.parquet"))
     assert "write the scans as" in error.value.hint
 

@@ -6,9 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from las_files import write_las
 from map_drives import WAY, drive, write_poses
 from narrow import narrow  # noqa: F401
 from scans import SMALL
+from street_scans import street
 
 from salsanext_cli.commands.stages.fuse import fuse_results
 from salsanext_cli.commands.stages.predict import predict_scans
@@ -74,6 +76,24 @@ def test_a_wrong_pose_is_used_for_no_scan_and_the_others_are(map_drive, tmp_path
     assert used.endswith(str(tmp_path / "poses.txt"))
     assert unused.startswith(str(tmp_path / "poses.txt"))
     assert unused.endswith(name)
+
+
+def test_a_trajectory_in_map_coordinates_has_the_origins_of_las_scans(tmp_path):
+    """Origins are in the local frame, which begins west of the first scan and east of the last."""
+    pytest.importorskip("laspy")
+    places = np.array([(504_996.0, 5_400_000.0, 312.0), (505_003.0, 5_400_000.0, 312.0)])
+    for seed, place in enumerate(places):
+        points = street(32, seed=seed).points + place
+        write_las(tmp_path / f"velodyne/{seed}.las", points, offsets=place)
+    write_poses(tmp_path / "poses.txt", places)
+    files = find_scans(tmp_path / "velodyne")
+    sensor = replace(SMALL, registered=True)
+    by_poses = origins_by_poses(files, sensor)
+    frames = [(500_000, 5_400_000, 0), (510_000, 5_400_000, 0)]
+    expected = {file.name: tuple(p - f) for file, p, f in zip(files, places, frames, strict=True)}
+    assert by_poses.origins == {name: tuple(map(float, p)) for name, p in expected.items()}
+    registered = registered_drive(files, sensor, lambda file: by_poses.origins[file.name])
+    np.testing.assert_array_equal(registered.poses[:, :3, 3], places)
 
 
 def test_most_compared_scans_decide_about_poses():

@@ -60,6 +60,8 @@ KEYS = {
     ),
     "picture": "label_space sensor colours scales origins",
     "export-ply": "label_space sensor colour scale origins",
+    "export-las": "label_space sensor origins",
+    "export-laz": "label_space sensor origins",
 }
 
 

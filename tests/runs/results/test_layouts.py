@@ -238,7 +238,6 @@ def test_folders_that_may_not_be_read_are_skipped(tmp_path):
 @pytest.mark.parametrize(
     ("files", "hint"),
     [
-        (["000/000.las", "000/001.las"], "pdal translate"),
         (["lidar/00.pkl.gz", "meta/poses.json"], "pandas.read_pickle"),
         (["clouds/000000.bin.gz"], "gunzip"),
         (["day/drive.bag.active"], "rosbag reindex"),

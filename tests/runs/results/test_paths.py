@@ -134,22 +134,10 @@ def test_labels_in_place_of_scans_are_answered_by_the_folder_of_the_scans(
 
 
 @pytest.mark.parametrize("name", ["s.las", "S.LAZ"])
-def test_files_of_las_are_unsupported_and_to_be_converted(tmp_path: Path, name) -> None:
+def test_files_of_las_are_scans_and_contain_labels(tmp_path: Path, name) -> None:
     make(tmp_path, name)
-    error = refused(NoInputError, tmp_path / name, find_scans, tmp_path / name)
-    assert "pdal translate" in error.value.hint
-    refused(NoInputError, tmp_path, find_scans, tmp_path)
-    refused(NoInputError, tmp_path / name, find_edited, tmp_path / name)
-    other = tmp_path / "other.e57"
-    other.touch()
-    assert "pdal translate" not in refused(NoInputError, other, find_scans, other).value.hint
-
-
-def test_edited_files_of_las_are_named_beside_others(tmp_path: Path, caplog) -> None:
-    make(tmp_path, "a.las", "b.label", "c.e57")
-    assert [path.name for path in find_edited(tmp_path)] == ["b.label"]
-    assert "1 .las" in caplog.text
-    assert "pdal translate" in caplog.text
+    assert [scan.path.name for scan in find_scans(tmp_path)] == [name]
+    assert find_edited(tmp_path) == [tmp_path / name]
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: MIT
+"""LAS and LAZ clouds through laspy and lazrs, which are imported when they are used."""
+
+import logging
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.core.errors import FormatError, MissingDependency
+from salsanext_cli.core.notices import notice_once
+from salsanext_cli.core.optional_packages import import_extra
+from salsanext_cli.core.records import Double, Scan
+from salsanext_cli.io.files.reading import reading, refusing_damage, size_of
+from salsanext_cli.io.formats.columns import Columns, scan_of
+from salsanext_cli.io.formats.field_names import AXES
+from salsanext_cli.io.formats.survey.las_coordinates import LengthUnits, length_units, notice_units
+
+HEADER = struct.Struct("<4s20xBB68xHIIBH")
+"""Signature, version, size of the header, offset of the points, number of records of variable
+length, point format with bits of compression, and bytes of a point."""
+SIGNATURE = b"LASF"
+NEWEST_VERSION = (1, 4)  # Newest version that laspy and lazrs read
+LAST_POINT_FORMAT = 10
+POINT_FORMAT_BITS = 0x3F  # The others mark compressed points
+RECORD_BYTES = 54  # Least size of a record of variable length
+EVLR_BYTES = 60  # Least size of an extended one
+MAX_POINTS_PER_BYTE = 16  # Of compressed points; those of a LiDAR take some bytes each
+NO_OFFSET_OF_TABLE = -1  # Offset of the table of chunks that a writer of a stream put at the end
+BYTE = 255  # Largest intensity of sensors that write bytes
+WORD = 65535  # Largest intensity, which the format asks for
+EXPECTED = "a complete .las or .laz file"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LasFile:
+    """Header and points of a LAS file, as laspy reads them."""
+
+    header: Any  # laspy.LasHeader
+    points: Any  # laspy.ScaleAwarePointRecord of N points
+    units: LengthUnits
+    compressed: bool
+
+    def coordinates(self) -> Double:
+        """Return x, y, z (N, 3) float64 in metres; NaN of withheld points."""
+        metres = (self.units.horizontal, self.units.horizontal, self.units.vertical)
+        axes = zip("xyz", metres, strict=True)
+        points = np.column_stack([np.asarray(self.points[name]) * unit for name, unit in axes])
+        points[np.asarray(self.points["withheld"], bool)] = np.nan
+        return points
+
+
+def read_las(
+    path: Path, _: tuple[str, ...], intensity_scale: float, intensity_field: str = ""
+) -> Scan:
+    """Read the scan of a LAS or LAZ file; map coordinates are moved into a local frame.
+
+    Intensities are divided by `intensity_scale` if a sensor states one, which is not 1. Otherwise
+    they are divided by 255 if none is larger, and by 65535 if one is.
+    """
+    file = read_las_file(path)
+    columns = dict(_columns(file))
+    notice_units(file.units)
+    if intensity_scale == 1:
+        columns["intensity"] = _share_of_range(columns["intensity"])
+    return scan_of(columns, path, intensity_scale, intensity_field, may_be_map=True)
+
+
+def las_columns(path: Path) -> Columns:
+    """Read all dimensions of a LAS or LAZ file with one value per point, x, y, z in metres."""
+    return _columns(read_las_file(path))
+
+
+def _columns(file: LasFile) -> Columns:
+    names = [n for n in file.points.point_format.dimension_names if n.lower() not in AXES]
+    columns = {name: np.asarray(file.points[name]) for name in names}
+    columns = {name: values for name, values in columns.items() if values.ndim == 1}
+    return dict(zip("xyz", file.coordinates().T, strict=True)) | columns
+
+
+def _share_of_range(values: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+    """Return intensities (N,) uint16 as shares of their range, float32."""
+    largest = int(values.max(initial=0))
+    if 0 < largest <= BYTE:
+        notice_once(f"LAS intensities up to {BYTE} are read as bytes")
+    return values.astype(np.float32) / np.float32(BYTE if largest <= BYTE else WORD)
+
+
+def read_las_file(path: Path, *, with_extended_records: bool = False) -> LasFile:
+    """Read a LAS or LAZ file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    with_extended_records : bool
+        Whether to read the records behind the points, too, to write them again.
+
+    Returns
+    -------
+    LasFile
+
+    Raises
+    ------
+    FormatError
+        If it is damaged, of another version or point format, or in degrees.
+    MissingDependency
+        If laspy is missing, or lazrs and the points are compressed.
+    """
+    with reading(path) as file, refusing_damage(path, EXPECTED):
+        laspy = import_laspy(path)
+        size = size_of(file)
+        offset = _require_readable(file, path, size)
+        file.seek(0)
+        backend = laspy.LazBackend.Lazrs
+        with laspy.open(file, closefd=False, read_evlrs=False, laz_backend=backend) as reader:
+            header = reader.header
+            units = length_units(header, path)
+            is_compressed = bool(header.are_points_compressed)
+            room = size // header.point_format.size
+            if is_compressed:
+                import_lazrs(path)
+                room = size * MAX_POINTS_PER_BYTE
+                if header.point_count:
+                    _require_chunks(file, offset, size)
+                file.seek(offset)
+            if header.point_count > room:
+                raise ValueError("its header states more points than it contains")
+            points = reader.read_points(header.point_count)
+            if len(points) != header.point_count:
+                raise ValueError("it lacks points")
+            if with_extended_records and header.number_of_evlrs:
+                if header.number_of_evlrs * EVLR_BYTES > size:
+                    raise ValueError("its header states more records than it contains")
+                reader.read_evlrs()
+    return LasFile(header=header, points=points, units=units, compressed=is_compressed)
+
+
+def _require_readable(file: BinaryIO, path: Path, size: int) -> int:
+    """Refuse a header that laspy cannot read or trusts too much; return the offset of the points.
+
+    laspy allocates the sizes in the header and reads that number of records.
+    """
+    content = file.read(HEADER.size)
+    if not content:
+        raise FormatError(path, "is empty", EXPECTED, "copy it again")
+    if content[: len(SIGNATURE)] != SIGNATURE:
+        raise FormatError(path, "is not a LAS file", EXPECTED)
+    signature_to_points = HEADER.unpack(content)
+    _, major, minor, header_size, offset, record_count, kind, _ = signature_to_points
+    if (major, minor) > NEWEST_VERSION:
+        problem = f"has version {major}.{minor}"
+        hint = "convert it to LAS 1.4, for example with PDAL"
+        raise FormatError(path, problem, "LAS 1.0 to 1.4", hint)
+    point_format = kind & POINT_FORMAT_BITS
+    if point_format > LAST_POINT_FORMAT:
+        problem = f"has point format {point_format}"
+        expected = f"a point format from 0 to {LAST_POINT_FORMAT}"
+        raise FormatError(path, problem, expected, "convert it, for example with PDAL")
+    if header_size + record_count * RECORD_BYTES > offset or offset > size:
+        raise ValueError("its header states more data than it contains")
+    return int(offset)
+
+
+def _require_chunks(file: BinaryIO, offset: int, size: int) -> None:
+    """Refuse a table of more chunks than a file has bytes, for which lazrs ends the process."""
+    file.seek(offset)
+    (table,) = struct.unpack("<q", file.read(8))
+    if table == NO_OFFSET_OF_TABLE:
+        file.seek(size - 8)
+        (table,) = struct.unpack("<q", file.read(8))
+    if not offset < table <= size - 8:
+        raise ValueError("its table of chunks is outside the file")
+    file.seek(table + 4)
+    if struct.unpack("<I", file.read(4))[0] > size:
+        raise ValueError("it states more chunks than it contains")
+
+
+def import_laspy(path: Path) -> Any:
+    """Import laspy; the error names the file that needs it."""
+    logging.getLogger("laspy").addHandler(logging.NullHandler())  # Else it prints warnings
+    return _import_for(path, "laspy")
+
+
+def import_lazrs(path: Path) -> Any:
+    """Import lazrs, which compresses; the error names the file that needs it."""
+    return _import_for(path, "lazrs")
+
+
+def _import_for(path: Path, package: str) -> Any:
+    try:
+        return import_extra(package, "las")
+    except MissingDependency as error:
+        raise MissingDependency(path, f"needs {error.subject}", hint=error.hint) from error

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: MIT
+"""E57 files that pye57 wrote, compared with the arrays that it got."""
+
+import sys
+
+import numpy as np
+import pytest
+from e57_files import Station, write_e57
+from scans import make_scan, refused
+
+from salsanext_cli import read_scan
+from salsanext_cli.commands.stages.convert import convert
+from salsanext_cli.core.errors import FormatError, MissingDependency, NoInputError
+from salsanext_cli.io.formats import recordings
+from salsanext_cli.io.formats.recordings import recorded_poses
+from salsanext_cli.io.poses import pose_readings
+from salsanext_cli.runs.drives.drive import poses_beside, readings_of
+from salsanext_cli.runs.results.paths import find_scans
+
+pye57 = pytest.importorskip("pye57")
+SCANS = [make_scan(400, seed) for seed in range(3)]
+STATIONS = [
+    Station(scan.points.astype(np.float64), scan.intensity, 0.3 * n, (500_000 + 5 * n, 5.4e6, 312))
+    for n, scan in enumerate(SCANS)
+]
+
+
+@pytest.fixture
+def site(tmp_path):
+    return write_e57(tmp_path / "site.e57", STATIONS)
+
+
+def test_scans_are_those_of_a_drive_in_the_frames_of_their_sensors(site):
+    files = find_scans(site)
+    assert [file.name for file in files] == ["site/000000", "site/000001", "site/000002"]
+    for file, expected in zip(files, SCANS, strict=True):
+        scan = read_scan(file.path)
+        np.testing.assert_allclose(scan.points, expected.points, atol=1e-6)
+        np.testing.assert_array_equal(scan.intensity, expected.intensity)
+
+
+def test_poses_are_those_of_pye57(site):
+    poses = recorded_poses(site)
+    file = pye57.E57(str(site))
+    for number, pose in enumerate(poses):
+        header = file.get_header(number)
+        np.testing.assert_allclose(pose[:3, :3], header.rotation_matrix, atol=1e-12)
+        np.testing.assert_array_equal(pose[:3, 3], header.translation)
+        # Points in the frame of the site
+        raw = file.read_scan(number, ignore_missing_fields=True)
+        points = SCANS[number].points.astype(np.float64) @ pose[:3, :3].T + pose[:3, 3]
+        np.testing.assert_allclose(points[:, 0], raw["cartesianX"], atol=1e-5)
+    files = find_scans(site)
+    assert poses_beside(files) == site
+    (reading,) = readings_of(site, files[1:])
+    np.testing.assert_array_equal(reading, poses[1:])
+
+
+def test_a_site_becomes_a_sequence_with_poses(site, tmp_path):
+    folder = tmp_path / "data"
+    assert convert(site, folder).done == 3
+    place = folder / "sequences/site"
+    assert not (place / "times.txt").exists()
+    names = [file.stem for file in find_scans(folder)]
+    (poses,) = pose_readings(place / "poses.txt", names, names)
+    np.testing.assert_allclose(poses, recorded_poses(site), atol=1e-12)
+
+
+def test_points_without_a_measurement_keep_their_place(tmp_path):
+    invalid = np.arange(400) % 3 == 0
+    station = Station(STATIONS[0].points, SCANS[0].intensity, invalid=invalid)
+    path = write_e57(tmp_path / "a.e57", [station])
+    (file,) = find_scans(path)
+    np.testing.assert_array_equal(np.isnan(read_scan(file.path).points).all(axis=1), invalid)
+
+
+def test_intensities_above_1_are_divided_by_their_limit(tmp_path):
+    values = np.rint(SCANS[0].intensity * 2047).astype(np.float32)
+    path = write_e57(tmp_path / "a.e57", [Station(STATIONS[0].points, values)])
+    (file,) = find_scans(path)
+    np.testing.assert_allclose(read_scan(file.path).intensity, values / values.max(), rtol=1e-6)
+
+
+def test_identities_are_no_poses_and_rounded_map_coordinates_no_scan(tmp_path):
+    points = STATIONS[0].points + [5e5, 5.4e6, 0]  # pye57 writes float32.
+    path = write_e57(tmp_path / "a.e57", [Station(points)])
+    assert recorded_poses(path) is None
+    (file,) = find_scans(path)
+    with pytest.raises(FormatError, match="map coordinates"):
+        read_scan(file.path)
+
+
+def test_damaged_empty_and_other_files_are_refused(site, tmp_path):
+    content = site.read_bytes()
+    path = tmp_path / "b.e57"
+    flipped = bytearray(content)
+    flipped[len(content) // 2] ^= 255
+    for other in (
+        content[:-1],
+        content[: len(content) // 2],
+        content[:40],
+        bytes(flipped),
+        b"ply\n",
+    ):
+        recordings._recording.cache_clear()
+        path.write_bytes(other)
+        with pytest.raises(FormatError, match="damaged or cut off") as caught:
+            [read_scan(file.path) for file in find_scans(path)]
+        assert "\n" not in caught.value.problem
+        assert path.read_bytes() == other
+    path.write_bytes(b"")
+    assert refused(FormatError, path, find_scans, path).value.problem == "is empty"
+    write_e57(path, [])
+    refused(NoInputError, path, find_scans, path)
+
+
+def test_unknown_scans_and_the_missing_package_are_named(site, monkeypatch):
+    with pytest.raises(NoInputError, match="no such scan"):
+        find_scans(site / "scans/000003")
+    with pytest.raises(FormatError, match="no such scan"):
+        read_scan(site / "scans/000003")
+    recordings._recording.cache_clear()
+    monkeypatch.setitem(sys.modules, "pye57", None)
+    error = refused(MissingDependency, site, find_scans, site)
+    assert "pye57" in error.value.problem
+    assert "[e57]" in error.value.hint

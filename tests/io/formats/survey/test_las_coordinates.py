@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: MIT
+"""Coordinate systems in records of LAS files."""
+
+import numpy as np
+import pytest
+from las_files import keys_record, text_record, write_las
+from scans import make_scan, refused
+
+from salsanext_cli import read_scan
+from salsanext_cli.core.errors import FormatError
+
+pytest.importorskip("laspy")
+SCAN = make_scan(100)
+GEOGRAPHIC = (
+    'GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.25]],UNIT["degree",0.0174]]'
+)
+GEOCENTRIC = 'GEOCCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.25]],UNIT["metre",1]]'
+METRES = f'PROJCS["UTM 32N",{GEOGRAPHIC},UNIT["metre",1]]'
+FEET = f'PROJCS["New York",{GEOGRAPHIC},UNIT["US survey foot",0.3048006096012192]]'
+FEET_AND_METRES = f'COMPD_CS["a",{FEET},VERT_CS["b",VERT_DATUM["c",2005],UNIT["metre",1]]]'
+US_FOOT = 1200 / 3937
+
+
+@pytest.mark.parametrize(
+    ("record", "problem"),
+    [
+        (lambda: keys_record((1024, 2), (2048, 4326)), "degrees"),
+        (lambda: text_record(GEOGRAPHIC), "degrees"),
+        (lambda: keys_record((1024, 3)), "centre of the earth"),
+        (lambda: text_record(GEOCENTRIC), "centre of the earth"),
+    ],
+)
+def test_degrees_and_geocentric_coordinates_are_refused(tmp_path, record, problem):
+    path = write_las(tmp_path / "s.las", SCAN.points, records=[record()])
+    assert problem in refused(FormatError, path, read_scan, path).value.problem
+
+
+@pytest.mark.parametrize(
+    ("record", "factors"),
+    [
+        (lambda: keys_record((1024, 1), (3076, 9001)), (1, 1, 1)),
+        (lambda: text_record(METRES), (1, 1, 1)),
+        (lambda: keys_record((1024, 1), (3076, 9002)), (0.3048, 0.3048, 0.3048)),
+        (lambda: keys_record((1024, 1), (3076, 9003), (4099, 9001)), (US_FOOT, US_FOOT, 1)),
+        (lambda: text_record(FEET), (US_FOOT, US_FOOT, US_FOOT)),
+        (lambda: text_record(FEET_AND_METRES), (US_FOOT, US_FOOT, 1)),
+    ],
+)
+def test_feet_become_metres(tmp_path, record, factors):
+    path = write_las(tmp_path / "s.las", SCAN.points, records=[record()])
+    assert np.abs(read_scan(path).points - SCAN.points * factors).max() < 0.6e-3
+
+
+def test_degrees_without_a_record_are_recognised_by_span_and_resolution(tmp_path):
+    degrees = np.array([-94.68, 31.04, 40.0]) + SCAN.points * [1e-5, 1e-5, 1]
+    path = write_las(tmp_path / "s.las", degrees, scale=1e-7)
+    error = refused(FormatError, path, read_scan, path)
+    assert "degrees" in error.value.problem
+    assert "EPSG:32615" in error.value.hint  # The zone of UTM at 94.68° west
+    # A fine scan of a room is none.
+    assert len(read_scan(write_las(tmp_path / "r.las", SCAN.points / 100, scale=1e-7))) == 100
