@@ -91,7 +91,7 @@ class LabelledCloud:
         name = _label_column(columns, scalar, path)
         ids = whole_numbers(columns[name], path, name)
         if scalar is None and form is FORMATS["las"] and name == ASPRS_SCALAR:
-            return cls(points, ids, name, has_codes=True)
+            return cls(points=points, ids=ids, scalar=name, has_codes=True)
         largest = int(ids.max(initial=0))
         if scalar is None and _plain(name) == ASPRS_SCALAR and largest in ASPRS_CLASSES:
             problem = f"has {name} up to {largest}, probably classes of the ASPRS"
@@ -206,10 +206,10 @@ class LabelIds:
             raise UsageError(f"label space {space.name}", problem, expected)
         names = {i: space.labels.get(raw, str(raw)) for i, raw in sorted(raw_of.items())}
         unlabelled = space.learning_map_inv[0]
-        return cls(raw_of, names, unlabelled, None if tool else cls._of_codes(space))
+        return cls(raw_of, names, unlabelled, None if tool else cls._from_codes(space))
 
     @classmethod
-    def _of_codes(cls, space: LabelSpace) -> LabelIds:
+    def _from_codes(cls, space: LabelSpace) -> LabelIds:
         """Return the raw ids of those codes of the ASPRS that a single class has."""
         classes: dict[int, set[int]] = {}
         for raw, code in space.asprs_codes.items():

@@ -23,11 +23,7 @@ from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.texts import counted, first_few
 from salsanext_cli.core.wording import argument
 from salsanext_cli.io.formats import read_scan
-from salsanext_cli.runs.drives.poses_of_sequence import (
-    poses_beside,
-    position_in_file,
-    readings_of,
-)
+from salsanext_cli.runs.drives.poses_of_sequence import poses_beside, position_in_file, readings_of
 from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.runs.results.selection import evenly_spaced
 
@@ -190,7 +186,7 @@ def _origins_by_points(files: Sequence[ScanFile], sensor: Sensor) -> dict[int, D
     return origins
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Position:
     """Position of a pose in the frame of a scan."""
 
@@ -211,4 +207,4 @@ def _seen_from(file: ScanFile, sensor: Sensor, position: Double) -> _Position | 
     member = sensor_of(scan, sensor, origin)
     if not member.registered:
         return None
-    return _Position(origin, agrees=not is_out_of_place(in_sensor_frame(scan, member)))
+    return _Position(origin=origin, agrees=not is_out_of_place(in_sensor_frame(scan, member)))

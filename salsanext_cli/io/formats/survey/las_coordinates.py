@@ -33,7 +33,7 @@ EXPECTED = "metres"
 CELL_DEG = 6  # Width of a zone of UTM
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LengthUnits:
     """Metres per unit of the coordinates of a file."""
 
@@ -85,7 +85,7 @@ def _units_of_keys(content: bytes, header: Any, path: Path) -> LengthUnits:
         raise _geocentric(path)
     horizontal = METRES_OF_CODE.get(values.get(LENGTH_KEY, 9001), 1.0)
     vertical = METRES_OF_CODE.get(values.get(HEIGHT_KEY, 0), horizontal)
-    return LengthUnits(horizontal, vertical)
+    return LengthUnits(horizontal=horizontal, vertical=vertical)
 
 
 def _units_of_text(text: str, header: Any, path: Path) -> LengthUnits:
@@ -99,7 +99,8 @@ def _units_of_text(text: str, header: Any, path: Path) -> LengthUnits:
     match = VERTICAL_TEXT.search(text)
     end = match.start() if match else len(text)
     horizontal = _last_unit(UNIT_TEXT.findall(text[:end]), 1.0)
-    return LengthUnits(horizontal, _last_unit(UNIT_TEXT.findall(text[end:]), horizontal))
+    vertical = _last_unit(UNIT_TEXT.findall(text[end:]), horizontal)
+    return LengthUnits(horizontal=horizontal, vertical=vertical)
 
 
 def _last_unit(factors: Iterable[str], default: float) -> float:
