@@ -15,6 +15,7 @@ from salsanext_cli.core.wording import setting
 from salsanext_cli.io.files.atomic import require_writable
 from salsanext_cli.io.files.json_files import record_of
 from salsanext_cli.io.files.reading import fingerprint
+from salsanext_cli.runs.labelling.las_classification import labels_source
 from salsanext_cli.runs.results.manifest import (
     Manifest,
     StageRecord,
@@ -77,7 +78,7 @@ def training_settings(
     labels = None
     if first.files and recipe.folds:
         # The labels of a few scans are often corrected between two trainings.
-        digests = "".join(fingerprint(file.label_path) for file in first.files)
+        digests = "".join(fingerprint(labels_source(file)) for file in first.files)
         labels = hashlib.sha256(digests.encode()).hexdigest()[:16]
     further_data = [
         FurtherData(label_space=source.space, scans=scans_digest(source.files))

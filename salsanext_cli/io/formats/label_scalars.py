@@ -200,17 +200,15 @@ class LabelIds:
         The codes of the ASPRS mean what the label space states, unless there is such a map.
         """
         raw_of = {i: i for i in _raw_ids(space)} if tool is None else _read_map(tool, space)
-        if not space.ignored[0]:
-            expected = "an ignored class 0, for points without a label"
-            problem = f"counts class 0, {space.names[0]}"
-            raise UsageError(f"label space {space.name}", problem, expected)
+        _require_class_of_unlabelled(space)
         names = {i: space.labels.get(raw, str(raw)) for i, raw in sorted(raw_of.items())}
         unlabelled = space.learning_map_inv[0]
-        return cls(raw_of, names, unlabelled, None if tool else cls._from_codes(space))
+        return cls(raw_of, names, unlabelled, None if tool else cls.of_codes(space))
 
     @classmethod
-    def _from_codes(cls, space: LabelSpace) -> LabelIds:
+    def of_codes(cls, space: LabelSpace) -> LabelIds:
         """Return the raw ids of those codes of the ASPRS that a single class has."""
+        _require_class_of_unlabelled(space)
         classes: dict[int, set[int]] = {}
         for raw, code in space.asprs_codes.items():
             train_id = space.learning_map.get(raw, 0)
@@ -248,6 +246,14 @@ class LabelIds:
     def described(self) -> str:
         """Return all known ids and their names on one line."""
         return ", ".join(f"{i} {name}" for i, name in self.names.items())
+
+
+def _require_class_of_unlabelled(space: LabelSpace) -> None:
+    """Refuse a label space without a class for points without a label."""
+    if not space.ignored[0]:
+        expected = "an ignored class 0, for points without a label"
+        problem = f"counts class 0, {space.names[0]}"
+        raise UsageError(f"label space {space.name}", problem, expected)
 
 
 def _classes(ids: Ids) -> Ids:

@@ -62,16 +62,16 @@ def npz_subset(path: Path, _: tuple[str, ...]) -> Subset:
     arrays, compressed = npy.npz_arrays(path)
 
     def subset(mask: Mask) -> bytes:
-        masked = {}
+        of_points = {}
         for name, array in arrays.items():
             if array.shape[:1] == mask.shape:
-                masked[name] = array[mask]
+                of_points[name] = array[mask]
             elif array.ndim == 2 and array.shape[1:] == mask.shape:
-                masked[name] = array[:, mask]
-        if not masked and len(mask):
+                of_points[name] = array[:, mask]
+        if not of_points and len(mask):
             raise other_number(0, len(mask), path)
         save: Callable[..., None] = np.savez_compressed if compressed else np.savez
-        return _saved(lambda file: save(file, **arrays | masked))
+        return _saved(lambda file: save(file, **arrays | of_points))
 
     return subset
 

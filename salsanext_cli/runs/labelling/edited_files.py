@@ -26,6 +26,7 @@ from salsanext_cli.io.formats.label_scalars import (
 )
 from salsanext_cli.io.formats.npy import read_integers
 from salsanext_cli.runs.labelling.label_records import ImportedScan
+from salsanext_cli.runs.labelling.las_classification import map_of_codes, unknown_codes
 from salsanext_cli.runs.results.paths import ScanFile, counted_by_suffix
 
 LABEL_SUFFIXES = (".label", ".npy")  # Files with one label per point and no coordinates
@@ -179,15 +180,12 @@ def _unknown_ids(
     path: Path, cloud: LabelledCloud, unknown: dict[int, int], meanings: LabelIds, space: LabelSpace
 ) -> LabelError:
     """Return the error of ids without a meaning; `unknown` has their numbers of points."""
-    listed = ", ".join(f"{i} ({counted(n, 'point')})" for i, n in sorted(unknown.items()))
     if not cloud.has_codes:
+        listed = ", ".join(f"{i} ({counted(n, 'point')})" for i, n in sorted(unknown.items()))
         hint = f"map the ids of the tool with {argument('ids')}"
         return LabelError(path, f"has unknown label ids {listed}", meanings.described(), hint)
-    several = {code: space.labels[raw] for raw, code in reversed(space.asprs_codes.items())}
-    names = dict.fromkeys(unknown, space.names[0]) | several | meanings.names
-    entries = [f"{code}: {names[code]}" for code in np.unique(cloud.ids).tolist()]
-    problem = f"has {cloud.scalar} {listed}, which no class or several classes of {space.name} have"
-    file = f"a YAML file such as {{{', '.join(entries)}}}"
+    problem = unknown_codes(unknown, space)
+    file = f"a YAML file such as {map_of_codes(cloud.ids, unknown, meanings, space)}"
     hint = f"map all of them to classes with {argument('ids')}, by {file}"
     return LabelError(path, problem, meanings.described(), hint)
 

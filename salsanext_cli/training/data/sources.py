@@ -2,7 +2,6 @@
 """Data sets to train on: labelled scans, their label space and the sensors that recorded them."""
 
 import logging
-import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
@@ -25,11 +24,15 @@ from salsanext_cli.core.records import Float
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.texts import counted, first_few
 from salsanext_cli.core.wording import setting
-from salsanext_cli.io.formats import FORMATS, format_of, read_scan
-from salsanext_cli.io.formats.kitti_labels import read_labels
+from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.runs.fit.scan_sample import sample_of_files
 from salsanext_cli.runs.labelling.label_records import pre_labelled_scans
+from salsanext_cli.runs.labelling.las_classification import (
+    classified_scans,
+    labels_source,
+    read_scan_labels,
+)
 from salsanext_cli.runs.results.paths import ScanFile, find_scans
 from salsanext_cli.runs.results.selection import data_set_label_space, log_unused, with_splits
 from salsanext_cli.training.data.augment import AnnotatedScan
@@ -45,8 +48,8 @@ def read_labelled(
 ) -> AnnotatedScan:
     """Read a scan and the targets of its points, (N,) uint8: train ids if there are no sets."""
     scan = read_scan(file.path, sensor)
-    raw = read_labels(file.label_path, len(scan))
-    return AnnotatedScan(scan, to_targets(raw, space, sets, file.label_path))
+    raw = read_scan_labels(file, space, len(scan))
+    return AnnotatedScan(scan, to_targets(raw, space, sets, labels_source(file)))
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -205,27 +208,25 @@ def scans_to_train_on(
 
 
 def _labelled_scans(dataset: Path) -> list[ScanFile]:
-    """Return the scans of a data set whose labels are more than pre-labels; refuse none."""
+    """Return the scans of a data set whose labels are more than pre-labels; refuse none.
+
+    Without any label file, these are the LAS scans with a classification.
+    """
     files = find_scans(dataset)
     unreviewed = set(pre_labelled_scans(files))
     labelled = [file for file in files if file.label_path.is_file() and file not in unreviewed]
     text = f", {len(unreviewed)} with pre-labels only" if unreviewed else ""
+    if not labelled and not unreviewed:
+        labelled = classified_scans(files)
+        if labelled:
+            log.log(NOTICE, "labels: the classification in %s", counted(len(labelled), "LAS scan"))
     if not labelled:
         problem = f"none of {counted(len(files), 'scan')} has labels{text}"
-        expected = f"label files such as {files[0].label_path}"
-        raise NoInputError(dataset, problem, expected, _hint_of_labels_inside(dataset, files[0]))
+        raise NoInputError(dataset, problem, f"label files such as {files[0].label_path}")
     unlabelled = len(files) - len(labelled)
     if unlabelled:
         log.log(NOTICE, "skipped without labels: %s%s", counted(unlabelled, "scan"), text)
     return labelled
-
-
-def _hint_of_labels_inside(dataset: Path, first: ScanFile) -> str:
-    """Return the command that reads the labels in the scans themselves; empty for most formats."""
-    if format_of(first.path.name) is not FORMATS["las"]:
-        return ""
-    words = shlex.join(["salsanext", "import-labels", str(dataset), str(dataset)])
-    return f"run `{words}`, which reads the classification of the scans"
 
 
 def _with_splits_of(dataset: Path, space: LabelSpace | None) -> LabelSpace:
@@ -251,8 +252,20 @@ def labelled_split(
         folds = setting("recipe.folds", 3)
         hint = f"name the sequences of each split in labels.yaml, or cross-validate: {folds}"
         raise NoInputError(dataset, f"has no scans of split {split}", expected, hint)
+    _require_label_files(scans, files)
     if split == "train":
         labelled = [scan for scan in files if scan.label_path.is_file()]
         used = [scan for scan in labelled if space.split_of(scan.sequence)]
         log_unused(labelled, used, space, SPLITS_ARE_NAMED)
     return space, scans
+
+
+def _require_label_files(scans: Sequence[ScanFile], files: Sequence[ScanFile]) -> None:
+    """Refuse scans to be read by their classification in a data set whose `files` have labels."""
+    without = [scan for scan in scans if labels_source(scan) == scan.path]
+    if without and any(file.label_path.is_file() for file in files):
+        names = first_few([scan.name for scan in without])
+        problem = f"{counted(len(without), 'LAS scan')} without a label file: {names}"
+        expected = "label files of all scans, since some have one"
+        hint = "label these scans, or remove them from the split"
+        raise NoInputError(without[0].label_path, problem, expected, hint)

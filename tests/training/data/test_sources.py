@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from las_files import write_las
 from scans import SMALL, make_scan, refused, write_bin, write_sequence
 
-from salsanext_cli import LabelSpace, Scan, label_space, project, read_scan
+from salsanext_cli import LabelSpace, Scan, label_space, project, read_scan, write_labels
 from salsanext_cli.core.errors import LabelError, NoInputError, UsageError
 from salsanext_cli.core.geometry.intensity import match_intensity
 from salsanext_cli.core.geometry.network_input import with_image_statistics
@@ -20,6 +21,7 @@ from salsanext_cli.training.data.sources import (
     fitted_source,
     further_source,
     labelled_split,
+    scans_to_train_on,
 )
 from salsanext_cli.training.data.targets import class_sets, to_targets
 from salsanext_cli.training.recipe import Recipe
@@ -192,3 +194,25 @@ def test_further_data_sets_are_merged_as_the_first(roots: list[Path], described:
     raw = np.uint32([10, 252, 40, 70, 71])
     found = to_targets(raw, further.space, sets, "labels").tolist()
     assert found == [1, 1, 3, 8 + sets.index((5, 6)) if described else 5, 6]
+
+
+def test_las_scans_without_label_files_are_read_by_their_classification(tmp_path: Path) -> None:
+    pytest.importorskip("laspy")
+    pytest.importorskip("lazrs")
+    folder = tmp_path / "survey"
+    codes = np.uint8([2, 5, 6] * 100)
+    for number, name in enumerate(("a.las", "b.laz", "c.las")):
+        points = make_scan(300, number).points
+        write_las(folder / name, points, classification=codes if name != "c.las" else 0 * codes)
+    scans = scans_to_train_on(folder, COARSE, divisible=True)
+    assert [file.stem for file in scans.training] == ["a", "b"]
+    source = Source(files=scans.training, space=COARSE, sensor=SMALL)
+    expected = COARSE.to_train(np.uint32([48, 70, 50] * 100))
+    for file in scans.training:
+        np.testing.assert_array_equal(source.read(file, ()).labels, expected)
+    # One label file makes all other scans unlabelled: their classification may be another.
+    write_labels(folder / "c.label", np.full(300, 50, np.uint32))
+    scans = scans_to_train_on(folder, COARSE, divisible=True)
+    assert [file.stem for file in scans.training] == ["c"]
+    split = replace(COARSE, splits={"train": (folder.name,)})
+    refused(NoInputError, folder / "a.label", labelled_split, folder, split, "train")

@@ -17,10 +17,19 @@ TEXT_RECORD = 2112  # Record of the coordinate system as text (WKT)
 MODEL_KEY = 1024
 GEOGRAPHIC = 2  # Value of `MODEL_KEY` of longitude and latitude
 GEOCENTRIC = 3  # Value of `MODEL_KEY` of an origin in the centre of the earth
+SYSTEM_KEY = 3072  # Coordinate system of the map by its EPSG code
+USER_DEFINED = 32767  # Value of `SYSTEM_KEY` of a system that other keys describe
 LENGTH_KEY = 3076  # Unit of x and y
 HEIGHT_KEY = 4099  # Unit of z
 METRES_OF_CODE: Mapping[int, float] = {9001: 1.0, 9002: 0.3048, 9003: 1200 / 3937}
 """Metres per unit of length by its EPSG code: metre, foot, US survey foot."""
+UTM_CODES = (
+    *range(32601, 32661),
+    *range(32701, 32761),
+    *range(25828, 25839),
+    *range(26901, 26924),
+)
+"""EPSG codes of systems in metres: UTM of WGS 84, north and south, of ETRS89 and of NAD83."""
 PROJECTED_TEXT = re.compile(r"PROJC(?:S|RS)\[")
 GEOCENTRIC_TEXT = re.compile(r"GEOCCS\[")
 GEOGRAPHIC_TEXT = re.compile(r"GEO(?:G|D)C(?:S|RS)\[")
@@ -39,12 +48,18 @@ class LengthUnits:
 
     horizontal: float = 1.0
     vertical: float = 1.0
+    unknown_system: int = 0  # EPSG code of a system whose unit the file does not state; 0: none
+
+    @property
+    def are_metres(self) -> bool:
+        """Whether no coordinate changes."""
+        return self.horizontal == self.vertical == 1
 
 
 def length_units(header: Any, path: Path) -> LengthUnits:
     """Return the units of the coordinates of a LAS file; refuse coordinates in degrees.
 
-    A coordinate system that is only a number of EPSG counts as metres.
+    A coordinate system that is only an EPSG code counts as metres.
 
     Parameters
     ----------
@@ -64,15 +79,17 @@ def length_units(header: Any, path: Path) -> LengthUnits:
             units = _units_of_keys(content, header, path)
         elif record.record_id == TEXT_RECORD:
             return _units_of_text(content.decode("utf-8", "replace"), header, path)
-    if units == LengthUnits():
+    if units.are_metres:
         _require_no_span_of_degrees(header, path)
     return units
 
 
 def notice_units(units: LengthUnits) -> None:
-    """Print a notice about coordinates that are converted to metres, once."""
-    if units != LengthUnits():
+    """Print a notice about coordinates that are converted to metres, or of unknown unit, once."""
+    if not units.are_metres:
         notice_once("coordinates in feet are converted to metres")
+    if units.unknown_system:
+        notice_once(f"EPSG:{units.unknown_system} without a unit: coordinates are read as metres")
 
 
 def _units_of_keys(content: bytes, header: Any, path: Path) -> LengthUnits:
@@ -85,7 +102,11 @@ def _units_of_keys(content: bytes, header: Any, path: Path) -> LengthUnits:
         raise _geocentric(path)
     horizontal = METRES_OF_CODE.get(values.get(LENGTH_KEY, 9001), 1.0)
     vertical = METRES_OF_CODE.get(values.get(HEIGHT_KEY, 0), horizontal)
-    return LengthUnits(horizontal=horizontal, vertical=vertical)
+    system = values.get(SYSTEM_KEY, USER_DEFINED)
+    is_unknown = LENGTH_KEY not in values and system not in (USER_DEFINED, *UTM_CODES)
+    return LengthUnits(
+        horizontal=horizontal, vertical=vertical, unknown_system=system if is_unknown else 0
+    )
 
 
 def _units_of_text(text: str, header: Any, path: Path) -> LengthUnits:

@@ -74,6 +74,11 @@ def las_columns(path: Path) -> Columns:
     return _columns(read_las_file(path))
 
 
+def read_classification(path: Path) -> npt.NDArray[np.uint8]:
+    """Read the classification (N,) of the points of a LAS or LAZ file, codes of the ASPRS."""
+    return np.array(read_las_file(path).points["classification"], np.uint8)
+
+
 def _columns(file: LasFile) -> Columns:
     names = [n for n in file.points.point_format.dimension_names if n.lower() not in AXES]
     columns = {name: np.asarray(file.points[name]) for name in names}

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Coordinate systems in records of LAS files."""
 
+import logging
+
 import numpy as np
 import pytest
 from las_files import keys_record, text_record, write_las
@@ -8,6 +10,7 @@ from scans import make_scan, refused
 
 from salsanext_cli import read_scan
 from salsanext_cli.core.errors import FormatError
+from salsanext_cli.core.notices import notice_once
 
 pytest.importorskip("laspy")
 SCAN = make_scan(100)
@@ -49,6 +52,25 @@ def test_degrees_and_geocentric_coordinates_are_refused(tmp_path, record, proble
 def test_feet_become_metres(tmp_path, record, factors):
     path = write_las(tmp_path / "s.las", SCAN.points, records=[record()])
     assert np.abs(read_scan(path).points - SCAN.points * factors).max() < 0.6e-3
+
+
+@pytest.mark.parametrize(
+    ("keys", "notices"),
+    [
+        (((1024, 1), (3072, 2263)), 1),  # New York in US survey feet
+        (((1024, 1), (3072, 2263), (3076, 9003)), 0),
+        (((1024, 1), (3072, 25832)), 0),  # UTM
+        (((1024, 1), (3072, 32767)), 0),
+    ],
+)
+def test_a_system_that_is_only_a_code_is_read_as_metres_and_a_line_says_it(
+    tmp_path, caplog, keys, notices
+):
+    notice_once.cache_clear()
+    caplog.set_level(logging.INFO)
+    path = write_las(tmp_path / "s.las", SCAN.points, records=[keys_record(*keys)])
+    read_scan(path)
+    assert sum("EPSG:2263 without a unit" in line for line in caplog.messages) == notices
 
 
 def test_degrees_without_a_record_are_recognised_by_span_and_resolution(tmp_path):

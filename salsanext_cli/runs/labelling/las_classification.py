@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: MIT
+"""Labels inside of LAS scans: their classification, by the codes of a label space."""
+
+import shlex
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from salsanext_cli.core.classes.label_space import LabelSpace, RawIds
+from salsanext_cli.core.errors import LabelError
+from salsanext_cli.core.texts import counted
+from salsanext_cli.core.wording import command, setting
+from salsanext_cli.io.files.reading import present
+from salsanext_cli.io.formats import FORMATS, format_of
+from salsanext_cli.io.formats.kitti_labels import read_labels
+from salsanext_cli.io.formats.label_scalars import ASPRS_SCALAR, UNASSIGNED_CODES, Ids, LabelIds
+from salsanext_cli.io.formats.survey.las_file import read_classification
+from salsanext_cli.runs.results.paths import ScanFile
+
+
+def is_las(path: Path) -> bool:
+    """Return whether a path is that of a LAS or LAZ file."""
+    return format_of(path.name) is FORMATS["las"]
+
+
+def classified_scans(files: Sequence[ScanFile]) -> list[ScanFile]:
+    """Return the LAS scans whose classification has more codes than `UNASSIGNED_CODES`."""
+    return [
+        file
+        for file in files
+        if is_las(file.path) and not np.isin(read_classification(file.path), UNASSIGNED_CODES).all()
+    ]
+
+
+def labels_source(file: ScanFile) -> Path:
+    """Return the file with the labels of a scan: a LAS scan itself if it has no label file."""
+    if is_las(file.path) and not present(file.label_path):
+        return file.path
+    return file.label_path
+
+
+def read_scan_labels(file: ScanFile, space: LabelSpace, count: int) -> RawIds:
+    """Read the raw ids of the points of a scan from its `labels_source`.
+
+    Parameters
+    ----------
+    file : ScanFile
+        The scan.
+    space : LabelSpace
+        Classes of the labels, which states their codes of the ASPRS.
+    count : int
+        Number of points of the scan, N.
+
+    Returns
+    -------
+    (N,) uint32
+
+    Raises
+    ------
+    LabelError
+        If there are not `count` labels, or no class or several classes have a code.
+    """
+    source = labels_source(file)
+    if source != file.path:
+        return read_labels(source, count)
+    codes = read_classification(source).astype(np.int64)
+    meanings = LabelIds.of_codes(space)
+    if unknown := meanings.unknown(codes):
+        folder = str(source.parent)
+        words = shlex.join(["salsanext", "import-labels", folder, folder])
+        importing = command(words, setting("ids", "FILE"))
+        entries = map_of_codes(codes, unknown, meanings, space)
+        hint = f"run `{importing}` first, where FILE is a YAML file such as {entries}"
+        raise LabelError(source, unknown_codes(unknown, space), meanings.described(), hint)
+    return meanings.to_raw(codes)
+
+
+def unknown_codes(unknown: Mapping[int, int], space: LabelSpace) -> str:
+    """Return the problem of codes without a meaning; `unknown` has their numbers of points."""
+    codes = ", ".join(f"{i} ({counted(n, 'point')})" for i, n in sorted(unknown.items()))
+    return f"has {ASPRS_SCALAR} {codes}, which no class or several classes of {space.name} have"
+
+
+def map_of_codes(
+    codes: Ids, unknown: Mapping[int, int], meanings: LabelIds, space: LabelSpace
+) -> str:
+    """Return entries in YAML that give a class to each of some codes (N,), to be edited.
+
+    A code of several classes has one of them, a code of none the class of unlabelled points.
+    """
+    several = {code: space.labels[raw] for raw, code in reversed(space.asprs_codes.items())}
+    names = dict.fromkeys(unknown, space.names[0]) | several | meanings.names
+    return f"{{{', '.join(f'{code}: {names[code]}' for code in np.unique(codes).tolist())}}}"

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: MIT
+"""Labels inside of LAS scans, compared with those that `import-labels` writes."""
+
+import re
+from functools import partial
+
+import numpy as np
+import pytest
+from las_files import write_las
+from scans import make_scan, refused, write_bin
+
+from salsanext_cli import label_space, read_labels, write_labels
+from salsanext_cli.commands.stages.import_labels import import_labels
+from salsanext_cli.core.errors import LabelError
+from salsanext_cli.runs.labelling.las_classification import (
+    classified_scans,
+    labels_source,
+    read_scan_labels,
+)
+from salsanext_cli.runs.results.paths import find_scans
+
+pytest.importorskip("laspy")
+pytest.importorskip("lazrs")
+SPACE = label_space()
+COARSE = label_space("coarse")
+CODES = np.random.default_rng(0).choice([0, 1, 2, 3, 5, 7, 11, 74], 300).astype(np.uint8)
+
+
+def classified(path, codes=CODES):
+    return write_las(path, make_scan(300).points, classification=codes)
+
+
+def test_they_are_those_that_import_labels_writes(tmp_path):
+    folder = classified(tmp_path / "scans/a.laz").parent
+    (scan,) = find_scans(folder)
+    assert labels_source(scan) == scan.path
+    raw = read_scan_labels(scan, COARSE, 300)
+    train = COARSE.to_train(raw)
+    ground = COARSE.to_train(np.uint32([48]))[0]
+    np.testing.assert_array_equal(train == 0, np.isin(CODES, (0, 1, 7)))
+    np.testing.assert_array_equal(train == ground, np.isin(CODES, (2, 11)))
+    assert import_labels(folder, folder, space=COARSE).failures == []
+    np.testing.assert_array_equal(read_labels(scan.label_path), raw)
+
+
+def test_a_label_file_takes_precedence(tmp_path):
+    (scan,) = find_scans(classified(tmp_path / "scans/a.las").parent)
+    raw = np.full(300, 50, np.uint32)
+    write_labels(scan.label_path, raw)
+    assert labels_source(scan) == scan.label_path
+    np.testing.assert_array_equal(read_scan_labels(scan, SPACE, 300), raw)
+    refused(LabelError, scan.label_path, read_scan_labels, scan, SPACE, 299)
+
+
+def test_only_las_scans_with_a_class_are_classified(tmp_path):
+    classified(tmp_path / "scans/a.las")
+    classified(tmp_path / "scans/b.las", np.uint8([0, 1, 7] * 100))
+    write_bin(tmp_path / "bin/a.bin", make_scan(300))
+    files = find_scans(tmp_path / "scans") + find_scans(tmp_path / "bin")
+    assert [file.stem for file in classified_scans(files)] == ["a"]
+    assert labels_source(files[-1]) == files[-1].label_path
+
+
+def test_the_hint_has_a_command_that_decides_about_codes_of_several_classes(tmp_path):
+    folder = classified(tmp_path / "scans/a.las").parent
+    (scan,) = find_scans(folder)
+    caught = refused(LabelError, scan.path, read_scan_labels, scan, SPACE, 300)
+    assert f"2 ({(CODES == 2).sum()} points)" in caught.value.problem
+    assert f"salsanext import-labels {folder} {folder}" in caught.value.hint
+    (entries,) = re.findall(r"such as (\{.*\})", caught.value.hint)
+    mapped = tmp_path / "map.yaml"
+    mapped.write_text(entries)
+    importing = partial(import_labels, folder, folder)
+    assert importing(ids=mapped).failures == []
+    (scan,) = find_scans(folder)
+    assert labels_source(scan) == scan.label_path
+    labels = read_scan_labels(scan, SPACE, 300)
+    assert {*labels[CODES == 2].tolist()} < {48, 49, 72}
+    np.testing.assert_array_equal(labels[CODES == 74], 10)
