@@ -342,11 +342,36 @@ def built_in(name: str) -> LabelSpace:
 def default_codes(space: LabelSpace) -> dict[int, int]:
     """Return the codes of the ASPRS of a label space that states none, by raw id.
 
-    They are those of the built-in label space of its name, else of SemanticKITTI, of raw ids with
-    the same name. If most names differ, raw ids up to 255 are the codes.
+    They are those of its model, of raw ids with the same name. If most names differ, raw ids up to
+    255 are the codes.
     """
-    model = built_in(space.name if space.name in BUILT_IN else BUILT_IN[0])
+    model = _model(space)
     if not space._has_names_of(model):
         return {i: i for i in space.labels if i <= 255}
     codes = model.asprs or {}
     return {i: code for i, code in codes.items() if space.labels.get(i) == model.labels[i]}
+
+
+def train_ids_of_codes(space: LabelSpace) -> dict[int, set[int]]:
+    """Return the train ids, but 0, of the classes of a label space by their codes of the ASPRS.
+
+    If it has the names of its model, other codes are those of SemanticKITTI, so that a building of
+    a survey is of the coarse class that contains buildings.
+    """
+    train_ids: dict[int, set[int]] = {}
+    tables = [space.asprs_codes]
+    if space._has_names_of(_model(space)):
+        tables.append(built_in(BUILT_IN[0]).asprs_codes)
+    for table in tables:
+        further: dict[int, set[int]] = {}
+        for raw, code in table.items():
+            train_id = space.learning_map.get(raw, 0)
+            if train_id and code not in train_ids:
+                further.setdefault(code, set()).add(train_id)
+        train_ids |= further
+    return train_ids
+
+
+def _model(space: LabelSpace) -> LabelSpace:
+    """Return the built-in label space of the name of another one, else SemanticKITTI's."""
+    return built_in(space.name if space.name in BUILT_IN else BUILT_IN[0])

@@ -12,7 +12,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.core.classes.label_space import LabelSpace, RawIds
+from salsanext_cli.core.classes.label_space import LabelSpace, RawIds, train_ids_of_codes
 from salsanext_cli.core.errors import FormatError, LabelError, UsageError
 from salsanext_cli.core.records import Float, Mask, Origin
 from salsanext_cli.core.texts import quoted, shortened
@@ -209,11 +209,7 @@ class LabelIds:
     def of_codes(cls, space: LabelSpace) -> LabelIds:
         """Return the raw ids of those codes of the ASPRS that a single class has."""
         _require_class_of_unlabelled(space)
-        classes: dict[int, set[int]] = {}
-        for raw, code in space.asprs_codes.items():
-            train_id = space.learning_map.get(raw, 0)
-            if train_id:
-                classes.setdefault(code, set()).add(train_id)
+        classes = train_ids_of_codes(space)
         unlabelled = space.learning_map_inv[0]
         raw_of = dict.fromkeys(UNASSIGNED_CODES, unlabelled)
         for code, train_ids in classes.items():

@@ -23,12 +23,7 @@ LENGTH_KEY = 3076  # Unit of x and y
 HEIGHT_KEY = 4099  # Unit of z
 METRES_OF_CODE: Mapping[int, float] = {9001: 1.0, 9002: 0.3048, 9003: 1200 / 3937}
 """Metres per unit of length by its EPSG code: metre, foot, US survey foot."""
-UTM_CODES = (
-    *range(32601, 32661),
-    *range(32701, 32761),
-    *range(25828, 25839),
-    *range(26901, 26924),
-)
+UTM_CODES = (*range(32601, 32661), *range(32701, 32761), *range(25828, 25839), *range(26901, 26924))
 """EPSG codes of systems in metres: UTM of WGS 84, north and south, of ETRS89 and of NAD83."""
 PROJECTED_TEXT = re.compile(r"PROJC(?:S|RS)\[")
 GEOCENTRIC_TEXT = re.compile(r"GEOCCS\[")
