@@ -25,6 +25,7 @@ from salsanext_cli.io.weights.loading import network_of_module
 from salsanext_cli.io.weights.weights import encode_weights, read_weights
 from salsanext_cli.runs.fit.scan_reading import read_prepared
 from salsanext_cli.runs.labelling.label_records import require_labels
+from salsanext_cli.runs.labelling.las_classification import labels_source
 from salsanext_cli.runs.loop.run_options import cores, worker_count
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.selection import evenly_spaced
@@ -203,7 +204,9 @@ class NewTraining:
         recipe = self.recipe
         locks.enter_context(OwnedFolder(run, STAGE).open())
         require_free(run, settings, overwrite=self.overwrite)
-        require_labels([file for source in sources for file in source.files])
+        files = [file for source in sources for file in source.files]
+        # The others have their labels inside.
+        require_labels([file for file in files if labels_source(file) != file.path])
         scenes = simulated_scenes(run / STREETS, recipe.streets, sources[0], self.jobs)
         fit = recipe.sensors == "fitted"
         training, validation, *further = training_sources(

@@ -178,7 +178,7 @@ def check_scan(
     no_intensity, bright = intensity_of(measured.points, measured.intensity)
     findings = [
         *_file_findings(scan.notes),
-        *_unit_findings(ranges[is_measured], measured_share),
+        *_unit_findings(ranges[is_measured], measured_share, scan.notes),
         *_mounting_findings(scan, measured, sines, sensor, _fit_hint(sensor, trained, fit)),
         *depth_image_findings(measured.points, no_intensity),
     ]
@@ -268,12 +268,17 @@ def _require_metres(source: object, scan: Scan, ranges: Double) -> None:
         raise FormatError(source, f"has a median range of {median:.3g} m", expected, hint)
 
 
-def _unit_findings(ranges: Double, measured_share: float) -> Iterator[Finding]:
+def _unit_findings(
+    ranges: Double, measured_share: float, notes: FileNotes
+) -> Iterator[Finding]:
     """Yield doubts about ranges (M,) in metres, and about the share of points that have one."""
     median, far = np.quantile(ranges, (0.5, 0.99))
     if median > USUAL_RANGES_M[0] or far > USUAL_RANGES_M[1]:
         problem = f"has a median range of {median:.0f} m, and 1 % of the points beyond {far:.0f} m"
-        yield Finding(WarningCode.UNITS, problem, f"convert them to metres, or {columns_hint()}")
+        hint = f"convert them to metres, or {columns_hint()}"
+        if notes.frame != ORIGIN:
+            hint = f"cut the file to about {USUAL_RANGES_M[1]:.0f} m around the sensor"
+        yield Finding(WarningCode.UNITS, problem, hint)
     if far < MIN_FAR_M:
         yield Finding(
             WarningCode.INDOOR, f"99 % of the points lie within {far:.0f} m, as in a room", TRAIN

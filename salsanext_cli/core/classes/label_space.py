@@ -353,9 +353,9 @@ def default_codes(space: LabelSpace) -> dict[int, int]:
 
 
 def train_ids_of_codes(space: LabelSpace) -> dict[int, set[int]]:
-    """Return the train ids, but 0, of the classes of a label space by their codes of the ASPRS.
+    """Return the train ids of the classes of a label space by their codes of the ASPRS.
 
-    If it has the names of its model, other codes are those of SemanticKITTI, so that a building of
+    The set of a code is empty if its raw ids are of no class, that is of train id 0. If it has the names of its model, other codes are those of SemanticKITTI, so that a building of
     a survey is of the coarse class that contains buildings.
     """
     train_ids: dict[int, set[int]] = {}
@@ -365,11 +365,10 @@ def train_ids_of_codes(space: LabelSpace) -> dict[int, set[int]]:
     for table in tables:
         further: dict[int, set[int]] = {}
         for raw, code in table.items():
-            train_id = space.learning_map.get(raw, 0)
-            if train_id and code not in train_ids:
-                further.setdefault(code, set()).add(train_id)
+            if code not in train_ids:
+                further.setdefault(code, set()).add(space.learning_map.get(raw, 0))
         train_ids |= further
-    return train_ids
+    return {code: several - {0} for code, several in train_ids.items()}
 
 
 def _model(space: LabelSpace) -> LabelSpace:

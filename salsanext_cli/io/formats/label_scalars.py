@@ -207,15 +207,15 @@ class LabelIds:
 
     @classmethod
     def of_codes(cls, space: LabelSpace) -> LabelIds:
-        """Return the raw ids of those codes of the ASPRS that a single class has."""
+        """Return the raw ids of the codes of the ASPRS but those of several classes."""
         _require_class_of_unlabelled(space)
         classes = train_ids_of_codes(space)
         unlabelled = space.learning_map_inv[0]
         raw_of = dict.fromkeys(UNASSIGNED_CODES, unlabelled)
         for code, train_ids in classes.items():
             raw_of.pop(code, None)
-            if len(train_ids) == 1:
-                raw_of[code] = space.learning_map_inv[min(train_ids)]
+            if len(train_ids) <= 1:
+                raw_of[code] = space.learning_map_inv[min(train_ids, default=0)]
         if HIGH_VEGETATION in raw_of:
             lower = [code for code in LOWER_VEGETATION if code not in classes]
             raw_of |= dict.fromkeys(lower, raw_of[HIGH_VEGETATION])

@@ -14,7 +14,7 @@ from salsanext_cli.core.wording import command, setting
 from salsanext_cli.io.files.reading import present
 from salsanext_cli.io.formats import FORMATS, format_of
 from salsanext_cli.io.formats.kitti_labels import read_labels
-from salsanext_cli.io.formats.label_scalars import ASPRS_SCALAR, UNASSIGNED_CODES, Ids, LabelIds
+from salsanext_cli.io.formats.label_scalars import ASPRS_SCALAR, Ids, LabelIds
 from salsanext_cli.io.formats.survey.las_file import read_classification
 from salsanext_cli.runs.results.paths import ScanFile
 
@@ -24,12 +24,19 @@ def is_las(path: Path) -> bool:
     return format_of(path.name) is FORMATS["las"]
 
 
-def classified_scans(files: Sequence[ScanFile]) -> list[ScanFile]:
-    """Return the LAS scans whose classification has more codes than `UNASSIGNED_CODES`."""
+def classified_scans(files: Sequence[ScanFile], space: LabelSpace) -> list[ScanFile]:
+    """Return the LAS scans whose classification has a class of a label space.
+
+    Raises
+    ------
+    LabelError
+        If several classes, or none, have a code.
+    """
+    unlabelled = space.learning_map_inv[0]
     return [
         file
         for file in files
-        if is_las(file.path) and not np.isin(read_classification(file.path), UNASSIGNED_CODES).all()
+        if is_las(file.path) and (_read_raw(file.path, space) != unlabelled).any()
     ]
 
 
@@ -64,15 +71,20 @@ def read_scan_labels(file: ScanFile, space: LabelSpace, count: int) -> RawIds:
     source = labels_source(file)
     if source != file.path:
         return read_labels(source, count)
-    codes = read_classification(source).astype(np.int64)
+    return _read_raw(source, space)
+
+
+def _read_raw(path: Path, space: LabelSpace) -> RawIds:
+    """Read the raw ids (N,) of the classification of a LAS scan."""
+    codes = read_classification(path).astype(np.int64)
     meanings = LabelIds.of_codes(space)
     if unknown := meanings.unknown(codes):
-        folder = str(source.parent)
+        folder = str(path.parent)
         words = shlex.join(["salsanext", "import-labels", folder, folder])
         importing = command(words, setting("ids", "FILE"))
         entries = map_of_codes(codes, unknown, meanings, space)
         hint = f"run `{importing}` first, where FILE is a YAML file such as {entries}"
-        raise LabelError(source, unknown_codes(unknown, space), meanings.described(), hint)
+        raise LabelError(path, unknown_codes(unknown, space), meanings.described(), hint)
     return meanings.to_raw(codes)
 
 

@@ -184,7 +184,7 @@ def scans_to_train_on(
         _, validation = labelled_split(dataset, classes, "valid")
         return ScansToTrainOn(space=classes, training=training, validation=validation)
     classes = _with_splits_of(dataset, space)
-    labelled = _labelled_scans(dataset)
+    labelled = _labelled_scans(dataset, classes)
     named = space if space and space.splits else data_set_label_space(dataset)
     if named is None or not named.splits:
         sequences = counted(len({scan.sequence for scan in labelled}), "sequence")
@@ -207,17 +207,17 @@ def scans_to_train_on(
     return ScansToTrainOn(space=classes, training=usable, validation=[])
 
 
-def _labelled_scans(dataset: Path) -> list[ScanFile]:
+def _labelled_scans(dataset: Path, space: LabelSpace) -> list[ScanFile]:
     """Return the scans of a data set whose labels are more than pre-labels; refuse none.
 
-    Without any label file, these are the LAS scans with a classification.
+    Without any label file, these are the LAS scans with a classification, by a label space.
     """
     files = find_scans(dataset)
     unreviewed = set(pre_labelled_scans(files))
     labelled = [file for file in files if file.label_path.is_file() and file not in unreviewed]
     text = f", {len(unreviewed)} with pre-labels only" if unreviewed else ""
     if not labelled and not unreviewed:
-        labelled = classified_scans(files)
+        labelled = classified_scans(files, space)
         if labelled:
             log.log(NOTICE, "labels: the classification in %s", counted(len(labelled), "LAS scan"))
     if not labelled:

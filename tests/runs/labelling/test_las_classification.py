@@ -43,6 +43,15 @@ def test_they_are_those_that_import_labels_writes(tmp_path):
     np.testing.assert_array_equal(read_labels(scan.label_path), raw)
 
 
+def test_codes_of_merged_classes_are_read_and_those_of_no_class_are_unlabelled(tmp_path):
+    """A building is of the coarse class structure, and other-object (163) of none."""
+    codes = np.uint8([6, 115, 163] * 100)
+    (scan,) = find_scans(classified(tmp_path / "scans/a.las", codes).parent)
+    for space, names in ((COARSE, ["structure"] * 2), (SPACE, ["building", "fence"])):
+        train = space.to_train(read_scan_labels(scan, space, 300))
+        assert [space.names[i] for i in train[:3].tolist()] == [*names, space.names[0]]
+
+
 def test_a_label_file_takes_precedence(tmp_path):
     (scan,) = find_scans(classified(tmp_path / "scans/a.las").parent)
     raw = np.full(300, 50, np.uint32)
@@ -57,7 +66,7 @@ def test_only_las_scans_with_a_class_are_classified(tmp_path):
     classified(tmp_path / "scans/b.las", np.uint8([0, 1, 7] * 100))
     write_bin(tmp_path / "bin/a.bin", make_scan(300))
     files = find_scans(tmp_path / "scans") + find_scans(tmp_path / "bin")
-    assert [file.stem for file in classified_scans(files)] == ["a"]
+    assert [file.stem for file in classified_scans(files, COARSE)] == ["a"]
     assert labels_source(files[-1]) == files[-1].label_path
 
 
