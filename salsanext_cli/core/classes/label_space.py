@@ -355,7 +355,8 @@ def default_codes(space: LabelSpace) -> dict[int, int]:
 def train_ids_of_codes(space: LabelSpace) -> dict[int, set[int]]:
     """Return the train ids of the classes of a label space by their codes of the ASPRS.
 
-    The set of a code is empty if its raw ids are of no class, that is of train id 0. If it has the names of its model, other codes are those of SemanticKITTI, so that a building of
+    The set of a code is empty if its raw ids are of no class, that is of train id 0. If the label
+    space has the names of its model, other codes are those of SemanticKITTI, so that a building of
     a survey is of the coarse class that contains buildings.
     """
     train_ids: dict[int, set[int]] = {}

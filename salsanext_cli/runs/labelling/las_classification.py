@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from salsanext_cli.core.classes.label_space import LabelSpace, RawIds
+from salsanext_cli.core.classes.label_space import BUILT_IN, LabelSpace, RawIds
 from salsanext_cli.core.errors import LabelError
 from salsanext_cli.core.texts import counted
 from salsanext_cli.core.wording import command, setting
@@ -81,7 +81,9 @@ def _read_raw(path: Path, space: LabelSpace) -> RawIds:
     if unknown := meanings.unknown(codes):
         folder = str(path.parent)
         words = shlex.join(["salsanext", "import-labels", folder, folder])
-        importing = command(words, setting("ids", "FILE"))
+        is_usual = space.name not in BUILT_IN[1:]
+        named = () if is_usual else (setting("space", space.name),)
+        importing = command(words, setting("ids", "FILE"), *named)
         entries = map_of_codes(codes, unknown, meanings, space)
         hint = f"run `{importing}` first, where FILE is a YAML file such as {entries}"
         raise LabelError(path, unknown_codes(unknown, space), meanings.described(), hint)

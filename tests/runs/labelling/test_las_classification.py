@@ -2,7 +2,6 @@
 """Labels inside of LAS scans, compared with those that `import-labels` writes."""
 
 import re
-from functools import partial
 
 import numpy as np
 import pytest
@@ -70,19 +69,24 @@ def test_only_las_scans_with_a_class_are_classified(tmp_path):
     assert labels_source(files[-1]) == files[-1].label_path
 
 
-def test_the_hint_has_a_command_that_decides_about_codes_of_several_classes(tmp_path):
-    folder = classified(tmp_path / "scans/a.las").parent
+@pytest.mark.parametrize(("space", "code"), [(SPACE, 2), (COARSE, 9)])
+def test_the_hint_has_a_command_that_decides_about_codes_without_a_single_class(
+    tmp_path, space, code
+):
+    """Ground may be one of three classes, and water is none of the coarse ones."""
+    codes = np.where(CODES == 2, code, CODES).astype(np.uint8)
+    folder = classified(tmp_path / "scans/a.las", codes).parent
     (scan,) = find_scans(folder)
-    caught = refused(LabelError, scan.path, read_scan_labels, scan, SPACE, 300)
-    assert f"2 ({(CODES == 2).sum()} points)" in caught.value.problem
+    caught = refused(LabelError, scan.path, read_scan_labels, scan, space, 300)
+    assert f"{code} ({(codes == code).sum()} points)" in caught.value.problem
+    assert ('space="coarse"' in caught.value.hint) == (space is COARSE)
     assert f"salsanext import-labels {folder} {folder}" in caught.value.hint
     (entries,) = re.findall(r"such as (\{.*\})", caught.value.hint)
     mapped = tmp_path / "map.yaml"
     mapped.write_text(entries)
-    importing = partial(import_labels, folder, folder)
-    assert importing(ids=mapped).failures == []
+    assert import_labels(folder, folder, ids=mapped, space=space).failures == []
     (scan,) = find_scans(folder)
     assert labels_source(scan) == scan.label_path
-    labels = read_scan_labels(scan, SPACE, 300)
-    assert {*labels[CODES == 2].tolist()} < {48, 49, 72}
-    np.testing.assert_array_equal(labels[CODES == 74], 10)
+    labels = read_scan_labels(scan, space, 300)
+    assert {*labels[codes == code].tolist()} < ({48, 49, 72} if space is SPACE else {0, 1})
+    np.testing.assert_array_equal(labels[codes == 74], 10)
