@@ -194,6 +194,9 @@ READERS: dict[tuple[str, str], Callable[[str], object]] = {
     ("train.md", "yaml"): lambda body: LabelSpace.from_dict(
         label_space().to_dict() | yaml.safe_load(body)
     ),
+    ("survey.md", "yaml"): lambda body: LabelSpace.from_dict(
+        label_space().to_dict() | yaml.safe_load(body)
+    ),
     ("classes.md", "yaml"): lambda body: LabelSpace.from_dict(yaml.safe_load(body)),
     ("json.md", "json"): json.loads,
     ("plug-ins.md", "toml"): lambda body: tomllib.loads(body)["project"]["entry-points"],
