@@ -268,9 +268,7 @@ def _require_metres(source: object, scan: Scan, ranges: Double) -> None:
         raise FormatError(source, f"has a median range of {median:.3g} m", expected, hint)
 
 
-def _unit_findings(
-    ranges: Double, measured_share: float, notes: FileNotes
-) -> Iterator[Finding]:
+def _unit_findings(ranges: Double, measured_share: float, notes: FileNotes) -> Iterator[Finding]:
     """Yield doubts about ranges (M,) in metres, and about the share of points that have one."""
     median, far = np.quantile(ranges, (0.5, 0.99))
     if median > USUAL_RANGES_M[0] or far > USUAL_RANGES_M[1]:
