@@ -292,6 +292,6 @@ def export_las(
     """
     from salsanext_cli.commands.stages.export_las import export_las as stage
 
-    with over_scans("export-las", running, output.quiet) as options:
+    with over_results("export-las", running, output.quiet) as options:
         outcome = stage(out, compressed=compressed, query=query, options=options)
     summary.print_summary_and_exit("export-las", outcome, out, output)

@@ -203,10 +203,10 @@ class LabelIds:
         _require_class_of_unlabelled(space)
         names = {i: space.labels.get(raw, str(raw)) for i, raw in sorted(raw_of.items())}
         unlabelled = space.learning_map_inv[0]
-        return cls(raw_of, names, unlabelled, None if tool else cls.of_codes(space))
+        return cls(raw_of, names, unlabelled, None if tool else cls.from_codes(space))
 
     @classmethod
-    def of_codes(cls, space: LabelSpace) -> LabelIds:
+    def from_codes(cls, space: LabelSpace) -> LabelIds:
         """Return the raw ids of the codes of the ASPRS but those of several classes."""
         _require_class_of_unlabelled(space)
         classes = train_ids_of_codes(space)

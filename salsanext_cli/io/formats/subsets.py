@@ -62,16 +62,16 @@ def npz_subset(path: Path, _: tuple[str, ...]) -> Subset:
     arrays, compressed = npy.npz_arrays(path)
 
     def subset(mask: Mask) -> bytes:
-        of_points = {}
+        selected = {}
         for name, array in arrays.items():
             if array.shape[:1] == mask.shape:
-                of_points[name] = array[mask]
+                selected[name] = array[mask]
             elif array.ndim == 2 and array.shape[1:] == mask.shape:
-                of_points[name] = array[:, mask]
-        if not of_points and len(mask):
+                selected[name] = array[:, mask]
+        if not selected and len(mask):
             raise other_number(0, len(mask), path)
         save: Callable[..., None] = np.savez_compressed if compressed else np.savez
-        return _saved(lambda file: save(file, **arrays | of_points))
+        return _saved(lambda file: save(file, **arrays | selected))
 
     return subset
 

@@ -77,7 +77,7 @@ def read_scan_labels(file: ScanFile, space: LabelSpace, count: int) -> RawIds:
 def _read_raw(path: Path, space: LabelSpace) -> RawIds:
     """Read the raw ids (N,) of the classification of a LAS scan."""
     codes = read_classification(path).astype(np.int64)
-    meanings = LabelIds.of_codes(space)
+    meanings = LabelIds.from_codes(space)
     if unknown := meanings.unknown(codes):
         folder = str(path.parent)
         words = shlex.join(["salsanext", "import-labels", folder, folder])
