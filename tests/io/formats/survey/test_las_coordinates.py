@@ -10,7 +10,7 @@ from scans import make_scan, refused
 
 from salsanext_cli import read_scan
 from salsanext_cli.core.errors import FormatError
-from salsanext_cli.core.notices import notice_once
+from salsanext_cli.core.notices import log_once
 
 pytest.importorskip("laspy")
 SCAN = make_scan(100)
@@ -66,7 +66,7 @@ def test_feet_become_metres(tmp_path, record, factors):
 def test_a_system_that_is_only_a_code_is_read_as_metres_and_a_line_says_it(
     tmp_path, caplog, keys, notices
 ):
-    notice_once.cache_clear()
+    log_once.cache_clear()
     caplog.set_level(logging.INFO)
     path = write_las(tmp_path / "s.las", SCAN.points, records=[keys_record(*keys)])
     read_scan(path)

@@ -12,7 +12,7 @@ from scans import IN_BYTES, SMALL, make_scan, refused
 
 from salsanext_cli import read_scan
 from salsanext_cli.core.errors import FormatError, MissingDependency
-from salsanext_cli.core.notices import notice_once
+from salsanext_cli.core.notices import log_once
 from salsanext_cli.io.files.reading import PANIC
 from salsanext_cli.io.formats.survey.las_file import las_columns
 
@@ -26,7 +26,7 @@ UTM = (500_123.4, 5_400_456.7, 312.0)
 
 @pytest.fixture(autouse=True)
 def every_notice(caplog):
-    notice_once.cache_clear()
+    log_once.cache_clear()
     caplog.set_level(logging.INFO)
 
 
