@@ -108,8 +108,9 @@ def test_an_interruption_leaves_whole_files_only(tmp_path, options):
 
 
 PEAK = """
-import resource, sys
+import os, resource, sys
 from salsanext_cli.commands.line.app import app
+os.fsync = os.fstat
 try:
     app(sys.argv[1:])
 except SystemExit as end:
@@ -119,7 +120,7 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 
 
 def peak_of(command, scans, out, weights, count):
-    """Return the most memory, KiB, that a command over so many scans had."""
+    """Return the most memory, KiB, of a command that does not wait for the disk."""
     line = [command, scans, out, "--weights", weights, "--limit", count, "-q"]
     words = [sys.executable, "-c", PEAK, *map(str, line)]
     on_cpu = {**os.environ, "CUDA_VISIBLE_DEVICES": ""}
