@@ -48,8 +48,18 @@ from salsanext_cli.io.formats.ros.cloud_messages import POINT_CLOUD2
 POINTS = [structured(40, seed) for seed in range(4)]
 OTHERS = [("/name", START + 1, text), ("/rear", START + 2, cloud(POINTS[3]))]
 COMPRESSED = [
-    *((".bag", "BZ2"), (".bag", "LZ4"), (".db3", "FILE"), (".db3", "MESSAGE")),
-    *((".mcap", "FILE"), (".mcap", "MESSAGE"), (".mcap", "STORAGE")),
+    (".bag", "LZ4"),
+    (".mcap", "STORAGE"),
+    *(
+        pytest.param(kind, compression, marks=pytest.mark.slow)
+        for kind, compression in (
+            (".bag", "BZ2"),
+            (".db3", "FILE"),
+            (".db3", "MESSAGE"),
+            (".mcap", "FILE"),
+            (".mcap", "MESSAGE"),
+        )
+    ),
 ]
 TIME = QosTime(2, 3)
 QOS = Qos(
@@ -143,8 +153,9 @@ def test_qualities_of_service_publishers_and_texts_of_the_user_stay(tmp_path):
     assert "'/a', latching=1" in str(recorded(path)[0])
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("make", [cloud, livox, channels])
+@pytest.mark.parametrize(
+    ("kind", "make"), [*((kind, cloud) for kind in KINDS), (".bag", livox), (".mcap", channels)]
+)
 def test_a_new_topic_has_clouds_beside_the_old_ones(tmp_path, kind, make):
     path = write_bag(tmp_path, kind, [("/c", START + n, make(POINTS[n])) for n in range(3)])
     source = source_of(path)
