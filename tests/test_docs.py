@@ -138,8 +138,6 @@ def scans_here(tmp_path, monkeypatch) -> None:
     """Make the current folder one with the scans that the Python examples name."""
     write_bin(tmp_path / "000000.bin", make_scan())
     write_sequence(tmp_path / "seq", ["000000", "000001"])
-    # As large as it is, the real one would take seconds.
-    monkeypatch.setattr(sensors, "presets", lambda: {"hdl64": SMALL})
     monkeypatch.chdir(tmp_path)
 
 

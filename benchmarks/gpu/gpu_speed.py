@@ -12,6 +12,7 @@ from typing import cast
 
 import torch
 
+from benchmarks.finished_scans import FinishedScans
 from benchmarks.gpu.gpu_measures import Figures, utilisation
 from benchmarks.speed import baseline
 from benchmarks.speed import speed_product as product
@@ -124,8 +125,8 @@ def measure_runs(
         folder.mkdir()
         for number in range(count * jobs):
             os.link(scans[number % len(scans)], folder / f"{number:06}.bin")
-        marks: list[float] = []
-        options = RunOptions(jobs=jobs, progress=lambda *_, m=marks: m.append(time.monotonic()))
+        finished = FinishedScans(time.monotonic)
+        options = RunOptions(jobs=jobs, progress=finished)
         with tempfile.TemporaryDirectory() as out, utilisation(figures.device) as used:
             start = time.monotonic()
             result = predict_scans(
@@ -134,8 +135,9 @@ def measure_runs(
             elapsed = time.monotonic() - start
         if result.failures:
             raise RuntimeError(f"{name}: {result.failures[0].reason}")
+        times = finished.readings
         share = f", GPU {statistics.fmean(used):.0f} %" if used else ""
-        figures.add(f"{name}, with its start", len(marks) / elapsed, f"scans/s{share}")
-        warm = len(marks) // 4  # Whole batches, which pay for loading the network
-        rate = (len(marks) - warm) / max(marks[-1] - marks[warm - 1], 1e-9)
+        figures.add(f"{name}, with its start", len(times) / elapsed, f"scans/s{share}")
+        warm = len(times) // 4  # Whole batches, which pay for loading the network
+        rate = (len(times) - warm) / max(times[-1] - times[warm - 1], 1e-9)
         figures.add(f"{name}, the later scans", rate, "scans/s")

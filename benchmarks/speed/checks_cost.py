@@ -22,6 +22,7 @@ from unittest.mock import patch
 import numpy as np
 import numpy.typing as npt
 
+from benchmarks.finished_scans import FinishedScans
 from salsanext_cli.commands.stages import predict
 from salsanext_cli.core import labelling
 from salsanext_cli.core.checks.scan_checks import UNCHECKED
@@ -39,7 +40,6 @@ Times = npt.NDArray[np.float64]
 def times_of(scans: Path, network: NetworkSettings, *, checked: bool) -> tuple[Times, float]:
     """Predict into a new folder; return the times of each scan but the first, and of the fit."""
     fitting: list[float] = []
-    marks: list[tuple[float, float]] = []
     fit_scans = sensor_fit.fit_scans
 
     def timed(*given: Any) -> Network:
@@ -48,18 +48,16 @@ def times_of(scans: Path, network: NetworkSettings, *, checked: bool) -> tuple[T
         fitting.append(time.perf_counter() - start)
         return found
 
-    def mark(*_: int) -> None:
-        marks.append((time.perf_counter(), time.process_time()))
-
+    finished = FinishedScans(lambda: (time.perf_counter(), time.process_time()))
     unchecked = patch.object(labelling, "check_scan", lambda *_: UNCHECKED)
     with (
         tempfile.TemporaryDirectory() as out,
         patch.object(sensor_fit, "fit_scans", timed),
         nullcontext() if checked else unchecked,
     ):
-        options = RunOptions(progress=mark)
+        options = RunOptions(progress=finished)
         predict.predict_scans(scans, Path(out), settings=network, options=options)
-    return np.diff(marks, axis=0), sum(fitting)
+    return np.diff(finished.readings, axis=0), sum(fitting)
 
 
 def main(scans: str, rounds: str = "10", weights: str | None = None) -> None:

@@ -14,6 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
+from benchmarks.finished_scans import FinishedScans
 from salsanext_cli.runs.loop.run import RunOptions, run_over_scans
 from salsanext_cli.runs.loop.run_options import Shard
 from salsanext_cli.runs.records.stage_settings import PredictSettings
@@ -57,12 +58,13 @@ def record(out: Path, scans: list[ScanFile]) -> None:
 
 def send(scans: list[ScanFile]) -> None:
     """Send scans to two workers that do nothing; starting them is left out."""
-    marks: list[tuple[int, float]] = []
-    options = RunOptions(jobs=2, progress=lambda done, _: marks.append((done, time.perf_counter())))
+    finished = FinishedScans(time.perf_counter)
+    options = RunOptions(jobs=2, progress=finished)
     # A function that every worker has and that takes a scan.
     run_over_scans(hash, scans, options)
-    (first, start), (last, end) = marks[0], marks[-1]
-    print(f"{'chunks':24} {(last - first) / (end - start):7.0f} scans per second")
+    later_scans = finished.counts[-1] - finished.counts[0]
+    seconds = finished.readings[-1] - finished.readings[0]
+    print(f"{'chunks':24} {later_scans / seconds:7.0f} scans per second")
 
 
 def main(folder: str, count: str = "20000") -> None:

@@ -14,6 +14,7 @@ import tempfile
 import time
 from pathlib import Path
 
+from benchmarks.finished_scans import FinishedScans
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.core.geometry.projection import project
 from salsanext_cli.io.formats import read_scan
@@ -36,15 +37,15 @@ def main(folder: str, rounds: str = "5", weights: str | None = None) -> None:
     images = [project(scan, network.sensor) for scan in scans]
     times: list[tuple[float, float]] = []
     for number in range(int(rounds)):
-        of_folder: list[float] = []
-        options = RunOptions(progress=lambda *_, m=of_folder: m.append(time.perf_counter()))
+        finished = FinishedScans(time.perf_counter)
+        options = RunOptions(progress=finished)
         with tempfile.TemporaryDirectory() as out:
             predict_scans(Path(folder), Path(out), settings=settings, options=options)
         alone: list[float] = []
         for image in images:
             network.probabilities(image)
             alone.append(time.perf_counter())
-        times.append((seconds_each(of_folder), seconds_each(alone)))
+        times.append((seconds_each(finished.readings), seconds_each(alone)))
         each, plain = times[-1]
         print(f"round {number}: {1e3 * each:.1f} ms a scan, network {1e3 * plain:.1f} ms")
     ratios = [each / plain for each, plain in times]

@@ -18,6 +18,7 @@ from pathlib import Path
 import numba
 import torch
 
+from benchmarks.finished_scans import FinishedScans
 from salsanext_cli.commands.stages.evaluate import evaluate
 from salsanext_cli.commands.stages.export_ply import export_ply
 from salsanext_cli.commands.stages.knn_refine import knn_refine_scans
@@ -39,11 +40,11 @@ def used() -> tuple[float, int, int]:
 
 def measure(name: str, stage: Callable[[RunOptions], object]) -> None:
     """Run a stage and print what each scan but the first took."""
-    marks: list[tuple[float, int, int]] = []
-    stage(RunOptions(progress=lambda *_: marks.append(used())))
+    finished = FinishedScans(used)
+    stage(RunOptions(progress=finished))
     each = [
         [after - before for after, before in zip(later, earlier, strict=True)]
-        for earlier, later in pairwise(marks)
+        for earlier, later in pairwise(finished.readings)
     ]
     cpu, read, written = zip(*each, strict=True)
     megabytes = [statistics.median(values) / 1e6 for values in (read, written)]

@@ -45,7 +45,7 @@ def test_every_file_of_the_layout_is_there(streets):
     assert files_below(out).keys() == expected
     assert made.scans == len(find_scans(out)) == 6
     assert made.splits == {"train": ("00",), "valid": ("01",), "test": ("02",)}
-    assert calls == [(n, 3) for n in range(1, 4)]
+    assert calls == [(n, 3) for n in range(4)]
     splits = {"train": ["00"], "valid": ["01"], "test": ["02"]}
     settings = {"splits": splits, **TINY, "sensor": "hdl64"}
     expected = {"stage": "synth", "version": __version__, "settings": settings}
