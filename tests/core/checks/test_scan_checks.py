@@ -190,6 +190,10 @@ def test_real_scans_have_no_finding_without_reason(real_data):
     found = {}
     for path in scans:
         scan = read_scan(path)
+        if path.suffix == ".las":
+            with pytest.raises(FormatError, match="as in a survey"):
+                codes(scan)
+            continue
         if path.suffix == ".pcd":
             assert 10 < np.nanmax(np.linalg.norm(scan.points, axis=1)) < 300
         fitted = fit_view([scan], trained)

@@ -129,6 +129,8 @@ def _require_no_span_of_degrees(header: Any, path: Path) -> None:
     """Refuse a file whose bounds and resolution are those of degrees."""
     least = np.asarray(header.mins, np.float64)[:2]
     largest = np.asarray(header.maxs, np.float64)[:2]
+    if not np.isfinite([least, largest]).all():
+        return
     is_fine = max(header.scales[:2]) <= FINE_SCALE
     is_narrow = bool((largest - least < MAX_SPAN_DEG).all() and (largest > least).all())
     is_on_earth = bool((np.abs([least, largest]) <= MAX_DEGREES).all())

@@ -17,6 +17,7 @@ from salsanext_cli.core.records import Double, Scan
 from salsanext_cli.io.files.reading import reading, refusing_damage, size_of
 from salsanext_cli.io.formats.columns import Columns, scan_of
 from salsanext_cli.io.formats.field_names import AXES
+from salsanext_cli.io.formats.survey.las_chunks import require_chunk_sizes
 from salsanext_cli.io.formats.survey.las_coordinates import LengthUnits, length_units, notice_units
 
 HEADER = struct.Struct("<4s20xBB68xHIIBH")
@@ -29,7 +30,6 @@ POINT_FORMAT_BITS = 0x3F  # The others mark compressed points
 RECORD_BYTES = 54  # Least size of a record of variable length
 EVLR_BYTES = 60  # Least size of an extended one
 MAX_POINTS_PER_BYTE = 16  # Of compressed points; those of a LiDAR take some bytes each
-NO_OFFSET_OF_TABLE = -1  # Offset of the table of chunks that a writer of a stream put at the end
 BYTE = 255  # Largest intensity of sensors that write bytes
 WORD = 65535  # Largest intensity, which the format asks for
 EXPECTED = "a complete .las or .laz file"
@@ -130,7 +130,7 @@ def read_las_file(path: Path, *, with_extended_records: bool = False) -> LasFile
                 import_lazrs(path)
                 room = size * MAX_POINTS_PER_BYTE
                 if header.point_count:
-                    _require_chunks(file, offset, size)
+                    require_chunk_sizes(file, header, size)
                 file.seek(offset)
             if header.point_count > room:
                 raise ValueError("its header states more points than it contains")
@@ -168,20 +168,6 @@ def _require_readable(file: BinaryIO, path: Path, size: int) -> int:
     if header_size + record_count * RECORD_BYTES > offset or offset > size:
         raise ValueError("its header states more data than it contains")
     return int(offset)
-
-
-def _require_chunks(file: BinaryIO, offset: int, size: int) -> None:
-    """Refuse a table of more chunks than a file has bytes, for which lazrs ends the process."""
-    file.seek(offset)
-    (table,) = struct.unpack("<q", file.read(8))
-    if table == NO_OFFSET_OF_TABLE:
-        file.seek(size - 8)
-        (table,) = struct.unpack("<q", file.read(8))
-    if not offset < table <= size - 8:
-        raise ValueError("its table of chunks is outside the file")
-    file.seek(table + 4)
-    if struct.unpack("<I", file.read(4))[0] > size:
-        raise ValueError("it states more chunks than it contains")
 
 
 def import_laspy(path: Path) -> Any:

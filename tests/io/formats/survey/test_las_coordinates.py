@@ -2,6 +2,7 @@
 """Coordinate systems in records of LAS files."""
 
 import logging
+import struct
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ METRES = f'PROJCS["UTM 32N",{GEOGRAPHIC},UNIT["metre",1]]'
 FEET = f'PROJCS["New York",{GEOGRAPHIC},UNIT["US survey foot",0.3048006096012192]]'
 FEET_AND_METRES = f'COMPD_CS["a",{FEET},VERT_CS["b",VERT_DATUM["c",2005],UNIT["metre",1]]]'
 US_FOOT = 1200 / 3937
+MAX_X, MIN_X, MAX_Y = 179, 187, 195  # Positions of bounds in the header
 
 
 @pytest.mark.parametrize(
@@ -81,3 +83,12 @@ def test_degrees_without_a_record_are_recognised_by_span_and_resolution(tmp_path
     assert "EPSG:32615" in error.value.hint  # The zone of UTM at 94.68° west
     # A fine scan of a room is none.
     assert len(read_scan(write_las(tmp_path / "r.las", SCAN.points / 100, scale=1e-7))) == 100
+
+
+def test_damaged_bounds_are_no_degrees(tmp_path):
+    path = write_las(tmp_path / "s.las", SCAN.points)
+    content = bytearray(path.read_bytes())
+    content[MAX_X:MIN_X] = struct.pack("<d", np.inf)
+    content[MIN_X:MAX_Y] = struct.pack("<d", np.inf)
+    path.write_bytes(content)
+    assert len(read_scan(path)) == len(SCAN)
