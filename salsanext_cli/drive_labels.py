@@ -6,26 +6,24 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.core.classes.label_space import TrainIds
-from salsanext_cli.core.engines.backend import PixelPrediction
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import NoInputError
 from salsanext_cli.core.fusion.fuse_drive import VotingScan
 from salsanext_cli.core.fusion.top_classes import top_classes
-from salsanext_cli.core.geometry.knn_parameters import KnnParameters
-from salsanext_cli.core.geometry.projection import points_from_pixels
-from salsanext_cli.core.labelling import predict_pixels, refine_labels
+from salsanext_cli.core.label_request import LabelRequest
+from salsanext_cli.core.labellers import Labeller, labeller_for
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.records import Float, Origin, Origins
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.runs.drives.pose_origins import origins_by_poses
 from salsanext_cli.runs.drives.poses_of_sequence import points_of_drive
-from salsanext_cli.runs.fit.scan_reading import PreparedFile, read_prepared
+from salsanext_cli.runs.fit.scan_reading import FileToLabel, read_to_label
 from salsanext_cli.runs.fit.scan_sample import sample_of_files
 from salsanext_cli.runs.fit.sensor_fit import fit_scans, resolved_for
 from salsanext_cli.runs.loop.network_task import NetworkTask
@@ -69,27 +67,28 @@ class VoteJob:
     network: Network
     origins: Origins = field(default_factory=dict)  # Of registered scans with poses
 
-    def prepare(self, file: ScanFile) -> PreparedFile:
-        """Read, check and project a scan."""
-        return read_prepared(file, self.network, self.origins.get(file.name))
+    @property
+    def labeller(self) -> Labeller:
+        """Way of the scans to their labels, with the softmax."""
+        return labeller_for(self.network, LabelRequest(softmax=True))
 
-    def compute(self, files: Sequence[PreparedFile]) -> list[PixelPrediction]:
-        """Predict the pixels of scans, with the softmax."""
-        return predict_pixels(self.network, [file.scan for file in files], softmax=True)
+    def prepare(self, file: ScanFile) -> FileToLabel:
+        """Read and check a scan."""
+        return read_to_label(file, self.labeller, self.origins.get(file.name))
 
-    def finish(self, prepared: PreparedFile, pixels: PixelPrediction) -> ScanVotes:
-        """Refine the labels on the points; return them with the votes."""
-        scan = refine_labels(prepared.scan, pixels, KnnParameters())
-        space = prepared.scan.network.space
-        unlabelled = np.eye(1, space.class_count)
-        pixel_of_point = scan.projected.image.pixel_of_point
-        softmax = points_from_pixels(cast(Float, pixels.softmax), pixel_of_point, unlabelled)
+    def compute(self, files: Sequence[FileToLabel]) -> Sequence[Any]:
+        """Compute the labels of scans."""
+        return self.labeller.compute([file.scan for file in files])
+
+    def finish(self, prepared: FileToLabel, computed: Any) -> ScanVotes:
+        """Return the labels of the points with the votes."""
+        scan = self.labeller.finish(prepared.scan, computed)
         return ScanVotes(
             file=prepared.file,
-            summary=ScanSummary.from_scan(prepared.file, scan, space),
-            origin=scan.projected.origin,
+            summary=ScanSummary.from_scan(prepared.file, scan, self.network.space),
+            origin=scan.checked.origin,
             labels=scan.labels,
-            votes=top_classes(softmax),
+            votes=top_classes(cast(Float, scan.softmax)),
         )
 
 

@@ -10,6 +10,9 @@ import torch
 
 CUDA = [pytest.mark.cuda, pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")]
 
+on_each_device = pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=CUDA)])
+"""Run a test on the CPU and, where there is one, on a GPU."""
+
 
 def on_both(*of_cuda: str) -> pytest.MarkDecorator:
     """Run a test on the CPU in float32, and on a GPU in each of some precisions."""

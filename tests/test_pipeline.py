@@ -10,7 +10,8 @@ import pytest
 import safetensors
 import torch
 from command_line import called
-from scans import labels_below, write_bin, write_sequence
+from devices import on_each_device
+from scans import labels_below, share_alike, write_bin, write_sequence
 
 from benchmarks.weights.background_training import CHANGES
 from salsanext_cli import (
@@ -27,6 +28,7 @@ from salsanext_cli.commands.stages.knn_refine import knn_refine_scans
 from salsanext_cli.commands.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.commands.stages.project import project_scans
 from salsanext_cli.commands.stages.synth import synthesise
+from salsanext_cli.core import labellers
 from salsanext_cli.core.geometry.projection import points_from_pixels
 from salsanext_cli.core.uncertainty.error_features import error_probability, knows_error
 from salsanext_cli.io.weights.card_file import default_weights
@@ -138,3 +140,26 @@ def test_a_hall_has_labels_of_low_confidence(real_data, tmp_path):
     (scan,) = (real_data / "data/reported/indoor/pandar64_hall").iterdir()
     outcome = predict_scans(scan, tmp_path / "out")
     assert "low-confidence" in {warning.code for warning in outcome.summary.warnings()}
+
+
+@pytest.mark.real
+@on_each_device
+@pytest.mark.parametrize("width", [512, 1024])
+def test_real_scans_are_labelled_on_a_device_as_by_the_kernels(
+    real_data, tmp_path, monkeypatch, device, width
+):
+    """At most one label in 100 000 may differ; errors have other orders of sums."""
+    source = real_data / "data/semantickitti/sequences/08"
+    settings = NetworkSettings(device="cpu", engine="torch", precision="float32", width=width)
+    predict_scans(source, tmp_path / "kernels", settings=settings, extras=("uncertainty/error",))
+    monkeypatch.setattr(labellers, "computes_on_gpu", lambda _: True)
+    settings = replace(settings, device=device)
+    predict_scans(source, tmp_path / "device", settings=settings, extras=("uncertainty/error",))
+    assert share_alike(tmp_path / "device", tmp_path / "kernels") >= 1 - 1e-5
+    errors = sorted((tmp_path / "kernels").rglob("error/*.npy"))
+    assert errors
+    for path in errors:
+        found = np.load(tmp_path / "device" / path.relative_to(tmp_path / "kernels"))
+        differences = np.abs(found - np.load(path))
+        assert np.nanquantile(differences, 0.999) < 1e-4
+        assert (np.isnan(found) == np.isnan(np.load(path))).all()

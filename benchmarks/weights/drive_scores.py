@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from salsanext_cli.core.engines.network import Network
-from salsanext_cli.core.labelling import label_scan
+from salsanext_cli.core.labellers import label_scan
 from salsanext_cli.core.measures.scores import Counts, confusion_matrix, scores
 from salsanext_cli.io.formats.kitti_labels import read_labels
 from salsanext_cli.runs.fit.scan_reading import read_measured

@@ -14,10 +14,11 @@ from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.fitting.network_fit import FitSettings, fit_to_sample
 from salsanext_cli.core.fitting.scan_sample import ScanSample
-from salsanext_cli.core.geometry.projection import points_from_pixels
-from salsanext_cli.core.labelling import LabelledScan, label_scan
+from salsanext_cli.core.label_request import LabelRequest
+from salsanext_cli.core.labellers import label_scan
+from salsanext_cli.core.labelling import LabelledScan
 from salsanext_cli.core.records import Float, Scan
-from salsanext_cli.core.uncertainty.error_features import error_probability, knows_error
+from salsanext_cli.core.uncertainty.error_features import knows_error
 
 SOURCE = "points"  # Name of the scan in errors and warnings
 
@@ -92,24 +93,17 @@ def point_labels(scan: Scan, network: Network) -> PointLabels:
     SalsanextError
         If the points are not those of a scan in metres, or a probability is not finite.
     """
-    labelled = label_scan(scan, network, softmax=True, source=SOURCE)
+    request = LabelRequest(softmax=True, error=knows_error(network))
+    labelled = label_scan(scan, network, request, source=SOURCE)
     _log_findings(labelled, network)
-    image = labelled.projected.image
-    softmax = cast(Float, labelled.pixels.softmax)
-    unlabelled = np.eye(1, network.space.class_count)
-    probabilities = points_from_pixels(softmax, image.pixel_of_point, unlabelled)
-    error = None
-    if knows_error(network):
-        network = network.for_sensor(labelled.projected.sensor)
-        error = error_probability(network, image, softmax, labelled.labels)
-    return PointLabels(labelled.labels, probabilities, error)
+    return PointLabels(labelled.labels, cast(Float, labelled.softmax), labelled.error)
 
 
 def _log_findings(labelled: LabelledScan, network: Network) -> None:
     """Log the first reason of each kind to doubt the labels of a scan."""
     points = np.bincount(labelled.labels, minlength=network.space.class_count)
     findings = [
-        *labelled.projected.check.findings,
+        *labelled.checked.check.findings,
         *label_findings(points, labelled.mean_confidence, network.space),
     ]
     first_of_code: dict[str, Finding] = {}

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""The way of one scan: its sensor, its checks, its range image, labels of pixels, of points.
+"""The way of one scan by the CPU kernels: sensor, checks, range image, labels of pixels, of points.
 
-`label_scan` is the whole way in memory. The job of `predict`, `PredictJob`, takes the same steps:
-reader threads prepare scans, a device predicts batches of them, and a writer thread refines their
-labels.
+`core.labellers` takes these steps, or those of a device: reader threads prepare scans, a device
+predicts batches of them, and a writer thread refines their labels.
 """
 
 from collections.abc import Sequence
@@ -17,7 +16,7 @@ from salsanext_cli.core.engines.backend import PixelPrediction
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.geometry.knn import knn_refine
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
-from salsanext_cli.core.geometry.projection import project
+from salsanext_cli.core.geometry.projection import points_from_pixels, project
 from salsanext_cli.core.geometry.sensor_frame import ego_points, in_sensor_frame
 from salsanext_cli.core.geometry.sensor_of_scan import origin_of_scan, sensor_of
 from salsanext_cli.core.records import Float, Origin, RangeImage, Scan
@@ -25,8 +24,8 @@ from salsanext_cli.core.sensors.sensor import Sensor
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ProjectedScan:
-    """Scan that was checked and projected.
+class CheckedScan:
+    """Scan whose sensor was found, and that was checked.
 
     Attributes
     ----------
@@ -40,8 +39,6 @@ class ProjectedScan:
         Position by which the member was found; None if no scan has its own.
     check : ScanCheck
         Reasons to doubt the scan.
-    image : RangeImage
-        H × W pixels.
     """
 
     source: object
@@ -49,7 +46,27 @@ class ProjectedScan:
     sensor: Sensor
     origin: Origin | None
     check: ScanCheck
+
+    def range_image(self) -> RangeImage:
+        """Return the range image, H × W pixels; the kernels project a scan without one."""
+        return project(self.scan, self.sensor)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ProjectedScan(CheckedScan):
+    """Scan that was checked and projected.
+
+    Attributes
+    ----------
+    image : RangeImage
+        H × W pixels.
+    """
+
     image: RangeImage
+
+    def range_image(self) -> RangeImage:
+        """Return the range image."""
+        return self.image
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -77,66 +94,43 @@ class LabelledScan:
 
     Attributes
     ----------
-    projected : ProjectedScan
-        Checked and projected scan.
-    pixels : PixelPrediction
-        Labels of its pixels, and their confidence.
+    checked : CheckedScan
+        Scan of N points.
     labels : (N,) uint8
-        Train ids of its points, refined by kNN.
+        Train ids of the points, refined by kNN.
+    least_confidence : (N,) float32
+        1 minus the largest probability of the pixel of each point; NaN without a pixel.
+    pixel_labels : (H, W) uint8
+        Train ids of the pixels.
+    mean_confidence : float
+        Mean of the largest probabilities of the occupied pixels, 0…1; 1 without any.
+    softmax : (N, C) float32, optional
+        Probabilities of all classes of the pixel of each point, class 0 without a pixel.
+    error : (N,) float32, optional
+        Probability that each label is wrong; NaN without a pixel.
     """
 
-    projected: ProjectedScan
-    pixels: PixelPrediction
+    checked: CheckedScan
     labels: TrainIds
+    least_confidence: Float
+    pixel_labels: TrainIds
+    mean_confidence: float
+    softmax: Float | None = None
+    error: Float | None = None
 
-    @property
-    def mean_confidence(self) -> float:
-        """Mean of the largest probabilities of the occupied pixels, 0…1; 1 without any."""
-        confidence = self.pixels.confidence[self.projected.image.channels[0] > 0]
-        return float(confidence.mean()) if len(confidence) else 1.0
 
-
-def label_scan(
+def checked_scan(
     scan: Scan,
-    network: Network,
-    *,
-    knn: KnnParameters = KnnParameters(),
-    softmax: bool = False,
+    sensor: Sensor,
+    trained: Sensor | None = None,
     origin: Origin | None = None,
     source: object = "scan",
-) -> LabelledScan:
-    """Label the points of a scan with a network that is fitted to its sensor.
-
-    Parameters
-    ----------
-    scan : Scan
-        N points, in the frame of their file.
-    network : Network
-        Network for the sensors of such scans.
-    knn : KnnParameters
-        Neighbourhood of the refinement.
-    softmax : bool
-        Whether to keep the probabilities of all classes.
-    origin : tuple of float, optional
-        Position of the sensor of a registered scan, in metres; by default found from its points.
-    source : object
-        Name of the scan in errors.
-
-    Returns
-    -------
-    LabelledScan
-
-    Raises
-    ------
-    FormatError
-        If the points are not those of a scan in metres around a sensor.
-    WeightsError
-        If a probability is not finite.
-    """
-    projected = project_scan(scan, network.sensor, network.card.sensor, origin, source)
-    prepared = prepare_for(network, projected)
-    (pixels,) = predict_pixels(network, [prepared], softmax=softmax)
-    return refine_labels(prepared, pixels, knn)
+) -> CheckedScan:
+    """Find the sensor of a scan and check its points; the parameters are as of `project_scan`."""
+    origin = origin_of_scan(scan, sensor, origin)
+    sensor = sensor_of(scan, sensor, origin)
+    check = replace(check_scan(source, scan, sensor, trained), points=len(scan))
+    return CheckedScan(source=source, scan=scan, sensor=sensor, origin=origin, check=check)
 
 
 def project_scan(
@@ -170,13 +164,16 @@ def project_scan(
     FormatError
         If the points are not those of a scan in metres around a sensor.
     """
-    origin = origin_of_scan(scan, sensor, origin)
-    sensor = sensor_of(scan, sensor, origin)
-    check = check_scan(source, scan, sensor, trained)
-    image = project(scan, sensor)
-    check = replace(check, points=len(scan), ego_points=_ego_count(scan, image, sensor))
+    checked = checked_scan(scan, sensor, trained, origin, source)
+    image = project(scan, checked.sensor)
+    ego_count = _ego_count(scan, image, checked.sensor)
     return ProjectedScan(
-        source=source, scan=scan, sensor=sensor, origin=origin, check=check, image=image
+        source=source,
+        scan=scan,
+        sensor=checked.sensor,
+        origin=checked.origin,
+        check=replace(checked.check, ego_points=ego_count),
+        image=image,
     )
 
 
@@ -241,5 +238,12 @@ def refine_labels(
     projected = prepared.projected
     network = prepared.network
     network.backend.require_finite(pixels.confidence, projected.source)
-    labels = knn_refine(projected.image, pixels.labels, network.space.class_count, knn)
-    return LabelledScan(projected=projected, pixels=pixels, labels=labels)
+    image = projected.image
+    confidence = pixels.confidence[image.channels[0] > 0]
+    return LabelledScan(
+        checked=projected,
+        labels=knn_refine(image, pixels.labels, network.space.class_count, knn),
+        least_confidence=points_from_pixels(1 - pixels.confidence, image.pixel_of_point, np.nan),
+        pixel_labels=pixels.labels,
+        mean_confidence=float(confidence.mean()) if len(confidence) else 1.0,
+    )

@@ -28,13 +28,13 @@ from salsanext_cli.runs.results.paths import ScanFile
 
 def picked_cloud(labelled: LabelledScan, uncertainty: Float, space: LabelSpace) -> bytes:
     """Return a PLY of a scan, coloured by label, with scalars for CloudCompare."""
-    scan = labelled.projected.scan
+    scan = labelled.checked.scan
     labels = labelled.labels
     columns: dict[str, npt.NDArray[Any]] = dict(zip("xyz", scan.points.T, strict=True))
     columns |= zip(("red", "green", "blue"), space.colours[labels].T, strict=True)
     # CloudCompare takes properties with the prefix scalar_ for scalars.
     columns["scalar_label"] = space.to_raw(labels)
-    pixels = labelled.projected.image.pixel_of_point
+    pixels = labelled.checked.range_image().pixel_of_point
     columns["scalar_uncertainty"] = points_from_pixels(uncertainty, pixels, np.nan)
     columns["scalar_intensity"] = scan.intensity
     return encode_ply(columns, ["scalar_label: raw ids of labels.yaml"])

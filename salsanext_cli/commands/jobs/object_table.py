@@ -33,7 +33,8 @@ def object_table(scan: LabelledScan, objects: Objects, space: LabelSpace) -> byt
     class_of_object[objects] = scan.labels
     cars = [train_id for train_id, name in enumerate(space.names) if name == "car"]
     is_car = np.isin(class_of_object[1:], cars)
-    boxes = fit_boxes(scan.projected.scan.points, objects, is_car, scan.projected.sensor.origin[:2])
+    checked = scan.checked
+    boxes = fit_boxes(checked.scan.points, objects, is_car, checked.sensor.origin[:2])
     file = io.StringIO()
     table = csv.writer(file, lineterminator="\n")
     table.writerow(("object", "class", "points", *BOX))

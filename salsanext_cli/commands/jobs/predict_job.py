@@ -1,36 +1,37 @@
 # SPDX-License-Identifier: MIT
 """Job of `predict`: the way of a scan from its file to its results.
 
-1. `PredictJob.prepare` reads, checks and projects it: `read_prepared` calls `read_measured`,
-   `project_scan` and `prepare_for`.
-2. `PredictJob.compute` labels the pixels of a batch: `predict_pixels`.
-3. `PredictJob.finish` refines the labels on the points, `refine_labels`, and writes the results.
+1. `PredictJob.prepare` reads and checks it: `read_to_label`.
+2. `PredictJob.compute` computes a batch.
+3. `PredictJob.finish` writes the results of the points.
 
-`core/labelling.py` has all these steps but the reading; its `label_scan` takes them in memory.
+The steps but reading and writing are those of a `Labeller` of `core/labellers.py`, whose
+`label_scan` takes them in memory. On a CPU, the kernels project a scan in the first step, and
+refine its labels in the third; a GPU does both in the second.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from salsanext_cli.commands.jobs.label_rejection import LabelRejection
 from salsanext_cli.commands.jobs.object_table import object_table
-from salsanext_cli.core.engines.backend import PixelPrediction
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.geometry.objects import find_objects
-from salsanext_cli.core.geometry.projection import points_from_pixels
-from salsanext_cli.core.labelling import LabelledScan, predict_pixels, refine_labels
+from salsanext_cli.core.label_request import LabelRequest
+from salsanext_cli.core.labellers import Labeller, labeller_for
+from salsanext_cli.core.labelling import LabelledScan
 from salsanext_cli.core.records import Float, Origins
-from salsanext_cli.core.uncertainty.error_features import error_probability
-from salsanext_cli.runs.fit.scan_reading import PreparedFile, read_prepared
+from salsanext_cli.runs.fit.scan_reading import FileToLabel, read_to_label
 from salsanext_cli.runs.results.output_run import OutputRun
 from salsanext_cli.runs.results.paths import ERROR, LEAST_CONFIDENCE, ORIGINS, ScanFile
 from salsanext_cli.runs.results.recorded_origins import origin_array, origin_in_run
 from salsanext_cli.runs.summary.scan_summary import ScanSummary
 
-NEED_SOFTMAX = {"probabilities", "votes", ERROR}  # Results that need the whole softmax
+NEED_SOFTMAX = {"probabilities", "votes"}  # Results that need the whole softmax of the points
 UncertaintyByKind = dict[str, Float]  # (N,) float32, 0…1, NaN for points without a pixel
 
 
@@ -44,25 +45,32 @@ class PredictJob:
     reject: LabelRejection | None = None
     origins: Origins = field(default_factory=dict)  # Of registered scans with poses
 
-    def prepare(self, file: ScanFile) -> PreparedFile:
-        """Read, check and project a scan whose results may be replaced."""
+    @property
+    def labeller(self) -> Labeller:
+        """Way of the scans to the results."""
+        softmax = bool(NEED_SOFTMAX & {*self.output.folders})
+        error = ERROR in self.output.folders
+        request = LabelRequest(knn=self.knn, softmax=softmax, error=error)
+        return labeller_for(self.network, request)
+
+    def prepare(self, file: ScanFile) -> FileToLabel:
+        """Read and check a scan whose results may be replaced."""
         self.output.require_replaceable(file)
         origin = origin_in_run(self.output, file, self.network.sensor, self.origins)
-        return read_prepared(file, self.network, origin)
+        return read_to_label(file, self.labeller, origin)
 
-    def compute(self, files: Sequence[PreparedFile]) -> list[PixelPrediction]:
-        """Predict the pixels of scans, with the softmax if a result needs it."""
-        softmax = bool(NEED_SOFTMAX & {*self.output.folders})
-        return predict_pixels(self.network, [file.scan for file in files], softmax=softmax)
+    def compute(self, files: Sequence[FileToLabel]) -> Sequence[Any]:
+        """Compute the results of scans."""
+        return self.labeller.compute([file.scan for file in files])
 
-    def finish(self, prepared: PreparedFile, pixels: PixelPrediction) -> ScanSummary:
-        """Refine the labels on the points and write the results; return numbers about the scan."""
+    def finish(self, prepared: FileToLabel, computed: Any) -> ScanSummary:
+        """Write the results of the points; return numbers about the scan."""
         file = prepared.file
-        scan = refine_labels(prepared.scan, pixels, self.knn)
+        scan = self.labeller.finish(prepared.scan, computed)
         self._write_origin(file, scan)
         self._write_pixel_labels(file, scan)
         self._write_softmax(file, scan)
-        uncertainty = self._write_uncertainty(file, scan, prepared.scan.network)
+        uncertainty = self._write_uncertainty(file, scan)
         summary = self._summary(file, scan, uncertainty)
         if self.reject is not None:
             scan = self.reject.applied(scan, uncertainty[self.reject.kind])
@@ -71,44 +79,31 @@ class PredictJob:
 
     def _write_origin(self, file: ScanFile, scan: LabelledScan) -> None:
         if ORIGINS in self.output.folders:
-            self.output.write_array(file, ORIGINS, origin_array(scan.projected.origin))
+            self.output.write_array(file, ORIGINS, origin_array(scan.checked.origin))
 
     def _write_pixel_labels(self, file: ScanFile, scan: LabelledScan) -> None:
         if "pixel_labels" in self.output.folders:
-            self.output.write_array(file, "pixel_labels", scan.pixels.labels)
+            self.output.write_array(file, "pixel_labels", scan.pixel_labels)
 
     def _write_softmax(self, file: ScanFile, scan: LabelledScan) -> None:
         """Write the softmax of the points, or its largest probabilities for `fuse`."""
-        folders = {"probabilities", "votes"} & {*self.output.folders}
-        if scan.pixels.softmax is None or not folders:
+        if scan.softmax is None:
             return
-        pixel_of_point = scan.projected.image.pixel_of_point
-        unlabelled = np.eye(1, self.network.space.class_count)
-        softmax = points_from_pixels(scan.pixels.softmax, pixel_of_point, unlabelled)
-        if "probabilities" in folders:
-            self.output.write_array(file, "probabilities", softmax.astype(np.float16))
-        if "votes" in folders:
+        if "probabilities" in self.output.folders:
+            self.output.write_array(file, "probabilities", scan.softmax.astype(np.float16))
+        if "votes" in self.output.folders:
             # Only labels that are to be fused need a part of `fusion`.
             from salsanext_cli.core.fusion.top_classes import top_classes
 
-            self.output.write_array(file, "votes", top_classes(softmax))
+            self.output.write_array(file, "votes", top_classes(scan.softmax))
 
-    def _write_uncertainty(
-        self, file: ScanFile, scan: LabelledScan, network: Network
-    ) -> UncertaintyByKind:
-        """Write and return the least confidence, and the probability of error if requested.
-
-        `network`: network for the sensor of the scan.
-        """
-        image = scan.projected.image
-        pixels = scan.pixels
-        least_confidence = points_from_pixels(1 - pixels.confidence, image.pixel_of_point, np.nan)
-        self.output.write_array(file, LEAST_CONFIDENCE, least_confidence)
-        uncertainty = {"least_confidence": least_confidence}
-        if ERROR in self.output.folders and pixels.softmax is not None:
-            error = error_probability(network, image, pixels.softmax, scan.labels)
-            self.output.write_array(file, ERROR, error)
-            uncertainty["error"] = error
+    def _write_uncertainty(self, file: ScanFile, scan: LabelledScan) -> UncertaintyByKind:
+        """Write and return the least confidence, and the probability of error if requested."""
+        self.output.write_array(file, LEAST_CONFIDENCE, scan.least_confidence)
+        uncertainty = {"least_confidence": scan.least_confidence}
+        if scan.error is not None:
+            self.output.write_array(file, ERROR, scan.error)
+            uncertainty["error"] = scan.error
         return uncertainty
 
     def _summary(
@@ -130,7 +125,7 @@ class PredictJob:
         space = self.network.space
         raw = space.to_raw(scan.labels)
         if "objects" in self.output.folders:
-            objects = find_objects(scan.projected.image, scan.labels, space.movable)
+            objects = find_objects(scan.checked.range_image(), scan.labels, space.movable)
             path = self.output.path(file, "objects")
             self.output.write(path, object_table(scan, objects, space))
             raw |= objects.astype(np.uint32) << 16

@@ -224,5 +224,9 @@ class Backend(ABC):
     def require_finite(self, values: Float, source: object) -> None:
         """Raise `WeightsError` with weights and scan if a result is not finite."""
         if not np.isfinite(values).all():
-            problem = f"the logits of {source} are not finite"
-            raise WeightsError(self.name, problem, hint="use other weights")
+            raise self.not_finite(source)
+
+    def not_finite(self, source: object) -> WeightsError:
+        """Return the error about weights whose results of a scan are not finite."""
+        problem = f"the logits of {source} are not finite"
+        return WeightsError(self.name, problem, hint="use other weights")

@@ -68,19 +68,28 @@ class TorchBackend(Backend):
         self, images: Sequence[Float], temperature: float, *, softmax: bool = False
     ) -> list[PixelPrediction]:
         """Predict the pixels of images, their logits divided by a temperature."""
-        probabilities = (self.torch_module(self.tensor(images)) / temperature).softmax(dim=1)
+        probabilities = self.softmax(self.tensor(images), temperature)
         largest, classes = probabilities.max(dim=1)
         reduced = [classes.to(torch.uint8), largest]
         if softmax:
-            labels, confidence, copies = self._to_host([*reduced, probabilities])
+            labels, confidence, copies = self.to_host([*reduced, probabilities])
             return list(map(PixelPrediction, labels, confidence, copies))
-        labels, confidence = self._to_host(reduced)
+        labels, confidence = self.to_host(reduced)
         return list(map(PixelPrediction, labels, confidence))
+
+    @torch.inference_mode()
+    def softmax(self, images: Tensor, temperature: float) -> Tensor:
+        """Return the softmax (B, C, H, W) of inputs (B, 5, H, W) on the device.
+
+        Their logits are divided by a temperature.
+        """
+        logits: Tensor = self.torch_module(images)
+        return (logits / temperature).softmax(dim=1)
 
     @torch.inference_mode()
     def logits(self, images: Sequence[Float]) -> list[Float]:
         """Return the logits (C, H, W) float32 of images."""
-        (logits,) = self._to_host([self.torch_module(self.tensor(images))])
+        (logits,) = self.to_host([self.torch_module(self.tensor(images))])
         return list(logits)
 
     @torch.inference_mode()
@@ -124,8 +133,8 @@ class TorchBackend(Backend):
         batch = batch.pin_memory() if self._on_gpu else batch
         return batch.to(self.device, memory_format=torch.channels_last, non_blocking=True)
 
-    def _to_host(self, tensors: Sequence[Tensor]) -> list[Any]:
-        """Return tensors as arrays, copied together."""
+    def to_host(self, tensors: Sequence[Tensor]) -> list[Any]:
+        """Return tensors as arrays, copied together; wait for the device once."""
         hosts = [torch.empty(t.shape, dtype=t.dtype, pin_memory=self._on_gpu) for t in tensors]
         for host, tensor in zip(hosts, tensors, strict=True):
             host.copy_(tensor, non_blocking=True)
@@ -155,7 +164,7 @@ class TorchBackend(Backend):
         for sums in batches:
             for tensor, more in zip(total, sums, strict=True):
                 tensor.add_(more)
-        sums, squares, entropies = self._to_host(total)
+        sums, squares, entropies = self.to_host(total)
         return Moments(
             count=len(items), sum=sums, sum_of_squares=squares, sum_of_entropies=entropies
         )

@@ -52,12 +52,11 @@ def match_intensity(channels: Float, source: Sequence[float], target: Sequence[f
     occupied = np.flatnonzero(channels[0] > 0)
     sampled = occupied[sample_places(len(occupied), SAMPLE)]
     points, intensity = _pixels(channels, sampled)
-    if _why_sample_has_none(points, intensity):
-        source = NO_INTENSITY
-    elif source == target:
+    matched_quantiles = quantiles_to_match(points, intensity, source, target)
+    if matched_quantiles is None:
         return channels
     matched = channels.copy()
-    matched[4] = on_other_scale(channels[4], source, target)
+    matched[4] = on_other_scale(channels[4], matched_quantiles, target)
     matched[4][channels[0] <= 0] = 0
     return matched
 
@@ -79,9 +78,55 @@ def on_other_scale(intensity: Float, source: Sequence[float], target: Sequence[f
     float32 array
         Of the same shape.
     """
-    values, place = np.unique(np.asarray(source), return_inverse=True)
-    targets = np.bincount(place, target) / np.bincount(place)
+    values, targets = scale_table(source, target)
     return np.interp(intensity, values, targets).astype(np.float32)
+
+
+def scale_table(source: Sequence[float], target: Sequence[float]) -> tuple[Double, Double]:
+    """Return the different quantiles of a sensor, rising, and the mean of their targets.
+
+    Parameters
+    ----------
+    source : sequence of float
+        Quantiles of the sensor.
+    target : sequence of float
+        Quantiles of training, at the same levels.
+
+    Returns
+    -------
+    values : (K,) float64
+        Quantiles of the sensor.
+    targets : (K,) float64
+        Intensities of training; those between are interpolated.
+    """
+    values, place = np.unique(np.asarray(source), return_inverse=True)
+    return values, np.bincount(place, target) / np.bincount(place)
+
+
+def quantiles_to_match(
+    points: Float, intensity: Float, source: Sequence[float], target: Sequence[float]
+) -> Sequence[float] | None:
+    """Return the quantiles of an image that are mapped to those of training.
+
+    Parameters
+    ----------
+    points : (M, 3) float32
+        Coordinates of a sample of its pixels in metres.
+    intensity : (M,) float32
+        Their values.
+    source : sequence of float
+        Quantiles of the sensor.
+    target : sequence of float
+        Quantiles of training, at the same levels.
+
+    Returns
+    -------
+    sequence of float or None
+        `NO_INTENSITY` if the values are no intensities; None if they are on the scale of training.
+    """
+    if _why_sample_has_none(points, intensity):
+        return NO_INTENSITY
+    return None if source == target else source
 
 
 def intensity_quantiles(images: Iterable[Float]) -> tuple[float, ...]:

@@ -42,9 +42,10 @@ def few_points(scan: Scan, count: int = MAX_POINTS) -> Scan:
 def sample_places(length: int, count: int) -> Indices:
     """Return a random sample of indices below a length in rising order, the same in every run."""
     # Every n-th point of a grid could be of few beams or directions.
-    return np.arange(length) if length <= count else (_uniform(count) * length).astype(np.intp)
+    return np.arange(length) if length <= count else (sample_shares(count) * length).astype(np.intp)
 
 
 @cache
-def _uniform(count: int) -> Double:
+def sample_shares(count: int) -> Double:
+    """Return the places of a random sample as shares of the length, rising: (count,) float64."""
     return np.sort(np.random.default_rng(0).random(count))

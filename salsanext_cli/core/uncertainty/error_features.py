@@ -24,6 +24,8 @@ COLUMNS = 8  # Columns of the window on each side
 STEP = 2  # Step between rows and between columns of the window
 NEAR_M = 1.0  # Ranges of one surface differ by less, in metres, or by less than
 NEAR_SHARE = 0.05  # this share of the range
+NEIGHBOURS_OF_REGION = ((0, -1), (0, -2), (-1, -1), (-1, 0), (-1, 1), (-2, 0))
+"""Steps in rows and columns to the neighbours of a pixel before it that may be of its region."""
 COST = 8  # Time of a window relative to the projection of a point
 
 
@@ -125,7 +127,7 @@ def mean_of_regions(occupied: Mask, classes: TrainIds, values: Float, means: Flo
         for u in range(width):
             if not occupied[v, u]:
                 continue
-            for dv, du in ((0, -1), (0, -2), (-1, -1), (-1, 0), (-1, 1), (-2, 0)):
+            for dv, du in NEIGHBOURS_OF_REGION:
                 row = v + dv
                 column = (u + du) % width
                 if row < 0 or not occupied[row, column] or classes[row, column] != classes[v, u]:

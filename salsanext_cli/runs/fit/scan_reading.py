@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: MIT
-"""Scans of files, read for the steps of `core.labelling`."""
+"""Scans of files, read for the steps of `core.labelling` and of `core.labellers`."""
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import FormatError
 from salsanext_cli.core.geometry.point_sample import measured_ranges
 from salsanext_cli.core.geometry.scan_traits import MIN_TRAIT_POINTS
+from salsanext_cli.core.labellers import Labeller
 from salsanext_cli.core.labelling import PreparedScan, prepare_for, project_scan
 from salsanext_cli.core.records import Origin, Scan
 from salsanext_cli.core.sensors.sensor import Sensor
@@ -21,6 +23,20 @@ class PreparedFile:
 
     file: ScanFile
     scan: PreparedScan
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FileToLabel:
+    """File of a scan, and its scan as a labeller prepares it."""
+
+    file: ScanFile
+    scan: Any
+
+
+def read_to_label(file: ScanFile, labeller: Labeller, origin: Origin | None = None) -> FileToLabel:
+    """Read a scan and prepare it for a labeller; `origin` and errors are as of `read_prepared`."""
+    scan = read_measured(file.path, labeller.network.sensor)
+    return FileToLabel(file=file, scan=labeller.prepare(scan, origin, file.path))
 
 
 def read_prepared(file: ScanFile, network: Network, origin: Origin | None = None) -> PreparedFile:

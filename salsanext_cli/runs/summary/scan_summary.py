@@ -83,10 +83,9 @@ class ScanSummary:
     @classmethod
     def from_scan(cls, file: ScanFile, scan: LabelledScan, space: LabelSpace) -> ScanSummary:
         """Summarise a labelled scan, with a warning if the probabilities are low."""
-        projected = scan.projected
-        confidence = scan.mean_confidence
-        summary = cls.from_labels(file, scan.labels, space, projected.check, confidence)
-        measured = measured_ranges(projected.scan.points)[1]
+        checked = scan.checked
+        summary = cls.from_labels(file, scan.labels, space, checked.check, scan.mean_confidence)
+        measured = measured_ranges(checked.scan.points)[1]
         return replace(summary, unmeasured_points=int(np.count_nonzero(~measured)))
 
     def without_rejected(self, rejected: Mask, labels: TrainIds, uncertainty: Float) -> ScanSummary:
@@ -129,8 +128,8 @@ class ScanSummary:
         """
         if self.class_points is None:
             return self
-        projected = scan.projected
-        measures = measures_of(projected.scan, projected.image, projected.sensor)
+        checked = scan.checked
+        measures = measures_of(checked.scan, checked.range_image(), checked.sensor)
         codes = [finding.code for finding in self.check.findings]
         name = self.file.name
         traits = unit_traits(name, self.class_points, uncertainty, measures, codes)

@@ -12,7 +12,6 @@ from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.engines.backend import PixelPrediction
 from salsanext_cli.core.errors import LabelError
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
-from salsanext_cli.core.geometry.projection import points_from_pixels
 from salsanext_cli.core.labelling import predict_pixels, refine_labels
 from salsanext_cli.core.measures.histograms import UNCERTAINTY_BINS, bin_of
 from salsanext_cli.core.measures.scores import Counts, Ratios
@@ -94,15 +93,15 @@ def judged_scan(
     file = prepared.file
     network = prepared.scan.network
     labelled = refine_labels(prepared.scan, pixels, KnnParameters())
-    image = labelled.projected.image
     labels = labelled.labels
     truth = space.to_train(read_labels(file.label_path, len(labels)), source=file.label_path)
     scored = space.scored[truth]
     if not scored.any():
         raise LabelError(file.label_path, NOT_SCORED, f"labels of {space.name}")
     if pixels.softmax is None:
-        values = points_from_pixels(1 - pixels.confidence, image.pixel_of_point, np.nan)
+        values = labelled.least_confidence
     else:
+        image = prepared.scan.projected.image
         values = error_probability(network, image, pixels.softmax, labels)
     summary = ScanSummary.from_scan(file, labelled, network.space)
     traits = summary.with_traits(labelled, values).traits
@@ -113,7 +112,7 @@ def judged_scan(
     np.add.at(counts, (scored_truth, scored_labels, bins), 1)
     return JudgedScan(
         file=file,
-        digest=scan_digest(labelled.projected.scan),
+        digest=scan_digest(labelled.checked.scan),
         points=len(scored_truth),
         accepted=_up_to_each_bin(bins),
         wrong=_up_to_each_bin(bins[scored_labels != scored_truth]),
