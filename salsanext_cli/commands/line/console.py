@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Output, progress and exit status: results to stdout, everything else to stderr."""
+"""Output and exit status: results to stdout, everything else to stderr."""
 
 import dataclasses
 import functools
@@ -15,12 +15,10 @@ from typing import TYPE_CHECKING, ParamSpec, TextIO
 import typer
 
 from salsanext_cli.commands.line.interruption import (
-    NO_HALF_FILES,
     WORDS,
     end_line,
     interruptible,
     keep_exit_status,
-    on_interruption,
     signal_number,
 )
 from salsanext_cli.commands.line.option_fields import option, option_group
@@ -28,15 +26,13 @@ from salsanext_cli.commands.line.option_names import CommandLine
 from salsanext_cli.commands.line.typer_interface import USAGE_ERROR
 from salsanext_cli.commands.line.wrong_values import usage_error
 from salsanext_cli.core.errors import SalsanextError, UsageError
-from salsanext_cli.core.notices import NOTICE, files_known
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.texts import HINT, escaped, printable
 from salsanext_cli.core.wording import spelled
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
-    from rich.progress import Progress as Bar
 
-    from salsanext_cli.runs.loop.run_options import Progress, RunOptions
 
 # Exit status; 128 + n after signal n
 DONE = 0
@@ -45,7 +41,6 @@ WRONG_USE = 2
 
 SCHEMA = 2  # Version of the JSON; it grows when a key changes or goes
 FILE_WIDTH_COLUMNS = 120  # Width of tables in a file or a pipe
-LINE_INTERVAL_S = 30.0  # Time between two lines of progress in a log file
 
 Parameters = ParamSpec("Parameters")
 output_option = partial(option, panel="Output", default=False)
@@ -173,153 +168,3 @@ def _print_json(data: Mapping[str, object]) -> None:
 def print_line(text: str) -> None:
     """Print a line on stderr, above the progress bar if there is one."""
     sys.stderr.write(f"{text}\n")
-
-
-@contextmanager
-def progress(label: str, quiet: bool, unit: str = "scans") -> Iterator["Progress | None"]:
-    """Show the progress of the body on stderr: units done, rate and time left."""
-    if quiet:
-        yield None
-    elif sys.stderr.isatty():
-        with _bar(unit) as bar:
-            task = bar.add_task(label, total=None)
-            yield lambda done, total: bar.update(task, completed=done, total=total)
-    else:
-        yield Lines(label, unit)
-
-
-@dataclasses.dataclass(slots=True, eq=False, kw_only=True)
-class Written:
-    """Progress of a body that writes the results of each unit, or all of them at its end."""
-
-    unit: str  # Plural, such as "scans"
-    at_end: bool
-    show: "Progress | None"  # Shows the progress, if anything does
-    done: int = 0  # Number of finished units
-    total: int = 0  # Number of all units
-
-    def __call__(self, done: int, total: int) -> None:
-        """Note and show the number of finished units and of all."""
-        self.done = done
-        self.total = total
-        if self.show:
-            self.show(done, total)
-
-    def finished(self) -> str:
-        """State what is finished, in words."""
-        if self.at_end:
-            return f"nothing is finished; {NO_HALF_FILES}"
-        if not self.done:
-            return f"no {self.unit[:-1]} is finished in this run"
-        return f"{self.done} of {self.total} {self.unit} are processed; {NO_HALF_FILES}"
-
-
-@contextmanager
-def writing(
-    label: str, quiet: bool, unit: str = "scans", *, at_end: bool = False
-) -> Iterator["Progress"]:
-    """Show the progress of the body, and state what is finished if it is interrupted."""
-    with progress(label, quiet, unit) as bar:
-        written = Written(unit=unit, at_end=at_end, show=bar)
-        with on_interruption(written.finished):
-            yield written
-
-
-@contextmanager
-def over_scans(
-    label: str, options: "RunOptions", quiet: bool, *, at_end: bool = False
-) -> Iterator["RunOptions"]:
-    """Show the progress of a run over scans, which takes the options of the context.
-
-    `at_end`: whether it writes its results at the end, and not those of each scan.
-    """
-    with writing(label, quiet, at_end=at_end) as bar:
-        yield dataclasses.replace(options, progress=bar)
-
-
-@contextmanager
-def over_results(
-    label: str, options: "RunOptions", quiet: bool, *, at_end: bool = False
-) -> Iterator["RunOptions"]:
-    """Do what `over_scans` does for scans that an earlier command has read.
-
-    That command has printed what readers assume about their files.
-    """
-    with files_known(), over_scans(label, options, quiet, at_end=at_end) as running:
-        yield running
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class Reached:
-    """Number of units that were done at a time."""
-
-    done: int
-    time: float  # Seconds of a clock
-
-
-class Lines:
-    """Progress as lines of text, at most one in `LINE_INTERVAL_S` of a clock in seconds.
-
-    The rate is measured from the first finished unit on, because that one includes the time to
-    load and compile the network.
-    """
-
-    def __init__(self, label: str, unit: str, clock: Callable[[], float] = time.monotonic) -> None:
-        self.label = label
-        self.unit = unit
-        self.clock = clock
-        self.last = clock()
-        self.first: Reached | None = None
-
-    def __call__(self, done: int, total: int) -> None:
-        """Print a line if one is due."""
-        if not done:
-            return
-        now = self.clock()
-        if self.first is None:
-            self.first = Reached(done, now)
-        if now - self.last < LINE_INTERVAL_S or done == total:
-            return
-        self.last = now
-        texts = [f"{done}/{total} {self.unit}"]
-        if done > self.first.done:
-            seconds = (now - self.first.time) / (done - self.first.done)
-            left = duration_text(seconds * (total - done))
-            texts += [rate_text(1 / seconds, self.unit), f"{left} left"]
-        print_line(f"{self.label}: {', '.join(texts)}")
-
-
-def rate_text(rate: float, unit: str) -> str:
-    """Return units per second as text, or seconds per unit if that is more than one."""
-    return f"{rate:.1f} {unit}/s" if rate >= 1 else f"{1 / rate:.1f} s/{unit[:-1]}"
-
-
-def duration_text(seconds: float) -> str:
-    """Return a duration as text, such as "53 ms", "12.3 s" or "12 min 5 s"."""
-    if seconds < 1:
-        return f"{1000 * seconds:.0f} ms"
-    if seconds < 100:
-        return f"{seconds:.1f} s"
-    minutes, rest = divmod(round(seconds), 60)
-    if minutes < 100:
-        return f"{minutes} min {rest} s"
-    return f"{minutes // 60} h {minutes % 60} min"
-
-
-def _bar(unit: str) -> "Bar":
-    from rich import console, progress, text
-
-    class RateColumn(progress.ProgressColumn):
-        def render(self, task: progress.Task) -> text.Text:
-            speed = task.finished_speed or task.speed
-            return text.Text(rate_text(speed, unit) if speed else "")
-
-    return progress.Progress(
-        "{task.description}",
-        progress.BarColumn(),
-        progress.MofNCompleteColumn(),
-        RateColumn(),
-        progress.TimeElapsedColumn(),
-        progress.TimeRemainingColumn(),
-        console=console.Console(stderr=True),
-    )

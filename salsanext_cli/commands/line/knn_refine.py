@@ -4,8 +4,8 @@
 from pathlib import Path
 
 from salsanext_cli.commands.line import arguments, console, summary
-from salsanext_cli.commands.line.console import over_results
 from salsanext_cli.commands.line.next_command import command_on_labels
+from salsanext_cli.commands.line.progress import over_results
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.results.query import named_label_space

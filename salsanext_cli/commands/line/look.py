@@ -8,9 +8,9 @@ from pathlib import Path
 import typer
 
 from salsanext_cli.commands.line import arguments, console, summary
-from salsanext_cli.commands.line.console import over_results, progress
 from salsanext_cli.commands.line.interruption import ARRIVED
 from salsanext_cli.commands.line.option_fields import argument, names_in, option
+from salsanext_cli.commands.line.progress import over_results, progress
 from salsanext_cli.core.texts import counted
 from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings

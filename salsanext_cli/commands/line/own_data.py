@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from salsanext_cli.commands.line import arguments, console, summary
-from salsanext_cli.commands.line.console import over_scans, print_line, writing
+from salsanext_cli.commands.line.console import print_line
 from salsanext_cli.commands.line.expansion import Declared
 from salsanext_cli.commands.line.next_command import next_command
 from salsanext_cli.commands.line.option_fields import argument, option, option_group
+from salsanext_cli.commands.line.progress import over_scans, writing
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.texts import counted, printable, with_hint
 from salsanext_cli.runs.results.query import named_label_space

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Literal
 import typer
 
 from salsanext_cli.commands.line import arguments, console, summary
-from salsanext_cli.commands.line.console import over_scans
 from salsanext_cli.commands.line.next_command import command_on_labels
 from salsanext_cli.commands.line.option_fields import option, option_group, running_option
+from salsanext_cli.commands.line.progress import over_scans
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.texts import counted, percentage

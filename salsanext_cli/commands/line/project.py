@@ -7,9 +7,9 @@ from typing import Annotated
 import typer
 
 from salsanext_cli.commands.line import arguments, console, summary
-from salsanext_cli.commands.line.console import over_scans
 from salsanext_cli.commands.line.expansion import Without
 from salsanext_cli.commands.line.next_command import next_command
+from salsanext_cli.commands.line.progress import over_scans
 from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.scan_selection import ScanSelection

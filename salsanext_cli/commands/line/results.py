@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from salsanext_cli.commands.line import arguments, console, summary
-from salsanext_cli.commands.line.console import over_results
 from salsanext_cli.commands.line.expansion import Without
 from salsanext_cli.commands.line.next_command import command_on_labels
 from salsanext_cli.commands.line.option_fields import argument, names_in, option, option_group
+from salsanext_cli.commands.line.progress import over_results
 from salsanext_cli.core.fusion.reach import FusionReach
 from salsanext_cli.core.texts import counted
 from salsanext_cli.runs.loop.run_options import RunOptions

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import typer
 
-from salsanext_cli.commands.line.console import DONE, FAILED, Output, duration_text, print_line
+from salsanext_cli.commands.line.console import DONE, FAILED, Output, print_line
+from salsanext_cli.commands.line.progress import duration_text
 from salsanext_cli.core.texts import MAX_NAMES_SHOWN, counted, first_few, percentage, with_hint
 
 if TYPE_CHECKING:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 from salsanext_cli.commands.line import arguments, console
 from salsanext_cli.commands.line.completion import completer
-from salsanext_cli.commands.line.console import progress
 from salsanext_cli.commands.line.interruption import on_interruption, require_uninterrupted
 from salsanext_cli.commands.line.option_fields import argument, network_option, option_group
+from salsanext_cli.commands.line.progress import progress
 from salsanext_cli.core.texts import counted, percentage
 from salsanext_cli.runs.network_settings import weights_file
 from salsanext_cli.runs.results.query import named_label_space

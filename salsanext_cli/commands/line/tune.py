@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from salsanext_cli.commands.line import arguments, console
-from salsanext_cli.commands.line.console import guarded, writing
+from salsanext_cli.commands.line.console import guarded
 from salsanext_cli.commands.line.expansion import Declared, Default, Without, expanded
 from salsanext_cli.commands.line.help import Command, Group
 from salsanext_cli.commands.line.option_fields import (
@@ -18,6 +18,7 @@ from salsanext_cli.commands.line.option_fields import (
     option_group,
     running_option,
 )
+from salsanext_cli.commands.line.progress import writing
 from salsanext_cli.core.texts import counted, percentage
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.scan_selection import ScanSelection

@@ -8,9 +8,9 @@ from typing import Literal
 import typer
 
 from salsanext_cli.commands.line import arguments, console, summary
-from salsanext_cli.commands.line.console import over_scans
 from salsanext_cli.commands.line.next_command import next_command
 from salsanext_cli.commands.line.option_fields import option
+from salsanext_cli.commands.line.progress import over_scans
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.results.query import named_label_space

@@ -126,7 +126,7 @@ def test_an_ignored_signal_stays_ignored():
 def test_the_line_states_what_is_finished(body, line):
     steps = "" if "no scan" in line else "bar(3, 8);"
     work = f"""
-    from salsanext_cli.commands.line.console import writing
+    from salsanext_cli.commands.line.progress import writing
     with {body} as bar: {steps} send(2)"""
     ended = python(COMMAND.replace("BODY", work))
     assert ended.stderr.startswith(f"interrupted: {line}")
@@ -135,7 +135,7 @@ def test_the_line_states_what_is_finished(body, line):
 
 def test_what_was_finished_before_is_not_stated_again():
     work = """
-    from salsanext_cli.commands.line.console import writing
+    from salsanext_cli.commands.line.progress import writing
     with writing('predict', True) as bar: bar(3, 8)
     send(2)"""
     interrupted(work, signal.SIGINT)
