@@ -26,14 +26,21 @@ def rest_with_factors(module: SegmentationNetwork, *inputs: Tensor) -> tuple[Ten
 
 
 @torch.inference_mode()
-def dropout_factors(module: SegmentationNetwork, features: Sequence[Tensor]) -> list[Tensor]:
-    """Return factors (1, C) of 1 for each dropout, in the order of computation."""
-    factors: list[Tensor] = []
+def dropout_rates(
+    module: SegmentationNetwork, features: Sequence[Tensor]
+) -> list[tuple[int, float]]:
+    """Return channels and rate of each dropout behind features, in the order of computation."""
+    rates: list[tuple[int, float]] = []
 
-    def draw(channels: int, _: float) -> Tensor:
-        factors.append(torch.ones(1, channels))
-        return factors[-1]
+    def draw(channels: int, rate: float) -> Tensor:
+        rates.append((channels, rate))
+        return torch.ones(1, channels)
 
     with sampling(draw):
         module.rest(*features)
-    return factors
+    return rates
+
+
+def dropout_factors(module: SegmentationNetwork, features: Sequence[Tensor]) -> list[Tensor]:
+    """Return factors (1, C) of 1 for each dropout, in the order of computation."""
+    return [torch.ones(1, channels) for channels, _ in dropout_rates(module, features)]

@@ -8,7 +8,7 @@ are metres. So do the logits.
 import copy
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -18,12 +18,16 @@ from torch import Tensor, nn
 from salsanext_cli.core.classes.merging import ClassMerging
 from salsanext_cli.core.engines.backend import LOGITS, Backend, PixelPrediction
 from salsanext_cli.core.engines.batches import BatchSize
+from salsanext_cli.core.engines.cuda_graphs import CudaGraphs
 from salsanext_cli.core.engines.device import MAX_BATCH_PIXELS
-from salsanext_cli.core.engines.dropout_passes import softmax_and_entropy
+from salsanext_cli.core.engines.dropout_passes import dropout_rates, rest_with_factors
 from salsanext_cli.core.engines.moments import Moments
-from salsanext_cli.core.network.dropout import random_masks, sampling
+from salsanext_cli.core.network.dropout import random_masks
 from salsanext_cli.core.network.segmentation import SegmentationNetwork
 from salsanext_cli.core.records import CHANNELS, Float
+
+MAX_GRAPH_PIXELS = 2 * 64 * 2048
+"""Most pixels of a batch whose kernels are launched together; more take longer than launching."""
 
 
 @cache
@@ -63,6 +67,16 @@ class TorchBackend(Backend):
         pixels = self.size[0] * self.size[1]
         return BatchSize(max(1, MAX_BATCH_PIXELS // pixels) if self._on_gpu else 1, "passes")
 
+    @cached_property
+    def _graphs(self) -> CudaGraphs:
+        return CudaGraphs()
+
+    @cached_property
+    def _rates(self) -> list[tuple[int, float]]:
+        """Channels and rate of each dropout, in the order of computation."""
+        image = np.zeros((1, len(CHANNELS), *self.size), np.float32)
+        return dropout_rates(self.torch_module, self._padded_trunk(self.tensor([image])))
+
     @torch.inference_mode()
     def predict(
         self, images: Sequence[Float], temperature: float, *, softmax: bool = False
@@ -83,13 +97,12 @@ class TorchBackend(Backend):
 
         Their logits are divided by a temperature.
         """
-        logits: Tensor = self.torch_module(images)
-        return (logits / temperature).softmax(dim=1)
+        return (self._logits(images) / temperature).softmax(dim=1)
 
     @torch.inference_mode()
     def logits(self, images: Sequence[Float]) -> list[Float]:
         """Return the logits (C, H, W) float32 of images."""
-        (logits,) = self.to_host([self.torch_module(self.tensor(images))])
+        (logits,) = self.to_host([self._logits(self.tensor(images))])
         return list(logits)
 
     @torch.inference_mode()
@@ -97,14 +110,17 @@ class TorchBackend(Backend):
         self, image: Float, seeds: Sequence[int], merging: ClassMerging | None = None
     ) -> Moments:
         """Return the moments of the softmax over dropout passes, one per seed of the masks."""
-        features = self.torch_module.padded_trunk(self.tensor([image]))
+        features = self._padded_trunk(self.tensor([image]))
+        height, width = image.shape[-2:]
 
         def passes(batch: Sequence[int]) -> tuple[Tensor, Tensor | None]:
-            with sampling(random_masks([torch.Generator().manual_seed(seed) for seed in batch])):
-                repeated = [tensor.expand(len(batch), -1, -1, -1) for tensor in features]
-                logits = self.torch_module.rest(*repeated)
-            height, width = image.shape[-2:]
-            return softmax_and_entropy(logits.float()[..., :height, :width])
+            draw = random_masks([torch.Generator().manual_seed(seed) for seed in batch])
+            factors = [draw(*rate).to(self.device) for rate in self._rates]
+            repeated = [tensor.expand(len(batch), -1, -1, -1) for tensor in features]
+            softmax, nats = self._call(
+                "rest", rest_with_factors, self.torch_module, *repeated, *factors
+            )
+            return softmax[..., :height, :width], nats[..., :height, :width]
 
         return self._moments(passes, seeds, merging)
 
@@ -113,7 +129,7 @@ class TorchBackend(Backend):
         """Return the moments of the softmax over images, without entropies."""
 
         def copies(batch: Sequence[Float]) -> tuple[Tensor, Tensor | None]:
-            return self.torch_module(self.tensor(batch)).softmax(dim=1), None
+            return self.softmax(self.tensor(batch), 1.0), None
 
         return self._moments(copies, list(images), merging)
 
@@ -124,14 +140,36 @@ class TorchBackend(Backend):
         """Return ``function(module, *images)``, tensors on the device."""
         module = self.module if exact else self.torch_module
         tensors = [self.tensor([image]) for image in images]
-        outputs: tuple[Tensor, ...] = function(module, *tensors)
-        return outputs
+        return self._call(f"{name}, exact: {exact}", function, module, *tensors)
 
     def tensor(self, images: Sequence[Float]) -> Tensor:
         """Return images (1, 5, H, W) as a tensor (B, 5, H, W) on the device."""
         batch = torch.from_numpy(np.concatenate(images))
         batch = batch.pin_memory() if self._on_gpu else batch
         return batch.to(self.device, memory_format=torch.channels_last, non_blocking=True)
+
+    def _logits(self, images: Tensor) -> Tensor:
+        """Return the logits (B, C, H, W) of inputs (B, 5, H, W) on the device."""
+        (logits,) = self._call("logits", _forward, self.torch_module, images)
+        return logits
+
+    def _padded_trunk(self, images: Tensor) -> tuple[Tensor, ...]:
+        """Return the features in front of the first dropout, of inputs (B, 5, H, W)."""
+        return self._call("trunk", SegmentationNetwork.padded_trunk, self.torch_module, images)
+
+    def _call(
+        self, name: str, function: Callable[..., Any], module: nn.Module, *inputs: Tensor
+    ) -> tuple[Tensor, ...]:
+        """Return ``function(module, *inputs)``; on a GPU, a call of few pixels is one launch.
+
+        `name` identifies the function.
+        """
+        call = partial(function, module)
+        pixels = len(inputs[0]) * self.size[0] * self.size[1]
+        if self._on_gpu and pixels <= MAX_GRAPH_PIXELS:
+            return self._graphs.call(name, call, *inputs)
+        outputs: tuple[Tensor, ...] = call(*inputs)
+        return outputs
 
     def to_host(self, tensors: Sequence[Tensor]) -> list[Any]:
         """Return tensors as arrays, copied together; wait for the device once."""
@@ -168,6 +206,10 @@ class TorchBackend(Backend):
         return Moments(
             count=len(items), sum=sums, sum_of_squares=squares, sum_of_entropies=entropies
         )
+
+
+def _forward(module: SegmentationNetwork, images: Tensor) -> tuple[Tensor]:
+    return (module(images),)
 
 
 def merged(softmax: Tensor, merging: ClassMerging) -> Tensor:

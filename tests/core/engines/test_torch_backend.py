@@ -9,6 +9,8 @@ from scans import SMALL
 from tiny_network import TinyNetwork
 
 from salsanext_cli import label_space
+from salsanext_cli.core.engines import torch_backend
+from salsanext_cli.core.engines.cuda_graphs import CudaGraphs
 from salsanext_cli.core.engines.memory import out_of_memory
 from salsanext_cli.core.engines.torch_backend import (
     Float32Convolution,
@@ -66,3 +68,23 @@ def test_settings_of_cuda_are_those_of_the_process_whatever_its_threads_do():
 def test_allocations_that_fail_on_a_gpu_are_memory_that_runs_out(text):
     assert out_of_memory(RuntimeError(text))
     assert not out_of_memory(RuntimeError("CUDA error: an illegal memory access"))
+
+
+def test_batches_of_few_pixels_are_recorded_on_a_gpu(monkeypatch):
+    backend = TorchBackend(
+        lambda: TinyNetwork().eval(), WeightsCard({}, label_space(), SMALL), (16, 128)
+    )
+    images = [torch.ones(count, 5, 16, 128) for count in (1, 4, 5)]
+    expected = [backend.softmax(batch, 2.0) for batch in images]
+    recorded = []
+
+    def call(_, name, function, *inputs):
+        recorded.append((name, len(inputs[0])))
+        return function(*inputs)
+
+    monkeypatch.setattr(torch_backend, "MAX_GRAPH_PIXELS", 4 * 16 * 128)
+    monkeypatch.setattr(TorchBackend, "_on_gpu", True)
+    monkeypatch.setattr(CudaGraphs, "call", call)
+    for batch, softmax in zip(images, expected, strict=True):
+        torch.testing.assert_close(backend.softmax(batch, 2.0), softmax)
+    assert recorded == [("logits", 1), ("logits", 4)]
