@@ -21,8 +21,8 @@ from salsanext_cli.core.labellers import Labeller, labeller_for
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.records import Float, Origin, Origins
 from salsanext_cli.core.sensors.sensor import Sensor
-from salsanext_cli.runs.drives.pose_origins import origins_by_poses
 from salsanext_cli.runs.drives.poses_of_sequence import points_of_drive
+from salsanext_cli.runs.fit.pose_origins import origins_by_poses
 from salsanext_cli.runs.fit.scan_reading import FileToLabel, read_to_label
 from salsanext_cli.runs.fit.scan_sample import sample_of_files
 from salsanext_cli.runs.fit.sensor_fit import fit_scans, resolved_for

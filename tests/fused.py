@@ -8,10 +8,10 @@ import numpy as np
 from salsanext_cli import Scan, label_space
 from salsanext_cli.core.fusion.drive import Drive
 from salsanext_cli.core.fusion.pose_checks import fitting_parts
-from salsanext_cli.core.fusion.poses import Poses
 from salsanext_cli.core.fusion.reach import FusionReach
 from salsanext_cli.core.fusion.votes import Tally
 from salsanext_cli.core.fusion.window import FusionWindow
+from salsanext_cli.core.poses import Poses
 from salsanext_cli.core.records import Float
 
 

@@ -26,7 +26,7 @@ LEVELS = (
         "core.texts",
         "core.wording",
     ),
-    ("core.errors",),
+    ("core.errors", "core.poses"),
     (
         "core.compiled",
         "core.field_rules",
@@ -55,7 +55,8 @@ LEVELS = (
     ("io.user_caches",),
     ("runs.network_announcement", "runs.records", "runs.sensor_request"),
     ("runs.network_settings", "runs.results"),
-    ("runs.drives", "runs.fit"),
+    ("runs.fit",),
+    ("runs.drives",),
     ("runs.summary",),
     ("runs.labelling", "runs.loop"),
     ("training", "synthesis", "report"),

@@ -27,7 +27,6 @@ ELSEWHERE: dict[str, dict[str, str]] = {
         "report/picked.py": "report/test_tables.py",
     },
     FILES_OF_FORMAT: {
-        "core/fusion/poses.py": "io/test_poses.py",
         "core/classes/label_tables.py": "core/classes/test_label_space.py",
         "io/formats/columns.py": "io/formats/test_kitti.py",
         "io/formats/evidence/": "io/formats/evidence/test_column_evidence.py",
@@ -75,9 +74,7 @@ ELSEWHERE: dict[str, dict[str, str]] = {
         "io/weights/loading.py": "core/engines/test_network.py",
         "io/weights/onnx_export.py": "commands/stages/test_export_onnx.py",
         "runs/drives/drive_record.py": "commands/stages/test_fuse.py",
-        "runs/drives/poses_of_sequence.py": "commands/stages/test_fuse.py",
         "runs/drives/earlier_fusion.py": "commands/stages/test_fuse.py",
-        "runs/drives/scans_of_drive.py": "commands/stages/test_fuse.py",
         "runs/drives/stored_softmax.py": "commands/stages/test_fuse.py",
         "runs/fit/range_images.py": "commands/stages/test_knn_refine.py",
         "runs/fit/scan_reading.py": "commands/stages/test_predict.py",

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from salsanext_cli.core.errors import FormatError
-from salsanext_cli.core.fusion.poses import CALIBRATION, POSES, Poses, rotation
+from salsanext_cli.core.poses import CALIBRATION, POSES, Poses, rotation
 from salsanext_cli.core.texts import counted
 from salsanext_cli.core.wording import setting
 from salsanext_cli.io.files.reading import present, reading

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from salsanext_cli.core.errors import OutputError, UsageError
-from salsanext_cli.core.fusion.poses import POSES
+from salsanext_cli.core.poses import POSES
 from salsanext_cli.core.texts import counted, first_few, shortened
 from salsanext_cli.core.wording import argument
 from salsanext_cli.io.files.reading import filled

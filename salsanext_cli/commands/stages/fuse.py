@@ -17,8 +17,8 @@ from salsanext_cli.core.wording import setting
 from salsanext_cli.runs.drives.by_sequence import by_sequence
 from salsanext_cli.runs.drives.drive_of_run import drive_of_run
 from salsanext_cli.runs.drives.fusible_results import fusible_results
-from salsanext_cli.runs.drives.poses_of_sequence import poses_beside, readings_of
 from salsanext_cli.runs.drives.scans_of_drive import drive_findings
+from salsanext_cli.runs.fit.pose_files import poses_beside, readings_of
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.results.output_run import output_run
 from salsanext_cli.runs.results.paths import DISAGREEMENT, FUSED, ScanFile, drive_order

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from salsanext_cli.core.fusion.pose_checks import Parts
-from salsanext_cli.core.fusion.poses import Poses
+from salsanext_cli.core.poses import Poses
 
 
 @dataclass(frozen=True, slots=True)

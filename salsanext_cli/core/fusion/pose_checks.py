@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.core.errors import FormatError
-from salsanext_cli.core.fusion.poses import CALIBRATION, Points, Poses
+from salsanext_cli.core.poses import CALIBRATION, Points, Poses
 from salsanext_cli.core.records import Double
 from salsanext_cli.core.texts import percentage
 

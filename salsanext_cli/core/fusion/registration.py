@@ -16,8 +16,8 @@ from salsanext_cli.core.fusion.pose_checks import (
     overlap,
     upright_points,
 )
-from salsanext_cli.core.fusion.poses import Points, Poses
 from salsanext_cli.core.optional_packages import import_extra
+from salsanext_cli.core.poses import Points, Poses
 from salsanext_cli.core.records import Float
 
 MIN_RANGE_M = 2.0  # Nearer points lie on the vehicle.

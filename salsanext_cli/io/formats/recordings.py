@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Protocol
 
 from salsanext_cli.core.errors import FormatError, NoInputError, UsageError
-from salsanext_cli.core.fusion.poses import Poses
+from salsanext_cli.core.poses import Poses
 from salsanext_cli.core.records import Scan
 from salsanext_cli.core.texts import counted, shortened
 from salsanext_cli.core.wording import part

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from salsanext_cli.core.errors import SalsanextError
 from salsanext_cli.core.fusion.drive import Drive
-from salsanext_cli.core.fusion.poses import POSES
+from salsanext_cli.core.poses import POSES
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.io.files.json_files import encode_json, read_json
 from salsanext_cli.io.poses import encode_poses

@@ -9,7 +9,7 @@ import numpy as np
 
 from salsanext_cli.core.errors import OutputError
 from salsanext_cli.core.fusion.drive import Drive
-from salsanext_cli.core.fusion.poses import POSES
+from salsanext_cli.core.poses import POSES
 from salsanext_cli.core.wording import setting
 from salsanext_cli.io.files.json_files import read_json
 from salsanext_cli.io.files.reading import present, refusing_damage

@@ -16,19 +16,16 @@ from salsanext_cli.core.fusion.pose_checks import (
     fitting_parts,
     require_fitting,
 )
-from salsanext_cli.core.fusion.poses import POSES, Poses
 from salsanext_cli.core.geometry.sensor_frame import in_sensor_frame
 from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
 from salsanext_cli.core.notices import NOTICE
-from salsanext_cli.core.records import Double, Float, Origin, Scan
+from salsanext_cli.core.poses import POSES
+from salsanext_cli.core.records import Float, Origin
 from salsanext_cli.core.sensors.sensor import UP, Sensor
 from salsanext_cli.core.texts import percentage
-from salsanext_cli.io.files.reading import present
 from salsanext_cli.io.formats import read_scan
-from salsanext_cli.io.formats.recordings import recorded_poses, recording_of
-from salsanext_cli.io.poses import pose_readings
-from salsanext_cli.runs.results.layouts import SCAN_FOLDER
-from salsanext_cli.runs.results.paths import ScanFile, drive_order, find_scans
+from salsanext_cli.runs.fit.pose_files import position_in_file, readings_of
+from salsanext_cli.runs.results.paths import ScanFile
 
 OriginOf = Callable[[ScanFile], Origin | None]
 """Function that returns the origin of a registered scan, None if it is to be found from points."""
@@ -73,38 +70,6 @@ def registered_drive(files: Sequence[ScanFile], sensor: Sensor, origin_of: Origi
         hint = f"move the scans to their sensor, and give its poses in {POSES}"
         raise FormatError(folder, problem, "scans in the frame of one map", hint)
     return Drive(poses, parts)
-
-
-def position_in_file(origin: Origin, scan: Scan) -> Double:
-    """Return a position (3,) in the frame of a scan in the coordinates of its file, in metres."""
-    return np.add(origin, scan.notes.frame)
-
-
-def poses_beside(files: Sequence[ScanFile]) -> Path | None:
-    """Return the file of poses in the folder of a sequence, or the recording that contains them.
-
-    None without any.
-    """
-    recording = recording_of(files[0].path)
-    if recording is not None:
-        return recording if recorded_poses(recording) is not None else None
-    folder = files[0].path.parent
-    path = (folder.parent if folder.name == SCAN_FOLDER else folder) / POSES
-    return path if present(path) else None
-
-
-def readings_of(path: Path, files: Sequence[ScanFile]) -> list[Poses]:
-    """Return the possible poses (N, 4, 4) of scans in a file, as of `pose_readings`."""
-    poses = recorded_poses(path)
-    if poses is not None:
-        return [poses[[int(file.stem) for file in files]]]
-    listed = sorted(find_scans(files[0].path.parent, unique=False), key=drive_order)
-    return pose_readings(path, _stems(listed), _stems(files))
-
-
-def _stems(files: Sequence[ScanFile]) -> list[str]:
-    """Return the stems of scans, each once, in order."""
-    return list(dict.fromkeys(file.stem for file in files))
 
 
 def is_registered(files: Sequence[ScanFile], sensor: Sensor, origin_of: OriginOf) -> bool:

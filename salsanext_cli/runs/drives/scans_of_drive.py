@@ -9,20 +9,22 @@ import numpy as np
 
 from salsanext_cli.core.checks.finding import Finding
 from salsanext_cli.core.checks.warning_codes import WarningCode
+from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.fusion.drive import Drive
-from salsanext_cli.core.fusion.poses import POSES
 from salsanext_cli.core.fusion.registration import register
 from salsanext_cli.core.notices import NOTICE
+from salsanext_cli.core.poses import POSES
 from salsanext_cli.core.sensors.sensor import Sensor
-from salsanext_cli.runs.drives.pose_origins import require_positions
+from salsanext_cli.core.wording import argument
 from salsanext_cli.runs.drives.poses_of_sequence import (
     OriginOf,
     checked_drive,
     is_registered,
     measured_points,
-    poses_beside,
     registered_drive,
 )
+from salsanext_cli.runs.fit.pose_files import poses_beside
+from salsanext_cli.runs.fit.pose_origins import sensor_positions
 from salsanext_cli.runs.results.paths import ScanFile
 
 log = logging.getLogger(__name__)
@@ -60,6 +62,17 @@ def drive_of_scans(
         return registered_drive(files, sensor, origin_of)
     path = poses or poses_beside(files)
     return checked_drive(path, files, sensor, origin_of) if path else None
+
+
+def require_positions(poses: Path, files: Sequence[ScanFile], sensor: Sensor) -> None:
+    """Refuse poses that are not those of the sensor in the frame of registered scans."""
+    name = files[0].sequence
+    if sensor_positions(poses, files, sensor) is None:
+        problem = f"{poses} is not where the sensor is in most scans of sequence {name}"
+        expected = "poses in the frame of the map that the scans are in"
+        hint = f"omit {argument('poses')}: the scans are in one frame"
+        raise UsageError(argument("poses"), problem, expected, hint)
+    log.log(NOTICE, "sequence %s: its scans are in one frame, and %s agrees", name, poses)
 
 
 def computed_drive(files: Sequence[ScanFile], sensor: Sensor, origin_of: OriginOf) -> Drive:

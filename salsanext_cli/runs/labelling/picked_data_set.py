@@ -13,7 +13,7 @@ import yaml
 
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import FormatError, OutputError, UsageError
-from salsanext_cli.core.fusion.poses import CALIBRATION, POSES
+from salsanext_cli.core.poses import CALIBRATION, POSES
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.io.files.json_files import read_json, record_of, write_json
 from salsanext_cli.io.files.reading import filled, fingerprint, present, reading

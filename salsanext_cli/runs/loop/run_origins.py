@@ -101,7 +101,7 @@ def _by_poses(
     if not (files and sensor.has_registered):
         return {}, []
     # Labels of scans that are not registered need nothing of `fusion`.
-    from salsanext_cli.runs.drives.pose_origins import origins_by_poses
+    from salsanext_cli.runs.fit.pose_origins import origins_by_poses
 
     by_poses = origins_by_poses(files, sensor, listed)
     return by_poses.origins, by_poses.lines

@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.core.errors import FormatError, MissingDependency, NoInputError
-from salsanext_cli.core.fusion.poses import Poses, rotation
 from salsanext_cli.core.optional_packages import import_extra
+from salsanext_cli.core.poses import Poses, rotation
 from salsanext_cli.core.records import Double
 from salsanext_cli.io.files.reading import reading, refusing_damage, size_of
 from salsanext_cli.io.formats.columns import Columns

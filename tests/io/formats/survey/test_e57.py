@@ -14,7 +14,7 @@ from salsanext_cli.core.errors import FormatError, MissingDependency, NoInputErr
 from salsanext_cli.io.formats import recordings
 from salsanext_cli.io.formats.recordings import recorded_poses
 from salsanext_cli.io.poses import pose_readings
-from salsanext_cli.runs.drives.poses_of_sequence import poses_beside, readings_of
+from salsanext_cli.runs.fit.pose_files import poses_beside, readings_of
 from salsanext_cli.runs.results.paths import find_scans
 
 pye57 = pytest.importorskip("pye57")

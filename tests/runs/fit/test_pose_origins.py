@@ -7,23 +7,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from las_files import write_las
-from map_drives import WAY, drive, write_poses
+from map_drives import WAY, write_poses
 from narrow import narrow  # noqa: F401
 from scans import SMALL
 from street_scans import street
 
 from salsanext_cli.commands.stages.fuse import fuse_results
 from salsanext_cli.commands.stages.predict import predict_scans
-from salsanext_cli.core.errors import UsageError
-from salsanext_cli.runs.drives.pose_origins import (
+from salsanext_cli.runs.drives.poses_of_sequence import registered_drive
+from salsanext_cli.runs.fit.pose_origins import (
     OriginsByPoses,
     _agreeing_positions,
     origins_by_poses,
 )
-from salsanext_cli.runs.drives.poses_of_sequence import points_of_drive, registered_drive
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.paths import find_scans
-from salsanext_cli.runs.results.recorded_origins import recorded_origin, recorded_origins
+from salsanext_cli.runs.results.recorded_origins import recorded_origin
 from salsanext_cli.runs.results.result_folder import ResultFolder
 
 
@@ -108,28 +107,3 @@ def test_most_compared_scans_decide_about_poses():
     assert _agreeing_positions([other], seen_from) is None
     assert np.array_equal(_agreeing_positions([other, poses], seen_from), poses[:, :3, 3])
     assert _agreeing_positions([poses], {}) is None
-
-
-def test_poses_of_a_registered_drive_must_agree_with_its_scans(predicted_map, tmp_path):
-    out, path = tmp_path / "out", tmp_path / "p.txt"
-    shutil.copytree(predicted_map, out)
-    write_poses(path, np.array(WAY, float))
-    assert fuse_results(out, tmp_path / "fused", poses=path).done == len(WAY)
-    write_poses(path, np.array(WAY, float) + (3, 0, 0))
-    with pytest.raises(UsageError) as caught:
-        fuse_results(out, tmp_path / "other", poses=path)
-    assert caught.value.subject == "poses"
-    assert "omit poses" in caught.value.hint
-
-
-def test_the_poses_of_a_registered_drive_are_the_positions_of_its_sensor(map_drive):
-    files = find_scans(map_drive / "velodyne")
-    sensor = replace(SMALL, registered=True)
-    origin_of = recorded_origins(map_drive, sensor)
-    poses = registered_drive(files, sensor, origin_of).poses
-    assert np.abs(poses[:, :3, 3] - WAY).max() < 0.6
-    assert (poses[:, :3, :3] == np.eye(3)).all()
-    for file, scan, pose in zip(files, drive(), poses, strict=True):
-        points = points_of_drive(file, sensor, origin_of)
-        assert np.abs(points + pose[:3, 3] - scan.points).max() < 1e-4
-        assert np.array_equal(points_of_drive(file, SMALL, origin_of), scan.points)

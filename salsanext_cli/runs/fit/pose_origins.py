@@ -11,19 +11,17 @@ from pathlib import Path
 
 import numpy as np
 
-from salsanext_cli.core.errors import SalsanextError, UsageError
-from salsanext_cli.core.fusion.poses import Poses
+from salsanext_cli.core.errors import SalsanextError
 from salsanext_cli.core.geometry.evenness import is_out_of_place
 from salsanext_cli.core.geometry.sensor_frame import in_sensor_frame
 from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
 from salsanext_cli.core.geometry.sensor_place import MIN_OFFSET_M
-from salsanext_cli.core.notices import NOTICE
+from salsanext_cli.core.poses import Poses
 from salsanext_cli.core.records import Double, Origin, Origins
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.texts import counted, first_few
-from salsanext_cli.core.wording import argument
 from salsanext_cli.io.formats import read_scan
-from salsanext_cli.runs.drives.poses_of_sequence import poses_beside, position_in_file, readings_of
+from salsanext_cli.runs.fit.pose_files import poses_beside, position_in_file, readings_of
 from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.runs.results.selection import evenly_spaced
 
@@ -134,17 +132,6 @@ def sensor_positions(path: Path, files: Sequence[ScanFile], sensor: Sensor) -> D
         If the file cannot be read or does not have poses of the scans.
     """
     return _agreeing_positions(readings_of(path, files), _origins_by_points(files, sensor))
-
-
-def require_positions(poses: Path, files: Sequence[ScanFile], sensor: Sensor) -> None:
-    """Refuse poses that are not those of the sensor in the frame of registered scans."""
-    name = files[0].sequence
-    if sensor_positions(poses, files, sensor) is None:
-        problem = f"{poses} is not where the sensor is in most scans of sequence {name}"
-        expected = "poses in the frame of the map that the scans are in"
-        hint = f"omit {argument('poses')}: the scans are in one frame"
-        raise UsageError(argument("poses"), problem, expected, hint)
-    log.log(NOTICE, "sequence %s: its scans are in one frame, and %s agrees", name, poses)
 
 
 def _agreeing_positions(
