@@ -125,7 +125,7 @@ def test_torch_returns_the_store_the_rank_and_the_size_of_a_group(monkeypatch):
 COMMAND_NAMES = ("params", "format_help", "format_help_text", "get_short_help_str", "parse_args")
 GROUP_NAMES = (*COMMAND_NAMES, "commands", "invoke", "resolve_command")
 PARAMETER_NAMES = ("opts", "param_type_name", "metavar", "envvar", "default", "required", "help")
-OPTION_NAMES = (*PARAMETER_NAMES, "is_flag", "show_default", "rich_help_panel")
+OPTION_NAMES = (*PARAMETER_NAMES, "secondary_opts", "is_flag", "show_default", "rich_help_panel")
 CONTEXT_NAMES = ("parent", "info_name", "command_path", "args", "resilient_parsing", "exit")
 FORMATTER_NAMES = ("write_usage", "write_paragraph", "write_text", "write_dl", "getvalue")
 

@@ -8,7 +8,7 @@ import typer
 
 from salsanext_cli.commands.line.console import WRONG_USE, usage_errors
 from salsanext_cli.commands.line.removed import refuse_removed
-from salsanext_cli.commands.line.typer_interface import TyperCommand, TyperGroup
+from salsanext_cli.commands.line.typer_interface import TyperCommand, TyperGroup, stating_command
 
 DOCUMENTATION = "https://salsanext.readthedocs.io"
 NAMES_WIDTH = 24  # Columns of the names of options; longer ones get a line
@@ -90,7 +90,8 @@ class Command(TyperCommand):
         if not ctx.resilient_parsing:
             refuse_removed(_names(ctx), args, json="--json" in args)
             _print_whole_help(self, ctx, args)
-        return super().parse_args(ctx, args)
+        with stating_command(ctx):
+            return super().parse_args(ctx, args)
 
 
 class Group(TyperGroup):
@@ -106,7 +107,7 @@ class Group(TyperGroup):
             ctx.exit(WRONG_USE)
         if args[:1] == ["--help-all"]:
             _print_whole_help(self, ctx, args)
-        with usage_errors(args):
+        with usage_errors(args), stating_command(ctx):
             return super().parse_args(ctx, args)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:

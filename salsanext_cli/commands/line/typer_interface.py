@@ -5,12 +5,25 @@ Typer contains Click, and does not export these names. This is the only module t
 elsewhere; `help` and `wrong_values` read attributes of the objects that they get.
 """
 
-from typing import cast
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, cast
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-__all__ = ["USAGE_ERROR", "TyperCommand", "TyperGroup"]
+__all__ = ["USAGE_ERROR", "TyperCommand", "TyperGroup", "stating_command"]
 
 USAGE_ERROR = cast("type[Exception]", typer.BadParameter.__base__)
 """Errors of the command line, one kind of which typer exports."""
+
+
+@contextmanager
+def stating_command(context: Any) -> Iterator[None]:
+    """Add the command to errors that have none, those of options without their values."""
+    try:
+        yield
+    except USAGE_ERROR as error:
+        stated: Any = error
+        stated.ctx = stated.ctx or context
+        raise

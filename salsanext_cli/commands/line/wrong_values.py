@@ -30,11 +30,12 @@ def usage_error(raised: Any, arguments: Sequence[str]) -> UsageError:
     UsageError
     """
     path = getattr(raised.ctx, "command_path", "salsanext")
-    unknown_option = getattr(raised, "option_name", "")
-    if unknown_option:
-        parameters = raised.ctx.command.params
-        offered = [name for parameter in parameters for name in parameter.opts]
-        return _unknown_option(unknown_option, offered, path)
+    option_name = getattr(raised, "option_name", "")
+    if option_name:
+        parameters = _parameters(raised.ctx.command)
+        if option_name in parameters:
+            return _missing_value(parameters[option_name], option_name, path)
+        return _unknown_option(option_name, [*parameters], path)
     parameter: Any = getattr(raised, "param", None)
     value = None if parameter is None else _value(parameter, arguments)
     expected = "" if parameter is None else _expected(parameter)
@@ -52,6 +53,23 @@ def _wrong_value(parameter: Any, value: str, expected: str, path: str) -> UsageE
     likely = nearest(value, choices) if len(choices) > 1 else None
     hint = f"did you mean {long_name} {likely}?" if likely else f"see {path} --help"
     return UsageError(long_name, f"is {shortened(value)}", expected, hint)
+
+
+def _parameters(command: Any) -> dict[str, Any]:
+    """Return the parameters of a command by each of their names."""
+    return {
+        name: parameter
+        for parameter in command.params
+        for name in (*parameter.opts, *parameter.secondary_opts)
+    }
+
+
+def _missing_value(parameter: Any, name: str, path: str) -> UsageError:
+    """Return the error about an option at the end of a command line, or a flag with a value."""
+    hint = f"see {path} --help"
+    if parameter.is_flag:
+        return UsageError(name, "does not take a value", hint=hint)
+    return UsageError(name, "needs a value", _expected(parameter), hint)
 
 
 def _unknown_option(name: str, offered: Sequence[str], path: str) -> UsageError:
