@@ -131,13 +131,12 @@ class BagRun:
         target = self.target(bag)
         if not present(target) or not is_recording(target):
             return False
-        files = files_at(target)
-        return all(map(filled, files)) and not self.owned.foreign_files(files)
+        return all(map(filled, files_at(target))) and not self.owned.foreign_members(target)
 
     def _copy(self, bag: BagOfResults, clouds: Sequence[ScanFile], options: RunOptions) -> int:
         """Copy a bag; return the number of its clouds with results."""
         target = self.target(bag)
-        self.owned.refuse_foreign(files_at(target))
+        self.owned.refuse_foreign_members(target)
         self._require_labels(bag, clouds)
         opened = Bag(bag.path, files_of(bag.path))
         changes = self._changes(opened, bag, clouds, options)

@@ -166,16 +166,60 @@ class OwnedFolder:
     def adopt(self, written: Path, path: Path) -> None:
         """Give a complete file or folder its name, in the place of an earlier one; list its files.
 
-        An earlier one with a foreign file is refused, and stays.
+        Parameters
+        ----------
+        written : Path
+            Complete file or folder, in a temporary folder of the same disk. An earlier folder is
+            moved beside it, and the caller removes both with the temporary folder.
+        path : Path
+            Its name.
+
+        Raises
+        ------
+        OutputError
+            If the earlier one contains what salsanext did not write; then it stays.
+        OSError
+            If the system refuses to move them; then the earlier one stays, too.
         """
-        earlier = files_at(path)
-        self.refuse_foreign(earlier)
-        self.remove_written(earlier)
-        if is_folder(path):
-            path.rmdir()
-        for file in files_at(written):
-            self._list(path / file.relative_to(written), file.stat())
-        written.rename(path)
+        with self.locked_records():
+            self.refuse_foreign_members(path)
+            for file in files_at(written):
+                # After a power cut, only the names of empty files show whose they are.
+                self._list(path / file.relative_to(written), file.stat(), durable=True)
+            if not is_folder(path):
+                written.replace(path)
+                return
+            earlier = written.with_name(f"earlier-{path.name}")
+            path.rename(earlier)
+            try:
+                written.rename(path)
+            except BaseException:
+                earlier.rename(path)
+                raise
+
+    def refuse_foreign_members(self, path: Path) -> None:
+        """Refuse a file or folder with anything that salsanext did not write."""
+        foreign = self.foreign_members(path)
+        if foreign:
+            raise foreign_file(foreign[0])
+
+    def foreign_members(self, path: Path) -> list[Path]:
+        """Return what salsanext did not write of a file or folder that is replaced as a whole.
+
+        Users may have added folders, and files of any name. Therefore also an empty file is
+        foreign if its name is not listed.
+        """
+        if path.is_symlink():
+            return [path]
+        states = self.states()
+        members = sorted(path.rglob("*")) if is_folder(path) else [path]
+        unlisted = {
+            member
+            for member in members
+            if is_folder(member) or (member not in states and os.path.lexists(member))
+        }
+        unlisted.update(self.foreign_files(members, states))
+        return sorted(unlisted)
 
     def write_missing(self, path: Path, content: bytes) -> None:
         """Write a file of the folder unless it exists, since it may be edited."""

@@ -85,6 +85,24 @@ def test_a_bag_is_not_written_again_unless_it_shall_be_replaced(tmp_path, kind):
     assert edited.read_bytes() == b"mine"
 
 
+@pytest.mark.parametrize(
+    "add", [lambda path: path.touch(), lambda path: path.mkdir()], ids=["file", "folder"]
+)
+def test_a_bag_with_something_empty_of_the_user_stays_complete(tmp_path, add):
+    bag = LabelledBag(tmp_path, ".mcap")
+    call = apply_to(bag, tmp_path)
+    call()
+    target = tmp_path / "to/drive"
+    before = files_below(target)
+    added = target / "COLCON_IGNORE"
+    add(added)
+    refused(OutputError, added, call, options=AGAIN)
+    assert added.exists()
+    added.rmdir() if added.is_dir() else added.unlink()
+    assert files_below(target) == before
+    assert call(options=AGAIN).done == 3
+
+
 def test_a_bag_that_is_changed_while_it_is_written_anew_is_kept(tmp_path, monkeypatch):
     bag = LabelledBag(tmp_path, ".bag")
     call = apply_to(bag, tmp_path)

@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-from scans import refused
+from scans import files_below, refused
 
 from salsanext_cli.core.checks.finding import Finding
 from salsanext_cli.core.checks.warning_codes import WarningCode
@@ -96,6 +96,80 @@ def test_an_empty_file_of_a_power_cut_is_not_foreign(written: OwnedFolder) -> No
     written.root.mkdir()
     (written.root / "empty").touch()
     assert written.foreign_files([written.root / "empty", written.root / "none"]) == []
+
+
+@pytest.fixture
+def adopted(written: OwnedFolder) -> Path:
+    """Return a folder of the output folder that was adopted; a later one is complete."""
+    path = written.root / "drive"
+    for number in range(2):
+        later = written.root / ".new/drive"
+        later.mkdir(parents=True)
+        (later / f"drive_{number}.mcap").write_bytes(b"12345")
+        (later / "metadata.yaml").write_text(f"{number}")
+        if not number:
+            written.adopt(later, path)
+    return path
+
+
+def adopt_later(written: OwnedFolder) -> None:
+    written.adopt(written.root / ".new/drive", written.root / "drive")
+
+
+def test_an_adopted_folder_replaces_the_earlier_one(written: OwnedFolder, adopted: Path) -> None:
+    assert files_below(adopted) == {"drive_0.mcap": b"12345", "metadata.yaml": b"0"}
+    adopt_later(written)
+    assert files_below(adopted) == {"drive_1.mcap": b"12345", "metadata.yaml": b"1"}
+    assert written.foreign_members(adopted) == []
+    written.adopt(adopted / "metadata.yaml", written.root / "file")
+    assert (written.root / "file").read_bytes() == b"1"
+    assert written.foreign_files([written.root / "file"]) == []
+
+
+def test_a_folder_that_a_power_cut_emptied_is_replaced(written, adopted):
+    (adopted / "drive_0.mcap").write_bytes(b"")
+    adopt_later(written)
+    assert (adopted / "drive_1.mcap").exists()
+
+
+ADDITIONS = {
+    "an empty file": lambda folder: (folder / "COLCON_IGNORE").touch(),
+    "a file": lambda folder: (folder / "notes.txt").write_text("rain"),
+    "an edited file": lambda folder: (folder / "metadata.yaml").write_text("mine"),
+    "an empty folder": lambda folder: (folder / "plots").mkdir(),
+    "a link": lambda folder: (folder / "raw").symlink_to("/nowhere"),
+    "a link to a folder": lambda folder: (folder / "raw").symlink_to(folder.parent),
+}
+"""Changes of a bag that users make, by what they add to it."""
+
+
+@pytest.mark.parametrize("addition", ADDITIONS)
+def test_a_folder_with_anything_of_the_user_stays_as_it_is(written, adopted, addition):
+    ADDITIONS[addition](adopted)
+    before = files_below(written.root)
+    members = sorted(adopted.rglob("*"))
+    with pytest.raises(OutputError) as caught:
+        adopt_later(written)
+    assert Path(caught.value.subject).parent == adopted
+    assert files_below(written.root) == before
+    assert sorted(adopted.rglob("*")) == members
+
+
+def test_a_link_of_the_user_to_an_empty_folder_stays(written, adopted, tmp_path):
+    adopted.rename(tmp_path / "earlier")
+    (tmp_path / "empty").mkdir()
+    adopted.symlink_to(tmp_path / "empty")
+    with refused(OutputError, adopted):
+        adopt_later(written)
+    assert adopted.readlink() == tmp_path / "empty"
+
+
+def test_an_earlier_folder_stays_if_the_later_one_cannot_be_moved(written, adopted):
+    before = files_below(adopted)
+    with pytest.raises(OSError, match=r"."):
+        # No system moves a folder into itself.
+        written.adopt(written.root, adopted)
+    assert files_below(adopted) == before
 
 
 def test_a_truncated_list_loses_one_line(written: OwnedFolder) -> None:
