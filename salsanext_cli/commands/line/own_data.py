@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from salsanext_cli.commands.line.picked_labels import PickedLabels
     from salsanext_cli.core.sensors.sensor import Sensor
 
+MAX_PROBLEMS = 20  # Most problems that `submit` prints
 PICKED = 10  # Number of scans that `pick` picks by default
 
 
@@ -333,5 +334,17 @@ def submit(
             overwrite=overwrite,
             progress=on_progress,
         )
-    output.result({"stage": "submit", **asdict(submission), "zip": str(target)})
-    output.print(f"submit: {counted(submission.scans, 'scan')} → {target}")
+    written = str(target) if submission.is_packed else None
+    output.result({"stage": "submit", **asdict(submission), "zip": written})
+    texts = [text for problem in submission.problems for text in problem.texts]
+    for text in texts[:MAX_PROBLEMS]:
+        print_line(f"error: {text}")
+    if len(texts) > MAX_PROBLEMS:
+        print_line(f"{len(texts) - MAX_PROBLEMS:,} more problems; --json lists all")
+    if submission.problems:
+        files = sum(len(problem.subjects) for problem in submission.problems)
+        counts = f"{counted(len(submission.problems), 'problem')} in {files:,} places"
+        output.print(f"submit: {counts}; nothing was packed")
+    else:
+        output.print(f"submit: {counted(submission.scans, 'scan')} → {target}")
+    summary.exit_with_status(submission.problems)

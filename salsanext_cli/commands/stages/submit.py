@@ -10,18 +10,17 @@ from itertools import count
 from pathlib import Path, PurePosixPath
 from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
-import numpy as np
-
-from salsanext_cli.core.classes.label_space import MOVING, LabelSpace
-from salsanext_cli.core.classes.label_tables import RAW_ID_COUNT
-from salsanext_cli.core.errors import LabelError, NoInputError, UsageError
+from salsanext_cli.commands.jobs.label_checks import (
+    SubmissionProblem,
+    grouped_problems,
+    label_problems,
+)
+from salsanext_cli.core.classes.label_space import LabelSpace
+from salsanext_cli.core.errors import LabelError, NoInputError, SalsanextError, UsageError
 from salsanext_cli.core.texts import counted, first_few, with_hint
 from salsanext_cli.core.wording import argument, command, setting
 from salsanext_cli.io.files.atomic import require_target, writing
-from salsanext_cli.io.files.reading import is_folder, present, reading, size_of
-from salsanext_cli.io.formats import read_scan, scan_suffix
-from salsanext_cli.io.formats.kitti import count_points
-from salsanext_cli.io.formats.kitti_labels import read_labels
+from salsanext_cli.io.files.reading import is_folder, present, reading
 from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.runs.loop.run_options import Progress
 from salsanext_cli.runs.results.paths import ScanFile, find_outputs
@@ -74,10 +73,24 @@ def _write_zip(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Submission:
-    """Predictions that were checked and packed."""
+    """Predictions that were checked, and packed unless there are problems."""
 
     scans: int  # Number of scans of the test split
     lengths_checked: bool  # Whether the numbers of labels and points were compared for all scans
+    problems: tuple[SubmissionProblem, ...] = ()  # Reasons why nothing was packed
+
+    @property
+    def is_packed(self) -> bool:
+        """Whether the file was written."""
+        return not self.problems
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RequiredScans:
+    """Scans of the test split."""
+
+    names: list[tuple[str, str]]  # Sequence and stem, sorted
+    missing: list[NoInputError]  # An error for each sequence without all predictions
 
 
 def submit(
@@ -91,6 +104,8 @@ def submit(
     progress: Progress | None = None,
 ) -> Submission:
     """Check the predictions of the test split, and pack them for the benchmark if all are right.
+
+    Every problem is listed, so that one run shows all of them.
 
     Parameters
     ----------
@@ -126,25 +141,44 @@ def submit(
     space = _full_space(out, scans, space)
     required = _required(space, scans, files)
     sequences_at_hand = {scan.sequence for scan in scans}
-    unchecked = sorted({sequence for sequence, _ in required} - sequences_at_hand)
+    unchecked = sorted({sequence for sequence, _ in required.names} - sequences_at_hand)
     if unchecked:
         problem = f"no scans of sequence {first_few(unchecked)}: numbers of labels not checked"
         log.warning("%s", with_hint(problem, f"give {argument('dataset')}"))
+    _note_others(required, files)
     clouds = {(scan.sequence, scan.stem): scan.path for scan in scans}
-    members = {} if description is None else {"description.txt": description}
     steps = count(1)
 
     def advance() -> None:
         if progress:
             # Each file is checked and packed.
-            progress(next(steps), 2 * len(required))
+            progress(next(steps), 2 * len(required.names))
 
-    for name in required:
-        _check_labels(files[name], clouds.get(name), space)
-        members[files[name].relative_to(out).as_posix()] = files[name]
+    errors: list[SalsanextError] = [*required.missing]
+    for name in required.names:
+        if name in files:
+            errors += label_problems(files[name], clouds.get(name), space)
         advance()
-    _write_zip(target, members, advance, overwrite=overwrite)
-    return Submission(scans=len(required), lengths_checked=not unchecked)
+    problems = grouped_problems(errors)
+    if not problems:
+        members = {} if description is None else {"description.txt": description}
+        for name in required.names:
+            members[files[name].relative_to(out).as_posix()] = files[name]
+        _write_zip(target, members, advance, overwrite=overwrite)
+    return Submission(scans=len(required.names), lengths_checked=not unchecked, problems=problems)
+
+
+def _note_others(required: RequiredScans, files: Predictions) -> None:
+    """Log the predictions of sequences of the test split that are not packed."""
+    sequences = {sequence for sequence, _ in required.names}
+    others = sorted(
+        f"{sequence}/{stem}"
+        for sequence, stem in files.keys() - {*required.names}
+        if sequence in sequences
+    )
+    if others:
+        text = "not packed: %s of scans that the benchmark does not have: %s"
+        log.warning(text, counted(len(others), "prediction"), first_few(others))
 
 
 def _full_space(out: Path, scans: Sequence[ScanFile], space: LabelSpace | None) -> LabelSpace:
@@ -171,16 +205,15 @@ def _scans_at_hand(out: Path, dataset: Path | None, files: Predictions) -> list[
     return scans
 
 
-def _required(
-    space: LabelSpace, scans: Sequence[ScanFile], files: Predictions
-) -> list[tuple[str, str]]:
-    """Return the sorted sequences and stems of the test split; refuse missing predictions."""
+def _required(space: LabelSpace, scans: Sequence[ScanFile], files: Predictions) -> RequiredScans:
+    """Return the scans of the test split, and the errors of missing predictions."""
     sequences = space.split(SPLIT)
     if not sequences:
         raise UsageError(f"label space {space.name}", f"has no sequences in split {SPLIT}")
     is_official = is_of_benchmark(space) and space.fits(label_space())
     at_hand = {(scan.sequence, scan.stem) for scan in scans}
-    required = []
+    required: list[tuple[str, str]] = []
+    errors: list[NoInputError] = []
     for sequence in sorted(sequences):
         stems_at_hand = {stem for name, stem in at_hand if name == sequence}
         stems = set(stems_at_hand)
@@ -190,9 +223,9 @@ def _required(
             stems = {stem for name, stem in files if name == sequence}
         missing = sorted(stem for stem in stems if (sequence, stem) not in files)
         if missing or not stems:
-            raise _incomplete(sequence, stems, missing, stems_at_hand)
+            errors.append(_incomplete(sequence, stems, missing, stems_at_hand))
         required += [(sequence, stem) for stem in sorted(stems)]
-    return required
+    return RequiredScans(names=required, missing=errors)
 
 
 def _incomplete(
@@ -208,31 +241,3 @@ def _incomplete(
     if absent_scans:
         hint = f"complete the data set: it lacks {counted(absent_scans, 'scan')}"
     return NoInputError(f"sequence {sequence}", problem, hint=hint)
-
-
-def _check_labels(path: Path, scan: Path | None, space: LabelSpace) -> None:
-    """Refuse labels that the benchmark does not accept."""
-    raw = read_labels(path, _point_count(scan) if scan else None)
-    with reading(path) as file:
-        size = size_of(file)
-    if size != 4 * len(raw):
-        problem = f"has {counted(size // len(raw), 'byte')} per label"
-        raise LabelError(path, problem, "4, one uint32 per point", "write the labels as uint32")
-    ids = np.flatnonzero(np.bincount(raw & 0xFFFF, minlength=RAW_ID_COUNT)).tolist()
-    unknown = [raw_id for raw_id in ids if raw_id not in space.learning_map]
-    if unknown:
-        hint = f"write raw ids, not train ids, or give {argument('space')}"
-        raise LabelError(path, f"has unknown ids {first_few(unknown)}", "", hint)
-    names = {raw_id: space.labels.get(raw_id, "") for raw_id in ids}
-    moving = [f"{raw_id} {name}" for raw_id, name in names.items() if name.startswith(MOVING)]
-    if moving:
-        problem = f"has ids of moving classes, {first_few(moving)}"
-        hint = "write the ids of the classes at rest, such as 10 instead of 252"
-        raise LabelError(path, problem, "classes of single scans", hint)
-
-
-def _point_count(scan: Path) -> int:
-    """Return the number of points of a scan, of a .bin file without reading it."""
-    if scan_suffix(scan.name) == ".bin":
-        return count_points(scan)
-    return len(read_scan(scan))

@@ -164,7 +164,9 @@ def test_a_submission_without_a_prediction_is_an_error(run, out, tmp_path):
     assert result.exit_code == 1
     assert result.stderr.startswith("error: sequence 12: ")
     result = run("submit", "out", "a.zip", "--json")
-    assert (result.exit_code, only_json(result)["code"]) == (1, "no-input")
+    printed = only_json(result)
+    assert (result.exit_code, printed["zip"]) == (1, None)
+    assert [problem["code"] for problem in printed["problems"]] == ["no-input"]
     assert not (tmp_path / "a.zip").exists()
 
 

@@ -11,7 +11,7 @@ from scans import make_scan, refused, write_bin
 from salsanext_cli import label_space, write_labels
 from salsanext_cli.commands.stages import submit as module
 from salsanext_cli.commands.stages.submit import SCANS_OF_TEST, Submission, submit
-from salsanext_cli.core.errors import FormatError, LabelError, NoInputError, OutputError
+from salsanext_cli.core.errors import FormatError, LabelError, OutputError
 from salsanext_cli.runs.results.paths import output_path
 
 SPACE = label_space()
@@ -96,15 +96,51 @@ def test_a_file_that_was_written_meanwhile_is_kept(folders):
     require_kept(module, folders.zip, lambda overwrite: folders.submit(overwrite=overwrite))
 
 
-def test_missing_predictions_are_one_error(folders):
+def problems_by_subject(folders, **options):
+    """Return the problems of predictions that are not packed."""
+    before = folders.zip.read_bytes() if folders.zip.exists() else None
+    made = folders.submit(**options)
+    assert not made.is_packed
+    assert (folders.zip.read_bytes() if folders.zip.exists() else None) == before
+    return {subject: problem for problem in made.problems for subject in problem.subjects}
+
+
+def test_missing_predictions_are_one_problem(folders):
     for stem in ("000000", "000002"):
         folders.label("11", stem).unlink()
     folders.scan("11", "000000").unlink()
-    with refused(NoInputError, "sequence 11") as raised:
-        folders.submit()
-    assert "2 of 3 predictions: 000000, 000002" in raised.value.problem
-    assert "it lacks 1 scan" in raised.value.hint
-    assert not folders.zip.exists()
+    ((subject, problem),) = problems_by_subject(folders).items()
+    assert (subject, problem.code) == ("sequence 11", "no-input")
+    assert "2 of 3 predictions: 000000, 000002" in problem.problem
+    assert "it lacks 1 scan" in problem.hint
+
+
+def test_all_problems_are_listed_at_once(folders):
+    folders.label("11", "000001").unlink()
+    folders.label("13", "000000").unlink()
+    folders.label("14", "000000").write_bytes(b"12345")
+    several = np.array([2, 252, 40, 10, 0, 0, 0], "<u2")
+    for sequence in ("15", "16", "17", "18"):
+        folders.label(sequence, "000000").write_bytes(several.tobytes())
+    found = folders.submit().problems
+    by_code = {}
+    for problem in found:
+        by_code.setdefault(problem.code, []).append(problem.subjects)
+    assert by_code["no-input"] == [("sequence 11",), ("sequence 13",)]
+    assert by_code["format"] == [(str(folders.label("14", "000000")),)]
+    # Each of the four files has three: bytes per label, unknown ids, moving classes.
+    four = tuple(str(folders.label(sequence, "000000")) for sequence in ("15", "16", "17", "18"))
+    assert by_code["label"] == [four, four, four]
+    assert [len(problem.texts) for problem in found] == [1, 1, 1, 1, 1, 1]
+
+
+def test_predictions_of_other_scans_are_named_and_not_packed(folders, caplog):
+    write_labels(folders.label("11", "000777"), np.full(POINTS, 40))
+    made = folders.submit()
+    assert made.is_packed
+    assert "1 prediction of scans that the benchmark does not have: 11/000777" in caplog.text
+    with zipfile.ZipFile(folders.zip) as packed:
+        assert not any("000777" in name for name in packed.namelist())
 
 
 @pytest.mark.parametrize(
@@ -114,20 +150,19 @@ def test_missing_predictions_are_one_error(folders):
         (np.full(POINTS + 1, 40, "<u4"), LabelError, "has 8 labels"),
         # `eval` reads these labels, the benchmark does not.
         (np.full(POINTS, 40, "<u2"), LabelError, "2 bytes per label"),
-        (np.array([2, 3, 40, 252, 258, 10, 0], "<u4"), LabelError, "unknown ids 2, 3"),
+        (np.array([2, 3, 40, 10, 10, 10, 0], "<u4"), LabelError, "unknown ids 2, 3"),
         (np.full(POINTS, 252 | 7 << 16, "<u4"), LabelError, "classes, 252 moving-car"),
     ],
 )
-def test_a_wrong_file_is_an_error_and_nothing_written(folders, content, kind, problem):
+def test_a_wrong_file_is_a_problem_and_nothing_written(folders, content, kind, problem):
     """The last file is wrong, since all are checked before the first is written."""
     write_labels(folders.label("16", "000000"), np.full(POINTS, 10 | 7 << 16))
     path = folders.label("21", "000001")
     path.write_bytes(bytes(content))
-    with refused(kind, path) as raised:
-        folders.submit()
-    assert problem in raised.value.problem
-    assert not folders.zip.exists()
-    assert list(folders.zip.parent.iterdir()) == []
+    ((subject, found),) = problems_by_subject(folders).items()
+    assert (subject, found.code) == (str(path), kind.code)
+    assert problem in found.problem
+    assert not folders.zip.parent.exists() or list(folders.zip.parent.iterdir()) == []
 
 
 def test_an_incomplete_data_set_is_noticed(folders):
@@ -135,9 +170,9 @@ def test_an_incomplete_data_set_is_noticed(folders):
     for path in (folders.scan("21", "000001"), folders.label("21", "000001")):
         path.unlink()
     for with_data in (True, False):
-        with refused(NoInputError, "sequence 21") as raised:
-            folders.submit(with_data=with_data)
-        assert ("complete the data set" in raised.value.hint) == with_data
+        (problem,) = folders.submit(with_data=with_data).problems
+        assert problem.subjects == ("sequence 21",)
+        assert ("complete the data set" in problem.hint) == with_data
 
 
 def test_nothing_is_replaced_unasked(folders):
@@ -146,8 +181,7 @@ def test_nothing_is_replaced_unasked(folders):
     with refused(OutputError, folders.zip):
         folders.submit()
     folders.label("11", "000001").unlink()
-    with refused(NoInputError, "sequence 11"):
-        folders.submit(overwrite=True)
+    assert list(problems_by_subject(folders, overwrite=True)) == ["sequence 11"]
     assert folders.zip.read_text() == "mine"
     folders.zip = folders.zip.with_suffix(".tar")
     with refused(OutputError, folders.zip):
@@ -156,13 +190,11 @@ def test_nothing_is_replaced_unasked(folders):
 
 def test_another_label_space_needs_the_scans_of_its_test_split(folders):
     space = replace(SPACE, splits={**SPACE.splits, "test": ("11", "99")})
-    with refused(NoInputError, "sequence 99"):
-        folders.submit(space=space)
+    assert list(problems_by_subject(folders, space=space)) == ["sequence 99"]
     folders.label("11", "000002").unlink()
     only = replace(space, splits={"test": ("11",)})
-    with refused(NoInputError, "sequence 11") as raised:
-        folders.submit(space=only)
-    assert "1 of 3 predictions: 000002" in raised.value.problem
+    (problem,) = folders.submit(space=only).problems
+    assert "1 of 3 predictions: 000002" in problem.problem
     assert folders.submit(space=only, with_data=False).scans == 2
 
 
