@@ -140,39 +140,6 @@ def test_ablation(tmp_path, capsys, monkeypatch):
     assert best == plain | differing, "all rungs are trained alike"
 
 
-def test_compare_runs(tmp_path, capsys):
-    """Cars change alike in all sequences, roads in opposite directions."""
-    tree, sequences = 70, ("00", "01", "02")
-    worlds = World(tmp_path), World(tmp_path)
-    worlds[1].out = tmp_path / "after"
-    truth = [CAR] * 10 + [ROAD] * 10
-    for world, wrong_cars, wrong_roads in zip(worlds, (5, 0), ("00", "01"), strict=True):
-        for sequence in sequences:
-            roads = [tree] * (sequence == wrong_roads) + truth[10:]
-            labels = [tree] * wrong_cars + truth[wrong_cars:10] + roads[:10]
-            world.add("0", truth, labels, sequence)
-    for world in worlds:
-        world.evaluate()
-    files = [str(world.out / "eval.json") for world in worlds]
-    load("compare_runs")(*files)
-    assert [line.split() for line in capsys.readouterr().out.splitlines()] == [
-        ["accuracy", "73.3", "→", "98.3", "+25.0", "clear"],
-        ["mean", "IoU", "73.3", "→", "98.3", "+25.0", "clear"],
-        ["car", "50.0", "→", "100.0", "+50.0", "clear"],
-        ["road", "96.7", "→", "96.7", "+0.0"],
-    ]
-    run = json.loads(Path(files[1]).read_text("utf-8"))
-    for other, word in (
-        ({"classes": ["car"]}, "--classes"),
-        ({"on_training_scans": True}, "trained"),
-        ({"rejection": {"points": 1}}, "rejected"),
-        ({"by_scan": {"00/1": {}}}, "--sequences"),
-    ):
-        Path(files[1]).write_text(json.dumps(run | other), "utf-8")
-        with pytest.raises(SystemExit, match=word):
-            load("compare_runs")(*files)
-
-
 def test_training_curves(tmp_path, capsys):
     for name, seconds in (("slow", 90), ("fast", 30)):
         rows = [{"epoch": epoch, "seconds": seconds} for epoch in (1, 2, 3)]

@@ -21,7 +21,7 @@ from salsanext_cli.core.wording import argument
 from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.runs.results.paths import COLOURS, ScanFile
 from salsanext_cli.runs.results.result_folder import ResultFolder
-from salsanext_cli.runs.results.scan_results import scalar_columns
+from salsanext_cli.runs.results.scan_results import picture_columns
 
 Colours = npt.NDArray[np.uint8]
 Values = npt.NDArray[np.float64]
@@ -84,7 +84,7 @@ def common_scales(
     scans : sequence of ScanFile
         Scans with results.
     colours : iterable of str
-        Some of `COLOURS`; those of classes have no scale.
+        Some of `PICTURE_COLOURS`; those of classes have no scale.
     space : LabelSpace
         Classes of the results.
     sensor : Sensor
@@ -110,20 +110,24 @@ def common_scales(
                 colours_of_scan.setdefault(file, []).append(colour)
     for file, colours_of_values in colours_of_scan.items():
         with suppress(SalsanextError):  # The run itself reports scans that cannot be read.
-            columns = scalar_columns(folder.read(file, sensor), space)
+            columns = picture_columns(folder.read(file, sensor), space)
             for colour in colours_of_values:
                 values[colour].append(columns[colour])
     return scales | {name: value_range(np.concatenate(arrays)) for name, arrays in values.items()}
 
 
 def require_colouring(
-    colours: Iterable[str], scale: tuple[float, float] | None, name: str = "colour"
+    colours: Iterable[str],
+    scale: tuple[float, float] | None,
+    name: str = "colour",
+    *,
+    possible: Sequence[str] = COLOURS,
 ) -> None:
-    """Refuse unknown colours, which are of the argument `name`, and an invalid scale."""
+    """Refuse an invalid scale, and colours of the argument `name` that are not possible."""
     for colour in colours:
-        if colour not in COLOURS:
-            hint = did_you_mean(colour, COLOURS)
-            raise UsageError(argument(name), colour, f"one of {', '.join(COLOURS)}", hint)
+        if colour not in possible:
+            hint = did_you_mean(colour, possible)
+            raise UsageError(argument(name), colour, f"one of {', '.join(possible)}", hint)
     if scale and not (scale[0] < scale[1] and all(map(math.isfinite, scale))):
         values = f"{scale[0]} {scale[1]}"
         raise UsageError(argument("scale"), values, "a lower and a higher number")
@@ -220,7 +224,7 @@ def legend_of(space: LabelSpace, *labels: npt.NDArray[Any]) -> Legend:
 class PointColours:
     """Colouring of points, the same for all scans of a run."""
 
-    colour: str  # One of `COLOURS` except "uncertainty"
+    colour: str  # One of `PICTURE_COLOURS` except "uncertainty"
     scale: Scale  # Of colours that are values
     space: LabelSpace  # Colours of the classes
     dark: bool = False  # Whether the background is `EMPTY`, unlike in files for other tools
@@ -233,7 +237,7 @@ class PointColours:
         return " ".join((self.colour, COLOUR_MAP, *(f"{mark:.6g}" for mark in self.scale)))
 
     def rgb(self, columns: Mapping[str, npt.NDArray[Any]]) -> Colours:
-        """Return red, green and blue of every point, (N, 3), from its `scalar_columns`."""
+        """Return red, green and blue of every point, (N, 3), from its `picture_columns`."""
         if self.colour not in CLASS_COLOURS:
             colour_map = None if self.dark else map_colours(COLOUR_MAP)
             return value_colours(columns[self.colour], *self.scale, colour_map=colour_map)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -29,7 +30,8 @@ from salsanext_cli.report.colours import (
     legend_of,
     map_on_dark,
 )
-from salsanext_cli.runs.results.scan_results import ScanResults, scalar_columns
+from salsanext_cli.runs.results.paths import COLOURINGS
+from salsanext_cli.runs.results.scan_results import HEIGHT, ScanResults, picture_columns
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -44,15 +46,34 @@ BAR_PX = 160  # Width of a colour bar with its numbers
 STRIP_HEIGHT_PX = 128  # Twice the 64 rows of an HDL-64
 MAX_IN_A_ROW = 4
 OVERSAMPLING = 2
+CAPTION_LINE_PX = 26
 GRIDS_M = {5.0: 1.0, 10.0: 2.0, 20.0: 5.0, 45.0: 10.0}
 """Possible distances from the middle to an edge, and between two circles, metres."""
 INSIDE = 0.99  # Least share of the points inside the picture of a small scan
+WIDE_GRIDS_M = {45.0: 10.0, 100.0: 20.0, 250.0: 50.0, 600.0: 100.0, 1500.0: 250.0}
+"""The same for scans of larger areas, such as surveys."""
+MOST_INSIDE = 0.85  # Least share of the points inside the picture of such a scan
+FAR = 4  # A picture that need not reach so many times as far is around the points
+RASTER_POINTS = 2**18  # Points that are drawn at a time, so that a large scan needs little memory
 TITLES = {
     "label": "prediction",
     "wrong": "errors of the prediction",
+    HEIGHT: "height above the sensor",
     **{name: kind.title for name, kind in UNCERTAINTY.items()},
 }
-UNITS = {"range": "m", **{name: kind.unit for name, kind in UNCERTAINTY.items()}}
+UNITS = {"range": "m", HEIGHT: "m", **{name: kind.unit for name, kind in UNCERTAINTY.items()}}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Frame:
+    """What a picture from above shows."""
+
+    middle: tuple[float, float] | None  # x and y, metres; None for the sensor
+    reach: float  # Distance from the middle to an edge, metres; one of `_grids`
+
+    def around(self, points: Float) -> Float:
+        """Return points (N, 3) relative to the middle."""
+        return points if self.middle is None else points - np.array([*self.middle, 0], np.float32)
 
 
 class Strip(NamedTuple):
@@ -74,7 +95,7 @@ def picture_of_results(
     strips: Collection[str],
 ) -> bytes:
     """Draw a scan as a PNG: `views` from above and `strips` of its range image, by colour."""
-    columns = scalar_columns(results, space)
+    columns = picture_columns(results, space)
     sensor = results.sensor or sensor
     image = project(results.scan, sensor)
     drawn_columns = dict.fromkeys([*views, *strips])
@@ -106,14 +127,53 @@ def picture_of_results(
     classes = f"classes of {space.name}   " if labels else ""
     heading = f"{name}   {counted(len(results.scan), 'point')}   {classes}sensor {sensor.name}"
     points = in_sensor_frame(results.scan, sensor).points
-    return scan_picture(printable(heading), points, view_colours, strip_list, legend, absent)
+    return scan_picture(
+        printable(heading),
+        points,
+        view_colours,
+        strip_list,
+        legend,
+        absent,
+        caption=() if _has_results(columns) else _caption(sensor, _frame(points)),
+    )
 
 
 def known_views(columns: Collection[str]) -> list[str]:
     """Return two to four columns to show from above: labels, errors, uncertainty, measurements."""
     views = [colour for colour in ("truth", "label", "wrong") if colour in columns]
     views += [kind for kind in ("error", "entropy", *UNCERTAINTY) if kind in columns][:1]
+    if not _has_results(columns):
+        return [*views, HEIGHT, "intensity"]
     return (views + ["intensity", "range"])[: max(2, len(views))]
+
+
+def known_strips(columns: Collection[str]) -> list[str]:
+    """Return the columns to show as range images: all, and the height of a scan alone."""
+    heights = () if _has_results(columns) else (HEIGHT,)
+    return [colour for colour in (*heights, *COLOURINGS) if colour in columns]
+
+
+def _has_results(columns: Collection[str]) -> bool:
+    """Return whether there are labels or uncertainties of a network among columns."""
+    return not {"label", *UNCERTAINTY}.isdisjoint(columns)
+
+
+def _caption(sensor: Sensor, frame: Frame) -> list[str]:
+    """Describe the pictures of a scan alone, which may be the first ones that somebody sees."""
+    view = f"{sensor.fov_up:+.3g}° at the top to {sensor.fov_down:+.3g}° at the bottom"
+    middle = "ahead (x) is up, and the triangle is the sensor"
+    if frame.middle is not None:
+        x, y = frame.middle
+        middle = f"x is up, around the middle of the points at x {x:,.0f} m, y {y:,.0f} m"
+    return [
+        f"From above: {middle}. The circles are {_grids()[frame.reach]:g} m apart. "
+        "Higher points hide lower ones.",
+        f"Range images: {sensor.height} rows of beams, from {view}, and {sensor.width} columns "
+        "all around. Ahead is in the middle, left a quarter from the left edge, behind at both "
+        "edges.",
+        "Colours: violet is low, yellow is high. 98 % of the values are between the ends of "
+        "the scale. Grey: no measurement.",
+    ]
 
 
 def scan_picture(
@@ -123,6 +183,7 @@ def scan_picture(
     strips: Sequence[Strip] = (),
     legend: Legend = (),
     absent: Collection[str] = (),
+    caption: Sequence[str] = (),
 ) -> bytes:
     """Draw views of a scan from above, strips and a legend below each other, as a PNG.
 
@@ -140,19 +201,22 @@ def scan_picture(
         Entries of the legend.
     absent : collection of str
         Its faint entries.
+    caption : sequence of str
+        Lines of text below the strips.
 
     Returns
     -------
     bytes
         Content of a PNG file.
     """
-    reach = _reach(points)
+    frame = _frame(points)
     width = NARROW_PX if len(views) == 1 else WIDTH_PX
     in_row = max(1, min(len(views), MAX_IN_A_ROW))
     size = (width - (in_row - 1) * MARGIN_PX) // in_row
     row_px = VIEW_TITLE_PX + size
     top = HEAD_PX + -(-len(views) // in_row) * row_px
     height = top + len(strips) * (STRIP_TITLE_PX + STRIP_HEIGHT_PX) + MARGIN_PX
+    height += len(caption) * CAPTION_LINE_PX
     bars = any(strip.scale for strip in strips)
     full_width = MARGIN_PX + width + (BAR_PX if bars else MARGIN_PX)
     figure = canvas.new_picture(full_width, height, legend, width, absent)
@@ -162,7 +226,7 @@ def scan_picture(
         view_top = HEAD_PX + i // in_row * row_px
         canvas.text_at(figure, left, view_top + VIEW_TITLE_PX // 2, title, 18)
         axes = canvas.axes_at(figure, left, view_top + VIEW_TITLE_PX, size, size)
-        _draw_from_above(axes, points, colours, size, reach)
+        _draw_from_above(axes, frame.around(points), colours, size, frame)
     for strip in strips:
         canvas.text_at(figure, MARGIN_PX, top + STRIP_TITLE_PX // 2 + 2, strip.title, 18)
         top += STRIP_TITLE_PX
@@ -170,17 +234,46 @@ def scan_picture(
         if strip.scale:
             _draw_bar(figure, strip.scale, strip.unit, MARGIN_PX + width + 16, top)
         top += STRIP_HEIGHT_PX
+    for line in caption:
+        top += CAPTION_LINE_PX
+        canvas.text_at(figure, MARGIN_PX, top, line, 15, canvas.FAINT)
     return canvas.png_of(figure)
 
 
+def _frame(points: Float) -> Frame:
+    """Return what to show of points (N, 3): the surroundings of the sensor, else of the points."""
+    reach = _reach(points)
+    measured = points[np.isfinite(points).all(axis=1) & points.any(axis=1), :2]
+    if len(measured):
+        x, y = np.median(measured, axis=0).tolist()
+        around = Frame(middle=(x, y), reach=0.0)
+        reach_around = _reach(around.around(points))
+        if FAR * reach_around <= reach:
+            return replace(around, reach=reach_around)
+    return Frame(middle=None, reach=reach)
+
+
 def _reach(points: Float) -> float:
-    """Return the least of `GRIDS_M`, in metres, that shows nearly all points (N, 3)."""
+    """Return the least of the possible distances, in metres, that shows most points (N, 3).
+
+    A small scan is shown nearly whole, the sparse far points of others are not.
+    """
     distances = np.abs(points[:, :2]).max(axis=1)
     distances = distances[(distances > 0) & np.isfinite(distances)]
+    if not len(distances):
+        return max(GRIDS_M)
     for reach in GRIDS_M:
-        if len(distances) and (distances < reach).mean() >= INSIDE:
+        if (distances < reach).mean() >= INSIDE:
             return reach
-    return max(GRIDS_M)
+    for reach in WIDE_GRIDS_M:
+        if (distances < reach).mean() >= MOST_INSIDE:
+            return reach
+    return max(WIDE_GRIDS_M)
+
+
+def _grids() -> dict[float, float]:
+    """Return the distance between two circles by the distance to an edge, metres."""
+    return GRIDS_M | WIDE_GRIDS_M
 
 
 def _draw_bar(figure: Figure, scale: Scale, unit: str, left: int, top: int) -> None:
@@ -211,17 +304,21 @@ def raster(points: Float, colours: Colours, reach: float, size: int, spread: int
     picture = np.full((size + 2 * spread, size + 2 * spread, 3), EMPTY, np.uint8)
     # All pixels of a point come before the next point, which hides it.
     across, down = np.meshgrid(np.arange(spread), np.arange(spread))
-    rows = (row[:, None] + down.ravel() + spread).ravel()
-    columns = (column[:, None] + across.ravel() + spread).ravel()
-    picture[rows, columns] = colours[order][inside].repeat(spread**2, axis=0)
+    drawn = order[inside]
+    for start in range(0, len(drawn), RASTER_POINTS):
+        part = slice(start, start + RASTER_POINTS)
+        rows = (row[part, None] + down.ravel() + spread).ravel()
+        columns = (column[part, None] + across.ravel() + spread).ravel()
+        picture[rows, columns] = colours[drawn[part]].repeat(spread**2, axis=0)
     return picture[spread : size + spread, spread : size + spread]
 
 
-def _draw_from_above(axes: Axes, points: Float, colours: Colours, size: int, reach: float) -> None:
-    """Draw points from above, the sensor and circles around it."""
+def _draw_from_above(axes: Axes, points: Float, colours: Colours, size: int, frame: Frame) -> None:
+    """Draw points relative to the middle from above, circles around it, and the sensor if there."""
     from matplotlib.patches import Circle
     from matplotlib.patheffects import withStroke
 
+    reach = frame.reach
     # Drawing larger and averaging makes the edges of points soft.
     large = raster(points, colours, reach, size * OVERSAMPLING, spread=3)
     blocks = large.reshape(size, OVERSAMPLING, size, OVERSAMPLING, 3)
@@ -229,12 +326,14 @@ def _draw_from_above(axes: Axes, points: Float, colours: Colours, size: int, rea
     axes.set_axis_off()
     axes.imshow(picture, extent=(reach, -reach, -reach, reach), interpolation="nearest")
     outline = [withStroke(linewidth=2.5, foreground=canvas.NIGHT)]
-    for radius in np.arange(GRIDS_M[reach], reach * 2**0.5, GRIDS_M[reach]):
+    step = _grids()[reach]
+    for radius in np.arange(step, reach * 2**0.5, step):
         axes.add_patch(Circle((0, 0), radius, fill=False, ec=canvas.FAINT, lw=0.6, alpha=0.55))
         if radius < reach:
             diagonal = radius * 0.5**0.5
             text = f"{radius:g} m"
             axes.text(-diagonal, diagonal, text, color=canvas.INK, fontsize=8, path_effects=outline)
-    axes.plot(0, 0, color=canvas.INK, marker="^", markersize=8)
+    if frame.middle is None:
+        axes.plot(0, 0, color=canvas.INK, marker="^", markersize=8)
     axes.set_xlim(reach, -reach)
     axes.set_ylim(-reach, reach)

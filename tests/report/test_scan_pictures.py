@@ -14,7 +14,7 @@ from salsanext_cli import Scan, label_space
 from salsanext_cli.report import scan_pictures
 from salsanext_cli.report.canvas import MARGIN_PX
 from salsanext_cli.report.colours import EMPTY, NOT_JUDGED, WRONG, screen_colours
-from salsanext_cli.runs.results.scan_results import ScanResults
+from salsanext_cli.runs.results.scan_results import ScanResults, picture_columns
 
 RED, GREEN = (255, 0, 0), (0, 255, 0)
 SPACE = label_space()
@@ -98,6 +98,33 @@ def test_points_that_are_not_judged_are_seen_and_named(results):
     assert count(drawn, EMPTY) > 2000
 
 
+def test_a_scan_alone_has_a_caption(results):
+    alone = replace(results, label=None, truth=None, uncertainty={})
+    columns = picture_columns(alone, SPACE)
+    assert scan_pictures.known_views(columns) == ["height", "intensity"]
+    assert scan_pictures.known_strips(columns) == ["height", "intensity", "range"]
+    colours = ("height", "intensity")
+    with_caption, without = pixels(draw(alone, *colours)), pixels(draw(results, *colours))
+    assert with_caption.shape[0] > without.shape[0]
+
+
+def test_the_height_is_that_above_the_sensor(results):
+    low = replace(results, sensor=replace(SMALL, origin=(0, 0, -1)))
+    scan = results.scan
+    assert low.height == pytest.approx(scan.points[:, 2] + 1, abs=1e-5)
+    unmeasured = replace(scan, points=np.zeros_like(scan.points))
+    assert np.isnan(replace(low, scan=unmeasured).height).all()
+
+
+def test_points_far_from_the_sensor_are_in_the_picture():
+    rng = np.random.default_rng(2)
+    points = rng.normal(0, 10, (2000, 3)).astype(np.float32)
+    colours = np.full((2000, 3), RED, np.uint8)
+    for shift in ((0, 0, 0), (5000, -300, 20)):
+        drawn = scan_pictures.scan_picture("", points + np.array(shift, np.float32), {"": colours})
+        assert count(pixels(drawn), RED) > 1000
+
+
 def test_strips_of_values_have_their_scale(results):
     near, far = (draw(results, "entropy", scales={"entropy": (0, high)}) for high in (1, 2))
     assert near != far
@@ -143,6 +170,15 @@ def test_a_higher_point_hides_a_lower_one(spread):
     assert not (picture == GREEN).all(axis=-1).any()
 
 
+def test_a_large_scan_is_drawn_in_parts(monkeypatch):
+    rng = np.random.default_rng(1)
+    points = rng.uniform(-10, 10, (500, 3))
+    colours = rng.integers(0, 256, (500, 3))
+    whole = seen(points, colours, spread=3)
+    monkeypatch.setattr(scan_pictures, "RASTER_POINTS", 7)
+    assert (seen(points, colours, spread=3) == whole).all()
+
+
 @pytest.mark.parametrize("point", [(np.nan, 0, 0), (np.inf, 0, 0), (10.01, 0, 0), (0, -1e9, 0)])
 def test_points_outside_the_picture_are_skipped(point):
     assert (seen([point], [RED]) == EMPTY).all()
@@ -150,7 +186,8 @@ def test_points_outside_the_picture_are_skipped(point):
 
 
 @pytest.mark.parametrize(
-    ("farthest", "reach"), [(0.5, 5), (4.9, 5), (5.1, 10), (19, 20), (30, 45), (90, 45)]
+    ("farthest", "reach"),
+    [(0.5, 5), (4.9, 5), (5.1, 10), (19, 20), (30, 45), (50, 45), (90, 100), (2000, 1500)],
 )
 def test_a_picture_from_above_is_as_wide_as_the_scan(farthest, reach, monkeypatch):
     monkeypatch.setattr("salsanext_cli.report.canvas.png_of", lambda _: b"")

@@ -10,10 +10,12 @@ from typing import Annotated
 import typer
 
 from salsanext_cli.commands.line import (
+    compare,
     knn_refine,
     look,
     models,
     own_data,
+    picture,
     predict,
     project,
     results,
@@ -41,13 +43,18 @@ COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
         "import-labels": own_data.import_labels,
         "train": train,
     },
-    "Trust": {"eval": results.evaluate, "uncertainty": uncertainty.uncertainty, "tune": tune},
+    "Trust": {
+        "eval": results.evaluate,
+        "compare": compare.compare,
+        "uncertainty": uncertainty.uncertainty,
+        "tune": tune,
+    },
     "Data": {
         "convert": own_data.convert,
         "export-ply": results.export_ply,
         "export-bag": results.export_bag,
         "export-las": results.export_las,
-        "picture": look.picture,
+        "picture": picture.picture,
         "filter": results.filter_command,
         "synth": own_data.synth,
         "submit": own_data.submit,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Commands that show results: pictures, pages, and the demonstration."""
+"""Commands that show results: pages, and the demonstration."""
 
 import os
 import shlex
@@ -16,31 +16,6 @@ from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.query import ResultQuery, named_label_space
 from salsanext_cli.runs.sensor_request import AUTO
-
-
-def picture(
-    out: Path = arguments.RESULTS,
-    *,
-    colour: list[str] | None = option(
-        f"{arguments.COLOUR_HELP}; may be given several times.",
-        "--colour",
-        "--color",
-        show_default="all that are available",
-    ),
-    scale: tuple[float, float] | None = arguments.SCALE,
-    query: ResultQuery,
-    running: RunOptions,
-    output: console.Output,
-) -> None:
-    """Draw scans and their results, from above and as range images, as PNG.
-
-    Example: salsanext picture out/ --colour label --colour uncertainty
-    """
-    from salsanext_cli.commands.stages.picture import picture as stage
-
-    with over_results("picture", running, output.quiet) as options:
-        outcome = stage(out, colours=colour or (), scale=scale, query=query, options=options)
-    summary.print_summary_and_exit("picture", outcome, out, output)
 
 
 def demo(
@@ -112,7 +87,7 @@ def report(
     """
     from salsanext_cli.commands.stages.report import report as stage
 
-    out = _results_in(out)
+    out = results_in(out)
     with over_results("report", running, output.quiet, at_end=True) as options:
         written = stage(
             out,
@@ -151,7 +126,7 @@ def view(
     """
     from salsanext_cli.commands.stages.report import view as stage
 
-    out = _results_in(out)
+    out = results_in(out)
     with over_results("view", running, output.quiet, at_end=True) as options:
         server = stage(out, port=port, query=query, options=options)
     summary.print_failures(server.failures)
@@ -170,7 +145,7 @@ def view(
     summary.exit_with_status(server.failures, server.missing)
 
 
-def _results_in(folder: Path) -> Path:
+def results_in(folder: Path) -> Path:
     """Return a folder of results; in a data set of `pick`, that of the picked scans."""
     from salsanext_cli.runs.labelling.label_records import PICKED
     from salsanext_cli.runs.labelling.picked_data_set import PREDICTED

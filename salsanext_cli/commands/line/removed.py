@@ -11,10 +11,7 @@ USE_PREDICT = "run `predict` with it on your own scans, or on those that `synth`
 RATES_ARE_TRIED = "omit it: `tune dropout` tries ten rates from 0.02 to 0.5"
 FITTED_IN_FLOAT32 = "omit it: `tune int8` fits the ranges in float32 on the CPU"
 ALL_COMMANDS = ""
-REMOVED_COMMANDS = {
-    "compare": "use `eval` on both folders, then examples/compare_runs.py",
-    "export-rrd": "use examples/rerun_recording.py",
-}
+REMOVED_COMMANDS = {"export-rrd": "use examples/rerun_recording.py"}
 """Hint by the name of a command."""
 REMOVED_OPTIONS = {
     ALL_COMMANDS: {

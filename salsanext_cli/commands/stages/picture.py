@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Stage `picture`: pictures of scans and results."""
+"""Stage `picture`: pictures of scans, with their results if there are any."""
 
 import logging
 from collections.abc import Collection, Sequence
@@ -7,64 +7,51 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
+from salsanext_cli.commands.jobs.picture_task import (
+    FOLDER,
+    PictureTask,
+    drawn_colours,
+    picture_scales,
+    require_drawable,
+)
 from salsanext_cli.core.classes.label_space import LabelSpace
-from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.notices import NOTICE
+from salsanext_cli.core.records import Origin
 from salsanext_cli.core.sensors.sensor import Sensor
-from salsanext_cli.core.wording import argument
 from salsanext_cli.io.sensors import sensor as named_sensor
-from salsanext_cli.report.colours import CLASS_COLOURS, Scales, common_scales, require_colouring
-from salsanext_cli.report.scan_pictures import known_views, picture_of_results
+from salsanext_cli.report.colours import Scales
 from salsanext_cli.runs.fit.sensor_fit import fitted_view
+from salsanext_cli.runs.fit.stated_origin import origin_in_frame
 from salsanext_cli.runs.labelling.foreign_labels import warn_of_foreign_labels
+from salsanext_cli.runs.loop.recorded_names import with_recorded_names
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
+from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.records.stage_settings import PictureSettings
-from salsanext_cli.runs.results.output_run import OutputRun, output_run
-from salsanext_cli.runs.results.paths import COLOURINGS, PREDICTION_STAGES, ScanFile
+from salsanext_cli.runs.results.output_run import output_run
+from salsanext_cli.runs.results.paths import COLOURINGS, PREDICTION_STAGES
 from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.results.result_folder import ChosenResults, ResultFolder
-from salsanext_cli.runs.results.scan_results import scalar_columns
+from salsanext_cli.runs.results.scan_results import HEIGHT
+from salsanext_cli.runs.results.selection import (
+    MissingResults,
+    choose,
+    scans_of,
+    space_of,
+    space_of_labels,
+)
 
 STAGE: Final = "picture"
-FOLDER = "pictures"
 
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PictureTask:
-    """Task that draws a scan in some colours, or in all colours that it has."""
+class PictureOutcome(Outcome):
+    """Numbers of a run that drew scans, and what the pictures show."""
 
-    colours: Sequence[str]  # Empty for all
-    scales: Scales
-    space: LabelSpace
-    sensor: Sensor
-    output: OutputRun
-    classes: LabelSpace | None  # Classes into which predicted ones are merged
-    truth_in: tuple[LabelSpace, LabelSpace] | None  # As of `ResultFolder.read`
-
-    def __call__(self, file: ScanFile) -> None:
-        """Write the picture of a scan."""
-        self.output.require_replaceable(file)
-        folder = ResultFolder(self.output.root)
-        results = folder.read(file, self.sensor, self.classes, self.truth_in)
-        columns = scalar_columns(results, self.space)
-        for colour in self.colours:
-            if colour not in columns:
-                raise folder.missing_column(colour, file)
-        views = self.colours or known_views(columns)
-        strips = self.colours or [colour for colour in COLOURINGS if colour in columns]
-        png = picture_of_results(
-            file.name, results, self.space, self.sensor, self.scales, views, strips
-        )
-        self.output.write(self.output.path(file, FOLDER), png)
-
-
-def _draws_truth(chosen: ChosenResults, colours: Collection[str], sensor: Sensor) -> bool:
-    """Return whether pictures need the true labels: if asked for, or if there are usable ones."""
-    if colours:
-        return bool({"truth", "wrong"} & {*colours})
-    return not warn_of_foreign_labels(chosen.scans, chosen.labels, sensor)
+    sensor: Sensor  # Sensor of the range images
+    scales: Scales  # Values at equal steps along the colour map, by colour
+    first: Path  # Picture of the first scan
 
 
 def picture(
@@ -74,15 +61,15 @@ def picture(
     scale: tuple[float, float] | None = None,
     query: ResultQuery = ResultQuery(),
     options: RunOptions = RunOptions(),
-) -> Outcome:
-    """Write `OUT/sequences/<seq>/pictures/*.png`.
+) -> PictureOutcome:
+    """Draw scans with results to `OUT/sequences/<seq>/pictures/*.png`.
 
     Parameters
     ----------
     out : Path
         Folder with results.
     colours : collection of str
-        Some of `COLOURS`; by default every colour that a scan has.
+        Some of `PICTURE_COLOURS`; by default every colour that a scan has.
     scale : tuple of float, optional
         Values at the ends of the colour map, for a single colour.
     query : ResultQuery, optional
@@ -92,117 +79,218 @@ def picture(
 
     Returns
     -------
-    Outcome
+    PictureOutcome
     """
-    require_colouring(colours, scale, "colours")
-    _require_scalable(colours, scale)
+    require_drawable(colours, scale)
     results = ResultFolder(out, query.dataset)
     chosen = results.chosen(query)
-    colours = _drawn_colours(results, chosen.scans, colours)
-    origins = results.manifest.origins(PREDICTION_STAGES)
-    earlier = _recorded(results)
-    is_outdated = earlier is not None and earlier.origins != origins
-    overwrite = options.overwrite or is_outdated
-    continued = None if overwrite else earlier
-    sensor = _sensor_of_images(results, chosen.scans, continued)
-    scales = _scales(results, chosen, colours, scale, continued, sensor)
-    settings = PictureSettings(
-        colours=tuple(colours),
-        scales=scales,
-        sensor=sensor,
-        label_space=chosen.space,
-        origins=origins,
+    run = PictureRun(
+        results=results,
+        chosen=chosen,
+        colours=drawn_colours(results, chosen.scans, colours),
+        scale=scale,
+        query=query,
+        options=options,
     )
-    run = output_run(
-        out, STAGE, settings, (FOLDER,), chosen.scans, overwrite=overwrite, record_scans=False
-    )
-    draws_truth = _draws_truth(chosen, colours, sensor)
-    with run as output:
-        task = PictureTask(
-            colours=colours,
-            scales=scales,
-            space=chosen.space,
-            sensor=sensor,
-            output=output,
-            classes=query.classes,
-            truth_in=(chosen.labels, chosen.space) if draws_truth else None,
-        )
-        outcome = run_over_scans(task, chosen.scans, options, is_done=output.is_done)
-        log.log(NOTICE, "pictures: %s", out / "sequences/*" / FOLDER)
-    return replace(outcome, missing=chosen.missing)
+    sensor = run.recorded_sensor or fitted_view(chosen.scans, named_sensor("hdl64"))
+    scales = run.scales(sensor, COLOURINGS, run.continued)
+    settings = run.settings(scales, sensor, chosen.space)
+    return run.draw(settings, scales, sensor, record_scans=False)
 
 
-def _require_scalable(colours: Collection[str], scale: tuple[float, float] | None) -> None:
-    """Refuse a scale for anything but a single colour of values."""
-    if scale and (len(colours) != 1 or {*colours} & {*CLASS_COLOURS}):
-        problem = f"{argument('colours')} is {', '.join(colours) or 'missing'}"
-        raise UsageError(argument("scale"), problem, "a single colour of values, such as error")
+def picture_scans(
+    source: Path | Sequence[Path],
+    out: Path,
+    *,
+    colours: Collection[str] = (),
+    scale: tuple[float, float] | None = None,
+    settings: NetworkSettings = NetworkSettings(),
+    origin: Origin | None = None,
+    query: ResultQuery = ResultQuery(),
+    options: RunOptions = RunOptions(),
+) -> PictureOutcome:
+    """Draw scans, which need no results, to `OUT/sequences/<seq>/pictures/*.png`.
 
-
-def _drawn_colours(
-    results: ResultFolder, scans: Sequence[ScanFile], colours: Collection[str]
-) -> list[str]:
-    """Return each colour once, with a kind of uncertainty for "uncertainty"; refuse absent ones."""
-    kind = results.meant_uncertainty(scans)
-    drawn = dict.fromkeys(kind if colour == "uncertainty" else colour for colour in colours)
-    for colour in drawn:
-        results.require_column(colour, scans)
-    return list(drawn)
-
-
-def _sensor_of_images(
-    results: ResultFolder, scans: Sequence[ScanFile], continued: PictureSettings | None
-) -> Sensor:
-    """Return the sensor of the range images: as recorded, else fitted to the scans."""
-    recorded = results.manifest.known_sensor() or (continued.sensor if continued else None)
-    return recorded or fitted_view(scans, named_sensor("hdl64"))
-
-
-def _scales(
-    results: ResultFolder,
-    chosen: ChosenResults,
-    colours: Sequence[str],
-    scale: tuple[float, float] | None,
-    continued: PictureSettings | None,
-    sensor: Sensor,
-) -> Scales:
-    """Return the ends of the scale of each colour of values: given, as recorded, or common ones.
+    A folder may collect the pictures of scans that have nothing in common: each call has scales and
+    a sensor of its own. So the record contains only what was requested.
 
     Parameters
     ----------
-    results : ResultFolder
-        Results.
-    chosen : ChosenResults
-        The chosen scans.
-    colours : sequence of str
-        Colours of the pictures; empty for all.
+    source : Path or sequence of Path
+        Scan files, a folder of scans, a sequence, a data set or a recording.
+    out : Path
+        Output folder. Its results of the same scans are drawn too.
+    colours : collection of str
+        Some of `PICTURE_COLOURS`; by default height, intensity and range, or the results.
     scale : tuple of float, optional
-        Ends of the scale of the only colour.
-    continued : PictureSettings, optional
-        Settings of the pictures that are continued, whose scales stay.
-    sensor : Sensor
-        Sensor of the range images.
+        Values at the ends of the colour map, for a single colour.
+    settings : NetworkSettings, optional
+        Sensor of the scans, as `predict` takes it; no network is loaded.
+    origin : 3 floats, optional
+        Position of the sensor in the coordinates of the files, in metres.
+    query : ResultQuery, optional
+        Choice of the scans, and their classes.
+    options : RunOptions, optional
+        Workers, progress, and treatment of failures and of existing results.
 
     Returns
     -------
-    dict
-        Ends by colour.
+    PictureOutcome
     """
-    values = [
-        colour
-        for colour in colours or COLOURINGS
-        if colour not in CLASS_COLOURS and results.with_column(colour, chosen.scans)
-    ]
-    scales: Scales = {}
-    if scale is not None:
-        scales = dict.fromkeys(values, scale)
-    elif continued is not None:
-        scales = dict(continued.scales or {})
-    unscaled = [colour for colour in values if colour not in scales]
-    return scales | common_scales(results.root, chosen.scans, unscaled, chosen.space, sensor)
+    require_drawable(colours, scale)
+    listed = with_recorded_names(scans_of(source), out)
+    requested_space = query.classes or query.label_space
+    space = requested_space or space_of(listed)
+    scans = choose(listed, query.selection, space, source)
+    results = ResultFolder(out)
+    run = PictureRun(
+        results=results,
+        chosen=ChosenResults(
+            scans=scans,
+            space=space,
+            labels=space_of_labels(listed, space, query.label_space),
+            missing=MissingResults(),
+        ),
+        colours=drawn_colours(results, scans, colours),
+        scale=scale,
+        query=query,
+        options=options,
+    )
+    if origin is not None:
+        reader = settings.named_sensor() or settings.trained_sensor()
+        settings = replace(settings, origin=origin_in_frame(origin, listed, reader))
+    requested = settings.named_sensor()
+    sensor = fitted_view(
+        listed,
+        requested or settings.trained_sensor(),
+        None if requested else results.manifest.known_sensor(),
+        view=settings.fits_view,
+        mounting=settings.fits_mounting,
+    )
+    scales = run.scales(sensor, (HEIGHT, *COLOURINGS), None)
+    requested_scales: Scales = {} if scale is None else dict.fromkeys(run.colours, scale)
+    recorded = run.settings(requested_scales, requested, requested_space)
+    return run.draw(recorded, scales, sensor, record_scans=True)
 
 
-def _recorded(results: ResultFolder) -> PictureSettings | None:
-    """Return the settings of earlier pictures, None without any."""
-    settings = results.manifest.settings(STAGE)
-    return settings if isinstance(settings, PictureSettings) else None
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PictureRun:
+    """Run that draws chosen scans."""
+
+    results: ResultFolder  # Folder of the pictures, and of results of the scans
+    chosen: ChosenResults
+    colours: Sequence[str]  # Empty for all
+    scale: tuple[float, float] | None  # Requested ends of the scale of the only colour
+    query: ResultQuery
+    options: RunOptions
+
+    @property
+    def earlier(self) -> PictureSettings | None:
+        """Settings of earlier pictures, None without any."""
+        settings = self.results.manifest.settings(STAGE)
+        return settings if isinstance(settings, PictureSettings) else None
+
+    @property
+    def overwrite(self) -> bool:
+        """Whether earlier pictures are replaced: on request, or if their results changed."""
+        earlier = self.earlier
+        is_outdated = earlier is not None and earlier.origins != self._origins()
+        return self.options.overwrite or is_outdated
+
+    @property
+    def continued(self) -> PictureSettings | None:
+        """Settings of the earlier pictures that this run continues, None without any."""
+        return None if self.overwrite else self.earlier
+
+    @property
+    def recorded_sensor(self) -> Sensor | None:
+        """Sensor of the results of the folder, else of the pictures that this run continues."""
+        continued = self.continued
+        return self.results.manifest.known_sensor() or (continued.sensor if continued else None)
+
+    def _origins(self) -> dict[str, str]:
+        return self.results.manifest.origins(PREDICTION_STAGES)
+
+    def scales(
+        self, sensor: Sensor, possible: Sequence[str], continued: PictureSettings | None
+    ) -> Scales:
+        """Return the scales of the pictures, as of `picture_scales`.
+
+        `possible`: colours that the pictures may have if none was requested.
+        """
+        return picture_scales(
+            self.results,
+            self.chosen.scans,
+            self.colours or possible,
+            scale=self.scale,
+            continued=continued,
+            space=self.chosen.space,
+            sensor=sensor,
+        )
+
+    def settings(
+        self, scales: Scales, sensor: Sensor | None, space: LabelSpace | None
+    ) -> PictureSettings:
+        """Return the settings to record."""
+        return PictureSettings(
+            colours=tuple(self.colours),
+            scales=scales,
+            sensor=sensor,
+            label_space=space,
+            origins=self._origins(),
+        )
+
+    def draw(
+        self, settings: PictureSettings, scales: Scales, sensor: Sensor, *, record_scans: bool
+    ) -> PictureOutcome:
+        """Draw the scans.
+
+        Parameters
+        ----------
+        settings : PictureSettings
+            Settings to record.
+        scales : dict
+            Values at equal steps along the colour map, by colour.
+        sensor : Sensor
+            Sensor of the range images.
+        record_scans : bool
+            Whether to record where the scans are.
+        """
+        results = self.results
+        chosen = self.chosen
+        colours = self.colours
+        run = output_run(
+            results.root,
+            STAGE,
+            settings,
+            (FOLDER,),
+            chosen.scans,
+            overwrite=self.overwrite,
+            record_scans=record_scans,
+        )
+        draws_truth = _draws_truth(chosen, colours, sensor)
+        with run as output:
+            task = PictureTask(
+                colours=colours,
+                scales=scales,
+                space=chosen.space,
+                sensor=sensor,
+                output=output,
+                classes=self.query.classes,
+                truth_in=(chosen.labels, chosen.space) if draws_truth else None,
+            )
+            outcome = run_over_scans(task, chosen.scans, self.options, is_done=output.is_done)
+            log.log(NOTICE, "pictures: %s", results.root / "sequences/*" / FOLDER)
+        return PictureOutcome.from_run(
+            replace(outcome, missing=chosen.missing),
+            sensor=sensor,
+            scales=scales,
+            first=output.path(chosen.scans[0], FOLDER),
+        )
+
+
+def _draws_truth(chosen: ChosenResults, colours: Collection[str], sensor: Sensor) -> bool:
+    """Return whether pictures need the true labels: if asked for, or if there are usable ones."""
+    if colours:
+        return bool({"truth", "wrong"} & {*colours})
+    return not warn_of_foreign_labels(chosen.scans, chosen.labels, sensor)

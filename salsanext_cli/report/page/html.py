@@ -13,6 +13,7 @@ from salsanext_cli.report.colours import screen_colours
 from salsanext_cli.report.page.class_table import class_table
 from salsanext_cli.report.page.clouds import Scale, encode_cloud
 from salsanext_cli.report.page.labelled_scans import labelled_scans
+from salsanext_cli.report.page.other_run import other_run
 from salsanext_cli.report.page.overview import overview
 from salsanext_cli.report.page.rendering import render
 from salsanext_cli.report.page.run_results import Comparison, RunResults, ShownScan
@@ -94,6 +95,7 @@ def html_of(
             "warnings": [*run.warnings(), *failures],
             "classes": class_table(class_points.sum(axis=0), compared, space, colours),
             "comparison": labelled_scans(compared, space) if compared else None,
+            "other_run": other_run(run.reader.out),
             "data": escaped(data),
             "clouds": escaped(clouds),
         }

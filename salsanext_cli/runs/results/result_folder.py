@@ -333,6 +333,16 @@ class ResultFolder:
         return MEANT_BY_UNCERTAINTY[0]
 
 
+def is_result_folder(folder: Path) -> bool:
+    """Return whether a folder has results of scans, or the record of a stage that ran in it."""
+    if any(find_outputs(folder, name) for name in FOLDERS):
+        return True
+    try:
+        return bool(Manifest(folder).records())
+    except OutputError:
+        return False  # A file of somebody else that has the name of a record.
+
+
 def _is_sequence(dataset: Path) -> bool:
     """Return whether it is a folder of scans or a recording, not a data set."""
     is_data_set = (dataset / "sequences").is_dir()

@@ -18,7 +18,11 @@ from salsanext_cli.core.uncertainty.kinds import UNCERTAINTY
 from salsanext_cli.io.files.reading import present
 from salsanext_cli.io.formats.kitti_labels import read_labels
 from salsanext_cli.io.formats.npy import read_uncertainty
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.results.paths import COLOURS, ScanFile
+
+HEIGHT = "height"
+PICTURE_COLOURS = (*COLOURS, HEIGHT)
+"""Values for the colours of pictures; in a point cloud, the height is a coordinate."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,6 +43,13 @@ class ScanResults:
         with np.errstate(over="ignore"):  # Distances above the range of float32 become infinite.
             scan = in_sensor_frame(self.scan, self.sensor) if self.sensor else self.scan
             return measured_ranges(scan.points)[0].astype(np.float32)
+
+    @property
+    def height(self) -> Float:
+        """Height of every point above the sensor, (N,) float32, metres; NaN if not measured."""
+        scan = in_sensor_frame(self.scan, self.sensor) if self.sensor else self.scan
+        measured = measured_ranges(scan.points)[1]
+        return np.where(measured, scan.points[:, 2], np.float32(np.nan))
 
     def wrong(self, space: LabelSpace) -> Float:
         """Return 1 for wrong labels, 0 for right ones, NaN for points that do not count, (N,)."""
@@ -132,3 +143,8 @@ def scalar_columns(cloud: ScanResults, space: LabelSpace) -> dict[str, npt.NDArr
         if cloud.label is not None:
             columns["wrong"] = cloud.wrong(space)
     return columns | cloud.uncertainty
+
+
+def picture_columns(cloud: ScanResults, space: LabelSpace) -> dict[str, npt.NDArray[Any]]:
+    """Return every value of the points that pictures can show, (N,), by its colour."""
+    return {HEIGHT: cloud.height, **scalar_columns(cloud, space)}

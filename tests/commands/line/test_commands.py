@@ -60,6 +60,46 @@ def test_every_stage_in_turn_each_with_one_object_of_json(run, data, weights, tm
     assert (refused.exit_code, subject(refused)) == (2, "--objects")
 
 
+def test_scans_are_drawn_before_any_result(run, data, tmp_path):
+    look, out = tmp_path / "look", tmp_path / "out"
+    columns = ("--columns", "x,y,z,intensity", "--limit", 1)
+    drawn = run("picture", data, look, *columns, status=0)
+    lines = drawn.stderr.splitlines()
+    assert any(
+        re.match(r"colours: height -?[\d.]+ to .* m; intensity .*; range ", s) for s in lines
+    )
+    named = "--columns x,y,z,intensity"
+    assert lines[-1] == f"next: salsanext predict {data} {look} {named}"
+    printed = only_json(run("picture", data, out, "--colour", "height", "--json", status=0))
+    assert (printed["done"], list(printed["scales"])) == (2, ["height"])
+    assert Path(printed["first"]).read_bytes() == b"picture"
+
+
+def test_options_of_scans_are_refused_for_results(run, results, data):
+    run("picture", results, status=0)
+    for option in (("--columns", "x,y,z"), ("--origin", "0,0,1"), ("--sensor", "hdl64")):
+        refused = run("picture", results, *option)
+        assert (refused.exit_code, subject(refused)) == (2, option[0])
+    refused = run("picture", results, data)
+    assert (refused.exit_code, subject(refused)) == (2, "OUT")
+
+
+def test_runs_are_compared_with_the_first(run, predict, results, tmp_path):
+    others = [tmp_path / name for name in ("second", "third")]
+    for other, k in zip(others, (1, 5), strict=True):
+        assert predict(other, "--knn-k", k).exit_code == 0
+    compared = run("compare", results, *others, "--json", status=0)
+    first, second = only_json(compared)["comparisons"]
+    assert [run["after"] for run in (first, second)] == [str(other) for other in others]
+    assert (first["scans"], second["agreement"]) == (2, 1)
+    assert first["agreement"] < 1
+    printed = run("compare", results, others[0], status=0)
+    assert "accuracy" in printed.stdout
+    assert printed.stderr.splitlines()[-1].startswith(f"compare: 2 scans → {others[0]}/")
+    refused = run("compare", results, results)
+    assert (refused.exit_code, subject(refused)) == (2, str(results))
+
+
 def test_columns_are_those_of_the_scans_in_every_stage(run, data, weights, tmp_path):
     out, steps, plain = tmp_path / "out", tmp_path / "steps", tmp_path / "plain"
     network = ("--weights", weights, "--device", "cpu")

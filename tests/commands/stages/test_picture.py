@@ -6,17 +6,18 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 from PIL import Image
-from scans import files_below, refused, write_array
+from scans import files_below, make_scan, refused, write_array, write_bin
 
-from salsanext_cli import label_space
-from salsanext_cli.commands.stages import picture as stage
-from salsanext_cli.commands.stages.picture import picture
+from salsanext_cli import Scan, label_space, write_ply
+from salsanext_cli.commands.jobs import picture_task as task
+from salsanext_cli.commands.stages.picture import picture, picture_scans
 from salsanext_cli.commands.stages.predict import predict_scans
-from salsanext_cli.core.errors import OutputError
+from salsanext_cli.core.errors import NoInputError, OutputError, UsageError
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.report import scan_pictures
 from salsanext_cli.report.colours import WRONG, screen_colours
 from salsanext_cli.runs.loop.run import RunOptions
+from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 
@@ -45,7 +46,7 @@ def plain(monkeypatch):
         Image.new("L", (32, 32), next(greys)).convert("RGB").save(png, "png")
         return png.getvalue()
 
-    monkeypatch.setattr(stage, "picture_of_results", picture)
+    monkeypatch.setattr(task, "picture_of_results", picture)
 
 
 @pytest.fixture
@@ -63,8 +64,12 @@ def pngs(world):
     return {name: png for name, png in files_below(world.out).items() if name.endswith(".png")}
 
 
+def pixels(path):
+    return (imread(path)[..., :3] * 255).round().astype(int)
+
+
 def drawn(world, sequence="00", stem="000000"):
-    return (imread(world.result("pictures", sequence, stem))[..., :3] * 255).round().astype(int)
+    return pixels(world.result("pictures", sequence, stem))
 
 
 def has(picture, colour):
@@ -134,3 +139,107 @@ def test_a_scan_without_a_wanted_colour_fails_alone(labelled):
     outcome = draw(labelled, colours=["entropy"])
     assert (outcome.done, [failure.code for failure in outcome.failures]) == (1, ["no-input"])
     assert [scan.stem for scan in outcome.missing.scans] == ["000001"]
+
+
+@pytest.fixture
+def alone(tmp_path):
+    """Return a function that writes a scan without labels, in the format of a suffix."""
+
+    def write(name, points):
+        path = tmp_path / "unknown" / name
+        intensity = np.linspace(0, 1, len(points), dtype=np.float32)
+        write_scan(path, points, intensity)
+        return path
+
+    return write
+
+
+def write_scan(path, points, intensity):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.suffix == ".ply":
+        columns = dict(zip("xyz", points.T, strict=True)) | {"intensity": intensity}
+        write_ply(path, columns)
+    else:
+        write_bin(path, Scan(points, intensity))
+
+
+@pytest.mark.parametrize("name", ["scan.bin", "scan.ply"])
+def test_an_unknown_file_is_drawn_by_height_and_intensity(alone, tmp_path, name):
+    points = make_scan().points.copy()
+    points[:50] = 0  # Without a measurement
+    out = tmp_path / "out"
+    outcome = picture_scans(alone(name, points), out)
+    assert (outcome.done, outcome.failures) == (1, ())
+    assert [*files_below(out)].count("sequences/unknown/pictures/scan.png") == 1
+    assert outcome.first == out / "sequences/unknown/pictures/scan.png"
+    heights = points[50:, 2]
+    assert outcome.scales["height"] == pytest.approx(np.percentile(heights, (1, 99)), abs=1e-4)
+    assert set(outcome.scales) == {"height", "intensity", "range"}
+
+
+@pytest.mark.usefixtures("plain")
+def test_scans_that_have_nothing_in_common_may_share_a_folder(alone, tmp_path):
+    out, unfitted = tmp_path / "out", NetworkSettings(fit=False)
+    near = alone("near.bin", make_scan().points)
+    far = alone("far.bin", 4 * make_scan().points)
+
+    def drawn_in_out(path, **changes):
+        return picture_scans(path, out, settings=unfitted, **changes)
+
+    scales = [drawn_in_out(path).scales["height"] for path in (near, far)]
+    assert scales[1] == pytest.approx(4 * np.array(scales[0]), rel=1e-5)
+    assert [drawn_in_out(path).skipped for path in (near, far)] == [1, 1]
+    with refused(OutputError, out / "picture.json"):
+        drawn_in_out(near, scale=(0, 1), colours=["height"])
+
+
+@pytest.mark.usefixtures("plain")
+def test_scans_have_the_sensor_that_is_requested(alone, tmp_path):
+    path = alone("scan.bin", make_scan().points)
+    narrow = NetworkSettings(width=256)
+    assert picture_scans(path, tmp_path / "narrow", settings=narrow).sensor.width == 256
+    moved = picture_scans(path, tmp_path / "moved", origin=(0.5, 0.0, -1.0))
+    assert moved.sensor.origin == (0.5, 0.0, -1.0)
+    low, high = moved.scales["height"]
+    heights = make_scan().points[:, 2] + 1
+    assert (low, high) == pytest.approx(np.percentile(heights, (1, 99)), abs=1e-4)
+
+
+@pytest.mark.usefixtures("plain")
+def test_pictures_of_scans_stay_until_there_are_results(world):
+    assert picture_scans(world.data, world.out).done == 3
+    assert picture_scans(world.data, world.out).skipped == 3
+    refused(
+        OutputError,
+        world.out / "picture.json",
+        picture_scans,
+        world.data,
+        world.out,
+        colours=["height"],
+    )
+    # A later `predict` makes them outdated.
+    predict_scans(world.data, world.out, settings=world.network)
+    assert picture(world.out).done == 3
+
+
+def test_the_truth_of_scans_is_drawn_if_there_is_any(world, tmp_path):
+    with_truth = picture_scans(world.data, tmp_path / "with", query=ResultQuery(None, ONE))
+    assert has(pixels(with_truth.first), class_colour(CAR))
+    for path in world.data.rglob("*.label"):
+        path.unlink()
+    without = picture_scans(world.data, tmp_path / "without", query=ResultQuery(None, ONE))
+    assert not has(pixels(without.first), class_colour(CAR))
+    assert pixels(without.first).shape[0] < pixels(with_truth.first).shape[0]
+    with refused(NoInputError, world.scan("00")):
+        picture_scans(world.data, tmp_path / "truth", colours=["truth"])
+
+
+def test_scans_that_cannot_be_read_fail_alone(alone, tmp_path):
+    alone("b.bin", make_scan().points)
+    (tmp_path / "unknown/a.bin").write_bytes(b"12345")
+    outcome = picture_scans(tmp_path / "unknown", tmp_path / "out")
+    assert (outcome.done, [failure.code for failure in outcome.failures]) == (1, ["format"])
+    with refused(NoInputError, tmp_path / "nowhere"):
+        picture_scans(tmp_path / "nowhere", tmp_path / "out")
+    with refused(UsageError, "colours"):
+        picture_scans(tmp_path / "unknown", tmp_path / "out", colours=["heights"])

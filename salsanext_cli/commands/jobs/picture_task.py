@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: MIT
+"""Task that draws scans, and the scales that all pictures of a run share."""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+from salsanext_cli.core.classes.label_space import LabelSpace
+from salsanext_cli.core.errors import UsageError
+from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.wording import argument
+from salsanext_cli.report.colours import CLASS_COLOURS, Scales, common_scales, require_colouring
+from salsanext_cli.report.scan_pictures import known_strips, known_views, picture_of_results
+from salsanext_cli.runs.records.stage_settings import PictureSettings
+from salsanext_cli.runs.results.output_run import OutputRun
+from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.results.result_folder import ResultFolder
+from salsanext_cli.runs.results.scan_results import PICTURE_COLOURS, picture_columns
+
+FOLDER = "pictures"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PictureTask:
+    """Task that draws a scan in some colours, or in all colours that it has."""
+
+    colours: Sequence[str]  # Empty for all
+    scales: Scales
+    space: LabelSpace
+    sensor: Sensor
+    output: OutputRun
+    classes: LabelSpace | None  # Classes into which predicted ones are merged
+    truth_in: tuple[LabelSpace, LabelSpace] | None  # As of `ResultFolder.read`
+
+    def __call__(self, file: ScanFile) -> None:
+        """Write the picture of a scan."""
+        self.output.require_replaceable(file)
+        folder = ResultFolder(self.output.root)
+        results = folder.read(file, self.sensor, self.classes, self.truth_in)
+        columns = picture_columns(results, self.space)
+        for colour in self.colours:
+            if colour not in columns:
+                raise folder.missing_column(colour, file)
+        png = picture_of_results(
+            file.name,
+            results,
+            self.space,
+            self.sensor,
+            self.scales,
+            self.colours or known_views(columns),
+            self.colours or known_strips(columns),
+        )
+        self.output.write(self.output.path(file, FOLDER), png)
+
+
+def require_drawable(colours: Collection[str], scale: tuple[float, float] | None) -> None:
+    """Refuse unknown colours, and a scale for anything but a single colour of values."""
+    require_colouring(colours, scale, "colours", possible=PICTURE_COLOURS)
+    if scale and (len(colours) != 1 or {*colours} & {*CLASS_COLOURS}):
+        problem = f"{argument('colours')} is {', '.join(colours) or 'missing'}"
+        raise UsageError(argument("scale"), problem, "a single colour of values, such as error")
+
+
+def drawn_colours(
+    results: ResultFolder, scans: Sequence[ScanFile], colours: Collection[str]
+) -> list[str]:
+    """Return each colour once, with a kind of uncertainty for "uncertainty"; refuse absent ones."""
+    kind = results.meant_uncertainty(scans)
+    drawn = dict.fromkeys(kind if colour == "uncertainty" else colour for colour in colours)
+    for colour in drawn:
+        results.require_column(colour, scans)
+    return list(drawn)
+
+
+def picture_scales(
+    results: ResultFolder,
+    scans: Sequence[ScanFile],
+    colours: Sequence[str],
+    *,
+    scale: tuple[float, float] | None,
+    continued: PictureSettings | None,
+    space: LabelSpace,
+    sensor: Sensor,
+) -> Scales:
+    """Return the scale of each colour of values: requested, as recorded, or common to all scans.
+
+    Parameters
+    ----------
+    results : ResultFolder
+        Folder of the pictures, and of results of the scans.
+    scans : sequence of ScanFile
+        Scans to draw.
+    colours : sequence of str
+        Colours that the pictures may have.
+    scale : tuple of float, optional
+        Ends of the scale of the only colour.
+    continued : PictureSettings, optional
+        Settings of the pictures that are continued, whose scales stay.
+    space : LabelSpace
+        Classes of the labels.
+    sensor : Sensor
+        Sensor of the range images.
+
+    Returns
+    -------
+    dict
+        Values at equal steps along the colour map, by colour.
+    """
+    values = [
+        colour
+        for colour in colours
+        if colour not in CLASS_COLOURS and results.with_column(colour, scans)
+    ]
+    scales: Scales = {}
+    if scale is not None:
+        scales = dict.fromkeys(values, scale)
+    elif continued is not None:
+        scales = dict(continued.scales or {})
+    unscaled = [colour for colour in values if colour not in scales]
+    return scales | common_scales(results.root, scans, unscaled, space, sensor)

@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: MIT
+"""Pictures and tables of what changed between two runs on the same scans."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from salsanext_cli.core.geometry.sensor_frame import in_sensor_frame
+from salsanext_cli.core.measures.paired import Difference
+from salsanext_cli.core.texts import counted, printable, shortened
+from salsanext_cli.io.formats import read_scan
+from salsanext_cli.report import canvas
+from salsanext_cli.report.canvas import DARK
+from salsanext_cli.report.colours import Colours, legend_of, screen_colours
+from salsanext_cli.report.plots import GREEN, RED
+from salsanext_cli.report.scan_pictures import scan_picture
+from salsanext_cli.report.tables import percent
+from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.results.recorded_origins import sensor_of_result
+from salsanext_cli.runs.summary.run_comparison import RunComparison, ScanChange
+from salsanext_cli.runs.summary.run_pair import PairedLabels, RunPair
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from salsanext_cli.core.classes.label_space import LabelSpace, TrainIds
+
+CHANGES = {
+    "same label": (92, 100, 112),
+    "other label": (250, 205, 60),
+    "now right": (70, 200, 110),
+    "now wrong": (255, 72, 48),
+}
+"""Colours of points by how their label changed."""
+ROW_PX = 26
+NAMES_PX = 190  # Width of the names of scores
+AXES_PX = 600
+NUMBERS_PX = 230  # Width of the changes in numbers
+ABOVE_PX = 84  # Height of the title and the legend
+BELOW_PX = 60  # Height of the numbers and the label of the axis
+MAX_NAME = 40  # Longest name of a run in a legend
+UNCLEAR = "#8a8f98"
+
+
+def scores_by_name(comparison: RunComparison) -> dict[str, Difference]:
+    """Return accuracy, mean IoU and the IoU of each class in two runs; empty without labels."""
+    if comparison.accuracy is None or comparison.iou_mean is None:
+        return {}
+    ious = {c.name: c.iou for c in comparison.classes if c.iou is not None}
+    mean = f"mean IoU, {len(ious)} classes"
+    return {"accuracy": comparison.accuracy, mean: comparison.iou_mean} | ious
+
+
+def change_text(difference: Difference) -> str:
+    """Return the change of a score with its interval: ``+3.1 (+1.0 … +5.2)``, in points of %."""
+    change = f"{100 * difference.change:+.1f}"
+    if difference.low is None or difference.high is None:
+        return change
+    return f"{change} ({100 * difference.low:+.1f} … {100 * difference.high:+.1f})"
+
+
+def run_name(folder: str) -> str:
+    """Return a short name of the folder of a run."""
+    return printable(shortened("/".join(Path(folder).parts[-2:]), MAX_NAME))
+
+
+def comparison_picture(comparison: RunComparison) -> bytes:
+    """Draw the scores of two runs, or without labels the share of equal labels, as a PNG."""
+    scores = scores_by_name(comparison)
+    return _score_picture(comparison, scores) if scores else _agreement_picture(comparison)
+
+
+def _score_picture(comparison: RunComparison, scores: Mapping[str, Difference]) -> bytes:
+    """Draw each score of both runs on a line, and the change with its interval."""
+    title = f"Scores of two runs on {counted(comparison.scored, 'scan')} with labels"
+    figure, axes = _rows(title, [*scores], NUMBERS_PX)
+    for row, difference in enumerate(scores.values()):
+        colour = UNCLEAR
+        if difference.is_clear:
+            colour = GREEN if difference.change > 0 else RED
+        ends = (100 * difference.before, 100 * difference.after)
+        axes.plot(ends, (row, row), color=colour, linewidth=2.5, zorder=1)
+        axes.plot(ends[0], row, "o", color=canvas.PAPER, markeredgecolor=DARK, markersize=7)
+        axes.plot(ends[1], row, "o", color=colour, markersize=8)
+        weight = "bold" if difference.is_clear else "normal"
+        style: dict[str, Any] = {"va": "center", "size": 9, "weight": weight, "color": DARK}
+        axes.text(103, row, change_text(difference), clip_on=False, **style)
+    axes.set_xlabel("%  (change in points, with its 95 % interval; bold: it excludes 0)")
+    names = f"○ {run_name(comparison.before)}   ● {run_name(comparison.after)}"
+    marks = f"{names}   green: clearly better, orange: clearly worse, grey: not clear"
+    canvas.text_at(figure, 20, 56, marks, 14, DARK)
+    return canvas.png_of(figure)
+
+
+def _agreement_picture(comparison: RunComparison) -> bytes:
+    """Draw the share of the points of each class that have the same label in both runs."""
+    classes = [c for c in comparison.classes if c.same is not None]
+    same = percent(comparison.agreement, 1, " %")
+    title = f"The same label in both runs: {same} of the points"
+    figure, axes = _rows(title, [c.name for c in classes], NUMBERS_PX)
+    for row, change in enumerate(classes):
+        share = 100 * (change.same or 0.0)
+        axes.barh(row, share, height=0.66, color=UNCLEAR)
+        text = f"{share:.1f} % of {counted(change.points, 'point')}"
+        axes.text(103, row, text, va="center", size=9, color=DARK, clip_on=False)
+    axes.set_xlabel("points of a class in the first run with the same label in the second, in %")
+    names = f"first run {run_name(comparison.before)}, second run {run_name(comparison.after)}"
+    scans = f"{counted(comparison.scans, 'scan')}, without labels to compare with"
+    canvas.text_at(figure, 20, 56, f"{names}; {scans}", 14, DARK)
+    return canvas.png_of(figure)
+
+
+def _rows(title: str, names: Sequence[str], right: int) -> tuple[Any, Axes]:
+    """Return a figure and its axes in % with a named row for each name, the first at the top."""
+    height = max(1, len(names)) * ROW_PX
+    width = NAMES_PX + AXES_PX + right
+    place = (NAMES_PX, ABOVE_PX, AXES_PX, height)
+    figure, axes = canvas.new_plot(width, ABOVE_PX + height + BELOW_PX, place)
+    canvas.text_at(figure, 20, 25, title, 17, DARK)
+    axes.set_yticks(range(len(names)), names, parse_math=False)
+    axes.set_ylim(len(names) - 0.5, -0.5)
+    axes.set_xlim(0, 100)
+    canvas.plain_frame(axes, "x")
+    return figure, axes
+
+
+def changed_scan_picture(file: ScanFile, change: ScanChange, runs: RunPair) -> bytes:
+    """Draw a scan from above by the labels of both runs, by the truth, and by what changed.
+
+    Parameters
+    ----------
+    file : ScanFile
+        The scan.
+    change : ScanChange
+        How much of it changed.
+    runs : RunPair
+        Folders and classes of both runs.
+
+    Returns
+    -------
+    bytes
+        Content of a PNG file.
+    """
+    scan = read_scan(file.path, runs.sensor)
+    labels = runs.labels_of(file)
+    truth = runs.truth_of(file, len(labels.before))
+    shown = {"first run": labels.before, "second run": labels.after}
+    if truth is not None:
+        shown["truth"] = truth
+    class_colours = screen_colours(runs.space)
+    views = {title: class_colours[train] for title, train in shown.items()}
+    views["changes"] = _change_colours(labels, truth, runs.space)
+    legend = [*legend_of(runs.space, *shown.values()), *CHANGES.items()]
+    names = f"first run {run_name(str(runs.before))}, second run {run_name(str(runs.after))}"
+    heading = f"{file.name}   {percent(change.changed, 1, ' %')} of the labels changed   {names}"
+    sensor = sensor_of_result(runs.before, file, scan, runs.sensor)
+    points = in_sensor_frame(scan, sensor).points
+    return scan_picture(printable(heading), points, views, legend=legend)
+
+
+def _change_colours(labels: PairedLabels, truth: TrainIds | None, space: LabelSpace) -> Colours:
+    """Return the colours (N, 3) of points by how their label changed, as in `CHANGES`."""
+    kind = (labels.before != labels.after).astype(np.intp)
+    if truth is not None:
+        judged = space.scored[truth] & (kind > 0)
+        kind[judged & (labels.after == truth)] = 2
+        kind[judged & (labels.before == truth)] = 3
+    return np.array(list(CHANGES.values()), np.uint8)[kind]

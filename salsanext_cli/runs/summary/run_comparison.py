@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: MIT
+"""Comparison of two runs on the same scans: its record, which `compare` writes and pages read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from salsanext_cli.core.classes.label_space import LabelSpace
+from salsanext_cli.core.errors import OutputError
+from salsanext_cli.core.measures.paired import (
+    Difference,
+    agreement,
+    consecutive_parts,
+    score_differences,
+)
+from salsanext_cli.core.measures.scores import Counts, largest_confusions
+from salsanext_cli.core.plain_data import plain
+from salsanext_cli.io.files.json_files import read_record
+from salsanext_cli.runs.results.manifest import Manifest
+from salsanext_cli.runs.results.paths import PREDICTION_STAGES, drive_order
+from salsanext_cli.runs.summary.run_pair import RunPair, ScanPair
+from salsanext_cli.version import __version__
+
+RECORD = "compare.json"
+PICTURE = "compare.png"
+CHANGED_SCAN = "compare_scan.png"
+FILES = (RECORD, PICTURE, CHANGED_SCAN)
+"""Files of a comparison, in the folder of the second run."""
+MAX_LISTED = 10  # Scans, and pairs of classes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Turn:
+    """Points that have one label in the first run and another in the second."""
+
+    before: str  # Name of a class
+    after: str
+    points: int
+    share: float  # Of the points of the class in the first run, 0…1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClassChange:
+    """One class in two runs."""
+
+    name: str
+    points: int  # Number of points of the class in the first run
+    same: float | None  # Share of them with the same label in the second run, 0…1; None for none
+    iou: Difference | None  # None without true labels of the class
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScanChange:
+    """One scan in two runs."""
+
+    scan: str  # Sequence and stem
+    changed: float  # Share of the points with another label, 0…1
+    accuracy: float | None  # Change of the share of right labels, -1…1; None without true labels
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunComparison:
+    """Comparison of two runs on the same scans."""
+
+    before: str  # Output folder of the first run
+    after: str
+    label_space: str  # Name of the classes
+    scans: int  # Number of scans with labels of both runs
+    scored: int  # Number of scans with true labels that the weights of no run were trained on
+    training_scans: int  # Number of scans that the weights of a run were trained on
+    parts: int  # Number of drives, or parts of drives, that the intervals are about
+    agreement: float  # Share of the points with the same label, 0…1
+    accuracy: Difference | None  # None without true labels
+    iou_mean: Difference | None
+    classes: tuple[ClassChange, ...]  # Classes with points in the first run or in the truth
+    turns: tuple[Turn, ...]  # Most frequent changes of labels
+    most_changed: tuple[ScanChange, ...]  # Scans with the largest share of changed labels
+    weights: tuple[str | None, str | None]  # SHA-256 of the weights of both runs
+    origins: Mapping[str, str]  # Digests of the settings of the second run, by stage
+
+    def to_dict(self) -> dict[str, object]:
+        """Return plain data for JSON."""
+        data = {name: plain(getattr(self, name)) for name in self.__slots__}
+        return {"stage": "compare", "version": __version__, **data}
+
+
+def run_comparison(pairs: Sequence[ScanPair], runs: RunPair) -> RunComparison:
+    """Compare two runs by the numbers of their scans, of which there is at least one."""
+    ordered = sorted(pairs, key=lambda pair: drive_order(pair.file))
+    scored = [pair for pair in ordered if pair.sums is not None and not pair.trained_on]
+    differences = None
+    if scored:
+        sums = np.array([pair.sums for pair in scored])
+        parts = consecutive_parts([pair.file.sequence for pair in scored])
+        differences = score_differences(sums, parts)
+    space = runs.space
+    after = Manifest(runs.after)
+    ious = differences.classes if differences else {}
+    turned: Counts = np.sum([pair.turned for pair in ordered], axis=0)
+    return RunComparison(
+        before=str(runs.before),
+        after=str(runs.after),
+        label_space=space.name,
+        scans=len(ordered),
+        scored=len(scored),
+        training_scans=sum(pair.trained_on for pair in ordered),
+        parts=differences.parts if differences else 0,
+        agreement=agreement(turned),
+        accuracy=differences.accuracy if differences else None,
+        iou_mean=differences.iou_mean if differences else None,
+        classes=_class_changes(turned, ious, space),
+        turns=_turns(turned, space),
+        most_changed=_most_changed(ordered),
+        weights=(Manifest(runs.before).weights("predictions"), after.weights("predictions")),
+        origins=after.origins(PREDICTION_STAGES),
+    )
+
+
+def _class_changes(
+    turned: Counts, ious: Mapping[int, Difference], space: LabelSpace
+) -> tuple[ClassChange, ...]:
+    """Return the classes with labels or with a score, in the order of the train ids."""
+    points = turned.sum(axis=1).tolist()
+    same = turned.diagonal().tolist()
+    return tuple(
+        ClassChange(
+            name=space.names[i],
+            points=points[i],
+            same=same[i] / points[i] if points[i] else None,
+            iou=ious.get(i),
+        )
+        for i in range(space.class_count)
+        if (i or space.scored[0]) and (points[i] or i in ious)
+    )
+
+
+def _turns(turned: Counts, space: LabelSpace) -> tuple[Turn, ...]:
+    """Return the most frequent changes of labels, the largest first."""
+    points = turned.sum(axis=1).tolist()
+    return tuple(
+        Turn(
+            before=space.names[c.true],
+            after=space.names[c.predicted],
+            points=c.points,
+            share=c.points / points[c.true],
+        )
+        for c in largest_confusions(turned, MAX_LISTED)
+    )
+
+
+def _most_changed(pairs: Sequence[ScanPair]) -> tuple[ScanChange, ...]:
+    """Return the scans with the largest share of changed labels, the largest first."""
+    changes = [
+        ScanChange(
+            scan=pair.file.name, changed=1 - agreement(pair.turned), accuracy=_gain(pair.sums)
+        )
+        for pair in pairs
+    ]
+    differing = [change for change in changes if change.changed]
+    return tuple(sorted(differing, key=lambda change: -change.changed)[:MAX_LISTED])
+
+
+def _gain(sums: Counts | None) -> float | None:
+    """Return the change of the share of right labels of a scan; None without true labels."""
+    if sums is None or not sums[0, 1].any():
+        return None
+    before, after = sums[:, 0].sum(axis=1).tolist()
+    return float(after - before) / int(sums[0, 1].sum())
+
+
+def recorded_comparison(out: Path) -> RunComparison | None:
+    """Return the comparison of a run with an earlier one; None without one of its present labels.
+
+    A file of an earlier version, or of somebody else, is none.
+    """
+    with suppress(OutputError):
+        comparison = read_record(RunComparison, out / RECORD)
+        if comparison and comparison.origins == Manifest(out).origins(PREDICTION_STAGES):
+            return comparison
+    return None

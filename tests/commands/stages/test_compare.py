@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: MIT
+import json
+import shutil
+from io import StringIO
+
+import numpy as np
+import pytest
+from evaluated import CAR, ROAD, SPACE, World
+from matplotlib.image import imread
+from rich.console import Console
+from scans import files_below, refused
+
+from salsanext_cli import label_space, read_scan, sensor
+from salsanext_cli.commands.stages.compare import compare
+from salsanext_cli.commands.stages.evaluate import evaluate
+from salsanext_cli.commands.stages.report import report
+from salsanext_cli.core.errors import LabelError, NoInputError, OutputError, UsageError
+from salsanext_cli.core.network.card import scan_digest
+from salsanext_cli.report.run_change_tables import comparison_tables
+from salsanext_cli.runs.results.paths import find_scans, output_path
+from salsanext_cli.runs.results.query import ResultQuery
+from salsanext_cli.runs.results.scan_selection import ScanSelection
+from salsanext_cli.runs.summary.run_comparison import FILES, recorded_comparison
+
+TREE = 70
+SCANS = 6
+
+
+@pytest.fixture
+def runs(tmp_path):
+    """Return two runs on scans with truth; the second one is better for cars."""
+    worlds = World(tmp_path), World(tmp_path)
+    worlds[1].out = tmp_path / "after"
+    for number in range(SCANS):
+        truth = [CAR, ROAD, ROAD, TREE, 0] * 4
+        before = np.where(np.arange(20) < 2 + number, CAR, truth)
+        for world, predicted in zip(worlds, (before, truth), strict=True):
+            world.add(f"{number}", truth, np.where(predicted == 0, ROAD, predicted))
+    return worlds
+
+
+def compared(runs, **query):
+    before, after = runs
+    return compare(before.out, after.out, query=ResultQuery(before.dataset, **query))
+
+
+def record(world, space=SPACE, **settings):
+    """Write a record of `predict`."""
+    settings |= {"label_space": space.to_dict(), "sensor": sensor("hdl64").to_dict()}
+    content = {"stage": "predict", "settings": settings, "writes": ["predictions"], "scans": {}}
+    (world.out / "predict.json").write_text(json.dumps(content))
+
+
+def without_truth(runs):
+    for path in runs[0].dataset.rglob("*.label"):
+        path.unlink()
+
+
+def test_scores_are_those_of_eval(runs):
+    outcome = compared(runs)
+    assert outcome.failures == ()
+    found = outcome.comparison
+    query = ResultQuery(runs[0].dataset)
+    before, after = (evaluate(world.out, query=query).scores for world in runs)
+    assert (found.accuracy.before, found.accuracy.after) == (before.accuracy, after.accuracy)
+    assert found.iou_mean.before == before.iou_mean_present
+    assert found.iou_mean.after == after.iou_mean_present
+    ious = {c.name: c.iou for c in found.classes}
+    for scores, end in ((before, "before"), (after, "after")):
+        for c in scores.classes:
+            if c.points:
+                assert getattr(ious[c.name], end) == c.iou
+    assert found.accuracy.is_clear
+    assert 0 < found.accuracy.low <= found.accuracy.change <= found.accuracy.high
+    assert (found.scans, found.scored, found.parts) == (SCANS, SCANS, SCANS)
+
+
+def test_changed_labels_are_those_of_a_slow_loop(runs):
+    without_truth(runs)
+    found = compared(runs).comparison
+    assert (found.accuracy, found.scored) == (None, 0)
+    turns, same, points, changed = {}, 0, 0, {}
+    for number in range(SCANS):
+        labels = [
+            np.fromfile(output_path(world.out, "08", "predictions", f"{number}"), np.uint32)
+            for world in runs
+        ]
+        for before, after in zip(*labels, strict=True):
+            points += 1
+            same += before == after
+            if before != after:
+                turns[before, after] = turns.get((before, after), 0) + 1
+                changed[f"08/{number}"] = changed.get(f"08/{number}", 0) + 1
+    names = SPACE.labels
+    assert {(names_of(turn)): turn.points for turn in found.turns} == {
+        (names[a], names[b]): count for (a, b), count in turns.items()
+    }
+    assert found.agreement == pytest.approx(same / points)
+    assert [c.scan for c in found.most_changed] == sorted(changed, key=lambda name: -changed[name])
+    assert found.most_changed[0].changed == pytest.approx(max(changed.values()) / 20)
+    (car,) = (c for c in found.classes if c.name == "car")
+    assert car.iou is None
+    assert 0 < car.same < 1
+
+
+def names_of(turn):
+    return turn.before, turn.after
+
+
+def test_the_record_is_read_again_until_the_labels_change(runs):
+    for world in runs:
+        record(world)
+    found = compared(runs).comparison
+    assert recorded_comparison(runs[1].out) == found
+    assert recorded_comparison(runs[0].out) is None
+    record(runs[1], temperature=2.0)
+    assert recorded_comparison(runs[1].out) is None
+    (runs[1].out / "compare.json").write_text("{}")
+    assert recorded_comparison(runs[1].out) is None
+
+
+def test_files_are_replaced_unless_they_were_changed(runs):
+    compared(runs)
+    before = files_below(runs[1].out)
+    assert {*FILES} <= before.keys()
+    compared(runs)
+    assert files_below(runs[1].out) == before
+    (runs[1].out / "compare.json").write_text("{}")
+    with refused(OutputError, runs[1].out / "compare.json"):
+        compared(runs)
+
+
+def test_equal_runs_have_neither_changes_nor_a_changed_scan(runs):
+    compared(runs)
+    shutil.rmtree(runs[1].out / "sequences")
+    shutil.copytree(runs[0].out / "sequences", runs[1].out / "sequences")
+    found = compared(runs).comparison
+    assert (found.agreement, found.turns, found.most_changed) == (1, (), ())
+    assert not found.accuracy.is_clear
+    assert not (runs[1].out / "compare_scan.png").exists()
+    text = printed(found)
+    assert "100.0 % of the labels are the same" in text
+    assert "Most changed scans" not in text
+
+
+def printed(comparison):
+    console = Console(record=True, file=StringIO(), width=120)
+    console.print(comparison_tables(comparison))
+    return console.export_text()
+
+
+def test_tables_have_scores_changes_and_scans(runs):
+    text = printed(compared(runs).comparison)
+    for words in ("accuracy", "mean IoU, 3 classes", "clear", "Most changed scans", "08/5"):
+        assert words in text
+
+
+def test_runs_that_cannot_be_compared_are_refused(runs, tmp_path):
+    before, after = runs
+    with refused(UsageError, before.out):
+        compare(before.out, before.out, query=ResultQuery(before.dataset))
+    record(before)
+    record(after, space=label_space("coarse"))
+    with refused(UsageError, after.out):
+        compared(runs)
+    assert compared(runs, classes=label_space("coarse")).comparison.label_space == "coarse"
+    record(after, reject=0.1, reject_by="error")
+    with refused(UsageError, after.out):
+        compared(runs)
+    record(after)
+    output_path(after.out, "08", "predictions", "0").unlink()
+    with refused(UsageError, after.out) as raised:
+        compared(runs)
+    assert "08/0" in raised.value.problem
+    # A common choice of scans can be compared.
+    before.add("0", [CAR], [CAR], sequence="09")
+    after.add("0", [CAR], [CAR], sequence="09")
+    of_both = compared(runs, selection=ScanSelection(sequences=("09",)))
+    assert (of_both.comparison.scans, of_both.comparison.accuracy.low) == (1, None)
+    with pytest.raises(NoInputError):
+        compare(before.out, tmp_path / "nowhere", query=ResultQuery(before.dataset))
+
+
+def test_scans_that_a_run_was_trained_on_are_not_scored(runs, caplog):
+    files = find_scans(runs[0].dataset)
+    runs[0].add("7", [CAR, ROAD], [CAR, ROAD])
+    runs[1].add("7", [CAR, ROAD], [CAR, CAR])
+    record(runs[0])
+    # The others have equal points, and are one scan to the digest.
+    record(runs[1], trained_on=scan_digest(read_scan(files[0].path)))
+    found = compared(runs).comparison
+    assert (found.scans, found.scored, found.training_scans) == (SCANS + 1, 1, SCANS)
+    assert found.accuracy.after == 0.5
+    assert "6 of 7" in caplog.text
+    for world in runs:
+        output_path(world.out, "08", "predictions", "7").unlink()
+    with refused(LabelError, runs[1].out):
+        compared(runs)
+
+
+def test_other_scans_of_the_same_names_are_refused(runs, tmp_path):
+    moved = tmp_path / "moved"
+    shutil.copytree(runs[0].dataset, moved)
+    for world, dataset in zip(runs, (runs[0].dataset, moved), strict=True):
+        record(world)
+        content = json.loads((world.out / "predict.json").read_text())
+        folder = str(dataset / "sequences/08/velodyne")
+        names = [f"{number}.bin" for number in range(SCANS)]
+        content["scans"] = {"08": {"folder": folder, "asked_for": names}}
+        (world.out / "predict.json").write_text(json.dumps(content))
+    assert compare(runs[0].out, runs[1].out).comparison.scans == SCANS
+    first = moved / "sequences/08/velodyne/0.bin"
+    first.write_bytes(np.flip(np.fromfile(first, np.float32)).tobytes())
+    with refused(UsageError, first):
+        compare(runs[0].out, runs[1].out)
+
+
+def test_labels_of_other_lengths_fail_alone(runs):
+    runs[1].add("1", None, [CAR] * 3)
+    outcome = compared(runs)
+    assert [failure.code for failure in outcome.failures] == ["label"]
+    assert outcome.comparison.scans == SCANS - 1
+
+
+@pytest.mark.drawn
+@pytest.mark.parametrize("with_truth", [True, False])
+def test_pictures_show_both_runs(runs, with_truth):
+    if not with_truth:
+        without_truth(runs)
+    compared(runs)
+    scores, scan = (imread(runs[1].out / name) for name in FILES[1:])
+    assert scores.shape[1] > 900
+    assert scan.shape[1] > 1800
+
+
+def test_the_page_of_a_run_has_the_changes(runs):
+    for world in runs:
+        record(world)
+    assert 'id="changes"' not in page(runs)
+    compared(runs)
+    text = page(runs)
+    assert 'id="changes"' in text
+    assert "clearly better" in text
+    assert "car became road" in text
+    record(runs[1], temperature=2.0)
+    assert 'id="changes"' not in page(runs)
+
+
+def page(runs):
+    made = report(runs[1].out, query=ResultQuery(runs[0].dataset))
+    return made.page.read_text("utf-8")
