@@ -15,11 +15,13 @@ DECLARATION = "declaration"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DeclarationChange:
-    """Names and texts of an option that one command has otherwise; None for those that stay."""
+    """What one command has otherwise of an option; None for what stays."""
 
     names: tuple[str, ...] | None = None
     help: str | None = None
     show_default: str | None = None  # Default, in words
+    metavar: str | None = None
+    parse: Callable[[str | None], Any] | None = None  # As of `Declaration`
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,12 +49,17 @@ class Declaration:
     typed: Any = None
 
     def changed(self, change: DeclarationChange) -> "Declaration":
-        """Return the declaration with the names and texts of one command."""
-        texts = {"help": change.help, "show_default": change.show_default}
+        """Return the declaration with what one command has otherwise."""
+        texts = {
+            "help": change.help,
+            "show_default": change.show_default,
+            "metavar": change.metavar,
+        }
         changed_texts = {key: text for key, text in texts.items() if text is not None}
         return replace(
             self,
             names=self.names if change.names is None else change.names,
+            parse=change.parse or self.parse,
             typer_arguments={**self.typer_arguments, **changed_texts},
         )
 

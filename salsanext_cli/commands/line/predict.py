@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import typer
 
 from salsanext_cli.commands.line import arguments, console, summary
+from salsanext_cli.commands.line.jobs_option import MeasuredRunOptions
 from salsanext_cli.commands.line.next_command import command_on_labels
 from salsanext_cli.commands.line.option_fields import option, option_group, running_option
 from salsanext_cli.commands.line.progress import over_scans
@@ -104,7 +105,7 @@ def predict(
         "Scans computed together, halved if memory runs out.",
         show_default="1 on a CPU, several on a GPU",
     ),
-    running: RunOptions,
+    running: MeasuredRunOptions,
     strict: bool = arguments.STRICT,
     output: console.Output,
 ) -> None:

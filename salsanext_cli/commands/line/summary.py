@@ -88,6 +88,8 @@ def _headline(stage: str, outcome: Outcome, out: Path, seconds: float) -> str:
     times = [duration_text(seconds)]
     if outcome.done:
         times.append(f"{duration_text(outcome.seconds / outcome.done)} per scan")
+    if outcome.workers:
+        times.append(f"by {outcome.workers} processes")
     scans = f"{counts} in {', '.join(times)}{text_of_other_scans(outcome.missing)}"
     return f"{stage}: {scans} → {out}" if outcome.has_results else f"{stage}: {scans}"
 

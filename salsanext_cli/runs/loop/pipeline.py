@@ -170,8 +170,17 @@ def attempt(file: ScanFile, function: Callable[..., Value], *arguments: Any) -> 
 
 def opened(task: Task) -> AttemptFunction:
     """Open a task, and return a function that works on the scans of a chunk."""
+    return attempt_function(opened_work(task))
+
+
+def opened_work(task: Task) -> Any:
+    """Open a task; return the function of one scan, or the pipeline of a job."""
     work = task.open() if isinstance(task, OpenableTask) else task
-    work = Pipeline(job=work) if isinstance(work, ScanJob) else work
+    return Pipeline(job=work) if isinstance(work, ScanJob) else work
+
+
+def attempt_function(work: Any) -> AttemptFunction:
+    """Return the function that works on scans by what `opened_work` returned."""
     if isinstance(work, Pipeline):
         return work.run
 

@@ -12,6 +12,8 @@ memory, the next batches are smaller.
 
 - In this process: `pipeline.opened`.
 - By several workers: `pool.attempts_of_workers`, which replaces no dead worker.
+
+Where the number of workers was not requested, `measured_workers` decides between both on a GPU.
 """
 
 import logging
@@ -24,7 +26,8 @@ from typing import Any, Self
 from salsanext_cli.core.errors import SalsanextError, WorkersLost
 from salsanext_cli.core.texts import first_few, with_hint
 from salsanext_cli.runs.loop.job import Attempt, Task
-from salsanext_cli.runs.loop.pipeline import Report, opened
+from salsanext_cli.runs.loop.measured_workers import attempts_as_needed, needs_measurement
+from salsanext_cli.runs.loop.pipeline import attempt_function, opened_work
 from salsanext_cli.runs.loop.run_options import Progress, RunOptions
 from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.runs.results.selection import MissingResults
@@ -76,6 +79,8 @@ class Outcome:
         Duration of the work on scans.
     summary : RunSummary, optional
         Summary of the scans.
+    workers : int
+        Number of workers, if it was chosen by measurement; else 0.
     """
 
     skipped: int
@@ -84,6 +89,7 @@ class Outcome:
     missing: MissingResults | None = None
     seconds: float = 0.0
     summary: RunSummary | None = None
+    workers: int = 0
 
     @classmethod
     def from_run(cls, outcome: "Outcome", **numbers: Any) -> Self:
@@ -106,6 +112,11 @@ class RunningCount:
     on_result: Callable[[Any], object]
     attempted: set[ScanFile] = field(default_factory=set)
     failures: list[Failure] = field(default_factory=list)
+    workers: int = 0  # As of `Outcome`
+
+    def use_workers(self, count: int) -> None:
+        """Note the number of workers that was chosen by measurement."""
+        self.workers = count
 
     def add(self, attempt: Attempt[Any]) -> None:
         """Count an attempt, hand its result over, and show the progress."""
@@ -170,7 +181,7 @@ def run_over_scans(
         options.progress(0, len(todo))
     try:
         if todo:
-            with closing(_attempts(task, todo, options, count.add)) as attempts:
+            with closing(_attempts(task, todo, count)) as attempts:
                 for attempt in attempts:
                     count.add(attempt)
     except WorkersLost as lost:
@@ -184,18 +195,24 @@ def run_over_scans(
         done=len(count.attempted) - len(count.failures),
         seconds=time.monotonic() - start,
         summary=summary,
+        workers=count.workers,
     )
 
 
 def _attempts(
-    task: Task, scans: Sequence[ScanFile], options: RunOptions, on_stop: Report
+    task: Task, scans: Sequence[ScanFile], count: RunningCount
 ) -> Generator[Attempt[Any], None, None]:
     """Yield the attempts of all scans, in no particular order if workers make them.
 
-    `on_stop` as of `Pipeline.run`, which overlaps the steps of scans in this process.
+    `count`: of the run, to which attempts are added that the end of the run keeps from being
+    yielded.
     """
+    options = count.options
     if min(len(scans), options.workers()) == 1:
-        return opened(task)(scans, on_stop)
+        work = opened_work(task)
+        if needs_measurement(work, scans, options):
+            return attempts_as_needed(task, work, scans, options, count.add, count.use_workers)
+        return attempt_function(work)(scans, count.add)
     from salsanext_cli.runs.loop.pool import attempts_of_workers
 
     return attempts_of_workers(task, scans, options)

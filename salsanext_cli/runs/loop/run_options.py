@@ -56,7 +56,8 @@ class Shard:
 class RunOptions:
     """Options of a run over scans."""
 
-    jobs: int = 1
+    # Number of workers; None for 1, and on a GPU as many as keep it busy (`measured_workers`)
+    jobs: int | None = 1
     shard: Shard = Shard()
     overwrite: bool = False
     on_error: Literal["skip", "stop"] = "skip"
@@ -67,5 +68,5 @@ class RunOptions:
         self.workers()
 
     def workers(self) -> int:
-        """Return the number of workers."""
-        return worker_count(self.jobs)
+        """Return the number of workers with which a run begins."""
+        return 1 if self.jobs is None else worker_count(self.jobs)

@@ -9,11 +9,12 @@ from hypothesis import strategies as st
 from numbered_scans import scans_of
 from scans import refused
 
+from salsanext_cli.commands.line.jobs_option import typed_jobs
 from salsanext_cli.commands.line.option_names import CommandLine
 from salsanext_cli.commands.line.shard_option import shard_of_slurm, shard_of_text
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.wording import spelled
-from salsanext_cli.runs.loop.run_options import Shard
+from salsanext_cli.runs.loop.run_options import RunOptions, Shard
 from salsanext_cli.runs.results.paths import ScanFile
 
 COUNTS = st.integers(1, 9)
@@ -68,3 +69,17 @@ def test_arrays_of_slurm_are_shards_or_refused():
         with pytest.raises(UsageError) as caught:
             shard_of_slurm(environment)
         assert caught.value.subject.startswith("SLURM_ARRAY_TASK_ID=")
+
+
+@pytest.mark.parametrize(("text", "jobs"), [(None, None), ("auto", None), ("4", 4), ("-1", -1)])
+def test_jobs_are_read(text, jobs):
+    assert typed_jobs(text) == jobs
+
+
+def test_a_run_begins_with_one_worker_unless_more_are_requested():
+    assert RunOptions(jobs=None).workers() == 1
+    assert RunOptions(jobs=4).workers() == 4
+    for text in ("", "many", "1.5"):
+        refused(UsageError, "--jobs", typed_jobs, text)
+    with spelled(CommandLine()):
+        refused(UsageError, "--jobs", RunOptions, jobs=0)
