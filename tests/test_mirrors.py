@@ -70,8 +70,6 @@ ELSEWHERE: dict[str, dict[str, str]] = {
         "core/fitting/network_fit.py": "runs/fit/test_sensor_fit.py",
         "core/measures/survey.py": "commands/stages/test_inspect.py",
         "core/fitting/sensor_texts.py": "commands/line/test_summary.py",
-        "core/notices.py": "io/formats/test_kitti.py",
-        "io/label_spaces.py": "core/classes/test_label_space.py",
         "io/weights/card_file.py": "io/weights/test_weights.py",
         "io/weights/loading.py": "core/engines/test_network.py",
         "io/weights/onnx_export.py": "commands/stages/test_export_onnx.py",

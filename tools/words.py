@@ -32,11 +32,8 @@ VAGUE_NAMES = {
     "anew", "each", "found", "given", "kept", "known", "left_out", "own", "said", "some", "these",
     "those", "told", "usual", "wanted", "what"
 }  # fmt: skip
-BANNED_NAMES = re.compile("promis|guess|anew|_own_?$|^of_(?!accepted$|largest$)")
-"""Parts of names that the documentation has a standard term for, and names that lack their noun.
-
-`of_accepted` is a key of JSON, `of_largest` one of a template.
-"""
+BANNED_NAMES = re.compile("promis|guess|anew|_own_?$|^of_")
+"""Parts of names that the documentation has a standard term for, and names that lack their noun."""
 VAGUE_MODULES = {"common", "helper", "helpers", "misc", "tools", "util", "utils"}
 CODE_BLOCK = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 COMMENT_OR_TARGET = re.compile(r"<!--.*?-->|\]\([^)]*\)", re.DOTALL)

@@ -16,22 +16,22 @@ def warn_once(log: logging.Logger, message: str) -> None:
     log.warning("%s", message)
 
 
-_files_are_known: ContextVar[bool] = ContextVar("files_are_known", default=False)
+_reader_level: ContextVar[int] = ContextVar("reader_level", default=NOTICE)
 
 
 @contextmanager
-def files_known() -> Iterator[None]:
+def demote_reader_notices() -> Iterator[None]:
     """Log the assumptions of readers as details only, because an earlier stage has stated them."""
-    token = _files_are_known.set(True)
+    token = _reader_level.set(logging.INFO)
     try:
         yield
     finally:
-        _files_are_known.reset(token)
+        _reader_level.reset(token)
 
 
 def notice_once(message: str) -> None:
-    """Log an assumption of a reader once per process."""
-    log_once(message, logging.INFO if _files_are_known.get() else NOTICE)
+    """Log an assumption of a reader once per process; other notices call `log_once`."""
+    log_once(message, _reader_level.get())
 
 
 @cache

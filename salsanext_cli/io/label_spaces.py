@@ -53,3 +53,25 @@ def label_space(name_or_file: str | Path = "semantic-kitti") -> LabelSpace:
         expected = f"a mapping with the keys {', '.join(KEYS)}"
         raise UsageError(path, f"contains a {type(data).__name__}", expected)
     return LabelSpace.from_dict(data, path)
+
+
+def typed_label_space(space: LabelSpace | str | None) -> str | None:
+    """Return the name or the absolute path by which a label space can be given again.
+
+    Parameters
+    ----------
+    space : LabelSpace or str, optional
+        A label space, or its name or file.
+
+    Returns
+    -------
+    str or None
+        None for no label space, and for one that is neither built-in nor named.
+    """
+    if space is None:
+        return None
+    if isinstance(space, LabelSpace):
+        is_built_in = space.name in BUILT_IN and space is built_in(space.name)
+        return space.name if is_built_in else None
+    is_file = space not in BUILT_IN and Path(space).exists()
+    return str(Path(space).absolute()) if is_file else space

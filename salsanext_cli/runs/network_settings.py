@@ -41,7 +41,8 @@ class NetworkSettings:
     # Whether to fit field of view and mounting to the scans; None: what `sensor` does not state
     fit: bool | None = None
     sha256: str | None = None  # Of the weights file when the run began; other files are refused
-    classes: "LabelSpace | None" = None  # As `load_network` takes them
+    # Classes to merge those of the weights into, as of `load_network`, or their name or file
+    classes: "LabelSpace | str | None" = None
 
     @property
     def path(self) -> Path:
@@ -56,9 +57,10 @@ class NetworkSettings:
     def named(self) -> dict[str, object]:
         """Return the settings that the user named and that can be typed, by argument.
 
-        The path of a sensor file is absolute. Weights, device and classes are not among them.
+        Paths of files are absolute. Weights and device are not among them.
         """
         from salsanext_cli.core.sensors.sensor import presets
+        from salsanext_cli.io.label_spaces import typed_label_space
 
         values = {
             "precision": self.precision,
@@ -79,6 +81,9 @@ class NetworkSettings:
         sensor = named.get("sensor")
         if sensor is not None and sensor not in presets():
             named["sensor"] = str(Path(str(sensor)).absolute())
+        classes = typed_label_space(self.classes)
+        if classes is not None:
+            named["classes"] = classes
         return named
 
     @property
@@ -124,6 +129,12 @@ class NetworkSettings:
             origin=self.origin,
         )
 
+    def label_space(self) -> "LabelSpace | None":
+        """Return the label space of `classes`; None for the classes of the weights."""
+        from salsanext_cli.io.label_spaces import label_space
+
+        return label_space(self.classes) if isinstance(self.classes, str) else self.classes
+
     def load(self) -> "Network":
         """Load the network."""
         from salsanext_cli.io.files.reading import fingerprint
@@ -138,7 +149,7 @@ class NetworkSettings:
             self.named_sensor(),
             self.precision,
             self.engine,
-            self.classes,
+            self.label_space(),
         )
 
     def for_sampling(self) -> "NetworkSettings":
@@ -167,6 +178,7 @@ class NetworkSettings:
             precision=network.backend.precision,
             engine=network.backend.library,
             sha256=network.backend.sha256,
+            classes=self.label_space(),
         )
 
 

@@ -21,7 +21,7 @@ from salsanext_cli.commands.line.option_fields import (
 )
 from salsanext_cli.commands.line.option_groups import OPTIONS
 from salsanext_cli.core.errors import UsageError
-from salsanext_cli.core.notices import notice_once
+from salsanext_cli.core.notices import NOTICE, log_once
 from salsanext_cli.core.texts import did_you_mean, with_hint
 from salsanext_cli.core.uncertainty.kinds import UNCERTAINTY
 from salsanext_cli.io.formats import RECORDING_SUFFIXES, SCAN_SUFFIXES
@@ -234,7 +234,7 @@ def _notice_shared_folder(source: Path, out: Path) -> None:
         problem = "is inside the folder of the scans"
     if problem:
         hint = "give another folder as OUT to separate scans and results"
-        notice_once(with_hint(f"{out}: {problem}", hint))
+        log_once(with_hint(f"{out}: {problem}", hint), NOTICE)
 
 
 def in_topic(source: Path, topic: str | None) -> Path:

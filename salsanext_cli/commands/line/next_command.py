@@ -6,19 +6,38 @@ from __future__ import annotations
 import shlex
 from typing import TYPE_CHECKING
 
+from salsanext_cli.core.wording import command
+
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
     from pathlib import Path
 
     from salsanext_cli.runs.loop.run import Outcome
     from salsanext_cli.runs.summary.scan_summary import RunSummary
 
 
-def next_command(outcome: Outcome, words: Iterable[Path | str]) -> str | None:
-    """Return a command line of `salsanext`, quoted for a shell; None if the run has no results."""
+def next_command(
+    outcome: Outcome, words: Iterable[Path | str], settings: Sequence[str] = ()
+) -> str | None:
+    """Return a command line of `salsanext`, quoted for a shell.
+
+    Parameters
+    ----------
+    outcome : Outcome
+        Outcome of the run before.
+    words : iterable of Path or str
+        Command and arguments.
+    settings : sequence of str
+        Options as `setting` spells them.
+
+    Returns
+    -------
+    str or None
+        None if the run has no results.
+    """
     if not outcome.has_results:
         return None
-    return shlex.join(["salsanext", *map(str, words)])
+    return command(shlex.join(["salsanext", *map(str, words)]), *settings)
 
 
 def command_on_labels(outcome: Outcome, out: Path, split: str | None) -> str | None:

@@ -18,7 +18,7 @@ from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.texts import counted, percentage
 from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.results.query import ResultQuery, named_label_space
+from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.sensor_request import AUTO
 
@@ -122,7 +122,7 @@ def predict(
     out = places.out
     if extras.fuse:
         extras.require_fusable(source, out, running)
-    settings = replace(settings, classes=named_label_space(classes))
+    settings = replace(settings, classes=classes)
     position = arguments.position("--origin", origin)
     with over_scans("predict", running, output.quiet) as options:
         if isinstance(source, Path) and projected_sensor(source) is not None:

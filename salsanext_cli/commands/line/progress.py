@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from salsanext_cli.commands.line.console import print_line
 from salsanext_cli.commands.line.interruption import NO_HALF_FILES, on_interruption
-from salsanext_cli.core.notices import files_known
+from salsanext_cli.core.notices import demote_reader_notices
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
@@ -90,7 +90,7 @@ def over_results(
 
     That command has printed what readers assume about their files.
     """
-    with files_known(), over_scans(label, options, quiet, at_end=at_end) as running:
+    with demote_reader_notices(), over_scans(label, options, quiet, at_end=at_end) as running:
         yield running
 
 

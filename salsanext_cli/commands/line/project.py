@@ -12,8 +12,8 @@ from salsanext_cli.commands.line.next_command import next_command
 from salsanext_cli.commands.line.progress import over_scans
 from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.results.repeated_settings import settings_as_typed
 from salsanext_cli.runs.results.scan_selection import ScanSelection
-from salsanext_cli.runs.sensor_request import AUTO
 
 
 def project(
@@ -49,23 +49,13 @@ def project(
             selection=selection,
             options=options,
         )
-    following = next_command(outcome, ["predict", out, out, *_network_options(settings)])
+    following = next_command(outcome, ["predict", out, out], _network_as_typed(settings))
     summary.print_summary_and_exit(
         "project", outcome, out, output, following=following, strict=strict
     )
 
 
-def _network_options(settings: NetworkSettings) -> list[str]:
+def _network_as_typed(settings: NetworkSettings) -> list[str]:
     """Return the options by which `predict` takes the network of the range images."""
-    options: list[str] = []
-    if settings.weights:
-        options += ["--weights", str(settings.weights)]
-    if settings.sensor and settings.sensor != AUTO:
-        options += ["--sensor", str(settings.sensor)]
-    if settings.width is not None:
-        options += ["--width", str(settings.width)]
-    if settings.min_range is not None:
-        options += ["--min-range", f"{settings.min_range:g}"]
-    if settings.ego != AUTO:
-        options += ["--ego", settings.ego]
-    return options
+    weights = {"weights": settings.weights} if settings.weights else {}
+    return settings_as_typed(weights | settings.named())

@@ -13,7 +13,6 @@ from salsanext_cli.commands.line.option_fields import option
 from salsanext_cli.commands.line.progress import over_scans
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.runs.loop.run_options import RunOptions
-from salsanext_cli.runs.results.query import named_label_space
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 
 
@@ -53,7 +52,7 @@ def uncertainty(
         outcome = stage(
             source,
             out,
-            settings=replace(settings, classes=named_label_space(classes)),
+            settings=replace(settings, classes=classes),
             knn=knn,
             method=UncertaintyMethod(samples, seed, aleatoric),
             selection=selection,

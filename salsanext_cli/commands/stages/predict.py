@@ -92,6 +92,9 @@ def predict_scans(
     -------
     PredictOutcome
     """
+    typed = settings.named()
+    if origin is not None:
+        typed["origin"] = origin
     if batch is not None and batch < 1:
         raise UsageError(argument("batch"), str(batch), "at least 1, or auto")
     if origin is not None:
@@ -121,7 +124,7 @@ def predict_scans(
         scans,
         overwrite=options.overwrite,
         weights=settings.named_path,
-        options=settings.named(),
+        options=typed,
     )
     with opening as output, recorded_summary(summary, output, scans):
         by_poses = origins.result_origins(output, scans, network.sensor)

@@ -79,7 +79,7 @@ def locked(path: Path, timeout_s: float = 0.0, *, stage: str = "") -> Iterator[N
 
 
 @contextmanager
-def removed_if_empty(folder: Path) -> Iterator[None]:
+def remove_if_empty(folder: Path) -> Iterator[None]:
     """Remove a folder, and folders above it, if the body created them and left them empty."""
     created = list(takewhile(lambda path: not os.path.lexists(path), (folder, *folder.parents)))
     try:

@@ -26,7 +26,7 @@ class ClassRow:
     name: str
     colour: Sequence[int]  # Red, green and blue, 0…255
     share: str  # Of all points
-    of_largest: float  # Share divided by that of the largest class, 0…1
+    share_of_largest: float  # Share divided by that of the largest class, 0…1
     iou: float | None  # 0…1; None for a class without labelled points
     iou_text: str
 
@@ -73,7 +73,7 @@ def class_table(
             name=space.names[i],
             colour=colours[i].tolist(),
             share=percent(shares[i], 2 if shares[i] < SMALL_SHARE else 1, " %"),
-            of_largest=float(shares[i] / shares.max()),
+            share_of_largest=float(shares[i] / shares.max()),
             iou=ious.get(i),
             iou_text=percent(ious.get(i, math.nan), 1, " %"),
         )

@@ -8,12 +8,10 @@ from pathlib import Path
 from salsanext_cli.core.measures.decision import Verdict
 from salsanext_cli.core.wording import setting
 from salsanext_cli.report.page.run_results import RunResults
+from salsanext_cli.runs.results.making_commands import UNKNOWN_SCANS
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.repeated_settings import path_as_typed, settings_of_network
 from salsanext_cli.runs.results.selection import data_set_of
-
-UNKNOWN_SCANS = Path("SCANS")
-"""Word for scans in several folders."""
 
 
 def decision_command(run: RunResults, decided: Verdict) -> str:
@@ -31,6 +29,6 @@ def _scans(run: RunResults) -> tuple[Path, list[str]]:
     data_sets = {data_set_of(file) for file in files}
     data_set = data_sets.pop()
     if data_sets or data_set is None:
-        return UNKNOWN_SCANS, []
+        return Path(UNKNOWN_SCANS), []
     sequences = sorted({file.sequence for file in files})
     return path_as_typed(data_set), [setting("sequences", ",".join(sequences))]

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +18,9 @@ from salsanext_cli.runs.results.repeated_settings import (
 )
 from salsanext_cli.runs.results.selection import data_set_of
 
+UNKNOWN_SCANS = "SCANS"
+"""Word for scans that are not known, or in several folders."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MakingCommand:
@@ -24,6 +28,8 @@ class MakingCommand:
 
     stage: str
     extras: tuple[str, ...] = ()  # Further results of `predict`
+    # Settings of the run that the command does not take, or must not repeat
+    omitted: frozenset[str] = frozenset()
 
     def text(
         self, out: Path, *files: ScanFile, target: Path | None = None, overwrite: bool = False
@@ -48,8 +54,8 @@ class MakingCommand:
         words = ["salsanext", self.stage]
         settings: list[str] = []
         if self.stage != "fuse":
-            words += [str(data_set_of(file) or file.path.parent) for file in files] or ["SCANS"]
-            settings += settings_of_run(Manifest(out))
+            words += _sources(files)
+            settings += settings_of_run(Manifest(out), self.omitted)
         if self.stage == "predict":
             settings += extras_of_run(Manifest(out), self.extras)
         if overwrite:
@@ -57,10 +63,20 @@ class MakingCommand:
         return command(shlex.join([*words, str(target or out)]), *settings)
 
 
+def _sources(files: Sequence[ScanFile]) -> list[str]:
+    """Return the data set or the folder of each scan; the word `SCANS` for no scans."""
+    if not files:
+        return [UNKNOWN_SCANS]
+    return [str(data_set_of(file) or file.path.parent) for file in files]
+
+
 PREDICT = MakingCommand(stage="predict")
 PREDICT_ERROR = MakingCommand(stage="predict", extras=(ERROR,))
+PREDICT_UNMERGED_ERROR = MakingCommand(
+    stage="predict", extras=(ERROR,), omitted=frozenset({"classes"})
+)
 PREDICT_VOTES = MakingCommand(stage="predict", extras=("votes",))
-UNCERTAINTY_STAGE = MakingCommand(stage="uncertainty")
+UNCERTAINTY_STAGE = MakingCommand(stage="uncertainty", omitted=frozenset({"origin"}))
 FUSE = MakingCommand(stage="fuse")
 MADE_BY = {
     "error": PREDICT_ERROR,

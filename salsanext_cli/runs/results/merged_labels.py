@@ -12,7 +12,7 @@ from salsanext_cli.core.errors import SalsanextError
 from salsanext_cli.io.files.reading import fingerprint
 from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.io.weights.card_file import default_weights, read_card
-from salsanext_cli.runs.results.making_commands import PREDICT_ERROR
+from salsanext_cli.runs.results.making_commands import PREDICT_UNMERGED_ERROR
 from salsanext_cli.runs.results.paths import ScanFile
 
 SUFFIX_OF_FOLDER = "-error"  # What a hint appends to the name of the output folder
@@ -60,6 +60,6 @@ def hint_for_error(out: Path, file: ScanFile) -> str:
     str
     """
     folder = Path(f"{os.path.normpath(out)}{SUFFIX_OF_FOLDER}")
-    predict = PREDICT_ERROR.text(out, file, target=folder)
+    predict = PREDICT_UNMERGED_ERROR.text(out, file, target=folder)
     remedy = f"run `{predict}`, then give {shlex.quote(str(folder))}"
     return f"the error belongs to the classes of the weights: {remedy}"

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from salsanext_cli.core.classes.label_space import RawIds
 from salsanext_cli.core.errors import OutputError
 from salsanext_cli.core.wording import setting
-from salsanext_cli.io.files.locks import removed_if_empty
+from salsanext_cli.io.files.locks import remove_if_empty
 from salsanext_cli.io.files.reading import filled
 from salsanext_cli.io.formats.kitti_labels import encode_labels
 from salsanext_cli.runs.records.digest_files import files_of, names_files, with_files
@@ -333,7 +333,7 @@ def output_run(
         weights_file=str(weights.absolute()) if weights else "",
         options=options,
     )
-    with removed_if_empty(out), ExitStack() as stack:
+    with remove_if_empty(out), ExitStack() as stack:
         with run.locked_records():
             is_first = run.manifest.record(stage) is None
             claimed = run.claim(new)

@@ -25,7 +25,7 @@ from salsanext_cli.core.errors import OutputError
 from salsanext_cli.core.texts import first_few
 from salsanext_cli.io.files.atomic import MARK, append_line, refusal, sweep, sweep_stale, writing
 from salsanext_cli.io.files.json_files import read_record, write_json
-from salsanext_cli.io.files.locks import locked, removed_if_empty
+from salsanext_cli.io.files.locks import locked, remove_if_empty
 from salsanext_cli.io.files.reading import filled, is_folder, present, reading
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.scan_folders import FILE_LISTS
@@ -111,7 +111,7 @@ class OwnedFolder:
         name = f".{self.stage}.{mark}.lock" if shared else f".{self.stage}.lock"
         try:
             folder = self.root / self.record_folder
-            with removed_if_empty(folder), locked(folder / name, stage=self.stage):
+            with remove_if_empty(folder), locked(folder / name, stage=self.stage):
                 for place in self._folders():
                     sweep_stale(place)
                 try:

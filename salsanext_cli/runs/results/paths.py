@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from salsanext_cli.core.errors import NoInputError, OutputError
-from salsanext_cli.core.notices import notice_once
+from salsanext_cli.core.notices import NOTICE, log_once
 from salsanext_cli.core.texts import first_few
 from salsanext_cli.core.uncertainty.kinds import UNCERTAINTY
 from salsanext_cli.io.files.reading import present, reason
@@ -266,7 +266,7 @@ def _scans_below(source: Path, root: Path, tables: list[ScanFile]) -> list[ScanF
         if error is not None:
             raise error
         return []
-    notice_once(words_of_choice(source, root, chosen, search.folders))
+    log_once(words_of_choice(source, root, chosen, search.folders), NOTICE)
     return _scans_of_folders(source, root, chosen)
 
 
@@ -282,11 +282,11 @@ def _layout_below(source: Path, root: Path) -> list[ScanFile]:
         tables = itself if itself.suffixes else None
         raise ambiguous_folders(source, root, replace(search, folders=layouts), tables)
     if chosen := usable(layouts):
-        notice_once(words_of_choice(source, root, chosen, [itself, *search.folders]))
+        log_once(words_of_choice(source, root, chosen, [itself, *search.folders]), NOTICE)
         return _scans_of_folders(source, root, chosen)
     clouds = [folder for folder in search.folders if folder.rank == CERTAIN]
     if words := words_of_others(source, root, clouds, 0):
-        notice_once(words)
+        log_once(words, NOTICE)
     return []
 
 
@@ -317,7 +317,7 @@ def _require_a_folder_each(source: Path, root: Path, scans: Iterable[ScanFile]) 
 def _with_scans_elsewhere(source: Path, root: Path, scans: list[ScanFile]) -> list[ScanFile]:
     """Return scans with those of deeper folders of drives; print a line about other folders.
 
-    Drives in `PLACE/*/velodyne` are a collection, to which deeper drives belong. Other drives
+    Drives in ``ROOT/*/velodyne`` are a collection, to which deeper drives belong. Other drives
     below a sequence, a data set or a folder of scans are only named.
     """
     if recording_of(root):
@@ -332,11 +332,11 @@ def _with_scans_elsewhere(source: Path, root: Path, scans: list[ScanFile]) -> li
     drives = [folder for folder in others if is_collection and _is_drive(folder.path)]
     others = [folder for folder in others if folder not in drives]
     if drives:
-        notice_once(words_of_drives(source, root, drives))
+        log_once(words_of_drives(source, root, drives), NOTICE)
         scans = sorted([*scans, *_scans_of_folders(source, root, drives)])
         _require_a_folder_each(source, root, scans)
     if words := words_of_others(source, root, others, search.stopped_after):
-        notice_once(words)
+        log_once(words, NOTICE)
     return scans
 
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from contextlib import suppress
 from dataclasses import fields
 from pathlib import Path
@@ -16,22 +17,43 @@ from salsanext_cli.runs.results.manifest import Manifest, StageRecord
 
 NETWORK_STAGES = ("predict", "uncertainty")
 """Stages whose records have the settings of a network, the first one decides."""
+SETTINGS_OF_LABELS = ("classes", "origin")
+"""Settings of a network that only commands which label scans take."""
 UNKNOWN_WEIGHTS = "WEIGHTS"
 """Word for weights that a run does not record, and that were moved since."""
 
 
-def settings_of_network(records: Manifest) -> list[str]:
-    """Return the settings that the network of a run was given, as `setting` spells them."""
+def settings_of_network(
+    records: Manifest, omitted: Collection[str] = SETTINGS_OF_LABELS
+) -> list[str]:
+    """Return the settings that the network of a run was given, as `setting` spells them.
+
+    Parameters
+    ----------
+    records : Manifest
+        Records of the run.
+    omitted : collection of str
+        Settings that the command does not take, or must not repeat.
+
+    Returns
+    -------
+    list of str
+    """
     record = network_record(records)
     if record is None:
         return []
-    named = {name: _path_as_typed(value) for name, value in record.options.items()}
-    return [*_weights(records, record), *(setting(name, value) for name, value in named.items())]
+    options = {name: value for name, value in record.options.items() if name not in omitted}
+    return [*_weights(records, record), *settings_as_typed(options)]
 
 
-def settings_of_run(records: Manifest) -> list[str]:
+def settings_as_typed(options: Mapping[str, object]) -> list[str]:
+    """Return settings by argument as `setting` spells them, with paths of the current folder."""
+    return [setting(name, _value_as_typed(value)) for name, value in options.items()]
+
+
+def settings_of_run(records: Manifest, omitted: Collection[str] = ()) -> list[str]:
     """Return the settings of `settings_of_network`, and those of the vote of the neighbours."""
-    settings = settings_of_network(records)
+    settings = settings_of_network(records, omitted)
     recorded = records.settings("predict") or records.settings("uncertainty")
     knn = recorded.knn if recorded else None
     if knn is None:
@@ -62,10 +84,15 @@ def path_as_typed(path: Path) -> Path:
     return absolute.relative_to(here) if absolute.is_relative_to(here) else absolute
 
 
-def _path_as_typed(value: object) -> object:
-    """Return a value, an absolute path as it is typed in the current folder."""
-    is_path = isinstance(value, str) and Path(value).is_absolute()
-    return path_as_typed(Path(value)) if isinstance(value, str) and is_path else value
+def _value_as_typed(value: object) -> object:
+    """Return a value of JSON as an argument: an absolute path as it is typed in this folder."""
+    if isinstance(value, list | tuple):
+        return tuple(_value_as_typed(item) for item in value)
+    if isinstance(value, float) and value.is_integer():
+        return int(value)
+    if isinstance(value, str) and Path(value).is_absolute():
+        return path_as_typed(Path(value))
+    return value
 
 
 def network_record(records: Manifest) -> StageRecord | None:

@@ -370,16 +370,6 @@ def test_results_beside_their_scans_are_announced(run, weights, tmp_path):
     assert not any(line.startswith(f"{apart}: is ") for line in result.stderr.splitlines())
 
 
-def test_the_next_command_after_project_names_its_settings(run, data, weights, tmp_path):
-    options = ("--width", 64, "--min-range", 2, "--ego", "none")
-    printed = only_json(run("project", data, tmp_path, "--weights", weights, *options, "--json"))
-    words = printed["next"].split()
-    assert words[words.index("--width") :] == [
-        *["--width", "64", "--min-range", "2", "--ego", "none"]
-    ]
-    assert run(*words[1:]).exit_code == 0
-
-
 def test_notes_about_files_are_printed_by_the_command_that_reads_them_first(run, weights, tmp_path):
     drive = tmp_path / "drive"
     drive.mkdir()

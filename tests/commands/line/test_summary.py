@@ -27,11 +27,26 @@ from salsanext_cli.runs.results.paths import ScanFile, find_scans
 from salsanext_cli.runs.summary.scan_summary import RunSummary
 
 
-def test_the_next_commands_lead_from_scans_to_scores(run, data, weights, tmp_path):
+@pytest.mark.parametrize(
+    "options",
+    [
+        "",
+        "--sensor 'my sensor.toml' --width 64 --min-range 2 --ego none",
+        "--columns x,y,z,intensity --intensity-field intensity",
+    ],
+)
+def test_the_next_commands_lead_from_scans_to_scores(
+    run, data, weights, tmp_path, monkeypatch, options
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "my sensor.toml").write_text(replace(SMALL, fov_up=4.0).to_toml())
     out = tmp_path / "my out"
-    printed = only_json(run("project", data, out, "--weights", weights, "--json"))
+    named = shlex.split(options)
+    printed = only_json(run("project", data, out, "--weights", weights, *named, "--json"))
+    following = shlex.split(printed["next"])
     words = ["salsanext", "predict", str(out), str(out), "--weights", str(weights)]
-    assert printed["next"] == shlex.join(words)
+    assert following[: len(words)] == words
+    assert {*following[len(words) :]} == {*named}
     commands = []
     while following := printed.get("next"):
         _, *words = shlex.split(following)

@@ -1,14 +1,18 @@
 # SPDX-License-Identifier: MIT
 """Commands in hints about missing results: followed as printed, they continue the same run."""
 
+import re
 import shlex
 from dataclasses import replace
 
+import numpy as np
 import pytest
+import yaml
 from command_line import called
 from scans import SMALL
 from world import World
 
+from salsanext_cli import label_space
 from salsanext_cli.commands.line.option_names import CommandLine
 from salsanext_cli.core.wording import spelled
 from salsanext_cli.runs.results.making_commands import (
@@ -18,6 +22,8 @@ from salsanext_cli.runs.results.making_commands import (
     MakingCommand,
     making_hint,
 )
+from salsanext_cli.runs.results.manifest import Manifest
+from salsanext_cli.runs.results.merged_labels import hint_for_error
 from salsanext_cli.runs.results.paths import find_outputs, find_scans
 
 PROBABILITIES = MakingCommand(stage="predict", extras=("probabilities",))
@@ -83,3 +89,47 @@ def test_the_hint_about_the_error_names_its_option(world):
     with spelled(CommandLine()):
         assert " --error`" in making_hint("error", world.out, find_scans(world.data)[0])
         assert making_hint("entropy", world.out).startswith("run `salsanext uncertainty SCANS ")
+
+
+@pytest.mark.parametrize("classes", ["coarse", "my classes.yaml"])
+def test_the_hint_of_fuse_can_be_followed_with_merged_classes(
+    world, tmp_path, monkeypatch, classes
+):
+    monkeypatch.chdir(tmp_path)
+    merged = label_space("coarse").to_dict() | {"name": "mine"}
+    (tmp_path / "my classes.yaml").write_text(yaml.safe_dump(merged))
+    network = ("--weights", world.network.weights, "--engine", "torch")
+    called("predict", world.data, world.out, "--classes", classes, *network)
+    refused = called("fuse", world.out, status=1)
+    command = re.search(r"^hint: run `salsanext (.+?)`, or with (--\w+)$", refused.stderr, re.M)
+    words = shlex.split(command[1])
+    assert words[words.index("--classes") + 1] == classes
+    # Without poses of the scans, nothing can be fused.
+    called(*(command[2] if word == "--fuse" else word for word in words))
+    assert len(find_outputs(world.out, "probabilities")) == 3
+    called(*words_of(UNCERTAINTY_STAGE, world.out, find_scans(world.data)[0])[1:], "--samples", 2)
+    with spelled(CommandLine()):
+        hint = hint_for_error(world.out, find_scans(world.data)[0])
+    # Merged labels have no probability of error.
+    assert "--error" in hint
+    assert "--classes" not in hint
+
+
+def test_a_hint_states_the_origin_as_it_was_typed(world, tmp_path):
+    origin = "-0.5,0.25,0.125"
+    network = ("--weights", world.network.weights, "--engine", "torch")
+    called("predict", world.data, world.out, "--origin", origin, *network)
+    recorded = Manifest(world.out).sensor()
+    assert recorded.origin == (-0.5, 0.25, 0.125)
+    file = find_scans(world.data)[0]
+    other = tmp_path / "other"
+    called(*words_of(PREDICT, world.out, file, overwrite=True)[1:])
+    called(*words_of(PREDICT, world.out, file, target=other)[1:])
+    for out in (world.out, other):
+        assert Manifest(out).sensor() == recorded
+    for path in world.out.rglob("*.label"):
+        again = np.fromfile(other / path.relative_to(world.out), "<u4")
+        assert np.array_equal(np.fromfile(path, "<u4"), again)
+    # `uncertainty` takes the recorded sensor, and has no such option.
+    called(*words_of(UNCERTAINTY_STAGE, world.out, file)[1:], "--samples", 2)
+    assert Manifest(world.out).sensor() == recorded
