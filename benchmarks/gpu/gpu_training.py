@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""Speed of training on a GPU by batch and loaders, and what each part of a step takes."""
+"""Speed of training on a GPU by batch, loaders and samples of the device; parts of a step."""
 
 import os
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,9 @@ from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import save_weights
 from salsanext_cli.training.data.class_counts import class_weights, count_classes, rare_classes
 from salsanext_cli.training.data.dataset import Batch, Samples, batches
+from salsanext_cli.training.data.on_device.device_batches import DeviceBatches
+from salsanext_cli.training.data.on_device.scan_memory import ScanMemory
+from salsanext_cli.training.data.on_device.scan_store import ScanStore
 from salsanext_cli.training.initial_network import initial_network
 from salsanext_cli.training.learner import Learner, fastest_precision
 from salsanext_cli.training.recipe import Recipe, recipe
@@ -34,6 +38,20 @@ STEPS = 100_000
 REPETITIONS = 8
 SECONDS_OF_LOADERS = 4.0
 BATCH_OF_LOADERS = 16
+BATCH_OF_DEVICE = 24  # That of the paper
+PAPER_ALONE = {
+    **dict.fromkeys(("rotate", "shift", "flip", "drop"), 0.5),
+    **dict.fromkeys(("mix", "paste", "intensity", "no_intensity", "mount"), 0.0),
+    **dict.fromkeys(("view", "fewer_beams", "jitter", "holes"), 0.0),
+}
+"""Chances of the augmentations of the paper, without others."""
+DEVICE_SAMPLES: dict[str, dict[str, Any]] = {
+    "samples of the device, street, 64×512": {},
+    "samples of the device, street, 64×2048": {"widths": "2048"},
+    "samples of the device, paper, 64×2048": {"widths": "2048", **PAPER_ALONE},
+}
+"""Changes of the recipe `street` by name."""
+SMALL_SAMPLES: dict[str, dict[str, Any]] = {"samples of the device, small": {}}
 
 
 def measure(figures: Figures, weights: Path, scratch: Path, *, small: bool = False) -> None:
@@ -52,6 +70,11 @@ def measure(figures: Figures, weights: Path, scratch: Path, *, small: bool = Fal
                 measure_steps(figures, name, learning(pool, weights, device, batch, width))
     cores, batch = os.cpu_count() or 1, min(sizes[-1], BATCH_OF_LOADERS)
     seconds = 1.0 if small else SECONDS_OF_LOADERS
+    for name, changes in (SMALL_SAMPLES if small else DEVICE_SAMPLES).items():
+        if figures.has_time_for(name, 4 * seconds):
+            batch_of_device = min(sizes[-1], BATCH_OF_DEVICE)
+            how = learning(pool, weights, device, batch_of_device, 0, **changes)
+            measure_device_samples(figures, name, *how, seconds)
     for loaders in (1,) if small else (cores // 4, cores // 2, cores - 2):
         for width in widths:
             name = f"{loaders} loaders, width {width or sensor.width}"
@@ -71,10 +94,10 @@ def small_weights(path: Path, weights: Path) -> Path:
 
 
 def learning(
-    pool: ScenePool, weights: Path, device: torch.device, batch: int, width: int
+    pool: ScenePool, weights: Path, device: torch.device, batch: int, width: int, **changes: Any
 ) -> tuple[Learner, Samples]:
     """Return what the recipe `street` trains with, and its samples."""
-    how = gpu_recipe(device, batch=batch, crop_width=width)
+    how = gpu_recipe(device, batch=batch, crop_width=width, **changes)
     sources = [pool.source(kind) for kind in KINDS]
     counts = count_classes(sources[0]).points.sum(axis=0)
     scored = label_space().scored
@@ -148,6 +171,38 @@ def measure_loaders(
 
         rate = windows * rate_of(figures, stream, seconds, step)
     figures.add(f"{name}, training", rate, "windows/s")
+    figures.add(f"{name}, GPU used", mean_text(used), "%")
+
+
+def measure_device_samples(
+    figures: Figures, name: str, learner: Learner, samples: Samples, seconds: float
+) -> None:
+    """Measure images a second that the device makes, those that it makes and learns from.
+
+    The last figure is the share of the speed on batches that are ready.
+    """
+    memory = ScanMemory(device=learner.device)
+    store = ScanStore(memory=memory, rare=samples.rare, jobs=os.cpu_count() or 1)
+    begun = time.monotonic()
+    keys = store.read(samples.sources)
+    figures.add(f"{name}, scans read", len(keys) / (time.monotonic() - begun), "scans/s")
+    source = DeviceBatches(samples=samples, store=store, device=learner.device)
+    stream = source.batches(0)
+    ready = next(stream)
+    images = len(ready[0])
+    rate = images * rate_of(figures, stream, seconds, lambda *_: None)
+    figures.add(f"{name}, alone", rate, "images/s")
+
+    def step(number: int, batch: Batch) -> None:
+        learner.step(batch[0], batch[1], number, STEPS)
+
+    step(0, ready)
+    on_ready = images * rate_of(figures, repeat(ready), seconds, step)
+    figures.add(f"{name}, training on a ready batch", on_ready, "images/s")
+    with utilisation(figures.device) as used:
+        rate = images * rate_of(figures, stream, seconds, step)
+    figures.add(f"{name}, training", rate, "images/s")
+    figures.add(f"{name}, share of a ready batch", 100 * rate / on_ready, "%")
     figures.add(f"{name}, GPU used", mean_text(used), "%")
 
 

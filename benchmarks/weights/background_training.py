@@ -34,6 +34,7 @@ from salsanext_cli.io.weights.loading import network_of_module
 from salsanext_cli.io.weights.weights import save_weights
 from salsanext_cli.runs.network_settings import weights_file
 from salsanext_cli.training.checkpoint import load_checkpoint
+from salsanext_cli.training.data.batch_source import WorkerBatches
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.fit import StepReport, Training
 from salsanext_cli.training.initial_network import initial_network
@@ -117,10 +118,9 @@ def training_of(
     return Training(
         run=run,
         learner=learner,
-        samples=data.samples,
+        batches=WorkerBatches(samples=data.samples, workers=1),
         validation=nothing,
         card=card,
-        workers=1,
         report=scoring.report,
     )
 
@@ -128,7 +128,7 @@ def training_of(
 def write_average(training: Training, target: Path) -> None:
     """Write the running average of the last checkpoint as weights, and print its steps."""
     state = load_checkpoint(training.run / CHECKPOINT, training.learner)
-    steps = state.epoch * training.samples.plan.steps_per_epoch + len(state.losses)
+    steps = state.epoch * training.plan.steps_per_epoch + len(state.losses)
     module = training.learner.average.eval()
     remove_class_weights(module, training.card, training.run / CLASS_COUNTS)
     save_weights(target, module, training.card, half=True)

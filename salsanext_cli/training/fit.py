@@ -21,7 +21,8 @@ from salsanext_cli.io.weights.loading import network_of_module
 from salsanext_cli.io.weights.weights import encode_weights
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
-from salsanext_cli.training.data.dataset import Batch, Samples, batches
+from salsanext_cli.training.data.batch_source import BatchSource
+from salsanext_cli.training.data.dataset import Batch, SamplingPlan
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.learner import Learner, learning_rate
 from salsanext_cli.training.run_folder import BEST, CHECKPOINT, LAST, LOG, Row, write_log
@@ -51,16 +52,20 @@ class Training:
 
     run: Path
     learner: Learner
-    samples: Samples
+    batches: BatchSource
     validation: Source
     card: WeightsCard
-    workers: int
     report: Callable[[StepReport], object]  # Called after every step, in the main worker alone
+
+    @property
+    def plan(self) -> SamplingPlan:
+        """Order of the samples of all workers."""
+        return self.batches.samples.plan
 
     def fit(self) -> TrainingState:
         """Train from the last checkpoint, if there is one, to the end."""
         saved = self.run / CHECKPOINT
-        steps = self.samples.plan.steps_per_epoch
+        steps = self.plan.steps_per_epoch
         state = load_checkpoint(saved, self.learner) if saved.exists() else TrainingState()
         first = state.epoch * steps + len(state.losses)
         group = self.learner.group
@@ -74,8 +79,7 @@ class Training:
             action = "resuming" if state.epoch < epochs else "complete"
             where = f"{state.epoch} of {epochs} epochs, step {first}, from {saved}"
             log.log(NOTICE, "%s after %s", action, where)
-        pinned = self.learner.device.type == "cuda"
-        stream = batches(self.samples, first, self.workers, pinned=pinned, group=group)
+        stream = self.batches.batches(first)
         while state.epoch < epochs:
             self._epoch(state, stream)
             self._end_epoch(state)
@@ -85,8 +89,8 @@ class Training:
         """Take the remaining steps of an epoch, and report all but the last."""
         saved = time.monotonic()
         start = saved - state.seconds
-        end = (state.epoch + 1) * self.samples.plan.steps_per_epoch
-        first = end - self.samples.plan.steps_per_epoch + len(state.losses)
+        end = (state.epoch + 1) * self.plan.steps_per_epoch
+        first = end - self.plan.steps_per_epoch + len(state.losses)
         interval = CHECK_INTERVALS[self.learner.device.type]
         unchecked: list[Tensor] = []  # Losses of the last steps
         for step, batch in enumerate(islice(stream, end - first), first):
@@ -108,7 +112,7 @@ class Training:
     def _end_epoch(self, state: TrainingState) -> None:
         """Validate, write and report an epoch whose steps are done."""
         recipe = self.learner.recipe
-        steps = self.samples.plan.steps_per_epoch
+        steps = self.plan.steps_per_epoch
         losses = state.losses
         seconds = state.seconds
         group = self.learner.group
@@ -140,11 +144,14 @@ class Training:
     def _step(self, batch: Batch, step: int) -> Tensor:
         images, truth = batch
         try:
-            return self.learner.step(images, truth, step, self.samples.plan.steps_per_epoch)
+            return self.learner.step(images, truth, step, self.plan.steps_per_epoch)
         except torch.OutOfMemoryError as error:
-            problem = f"not enough memory on {self.learner.device} for {len(images)} images"
-            hint = f"compute a batch in more parts, such as {setting('recipe.accumulate', 2)}"
-            raise TrainingError(f"step {step + 1}", problem, hint=hint) from error
+            if not self.batches.free_device():
+                problem = f"not enough memory on {self.learner.device} for {len(images)} images"
+                hint = f"compute a batch in more parts, such as {setting('recipe.accumulate', 2)}"
+                raise TrainingError(f"step {step + 1}", problem, hint=hint) from error
+        # The error, which holds memory, is gone here.
+        return self._step(batch, step)
 
     def _checked(self, losses: list[Tensor], last: int) -> list[float]:
         """Return the losses of the steps up to the last; raise an error that names the scans."""
@@ -152,9 +159,8 @@ class Training:
         first = last + 1 - len(values)
         for step, value in enumerate(values, first):
             if not math.isfinite(value):
-                keys = next(self.samples.plan.batches(step))
-                files = [self.samples.scan_at(index)[1].path for _, index in keys]
-                problem = f"loss or gradient is not finite with {', '.join(map(str, files))}"
+                files = ", ".join(map(str, self.batches.paths(step)))
+                problem = f"loss or gradient is not finite with {files}"
                 hint = "check these scans, lower learning_rate or set clip_gradient"
                 raise TrainingError(f"step {step + 1}", problem, hint=hint)
         return values
@@ -181,10 +187,6 @@ class Training:
             epochs = self.learner.recipe.epochs
             self.report(
                 StepReport(
-                    epoch=epoch,
-                    epochs=epochs,
-                    step=step + 1,
-                    steps=self.samples.plan.steps,
-                    row=row,
+                    epoch=epoch, epochs=epochs, step=step + 1, steps=self.plan.steps, row=row
                 )
             )

@@ -13,6 +13,7 @@ from torch.nn import functional as F
 
 from salsanext_cli.training.data.targets import ClassSets
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
+from salsanext_cli.training.transfer import to_device
 
 
 def weighted_cross_entropy(
@@ -107,12 +108,6 @@ def lovasz_softmax(
     gradients_of_workers = torch.split(gradients, pixels_of_workers, 1)
     own_gradients = gradients_of_workers[group.rank]
     return (errors * own_gradients).sum() / len(present)
-
-
-def to_device(indices: Tensor, device: torch.device) -> Tensor:
-    """Return indices on a device; the copy to a GPU does not wait, since memory is pinned."""
-    source = indices.pin_memory() if device.type == "cuda" else indices
-    return source.to(device, non_blocking=True)
 
 
 class SegmentationLoss(nn.Module):

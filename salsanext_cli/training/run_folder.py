@@ -24,6 +24,7 @@ from salsanext_cli.runs.results.manifest import (
 )
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.training.data.batch_source import WORKERS
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.recipe import Recipe
 
@@ -62,6 +63,7 @@ class TrainingSettings:
     labels: str | None = None  # Digest of the labels of a cross-validated training
     also: tuple[FurtherData, ...] | None = None
     held_out: str | None = None  # `scans_digest` of the scans of a fold
+    samples: str = WORKERS  # Where samples are made; also in records of older versions
 
     @property
     def decisive(self) -> dict[str, object]:
@@ -71,9 +73,25 @@ class TrainingSettings:
 
 
 def training_settings(
-    recipe: Recipe, sources: Sequence[Source], weights: Path | None
+    recipe: Recipe, sources: Sequence[Source], weights: Path | None, samples: str
 ) -> TrainingSettings:
-    """Return the settings of a training; sources: training, validation, further data sets."""
+    """Return the settings of a training.
+
+    Parameters
+    ----------
+    recipe : Recipe
+        Recipe of the training.
+    sources : sequence of Source
+        Training scans, validation scans, further data sets.
+    weights : Path, optional
+        Initial weights; None for random ones.
+    samples : str
+        Where samples are made.
+
+    Returns
+    -------
+    TrainingSettings
+    """
     first, validation, *further = sources
     labels = None
     if first.files and recipe.folds:
@@ -92,6 +110,7 @@ def training_settings(
         weights=fingerprint(weights) if weights else None,
         labels=labels,
         also=tuple(further_data) or None,
+        samples=samples,
     )
 
 
@@ -131,6 +150,12 @@ def recorded_precision(run: Path) -> str | None:
     settings = recorded_settings(run)
     precision = settings.recipe.precision if settings else None
     return None if precision == "auto" else precision
+
+
+def recorded_samples(run: Path) -> str | None:
+    """Return where the samples of the training in a folder are made, None without one."""
+    settings = recorded_settings(run)
+    return settings.samples if settings else None
 
 
 def require_free(run: Path, settings: TrainingSettings, *, overwrite: bool) -> None:

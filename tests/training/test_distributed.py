@@ -167,14 +167,13 @@ def test_workers_resume_from_the_same_step_or_not_at_all(tmp_path: Path) -> None
             return 6
 
     single = SimpleNamespace(group=Apart(rank=1, size=2))
-    samples = SimpleNamespace(plan=SimpleNamespace(steps_per_epoch=4))
+    plan = SimpleNamespace(steps_per_epoch=4)
     training = Training(
         run=tmp_path,
         learner=single,
-        samples=samples,
+        batches=SimpleNamespace(samples=SimpleNamespace(plan=plan)),
         validation=None,
         card=None,
-        workers=0,
         report=None,
     )
     refused(TrainingError, tmp_path, training.fit)

@@ -4,12 +4,17 @@
 import shlex
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from salsanext_cli.commands.line import arguments, console
 from salsanext_cli.commands.line.completion import completer
 from salsanext_cli.commands.line.interruption import on_interruption, require_uninterrupted
-from salsanext_cli.commands.line.option_fields import argument, network_option, option_group
+from salsanext_cli.commands.line.option_fields import (
+    argument,
+    network_option,
+    option_group,
+    running_option,
+)
 from salsanext_cli.commands.line.progress import progress
 from salsanext_cli.core.texts import counted, percentage
 from salsanext_cli.runs.network_settings import weights_file
@@ -77,6 +82,11 @@ def train(
     start: Start,
     label_space: str | None = arguments.LABEL_SPACE,
     device: str = arguments.DEVICE,
+    samples: Literal["auto", "device", "workers"] = running_option(
+        "Where samples are made: on the device, from scans in its memory, or by processes.",
+        default="auto",
+        show_default="as before in RUN, else the device if it is a GPU",
+    ),
     jobs: int | None = arguments.jobs_option(
         default=None, show_default="1; on a GPU one per core, up to 8"
     ),
@@ -106,6 +116,7 @@ def train(
             sensor=arguments.sensor(start.sensor),
             space=named_label_space(label_space),
             device=device,
+            samples=samples,
             jobs=jobs,
             weights=weights_file(start.weights) if start.weights else None,
             overwrite=overwrite,

@@ -21,9 +21,6 @@ from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.texts import counted
 from salsanext_cli.core.wording import setting
 from salsanext_cli.io.weights.card_file import default_weights, named_weights, read_card
-from salsanext_cli.io.weights.loading import network_of_module
-from salsanext_cli.io.weights.weights import encode_weights, read_weights
-from salsanext_cli.runs.fit.scan_reading import read_prepared
 from salsanext_cli.runs.labelling.label_records import require_labels
 from salsanext_cli.runs.labelling.las_classification import labels_source
 from salsanext_cli.runs.loop.run_options import cores, worker_count
@@ -32,8 +29,10 @@ from salsanext_cli.runs.results.selection import evenly_spaced
 from salsanext_cli.runs.summary.scan_warnings import ScanWarning
 from salsanext_cli.training.cross_validated_training import CrossValidatedTraining
 from salsanext_cli.training.cross_validation import Expectation
+from salsanext_cli.training.data.batch_source import DEVICE, WORKERS
 from salsanext_cli.training.data.class_counts import class_counts
 from salsanext_cli.training.data.dataset import SamplingPlan
+from salsanext_cli.training.data.on_device.device_room import DeviceRoom
 from salsanext_cli.training.data.sources import (
     ScansToTrainOn,
     Source,
@@ -44,6 +43,7 @@ from salsanext_cli.training.data.sources import (
 from salsanext_cli.training.distributed import ProcessGroup, group_of_environment, process_group
 from salsanext_cli.training.fit import StepReport
 from salsanext_cli.training.initial_network import inheriting, initial_network
+from salsanext_cli.training.int8_ranges import add_int8_ranges
 from salsanext_cli.training.learner import common_precision
 from salsanext_cli.training.memory import memory_of
 from salsanext_cli.training.recipe import Recipe
@@ -58,15 +58,15 @@ from salsanext_cli.training.run_folder import (
     TrainingSettings,
     record_start,
     recorded_precision,
+    recorded_samples,
     require_free,
     training_settings,
 )
-from salsanext_cli.training.setup import Setup, TrainingData
+from salsanext_cli.training.setup import Setup, TrainingData, scan_store
 from salsanext_cli.training.step_memory import StepMemory
-from salsanext_cli.training.tuning.int8 import int8_inputs
 
 MAX_LOADERS = 8  # Largest default number of processes that prepare samples for a GPU
-INT8_SCANS = 8  # Training scans that the ranges for int8 are fitted to
+AUTO = "auto"
 
 log = logging.getLogger(__name__)
 
@@ -102,7 +102,8 @@ class NewTraining:
     recipe: Recipe
     weights: Path | None
     overwrite: bool
-    jobs: int  # Processes that prepare samples
+    samples: str  # Where samples are made: auto, device or workers
+    jobs: int  # Processes that prepare samples, or threads that read scans
     group: ProcessGroup
     device: torch.device
 
@@ -142,10 +143,15 @@ class NewTraining:
         )
         recipe = self._resolved_recipe()
         initial, card = initial_network(start, scans.space, recipe, sensor)
-        self._announce(recipe, card.sensor, scans)
-        _require_memory(recipe, card.sensor, self.group, self.device)
         sources = self._sources(scans, card.sensor)
-        settings = training_settings(recipe, sources, start)
+        step = self._step_memory(recipe, card.sensor)
+        room = DeviceRoom(
+            device=self.device, step=step, workers=self.group.size, workers_here=_workers_here()
+        )
+        kind = self.group.on_main(partial(self._kind_of_samples, sources, room))
+        self._announce(recipe, card.sensor, scans, kind)
+        _require_memory(step, self.group, self.device)
+        settings = training_settings(recipe, sources, start, kind)
         data = self.group.on_main(partial(self._prepare, locks, sources, settings))
         return Setup(
             run=self.run,
@@ -159,6 +165,7 @@ class NewTraining:
             device=self.device,
             group=self.group,
             workers=self.jobs if self.jobs > 1 else 0,
+            store=scan_store(recipe, data, room, self.jobs) if kind == DEVICE else None,
             report=report,
         )
 
@@ -172,12 +179,31 @@ class NewTraining:
         precision = recorded or common_precision(self.device, self.group)
         return replace(self.recipe, precision=precision)
 
-    def _announce(self, recipe: Recipe, seen: Sensor, scans: ScansToTrainOn) -> None:
+    def _step_memory(self, recipe: Recipe, seen: Sensor) -> StepMemory | None:
+        """Return the images that a worker computes at once; None for an unknown network."""
+        is_shared = self.device.type == "cpu"
+        sharing = _workers_here() if is_shared else 1
+        return StepMemory.from_recipe(recipe, seen, self.device.type, self.group.size, sharing)
+
+    def _kind_of_samples(self, sources: Sequence[Source], room: DeviceRoom) -> str:
+        """Return where samples are made: as requested, else as before, else as the device is."""
+        if self.samples != AUTO:
+            return self.samples
+        recorded = None if self.overwrite else recorded_samples(self.run)
+        if recorded or self.device.type != "cuda":
+            return recorded or WORKERS
+        first, _, *further = sources
+        return DEVICE if room.has_room_for([first, *further]) else WORKERS
+
+    def _announce(self, recipe: Recipe, seen: Sensor, scans: ScansToTrainOn, samples: str) -> None:
         """Log the device, the numbers of scans, and the images and steps of an epoch."""
         if not self.group.is_main:
             return
-        text = "device: %s; processes that prepare samples: %d"
-        log.log(NOTICE, text, self.device, self.jobs)
+        if samples == DEVICE:
+            log.log(NOTICE, "device: %s, which also makes the samples", self.device)
+        else:
+            text = "device: %s; processes that prepare samples: %d"
+            log.log(NOTICE, text, self.device, self.jobs)
         steps = SamplingPlan(scan_counts=[len(scans.training)], recipe=recipe).steps_per_epoch
         columns = recipe.crop_width or seen.width
         training = counted(len(scans.training), "scan")
@@ -256,6 +282,7 @@ def train(
     sensor: Sensor | None = None,
     space: LabelSpace | None = None,
     device: str = "auto",
+    samples: str = AUTO,
     jobs: int | None = None,
     weights: Path | None = None,
     overwrite: bool = False,
@@ -281,8 +308,12 @@ def train(
         Classes; by default those of the data set.
     device : str
         Device, such as ``"cpu"`` or ``"cuda:0"``; by default a GPU if there is one.
+    samples : str
+        Where samples are made: ``"device"``, from scans in its memory, or ``"workers"``, processes
+        that read scans for each batch. By default as before in this folder, else on a GPU.
     jobs : int, optional
-        Number of processes that prepare samples; by default up to eight on a GPU, else one.
+        Number of processes that prepare samples, or of threads that read scans for the device; by
+        default up to eight on a GPU, else one.
     weights : Path, optional
         Initial weights, by default those of the recipe.
     overwrite : bool
@@ -304,6 +335,7 @@ def train(
             recipe=recipe,
             weights=weights,
             overwrite=overwrite,
+            samples=samples,
             jobs=_workers(jobs, chosen.type),
             group=group,
             device=chosen,
@@ -327,7 +359,7 @@ def _trained(setup: Setup, start: Path | None) -> TrainResult:
     if start and not expected:
         setup = replace(setup, card=inheriting(setup.card, start))
     state = setup.training(data.sources[0].files, data.validation).fit()
-    setup.group.on_main(partial(_add_int8, run, data.sources[0], str(setup.device)))
+    setup.group.on_main(partial(add_int8_ranges, run, data.sources[0], str(setup.device)))
     return TrainResult(
         best=run / BEST,
         last=run / LAST,
@@ -338,34 +370,19 @@ def _trained(setup: Setup, start: Path | None) -> TrainResult:
     )
 
 
-def _add_int8(run: Path, source: Source, device: str) -> None:
-    """Add ranges for int8 to the weights of a finished training, unless they are there."""
-    for path in filter(Path.exists, (run / BEST, run / LAST)):
-        module, card = read_weights(path)
-        if card.int8:
-            continue
-        network = network_of_module(module.to(device), card, device)
-        inputs = [
-            read_prepared(file, network.for_sensor(source.sensor_of(file))).scan.input
-            for file in evenly_spaced(source.files, INT8_SCANS)
-        ]
-        card = replace(card, int8=int8_inputs(module, inputs))
-        OwnedFolder(run).write(path, encode_weights(module, card), durable=True)
+def _workers_here() -> int:
+    """Return the number of workers of torchrun on this machine."""
+    return int(os.environ.get("LOCAL_WORLD_SIZE", 1))
 
 
 def _workers(jobs: int | None, kind: str) -> int:
     """Return the number of processes that prepare samples; by default one on a CPU."""
-    workers_here = int(os.environ.get("LOCAL_WORLD_SIZE", 1))
-    default = 1 if kind == "cpu" else max(1, min(MAX_LOADERS, cores() // workers_here))
+    default = 1 if kind == "cpu" else max(1, min(MAX_LOADERS, cores() // _workers_here()))
     return default if jobs is None else worker_count(jobs)
 
 
-def _require_memory(
-    recipe: Recipe, seen: Sensor, group: ProcessGroup, device: torch.device
-) -> None:
+def _require_memory(step: StepMemory | None, group: ProcessGroup, device: torch.device) -> None:
     """Refuse or warn of a step that needs more memory than the device has."""
-    sharing = int(os.environ.get("LOCAL_WORLD_SIZE", 1)) if device.type == "cpu" else 1
-    step = StepMemory.from_recipe(recipe, seen, device.type, group.size, sharing)
     memory = memory_of(str(device))
     if step and memory:
         group.on_main(partial(step.require_fits, memory))

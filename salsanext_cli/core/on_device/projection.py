@@ -33,6 +33,8 @@ class RangeImages:
         Flat index of the pixel of every point among all B · H · W pixels, -1 for none.
     point_range : (P,) float32
         Distance of every point from its sensor in metres; 0 for points without a pixel.
+    point_of_pixel : (B, H, W) int64
+        Index of the nearest point of every pixel, P where empty.
     ego_counts : (B,) int64
         Number of points of each scan on its sensor or vehicle.
     """
@@ -40,6 +42,7 @@ class RangeImages:
     channels: Tensor
     pixel_of_point: Tensor
     point_range: Tensor
+    point_of_pixel: Tensor
     ego_counts: Tensor
 
     @property
@@ -75,6 +78,7 @@ def project(batch: ScanBatch) -> RangeImages:
         channels=values[nearest].view(*size, len(CHANNELS)).permute(0, 3, 1, 2),
         pixel_of_point=pixel_of_point,
         point_range=point_range,
+        point_of_pixel=nearest.view(size),
         ego_counts=in_frame.ego_counts,
     )
 

@@ -41,7 +41,7 @@ class HostPoints:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ScanBatch:
-    """Points of B scans on a device, one scan after the other.
+    """Points of B scans on a device; those that `on_device` copies lie one scan after the other.
 
     Attributes
     ----------

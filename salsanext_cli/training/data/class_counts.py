@@ -4,8 +4,7 @@
 import hashlib
 import json
 import logging
-import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
@@ -32,10 +31,10 @@ from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.runs.summary.scan_warnings import ScanWarning, log_recorded
+from salsanext_cli.training.data.reading_progress import with_progress
 from salsanext_cli.training.data.sources import Source, read_labelled
 
 Counts = npt.NDArray[np.int64]
-NOTE_INTERVAL_S = 30.0  # Between two lines about the number of scans that have been read
 RARE_SHARE = 0.01  # Share of scored training points below which a class is rare
 
 log = logging.getLogger(__name__)
@@ -88,23 +87,13 @@ def count_classes(source: Source, jobs: int = 1) -> CountedScans:
     # Threads suffice, since reading and counting release the interpreter's lock.
     run = joblib.Parallel(jobs, backend="threading", return_as="generator")
     calls = [joblib.delayed(count)(file) for file in source.files]
-    scans = list(_noted(run(calls), source.files))
+    scans = list(with_progress(run(calls), len(source.files)))
     points = np.array([scan.points for scan in scans], np.int64)
     return CountedScans(
         points=points.reshape(-1, source.space.class_count),
         summaries=[scan.summary for scan in scans],
         digests=[scan.digest for scan in scans],
     )
-
-
-def _noted(results: Iterable[CountedScan], files: Sequence[ScanFile]) -> Iterator[CountedScan]:
-    """Yield the results of scans, and log from time to time how many there are."""
-    noted = time.monotonic()
-    for done, result in enumerate(results, 1):
-        yield result
-        if time.monotonic() - noted > NOTE_INTERVAL_S:
-            noted = time.monotonic()
-            log.log(NOTICE, "%s of %s read", f"{done:,}", counted(len(files), "scan"))
 
 
 def class_shares(counts: Counts, scored: Mask) -> Double:

@@ -37,7 +37,7 @@ from salsanext_cli.io.weights.weights import save_weights
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.paths import find_scans
 from salsanext_cli.training import fit, learner
-from salsanext_cli.training.data import class_counts
+from salsanext_cli.training.data import reading_progress
 from salsanext_cli.training.data.class_counts import class_weights
 from salsanext_cli.training.data.dataset import Samples
 from salsanext_cli.training.data.sources import Source
@@ -133,11 +133,11 @@ def test_the_beginning_states_device_scans_and_images(dataset, tmp_path, caplog)
 def test_reading_many_scans_is_reported_from_time_to_time(dataset, tmp_path, monkeypatch, caplog):
     caplog.set_level(NOTICE)
     clock = iter(range(0, 10**6, 20))
-    monkeypatch.setattr(class_counts, "time", SimpleNamespace(monotonic=lambda: next(clock)))
+    monkeypatch.setattr(reading_progress, "time", SimpleNamespace(monotonic=lambda: next(clock)))
     go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1))
     # Every scan takes 20 seconds: two validation scans, then three of training.
-    lines = [text for text in caplog.messages if text.endswith(" read")]
-    assert lines == ["2 of 2 scans read", "2 of 3 scans read"]
+    lines = [text for text in caplog.messages if text.endswith(" left")]
+    assert lines == ["2 of 2 scans read, about 0 s left", "2 of 3 scans read, about 20 s left"]
 
 
 def test_a_step_that_needs_more_than_the_machine_has_is_refused(dataset, tmp_path, monkeypatch):
@@ -363,7 +363,7 @@ def test_rare_classes_and_weights_come_from_the_training_split(dataset, tmp_path
     (training,) = [call["self"] for call in fits]
     counts = json.loads((tmp_path / "run" / "class_counts.json").read_text())["points"]
     assert {n: c for n, c in counts.items() if c} == {"person": 10, "car": 90, "road": 1700}
-    rare = [name for name in np.array(space.names)[training.samples.rare] if counts[name]]
+    rare = [name for name in np.array(space.names)[training.batches.samples.rare] if counts[name]]
     assert rare == ["person"]
     expected = class_weights(np.array([counts[n] for n in space.names]), space.scored)
     assert torch.equal(training.learner.loss.weights, expected)

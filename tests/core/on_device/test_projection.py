@@ -22,7 +22,12 @@ def assert_same(images: RangeImages, expected: Sequence[RangeImage]) -> None:
     np.testing.assert_array_equal(images.channels.cpu().numpy(), channels)
     found_pixels = images.pixel_of_point.cpu().split(counts)
     found_ranges = images.point_range.cpu().split(counts)
+    begin = np.cumsum([0, *counts])
     for number, image in enumerate(expected):
+        nearest = np.where(
+            image.point_of_pixel < 0, begin[-1], image.point_of_pixel + begin[number]
+        )
+        np.testing.assert_array_equal(images.point_of_pixel[number].cpu(), nearest)
         own = image.pixel_of_point.astype(np.int64)
         own[own >= 0] += number * pixels
         np.testing.assert_array_equal(found_pixels[number], own)

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: MIT
+"""Batches that are made on the device of a training, equal in distribution to those of workers.
+
+Each worker of torchrun draws from its share of the scans of every data set.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import torch
+
+from salsanext_cli.training.data.dataset import Batch, Samples
+from salsanext_cli.training.data.on_device.batch_maker import BatchMaker
+from salsanext_cli.training.data.on_device.lookahead import batches_ahead
+from salsanext_cli.training.data.on_device.scan_store import ScanStore
+from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
+
+
+def share_of(samples: Samples, group: ProcessGroup) -> Samples:
+    """Return the share of the scans and of each batch that a worker of a group has."""
+    if group.size == 1:
+        return samples
+    sources = [
+        replace(source, files=source.files[group.rank :: group.size] or source.files)
+        for source in samples.sources
+    ]
+    batch = len(range(group.rank, samples.recipe.batch, group.size))
+    samples_per_epoch = samples.plan.steps_per_epoch * batch
+    recipe = replace(samples.recipe, batch=batch, samples_per_epoch=samples_per_epoch)
+    return replace(samples, sources=sources, recipe=recipe)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class DeviceBatches:
+    """Batches of a training, made from scans in the memory of its device.
+
+    Attributes
+    ----------
+    samples : Samples
+        Scans, sensor and recipe of the whole training.
+    store : ScanStore
+        Where the scans are kept.
+    device : torch.device
+        Device of the training.
+    group : ProcessGroup
+        Workers of the training.
+    """
+
+    samples: Samples
+    store: ScanStore
+    device: torch.device
+    group: ProcessGroup = SINGLE_PROCESS
+
+    def batches(self, first_step: int) -> Iterator[Batch]:
+        """Yield a worker's share of each batch, from a step of the whole training to its end.
+
+        Images are on the device, targets on the host, where the loss reads them.
+        """
+        share = share_of(self.samples, self.group)
+        maker = BatchMaker(
+            samples=share,
+            store=self.store,
+            keys=self.store.read(share.sources),
+            device=self.device,
+            rank=self.group.rank,
+        )
+        makers = (partial(maker.make, keys) for keys in share.plan.batches(first_step))
+        return batches_ahead(makers, self.device)
+
+    def free_device(self) -> bool:
+        """Move the scans to the host; return whether they were on the device.
+
+        Workers that share a batch keep them, since the others cannot repeat the step.
+        """
+        is_alone = self.group.size == 1
+        return is_alone and self.device.type == "cuda" and self.store.move_to_host()
+
+    def paths(self, step: int) -> list[Path]:
+        """Return the files of the images of a step, of all workers."""
+        paths = []
+        for rank in range(self.group.size):
+            share = share_of(self.samples, replace(self.group, rank=rank))
+            keys = next(share.plan.batches(step))
+            paths += [share.scan_at(index)[1].path for _, index in keys]
+        return paths

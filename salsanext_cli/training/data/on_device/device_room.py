@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: MIT
+"""Room for the scans of a training on its device and the host, and what they need."""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+
+from salsanext_cli.core.notices import NOTICE
+from salsanext_cli.io.formats import read_scan
+from salsanext_cli.runs.results.selection import evenly_spaced
+from salsanext_cli.training.data.on_device.scan_memory import BYTES_PER_POINT
+from salsanext_cli.training.data.sources import Source
+from salsanext_cli.training.memory import memory_of
+from salsanext_cli.training.step_memory import StepMemory
+
+ESTIMATED_SCANS = 8  # Scans of a data set that are read for the estimate
+USED_SHARE = 0.8  # Largest share of the available memory that scans should need
+
+log = logging.getLogger(__name__)
+
+
+def bytes_of_scans(sources: Sequence[Source]) -> int:
+    """Return the estimated size of the scans of data sets in memory, in bytes."""
+    points = 0.0
+    for source in sources:
+        files = evenly_spaced(source.files, ESTIMATED_SCANS)
+        counts = [len(read_scan(file.path, source.sensor_of(file))) for file in files]
+        points += len(source.files) * sum(counts) / max(len(counts), 1)
+    return int(BYTES_PER_POINT * points)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DeviceRoom:
+    """Room for the scans of a worker.
+
+    Attributes
+    ----------
+    device : torch.device
+        Device of the worker.
+    step : StepMemory, optional
+        Images that the worker computes at once; None for an unknown network.
+    workers : int
+        Number of workers that share the scans.
+    workers_here : int
+        Number of workers that share the memory of the host.
+    """
+
+    device: torch.device
+    step: StepMemory | None
+    workers: int = 1
+    workers_here: int = 1
+
+    @property
+    def reserve(self) -> int:
+        """Bytes of the device that stay free for steps: half of them for unknown steps."""
+        if self.step is not None:
+            return self.step.needed
+        memory = memory_of(str(self.device))
+        return memory.total // 2 if memory else 0
+
+    def has_room_for(self, sources: Sequence[Source]) -> bool:
+        """Return whether the scans fit into the device and the host together; log if not."""
+        host = memory_of("cpu")
+        if host is None:
+            return True
+        available = host.available // self.workers_here
+        if self.device.type == "cpu":
+            available -= self.reserve
+        elif memory := memory_of(str(self.device)):
+            available += max(memory.available - self.reserve, 0)
+        needed = bytes_of_scans(sources) // self.workers
+        if needed <= USED_SHARE * available:
+            return True
+        text = "the scans need about %.3g GB of memory: processes read them for each batch"
+        log.log(NOTICE, text, needed / 1e9)
+        return False

@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: MIT
+"""Batches that a GPU makes on a second stream while it learns from the batch before."""
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from salsanext_cli.training.data.dataset import Batch
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class BegunBatch:
+    """Batch whose kernels and copies may still run.
+
+    Attributes
+    ----------
+    images : (B, 5, H, W) float32
+        Images on the GPU.
+    truth : (B, H, W) uint8
+        Targets, in pinned memory of the host.
+    is_made : torch.cuda.Event
+        Event after the last of them.
+    """
+
+    images: Tensor
+    truth: Tensor
+    is_made: torch.cuda.Event
+
+
+def batches_ahead(makers: Iterable[Callable[[], Batch]], device: torch.device) -> Iterator[Batch]:
+    """Yield the batches of functions; on a GPU each is begun before the one before is used.
+
+    Parameters
+    ----------
+    makers : iterable of callable
+        Functions that return images (B, 5, H, W) and targets (B, H, W) on the device.
+    device : torch.device
+        Device of the training.
+
+    Yields
+    ------
+    Batch
+        Images on the device, targets on the host.
+    """
+    if device.type != "cuda":
+        for make in makers:
+            yield make()
+        return
+    stream = torch.cuda.Stream(device)  # type: ignore[no-untyped-call]
+    begun: BegunBatch | None = None
+    for make in makers:
+        following = _begun(make, stream)
+        if begun is not None:
+            yield _made(begun, device)
+        begun = following
+    if begun is not None:
+        yield _made(begun, device)
+
+
+def _begun(make: Callable[[], Batch], stream: torch.cuda.Stream) -> BegunBatch:
+    """Begin a batch on a stream, and the copy of its targets."""
+    with torch.cuda.stream(stream):
+        images, on_device = make()
+        truth = torch.empty(on_device.shape, dtype=on_device.dtype, pin_memory=True)
+        truth.copy_(on_device, non_blocking=True)
+        return BegunBatch(images=images, truth=truth, is_made=stream.record_event())
+
+
+def _made(begun: BegunBatch, device: torch.device) -> Batch:
+    """Wait for a batch, which the stream of the training uses from now on."""
+    begun.is_made.synchronize()
+    begun.images.record_stream(torch.cuda.current_stream(device))
+    return begun.images, begun.truth

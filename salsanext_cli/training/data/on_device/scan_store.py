@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: MIT
+"""Labelled scans of a training, read once and kept in memory with 16-bit values."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import joblib
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from salsanext_cli.core.classes.label_space import TrainIds
+from salsanext_cli.core.records import MAX_INTENSITY, Mask, Scan
+from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.training.data.augment import AnnotatedScan
+from salsanext_cli.training.data.on_device.point_batch import StoredScan
+from salsanext_cli.training.data.on_device.scan_memory import ScanMemory
+from salsanext_cli.training.data.reading_progress import with_progress
+from salsanext_cli.training.data.sources import Source
+from salsanext_cli.training.data.targets import ClassSets
+
+ScanKey = tuple[int, ScanFile]  # Number of the data set, file of the scan
+MAX_HALF = float(np.finfo(np.float16).max)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ScanStore:
+    """Scans in memory.
+
+    Attributes
+    ----------
+    memory : ScanMemory
+        Where the points are.
+    sets : tuple of tuple of int
+        Sets of classes among the targets.
+    rare : (T,) bool, optional
+        Targets whose points are pasted; none without pasting.
+    jobs : int
+        Number of threads that read.
+    whole : dict of StoredScan
+        The scans.
+    pasted : dict of StoredScan
+        Their rare points, empty without pasting.
+    """
+
+    memory: ScanMemory
+    sets: ClassSets = ()
+    rare: Mask | None = None
+    jobs: int = 1
+    whole: dict[ScanKey, StoredScan] = field(default_factory=dict)
+    pasted: dict[ScanKey, StoredScan] = field(default_factory=dict)
+
+    def read(self, sources: Sequence[Source]) -> list[ScanKey]:
+        """Read the scans of data sets that are not in memory yet; return the keys of all."""
+        keys = [(number, file) for number, source in enumerate(sources) for file in source.files]
+        missing = [key for key in keys if key not in self.whole]
+        run = joblib.Parallel(self.jobs, backend="threading", return_as="generator")
+        calls = [joblib.delayed(sources[number].read)(file, self.sets) for number, file in missing]
+        scans = with_progress(run(calls), len(missing)) if missing else ()
+        for key, annotated in zip(missing, scans, strict=True):
+            self._put(key, annotated)
+        return keys
+
+    def move_to_host(self) -> bool:
+        """Move the scans from a GPU to its host; return whether there were any."""
+        self.memory.fill()
+        is_moved = False
+        for scans in (self.whole, self.pasted):
+            for key, scan in scans.items():
+                if scan.values.device.type == "cuda":
+                    scans[key] = self.memory.put(scan.values, scan.targets)
+                    is_moved = True
+        torch.cuda.empty_cache()
+        return is_moved
+
+    def _put(self, key: ScanKey, annotated: AnnotatedScan) -> None:
+        values = half_values(annotated.scan)
+        targets = annotated.labels
+        self.whole[key] = self._stored(values, targets)
+        if self.rare is not None:
+            is_rare = self.rare[targets]
+            self.pasted[key] = self._stored(values[is_rare], targets[is_rare])
+
+    def _stored(self, values: npt.NDArray[np.float16], targets: TrainIds) -> StoredScan:
+        return self.memory.put(torch.from_numpy(values), torch.from_numpy(targets))
+
+
+def half_values(scan: Scan) -> npt.NDArray[np.float16]:
+    """Return x, y, z and intensity of a scan, (N, 4) float16.
+
+    Coordinates beyond 65 km become infinite, an intensity beyond `MAX_INTENSITY` becomes 0.
+    """
+    with np.errstate(invalid="ignore", over="ignore"):
+        is_usable = np.abs(scan.intensity) <= MAX_INTENSITY
+        intensity = np.where(is_usable, scan.intensity.clip(-MAX_HALF, MAX_HALF), 0)
+        return np.column_stack([scan.points, intensity]).astype(np.float16)

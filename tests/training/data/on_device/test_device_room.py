@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: MIT
+"""Memory that the scans of a training need, beside that of the device and its host."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+import torch
+from scans import SMALL, write_sequence
+
+from salsanext_cli import label_space
+from salsanext_cli.core.notices import NOTICE
+from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.training.data.on_device import device_room
+from salsanext_cli.training.data.on_device.device_room import DeviceRoom, bytes_of_scans
+from salsanext_cli.training.data.sources import Source
+from salsanext_cli.training.memory import Memory
+from salsanext_cli.training.recipe import Recipe
+from salsanext_cli.training.step_memory import StepMemory
+
+CPU, CUDA = torch.device("cpu"), torch.device("cuda:0")
+
+
+@pytest.fixture(autouse=True)
+def memory(monkeypatch: pytest.MonkeyPatch) -> dict[str, Memory]:
+    """Return the memory of a device and its host, which tests may change."""
+    memory = {"cpu": Memory(total=3000, available=1000), "cuda:0": Memory(total=500, available=400)}
+    monkeypatch.setattr(device_room, "memory_of", memory.get)
+    return memory
+
+
+def test_every_point_needs_nine_bytes(tmp_path: Path) -> None:
+    """Of many scans some are read, evenly spaced."""
+    sources = []
+    for name, sizes in (("one", (100, 300)), ("two", 20 * (50,))):
+        folder = tmp_path / name / "sequences" / "00"
+        for number, size in enumerate(sizes):
+            write_sequence(folder, [f"{number:03d}"], count=size)
+        sources.append(Source(files=find_scans(folder), space=label_space(), sensor=SMALL))
+    assert bytes_of_scans(sources) == 9 * (400 + 20 * 50)
+    assert bytes_of_scans([]) == 0
+
+
+@pytest.mark.parametrize(
+    ("device", "reserve", "workers_here", "most"),
+    [
+        (CPU, 0, 1, 800),
+        (CPU, 500, 1, 400),
+        (CUDA, 0, 1, 1120),
+        (CUDA, 300, 1, 880),
+        (CUDA, 900, 1, 800),
+        (CUDA, 0, 2, 720),
+    ],
+)
+def test_scans_may_fill_four_fifths_of_device_and_host(
+    monkeypatch, caplog, device, reserve, workers_here, most
+):
+    caplog.set_level(NOTICE)
+    needed = {"first": 2 * most, "second": 2 * most + 2}
+    monkeypatch.setattr(device_room, "bytes_of_scans", needed.get)
+    step = SimpleNamespace(needed=reserve)
+    room = DeviceRoom(device=device, step=step, workers=2, workers_here=workers_here)
+    assert room.has_room_for("first")
+    assert not caplog.messages
+    assert not room.has_room_for("second")
+    assert len(caplog.messages) == 1
+
+
+def test_unknown_memory_suffices(memory: dict[str, Memory]) -> None:
+    memory.clear()
+    room = DeviceRoom(device=CUDA, step=None)
+    assert room.has_room_for([])
+    assert room.reserve == 0
+
+
+def test_steps_have_what_they_need_or_half_of_the_device() -> None:
+    step = StepMemory.from_recipe(Recipe(), SMALL, "cuda")
+    assert step is not None
+    assert DeviceRoom(device=CUDA, step=step).reserve == step.needed
+    assert DeviceRoom(device=CUDA, step=None).reserve == 250
