@@ -61,7 +61,8 @@ def convert(
     _require_positive("every", every)
     if limit is not None:
         _require_positive("limit", limit)
-    if recording_of(recording.absolute()) is None:
+    file = recording_of(recording.absolute())
+    if file is None:
         problem = "is not a recording" if recording.exists() else "no such recording"
         raise UsageError(recording, problem, EXPECTED)
     listed = find_scans(recording)
@@ -83,9 +84,9 @@ def convert(
 
         outcome = run_over_scans(task, chosen, options, is_done=is_done, on_result=empty.update)
         written = [scan for scan in listed if is_done(scan)]
-        if not is_site(recording):
+        if not is_site(file):
             owned.write(times, _encoded_times(written))
-        elif (poses_of_site := recorded_poses(recording)) is not None:
+        elif (poses_of_site := recorded_poses(file)) is not None:
             numbers = [int(scan.stem) for scan in written]
             owned.write(poses, encode_poses(poses_of_site[numbers]))
     if empty:

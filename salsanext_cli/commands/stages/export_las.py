@@ -5,9 +5,11 @@ import logging
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from salsanext_cli.core.classes.asprs import classes_without_code, names_of_codes
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.texts import first_few, with_hint
 from salsanext_cli.io.formats.survey.las_labels import LasLabels, labelled_las
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.records.stage_settings import ExportLasSettings
@@ -43,7 +45,7 @@ class LasExport:
         values = scalar_columns(results, self.space)
         labels = LasLabels(
             codes=self.space.asprs_codes,
-            names=self.space.labels,
+            names=names_of_codes(self.space),
             raw=results.label,
             values={name: column for name, column in values.items() if name not in KEPT},
         )
@@ -79,6 +81,7 @@ def export_las(
     results = ResultFolder(out, query.dataset)
     chosen = results.chosen(query)
     results.require_column("label", chosen.scans)
+    _warn_about_codes(chosen.space)
     folder = "laz" if compressed else "las"
     stage = f"export-{folder}"
     settings = ExportLasSettings(
@@ -107,3 +110,12 @@ def export_las(
         outcome = run_over_scans(task, chosen.scans, options, is_done=output.is_done)
     log.log(NOTICE, "classified: %s", out / "sequences/*" / folder)
     return replace(outcome, missing=chosen.missing)
+
+
+def _warn_about_codes(space: LabelSpace) -> None:
+    """Warn about classes whose points become unassigned."""
+    names = classes_without_code(space)
+    if names:
+        problem = f"label space {space.name} has no code of the ASPRS for {first_few(names)}"
+        hint = "state the codes of their raw ids in its yaml file, as `asprs: {10: 64}`"
+        log.warning("%s", with_hint(f"{problem}: their points are written as unassigned", hint))

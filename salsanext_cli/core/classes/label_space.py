@@ -23,6 +23,7 @@ from salsanext_cli.core.classes.label_tables import (
     UNKNOWN,
     as_codes,
     as_colour,
+    codes_of_train_ids,
     contradiction,
     entries,
     integers,
@@ -141,8 +142,28 @@ class LabelSpace:
 
     @property
     def asprs_codes(self) -> dict[int, int]:
-        """Code of the ASPRS of each raw id, as LAS files have it (see `default_codes`)."""
-        return default_codes(self) if self.asprs is None else self.asprs
+        """Code of the ASPRS of each raw id, as LAS files have it.
+
+        If the label space does not state them, they are those of its model, of raw ids with the
+        same name. Without a model they are 64 + train id, which the ASPRS leaves to users.
+        """
+        return self._default_codes() if self.asprs is None else self.asprs
+
+    def _default_codes(self) -> dict[int, int]:
+        """Return the codes of the ASPRS of a label space that states none."""
+        model = self.model()
+        if model is None:
+            return codes_of_train_ids(self.learning_map)
+        codes = model.asprs or {}
+        return {i: code for i, code in codes.items() if self.labels.get(i) == model.labels[i]}
+
+    def model(self) -> LabelSpace | None:
+        """Return the built-in label space of its name, else SemanticKITTI's; None if names differ.
+
+        Most raw ids of both have the same name.
+        """
+        model = built_in(self.name if self.name in BUILT_IN else BUILT_IN[0])
+        return model if self._has_names_of(model) else None
 
     def require_movable(self, subject: str) -> None:
         """Raise `UsageError` about a subject that needs movable classes if there are none."""
@@ -268,7 +289,7 @@ class LabelSpace:
             data[ALTERNATIVES] = alternatives
         if is_stated:
             data["movable"] = list(self.movable_ids or ())
-        if self.asprs not in (None, default_codes(self)):
+        if self.asprs not in (None, self._default_codes()):
             data["asprs"] = self.asprs
         return data
 
@@ -337,41 +358,3 @@ def built_in(name: str) -> LabelSpace:
     """Return a built-in label space by name, one of `BUILT_IN`."""
     file = resources.files("salsanext_cli").joinpath(f"presets/label_spaces/{name}.yaml")
     return LabelSpace.from_dict(yaml.safe_load(file.read_text("utf-8")), name)
-
-
-def default_codes(space: LabelSpace) -> dict[int, int]:
-    """Return the codes of the ASPRS of a label space that states none, by raw id.
-
-    They are those of its model, of raw ids with the same name. If most names differ, raw ids up to
-    255 are the codes.
-    """
-    model = _model(space)
-    if not space._has_names_of(model):
-        return {i: i for i in space.labels if i <= 255}
-    codes = model.asprs or {}
-    return {i: code for i, code in codes.items() if space.labels.get(i) == model.labels[i]}
-
-
-def train_ids_of_codes(space: LabelSpace) -> dict[int, set[int]]:
-    """Return the train ids of the classes of a label space by their codes of the ASPRS.
-
-    The set of a code is empty if its raw ids are of no class, that is of train id 0. If the label
-    space has the names of its model, other codes are those of SemanticKITTI, so that a building of
-    a survey is of the coarse class that contains buildings.
-    """
-    train_ids: dict[int, set[int]] = {}
-    tables = [space.asprs_codes]
-    if space._has_names_of(_model(space)):
-        tables.append(built_in(BUILT_IN[0]).asprs_codes)
-    for table in tables:
-        further: dict[int, set[int]] = {}
-        for raw, code in table.items():
-            if code not in train_ids:
-                further.setdefault(code, set()).add(space.learning_map.get(raw, 0))
-        train_ids |= further
-    return {code: several - {0} for code, several in train_ids.items()}
-
-
-def _model(space: LabelSpace) -> LabelSpace:
-    """Return the built-in label space of the name of another one, else SemanticKITTI's."""
-    return built_in(space.name if space.name in BUILT_IN else BUILT_IN[0])

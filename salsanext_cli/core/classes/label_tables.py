@@ -12,6 +12,9 @@ from salsanext_cli.core.texts import first_few, shortened
 ALTERNATIVES = "learning_alternatives"
 RAW_ID_COUNT = 1 << 16
 UNKNOWN = 255  # Train id of unknown raw ids
+UNASSIGNED_CODE = 1  # Code of the ASPRS of points without a class
+FIRST_USER_CODE = 64  # The ASPRS leaves codes from here on to users
+LAST_CODE = 255
 SHOWN_DIGITS = 20  # Longest text of an id in an error
 
 
@@ -61,10 +64,20 @@ def integers(table: Mapping[Any, Any]) -> dict[int, int]:
 def as_codes(table: Mapping[Any, Any]) -> dict[int, int]:
     """Return a table of integers from 0 to 255; others raise `ValueError`."""
     code_of = integers(table)
-    wide = [code for code in code_of.values() if not 0 <= code <= 255]
+    wide = [code for code in code_of.values() if not 0 <= code <= LAST_CODE]
     if wide:
-        raise ValueError(f"{_listed(wide)} is not a code from 0 to 255")
+        raise ValueError(f"{_listed(wide)} is not a code from 0 to {LAST_CODE}")
     return code_of
+
+
+def codes_of_train_ids(learning_map: Mapping[int, int]) -> dict[int, int]:
+    """Return codes of the ASPRS for users by raw id: 64 + train id, and 1 of train id 0.
+
+    Train ids above 191 have none.
+    """
+    codes = {raw: FIRST_USER_CODE + train_id for raw, train_id in learning_map.items()}
+    unlabelled = {raw: UNASSIGNED_CODE for raw, train_id in learning_map.items() if not train_id}
+    return {raw: code for raw, code in (codes | unlabelled).items() if code <= LAST_CODE}
 
 
 def sequence_name(member: object) -> str:

@@ -113,7 +113,7 @@ FORMATS: Mapping[str, Format] = {
     ),
     "las": Format(
         suffixes=(".las", ".laz"),
-        read=_imported("survey.las_file", "read_las"),
+        read=_imported("survey.las_scan", "read_las"),
         magic=(b"LASF",),
         subset=_imported("survey.las_subset", "las_subset"),
         label_columns=_imported("survey.las_file", "las_columns"),

@@ -22,6 +22,8 @@ Columns = Mapping[str, npt.NDArray[Any]]
 
 USUAL_COLUMNS = ("x", "y", "z", "intensity")
 MAX_UNNAMED_COLUMNS = 5  # Six may end in colours
+SHIFT_HINT = "subtract the position of the sensor from the coordinates"
+DOUBLE_HINT = "export it again with coordinates of double precision"
 MAX_DISTANCE_M = 10_000.0  # No LiDAR measures farther; up to it float32 holds millimetres
 
 
@@ -57,7 +59,7 @@ def scan_of(
     frame = frame_of(columns, path) if may_be_map else NO_SHIFT
     notice_frame(frame)
     points = coordinates(columns, path, frame)
-    require_near_origin(points, path)
+    require_near_origin(points, path, DOUBLE_HINT if may_be_map else SHIFT_HINT)
     require_no_matrix(points, path)
     numbers = _numbers(columns)
     name = intensity_among(list(numbers), intensity_field, path)
@@ -73,15 +75,11 @@ def frame_of(columns: Columns, path: Path) -> Origin:
     """Return the origin of the local frame of coordinates in float64, `NO_SHIFT` of others."""
     numbers = _numbers(columns)
     axes = AxisFields.among(list(numbers) or list(columns), path)
-    least = []
-    largest = []
-    for name, metres in zip(axes.names, axes.metres, strict=True):
-        finite = numbers[name][np.isfinite(numbers[name])]
-        if finite.dtype != np.float64 or not len(finite):
-            return NO_SHIFT
-        least.append(metres * float(finite.min()))
-        largest.append(metres * float(finite.max()))
-    return local_frame(least, largest)
+    values = [numbers[name] for name in axes.names]
+    if any(column.dtype != np.float64 for column in values):
+        return NO_SHIFT
+    with np.errstate(invalid="ignore"):  # Signalling NaNs are valid: no measurements.
+        return local_frame(np.column_stack(values) * np.array(axes.metres))
 
 
 def coordinates(columns: Columns, path: Path, frame: Origin = NO_SHIFT) -> Float:
@@ -198,15 +196,14 @@ def require_no_matrix(points: Float, path: Path) -> None:
             raise FormatError(path, problem, "the points of a scan", "pass the scans themselves")
 
 
-def require_near_origin(points: Float | Double, path: Path) -> None:
-    """Refuse points that are all far from a sensor at the origin."""
+def require_near_origin(points: Float | Double, path: Path, hint: str = SHIFT_HINT) -> None:
+    """Refuse points (N, 3) in metres that are all far from a sensor at the origin."""
     for axis, values in zip("xy", points.T, strict=False):
         if (np.abs(values) <= MAX_DISTANCE_M).any():
             continue
         finite = values[np.isfinite(values)]
         if len(finite):
             problem = f"has map coordinates: {axis} from {finite.min():.0f} to {finite.max():.0f}"
-            hint = "subtract the position of the sensor from the coordinates"
             raise FormatError(path, problem, "metres from a sensor at the origin", hint)
 
 

@@ -12,7 +12,13 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.core.classes.label_space import LabelSpace, RawIds, train_ids_of_codes
+from salsanext_cli.core.classes.asprs import (
+    HIGH_VEGETATION,
+    LOWER_VEGETATION,
+    UNASSIGNED_CODES,
+    train_ids_of_codes,
+)
+from salsanext_cli.core.classes.label_space import LabelSpace, RawIds
 from salsanext_cli.core.errors import FormatError, LabelError, UsageError
 from salsanext_cli.core.records import Float, Mask, Origin
 from salsanext_cli.core.texts import quoted, shortened
@@ -42,9 +48,6 @@ LABEL_NAMES = (
 """Names of label scalars, in lower case, without the prefix."""
 ASPRS_SCALAR = "classification"  # Scalar of LAS, with classes of the ASPRS
 ASPRS_CLASSES = range(2, 23)  # Classes that the ASPRS defines; 0 and 1 are unassigned
-LOWER_VEGETATION = (3, 4)  # Low and medium vegetation
-HIGH_VEGETATION = 5
-UNASSIGNED_CODES = (0, 1, 7, 18)  # Never classified, unassigned, and noise
 NO_VALUE = np.iinfo(np.int64).min  # Id of a point without a value, which programs write as NaN
 MAX_ID = 0xFFFFFFFF  # Largest id of a label file, with the instance in its upper 16 bits
 Ids = npt.NDArray[np.int64]

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from salsanext_cli.core.classes.asprs import train_ids_of_codes
 from salsanext_cli.core.classes.label_space import BUILT_IN, LabelSpace, RawIds
 from salsanext_cli.core.errors import LabelError
 from salsanext_cli.core.texts import counted
@@ -92,8 +93,16 @@ def _read_raw(path: Path, space: LabelSpace) -> RawIds:
 
 def unknown_codes(unknown: Mapping[int, int], space: LabelSpace) -> str:
     """Return the problem of codes without a meaning; `unknown` has their numbers of points."""
-    codes = ", ".join(f"{i} ({counted(n, 'point')})" for i, n in sorted(unknown.items()))
-    return f"has {ASPRS_SCALAR} {codes}, which no class or several classes of {space.name} have"
+    shared = {code for code, ids in train_ids_of_codes(space).items() if len(ids) > 1}
+    groups = {
+        f"codes of several classes of {space.name}": unknown.keys() & shared,
+        f"codes of no class of {space.name}": unknown.keys() - shared,
+    }
+    parts = []
+    for meaning, codes in groups.items():
+        listed = ", ".join(f"{i} ({counted(unknown[i], 'point')})" for i in sorted(codes))
+        parts += [f"{listed}, {meaning}"] if codes else []
+    return f"has {ASPRS_SCALAR} {'; '.join(parts)}"
 
 
 def map_of_codes(

@@ -313,17 +313,18 @@ def test_codes_of_several_classes_need_a_map_which_the_hint_has(tmp_path):
     assert set(labels[codes == 2].tolist()) < first
 
 
-def test_a_label_space_may_have_the_codes_as_raw_ids(tmp_path):
+def test_a_label_space_may_state_that_its_raw_ids_are_the_codes(tmp_path):
     codes = np.random.default_rng(0).choice([1, 2, 5, 6, 17], 300)
     folder = classified(tmp_path / "scans", ["a.las"], [codes])
     names = {1: "unassigned", 2: "ground", 5: "tree", 6: "building", 17: "bridge"}
-    space = LabelSpace.from_dict(
-        {
-            "labels": names,
-            "learning_map": {1: 0, 2: 1, 5: 2, 6: 3, 17: 3},
-            "learning_map_inv": {0: 1, 1: 2, 2: 5, 3: 6},
-        }
-    )
+    data = {
+        "labels": names,
+        "learning_map": {1: 0, 2: 1, 5: 2, 6: 3, 17: 3},
+        "learning_map_inv": {0: 1, 1: 2, 2: 5, 3: 6},
+    }
+    (failure,) = import_labels(folder, folder, space=LabelSpace.from_dict(data)).failures
+    assert "no class" in failure.reason
+    space = LabelSpace.from_dict({**data, "asprs": {code: code for code in names}})
     assert import_labels(folder, folder, space=space).failures == []
     (scan,) = find_scans(folder)
     # The bridge is a building in this label space.

@@ -79,6 +79,8 @@ def test_the_hint_has_a_command_that_decides_about_codes_without_a_single_class(
     (scan,) = find_scans(folder)
     caught = refused(LabelError, scan.path, read_scan_labels, scan, space, 300)
     assert f"{code} ({(codes == code).sum()} points)" in caught.value.problem
+    meaning = "no class of coarse" if space is COARSE else "several classes of semantic-kitti"
+    assert meaning in caught.value.problem
     assert ('space="coarse"' in caught.value.hint) == (space is COARSE)
     assert f"salsanext import-labels {folder} {folder}" in caught.value.hint
     (entries,) = re.findall(r"such as (\{.*\})", caught.value.hint)

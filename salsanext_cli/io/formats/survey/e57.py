@@ -71,7 +71,7 @@ class E57Recording:
 
         Points without a measurement are NaN. Intensities above 1 are divided by their limit.
         """
-        if number or time >= len(self._headers):
+        if number or not 0 <= time < len(self._headers):
             raise FormatError(path, "no such scan", "a scan that the file lists")
         header = self._headers[time]
         with self._lock, _refusing_damage(path):
@@ -170,12 +170,18 @@ def _share_of_limits(values: Double, header: Any) -> npt.NDArray[np.float32]:
     largest = 1.0
     if header.node.isDefined("intensityLimits"):
         limits = header.intensityLimits
-        least = min(float(limits["intensityMinimum"].value()), 0.0)
-        largest = float(limits["intensityMaximum"].value())
+        least = min(_number_of(limits["intensityMinimum"]), 0.0)
+        largest = _number_of(limits["intensityMaximum"])
     # Limits within 0 to 1 are often those of the points.
     if largest <= 1 and least == 0:
         return values.astype(np.float32)
     return ((values - least) / max(largest - least, 1.0)).astype(np.float32)
+
+
+def _number_of(node: Any) -> float:
+    """Return the value of a node of a number of any type."""
+    is_scaled = hasattr(node, "scaledValue")
+    return float(node.scaledValue() if is_scaled else node.value())
 
 
 def _pose_of(header: Any, path: Path) -> Poses:

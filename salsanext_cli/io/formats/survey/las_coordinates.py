@@ -1,35 +1,50 @@
 # SPDX-License-Identifier: MIT
 """Coordinate system of a LAS file: units of its axes, by its records of keys or of text."""
 
-import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from salsanext_cli.core.errors import FormatError
 from salsanext_cli.core.notices import notice_once
+from salsanext_cli.core.texts import shortened
+from salsanext_cli.io.formats.survey.wkt import WktNode, read_wkt
 
 KEYS_RECORD = 34735  # Record of GeoTIFF keys, four uint16 each
+NUMBERS_RECORD = 34736  # Record of the float64 values of keys
 TEXT_RECORD = 2112  # Record of the coordinate system as text (WKT)
 MODEL_KEY = 1024
 GEOGRAPHIC = 2  # Value of `MODEL_KEY` of longitude and latitude
 GEOCENTRIC = 3  # Value of `MODEL_KEY` of an origin in the centre of the earth
 SYSTEM_KEY = 3072  # Coordinate system of the map by its EPSG code
-USER_DEFINED = 32767  # Value of `SYSTEM_KEY` of a system that other keys describe
 LENGTH_KEY = 3076  # Unit of x and y
+LENGTH_SIZE_KEY = 3077  # Metres of a unit of x and y without a code
 HEIGHT_KEY = 4099  # Unit of z
-METRES_OF_CODE: Mapping[int, float] = {9001: 1.0, 9002: 0.3048, 9003: 1200 / 3937}
-"""Metres per unit of length by its EPSG code: metre, foot, US survey foot."""
+UNDEFINED = 0  # Value of a key that states nothing
+USER_DEFINED = 32767  # Value of a key that other keys describe
+METRES_OF_CODE: Mapping[int, float] = {
+    9001: 1.0,
+    9002: 0.3048,
+    9003: 1200 / 3937,
+    9005: 0.3047972654,
+    9036: 1000.0,
+    9096: 0.9144,
+}
+"""Metres per unit of length by its EPSG code: metre, foot, US survey foot, Clarke's foot,
+kilometre, yard."""
 UTM_CODES = (*range(32601, 32661), *range(32701, 32761), *range(25828, 25839), *range(26901, 26924))
 """EPSG codes of systems in metres: UTM of WGS 84, north and south, of ETRS89 and of NAD83."""
-PROJECTED_TEXT = re.compile(r"PROJC(?:S|RS)\[")
-GEOCENTRIC_TEXT = re.compile(r"GEOCCS\[")
-GEOGRAPHIC_TEXT = re.compile(r"GEO(?:G|D)C(?:S|RS)\[")
-VERTICAL_TEXT = re.compile(r"VERT(?:_CS|CRS)\[")
-UNIT_TEXT = re.compile(r'(?:LENGTH)?UNIT\["[^"]*",([0-9.eE+-]+)')
+PROJECTED_NODES = ("PROJCS", "PROJCRS", "PROJECTEDCRS", "DERIVEDPROJCRS")
+LOCAL_NODES = ("LOCAL_CS", "ENGCRS", "ENGINEERINGCRS")
+GEOCENTRIC_NODES = ("GEOCCS",)
+GEOGRAPHIC_NODES = ("GEOGCS", "GEOGCRS", "GEOGRAPHICCRS", "GEODCRS", "GEODETICCRS")
+SYSTEM_NODES = (*PROJECTED_NODES, *LOCAL_NODES, *GEOCENTRIC_NODES, *GEOGRAPHIC_NODES)
+VERTICAL_NODES = ("VERT_CS", "VERTCS", "VERTCRS", "VERTICALCRS")
+UNIT_NODES = ("UNIT", "LENGTHUNIT", "ANGLEUNIT")
 MAX_DEGREES = np.array([180.0, 90.0])
 MAX_SPAN_DEG = 1.0  # Span of x and of y below which coordinates may be in degrees
 FINE_SCALE = 1e-6  # Largest resolution of coordinates in degrees
@@ -43,7 +58,7 @@ class LengthUnits:
 
     horizontal: float = 1.0
     vertical: float = 1.0
-    unknown_system: int = 0  # EPSG code of a system whose unit the file does not state; 0: none
+    unknown_system: str = ""  # Name of a system whose unit the file does not state
 
     @property
     def are_metres(self) -> bool:
@@ -51,15 +66,17 @@ class LengthUnits:
         return self.horizontal == self.vertical == 1
 
 
-def length_units(header: Any, path: Path) -> LengthUnits:
-    """Return the units of the coordinates of a LAS file; refuse coordinates in degrees.
+def length_units(records: Mapping[int, bytes], header: Any, path: Path) -> LengthUnits:
+    """Return the units of the coordinates of a LAS file; refuse degrees and unknown units.
 
-    A coordinate system that is only an EPSG code counts as metres.
+    A coordinate system without a unit counts as metres.
 
     Parameters
     ----------
+    records : mapping of int to bytes
+        Contents of the records about the coordinate system by their numbers.
     header : laspy.LasHeader
-        Header with the records of variable length.
+        Header with the bounds of the points.
     path : Path
         The file, for errors.
 
@@ -67,13 +84,13 @@ def length_units(header: Any, path: Path) -> LengthUnits:
     -------
     LengthUnits
     """
-    units = LengthUnits()
-    for record in header.vlrs:
-        content = record.record_data_bytes()
-        if record.record_id == KEYS_RECORD:
-            units = _units_of_keys(content, header, path)
-        elif record.record_id == TEXT_RECORD:
-            return _units_of_text(content.decode("utf-8", "replace"), header, path)
+    text = records.get(TEXT_RECORD, b"").decode("utf-8", "replace").strip("\0 \r\n")
+    if text:
+        units = _units_of_text(text, header, path)
+        if not units.unknown_system:
+            return units
+    else:
+        units = _units_of_keys(records, header, path) if KEYS_RECORD in records else LengthUnits()
     if units.are_metres:
         _require_no_span_of_degrees(header, path)
     return units
@@ -82,47 +99,109 @@ def length_units(header: Any, path: Path) -> LengthUnits:
 def notice_units(units: LengthUnits) -> None:
     """Print a notice about coordinates that are converted to metres, or of unknown unit, once."""
     if not units.are_metres:
-        notice_once("coordinates in feet are converted to metres")
+        factors = f"x and y by {units.horizontal:.10g}, z by {units.vertical:.10g}"
+        notice_once(f"coordinates are converted to metres: {factors}")
     if units.unknown_system:
-        notice_once(f"EPSG:{units.unknown_system} without a unit: coordinates are read as metres")
+        notice_once(f"{units.unknown_system} without a unit: coordinates are read as metres")
 
 
-def _units_of_keys(content: bytes, header: Any, path: Path) -> LengthUnits:
+def _units_of_keys(records: Mapping[int, bytes], header: Any, path: Path) -> LengthUnits:
     """Return the units by a record of keys, whose first entry is its header."""
-    keys = np.frombuffer(content[: len(content) // 8 * 8], "<u2").reshape(-1, 4)[1:]
-    values = {int(key): int(value) for key, location, _, value in keys if location == 0}
+    keys = _whole_rows(records[KEYS_RECORD], "<u2", 4)[1:].tolist()
+    values = {key: value for key, location, _, value in keys if location == 0}
     if values.get(MODEL_KEY) == GEOGRAPHIC:
         raise _in_degrees(header, path)
     if values.get(MODEL_KEY) == GEOCENTRIC:
         raise _geocentric(path)
-    horizontal = METRES_OF_CODE.get(values.get(LENGTH_KEY, 9001), 1.0)
-    vertical = METRES_OF_CODE.get(values.get(HEIGHT_KEY, 0), horizontal)
+    code = values.get(LENGTH_KEY, UNDEFINED)
+    numbers = _whole_rows(records.get(NUMBERS_RECORD, b""), "<f8", 1).ravel()
+    sizes = [
+        float(numbers[index])
+        for key, location, _, index in keys
+        if key == LENGTH_SIZE_KEY and location == NUMBERS_RECORD and index < len(numbers)
+    ]
+    if code == USER_DEFINED and sizes:
+        horizontal = _require_length(sizes[0], f"of {sizes[0]} m", path)
+    else:
+        horizontal = _metres_of_code(code, 1.0, path)
+    vertical = _metres_of_code(values.get(HEIGHT_KEY, UNDEFINED), horizontal, path)
     system = values.get(SYSTEM_KEY, USER_DEFINED)
-    is_unknown = LENGTH_KEY not in values and system not in (USER_DEFINED, *UTM_CODES)
+    is_unknown = code == UNDEFINED and system not in (UNDEFINED, USER_DEFINED, *UTM_CODES)
     return LengthUnits(
-        horizontal=horizontal, vertical=vertical, unknown_system=system if is_unknown else 0
+        horizontal=horizontal,
+        vertical=vertical,
+        unknown_system=f"EPSG:{system}" if is_unknown else "",
     )
+
+
+def _whole_rows(content: bytes, dtype: str, columns: int) -> npt.NDArray[Any]:
+    """Return the table (N, C) of a record, without an incomplete row at its end."""
+    size = np.dtype(dtype).itemsize * columns
+    return np.frombuffer(content[: len(content) // size * size], dtype).reshape(-1, columns)
+
+
+def _metres_of_code(code: int, default: float, path: Path) -> float:
+    """Return the metres of a unit by its EPSG code; refuse an unknown one."""
+    if code == UNDEFINED:
+        return default
+    if code not in METRES_OF_CODE:
+        raise _unknown_unit(f"EPSG:{code}" if code != USER_DEFINED else "without a size", path)
+    return METRES_OF_CODE[code]
 
 
 def _units_of_text(text: str, header: Any, path: Path) -> LengthUnits:
     """Return the units by a text in WKT."""
-    if not PROJECTED_TEXT.search(text):
-        if GEOCENTRIC_TEXT.search(text):
-            raise _geocentric(path)
-        if GEOGRAPHIC_TEXT.search(text):
-            raise _in_degrees(header, path)
-        return LengthUnits()
-    match = VERTICAL_TEXT.search(text)
-    end = match.start() if match else len(text)
-    horizontal = _last_unit(UNIT_TEXT.findall(text[:end]), 1.0)
-    vertical = _last_unit(UNIT_TEXT.findall(text[end:]), horizontal)
+    root = read_wkt(text)
+    system = root.first(SYSTEM_NODES)
+    if system is None:
+        return LengthUnits(unknown_system="a coordinate system as text")
+    if system.keyword in GEOCENTRIC_NODES:
+        raise _geocentric(path)
+    if system.keyword in GEOGRAPHIC_NODES:
+        is_cartesian = any(axes.values[:1] == ["Cartesian"] for axes in system.children(["CS"]))
+        raise _geocentric(path) if is_cartesian else _in_degrees(header, path)
+    units = _unit_nodes(system)
+    if not units:
+        name = shortened(" ".join(system.values[:1]) or system.keyword)
+        return LengthUnits(unknown_system=f"coordinate system {name}")
+    horizontal = _metres_of_node(units[0], path)
+    vertical_system = root.first(VERTICAL_NODES)
+    heights = units[2:3] if vertical_system is None else _unit_nodes(vertical_system)
+    vertical = _metres_of_node(heights[0], path) if heights else horizontal
     return LengthUnits(horizontal=horizontal, vertical=vertical)
 
 
-def _last_unit(factors: Iterable[str], default: float) -> float:
-    """Return the last factor, that of the projection itself; the default without any."""
-    *_, last = (default, *map(float, factors))
-    return last
+def _unit_nodes(system: WktNode) -> list[WktNode]:
+    """Return the unit of all axes of a system, else those of its axes."""
+    common = system.children(UNIT_NODES)
+    if common:
+        return common[-1:]
+    return [unit for axis in system.children(["AXIS"]) for unit in axis.children(UNIT_NODES)]
+
+
+def _metres_of_node(unit: WktNode, path: Path) -> float:
+    """Return the metres of a unit of length, such as `UNIT["metre",1]`."""
+    name, *sizes = [*unit.values, ""]
+    try:
+        size = float(sizes[0])
+    except ValueError:
+        raise _unknown_unit(shortened(name), path) from None
+    if unit.keyword == "ANGLEUNIT":
+        raise _unknown_unit(shortened(name), path)
+    return _require_length(size, shortened(name), path)
+
+
+def _require_length(metres: float, name: str, path: Path) -> float:
+    """Return the size of a unit; refuse one that is not a positive length."""
+    if not 0 < metres < np.inf:
+        raise _unknown_unit(name, path)
+    return metres
+
+
+def _unknown_unit(name: str, path: Path) -> FormatError:
+    """Return the error of a unit whose metres are unknown."""
+    hint = "project it to metres, with filters.reprojection of PDAL, or in QGIS"
+    return FormatError(path, f"has coordinates in an unknown unit, {name}", EXPECTED, hint)
 
 
 def _require_no_span_of_degrees(header: Any, path: Path) -> None:

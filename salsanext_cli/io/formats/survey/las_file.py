@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""LAS and LAZ clouds through laspy and lazrs, which are imported when they are used."""
+"""LAS and LAZ files through laspy and lazrs, which are imported when they are used."""
 
 import logging
 import struct
@@ -11,14 +11,14 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.core.errors import FormatError, MissingDependency
-from salsanext_cli.core.notices import notice_once
 from salsanext_cli.core.optional_packages import import_extra
-from salsanext_cli.core.records import Double, Scan
+from salsanext_cli.core.records import Double
 from salsanext_cli.io.files.reading import reading, refusing_damage, size_of
-from salsanext_cli.io.formats.columns import Columns, scan_of
+from salsanext_cli.io.formats.columns import Columns
 from salsanext_cli.io.formats.field_names import AXES
 from salsanext_cli.io.formats.survey.las_chunks import require_chunk_sizes
-from salsanext_cli.io.formats.survey.las_coordinates import LengthUnits, length_units, notice_units
+from salsanext_cli.io.formats.survey.las_coordinates import LengthUnits, length_units
+from salsanext_cli.io.formats.survey.las_records import projection_records
 
 HEADER = struct.Struct("<4s20xBB68xHIIBH")
 """Signature, version, size of the header, offset of the points, number of records of variable
@@ -28,10 +28,7 @@ NEWEST_VERSION = (1, 4)  # Newest version that laspy and lazrs read
 LAST_POINT_FORMAT = 10
 POINT_FORMAT_BITS = 0x3F  # The others mark compressed points
 RECORD_BYTES = 54  # Least size of a record of variable length
-EVLR_BYTES = 60  # Least size of an extended one
 MAX_POINTS_PER_BYTE = 16  # Of compressed points; those of a LiDAR take some bytes each
-BYTE = 255  # Largest intensity of sensors that write bytes
-WORD = 65535  # Largest intensity, which the format asks for
 EXPECTED = "a complete .las or .laz file"
 
 
@@ -53,25 +50,9 @@ class LasFile:
         return points
 
 
-def read_las(
-    path: Path, _: tuple[str, ...], intensity_scale: float, intensity_field: str = ""
-) -> Scan:
-    """Read the scan of a LAS or LAZ file; map coordinates are moved into a local frame.
-
-    Intensities are divided by `intensity_scale` if a sensor states one, which is not 1. Otherwise
-    they are divided by 255 if none is larger, and by 65535 if one is.
-    """
-    file = read_las_file(path)
-    columns = dict(_columns(file))
-    notice_units(file.units)
-    if intensity_scale == 1:
-        columns["intensity"] = _share_of_range(columns["intensity"])
-    return scan_of(columns, path, intensity_scale, intensity_field, may_be_map=True)
-
-
 def las_columns(path: Path) -> Columns:
     """Read all dimensions of a LAS or LAZ file with one value per point, x, y, z in metres."""
-    return _columns(read_las_file(path))
+    return columns_of(read_las_file(path))
 
 
 def read_classification(path: Path) -> npt.NDArray[np.uint8]:
@@ -79,22 +60,17 @@ def read_classification(path: Path) -> npt.NDArray[np.uint8]:
     return np.array(read_las_file(path).points["classification"], np.uint8)
 
 
-def _columns(file: LasFile) -> Columns:
+def columns_of(file: LasFile) -> Columns:
+    """Return all dimensions (N,) of a file with one value per point, x, y, z in metres."""
     names = [n for n in file.points.point_format.dimension_names if n.lower() not in AXES]
     columns = {name: np.asarray(file.points[name]) for name in names}
     columns = {name: values for name, values in columns.items() if values.ndim == 1}
     return dict(zip("xyz", file.coordinates().T, strict=True)) | columns
 
 
-def _share_of_range(values: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
-    """Return intensities (N,) uint16 as shares of their range, float32."""
-    largest = int(values.max(initial=0))
-    if 0 < largest <= BYTE:
-        notice_once(f"LAS intensities up to {BYTE} are read as bytes")
-    return values.astype(np.float32) / np.float32(BYTE if largest <= BYTE else WORD)
-
-
-def read_las_file(path: Path, *, with_extended_records: bool = False) -> LasFile:
+def read_las_file(
+    path: Path, *, with_extended_records: bool = False, max_points: int | None = None
+) -> LasFile:
     """Read a LAS or LAZ file.
 
     Parameters
@@ -103,6 +79,8 @@ def read_las_file(path: Path, *, with_extended_records: bool = False) -> LasFile
         The file.
     with_extended_records : bool
         Whether to read the records behind the points, too, to write them again.
+    max_points : int, optional
+        Largest number of points to read, from the first; by default all.
 
     Returns
     -------
@@ -123,7 +101,7 @@ def read_las_file(path: Path, *, with_extended_records: bool = False) -> LasFile
         backend = laspy.LazBackend.Lazrs
         with laspy.open(file, closefd=False, read_evlrs=False, laz_backend=backend) as reader:
             header = reader.header
-            units = length_units(header, path)
+            units = length_units(projection_records(file, header, size), header, path)
             is_compressed = bool(header.are_points_compressed)
             room = size // header.point_format.size
             if is_compressed:
@@ -131,15 +109,14 @@ def read_las_file(path: Path, *, with_extended_records: bool = False) -> LasFile
                 room = size * MAX_POINTS_PER_BYTE
                 if header.point_count:
                     require_chunk_sizes(file, header, size)
-                file.seek(offset)
+            file.seek(offset)
             if header.point_count > room:
                 raise ValueError("its header states more points than it contains")
-            points = reader.read_points(header.point_count)
-            if len(points) != header.point_count:
+            count = min(header.point_count, max_points or header.point_count)
+            points = reader.read_points(count)
+            if len(points) != count:
                 raise ValueError("it lacks points")
             if with_extended_records and header.number_of_evlrs:
-                if header.number_of_evlrs * EVLR_BYTES > size:
-                    raise ValueError("its header states more records than it contains")
                 reader.read_evlrs()
     return LasFile(header=header, points=points, units=units, compressed=is_compressed)
 

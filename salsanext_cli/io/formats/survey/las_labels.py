@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.core.classes.label_space import RawIds
+from salsanext_cli.core.classes.label_tables import UNASSIGNED_CODE
 from salsanext_cli.core.errors import LabelError
 from salsanext_cli.core.records import Scan
 from salsanext_cli.io.formats import FORMATS, format_of
@@ -21,7 +22,6 @@ NEW_FORMAT = 6  # Point format of 256 classes, without colours
 WITH_256_CLASSES: Mapping[int, int] = {0: 6, 1: 6, 2: 7, 3: 7, 4: 9, 5: 10}
 """Point format with 256 classes and the fields of one with 32."""
 VERSION = "1.4"  # Version with these formats
-UNASSIGNED = 1  # Code of points without a class
 RESOLUTION_M = 1e-4  # Of the coordinates of new files
 MAX_NEW_DISTANCE_M = RESOLUTION_M * np.iinfo(np.int32).max
 ANGLE_UNIT_DEG = 0.006  # Of angles in newer point formats; older ones have degrees
@@ -39,24 +39,21 @@ class LasLabels:
     """Labels and values of the N points of a scan for a LAS file."""
 
     codes: Mapping[int, int]  # Code of the ASPRS by raw id
-    names: Mapping[int, str]  # Name of the class by raw id
+    names: Mapping[int, str]  # Name of the class, or of the ASPRS, by code
     raw: RawIds  # (N,) uint32: raw ids without instances
     values: Mapping[str, npt.NDArray[Any]]  # (N,) by name: become extra dimensions
 
     @property
     def classification(self) -> npt.NDArray[np.uint8]:
-        """Code of each point, (N,); `UNASSIGNED` without one."""
+        """Code of each point, (N,); `UNASSIGNED_CODE` without one."""
         ids, index = np.unique(self.raw, return_inverse=True)
-        codes = [self.codes.get(raw, UNASSIGNED) for raw in ids.tolist()]
+        codes = [self.codes.get(raw, UNASSIGNED_CODE) for raw in ids.tolist()]
         return np.array(codes, np.uint8)[index]
 
     def lookup(self) -> bytes:
         """Return the record of the codes and the names of their classes, 16 bytes each."""
-        names: dict[int, str] = {}
-        for raw, code in self.codes.items():
-            names.setdefault(code, self.names.get(raw, ""))
         # laspy reads letters, digits and blanks only.
-        plain = {code: name.replace("-", " ") for code, name in names.items()}
+        plain = {code: name.replace("-", " ") for code, name in self.names.items()}
         texts = [plain.get(code, "").encode("ascii", "replace") for code in range(256)]
         rows = [
             bytes([code]) + text[:NAME_BYTES].ljust(NAME_BYTES, b"\0")

@@ -5,7 +5,7 @@ import sys
 
 import numpy as np
 import pytest
-from e57_files import Station, write_e57
+from e57_files import Station, write_e57, write_with_limits
 from scans import make_scan, refused
 
 from salsanext_cli import read_scan
@@ -81,13 +81,33 @@ def test_intensities_above_1_are_divided_by_their_limit(tmp_path):
     np.testing.assert_allclose(read_scan(file.path).intensity, values / values.max(), rtol=1e-6)
 
 
+def test_limits_may_be_scaled_integers_as_the_intensities(tmp_path):
+    path = write_with_limits(tmp_path / "a.e57", STATIONS[0].points, SCANS[0].intensity * 100)
+    (file,) = find_scans(path)
+    expected = np.rint(SCANS[0].intensity * 1000) / 1000
+    np.testing.assert_allclose(read_scan(file.path).intensity, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("inside", ["", "scans"])
+def test_a_topic_of_a_site_is_converted_as_the_site(site, tmp_path, inside):
+    folder = tmp_path / "data"
+    assert convert(site / inside, folder).done == 3
+    place = folder / "sequences/site"
+    assert sorted(path.name for path in place.iterdir()) == [
+        "convert.json",
+        "poses.txt",
+        "velodyne",
+    ]
+
+
 def test_identities_are_no_poses_and_rounded_map_coordinates_no_scan(tmp_path):
     points = STATIONS[0].points + [5e5, 5.4e6, 0]  # pye57 writes float32.
     path = write_e57(tmp_path / "a.e57", [Station(points)])
     assert recorded_poses(path) is None
     (file,) = find_scans(path)
-    with pytest.raises(FormatError, match="map coordinates"):
+    with pytest.raises(FormatError, match="map coordinates") as caught:
         read_scan(file.path)
+    assert "double precision" in caught.value.hint
 
 
 def test_damaged_empty_and_other_files_are_refused(site, tmp_path):
@@ -117,8 +137,9 @@ def test_damaged_empty_and_other_files_are_refused(site, tmp_path):
 def test_unknown_scans_and_the_missing_package_are_named(site, monkeypatch):
     with pytest.raises(NoInputError, match="no such scan"):
         find_scans(site / "scans/000003")
-    with pytest.raises(FormatError, match="no such scan"):
-        read_scan(site / "scans/000003")
+    for name in ("000003", "-1", "000000_1", "first"):
+        with pytest.raises(FormatError, match="no such scan"):
+            read_scan(site / "scans" / name)
     recordings._recording.cache_clear()
     monkeypatch.setitem(sys.modules, "pye57", None)
     error = refused(MissingDependency, site, find_scans, site)

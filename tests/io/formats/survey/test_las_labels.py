@@ -7,6 +7,7 @@ from las_files import write_las
 from scans import make_scan, refused, write_bin
 
 from salsanext_cli import Scan, label_space, read_scan
+from salsanext_cli.core.classes.asprs import names_of_codes
 from salsanext_cli.core.errors import LabelError
 from salsanext_cli.io.formats.survey.las_labels import WITH_256_CLASSES, LasLabels, labelled_las
 
@@ -21,7 +22,7 @@ UTM = (500_123.4, 5_400_456.7, 312.0)
 
 def labels(**values):
     values = {"label": RAW.astype(np.uint16), "error": ERROR, **values}
-    return LasLabels(codes=SPACE.asprs_codes, names=SPACE.labels, raw=RAW, values=values)
+    return LasLabels(codes=SPACE.asprs_codes, names=names_of_codes(SPACE), raw=RAW, values=values)
 
 
 def opened(folder, path, scan, *, compressed=False, **values):
@@ -91,6 +92,8 @@ def test_the_record_of_the_classes_names_them(tmp_path):
     assert [row[0] for row in rows] == [*range(256)]
     names = {row[0]: row[1:].rstrip(b"\0").decode() for row in rows}
     assert (names[74], names[6], names[144], names[200]) == ("car", "building", "pole", "")
+    # Several classes have these codes.
+    assert (names[2], names[11]) == ("Ground", "Road Surface")
     path = write_las(tmp_path / "s.las", SCAN.points)
     cloud = opened(tmp_path, path, read_scan(path))
     (lookup,) = [v for v in cloud.vlrs if (v.user_id, v.record_id) == ("LASF_Spec", 0)]
