@@ -4,11 +4,13 @@
 import logging
 import shlex
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from salsanext_cli.commands.jobs.cloud_progress import CloudProgress
 from salsanext_cli.core.errors import FormatError, NoInputError, OutputError, SalsanextError
 from salsanext_cli.core.geometry.point_sample import measured_ranges
 from salsanext_cli.core.texts import counted, first_few, with_hint
@@ -39,7 +41,7 @@ NewCloud = Callable[[ScanFile, Any, Types], Any]
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, order=True)
 class BagOfResults:
     """Bag with the topics whose clouds have results."""
 
@@ -93,23 +95,28 @@ class BagRun:
         """Copy the bags of this shard that are not done, one after the other."""
         start = time.monotonic()
         self._require_a_name_each(bags)
-        firsts = options.shard.select([bag.first for bag in bags])
-        done = 0
+        clouds_of_bags: dict[BagOfResults, list[ScanFile]] = {}
+        failures: list[Failure] = []
         skipped = 0
-        failures = []
-        for bag in [bag for bag in bags if bag.first in firsts]:
-            try:
+        for bag in options.shard.select(bags):
+            with _listed_failure(bag, failures, options):
                 clouds = bag.clouds()
                 if self._is_done(bag) and not options.overwrite:
                     skipped += len(clouds)
-                    continue
-                done += self._copy(bag, clouds, options)
-            except SalsanextError as error:
-                if options.on_error == "stop":
-                    raise
-                failures.append(Failure.from_error(bag.first, error))
+                else:
+                    clouds_of_bags[bag] = clouds
+        total = sum(map(len, clouds_of_bags.values()))
+        progress = CloudProgress(total=total, show=options.progress)
+        progress.begin()
+        done = 0
+        for bag, clouds in clouds_of_bags.items():
+            with _listed_failure(bag, failures, options), progress.attempt(len(clouds)):
+                done += self._copy(bag, clouds, progress)
         return Outcome(
-            skipped=skipped, failures=tuple(failures), done=done, seconds=time.monotonic() - start
+            skipped=skipped,
+            failures=tuple(sorted(failures, key=lambda failure: failure.scan)),
+            done=done,
+            seconds=time.monotonic() - start,
         )
 
     def target(self, bag: BagOfResults) -> Path:
@@ -133,13 +140,13 @@ class BagRun:
             return False
         return all(map(filled, files_at(target))) and not self.owned.foreign_members(target)
 
-    def _copy(self, bag: BagOfResults, clouds: Sequence[ScanFile], options: RunOptions) -> int:
+    def _copy(self, bag: BagOfResults, clouds: Sequence[ScanFile], progress: CloudProgress) -> int:
         """Copy a bag; return the number of its clouds with results."""
         target = self.target(bag)
         self.owned.refuse_foreign_members(target)
         self._require_labels(bag, clouds)
         opened = Bag(bag.path, files_of(bag.path))
-        changes = self._changes(opened, bag, clouds, options)
+        changes = self._changes(opened, bag, clouds, progress)
         self._warn_of_other_topics(opened, target, changes)
         try:
             with temporary_folder(self.owned.root) as temporary:
@@ -154,25 +161,21 @@ class BagRun:
         return count
 
     def _changes(
-        self, opened: Bag, bag: BagOfResults, clouds: Sequence[ScanFile], options: RunOptions
+        self, opened: Bag, bag: BagOfResults, clouds: Sequence[ScanFile], progress: CloudProgress
     ) -> Mapping[str, CloudChange]:
         """Return the new clouds by topic; each one counts as progress."""
         scans = {cloud.path: cloud for cloud in clouds}
-        counted_clouds = 0
 
-        def changed(path: Path, message: Any, types: Types) -> Any:
-            nonlocal counted_clouds
+        def new_message(path: Path, message: Any, types: Types) -> Any:
             if path not in scans:
                 raise FormatError(path, "is not in the index of the bag", "a complete bag", HINT)
             new = self.new_cloud(scans[path], message, types)
-            counted_clouds += 1
-            if options.progress:
-                options.progress(counted_clouds, len(scans))
+            progress.add_cloud()
             return new
 
         topics = [t for t in opened.cloud_topics() if bag.path / t.strip("/") in bag.folders]
         return {
-            topic: CloudChange(topic=self.new_topic(opened, topic), changed=changed)
+            topic: CloudChange(topic=self.new_topic(opened, topic), new_message=new_message)
             for topic in topics
         }
 
@@ -202,6 +205,19 @@ class BagRun:
             words = shlex.join(["salsanext", "predict", str(target / clouds[0].strip("/")), "OUT"])
             hint = f"do not play them, or label the new bag too, `{words}`, and filter it by OUT"
         log.warning("%s", with_hint(text, hint))
+
+
+@contextmanager
+def _listed_failure(
+    bag: BagOfResults, failures: list[Failure], options: RunOptions
+) -> Iterator[None]:
+    """Add the error of a bag in the body to a list, unless the first one ends the run."""
+    try:
+        yield
+    except SalsanextError as error:
+        if options.on_error == "stop":
+            raise
+        failures.append(Failure.from_error(bag.first, error))
 
 
 def label_path(results: ResultFolder, file: ScanFile) -> Path:

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
+from salsanext_cli.io.files.locks import removed_if_empty
 from salsanext_cli.runs.results.manifest import StageRecord, require_same_settings, settings_json
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 
@@ -12,6 +13,8 @@ from salsanext_cli.runs.results.owned_folder import OwnedFolder
 @contextmanager
 def begin(owned: OwnedFolder, settings: Any, overwrite: bool) -> Iterator[None]:
     """Open a folder that runs of a stage share, and record their settings.
+
+    The record of the first run goes if it leaves nothing else.
 
     Parameters
     ----------
@@ -27,11 +30,21 @@ def begin(owned: OwnedFolder, settings: Any, overwrite: bool) -> Iterator[None]:
     OutputError
         If the folder contains other files, or results of other settings.
     """
-    with ExitStack() as stack:
+    with removed_if_empty(owned.root), ExitStack() as stack:
         with owned.locked_records():
+            is_first = owned.manifest.record(owned.stage) is None
             _record(owned, settings, overwrite)
+            if is_first:
+                stack.callback(_withdraw, owned)
             stack.enter_context(owned.open(shared=True))
         yield
+
+
+def _withdraw(owned: OwnedFolder) -> None:
+    """Remove the record of runs that have ended without any scan or bag."""
+    with owned.locked_records():
+        if not owned.written() and not owned.is_shared():
+            owned.remove_records([owned.record_path.name])
 
 
 def _record(owned: OwnedFolder, settings: Any, overwrite: bool) -> None:

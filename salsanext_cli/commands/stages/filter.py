@@ -209,5 +209,5 @@ def _require_one_kind(
         hint = f"filter the bags alone, with {setting('sequences', names)}"
         raise UsageError(bags[0].path, "is a bag, beside files of scans", "one of them", hint)
     if bags and query.selection.limit is not None:
-        hint = f"omit {argument('limit')}"
-        raise UsageError(argument("limit"), "is of scans; a bag is written as a whole", hint=hint)
+        problem = "cannot be combined with bags, which are copied whole"
+        raise UsageError(argument("limit"), problem, hint=f"omit {argument('limit')}")

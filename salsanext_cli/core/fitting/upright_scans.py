@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from salsanext_cli.core.geometry.beam_origin import PROVING_SHARPNESS, sharpness_at_origin
-from salsanext_cli.core.geometry.evenness import is_fan, is_far, is_out_of_place
+from salsanext_cli.core.geometry.evenness import is_even_fan, is_far, is_out_of_place
 from salsanext_cli.core.geometry.ground import MIN_HEIGHT_M, UPWARDS, finite_points
 from salsanext_cli.core.geometry.point_sample import few_points
 from salsanext_cli.core.geometry.sensor_place import SensorPlace, find_place
@@ -80,7 +80,7 @@ class UprightScans:
         if place is None or not place.is_elsewhere:
             return None
         scan = self.scans[number]
-        if is_fan(scan, even=True) and not (place.shows_beams or is_far(scan)):
+        if is_even_fan(scan) and not (place.shows_beams or is_far(scan)):
             return None  # Positions within a fan see points all around.
         if self.is_uneven(number):
             return place

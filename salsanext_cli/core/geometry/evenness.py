@@ -23,7 +23,8 @@ SECTORS = 64
 EMPTY = 0.25  # Share of the mean points below which a sector is empty
 ROUND = 0.6  # Least share of sectors with points of a sensor that turns; the others see a fan
 CROWDED = 3.0  # Most points of a sector, as a multiple of the mean, around a sensor that turns
-CROWDED_NEARBY = 1.65  # The same if the neighbourhood is not searched; scans had up to 2.1
+CROWDED_NEARBY = 1.65
+"""The same from which positions nearby are compared in any case; correct scans had up to 2.1."""
 CROWDED_FAN = 2.2  # The same within a fan; solid-state sensors had 1.2 to 1.7
 NEARBY_M = 3.0  # Distance from the origin of the positions around it
 NEARBY_POSITIONS = 8
@@ -89,13 +90,23 @@ def is_far(scan: Scan) -> bool:
     return len(points) >= MIN_POINTS and _are_far(points)
 
 
-def is_fan(scan: Scan, *, even: bool = False) -> bool:
-    """Return whether the points of an upright scan cover only a part of the circle.
+def is_fan(scan: Scan) -> bool:
+    """Return whether the points of an upright scan cover only a part of the circle."""
+    return _sectors_of(scan).is_fan
 
-    `even`: whether they must be spread over it as from the tip of the fan, at any height.
+
+def is_even_fan(scan: Scan) -> bool:
+    """Return whether an upright scan is a fan with its points spread as from the tip.
+
+    The tip may have any height.
     """
-    sectors = sectors_around(measured_positions(few_points(scan, FEW_POINTS)))
-    return sectors.is_fan and not (even and sectors.is_crowded_fan)
+    sectors = _sectors_of(scan)
+    return sectors.is_fan and not sectors.is_crowded_fan
+
+
+def _sectors_of(scan: Scan) -> Sectors:
+    """Count a sample of the points of an upright scan in the sectors around the origin."""
+    return sectors_around(measured_positions(few_points(scan, FEW_POINTS)))
 
 
 def _are_outdoors(points: Double) -> bool:

@@ -51,8 +51,7 @@ def locked(path: Path, timeout_s: float = 0.0, *, stage: str = "") -> Iterator[N
     """
     lock = FileLock(path, timeout=timeout_s, fallback_to_soft=False)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        lock.acquire()
+        _acquire(lock, path.parent)
     except Timeout as error:
         subject = path
         problem = "is locked by another process"
@@ -76,6 +75,17 @@ def locked(path: Path, timeout_s: float = 0.0, *, stage: str = "") -> Iterator[N
         with suppress(OSError):
             path.unlink()
         lock.release()
+
+
+def _acquire(lock: FileLock, folder: Path) -> None:
+    """Lock a file in a folder, which is created."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock.acquire()
+    except FileNotFoundError:
+        # Another process, which had created the folder too, has removed it as empty meanwhile.
+        folder.mkdir(parents=True, exist_ok=True)
+        lock.acquire()
 
 
 @contextmanager

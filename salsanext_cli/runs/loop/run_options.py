@@ -3,14 +3,20 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Any, Literal, Protocol, TypeVar
 
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.wording import argument
 
-if TYPE_CHECKING:
-    from salsanext_cli.runs.results.paths import ScanFile
 
+class Sortable(Protocol):
+    """Value with an order among those of its class."""
+
+    def __lt__(self, other: Any, /) -> bool:
+        """Return whether it comes before another."""
+
+
+Unit = TypeVar("Unit", bound=Sortable)
 Progress = Callable[[int, int], None]  # Called with the numbers of scans done and to do
 
 
@@ -43,11 +49,11 @@ class Shard:
     def __str__(self) -> str:
         return f"{self.number}/{self.count}"
 
-    def select(self, scans: "Sequence[ScanFile]") -> "list[ScanFile]":
-        """Return this shard's scans, neighbours by sequence and stem; sizes differ by one."""
+    def select(self, units: Sequence[Unit]) -> list[Unit]:
+        """Return this shard's scans or bags, neighbours by their order; sizes differ by one."""
         if self.count == 1:
-            return list(scans)
-        ordered = sorted(scans)
+            return list(units)
+        ordered = sorted(units)
         start, stop = (len(ordered) * n // self.count for n in (self.number - 1, self.number))
         return ordered[start:stop]
 

@@ -127,14 +127,15 @@ class OutputRun(OwnedFolder):
         return record
 
     def withdraw(self) -> None:
-        """Remove the record of a run that has ended without any result."""
+        """Remove the record of a run that has ended without any result, and its warnings."""
         with self.locked_records():
             record = self.manifest.record(self.stage)
             if record is None or self.is_shared() or self._results_in(record.writes):
                 return
             others = [other for other in self.manifest.records().values() if other != record]
             needed = {name for other in others for name in files_of(other.settings)}
-            self.remove_records([self.record_path.name, *(files_of(record.settings) - needed)])
+            files = files_of(record.settings) - needed
+            self.remove_records([self.record_path.name, self.findings_path.name, *files])
 
     def _earlier_records(self, new: StageRecord) -> EarlierRecords:
         """Return the records of the folder that concern a run of this stage."""

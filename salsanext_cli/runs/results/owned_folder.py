@@ -102,6 +102,11 @@ class OwnedFolder:
         """Path of the record of the stage."""
         return self.manifest.path(self.stage)
 
+    @property
+    def findings_path(self) -> Path:
+        """Path of the recorded warnings of the stage."""
+        return self.root / f"{self.stage}.warnings.json"
+
     @contextmanager
     def open(self, *, shared: bool = False) -> Iterator[None]:
         """Lock the folder against other runs of the stage, unless it is shared; sweep it."""
@@ -304,7 +309,7 @@ class OwnedFolder:
 
     def findings(self) -> dict[str, list[Finding]]:
         """Return the recorded warnings of all runs of the stage, by name of the scan."""
-        recorded = read_record(_RecordedFindings, self._findings_path)
+        recorded = read_record(_RecordedFindings, self.findings_path)
         return recorded.findings() if recorded else {}
 
     def record_findings(
@@ -327,14 +332,10 @@ class OwnedFolder:
             earlier = {
                 name: recorded for name, recorded in self.findings().items() if name not in checked
             }
-            if present(self._findings_path) or findings:
+            if present(self.findings_path) or findings:
                 record = _RecordedFindings.from_findings(self.stage, {**earlier, **findings})
-                write_json(self._findings_path, record)
+                write_json(self.findings_path, record)
         return earlier
-
-    @property
-    def _findings_path(self) -> Path:
-        return self.root / f"{self.stage}.warnings.json"
 
     def _behind_link(self, path: Path) -> bool:
         """Return whether a path, or a folder between it and the root, is a link."""

@@ -2,6 +2,7 @@
 """Bags that `filter` writes: as they were, but for the points that go."""
 
 import resource
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -10,7 +11,8 @@ from scans import files_below, refused
 
 pytest.importorskip("rosbags")
 
-from bags import KINDS, START, STEP, TOPIC, cloud, structured
+from bags import KINDS, START, STEP, TOPIC, cloud, structured, write_bag
+from calls import calls_of
 from captures import Sent, vlp16, write_capture
 from labelled_bags import (
     CAR,
@@ -24,7 +26,7 @@ from labelled_bags import (
 )
 
 from salsanext_cli import read_scan, write_labels
-from salsanext_cli.commands.jobs import bag_run
+from salsanext_cli.commands.line.progress import writing
 from salsanext_cli.commands.stages.filter import filter_scans
 from salsanext_cli.core.errors import FormatError, LabelError, NoInputError, OutputError, UsageError
 from salsanext_cli.core.measures.filtered_points import FilteredPoints
@@ -37,6 +39,10 @@ from salsanext_cli.runs.results.scan_selection import ScanSelection
 
 STOP = RunOptions(on_error="stop")
 AGAIN = RunOptions(overwrite=True, on_error="stop")
+
+
+def visible_names(folder):
+    return {path.name for path in folder.iterdir() if path.name[0] != "."}
 
 
 def apply_to(bag, tmp_path):
@@ -103,19 +109,13 @@ def test_a_bag_with_something_empty_of_the_user_stays_complete(tmp_path, add):
     assert call(options=AGAIN).done == 3
 
 
-def test_a_bag_that_is_changed_while_it_is_written_anew_is_kept(tmp_path, monkeypatch):
+def test_a_bag_that_is_changed_while_it_is_written_anew_is_kept(tmp_path):
     bag = LabelledBag(tmp_path, ".bag")
     call = apply_to(bag, tmp_path)
     call()
     target = tmp_path / "to/drive.bag"
-    copy = bag_run.copy_bag
-
-    def slowly(*arguments):
-        target.write_bytes(b"mine")
-        return copy(*arguments)
-
-    monkeypatch.setattr(bag_run, "copy_bag", slowly)
-    refused(OutputError, target, call, options=AGAIN)
+    options = replace(AGAIN, progress=lambda done, total: target.write_bytes(b"mine"))
+    refused(OutputError, target, call, options=options)
     assert target.read_bytes() == b"mine"
 
 
@@ -141,14 +141,13 @@ def test_clouds_without_labels_are_refused_unless_they_have_no_measurements(tmp_
     assert messages_of(tmp_path / "to/drive"), "the earlier copy stays"
 
 
-def test_only_the_first_cloud_that_lacks_labels_is_read_again(tmp_path, monkeypatch):
+def test_only_the_first_cloud_that_lacks_labels_is_read_again(tmp_path):
     bag = LabelledBag(tmp_path, ".bag")
     for name in NAMES[1:]:
         output_path(bag.out, "drive", "predictions", name).unlink()
-    read = []
-    monkeypatch.setattr(bag_run, "read_scan", lambda path: read.append(path) or read_scan(path))
-    refused(NoInputError, bag.path, apply_to(bag, tmp_path), options=STOP)
-    assert read == [bag.topic / NAMES[1]]
+    with calls_of(read_scan) as readings:
+        refused(NoInputError, bag.path, apply_to(bag, tmp_path), options=STOP)
+    assert [reading["path"] for reading in readings] == [bag.topic / NAMES[1]]
 
 
 def test_a_bag_that_a_power_cut_emptied_is_written_again(tmp_path):
@@ -190,17 +189,50 @@ def test_a_bag_that_fails_leaves_those_of_others(tmp_path):
     bag, _ = two_bags(tmp_path)
     call = partial(filter_scans, bag.out, tmp_path / "to", drop=["car"])
     progress = []
-    outcome = call(options=RunOptions(progress=lambda *numbers: progress.append(numbers)))
+    counting = RunOptions(progress=lambda *numbers: progress.append(numbers))
+    outcome = call(options=counting)
     (failure,) = outcome.failures
     assert (failure.code, outcome.done) == ("label", 3)
     assert outcome.filtered_points == FilteredPoints(18, 18)
-    assert progress == [(1, 3), (2, 3), (1, 3), (2, 3), (3, 3)]
-    names = {path.name for path in (tmp_path / "to").iterdir() if path.name[0] != "."}
-    assert names == {"filter.json", "evening"}
+    assert progress == [(done, 6) for done in range(7)], "the failed cloud was attempted"
+    assert visible_names(tmp_path / "to") == {"filter.json", "evening"}
     with pytest.raises(LabelError):
         call(options=STOP)
     bag.label(NAMES[2], [ROAD] * 6)
-    assert (call().done, call().skipped) == (3, 6)
+    progress.clear()
+    assert call(options=counting).done == 3
+    assert progress == [(done, 3) for done in range(4)], "nothing counts the bag that was done"
+    assert call(options=counting).skipped == 6
+    assert len(progress) == 4
+
+
+@pytest.mark.parametrize(
+    ("last", "statement", "names"),
+    [
+        (2, "no scan is finished in this run", None),
+        (4, "3 of 6 scans are processed; no file is incomplete", {"filter.json", "drive.bag"}),
+    ],
+)
+def test_an_interrupted_run_has_the_clouds_of_complete_bags(tmp_path, last, statement, names):
+    """`last`: number of the cloud after which the signal arrives."""
+    bag, _ = two_bags(tmp_path)
+    bag.label(NAMES[2], [ROAD] * 6)
+    call = partial(filter_scans, bag.out, tmp_path / "to", drop=["car"])
+    with writing("filter", True) as written:
+
+        def interrupt(done, total):
+            written(done, total)
+            if done == last:
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            call(options=RunOptions(progress=interrupt))
+        assert written.finished() == statement
+    if names is None:
+        assert not (tmp_path / "to").exists()
+    else:
+        assert visible_names(tmp_path / "to") == names
+    assert call().done == 6 - last // 3 * 3
 
 
 def test_a_shard_has_some_of_the_bags(tmp_path):
@@ -210,8 +242,7 @@ def test_a_shard_has_some_of_the_bags(tmp_path):
         target = tmp_path / f"part {number}"
         options = RunOptions(shard=Shard(number, 2))
         filter_scans(bag.out, target, drop=["car"], options=options)
-        names = {path.name for path in target.iterdir() if path.name[0] != "."}
-        assert names == {"filter.json", name}
+        assert visible_names(target) == {"filter.json", name}
 
 
 def test_topics_that_keep_their_points_are_named(tmp_path, caplog):
@@ -260,41 +291,49 @@ def test_a_damaged_bag_leaves_nothing(tmp_path):
     damaged = LabelledBag(tmp_path / "b", ".bag", further=((TOPIC, START + 2 * STEP, short),))
     damaged.label(f"{START + 2 * STEP}", [ROAD] * 6)
     scan = damaged.topic / f"{START + 2 * STEP}"
-    refused(FormatError, scan, apply_to(damaged, tmp_path), options=STOP)
-    assert {path.name for path in (tmp_path / "to").iterdir()} <= {
-        "filter.json",
-        ".salsanext.files",
-    }
-    assert apply_to(bag, tmp_path / "other")().done == 3
+    call = apply_to(damaged, tmp_path)
+    refused(FormatError, scan, call, options=STOP)
+    assert not (tmp_path / "to").exists()
+    assert [failure.code for failure in call().failures] == ["format"]
+    assert not (tmp_path / "to").exists()
+    damaged.path.write_bytes(bag.path.read_bytes())
+    assert call().done == 3
 
 
-@pytest.mark.parametrize("change", [lambda paths: paths[:-1], lambda paths: [*paths, paths[0]]])
-def test_a_bag_with_other_clouds_than_its_index_is_refused(tmp_path, monkeypatch, change):
+def test_the_record_of_a_run_stays_beside_files_of_the_user_and_earlier_bags(tmp_path):
+    bag, _ = two_bags(tmp_path)
+    call = partial(filter_scans, bag.out, tmp_path / "to", drop=["car"])
+    call()
+    for _ in range(2):
+        assert len(call(options=RunOptions(overwrite=True)).failures) == 1
+        assert visible_names(tmp_path / "to") == {"filter.json", "evening"}
+
+
+@pytest.mark.parametrize("times", [[], [START, START + STEP]], ids=["fewer", "more"])
+def test_a_bag_with_other_clouds_than_its_index_is_refused(tmp_path, times):
+    """The bag is replaced by another while the run begins."""
     bag = LabelledBag(tmp_path, ".bag")
-    paths = bag_run.recorded_paths
-    monkeypatch.setattr(bag_run, "recorded_paths", lambda folder: change(paths(folder)))
+    clouds = [(TOPIC, time, cloud(POINTS[0])) for time in [START, START + STEP, *times]]
+    other = write_bag(tmp_path / "other", ".bag", clouds)
+    options = replace(STOP, progress=lambda done, total: bag.path.write_bytes(other.read_bytes()))
     with pytest.raises(FormatError, match="index"):
-        apply_to(bag, tmp_path)(options=STOP)
-    assert not (tmp_path / "to/drive.bag").exists()
+        apply_to(bag, tmp_path)(options=options)
+    assert not (tmp_path / "to").exists()
 
 
 @pytest.mark.parametrize("kind", [".bag", ".db3"])
-def test_a_full_disk_names_the_new_bag(tmp_path, monkeypatch, kind):
+def test_a_full_disk_names_the_new_bag(tmp_path, kind):
     bag = LabelledBag(tmp_path, kind)
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    copy = bag_run.copy_bag
-
-    def without_room(*arguments):
-        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
-        try:
-            return copy(*arguments)
-        finally:
-            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-
-    monkeypatch.setattr(bag_run, "copy_bag", without_room)
+    call = apply_to(bag, tmp_path)
     target = tmp_path / "to" / bag.path.name
-    refused(OutputError, target, apply_to(bag, tmp_path), options=STOP)
-    assert {path.name for path in (tmp_path / "to").iterdir()} <= {
-        "filter.json",
-        ".salsanext.files",
-    }
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+
+    def fill_the_disk(done, total):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
+
+    try:
+        refused(OutputError, target, call, options=replace(STOP, progress=fill_the_disk))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert not (tmp_path / "to").exists()
+    assert call().done == 3

@@ -5,8 +5,9 @@ import math
 
 import numpy as np
 import pytest
+from street_scans import street
 
-from salsanext_cli.core.geometry.evenness import evenness
+from salsanext_cli.core.geometry.evenness import evenness, is_even_fan, is_fan
 
 
 def test_evenness_by_a_plain_loop():
@@ -24,3 +25,18 @@ def test_evenness_by_a_plain_loop():
         counts[around, upwards] = counts.get((around, upwards), 0) + 1
     expected = far * far / sum(count * count for count in counts.values()) / len(points)
     assert evenness(points, place) == pytest.approx(expected)
+
+
+def test_a_fan_is_even_from_its_tip_only():
+    scan = street(0)
+    assert not is_fan(scan)
+    assert not is_even_fan(scan)
+    azimuth = np.abs(np.arctan2(scan.points[:, 1], scan.points[:, 0]))
+    ahead = scan.take(np.flatnonzero(azimuth < 0.6))
+    assert is_fan(ahead)
+    assert is_even_fan(ahead)
+    # As from a position beside the fan, more than half of the points lie in one direction.
+    narrow = np.flatnonzero(azimuth < 0.03)
+    crowded = scan.take(np.concatenate([np.flatnonzero(azimuth < 0.6), np.repeat(narrow, 30)]))
+    assert is_fan(crowded)
+    assert not is_even_fan(crowded)

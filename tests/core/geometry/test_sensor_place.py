@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from calls import calls_of
 from scans import SMALL
 from street_scans import moved, street
 
 from salsanext_cli import Scan, read_scan
-from salsanext_cli.core.geometry import sensor_place
 from salsanext_cli.core.geometry.evenness import is_out_of_place
+from salsanext_cli.core.geometry.ground import find_ground
 from salsanext_cli.core.geometry.sensor_frame import in_sensor_frame
 from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
 from salsanext_cli.core.geometry.sensor_place import find_place
@@ -117,22 +118,19 @@ def test_huge_coordinates_are_no_measurements():
     is_out_of_place(Scan(points, scan.intensity))
 
 
-def test_the_place_of_a_scan_is_searched_once(monkeypatch):
+def test_the_place_of_a_scan_is_searched_once():
     """Further readings of the file give equal points."""
     scan = moved(street(0, seed=41), (12, 5, 1))
-    searched = []
-    search = sensor_place._searched_places
-
-    def counted(many):
-        searched.append(len(many))
-        return search(many)
-
-    monkeypatch.setattr(sensor_place, "_searched_places", counted)
-    first = find_place(scan)
-    again = find_place(Scan(scan.points.copy(), scan.intensity))
+    with calls_of(find_ground) as searching:
+        first = find_place(scan)
+    with calls_of(find_ground) as remembering:
+        again = find_place(Scan(scan.points.copy(), scan.intensity))
+        unverified = find_place(scan, verified=False)
     assert again.position.tolist() == first.position.tolist()
-    assert find_place(scan, verified=False).position.tolist() == first.position.tolist()
-    assert len(searched) == 1
+    assert unverified.position.tolist() == first.position.tolist()
     other = scan.points + np.float32([0.01, 0, 0])
-    find_place(Scan(other, scan.intensity))
-    assert len(searched) == 2
+    with calls_of(find_ground) as searching_again:
+        find_place(Scan(other, scan.intensity))
+    assert searching
+    assert not remembering
+    assert searching_again

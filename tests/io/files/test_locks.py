@@ -90,6 +90,26 @@ def test_a_thread_of_this_process_waits_too_and_the_folder_may_go_meanwhile(tmp_
         (tmp_path / "gone").rmdir()
 
 
+def test_a_folder_that_another_process_removes_before_it_is_locked_is_created_again(
+    tmp_path, monkeypatch
+):
+    """As `removed_if_empty` of a run that ends without results."""
+    lock = tmp_path / "new/lock"
+    acquire = filelock.FileLock._acquire
+    removals = []
+
+    def remove_and_acquire(self):
+        if len(removals) < 1:
+            removals.append(lock.parent)
+            lock.parent.rmdir()
+        acquire(self)
+
+    monkeypatch.setattr(filelock.FileLock, "_acquire", remove_and_acquire)
+    with locked(lock):
+        assert lock.exists()
+    assert removals == [lock.parent]
+
+
 @pytest.mark.parametrize("number", [errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS])
 def test_without_locks_there_is_one_warning(tmp_path, monkeypatch, caplog, number):
     """As on some network disks."""

@@ -17,6 +17,8 @@ from world import begin_and_end
 
 from salsanext_cli import __version__, label_space, sensor
 from salsanext_cli.commands.stages.predict import PredictJob, predict_scans
+from salsanext_cli.core.checks.finding import Finding
+from salsanext_cli.core.checks.warning_codes import WarningCode
 from salsanext_cli.core.errors import OutputError, WeightsError
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.io.files.atomic import STALE_AFTER_S
@@ -257,6 +259,22 @@ def test_the_first_run_without_results_is_withdrawn_and_others_are_not(tmp_path:
     with output_run(*run, overwrite=True):
         output.path(scans[0], "predictions").unlink()
     assert (out / "predict.json").exists()
+
+
+def test_the_warnings_of_a_run_without_results_are_withdrawn_too(tmp_path: Path) -> None:
+    """As of a scan that was checked, and could not be labelled."""
+    out = tmp_path / "out"
+    scans = scans_of(tmp_path, "a")
+    findings = {"08/a": [Finding(WarningCode.SPARSE, "few rows", "look")]}
+    run = (out, "predict", TYPED, ("predictions",), scans)
+    with output_run(*run, overwrite=False) as output:
+        output.record_findings(findings, {"08/a"})
+        assert (out / "predict.warnings.json").exists()
+    assert not out.exists()
+    with output_run(*run, overwrite=False) as output:
+        output.record_findings(findings, {"08/a"})
+        output.write_labels(scans[0], np.uint32([40]))
+    assert output.findings() == findings
 
 
 def test_a_file_of_digests_stays_while_a_record_names_it(tmp_path: Path) -> None:

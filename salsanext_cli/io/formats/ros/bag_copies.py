@@ -29,13 +29,13 @@ class CloudChange:
     ----------
     topic : str
         Topic of the new clouds: that of the old ones, which are replaced, or a new one.
-    changed : callable
+    new_message : callable
         Function from the path of a scan, its message and the classes of messages to the new
         message; None writes none. A message of a new topic is a PointCloud2.
     """
 
     topic: str
-    changed: Callable[[Path, Any, Types], Any]
+    new_message: Callable[[Path, Any, Types], Any]
 
 
 def copy_bag(bag: Bag, target: Path, changes: Mapping[str, CloudChange]) -> int:
@@ -67,7 +67,7 @@ def copy_bag(bag: Bag, target: Path, changes: Mapping[str, CloudChange]) -> int:
     """
     try:
         with _writer(bag, target) as writer:
-            return _BagCopy(bag, writer, changes).write()
+            return _BagCopy(bag, writer, changes, _standard_types(bag)).write()
     except sqlite3.Error as error:
         is_full = error.sqlite_errorcode == sqlite3.SQLITE_FULL
         raise OSError(errno.ENOSPC if is_full else errno.EIO, str(error)) from error
@@ -94,6 +94,22 @@ def _writer(bag: Bag, target: Path) -> Any:
     return writer
 
 
+def _standard_types(bag: Bag) -> Any:
+    """Return the typestore of rosbags of a late release of ROS 1 or ROS 2, as the bag is."""
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores.ROS2_JAZZY if bag.reader.is2 else Stores.ROS1_NOETIC)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Recorded:
+    """Message of a bag."""
+
+    connection: Any  # Of rosbags
+    time: int  # Nanoseconds
+    content: bytes
+
+
 @dataclass(slots=True)
 class _BagCopy:
     """Copy of a bag that is being written."""
@@ -101,49 +117,70 @@ class _BagCopy:
     bag: Bag
     writer: Any  # Of rosbags, open
     changes: Mapping[str, CloudChange]
+    standard_types: Any  # Typestore of rosbags with the types of new topics
     # Connections of the copy; publishers that connected twice are one
     connections: dict[tuple[str, str, str], Any] = field(default_factory=dict)
 
     def write(self) -> int:
         """Write all messages; return the number of clouds of the changed topics."""
-        from rosbags.typesys import Stores, get_typestore
-
         reader = self.bag.reader
-        standard = get_typestore(Stores.ROS2_JAZZY if reader.is2 else Stores.ROS1_NOETIC)
         for connection in reader.connections:
             self._add(connection, connection.topic, connection.msgtype, reader.typestore)
-        numbers = Counter[tuple[str, int]]()
-        for connection, time, content in self._messages():
-            topic = connection.topic
+        clouds = Counter[tuple[str, int]]()
+        for recorded in self._messages():
+            topic = recorded.connection.topic
             change = self.changes.get(topic)
-            old = self.connections[self._key(connection, topic, connection.msgtype)]
-            if change is None or not is_cloud(connection, topic):
-                self.writer.write(old, time, content)
+            if change is None or not is_cloud(recorded.connection, topic):
+                self._copy_message(recorded)
                 continue
-            name = scan_name(time, numbers[topic, time])
-            numbers[topic, time] += 1
+            name = scan_name(recorded.time, clouds[topic, recorded.time])
+            clouds[topic, recorded.time] += 1
             path = self.bag.path / topic.strip("/") / name
-            with refusing_damage(path, EXPECTED, HINT):
-                message = reader.deserialize(content, connection.msgtype)
             if change.topic == topic:
-                new = old
-                store = reader.typestore
-                kind = connection.msgtype
+                self._replace_cloud(recorded, path, change)
             else:
-                self.writer.write(old, time, content)
-                kind = POINT_CLOUD2
-                store = standard
-                new = self._add(connection, change.topic, kind, store)
-            changed = change.changed(path, message, store.types)
-            if changed is not None:
-                encode = store.serialize_cdr if reader.is2 else store.serialize_ros1
-                self.writer.write(new, time, encode(changed, kind))
-        return numbers.total()
+                self._copy_message(recorded)
+                self._add_cloud(recorded, path, change)
+        return clouds.total()
 
-    def _messages(self) -> Iterator[tuple[Any, int, bytes]]:
-        """Yield connection, time and content of all messages of the bag."""
+    def _copy_message(self, recorded: _Recorded) -> None:
+        """Write a message as it is."""
+        connection = recorded.connection
+        copy = self.connections[self._key(connection, connection.topic, connection.msgtype)]
+        self.writer.write(copy, recorded.time, recorded.content)
+
+    def _replace_cloud(self, recorded: _Recorded, path: Path, change: CloudChange) -> None:
+        """Write the new cloud of a scan, which has the type of the old one."""
+        connection = recorded.connection
+        copy = self.connections[self._key(connection, connection.topic, connection.msgtype)]
+        store = self.bag.reader.typestore
+        new = change.new_message(path, self._decoded(recorded, path), store.types)
+        self._write_cloud(copy, recorded.time, new, connection.msgtype, store)
+
+    def _add_cloud(self, recorded: _Recorded, path: Path, change: CloudChange) -> None:
+        """Write the new cloud of a scan, a PointCloud2, to the new topic."""
+        store = self.standard_types
+        added = self._add(recorded.connection, change.topic, POINT_CLOUD2, store)
+        new = change.new_message(path, self._decoded(recorded, path), store.types)
+        self._write_cloud(added, recorded.time, new, POINT_CLOUD2, store)
+
+    def _decoded(self, recorded: _Recorded, path: Path) -> Any:
+        """Return the message of a scan; `path`: of the scan, for errors."""
+        with refusing_damage(path, EXPECTED, HINT):
+            return self.bag.reader.deserialize(recorded.content, recorded.connection.msgtype)
+
+    def _write_cloud(self, connection: Any, time: int, new: Any, kind: str, store: Any) -> None:
+        """Write a message of a type, encoded with a typestore; None writes none."""
+        if new is None:
+            return
+        encode = store.serialize_cdr if self.bag.reader.is2 else store.serialize_ros1
+        self.writer.write(connection, time, encode(new, kind))
+
+    def _messages(self) -> Iterator[_Recorded]:
+        """Yield all messages of the bag."""
         with refusing_damage(self.bag.path, EXPECTED, HINT):
-            yield from self.bag.reader.messages()
+            for connection, time, content in self.bag.reader.messages():
+                yield _Recorded(connection=connection, time=time, content=content)
 
     def _key(self, connection: Any, topic: str, kind: str) -> tuple[str, str, str]:
         return topic, kind, repr(connection.ext)

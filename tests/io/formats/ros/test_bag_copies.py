@@ -107,11 +107,13 @@ def test_all_but_the_changed_clouds_are_equal(tmp_path, kind, compression):
     target.parent.mkdir()
     seen = []
 
-    def changed(path, message, types):
+    def new_message(path, message, types):
         seen.append(path)
         return emptied(path, message, types)
 
-    count = copy_bag(opened(source), target, {TOPIC: CloudChange(topic=TOPIC, changed=changed)})
+    count = copy_bag(
+        opened(source), target, {TOPIC: CloudChange(topic=TOPIC, new_message=new_message)}
+    )
     assert count == 3
     assert seen == [source / "velodyne_points" / f"{START + n * STEP}" for n in range(3)]
     publishers, old = recorded(source)
@@ -162,13 +164,13 @@ def test_a_new_topic_has_clouds_beside_the_old_ones(tmp_path, kind, make):
     target = tmp_path / "new" / source.name
     target.parent.mkdir()
 
-    def changed(path, message, types):
+    def new_message(path, message, types):
         if path.name == f"{START + 1}":
             return None
         new = cloud(POINTS[0])(types)
         return replace(new, header=replace(new.header, frame_id=path.name))
 
-    copy_bag(opened(source), target, {"/c": CloudChange(topic="/d", changed=changed)})
+    copy_bag(opened(source), target, {"/c": CloudChange(topic="/d", new_message=new_message)})
     _, old = recorded(source)
     _, new = recorded(target)
     assert [message for message in new if message[0] == "/c"] == old
@@ -193,10 +195,10 @@ def test_clouds_of_one_time_are_named_as_their_scans_are(tmp_path, kind):
     bag = opened(source)
     seen = {}
 
-    def changed(path, message, types):
+    def new_message(path, message, types):
         seen[path.name] = message.data.tobytes()
 
-    copy_bag(bag, tmp_path / "new.bag", {TOPIC: CloudChange(topic="/new", changed=changed)})
+    copy_bag(bag, tmp_path / "new.bag", {TOPIC: CloudChange(topic="/new", new_message=new_message)})
     names = [f"{START}", f"{START}_1", f"{START + 1}", f"{START + 1}_1"]
     assert list(seen) == names
     for number, name in enumerate(names):
@@ -220,11 +222,11 @@ def test_a_bag_of_several_files_becomes_one_file(tmp_path, kind):
     target = tmp_path / "new"
     seen = []
 
-    def changed(path, message, types):
+    def new_message(path, message, types):
         seen.append(path.name)
         return message
 
-    copy_bag(opened(bag), target, {TOPIC: CloudChange(topic=TOPIC, changed=changed)})
+    copy_bag(opened(bag), target, {TOPIC: CloudChange(topic=TOPIC, new_message=new_message)})
     assert seen == [f"{START + n * STEP}" for n in range(4)]
     assert recorded(target) == recorded(bag)
     assert len(recorded(target)[1]) == 5
