@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
-from salsanext_cli.io.files.locks import removed_if_empty
+from salsanext_cli.io.files.locks import remove_if_empty
 from salsanext_cli.runs.results.manifest import StageRecord, require_same_settings, settings_json
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 
@@ -30,7 +30,7 @@ def begin(owned: OwnedFolder, settings: Any, overwrite: bool) -> Iterator[None]:
     OutputError
         If the folder contains other files, or results of other settings.
     """
-    with removed_if_empty(owned.root), ExitStack() as stack:
+    with remove_if_empty(owned.root), ExitStack() as stack:
         with owned.locked_records():
             is_first = owned.manifest.record(owned.stage) is None
             _record(owned, settings, overwrite)

@@ -93,7 +93,7 @@ def test_a_thread_of_this_process_waits_too_and_the_folder_may_go_meanwhile(tmp_
 def test_a_folder_that_another_process_removes_before_it_is_locked_is_created_again(
     tmp_path, monkeypatch
 ):
-    """As `removed_if_empty` of a run that ends without results."""
+    """As `remove_if_empty` of a run that ends without results."""
     lock = tmp_path / "new/lock"
     acquire = filelock.FileLock._acquire
     removals = []
