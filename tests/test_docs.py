@@ -30,12 +30,14 @@ from scans import SMALL, make_scan, write_array, write_bin, write_sequence
 import salsanext_cli
 from salsanext_cli import LabelSpace, Sensor, label_space, load_network, project, read_scan
 from salsanext_cli.commands.line.app import COMMANDS
+from salsanext_cli.commands.line.shard_option import shard_of_kubernetes
 from salsanext_cli.commands.stages import predict as stage
 from salsanext_cli.commands.stages import synth
 from salsanext_cli.commands.stages.export_onnx import export_onnx
 from salsanext_cli.core.sensors import sensor as sensors
 from salsanext_cli.io.formats import SCAN_SUFFIXES
 from salsanext_cli.io.weights.card_file import default_weights
+from salsanext_cli.runs.loop.run_options import Shard
 from salsanext_cli.runs.results.paths import SUFFIX_OF_FOLDER, find_scans
 from salsanext_cli.training import recipe
 from salsanext_cli.training.recipe import Recipe
@@ -184,6 +186,15 @@ def test_the_python_of_its_page_runs():
     assert names["evaluation"].counts.scans == 2
 
 
+def has_a_pod_for_each_shard(body: str) -> bool:
+    """Return whether the variable of a job of Kubernetes has the number of its pods."""
+    spec = yaml.safe_load(body)["spec"]
+    (container,) = spec["template"]["spec"]["containers"]
+    variables = {variable["name"]: variable["value"] for variable in container["env"]}
+    shard = shard_of_kubernetes({"JOB_COMPLETION_INDEX": "0", **variables})
+    return shard == Shard(1, spec["completions"])
+
+
 READERS: dict[tuple[str, str], Callable[[str], object]] = {
     ("sensors.md", "toml"): lambda body: Sensor.from_dict(
         SMALL.to_dict() | tomllib.loads(body), "sensors.md"
@@ -197,6 +208,7 @@ READERS: dict[tuple[str, str], Callable[[str], object]] = {
     ),
     ("classes.md", "yaml"): lambda body: LabelSpace.from_dict(yaml.safe_load(body)),
     ("json.md", "json"): json.loads,
+    ("many-scans.md", "yaml"): has_a_pod_for_each_shard,
     ("plug-ins.md", "toml"): lambda body: tomllib.loads(body)["project"]["entry-points"],
 }
 

@@ -13,6 +13,7 @@ THROUGH_STAGE = "a step of a stage, which has no meaning without its files"
 PART_OF_ONE_RESULT = "one of several modules whose result is compared with one oracle"
 RECORD = "a record of few lines"
 GPU_OR_LIBRARY = "an adapter of another library, compared with the other ones"
+WHOLE_RUN_ON_CLUSTER = "a process or a cluster, which only a whole run has"
 
 ELSEWHERE: dict[str, dict[str, str]] = {
     WHOLE_STREETS: {
@@ -136,6 +137,12 @@ ELSEWHERE: dict[str, dict[str, str]] = {
         "runs/results/query.py": "commands/stages/test_report.py",
         "training/data/on_device/point_batch.py": "training/data/on_device/test_motion.py",
         "runs/results/scan_selection.py": "runs/results/test_selection.py",
+    },
+    WHOLE_RUN_ON_CLUSTER: {
+        "runs/loop/cluster/driver_process.py": "runs/loop/cluster/test_attempts.py",
+        "runs/loop/cluster/driver_program.py": "runs/loop/cluster/test_attempts.py",
+        "runs/loop/cluster/ray_cluster.py": "runs/loop/cluster/test_nodes.py",
+        "runs/loop/cluster/work.py": "runs/loop/cluster/test_node_code.py",
     },
     GPU_OR_LIBRARY: {
         "core/engines/memory.py": "core/engines/test_torch_backend.py",

@@ -7,6 +7,7 @@ bounds of `pyproject.toml`. A failure names the module to change before the boun
 
 import re
 import socket
+import sys
 import tomllib
 from datetime import timedelta
 from pathlib import Path
@@ -25,17 +26,19 @@ from salsanext_cli.commands.line.typer_interface import USAGE_ERROR, TyperComman
 from salsanext_cli.core.engines.conversion import converted
 from salsanext_cli.core.engines.openvino_runtime import openvino_core
 from salsanext_cli.io import kernel_cache
+from salsanext_cli.runs.loop.cluster import node_code
 from salsanext_cli.training.fused_step import is_fused, skip_step
 
 pytestmark = pytest.mark.private
-BOUNDED = ("numba", "openvino", "rosbags", "torch", "typer")
+BOUNDED = ("numba", "openvino", "ray", "rosbags", "torch", "typer")
 USERS = {
     "io/bag_index.py": r"message_index_offsets|\.dbconn\b|messages_scan|decompressors",
     "io/kernel_cache.py": r"numba\.core|\._cache\b",
     "core/engines/conversion.py": r"torch\.jit|openvino\.frontend",
     "training/fused_step.py": r"found_inf",
-    "commands/line/typer_interface.py": r"typer\.core|BadParameter\.__base__",
+    "commands/line/typer_interface.py": r"typer\.core|BadParameter\.__base__|get_parameter_source",
     "training/distributed.py": r"dist\.rendezvous",
+    "runs/loop/cluster/ray_cluster.py": r"ray\.cloudpickle",
 }
 """The only module that uses an interface, and what names it."""
 
@@ -54,8 +57,9 @@ def test_one_module_uses_an_interface(user):
 def test_the_versions_of_packages_with_such_interfaces_have_a_bound():
     project = Path(__file__).parents[1] / "pyproject.toml"
     described = tomllib.loads(project.read_text("utf-8"))["project"]
-    required = [*described["dependencies"], *described["optional-dependencies"]["ros"]]
-    bounded = {re.split("[<>=]", text)[0] for text in required if "<" in text}
+    extras = described["optional-dependencies"]
+    required = [*described["dependencies"], *extras["ros"], *extras["ray"]]
+    bounded = {re.split(r"[\[<>=]", text)[0] for text in required if "<" in text}
     assert bounded == {*BOUNDED}
 
 
@@ -122,11 +126,41 @@ def test_torch_returns_the_store_the_rank_and_the_size_of_a_group(monkeypatch):
     assert store.add("calls", 2) == 2
 
 
+def test_ray_sends_the_code_of_a_module_instead_of_its_name(monkeypatch):
+    cloudpickle = pytest.importorskip("ray.cloudpickle")
+    assert cloudpickle.loads(cloudpickle.dumps(node_code.node_problem)) is node_code.node_problem
+    cloudpickle.register_pickle_by_value(node_code)
+    try:
+        content = cloudpickle.dumps((node_code.node_problem, node_code.NodeWorker))
+    finally:
+        cloudpickle.unregister_pickle_by_value(node_code)
+    # As on a node without the package.
+    monkeypatch.setitem(sys.modules, node_code.__name__, None)
+    function, kind = cloudpickle.loads(content)
+    lacking = node_code.NodeRequirements(versions={"salsanext": "none"}, current="/")
+    assert "salsanext" in function(lacking)
+    assert kind(b"", 1).packed == b""
+
+
+def test_typer_tells_what_was_typed(monkeypatch):
+    monkeypatch.setenv("SALSANEXT_CLUSTER", "auto")
+    command = typer.main.get_command(app).commands["predict"]
+    context = command.make_context("predict", ["--jobs", "2", "a"])
+    names = {name: context.get_parameter_source(name).name for name in ("jobs", "shard")}
+    assert names == {"jobs": "COMMANDLINE", "shard": "DEFAULT"}
+    assert context.params["cluster"] is None
+    context = command.make_context("predict", ["a"])
+    assert context.get_parameter_source("cluster").name == "ENVIRONMENT"
+
+
 COMMAND_NAMES = ("params", "format_help", "format_help_text", "get_short_help_str", "parse_args")
 GROUP_NAMES = (*COMMAND_NAMES, "commands", "invoke", "resolve_command")
 PARAMETER_NAMES = ("opts", "param_type_name", "metavar", "envvar", "default", "required", "help")
 OPTION_NAMES = (*PARAMETER_NAMES, "secondary_opts", "is_flag", "show_default", "rich_help_panel")
-CONTEXT_NAMES = ("parent", "info_name", "command_path", "args", "resilient_parsing", "exit")
+CONTEXT_NAMES = (
+    *("parent", "info_name", "command_path", "args", "params", "resilient_parsing", "exit"),
+    "get_parameter_source",
+)
 FORMATTER_NAMES = ("write_usage", "write_paragraph", "write_text", "write_dl", "getvalue")
 
 

@@ -115,6 +115,7 @@ ORIGIN = network_option(
 INTENSITY_FIELD = _option_of(NetworkSettings, "intensity_field")
 jobs_option = partial(_option_of, RunOptions, "jobs")
 JOBS = jobs_option()
+CLUSTER = _option_of(RunOptions, "cluster")
 OVERWRITE = _option_of(RunOptions, "overwrite")
 STRICT = running_option("Exit with status 1 after a warning about a scan.", default=False)
 Unsharded = Annotated[RunOptions, Without({"shard"})]

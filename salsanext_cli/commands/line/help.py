@@ -6,6 +6,7 @@ from typing import Any, ClassVar
 
 import typer
 
+from salsanext_cli.commands.line.cluster_option import choose_workers
 from salsanext_cli.commands.line.console import WRONG_USE, usage_errors
 from salsanext_cli.commands.line.removed import refuse_removed
 from salsanext_cli.commands.line.typer_interface import TyperCommand, TyperGroup, stating_command
@@ -13,7 +14,7 @@ from salsanext_cli.commands.line.typer_interface import TyperCommand, TyperGroup
 DOCUMENTATION = "https://salsanext.readthedocs.io"
 NAMES_WIDTH = 24  # Columns of the names of options; longer ones get a line
 HIDDEN = {
-    "": "--batch --ego --engine --install-completion --intensity "
+    "": "--batch --cluster --ego --engine --install-completion --intensity "
     "--knn-cutoff --knn-k --knn-sigma --knn-window --min-range --movable-reach --on-error --origin "
     "--pixel-labels --precision --shard --show-completion",
     "pick": "--seed",
@@ -87,11 +88,15 @@ class Command(TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the command line, or print the whole help."""
-        if not ctx.resilient_parsing:
-            refuse_removed(_names(ctx), args, json="--json" in args)
-            _print_whole_help(self, ctx, args)
-        with stating_command(ctx):
+        if ctx.resilient_parsing:
             return super().parse_args(ctx, args)
+        is_json = "--json" in args
+        refuse_removed(_names(ctx), args, json=is_json)
+        _print_whole_help(self, ctx, args)
+        with stating_command(ctx):
+            others = super().parse_args(ctx, args)
+        choose_workers(ctx, json=is_json)
+        return others
 
 
 class Group(TyperGroup):

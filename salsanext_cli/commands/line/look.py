@@ -26,6 +26,7 @@ def demo(
     classes: str | None = arguments.CLASSES,
     device: str = arguments.DEVICE,
     jobs: int = arguments.JOBS,
+    cluster: str | None = arguments.CLUSTER,
     overwrite: bool = arguments.OVERWRITE,
     output: console.Output,
 ) -> None:
@@ -42,7 +43,7 @@ def demo(
         scans=scans,
         samples=samples,
         settings=NetworkSettings(device=device, precision=AUTO, classes=space),
-        options=RunOptions(jobs=jobs, overwrite=overwrite),
+        options=RunOptions(jobs=jobs, cluster=cluster, overwrite=overwrite),
         progress_of_step=lambda step: progress(step, output.quiet),
     )
     evaluation = demonstration.evaluation

@@ -122,11 +122,16 @@ OPTIONS: dict[type, dict[str, Declaration]] = {
     },
     RunOptions: {
         "jobs": running("Number of worker processes; -1: one per core.", "--jobs", "-j"),
+        "cluster": running(
+            "Ray cluster whose workers take the place of --jobs.",
+            envvar="SALSANEXT_CLUSTER",
+            metavar="auto|HOST:PORT|ray://HOST:PORT",
+        ),
         "shard": running(
             "Work on share I of N of the scans.",
             parse=typed_shard,
             metavar="I/N",
-            show_default="the share of this Slurm array task, else 1/1",
+            show_default="the share of this task of a Slurm array or Kubernetes job, else 1/1",
         ),
         "overwrite": running("Replace existing results."),
         "on_error": running("Skip a scan that fails, or stop."),

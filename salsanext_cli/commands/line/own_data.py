@@ -278,6 +278,7 @@ def synth(
     *,
     scenes: Scenes,
     jobs: int = arguments.JOBS,
+    cluster: str | None = arguments.CLUSTER,
     overwrite: bool = arguments.OVERWRITE,
     output: console.Output,
 ) -> None:
@@ -298,6 +299,7 @@ def synth(
             sensor=scenes.sensor,
             seed=scenes.seed,
             jobs=jobs,
+            cluster=cluster,
             overwrite=overwrite,
             progress=on_progress,
         )

@@ -13,6 +13,7 @@ from salsanext_cli.commands.line.look import results_in
 from salsanext_cli.commands.line.next_command import next_command
 from salsanext_cli.commands.line.option_fields import argument, option
 from salsanext_cli.commands.line.progress import over_results, over_scans
+from salsanext_cli.commands.line.typer_interface import is_typed
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
@@ -104,8 +105,7 @@ def _typed_options(settings: NetworkSettings, origin: str | None, topic: str | N
 
 def _refuse_second_path(context: typer.Context, out: Path, results: Path) -> None:
     """Refuse a second path after a folder with results, whose pictures go into it."""
-    source = context.get_parameter_source("out")
-    if source is not None and source.name == "COMMANDLINE":
+    if is_typed(context, "out"):
         problem = f"{out} follows {results}, which has results"
         raise UsageError("OUT", problem, "one folder with results, or scans and a folder")
 

@@ -15,9 +15,9 @@ REMOVED_COMMANDS = {"export-rrd": "use examples/rerun_recording.py"}
 """Hint by the name of a command."""
 REMOVED_OPTIONS = {
     ALL_COMMANDS: {
-        "--backend": "use `--jobs`",
+        "--backend": "use `--jobs`, or `--cluster` for Ray",
         "--out": "give the folder as the argument OUT",
-        "--scheduler": "use `--shard I/N` on each machine",
+        "--scheduler": "use `--cluster` for Ray, or `--shard I/N` on each machine",
     },
     "demo": {
         "--engine": USE_PREDICT,

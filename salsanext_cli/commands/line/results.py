@@ -119,7 +119,7 @@ def export_bag(
         "Topic of the labelled clouds.", metavar="NAME", show_default="TOPIC/labelled"
     ),
     query: Annotated[ResultQuery, Without({"split", "limit"})],
-    running: Annotated[RunOptions, Without({"jobs"})],
+    running: Annotated[RunOptions, Without({"jobs", "cluster"})],
     output: console.Output,
 ) -> None:
     """Copy ROS bags with a new topic of the clouds and their labels, errors and colours.

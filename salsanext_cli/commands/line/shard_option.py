@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Value of `--shard`: a share of the scans as text, or that of a task of a Slurm array."""
+"""Value of `--shard`: a share of the scans as text, or that of a task of a cluster.
+
+Tasks of a Slurm array and pods of an indexed job of Kubernetes get their number in variables.
+"""
 
 import logging
 import os
@@ -12,19 +15,25 @@ from salsanext_cli.runs.loop.run_options import Shard
 
 OPTION = "--shard"
 SLURM_PREFIX = "SLURM_ARRAY_TASK_"
+KUBERNETES_VARIABLES = ("JOB_COMPLETION_INDEX", "JOB_COMPLETIONS")
+"""Index of a pod from 0, which Kubernetes sets, and their number, which its job must set."""
 
 log = logging.getLogger(__name__)
 
 
 def typed_shard(text: str | None) -> Shard:
-    """Read ``i/n``; without it, return the share of this task of a Slurm array, else all."""
+    """Read ``i/n``; without it, return the share of this task of a cluster, else all."""
     if text is not None:
         return shard_of_text(text)
-    shard = shard_of_slurm(os.environ)
-    if shard is None:
-        return Shard()
-    log.log(NOTICE, "shard %s of the scans: this is a task of a Slurm array", shard)
-    return shard
+    for kind, find in (
+        ("a task of a Slurm array", shard_of_slurm),
+        ("a pod of an indexed job", shard_of_kubernetes),
+    ):
+        shard = find(os.environ)
+        if shard is not None:
+            log.log(NOTICE, "shard %s of the scans: this is %s", shard, kind)
+            return shard
+    return Shard()
 
 
 def shard_of_text(text: str) -> Shard:
@@ -48,6 +57,26 @@ def shard_of_slurm(environment: Mapping[str, str]) -> Shard | None:
     if rest or min(number, least, step) < 0 or not 0 <= index < count:
         raise _with_gaps(environment)
     return Shard(index + 1, count)
+
+
+def shard_of_kubernetes(environment: Mapping[str, str]) -> Shard | None:
+    """Return the shard of a pod of an indexed job, whose number of completions is a variable."""
+    if any(name not in environment for name in KUBERNETES_VARIABLES):
+        return None
+    texts = [environment[name] for name in KUBERNETES_VARIABLES]
+    if not all(re.fullmatch(r"\d{1,9}", text, re.ASCII) for text in texts):
+        raise _wrong_pod(environment)
+    index, count = map(int, texts)
+    if index >= count:
+        raise _wrong_pod(environment)
+    return Shard(index + 1, count)
+
+
+def _wrong_pod(environment: Mapping[str, str]) -> UsageError:
+    """Return the error of a pod whose variables are no share of a run."""
+    index, count = (f"{name}={environment[name]}" for name in KUBERNETES_VARIABLES)
+    hint = f"set the completions of the job, or name the share with {OPTION} i/n"
+    return UsageError(index, f"with {count}", "an index below the completions", hint)
 
 
 def _whole_number(environment: Mapping[str, str], name: str, default: str = "") -> int:

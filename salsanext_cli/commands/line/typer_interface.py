@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Interface of typer that it does not document: base classes of commands and of their errors.
+"""Interface of typer that it does not document: base classes, and sources of parameters.
 
 Typer contains Click, and does not export these names. This is the only module that takes them from
 elsewhere; `help` and `wrong_values` read attributes of the objects that they get.
@@ -12,10 +12,12 @@ from typing import Any, cast
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-__all__ = ["USAGE_ERROR", "TyperCommand", "TyperGroup", "stating_command"]
+__all__ = ["USAGE_ERROR", "TyperCommand", "TyperGroup", "is_typed", "stating_command"]
 
 USAGE_ERROR = cast("type[Exception]", typer.BadParameter.__base__)
 """Errors of the command line, one kind of which typer exports."""
+TYPED = "COMMANDLINE"
+"""Name of the source of parameters that were typed."""
 
 
 @contextmanager
@@ -27,3 +29,9 @@ def stating_command(context: Any) -> Iterator[None]:
         stated: Any = error
         stated.ctx = stated.ctx or context
         raise
+
+
+def is_typed(context: Any, parameter: str) -> bool:
+    """Return whether a parameter was typed, and is not set by its variable or its default."""
+    source = context.get_parameter_source(parameter)
+    return source is not None and source.name == TYPED

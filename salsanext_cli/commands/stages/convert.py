@@ -82,7 +82,9 @@ def convert(
         def is_done(scan: ScanFile) -> bool:
             return filled(_target(scan_folder, scan))
 
-        outcome = run_over_scans(task, chosen, options, is_done=is_done, on_result=empty.update)
+        outcome = run_over_scans(
+            task, chosen, options, is_done=is_done, on_result=empty.update, folder=folder
+        )
         written = [scan for scan in listed if is_done(scan)]
         if not is_site(file):
             owned.write(times, _encoded_times(written))

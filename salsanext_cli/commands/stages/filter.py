@@ -104,7 +104,10 @@ def _filter_files(
     def add(scan: WrittenScan) -> None:
         written[scan.file] = scan.counts
 
-    return run_over_scans(task.write, scans, options, is_done=task.is_done, on_result=add)
+    root = task.owned.root
+    return run_over_scans(
+        task.write, scans, options, is_done=task.is_done, on_result=add, folder=root
+    )
 
 
 def _filter_bags(

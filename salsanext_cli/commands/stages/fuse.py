@@ -110,7 +110,9 @@ def fuse_results(
             single=single,
             fused=fused,
         )
-        outcome = run_over_scans(task, fusible.scans, options, is_done=is_done, summary=summary)
+        outcome = run_over_scans(
+            task, fusible.scans, options, is_done=is_done, summary=summary, folder=target
+        )
     return replace(outcome, missing=fusible.missing)
 
 

@@ -279,7 +279,9 @@ class PictureRun:
                 classes=self.query.classes,
                 truth_in=(chosen.labels, chosen.space) if draws_truth else None,
             )
-            outcome = run_over_scans(task, chosen.scans, self.options, is_done=output.is_done)
+            outcome = run_over_scans(
+                task, chosen.scans, self.options, is_done=output.is_done, folder=self.results.root
+            )
             log.log(NOTICE, "pictures: %s", results.root / "sequences/*" / FOLDER)
         return PictureOutcome.from_run(
             replace(outcome, missing=chosen.missing),

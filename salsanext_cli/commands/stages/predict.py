@@ -132,7 +132,9 @@ def predict_scans(
         task = NetworkTask(
             job=job, settings=resolved_for(settings, network, scans), network=network, batch=batch
         )
-        outcome = run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)
+        outcome = run_over_scans(
+            task, scans, options, is_done=output.is_done, summary=summary, folder=out
+        )
     rejected_points = summary.rejected_points if rejection else None
     return PredictOutcome.from_run(outcome, rejected_points=rejected_points)
 
@@ -239,5 +241,7 @@ def predict_range_images(
     with opening as output, recorded_summary(summary, output, scans):
         job = partial(PredictImageJob, folder=folder, output=output)
         task = NetworkTask(job=job, settings=settings.resolved(network), network=network)
-        outcome = run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)
+        outcome = run_over_scans(
+            task, scans, options, is_done=output.is_done, summary=summary, folder=out
+        )
     return PredictOutcome.from_run(outcome)

@@ -116,4 +116,6 @@ def project_scans(
         job = ProjectJob(
             sensor=sensor, output=output, origins=origins.result_origins(output, scans, sensor)
         )
-        return run_over_scans(job, scans, options, is_done=output.is_done, summary=summary)
+        return run_over_scans(
+            job, scans, options, is_done=output.is_done, summary=summary, folder=out
+        )

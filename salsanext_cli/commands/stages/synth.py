@@ -84,6 +84,7 @@ def synthesise(
     spacing: float = 3.0,
     sensor: str = "hdl64",
     jobs: int = 1,
+    cluster: str | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> SynthReport:
@@ -109,6 +110,8 @@ def synthesise(
         Name of one of `RIGS`.
     jobs : int
         Number of worker processes.
+    cluster : str, optional
+        Address of a Ray cluster that simulates instead.
     overwrite : bool
         Whether to replace an earlier simulated data set.
     progress : callable, optional
@@ -119,7 +122,7 @@ def synthesise(
     SynthReport
     """
     counts = {"train": train, "valid": valid, "test": test}
-    options = RunOptions(jobs=jobs, on_error="stop", progress=progress)
+    options = RunOptions(jobs=jobs, cluster=cluster, on_error="stop", progress=progress)
     _check(counts, scans, seed, spacing, sensor)
     settings = SynthSettings.from_counts(counts, scans, seed, spacing, sensor)
     names = [name for members in settings.splits.values() for name in members]
@@ -136,7 +139,7 @@ def synthesise(
     ]
     with owned.open():
         _begin(owned, settings.record, files, overwrite)
-        run_over_scans(write, sequences, options, on_result=points.update)
+        run_over_scans(write, sequences, options, on_result=points.update, folder=out)
         space = replace(label_space("semantic-kitti"), splits=settings.splits)
         text = yaml.safe_dump(space.to_dict(), sort_keys=False, allow_unicode=True)
         owned.write_missing(out / LABEL_SPACE, text.encode())

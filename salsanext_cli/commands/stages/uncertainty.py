@@ -118,7 +118,9 @@ def uncertainty(
         if not is_unreadable(scans, network):
             log.log(NOTICE, "each scan takes %s", method.passes_text)
         task = NetworkTask(job=job, settings=resolved, network=network, batch=1)
-        return run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)
+        return run_over_scans(
+            task, scans, options, is_done=output.is_done, summary=summary, folder=out
+        )
 
 
 def _folders(

@@ -173,20 +173,25 @@ def attempt_chunk(
 
     `finished`: file to which each attempt is appended.
     """
-    MARK.set(process.mark)
-    wording.use(process.spelling)
-    run_id = process.run_id
-    if run_id not in _OPENED:
-        _OPENED.clear()
-        os.chdir(process.folder)
-        _OPENED[run_id] = opened(task)
+    attempts = opened_once(task, process)
     done: list[Attempt[Any]] = []
-    for attempt in _OPENED[run_id](scans, lambda _: None):
+    for attempt in attempts(scans, lambda _: None):
         append_attempt(finished, attempt)
         done.append(attempt)
         if stop and attempt.error:
             break
     return AttemptedChunk(number=number, attempts=done)
+
+
+def opened_once(task: Task, process: WorkerProcess) -> AttemptFunction:
+    """Return the opened task of a run in this worker process, which opens it at the first call."""
+    MARK.set(process.mark)
+    wording.use(process.spelling)
+    if process.run_id not in _OPENED:
+        _OPENED.clear()
+        os.chdir(process.folder)
+        _OPENED[process.run_id] = opened(task)
+    return _OPENED[process.run_id]
 
 
 @contextmanager

@@ -5,15 +5,17 @@
 an error of a scan ends the run or is listed in the `Outcome`, by ``options.on_error``. A failed
 scan is attempted again only by a further run.
 
-The attempts come from one of two functions. Both overlap the three steps of a job by `pipeline`,
+The attempts come from one of three functions. All overlap the three steps of a job by `pipeline`,
 which turns the error of a scan into a failed attempt. If a batch of several scans fails, `pipeline`
 computes each of them alone, so that one scan does not fail the others; if it did not fit into
 memory, the next batches are smaller.
 
 - In this process: `pipeline.opened`.
 - By several workers: `pool.attempts_of_workers`, which replaces no dead worker.
+- By workers of a cluster: `cluster.attempts.attempts_of_cluster`, which replaces them.
 
-Where the number of workers was not requested, `measured_workers` decides between both on a GPU.
+Where the number of workers was not requested, `measured_workers` decides on a GPU between the first
+two.
 """
 
 import logging
@@ -21,6 +23,7 @@ import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, fields
+from pathlib import Path
 from typing import Any, Self
 
 from salsanext_cli.core.errors import SalsanextError, WorkersLost
@@ -142,6 +145,7 @@ def run_over_scans(
     is_done: Callable[[ScanFile], bool] = lambda scan: False,
     on_result: Callable[[Any], object] = lambda result: None,
     summary: RunSummary | None = None,
+    folder: Path | None = None,
 ) -> Outcome:
     """Run a task over the scans of this shard that are not done.
 
@@ -159,6 +163,8 @@ def run_over_scans(
         Function of each result, which is called in this thread.
     summary : RunSummary, optional
         Summary to which the results are added, instead of `on_result`.
+    folder : Path, optional
+        Folder that the task writes into, which all nodes of a cluster must share.
 
     Returns
     -------
@@ -167,7 +173,7 @@ def run_over_scans(
     Raises
     ------
     WorkersLost
-        If a worker died.
+        If a worker died, or the cluster is lost.
     SalsanextError
         The first failure, if ``options.on_error`` is ``"stop"``.
     """
@@ -181,7 +187,7 @@ def run_over_scans(
         options.progress(0, len(todo))
     try:
         if todo:
-            with closing(_attempts(task, todo, count)) as attempts:
+            with closing(_attempts(task, todo, count, folder)) as attempts:
                 for attempt in attempts:
                     count.add(attempt)
     except WorkersLost as lost:
@@ -200,7 +206,7 @@ def run_over_scans(
 
 
 def _attempts(
-    task: Task, scans: Sequence[ScanFile], count: RunningCount
+    task: Task, scans: Sequence[ScanFile], count: RunningCount, folder: Path | None
 ) -> Generator[Attempt[Any], None, None]:
     """Yield the attempts of all scans, in no particular order if workers make them.
 
@@ -208,6 +214,10 @@ def _attempts(
     yielded.
     """
     options = count.options
+    if options.cluster is not None:
+        from salsanext_cli.runs.loop.cluster.attempts import attempts_of_cluster
+
+        return attempts_of_cluster(task, scans, options, folder)
     if min(len(scans), options.workers()) == 1:
         work = opened_work(task)
         if needs_measurement(work, scans, options):

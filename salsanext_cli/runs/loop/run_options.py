@@ -64,6 +64,8 @@ class RunOptions:
 
     # Number of workers; None for 1, and on a GPU as many as keep it busy (`measured_workers`)
     jobs: int | None = 1
+    # Address of a Ray cluster whose workers take the place of `jobs`
+    cluster: str | None = None
     shard: Shard = Shard()
     overwrite: bool = False
     on_error: Literal["skip", "stop"] = "skip"
@@ -72,6 +74,9 @@ class RunOptions:
 
     def __post_init__(self) -> None:
         self.workers()
+        if self.cluster is not None and self.jobs not in (None, 1):
+            problem = "both were given"
+            raise UsageError(argument("jobs", "cluster"), problem, "one of them")
 
     def workers(self) -> int:
         """Return the number of workers with which a run begins."""

@@ -11,7 +11,12 @@ from scans import refused
 
 from salsanext_cli.commands.line.jobs_option import typed_jobs
 from salsanext_cli.commands.line.option_names import CommandLine
-from salsanext_cli.commands.line.shard_option import shard_of_slurm, shard_of_text
+from salsanext_cli.commands.line.shard_option import (
+    shard_of_kubernetes,
+    shard_of_slurm,
+    shard_of_text,
+    typed_shard,
+)
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.wording import spelled
 from salsanext_cli.runs.loop.run_options import RunOptions, Shard
@@ -83,3 +88,39 @@ def test_a_run_begins_with_one_worker_unless_more_are_requested():
         refused(UsageError, "--jobs", typed_jobs, text)
     with spelled(CommandLine()):
         refused(UsageError, "--jobs", RunOptions, jobs=0)
+
+
+def kubernetes(index, completions):
+    return {"JOB_COMPLETION_INDEX": str(index), "JOB_COMPLETIONS": str(completions)}
+
+
+def test_pods_of_an_indexed_job_are_shards_or_refused():
+    assert shard_of_kubernetes(kubernetes(0, 8)) == Shard(1, 8)
+    assert shard_of_kubernetes(kubernetes(7, 8)) == Shard(8, 8)
+    for variables in ({}, {"JOB_COMPLETION_INDEX": "3"}, {"JOB_COMPLETIONS": "3"}):
+        assert shard_of_kubernetes(variables) is None
+    for index, count in ((8, 8), (0, 0), (-1, 8), ("x", 8), (0, ""), ("²", 8)):
+        refused(
+            UsageError,
+            f"JOB_COMPLETION_INDEX={index}",
+            shard_of_kubernetes,
+            kubernetes(index, count),
+        )
+
+
+def test_a_task_of_a_cluster_takes_its_shard_unless_one_is_typed(monkeypatch):
+    for name in ("SLURM_ARRAY_TASK_ID", "JOB_COMPLETION_INDEX"):
+        monkeypatch.delenv(name, raising=False)
+    assert typed_shard(None) == Shard()
+    for name, value in kubernetes(2, 4).items():
+        monkeypatch.setenv(name, value)
+    assert typed_shard(None) == Shard(3, 4)
+    assert typed_shard("1/1") == Shard()
+    for name, value in slurm(1, 1, 8).items():
+        monkeypatch.setenv(name, value)
+    assert typed_shard(None) == Shard(1, 8)
+
+
+def test_workers_are_processes_or_of_a_cluster():
+    assert RunOptions(cluster="auto").jobs == 1
+    refused(UsageError, "jobs and cluster", RunOptions, jobs=2, cluster="auto")

@@ -1,0 +1,268 @@
+# SPDX-License-Identifier: MIT
+"""Attempts of the workers of a cluster, as `pool.attempts_of_workers` yields those of processes.
+
+The chunks of a lost worker are sent again, each to a worker that has no other one: which chunk has
+ended the first worker is not known. After a second loss the scans of a chunk are sent one by one. A
+scan that was then lost twice has failed. The other scans go on, and nodes may come and go.
+"""
+
+import logging
+import pickle
+import re
+import socket
+from collections.abc import Generator, Iterator, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+from salsanext_cli.core import wording
+from salsanext_cli.core.errors import UsageError, WorkersLost
+from salsanext_cli.core.notices import NOTICE
+from salsanext_cli.core.optional_packages import import_extra
+from salsanext_cli.core.texts import counted
+from salsanext_cli.io.files.atomic import MARK
+from salsanext_cli.runs.loop.cluster.bug import Bug
+from salsanext_cli.runs.loop.cluster.chunk_queue import ChunkQueue
+from salsanext_cli.runs.loop.cluster.driver_process import DriverProcess, driver_process
+from salsanext_cli.runs.loop.cluster.messages import (
+    Assignment,
+    Crash,
+    FinishedChunk,
+    FreePlaces,
+    Joined,
+    LostCluster,
+    LostWorker,
+    NotJoined,
+    PackedChunk,
+    UnusableNode,
+    Waiting,
+)
+from salsanext_cli.runs.loop.cluster.node_code import (
+    NodeRequirements,
+    ReadableFile,
+    installed_versions,
+)
+from salsanext_cli.runs.loop.cluster.work import Work
+from salsanext_cli.runs.loop.job import Attempt, OpenableTask, Task
+from salsanext_cli.runs.loop.network_task import NetworkTask
+from salsanext_cli.runs.loop.pool import MAX_CHUNK_SCANS, WorkerProcess, chunks
+from salsanext_cli.runs.loop.run_options import RunOptions
+from salsanext_cli.runs.results.paths import ScanFile
+
+ADDRESS = re.compile(r"auto|(?P<client>ray://)?(?P<host>[^\s/:]+|\[[^\s/]+\]):(?P<port>\d{1,5})")
+CONNECT_TIMEOUT_S = 15.0
+EXPECTED_ADDRESS = "auto, HOST:PORT or ray://HOST:PORT"
+
+log = logging.getLogger(__name__)
+
+
+def attempts_of_cluster(
+    task: Task, scans: Sequence[ScanFile], options: RunOptions, folder: Path | None = None
+) -> Generator[Attempt[Any], None, None]:
+    """Yield the attempts of workers on a cluster, which end when this is closed, in any order.
+
+    Parameters
+    ----------
+    task : callable
+        Work on each scan, which can be pickled.
+    scans : sequence of ScanFile
+        Scans to attempt.
+    options : RunOptions
+        Its `cluster` is the address.
+    folder : Path, optional
+        Folder that the workers write into.
+
+    Yields
+    ------
+    Attempt
+
+    Raises
+    ------
+    UsageError
+        If there is no such cluster, or one of its nodes lacks what the run needs.
+    WorkersLost
+        If the cluster is lost, or none of its nodes can open the task.
+    """
+    address = str(options.cluster)
+    require_address(address)
+    require_listener(address)
+    if find_spec("ray") is None:
+        import_extra("ray", "ray")
+    process = WorkerProcess(
+        run_id=uuid4().hex, mark=MARK.get(), folder=Path.cwd(), spelling=wording.used()
+    )
+    work = Work(task=task, process=process, stop=options.on_error == "stop")
+    assignment = Assignment(
+        address=address,
+        work=pickle.dumps(work),
+        required=requirements(scans, folder),
+        scans=len(scans),
+        uses_gpu=uses_gpu(task),
+    )
+    most = task.max_chunk_scans if isinstance(task, OpenableTask) else MAX_CHUNK_SCANS
+    with driver_process() as driver:
+        driver.send(assignment)
+        messages = driver.messages()
+        joined = _joined(messages, address)
+        queue = ChunkQueue(chunks(scans, max(1, joined.workers), most))
+        yield from _attempts(driver, messages, queue, address)
+
+
+def require_address(address: str) -> None:
+    """Refuse what is no address of a cluster."""
+    if not ADDRESS.fullmatch(address):
+        subject = wording.argument("cluster")
+        raise UsageError(subject, f"is {address!r}", EXPECTED_ADDRESS, starting_hint("auto"))
+
+
+def require_listener(address: str) -> None:
+    """Refuse an address at which nothing listens, for which Ray would wait."""
+    parts = ADDRESS.fullmatch(address)
+    if parts is None or parts["host"] is None:
+        return
+    peer = (parts["host"].strip("[]"), int(parts["port"]))
+    try:
+        socket.create_connection(peer, CONNECT_TIMEOUT_S).close()
+    except (OSError, OverflowError) as error:
+        raise _not_joined(address, f"cannot be reached: {error}") from error
+
+
+def _not_joined(address: str, problem: str) -> UsageError:
+    subject = wording.setting("cluster", address)
+    return UsageError(subject, problem, "a running Ray cluster", starting_hint(address))
+
+
+def starting_hint(address: str) -> str:
+    """Return what to type to start a cluster with this address."""
+    parts = ADDRESS.fullmatch(address)
+    if parts is None or parts["host"] is None:
+        return "start a cluster on this machine: ray start --head"
+    host = parts["host"]
+    port = parts["port"]
+    if parts["client"]:
+        return f"start it on {host}: ray start --head --ray-client-server-port={port}"
+    return (
+        f"on {host}: ray start --head --port={port}; on this machine: ray start --address={address}"
+    )
+
+
+def uses_gpu(task: Task) -> bool:
+    """Return whether each worker needs a GPU; refuse a GPU with a number, which is of one node."""
+    if not isinstance(task, NetworkTask):
+        return False
+    device = task.settings.device
+    if device.startswith("cuda:"):
+        subject = wording.setting("device", device)
+        hint = f"use {wording.setting('device', 'cuda')}; each worker gets a GPU"
+        raise UsageError(subject, "names a GPU of one machine", hint=hint)
+    return device != "cpu"
+
+
+def requirements(scans: Sequence[ScanFile], folder: Path | None) -> NodeRequirements:
+    """Return what each node needs: versions, the first scan, and the folder of the results."""
+    paths = [existing(scans[0].path)]
+    writable = None
+    if folder is not None:
+        writable = existing(folder)
+        # A file in it shows whether a node sees the same folder.
+        paths += [path for path in sorted(writable.iterdir()) if path.is_file()][:1]
+    return NodeRequirements(
+        versions=installed_versions(),
+        current=str(Path.cwd()),
+        files=tuple(map(_readable, paths)),
+        writable=None if writable is None else str(writable),
+    )
+
+
+def existing(path: Path) -> Path:
+    """Return a path, or the nearest folder above it that exists: scans of recordings are no files.
+
+    The path becomes absolute.
+    """
+    path = path.absolute()
+    return next(place for place in (path, *path.parents) if place.exists())
+
+
+def _readable(path: Path) -> ReadableFile:
+    return ReadableFile(path=str(path), size=path.stat().st_size if path.is_file() else None)
+
+
+def _joined(messages: Iterator[Any], address: str) -> Joined:
+    """Return the answer of the driver, or raise why it could not join the cluster."""
+    subject = wording.setting("cluster", address)
+    match next(messages, None):
+        case Joined() as joined:
+            text = f"{counted(joined.workers, 'worker')} on {counted(joined.nodes, 'node')}"
+            log.log(NOTICE, "cluster %s: room for %s", address, text)
+            return joined
+        case UnusableNode(node=node, problem=problem):
+            hint = "give all nodes the same versions, and the same folders under the same paths"
+            raise UsageError(subject, f"node {node} {problem}", hint=hint)
+        case NotJoined(problem=problem):
+            raise _not_joined(address, problem)
+        case Crash(trace=trace):
+            raise RuntimeError(trace)
+    raise _not_joined(address, "does not answer")
+
+
+def _attempts(
+    driver: DriverProcess, messages: Iterator[Any], queue: ChunkQueue, address: str
+) -> Generator[Attempt[Any], None, None]:
+    """Send all chunks of a queue to the driver, and yield their attempts."""
+    free_places = 0
+    while queue:
+        message = next(messages, LostCluster(problem="the cluster does not answer any more"))
+        match message:
+            case FreePlaces(count=count):
+                free_places += count
+            case FinishedChunk(number=number, attempts=attempts):
+                queue.finish(number)
+                yield from unpacked(attempts)
+            case LostWorker():
+                yield from failed_attempts(queue, message)
+            case _:
+                _report(message, address)
+        while free_places and queue.is_waiting:
+            free_places -= 1
+            chunk = queue.send()
+            scans = pickle.dumps(chunk.scans)
+            driver.send(PackedChunk(number=chunk.number, scans=scans, is_alone=chunk.is_alone))
+
+
+def unpacked(content: bytes) -> list[Attempt[Any]]:
+    """Return the attempts of a worker; raise the exception that no user can correct."""
+    result = pickle.loads(content)  # noqa: S301 - of a worker of this run
+    if isinstance(result, Bug):
+        raise result.noted()
+    return list(result.attempts)
+
+
+def failed_attempts(queue: ChunkQueue, lost: LostWorker) -> Iterator[Attempt[Any]]:
+    """Let the chunks of a lost worker wait again; yield the attempt of a scan that has failed."""
+    log.warning("node %s: a worker ended; other workers get its scans", lost.node)
+    for number in reversed(lost.chunks):
+        scan = queue.lose(number)
+        if scan is not None:
+            hint = f"it may need more memory; try it alone with {wording.setting('jobs', 1)}"
+            error = WorkersLost(scan.path, "ended its worker twice", hint=hint)
+            yield Attempt(file=scan, error=error)
+
+
+def _report(message: object, address: str) -> None:
+    """Log what the driver says of the nodes; raise what ends the run."""
+    subject = wording.setting("cluster", address)
+    match message:
+        case UnusableNode(node=node, problem=problem, ends_run=True):
+            hint = "no node is left; give all nodes the same versions and folders"
+            raise WorkersLost(subject, f"node {node} {problem}", hint=hint)
+        case UnusableNode(node=node, problem=problem):
+            log.warning("node %s %s; the run goes on without it", node, problem)
+        case Waiting(seconds=seconds):
+            log.log(NOTICE, "cluster %s: no free worker for %.0f s; waiting", address, seconds)
+        case LostCluster(problem=problem):
+            raise WorkersLost(subject, problem, hint=starting_hint(address))
+        case Crash(trace=trace):
+            raise RuntimeError(trace)
+        case _:
+            raise TypeError(message)

@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: MIT
+"""Chunks of a run on a cluster: which one is next, and what becomes of one whose worker is lost."""
+
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from itertools import count
+
+from salsanext_cli.runs.loop.pool import Chunk
+from salsanext_cli.runs.results.paths import ScanFile
+
+MAX_LOSSES = 2
+"""Lost workers that had only one scan after which that scan fails."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SentChunk:
+    """Chunk as it is sent.
+
+    Attributes
+    ----------
+    number : int
+        Number under which it is sent, a new one each time.
+    scans : tuple of ScanFile
+        Its scans.
+    is_alone : bool
+        Whether its worker gets no other chunk meanwhile, so that a loss has one cause.
+    losses : int
+        Number of workers that were lost with this chunk alone.
+    """
+
+    number: int
+    scans: Chunk
+    is_alone: bool = False
+    losses: int = 0
+
+
+class ChunkQueue:
+    """Chunks that wait or were sent, by the number under which they were sent.
+
+    Parameters
+    ----------
+    chunks : iterable of Chunk
+        All chunks of the run.
+    """
+
+    def __init__(self, chunks: Iterable[Chunk]) -> None:
+        self._waiting = deque(SentChunk(number=0, scans=chunk) for chunk in chunks)
+        self._sent: dict[int, SentChunk] = {}
+        self._numbers = count(1)
+
+    def __bool__(self) -> bool:
+        """Whether any chunk waits or was sent."""
+        return bool(self._waiting or self._sent)
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether any chunk waits."""
+        return bool(self._waiting)
+
+    def send(self) -> SentChunk:
+        """Return the next chunk, with a number."""
+        chunk = replace(self._waiting.popleft(), number=next(self._numbers))
+        self._sent[chunk.number] = chunk
+        return chunk
+
+    def finish(self, number: int) -> None:
+        """Forget a chunk that was attempted."""
+        del self._sent[number]
+
+    def lose(self, number: int) -> ScanFile | None:
+        """Let a chunk of a lost worker wait again: alone, and after a second loss in scans.
+
+        Returns
+        -------
+        ScanFile, optional
+            The scan that has ended its workers, which does not wait again.
+        """
+        chunk = self._sent.pop(number)
+        if not chunk.is_alone:
+            self._waiting.appendleft(replace(chunk, is_alone=True))
+        elif len(chunk.scans) > 1:
+            alone = [replace(chunk, scans=(scan,)) for scan in chunk.scans]
+            self._waiting.extendleft(reversed(alone))
+        elif chunk.losses + 1 < MAX_LOSSES:
+            self._waiting.appendleft(replace(chunk, losses=chunk.losses + 1))
+        else:
+            return chunk.scans[0]
+        return None

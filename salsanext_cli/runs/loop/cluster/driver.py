@@ -1,0 +1,298 @@
+# SPDX-License-Identifier: MIT
+"""Workers of a run on a cluster, and the chunks that they get.
+
+The main thread makes all calls, which other threads put into a queue: for a message that has
+arrived, and for a call of a worker that has ended.
+"""
+
+import time
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass, field, replace
+from functools import partial
+from queue import Empty, SimpleQueue
+from typing import Any
+
+from salsanext_cli.runs.loop.cluster.messages import (
+    Assignment,
+    FinishedChunk,
+    FreePlaces,
+    Joined,
+    LostWorker,
+    PackedChunk,
+    UnusableNode,
+    Waiting,
+)
+from salsanext_cli.runs.loop.cluster.worker_size import Node, WorkerSize
+
+CHECK_TIMEOUT_S = 60.0  # For all nodes to say what they lack
+CHUNKS_IN_FLIGHT = 2  # Chunks sent per worker, so that the next is ready when one is done
+END_TIMEOUT_S = 2.0  # For workers to end, so that the main process can remove unfinished files
+MAX_FAILED_STARTS = 3  # Workers of a node that end while they open the task
+NODE_INTERVAL_S = 2.0  # Between looks at the nodes
+WAITING_AFTER_S = 15.0  # Without any worker
+
+Send = Callable[[object], None]
+Calls = SimpleQueue[Callable[[], None]]
+
+
+@dataclass(slots=True, kw_only=True, eq=False)
+class Member:
+    """Worker that was started, or waits for room on a node."""
+
+    handle: Any
+    node: str = ""  # Id of its node, once it has started
+    is_open: bool = False  # Whether it has opened the task
+    chunks: list[int] = field(default_factory=list)  # Numbers
+    is_taken: bool = False  # Whether it gets no other chunk beside the one that it has
+
+    @property
+    def places(self) -> int:
+        """Number of further chunks that it can take."""
+        return CHUNKS_IN_FLIGHT - len(self.chunks) if self.is_open and not self.is_taken else 0
+
+
+class Driver:
+    """Workers of a run on a cluster that was joined.
+
+    Parameters
+    ----------
+    cluster : module
+        `ray_cluster`, or what stands for it.
+    assignment : Assignment
+        Work of the workers.
+    send : callable
+        Sends a message to the main process.
+    calls : SimpleQueue
+        Calls that the main thread makes.
+    """
+
+    def __init__(self, cluster: Any, assignment: Assignment, send: Send, calls: Calls) -> None:
+        self.cluster = cluster
+        self.assignment = assignment
+        self.send = send
+        self.calls = calls
+        self.size = WorkerSize.fitting(cluster.nodes(), uses_gpu=assignment.uses_gpu)
+        self.names: dict[str, str] = {}  # Of nodes, by id
+        self.members: list[Member] = []
+        self.chunks: deque[PackedChunk] = deque()  # For which no worker has a place
+        self.alone: deque[PackedChunk] = deque()  # For which no worker is idle
+        self.requested = 0  # Number of chunks that were asked for and have not arrived
+        self.failed_starts: dict[str, int] = {}  # By id of the node
+        self.unusable: set[str] = set()  # Ids of nodes
+        self.last_unusable: UnusableNode | None = None
+        self.last_look = 0.0
+        self.idle_since: float | None = time.monotonic()  # None while any worker is open
+        self.is_closed = False
+
+    def begin(self) -> bool:
+        """Check all nodes with room for workers; return whether the run can begin."""
+        usable = [node for node in self._nodes() if self.size.places(node)]
+        checks = {node: self.cluster.check(node, self.assignment.required) for node in usable}
+        end = time.monotonic() + CHECK_TIMEOUT_S
+        for node, checked in checks.items():
+            try:
+                problem = checked.result(max(0.0, end - time.monotonic()))
+            except TimeoutError:
+                problem = f"did not answer within {CHECK_TIMEOUT_S:.0f} s"
+            except self.cluster.LOST:
+                continue  # The node has gone; a worker on one that comes back checks it.
+            if problem:
+                self.send(UnusableNode(node=node.name, problem=problem, ends_run=True))
+                return False
+        places = sum(map(self.size.places, usable))
+        self.send(Joined(nodes=len(usable), workers=places))
+        return True
+
+    def run(self) -> None:
+        """Make calls until the main process needs no more."""
+        while not self.is_closed:
+            self._look_at_nodes()
+            try:
+                call = self.calls.get(timeout=NODE_INTERVAL_S)
+            except Empty:
+                continue
+            call()
+
+    def close(self) -> None:
+        """End the run, from the next call on."""
+        self.is_closed = True
+
+    def take(self, chunk: PackedChunk) -> None:
+        """Take a chunk to attempt."""
+        self.requested -= 1
+        (self.alone if chunk.is_alone else self.chunks).append(chunk)
+        self._hand_out()
+
+    def end(self) -> None:
+        """End all workers, and wait a little until they have ended."""
+        running = [self._call(member, "node") for member in self.members if member.is_open]
+        for member in self.members:
+            self.cluster.end(member.handle)
+        end = time.monotonic() + END_TIMEOUT_S
+        for future in running:
+            try:
+                future.exception(max(0.0, end - time.monotonic()))
+            except TimeoutError:
+                return
+
+    def _nodes(self) -> list[Node]:
+        """Return the live nodes that are usable."""
+        nodes = [node for node in self.cluster.nodes() if node.id not in self.unusable]
+        self.names.update((node.id, node.name) for node in nodes)
+        return nodes
+
+    def _name(self, node: str) -> str:
+        """Return the name of a node by its id, also of one that is no more."""
+        return self.names.get(node, node)
+
+    def _look_at_nodes(self) -> None:
+        """Start workers for which nodes have room, and some that wait for more nodes."""
+        now = time.monotonic()
+        if now - self.last_look < NODE_INTERVAL_S:
+            return
+        self.last_look = now
+        self._start_workers()
+        if self.idle_since is not None and now - self.idle_since > WAITING_AFTER_S:
+            self.send(Waiting(seconds=now - self.idle_since))
+            self.idle_since = now
+
+    def _start_workers(self) -> None:
+        places = sum(map(self.size.places, self._nodes()))
+        if not places and self.last_unusable and not self._open_members():
+            self.send(replace(self.last_unusable, ends_run=True))
+            self.close()
+            return
+        # Workers that wait for room let a cluster grow that can, each time to twice its size.
+        spare = 0 if self.requested else max(1, len(self._open_members()))
+        target = min(self.assignment.scans, places + spare)
+        while len(self.members) < target:
+            handle = self.cluster.start_worker(self.size, self.assignment.work, self.unusable)
+            member = Member(handle=handle)
+            self.members.append(member)
+            self._then(self._call(member, "node"), partial(self._started, member))
+
+    def _started(self, member: Member, located: Future[str]) -> None:
+        """Let a worker open the task."""
+        if member not in self.members:
+            return
+        try:
+            member.node = located.result()
+        except self.cluster.LOST as error:
+            self._fail_start(member, first_line(error))
+            return
+        opening = self._call(member, "open", self.assignment.required)
+        self._then(opening, partial(self._opened, member))
+
+    def _opened(self, member: Member, opening: Future[str]) -> None:
+        """Let a worker take chunks, or leave its node out."""
+        if member not in self.members:
+            return
+        try:
+            problem = opening.result()
+        except self.cluster.LOST as error:
+            self._fail_start(member, first_line(error))
+            return
+        if problem:
+            self._leave_out(member.node, problem)
+            return
+        member.is_open = True
+        self.idle_since = None
+        self._hand_out()
+
+    def _fail_start(self, member: Member, problem: str) -> None:
+        """Start another worker for one that ended before it could take chunks."""
+        self._remove(member)
+        count = self.failed_starts.get(member.node, 0) + 1
+        self.failed_starts[member.node] = count
+        text = f"ends workers while they start: {problem}"
+        if count < MAX_FAILED_STARTS:
+            self._start_workers()
+        elif member.node:
+            self._leave_out(member.node, text)
+        else:
+            self.send(UnusableNode(node="of the cluster", problem=text, ends_run=True))
+            self.close()
+
+    def _leave_out(self, node: str, problem: str) -> None:
+        """Use a node no more; without any other one, the run ends."""
+        for member in [member for member in self.members if member.node == node]:
+            if not member.is_open:
+                self._remove(member)
+        if node not in self.unusable:
+            self.unusable.add(node)
+            self.last_unusable = UnusableNode(node=self._name(node), problem=problem)
+            self.send(self.last_unusable)
+        self._start_workers()
+
+    def _hand_out(self) -> None:
+        """Give chunks to the workers that have fewest, and ask for as many as there are places.
+
+        While a chunk waits for an idle worker, no other one is given, so that workers become idle.
+        """
+        members = self._open_members()
+        for member in members:
+            if self.alone and not member.chunks:
+                member.is_taken = True
+                self._give(member, self.alone.popleft())
+        if self.alone:
+            return
+        while self.chunks and members:
+            member = max(members, key=lambda member: member.places)
+            if not member.places:
+                return
+            self._give(member, self.chunks.popleft())
+        missing = sum(member.places for member in members) - self.requested
+        if missing > 0:
+            self.requested += missing
+            self.send(FreePlaces(count=missing))
+
+    def _give(self, member: Member, chunk: PackedChunk) -> None:
+        member.chunks.append(chunk.number)
+        attempting = self._call(member, "attempt", chunk.number, chunk.scans)
+        self._then(attempting, partial(self._attempted, member, chunk.number))
+
+    def _attempted(self, member: Member, number: int, attempting: Future[bytes]) -> None:
+        """Pass on the attempts of a chunk, or the loss of its worker."""
+        if number not in member.chunks:
+            return  # The loss of its worker was noticed by another call.
+        try:
+            attempts = attempting.result()
+        except self.cluster.LOST:
+            self._lose(member)
+            return
+        member.chunks.remove(number)
+        member.is_taken = False
+        self.send(FinishedChunk(number=number, attempts=attempts))
+        self._hand_out()
+
+    def _lose(self, member: Member) -> None:
+        """Report the loss of a worker and of its chunks, and start another one."""
+        chunks = tuple(member.chunks)
+        member.chunks.clear()
+        self._remove(member)
+        self.send(LostWorker(node=self._name(member.node), chunks=chunks))
+        if not self._open_members():
+            self.idle_since = time.monotonic()
+        self._start_workers()
+
+    def _remove(self, member: Member) -> None:
+        self.members.remove(member)
+        self.cluster.end(member.handle)
+
+    def _open_members(self) -> list[Member]:
+        return [member for member in self.members if member.is_open]
+
+    def _call(self, member: Member, method: str, *arguments: Any) -> "Future[Any]":
+        return self.cluster.call(member.handle, method, *arguments)
+
+    def _then(self, future: "Future[Any]", function: Callable[["Future[Any]"], None]) -> None:
+        """Let the main thread call a function with a future when that is done."""
+        future.add_done_callback(lambda done: self.calls.put(partial(function, done)))
+
+
+def first_line(error: Exception) -> str:
+    """Return the first line of the text of an error that is not empty."""
+    lines = (line.strip() for line in str(error).splitlines())
+    return next(filter(None, lines), type(error).__name__)

@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: MIT
+"""What runs on the nodes of a cluster: a check of the node, and the worker.
+
+The driver sends the code of this module, so that a node without the package can name what it lacks.
+The module therefore imports the standard library only, and functions import the package.
+"""
+
+import os
+import pickle
+import tempfile
+import traceback
+from contextlib import suppress
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+LIBRARIES = ("openvino", "torch")
+"""Libraries whose version must be that of the main process, besides the package itself."""
+THREAD_VARIABLES = (
+    "LOKY_MAX_CPU_COUNT",
+    "MKL_NUM_THREADS",
+    "NUMBA_NUM_THREADS",
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadableFile:
+    """File or folder that each node reads."""
+
+    path: str  # Absolute
+    size: int | None  # Bytes; None for a folder
+
+
+@dataclass(frozen=True, kw_only=True)
+class NodeRequirements:
+    """What each node needs to attempt the scans of a run.
+
+    Attributes
+    ----------
+    versions : dict
+        Version of the package and of each library, by name.
+    current : str
+        Current folder of the main process, to which names are relative.
+    files : tuple of ReadableFile
+        Files that a node must see as the main process does.
+    writable : str, optional
+        Folder to write into, absolute; None if the workers write nothing.
+    """
+
+    versions: dict[str, str]
+    current: str
+    files: tuple[ReadableFile, ...] = ()
+    writable: str | None = None
+
+
+def installed_versions() -> dict[str, str]:
+    """Return the versions of the package and of the libraries; empty texts for absent ones."""
+    versions = {"salsanext": ""}
+    with suppress(ImportError):
+        versions["salsanext"] = import_module("salsanext_cli.version").__version__
+    for name in LIBRARIES:
+        try:
+            # Builds for another device have another text after the sign.
+            versions[name] = version(name).partition("+")[0]
+        except PackageNotFoundError:
+            versions[name] = ""
+    return versions
+
+
+def node_problem(required: NodeRequirements) -> str:
+    """Return what this node lacks, in words; an empty text if it lacks nothing."""
+    problem = version_problem(required.versions, installed_versions())
+    if problem:
+        return problem
+    if not Path(required.current).is_dir():
+        return f"does not see the current folder {required.current}"
+    for file in required.files:
+        problem = reading_problem(file)
+        if problem:
+            return problem
+    return writing_problem(required.writable) if required.writable else ""
+
+
+def version_problem(required: dict[str, str], installed: dict[str, str]) -> str:
+    """Return which version is another one than that of the main process, in words."""
+    for name, expected in required.items():
+        actual = installed[name]
+        if actual != expected:
+            owned = f"{name} {actual}" if actual else f"no {name}"
+            return f"has {owned}, not {expected or 'none'} as here"
+    return ""
+
+
+def reading_problem(file: ReadableFile) -> str:
+    """Return why a file cannot be read, or is another one, in words."""
+    try:
+        size = os.stat(file.path).st_size  # noqa: PTH116 - the path is a text
+        if file.size is None:
+            os.listdir(file.path)  # noqa: PTH208 - the same
+        else:
+            with Path(file.path).open("rb") as opened:
+                opened.read(1)
+    except OSError as error:
+        return f"cannot read {file.path}: {error.strerror}"
+    if file.size not in (None, size):
+        return f"has another {file.path}, of {size} bytes instead of {file.size}"
+    return ""
+
+
+def writing_problem(folder: str) -> str:
+    """Return why no file can be written into a folder, in words."""
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            return ""
+    except OSError as error:
+        return f"cannot write into {folder}: {error.strerror}"
+
+
+class NodeWorker:
+    """Worker of a run: it opens the task once, and attempts one chunk of scans after the other.
+
+    Parameters
+    ----------
+    work : bytes
+        Pickled `Work` of the module `work`.
+    threads : int
+        Number of threads for torch, OpenVINO and the kernels.
+    """
+
+    def __init__(self, work: bytes, threads: int) -> None:
+        for name in THREAD_VARIABLES:
+            os.environ[name] = str(threads)
+        self.packed = work
+        self.work: Any = None
+
+    def node(self) -> str:
+        """Return the id of the node."""
+        import ray
+
+        return str(ray.get_runtime_context().get_node_id())
+
+    def open(self, required: NodeRequirements) -> str:
+        """Open the task; return why this node cannot, in words, or an empty text."""
+        problem = node_problem(required)
+        if problem:
+            return problem
+        try:
+            self.work = pickle.loads(self.packed)  # noqa: S301 - of the driver of this worker
+            self.work.open()
+        except Exception as error:  # noqa: BLE001 - any error concerns this node only
+            text = str(error).replace("\n", "; ")
+            return f"cannot begin: {text or type(error).__name__}"
+        return ""
+
+    def attempt(self, number: int, scans: bytes) -> bytes:
+        """Attempt a pickled chunk with a number; return the pickled attempts, or a `Bug`."""
+        from salsanext_cli.runs.loop.cluster.bug import Bug
+
+        try:
+            chunk = pickle.loads(scans)  # noqa: S301 - of the driver of this worker
+            return pickle.dumps(self.work.attempt(chunk, number))
+        except Exception as error:  # noqa: BLE001 - the main process raises it
+            return Bug.packed(error, traceback.format_exc())

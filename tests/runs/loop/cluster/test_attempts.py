@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: MIT
+"""Runs on a Ray cluster of two nodes: the bytes are the same, and deaths are survived."""
+
+import socket
+import sys
+from pathlib import Path
+
+import pytest
+from scans import files_below, refused, write_sequence
+from works import Write, run, scans_of
+
+from salsanext_cli.commands.line.option_names import CommandLine
+from salsanext_cli.commands.stages.predict import predict_scans
+from salsanext_cli.core.errors import MissingDependency, UsageError
+from salsanext_cli.core.notices import NOTICE
+from salsanext_cli.core.wording import spelled
+from salsanext_cli.runs.loop.cluster import attempts
+from salsanext_cli.runs.loop.network_task import NetworkTask
+from salsanext_cli.runs.loop.run import RunOptions
+from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.results.paths import ScanFile
+
+HERE = "127.0.0.1"
+
+
+@pytest.mark.long
+def test_the_bytes_are_those_of_one_process(tmp_path, full_weights, cluster, caplog, capfd):
+    write_sequence(tmp_path / "sequences/00", ["000000"], seed=7)
+    write_sequence(tmp_path / "sequences/08", ["000000", "000001", "000002"])
+    settings = NetworkSettings(full_weights, "cpu")
+    caplog.set_level(NOTICE)
+    written = []
+    for name, options in (("alone", RunOptions()), ("c", RunOptions(cluster=cluster.address))):
+        predict_scans(tmp_path, tmp_path / name, settings=settings, options=options)
+        written.append(files_below(tmp_path / name))
+    assert written[0] == written[1]
+    assert len(written[0]) > 8
+    assert f"cluster {cluster.address}: room for 2 workers on " in caplog.text
+    assert capfd.readouterr().out == ""
+
+
+@pytest.mark.long
+def test_a_scan_that_kills_its_workers_has_failed_and_the_others_are_done(
+    tmp_path, cluster, monkeypatch, caplog
+):
+    """Relative names start where the run was started."""
+    monkeypatch.chdir(tmp_path)
+    names = [f"{number:02d}" for number in range(7)]
+    scans = scans_of(*names[:4], "killed", "bad", *names[4:])
+    outcome = run(Write(Path("out")), scans, cluster=cluster.address)
+    assert [failure.scan.stem for failure in outcome.failures] == ["bad", "killed"]
+    assert [failure.code for failure in outcome.failures] == ["format", "workers-lost"]
+    assert sorted(path.name for path in Path("out/s").iterdir()) == names
+    assert "a worker ended" in caplog.text
+
+
+@pytest.mark.slow
+def test_a_bug_keeps_its_type_and_the_traceback_of_the_worker(tmp_path, cluster):
+    with pytest.raises(ZeroDivisionError, match="a bug of ours") as caught:
+        run(Write(tmp_path), scans_of("a", "bug", "b"), cluster=cluster.address)
+    assert "in __call__" in caught.value.__notes__[0]
+
+
+def closed_port():
+    """Return a port of this machine at which nothing listens."""
+    with socket.create_server((HERE, 0)) as unused:
+        return unused.getsockname()[1]
+
+
+def test_where_no_cluster_answers(tmp_path):
+    pytest.importorskip("ray")
+    address = f"{HERE}:{closed_port()}"
+    with spelled(CommandLine()):
+        caught = refused(
+            UsageError, f"--cluster {address}", run, Write(tmp_path), scans_of("a"), cluster=address
+        )
+    assert f"ray start --address={address}" in caught.value.hint
+
+
+@pytest.mark.parametrize(
+    "address", ["", "nonsense", "local", "host", "host:x", "http://host:1", "a b:1", "ray://host"]
+)
+def test_what_is_no_address_is_refused(tmp_path, address):
+    refused(UsageError, "cluster", run, Write(tmp_path), scans_of("a"), cluster=address)
+
+
+def test_the_hint_says_how_to_start_a_cluster():
+    for address, command in (
+        ("auto", "ray start --head"),
+        ("node1:6379", "on node1: ray start --head --port=6379"),
+        ("ray://node1:10001", "on node1: ray start --head --ray-client-server-port=10001"),
+    ):
+        assert command in attempts.starting_hint(address)
+
+
+def test_a_missing_package_is_named(tmp_path, monkeypatch):
+    monkeypatch.setattr(attempts, "find_spec", lambda name: None)
+    monkeypatch.setitem(sys.modules, "ray", None)
+    refused(MissingDependency, "ray", run, Write(tmp_path), scans_of("a"), cluster="auto")
+
+
+def test_workers_of_a_network_on_gpus_get_one_each():
+    def of(device):
+        return NetworkTask(job=len, settings=NetworkSettings(None, device))
+
+    assert not attempts.uses_gpu(len)
+    assert not attempts.uses_gpu(of("cpu"))
+    assert attempts.uses_gpu(of("cuda"))
+    assert attempts.uses_gpu(of("auto"))
+    refused(UsageError, 'device="cuda:1"', attempts.uses_gpu, of("cuda:1"))
+
+
+def test_nodes_need_the_first_scan_and_a_file_of_the_folder(tmp_path):
+    scan = tmp_path / "scan.bin"
+    scan.write_bytes(b"1234")
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "predict.json").write_bytes(b"{}")
+    (out / "sequences").mkdir()
+    required = attempts.requirements([ScanFile(sequence="s", stem="scan", path=scan)], out)
+    assert [(file.path, file.size) for file in required.files] == [
+        (str(scan), 4),
+        (str(out / "predict.json"), 2),
+    ]
+    assert required.writable == str(out)
+    # The scan of a recording is no file, and a folder may not exist yet.
+    bag = [ScanFile(sequence="s", stem="1", path=scan / "topic/1")]
+    required = attempts.requirements(bag, tmp_path / "new/out")
+    assert required.files[0].path == str(scan)
+    assert required.writable == str(tmp_path)
+    assert attempts.requirements(bag, None).writable is None

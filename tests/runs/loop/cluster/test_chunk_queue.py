@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: MIT
+"""Chunks of lost workers: every scan is attempted or has failed, whatever is lost."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+from numbered_scans import scans_of
+
+from salsanext_cli.runs.loop.cluster.chunk_queue import MAX_LOSSES, ChunkQueue
+from salsanext_cli.runs.loop.pool import chunks
+
+SCANS = scans_of(("00", number) for number in range(12))
+
+
+def test_chunks_are_sent_in_order_each_under_a_number():
+    parts = chunks(SCANS, 1, 3)
+    queue = ChunkQueue(parts)
+    sent = [queue.send() for _ in parts]
+    assert [chunk.scans for chunk in sent] == parts
+    assert len({chunk.number for chunk in sent}) == len(parts)
+    assert not any(chunk.is_alone for chunk in sent)
+    assert not queue.is_waiting
+    assert queue
+    for chunk in sent:
+        queue.finish(chunk.number)
+    assert not queue
+
+
+def test_the_chunk_of_a_lost_worker_is_sent_alone_and_then_its_scans_one_by_one():
+    queue = ChunkQueue([tuple(SCANS[:2]), tuple(SCANS[2:])])
+    for is_alone in (False, True):
+        chunk = queue.send()
+        assert (chunk.scans, chunk.is_alone) == (tuple(SCANS[:2]), is_alone)
+        assert queue.lose(chunk.number) is None
+    for scan in SCANS[:2]:
+        for loss in range(1, MAX_LOSSES + 1):
+            chunk = queue.send()
+            assert (chunk.scans, chunk.is_alone) == ((scan,), True)
+            assert queue.lose(chunk.number) == (scan if loss == MAX_LOSSES else None)
+    assert queue.send().scans == tuple(SCANS[2:])
+
+
+@given(st.sets(st.sampled_from(SCANS)), st.integers(1, 5), st.randoms(use_true_random=False))
+def test_exactly_the_deadly_scans_fail(deadly, size, draw):
+    """Workers have two chunks unless one is alone. Some die without a reason, with no chunk alone.
+
+    A worker that dies has lost both chunks, also one that it had attempted.
+    """
+    queue = ChunkQueue(chunks(SCANS, 1, size))
+    done, failed, accidents = [], [], 3
+    while queue:
+        held = [queue.send()]
+        if queue.is_waiting and not held[0].is_alone:
+            held.append(queue.send())
+        is_accident = accidents > 0 and not held[0].is_alone and draw.random() < 0.3
+        accidents -= is_accident
+        if is_accident or any(deadly.intersection(chunk.scans) for chunk in held):
+            failed += filter(None, [queue.lose(chunk.number) for chunk in reversed(held)])
+        else:
+            for chunk in held:
+                queue.finish(chunk.number)
+                done += chunk.scans
+    assert sorted(failed) == sorted(deadly)
+    assert sorted([*done, *failed]) == SCANS

@@ -1,0 +1,270 @@
+# SPDX-License-Identifier: MIT
+"""Workers that the driver starts, and chunks that they get, on a cluster that only counts."""
+
+from collections import deque
+from concurrent.futures import Future
+from queue import SimpleQueue
+
+import pytest
+
+from salsanext_cli.runs.loop.cluster import driver as driver_module
+from salsanext_cli.runs.loop.cluster.driver import MAX_FAILED_STARTS, Driver, first_line
+from salsanext_cli.runs.loop.cluster.messages import (
+    Assignment,
+    FinishedChunk,
+    FreePlaces,
+    Joined,
+    LostWorker,
+    PackedChunk,
+    UnusableNode,
+    Waiting,
+)
+from salsanext_cli.runs.loop.cluster.node_code import NodeRequirements
+from salsanext_cli.runs.loop.cluster.worker_size import Node
+
+REQUIRED = NodeRequirements(versions={}, current="/")
+
+
+class LossError(Exception):
+    """Loss of a worker."""
+
+
+def node(number, cores):
+    return Node(id=f"id{number}", name=f"node{number}", cores=cores, gpus=0)
+
+
+class CountingCluster:
+    """Cluster whose calls end when the test says so."""
+
+    LOST = (LossError,)
+
+    def __init__(self, *cores):
+        self.all = [
+            Node(id=f"id{n}", name=f"node{n}", cores=c, gpus=0) for n, c in enumerate(cores)
+        ]
+        self.problems = {}
+        self.without = []
+        self.started = 0
+        self.ended = set()
+        self.pending = deque()  # Method, worker, arguments and future of each call
+
+    def nodes(self):
+        return self.all
+
+    def check(self, checked, required):
+        assert required is REQUIRED
+        future = Future()
+        future.set_result(self.problems.get(checked.id, ""))
+        return future
+
+    def start_worker(self, size, work, without):
+        assert work == b"work"
+        self.without.append(set(without))
+        self.started += 1
+        return self.started
+
+    def call(self, worker, method, *arguments):
+        future = Future()
+        self.pending.append((method, worker, arguments, future))
+        return future
+
+    def end(self, worker):
+        self.ended.add(worker)
+
+
+class Room:
+    """A driver on such a cluster, and what it has sent."""
+
+    def __init__(self, *cores, scans=100):
+        self.cluster = CountingCluster(*cores)
+        self.sent = []
+        self.calls = SimpleQueue()
+        assignment = Assignment(address="auto", work=b"work", required=REQUIRED, scans=scans)
+        self.driver = Driver(self.cluster, assignment, self.sent.append, self.calls)
+
+    def start(self, *nodes):
+        """Start workers, the first of them on nodes, where they open the task."""
+        self.driver._look_at_nodes()
+        for node in nodes:
+            self.answer("node", node)
+            self.answer("open", "")
+
+    def answer(self, method, result, worker=None):
+        """End the first call of a method, by its result or by an error."""
+        call = next(c for c in self.cluster.pending if c[0] == method and worker in (None, c[1]))
+        self.cluster.pending.remove(call)
+        if isinstance(result, Exception):
+            call[3].set_exception(result)
+        else:
+            call[3].set_result(result)
+        while not self.calls.empty():
+            self.calls.get()()
+        return call[1]
+
+    def take(self, *numbers):
+        for number in numbers:
+            self.driver.take(PackedChunk(number=number, scans=b"scans"))
+
+    def running(self):
+        return [(c[1], c[2][0]) for c in self.cluster.pending if c[0] == "attempt"]
+
+    def sent_of(self, kind):
+        return [message for message in self.sent if isinstance(message, kind)]
+
+
+def test_the_run_begins_when_all_nodes_have_what_it_needs():
+    room = Room(8, 0, 4)
+    assert room.driver.begin()
+    assert room.sent == [Joined(nodes=2, workers=3)]
+
+
+def test_the_run_does_not_begin_if_a_node_lacks_something():
+    room = Room(8, 4)
+    room.cluster.problems["id1"] = "cannot read /a"
+    assert not room.driver.begin()
+    assert room.sent == [UnusableNode(node="node1", problem="cannot read /a", ends_run=True)]
+
+
+def test_nodes_without_room_for_a_worker_need_nothing():
+    room = Room(4, 0)
+    room.cluster.problems["id1"] = "cannot read /a"
+    assert room.driver.begin()
+
+
+def test_each_worker_has_two_chunks_and_gets_the_next_when_one_ends():
+    room = Room(4, 4)
+    room.start("id0", "id1")
+    assert sum(message.count for message in room.sent_of(FreePlaces)) == 4
+    room.take(1, 2, 3, 4)
+    assert sorted(room.running()) == [(1, 1), (1, 3), (2, 2), (2, 4)]
+    room.answer("attempt", b"attempts", worker=2)
+    assert room.sent[-2:] == [FinishedChunk(number=2, attempts=b"attempts"), FreePlaces(count=1)]
+    room.take(5)
+    assert (2, 5) in room.running()
+
+
+def test_the_chunks_of_a_lost_worker_are_named_and_another_one_starts():
+    room = Room(4, 4)
+    room.start("id0", "id1")
+    room.take(1, 2, 3, 4)
+    started = room.cluster.started
+    room.answer("attempt", LossError(), worker=1)
+    assert room.sent[-1] == LostWorker(node="node0", chunks=(1, 3))
+    assert 1 in room.cluster.ended
+    assert room.cluster.started == started + 1
+    # The call of the second chunk fails too.
+    room.answer("attempt", LossError(), worker=1)
+    assert len(room.sent_of(LostWorker)) == 1
+    # The chunks come again, and wait until there is a place.
+    room.take(5, 6)
+    assert sorted(room.running()) == [(2, 2), (2, 4)]
+    room.answer("attempt", b"", worker=2)
+    assert sorted(room.running()) == [(2, 4), (2, 5)]
+
+
+def test_a_chunk_that_is_sent_alone_waits_for_an_idle_worker():
+    room = Room(4, 4)
+    room.start("id0", "id1")
+    room.take(1, 2, 3)
+    for number in (4, 5):
+        room.driver.take(PackedChunk(number=number, scans=b"scans", is_alone=True))
+    room.driver.take(PackedChunk(number=6, scans=b"scans"))
+    # The first worker has two chunks and gets no other one; the second becomes idle.
+    room.answer("attempt", b"", worker=1)
+    assert sorted(room.running()) == [(1, 3), (2, 2)]
+    room.answer("attempt", b"", worker=2)
+    assert sorted(room.running()) == [(1, 3), (2, 4)]
+    room.answer("attempt", b"", worker=2)
+    # No chunk waits to be alone: the other worker has a place for the last.
+    assert sorted(room.running()) == [(1, 3), (1, 6), (2, 5)]
+    room.answer("attempt", b"", worker=2)
+    # For the six chunks, and for two places that are free now.
+    assert sum(message.count for message in room.sent_of(FreePlaces)) == 6 + 2
+
+
+def test_workers_start_where_there_is_room_and_more_when_nodes_come(monkeypatch):
+    monkeypatch.setattr(driver_module, "NODE_INTERVAL_S", 0.0)
+    room = Room(8)
+    room.start()
+    # One more waits for room, so that a cluster grows that can.
+    assert room.cluster.started == 2 + 1
+    room.start("id0", "id0")
+    room.take(1, 2, 3, 4)
+    room.start()
+    assert room.cluster.started == 2 + 2
+    room.cluster.all = [*room.cluster.all, node(1, 8)]
+    room.start()
+    assert room.cluster.started == 4 + 2
+
+
+def test_no_more_workers_start_than_there_are_scans_or_chunks(monkeypatch):
+    monkeypatch.setattr(driver_module, "NODE_INTERVAL_S", 0.0)
+    room = Room(40, scans=3)
+    room.start()
+    assert room.cluster.started == 3
+    room = Room(4)
+    room.start("id0")
+    assert room.driver.requested == 2
+    room.start()
+    assert room.cluster.started == 1 + 1
+
+
+def test_a_node_that_cannot_open_the_task_is_left_out_and_the_run_goes_on():
+    room = Room(4, 4)
+    room.start("id0")
+    room.take(1, 2)
+    room.answer("node", "id1")
+    room.answer("open", "cannot begin: no weights")
+    assert room.sent[-1] == UnusableNode(node="node1", problem="cannot begin: no weights")
+    assert not room.driver.is_closed
+    # Another worker that was started before reports nothing new; the next starts elsewhere.
+    count = len(room.sent)
+    room.answer("node", "id1")
+    room.answer("open", "cannot begin: no weights")
+    assert len(room.sent) == count
+    assert room.cluster.without[-1] == {"id1"}
+
+
+def test_the_run_ends_when_no_node_is_left():
+    room = Room(4)
+    room.start()
+    room.answer("node", "id0")
+    room.answer("open", "cannot begin: no weights")
+    assert room.sent[-1] == UnusableNode(
+        node="node0", problem="cannot begin: no weights", ends_run=True
+    )
+    assert room.driver.is_closed
+
+
+@pytest.mark.parametrize("located", [True, False])
+def test_a_node_whose_workers_end_while_they_start_is_left_out(located):
+    room = Room(4)
+    room.start()
+    for _ in range(MAX_FAILED_STARTS):
+        assert not room.driver.is_closed
+        if located:
+            room.answer("node", "id0")
+            room.answer("open", LossError("killed"))
+        else:
+            room.answer("node", LossError("killed"))
+    assert room.driver.is_closed
+    assert room.sent[-1].ends_run
+    assert "killed" in room.sent[-1].problem
+
+
+def test_a_run_without_workers_says_that_it_waits(monkeypatch):
+    monkeypatch.setattr(driver_module, "NODE_INTERVAL_S", 0.0)
+    monkeypatch.setattr(driver_module, "WAITING_AFTER_S", 0.0)
+    room = Room()
+    room.start()
+    assert room.sent_of(Waiting)
+    room.cluster.all = [node(0, 4)]
+    room.start("id0")
+    count = len(room.sent_of(Waiting))
+    room.start()
+    assert len(room.sent_of(Waiting)) == count
+
+
+def test_the_first_line_of_an_error_is_its_text():
+    assert first_line(LossError("\n  the worker died. \nmore")) == "the worker died."
+    assert first_line(LossError()) == "LossError"

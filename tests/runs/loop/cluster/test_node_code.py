@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: MIT
+"""What a node lacks is named, with the path; the code of the check imports no package."""
+
+import ast
+import os
+import pickle
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from works import Write, scans_of
+
+from salsanext_cli.core import wording
+from salsanext_cli.core.errors import FormatError
+from salsanext_cli.io.files.atomic import MARK
+from salsanext_cli.runs.loop.cluster import node_code
+from salsanext_cli.runs.loop.cluster.bug import Bug
+from salsanext_cli.runs.loop.cluster.node_code import (
+    NodeRequirements,
+    NodeWorker,
+    ReadableFile,
+    installed_versions,
+    node_problem,
+    version_problem,
+)
+from salsanext_cli.runs.loop.cluster.work import Work
+from salsanext_cli.runs.loop.pool import WorkerProcess
+from salsanext_cli.version import __version__
+
+
+@pytest.fixture
+def required(tmp_path):
+    """Return what this machine has: a scan, and a folder for results."""
+    scan = tmp_path / "scan.bin"
+    scan.write_bytes(b"1234")
+    return NodeRequirements(
+        versions=installed_versions(),
+        current=str(tmp_path),
+        files=(ReadableFile(path=str(scan), size=4), ReadableFile(path=str(tmp_path), size=None)),
+        writable=str(tmp_path),
+    )
+
+
+def test_only_the_standard_library_is_imported_before_a_function_runs():
+    tree = ast.parse(Path(node_code.__file__).read_text("utf-8"))
+    imports = [node for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom)]
+    names = {getattr(node, "module", None) or node.names[0].name for node in imports}
+    assert len(names) > 5
+    assert {name.partition(".")[0] for name in names} <= sys.stdlib_module_names
+
+
+def test_a_node_like_this_one_lacks_nothing(required, tmp_path):
+    assert node_problem(required) == ""
+    assert [path.name for path in tmp_path.iterdir()] == ["scan.bin"]
+
+
+def test_versions_are_those_of_the_packages():
+    versions = installed_versions()
+    assert versions["salsanext"] == __version__
+    assert versions["torch"] == sys.modules["torch"].__version__.partition("+")[0]
+
+
+def test_another_version_is_named():
+    expected = {"salsanext": "2.0", "torch": "2.13.0"}
+    assert version_problem(expected, dict(expected)) == ""
+    for installed, words in (("1.0", "salsanext 1.0, not 2.0"), ("", "no salsanext, not 2.0")):
+        assert words in version_problem(expected, {**expected, "salsanext": installed})
+
+
+def test_what_cannot_be_read_or_written_is_named(required, tmp_path):
+    absent = tmp_path / "absent"
+    cases = (
+        (replace(required, current=str(absent)), absent),
+        (replace(required, files=(ReadableFile(path=str(absent), size=4),)), absent),
+        (replace(required, files=(ReadableFile(path=str(absent), size=None),)), absent),
+        (replace(required, writable=str(absent)), absent),
+        (replace(required, files=(replace(required.files[0], size=5),)), tmp_path / "scan.bin"),
+    )
+    for required_here, path in cases:
+        assert str(path) in node_problem(required_here)
+
+
+@pytest.fixture
+def worker(tmp_path, monkeypatch):
+    """Return a function that makes a worker of some work in this process."""
+    for name in node_code.THREAD_VARIABLES:
+        monkeypatch.setenv(name, os.environ.get(name, "1"))
+    monkeypatch.chdir(tmp_path)
+
+    def made(task):
+        process = WorkerProcess(
+            run_id=str(id(task)), mark=MARK.get(), folder=tmp_path, spelling=wording.used()
+        )
+        work = Work(task=task, process=process, stop=False)
+        return NodeWorker(pickle.dumps(work), 1)
+
+    return made
+
+
+def test_a_worker_attempts_chunks(worker, required, tmp_path):
+    made = worker(Write(tmp_path))
+    assert made.open(required) == ""
+    chunk = pickle.loads(made.attempt(7, pickle.dumps(tuple(scans_of("a", "bad", "b")))))
+    assert chunk.number == 7
+    assert [attempt.result for attempt in chunk.attempts] == ["a", None, "b"]
+    assert isinstance(chunk.attempts[1].error, FormatError)
+    assert (tmp_path / "s/b").read_bytes() == b"b"
+
+
+def test_an_exception_of_a_worker_is_sent_with_its_traceback(worker, required, tmp_path):
+    made = worker(Write(tmp_path))
+    assert made.open(required) == ""
+    bug = pickle.loads(made.attempt(1, pickle.dumps(tuple(scans_of("bug")))))
+    assert isinstance(bug, Bug)
+    error = bug.noted()
+    assert isinstance(error, ZeroDivisionError)
+    assert "in __call__" in error.__notes__[0]
+
+
+class Closed:
+    """Task that cannot be opened."""
+
+    max_chunk_scans = 1
+
+    def open(self):
+        raise FormatError("weights", "cut off", hint="copy it again")
+
+
+def test_a_worker_says_why_it_cannot_begin(worker, required):
+    assert node_problem(required) == ""
+    assert "weights: cut off" in worker(Closed()).open(required)
+    torn = NodeWorker(b"no pickle", 1)
+    assert torn.open(required).startswith("cannot begin: ")
+    absent = replace(required, writable="/nowhere/at/all")
+    assert "/nowhere/at/all" in worker(Closed()).open(absent)

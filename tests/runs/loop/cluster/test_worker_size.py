@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: MIT
+"""Workers of a size that every node has room for."""
+
+import pytest
+
+from salsanext_cli.runs.loop.cluster.worker_size import (
+    MAX_CORES_PER_GPU,
+    MAX_CORES_PER_WORKER,
+    Node,
+    WorkerSize,
+)
+
+
+def node(cores, gpus=0):
+    return Node(id="id", name="name", cores=cores, gpus=gpus)
+
+
+@pytest.mark.parametrize(
+    ("nodes", "places"),
+    [
+        ([node(16), node(64)], [4, 16]),
+        # A head without cores has no workers, and a small node decides for all.
+        ([node(0), node(2), node(9)], [0, 1, 4]),
+        ([node(4, 2), node(3)], [1, 1]),
+    ],
+)
+def test_workers_without_a_gpu_share_the_cores(nodes, places):
+    size = WorkerSize.fitting(nodes, uses_gpu=False)
+    assert size.cores <= MAX_CORES_PER_WORKER
+    assert size.gpus == 0
+    assert [size.places(node) for node in nodes] == places
+
+
+def test_each_gpu_has_a_worker_with_its_share_of_the_cores():
+    nodes = [node(64, 8), node(16, 4), node(8)]
+    size = WorkerSize.fitting(nodes, uses_gpu=True)
+    assert size == WorkerSize(cores=4, gpus=1)
+    assert [size.places(node) for node in nodes] == [8, 4, 0]
+
+
+def test_a_cluster_that_has_no_nodes_yet_gets_the_largest_workers():
+    assert WorkerSize.fitting([], uses_gpu=False).cores == MAX_CORES_PER_WORKER
+    assert WorkerSize.fitting([node(4)], uses_gpu=True).cores == MAX_CORES_PER_GPU
