@@ -4,6 +4,7 @@
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from enum import Enum, auto
 from types import MappingProxyType
 
 from salsanext_cli.core.classes.label_space import LabelSpace
@@ -19,9 +20,34 @@ from salsanext_cli.runs.results.paths import ERROR
 
 GUARANTEE = "guarantee"
 """Name of the limit that `tune risk` guarantees, which takes no number."""
-UNCERTAINTY = "uncertainty"
-REJECTION = "rejection"
-REJECTION_BY_RISK = "rejection by risk"
+
+
+class NeededResults(Enum):
+    """Results of a run that a score needs beside the labels."""
+
+    SOFTMAX = auto()
+    ERROR = auto()
+    UNCERTAINTY = auto()
+    REJECTION = auto()
+    REJECTION_BY_RISK = auto()
+
+    @property
+    def remedy(self) -> str:
+        """Hint that makes the results."""
+        predict = "run `salsanext predict` with"
+        match self:
+            case NeededResults.SOFTMAX:
+                return f"{predict} {setting('extras', (SOFTMAX,))}"
+            case NeededResults.ERROR:
+                return f"{predict} {setting('extras', (ERROR,))}"
+            case NeededResults.UNCERTAINTY:
+                error = setting("extras", (ERROR,))
+                return f"run `salsanext uncertainty`, or `salsanext predict` with {error}"
+            case NeededResults.REJECTION:
+                return f"{predict} {argument('reject')}"
+            case NeededResults.REJECTION_BY_RISK:
+                by_risk = setting("reject", "risk")
+                return f"{predict} {by_risk} and weights of `salsanext tune risk`"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,15 +57,20 @@ class ScoreKind:
     higher_is_better: bool  # Whether a limit is the least allowed value, not the largest
     member: str = ""  # What a second name after a dot selects: "class", "uncertainty" or nothing
     unit: str = "%"  # Unit of the score and its limit; empty for a plain number
-    needs: str = ""  # Results of a run that the score needs, a key of `_remedies`; empty for labels
+    needs: NeededResults | None = None  # Results that the score needs beside labels
+
+    @property
+    def remedy(self) -> str:
+        """Hint that makes the results that the score needs; empty for labels alone."""
+        return self.needs.remedy if self.needs else ""
 
 
-def _higher(member: str = "", needs: str = "") -> ScoreKind:
+def _higher(member: str = "", needs: NeededResults | None = None) -> ScoreKind:
     """Return a kind of score in % of which a higher one is better."""
     return ScoreKind(higher_is_better=True, member=member, needs=needs)
 
 
-def _lower(member: str = "", unit: str = "%", needs: str = "") -> ScoreKind:
+def _lower(member: str = "", unit: str = "%", needs: NeededResults | None = None) -> ScoreKind:
     """Return a kind of score of which a lower one is better."""
     return ScoreKind(higher_is_better=False, member=member, unit=unit, needs=needs)
 
@@ -54,36 +85,21 @@ SCORE_KINDS: Mapping[str, ScoreKind] = MappingProxyType(
         "iou": _higher(member="class"),
         "precision": _higher(member="class"),
         "recall": _higher(member="class"),
-        "auroc": _higher(member="uncertainty", needs=UNCERTAINTY),
-        "aupr": _higher(member="uncertainty", needs=UNCERTAINTY),
-        "coverage": _higher(needs=REJECTION),
-        "ece": _lower(needs=SOFTMAX),
-        "ece_per_scan": _lower(needs=SOFTMAX),
-        "ece_of_error": _lower(needs=ERROR),
-        "nll": _lower(unit="nats", needs=SOFTMAX),
-        "brier": _lower(unit="", needs=SOFTMAX),
-        "aurc": _lower(member="uncertainty", needs=UNCERTAINTY),
-        "risk": _lower(needs=REJECTION),
-        "missed_people": _lower(needs=REJECTION),
-        GUARANTEE: _lower(needs=REJECTION_BY_RISK),
+        "auroc": _higher(member="uncertainty", needs=NeededResults.UNCERTAINTY),
+        "aupr": _higher(member="uncertainty", needs=NeededResults.UNCERTAINTY),
+        "coverage": _higher(needs=NeededResults.REJECTION),
+        "ece": _lower(needs=NeededResults.SOFTMAX),
+        "ece_per_scan": _lower(needs=NeededResults.SOFTMAX),
+        "ece_of_error": _lower(needs=NeededResults.ERROR),
+        "nll": _lower(unit="nats", needs=NeededResults.SOFTMAX),
+        "brier": _lower(unit="", needs=NeededResults.SOFTMAX),
+        "aurc": _lower(member="uncertainty", needs=NeededResults.UNCERTAINTY),
+        "risk": _lower(needs=NeededResults.REJECTION),
+        "missed_people": _lower(needs=NeededResults.REJECTION),
+        GUARANTEE: _lower(needs=NeededResults.REJECTION_BY_RISK),
     }
 )
 """Kinds of scores by the first part of their names."""
-
-
-def _remedies() -> dict[str, str]:
-    """Return hints that make the results that scores need, by the name of the results."""
-    predict = "run `salsanext predict` with"
-    error = setting("extras", (ERROR,))
-    by_risk = setting("reject", "risk")
-    return {
-        "": "",
-        SOFTMAX: f"{predict} {setting('extras', (SOFTMAX,))}",
-        ERROR: f"{predict} {error}",
-        UNCERTAINTY: f"run `salsanext uncertainty`, or `salsanext predict` with {error}",
-        REJECTION: f"{predict} {argument('reject')}",
-        REJECTION_BY_RISK: f"{predict} {by_risk} and weights of `salsanext tune risk`",
-    }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -223,7 +239,7 @@ def judged_limits(
 def _judged_score(limit: ScoreLimit, values: Mapping[str, float]) -> JudgedLimit:
     """Return whether a score keeps to its limit; it does not without a value."""
     if limit.name not in values:
-        reason = with_hint("the results do not have it", _remedies()[limit.kind.needs])
+        reason = with_hint("the results do not have it", limit.kind.remedy)
         return _unknown(limit, reason)
     score = values[limit.name]
     if math.isnan(score):
@@ -236,7 +252,7 @@ def _judged_guarantee(
 ) -> JudgedLimit:
     """Return whether the labels keep to the guarantee, and are evidence about it."""
     if guarantee is None:
-        reason = with_hint("the run has no guarantee", _remedies()[limit.kind.needs])
+        reason = with_hint("the run has no guarantee", limit.kind.remedy)
         return _unknown(limit, reason)
     bound = replace(limit, limit=100 * guarantee.limit)
     if doubt and not guarantee.exceeds_limit:

@@ -61,25 +61,42 @@ def _facade(rng: Rng, house: House, ends: Array, *, front: bool) -> Mesh:
     shop = front and bool(rng.random() < 0.25)
     size = rng.uniform([0.45, 1.1, 0.7], [0.75, 1.7, 1.0])
     shop_size = np.array([*size[:2], rng.uniform(0.7, 2.0)])
-    panels = base, flat, glass, closed = [list[Corners]() for _ in range(4)]
+    base: list[Corners] = []
+    upper: list[Corners] = []
+    glass: list[Corners] = []
+    closed: list[Corners] = []
     for row in range(rows):
         bottom = row * house.storey if row else FOOT_M
         top = (row + 1) * house.storey if row < rows - 1 else house.height
-        walls = flat if row else base
+        walls = upper if row else base
         for column, (x0, x1) in enumerate(pairwise(lows)):
-            kind = "window" if row else "door" if column == door else "shop" if shop else "window"
+            kind = _kind_of_opening(row, is_door=column == door, is_shop=shop)
             hole = _hole(rng, x0, x1, row, house.storey, size if row else shop_size, kind)
             if hole is None or rng.random() > open_chance[min(row, 1)]:
                 walls.append(_panel(x0, x1, bottom, top, 0))
                 continue
             around, pane = _pierced(x0, x1, bottom, top, hole, rng.uniform(0.08, 0.3))
             walls.extend(around)
-            (glass if rng.random() < bare else closed).append(pane)
+            panes = glass if rng.random() < bare else closed
+            panes.append(pane)
     shutters = Skin.random(rng, BUILDING, Material.WOOD, 0.4, 1.1)
-    skins = (house.base, house.wall, Skin(BUILDING, Material.GLASS), shutters)
-    skinned = zip(panels, skins, strict=True)
-    mesh = merge(faces(np.array(corners), skin) for corners, skin in skinned if corners)
+    panels = [
+        (base, house.base),
+        (upper, house.wall),
+        (glass, Skin(BUILDING, Material.GLASS)),
+        (closed, shutters),
+    ]
+    mesh = merge(faces(np.array(corners), skin) for corners, skin in panels if corners)
     return mesh.moved((*ends[0], 0), float(np.arctan2(*along[::-1])))
+
+
+def _kind_of_opening(row: int, *, is_door: bool, is_shop: bool) -> str:
+    """Return "door", "shop" or "window", the only kind above the ground floor, row 0."""
+    if row == 0 and is_door:
+        return "door"
+    if row == 0 and is_shop:
+        return "shop"
+    return "window"
 
 
 def _hole(
