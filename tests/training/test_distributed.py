@@ -141,14 +141,15 @@ def test_workers_drop_unlike_channels_and_agree_on_the_rest(two: dict[str, Any])
 
 @gloo
 @pytest.mark.slow
-def test_the_command_line_under_torchrun(tmp_path: Path) -> None:
-    """Three samples an epoch, so that the second worker has one less."""
+@pytest.mark.parametrize("samples", ["workers", "device"])
+def test_the_command_line_under_torchrun(tmp_path: Path, samples: str) -> None:
+    """Three samples an epoch, so that the second worker has one less; and fewer scans."""
     write_sequence(tmp_path / "data/sequences/00", ["0", "1", "2"], count=600)
     write_sequence(tmp_path / "data/sequences/08", ["0"], count=600)
     sensor, run = tmp_path / "small.toml", tmp_path / "run"
     sensor.write_text(SMALL.to_toml(), "utf-8")
     given = ("train", tmp_path / "data", run, "--recipe", "quick", "--sensor", sensor, "--json")
-    given = (*given, "--also", tmp_path / "data", "--set=sensors=fitted")
+    given = (*given, "--also", tmp_path / "data", "--set=sensors=fitted", "--samples", samples)
     short = ("samples_per_epoch=3", "crop_width=32")
     ended = torchrun("-m", "salsanext_cli", *given, *(f"--set={change}" for change in short))
     assert ended.returncode == 0, ended.stderr
@@ -156,6 +157,7 @@ def test_the_command_line_under_torchrun(tmp_path: Path) -> None:
     lines = ended.stderr.splitlines()
     assert sum("batch norm" in line for line in lines) == 1
     assert sum(line.startswith("train: best") for line in lines) == 1
+    assert sum("which also makes the samples" in line for line in lines) == (samples == "device")
     assert len((run / "log.csv").read_text("utf-8").splitlines()) == 3
 
 

@@ -6,6 +6,7 @@ The steps are those of `dataset.Samples` in their order, each for the whole batc
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 import torch
@@ -36,6 +37,7 @@ from salsanext_cli.training.data.on_device.point_batch import PointBatch
 from salsanext_cli.training.data.on_device.scan_store import ScanKey, ScanStore
 from salsanext_cli.training.data.targets import target_mask
 
+VIEWS = 256  # Sensors of sequences whose views are kept, since each is checked when it is made
 ON_DEVICE = 3  # Part of the seed of batches; `dataset` and `learner` have the others
 
 
@@ -114,8 +116,7 @@ class BatchMaker:
         views = []
         for scan, is_other in zip(index, random.happens(recipe.view, len(index)), strict=True):
             source, file = self.samples.scan_at(int(scan))
-            view = replace(source.sensor_of(file), up=UP, origin=ORIGIN, registered=False)
-            view = view.resized(width=width)
+            view = _view(source.sensor_of(file), width)
             views.append(other_sensors.other_view(view, random.host) if is_other else view)
         return views
 
@@ -174,6 +175,12 @@ class BatchMaker:
         normal = (windows[:, :TRUTH] - means) / stds
         is_empty = windows[:, RANGE : RANGE + 1] <= 0
         return normal.masked_fill(is_empty, 0), windows[:, TRUTH].byte()
+
+
+@lru_cache(VIEWS)
+def _view(sensor: Sensor, width: int | None) -> Sensor:
+    """Return the sensor of scans in its frame, for images of a width or of its own."""
+    return replace(sensor, up=UP, origin=ORIGIN, registered=False).resized(width=width)
 
 
 def projected(points: ImagePoints, views: Sequence[Sensor]) -> Tensor:
