@@ -146,7 +146,29 @@ def scenes(folder: Path) -> Run:
     return run
 
 
-JOBS = {job.__name__: job for job in (overwriting, scenes, training)}
+def bags(folder: Path) -> Run:
+    """Return runs of `filter` that write a bag anew."""
+    from labelled_bags import LabelledBag
+
+    from salsanext_cli.commands.stages.filter import filter_scans
+    from salsanext_cli.runs.loop.run import RunOptions
+    from salsanext_cli.runs.results.query import ResultQuery
+
+    bag = LabelledBag(folder, ".mcap")
+    query = ResultQuery(bag.topic)
+    again = RunOptions(overwrite=True, on_error="stop")
+
+    def run(out: Path) -> None:
+        if not (out / "filter.json").exists():
+            filter_scans(bag.out, out, drop=["car"], query=query)
+        filter_scans(bag.out, out, drop=["car"], query=query, options=again)
+
+    # Load modules here instead of in every fork.
+    run(folder / "warm")
+    return run
+
+
+JOBS = {job.__name__: job for job in (overwriting, scenes, training, bags)}
 
 
 def kills_of(folder: Path, *jobs: str) -> list[int]:
@@ -173,10 +195,14 @@ def test_a_few_kills(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("job", ["overwriting", "scenes", "training"])
-def test_kills_at_every_step(tmp_path: Path, job: str) -> None:
+@pytest.mark.parametrize(
+    ("job", "steps"), [("overwriting", 30), ("scenes", 30), ("training", 30), ("bags", 15)]
+)
+def test_kills_at_every_step(tmp_path: Path, job: str, steps: int) -> None:
+    if job == "bags":
+        pytest.importorskip("rosbags")
     (number,) = kills_of(tmp_path, f"{job}:1")
-    assert number > 30
+    assert number > steps
 
 
 if __name__ == "__main__":

@@ -27,6 +27,8 @@ WHOLE: dict[str, Callable[[Path], Any]] = {
     ".png": lambda path: path.read_bytes().endswith(b"IEND\xaeB`\x82"),
     ".csv": lambda path: len({line.count(",") for line in path.read_text().splitlines()}) == 1,
     ".safetensors": load_file,
+    # Its first and its last eight bytes are the same.
+    ".mcap": lambda path: path.read_bytes()[:8] == path.read_bytes()[-8:],
 }
 """Functions by suffix that fail, or return a false value, for a partial file."""
 
@@ -37,8 +39,13 @@ def files(folder: Path, *, hidden: bool = False) -> dict[str, Path]:
     return {
         str(path.relative_to(folder)): path
         for path in paths
-        if path.name.startswith(".") == hidden and FILE_LISTS not in path.parts
+        if _is_hidden(path.relative_to(folder)) == hidden and FILE_LISTS not in path.parts
     }
+
+
+def _is_hidden(path: Path) -> bool:
+    """Return whether a relative path, or a folder of it, is hidden."""
+    return any(name.startswith(".") for name in path.parts)
 
 
 def require_whole(folder: Path) -> None:
