@@ -42,6 +42,9 @@ ELSEWHERE: dict[str, dict[str, str]] = {
     THROUGH_STAGE: {
         "commands/evaluation.py": "commands/stages/test_evaluate.py",
         "commands/jobs/filled_folder.py": "commands/stages/test_filter.py",
+        "commands/jobs/epoch_files.py": "commands/stages/test_train_pictures.py",
+        "commands/jobs/event_files.py": "commands/stages/test_train_pictures.py",
+        "commands/jobs/risk_picture.py": "commands/stages/test_tune_risk.py",
         "commands/jobs/fuse_task.py": "commands/stages/test_fuse.py",
         "commands/jobs/image_job.py": "commands/stages/test_predict.py",
         "commands/jobs/label_rejection.py": "commands/stages/test_rejected_points.py",
@@ -95,6 +98,7 @@ ELSEWHERE: dict[str, dict[str, str]] = {
         "training/data/batch_source.py": "commands/stages/test_samples_of_device.py",
         "training/data/class_counts.py": "training/data/test_dataset.py",
         "training/data/reading_progress.py": "commands/stages/test_train.py",
+        "training/preconditions.py": "commands/stages/test_train.py",
         "training/fit.py": "commands/stages/test_train.py",
         "training/run_folder.py": "commands/stages/test_train.py",
         "training/setup.py": "commands/stages/test_train_on_few_scans.py",

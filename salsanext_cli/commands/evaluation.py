@@ -16,7 +16,7 @@ from salsanext_cli.core.measures.uncertainty_evaluation import UncertaintyEvalua
 from salsanext_cli.core.plain_data import plain
 from salsanext_cli.core.texts import escaped
 from salsanext_cli.io.files.json_files import encode_json
-from salsanext_cli.report.plots import confusion_picture, uncertainty_pictures
+from salsanext_cli.report.plots import confusion_picture, iou_picture, uncertainty_pictures
 from salsanext_cli.runs.loop.run import Failure
 from salsanext_cli.runs.results.selection import MissingResults
 from salsanext_cli.runs.summary.comparison import ScanComparison
@@ -54,6 +54,7 @@ class Evaluation:
         heading = f"# {self.doubt}\n" if self.doubt else ""
         return {
             "scores.txt": (heading + self.scores.official_yaml()).encode(),
+            "eval_iou.png": iou_picture(self.scores, self.space),
             "eval_confusion.png": confusion_picture(self.counts.confusion, self.space),
             **uncertainty_pictures(self.uncertainty),
             "eval.json": encode_json(escaped(self.to_dict())),

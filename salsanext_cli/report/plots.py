@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Plots of confusions, probabilities and uncertainty."""
+"""Plots of scores, confusions, probabilities and uncertainty."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.measures.calibration import Reliability
-from salsanext_cli.core.measures.scores import Counts, ratio, scored_rows
+from salsanext_cli.core.measures.scores import Counts, Scores, ratio, scored_rows
 from salsanext_cli.core.measures.uncertainty_evaluation import (
     COVERAGE,
     RankingScores,
@@ -18,15 +19,18 @@ from salsanext_cli.core.measures.uncertainty_evaluation import (
 )
 from salsanext_cli.report import canvas
 from salsanext_cli.report.canvas import DARK
+from salsanext_cli.report.colours import screen_colours
 from salsanext_cli.report.tables import percent
 
 PICTURES = {
+    "eval_iou.png": "IoU of every class",
     "eval_confusion.png": "Confusion matrix",
     "eval_reliability.png": "Calibration of the softmax: accuracy against confidence",
     "eval_error.png": "Calibration of the error: share of wrong points against the error",
     "eval_risk_coverage.png": "Share of wrong points among the least uncertain points",
 }
 """Titles of all plots by the name of the file."""
+ROW_PX = 28
 CELL_PX = 46
 NAMES_PX = 150
 MIN_SHARE = 0.005  # Shares below this round to 0 % and are not written into their cell
@@ -71,6 +75,38 @@ def uncertainty_pictures(uncertainty: UncertaintyEvaluation) -> dict[str, bytes]
     if uncertainty.kinds:
         pictures["eval_risk_coverage.png"] = risk_coverage(uncertainty.kinds)
     return pictures
+
+
+def iou_picture(result: Scores, space: LabelSpace) -> bytes:
+    """Draw the IoU of every class in the truth as a bar in its colour, as a PNG."""
+    height = ROW_PX * len(result.classes)
+    title = (
+        f"IoU · {result.points:,} labelled points · accuracy {percent(result.accuracy, 1, ' %')}"
+    )
+    figure, axes = canvas.new_plot(900, height + 130, (NAMES_PX, 70, 690, height), title)
+    rows = range(len(result.classes))
+    shares = [100 * c.iou if c.points else math.nan for c in result.classes]
+    colours = screen_colours(space)[[c.train_id for c in result.classes]] / 255
+    axes.barh(rows, np.nan_to_num(shares), 0.72, color=colours, edgecolor=DARK, linewidth=0.6)
+    box = {"facecolor": canvas.PAPER, "edgecolor": "none", "pad": 1.5}
+    for row, share in zip(rows, shares, strict=True):
+        is_absent = math.isnan(share)
+        text = "absent" if is_absent else f"{share:.1f}"
+        colour = canvas.FAINT if is_absent else DARK
+        left = 1 if is_absent else share + 1
+        axes.text(left, row, text, color=colour, fontsize=9, va="center_baseline", bbox=box)
+    mean = 100 * result.iou_mean_present
+    if not math.isnan(mean):
+        axes.axvline(mean, color=DARK, linewidth=1, linestyle=DASHED)
+        text = f"mean of classes present {mean:.1f}"
+        axes.text(mean, -0.8, text, ha="center", fontsize=9, color=DARK)
+    axes.set_yticks(rows, [c.name for c in result.classes], parse_math=False)
+    axes.set_ylim(len(rows) - 0.5, -0.5)
+    axes.set_xlim(0, 108)
+    axes.set_xticks(range(0, 101, 20))
+    axes.set_xlabel("IoU in %")
+    canvas.plain_frame(axes, "x")
+    return canvas.png_of(figure)
 
 
 def confusion_picture(confusion: Counts, space: LabelSpace) -> bytes:

@@ -4,7 +4,7 @@
 import logging
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import TrainingError
 from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.notices import NOTICE
@@ -46,6 +47,26 @@ class StepReport:
     fold: int = 0  # Number of the fold of a cross-validation, from 1; 0 for the training itself
 
 
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class FinishedEpoch:
+    """Training after an epoch whose weights and log are written."""
+
+    run: Path
+    rows: Sequence[Row]  # The log so far; the last row is that of the epoch
+    epochs: int  # Number of all epochs
+    network: Network  # Network of the last weights
+    scans: Source  # Validation scans; training scans if there are none
+    is_validation: bool  # Whether these are validation scans
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class EpochWatch:
+    """What to call after every epoch, in the main worker alone."""
+
+    notify: Callable[[FinishedEpoch], object]
+    scans: Source  # As of `FinishedEpoch`
+
+
 @dataclass(slots=True, eq=False, kw_only=True)
 class Training:
     """Training in a run folder; without validation scans the last weights are the best."""
@@ -56,6 +77,7 @@ class Training:
     validation: Source
     card: WeightsCard
     report: Callable[[StepReport], object]  # Called after every step, in the main worker alone
+    watch: EpochWatch | None = None
 
     @property
     def plan(self) -> SamplingPlan:
@@ -131,15 +153,30 @@ class Training:
         if due and self.validation.files:
             # On CPUs the workers' statistics of batch norm differ; the main worker's are saved.
             group.broadcast(self.learner.average.buffers())
-            module = self.learner.average.eval()
-            device = str(self.learner.device)
-            network = network_of_module(module, self.card, device)
             widths = recipe.image_widths
-            measured, card = validate_widths(network, self.validation, widths, group)
+            measured, card = validate_widths(self._network(), self.validation, widths, group)
             row |= measured
         if group.is_main:
             self._write(state, row, card)
+            if self.watch:
+                self.watch.notify(self._finished(state, self.watch.scans))
         self._report(state, step, row)
+
+    def _network(self) -> Network:
+        """Return the network of the present weights."""
+        module = self.learner.average.eval()
+        return network_of_module(module, self.card, str(self.learner.device))
+
+    def _finished(self, state: TrainingState, scans: Source) -> FinishedEpoch:
+        """Return what can be shown of an epoch, with predictions of some scans."""
+        return FinishedEpoch(
+            run=self.run,
+            rows=state.rows,
+            epochs=self.learner.recipe.epochs,
+            network=self._network(),
+            scans=scans,
+            is_validation=bool(self.validation.files),
+        )
 
     def _step(self, batch: Batch, step: int) -> Tensor:
         images, truth = batch

@@ -33,11 +33,15 @@ CHECKPOINT = "checkpoint.safetensors"
 LAST = "last.safetensors"
 BEST = "best.safetensors"
 LOG = "log.csv"
+CURVE = "curve.png"
+SAMPLES = "samples.png"
+PAGE = "training.html"
+EVENTS = "events"  # Folder of event files for TensorBoard
 RECIPE = "recipe.toml"
 CLASS_COUNTS = "class_counts.json"
 FOLDS = "folds"
 STREETS = "streets"
-RESULTS = (CHECKPOINT, BEST, LAST, LOG)  # A new training removes them
+RESULTS = (CHECKPOINT, BEST, LAST, LOG, CURVE, SAMPLES, PAGE)  # A new training removes them
 
 Row = dict[str, float]
 """One epoch: epoch, learning_rate, loss, seconds; if validated, also what `validate` returns."""

@@ -23,7 +23,7 @@ from salsanext_cli.training.data.on_device.scan_store import ScanStore
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.data.targets import class_sets, target_mask
 from salsanext_cli.training.distributed import ProcessGroup
-from salsanext_cli.training.fit import StepReport, Training
+from salsanext_cli.training.fit import EpochWatch, FinishedEpoch, StepReport, Training
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.run_folder import TrainingSettings
@@ -56,6 +56,7 @@ class Setup:
     workers: int  # Processes that prepare samples; 0 for none
     store: ScanStore | None  # Scans in memory for samples made on the device; None for workers
     report: Callable[[StepReport], object]  # Called after every step
+    watch: Callable[[FinishedEpoch], object]  # Called after every epoch
 
     def training(self, files: Sequence[ScanFile], validation: Source) -> Training:
         """Return a training on some scans of the data set that scores others."""
@@ -91,6 +92,9 @@ class Setup:
                 trained_on=self.card.trained_on | self._digests(sources),
             ),
             report=self.report,
+            watch=EpochWatch(
+                notify=self.watch, scans=validation if validation.files else sources[0]
+            ),
         )
 
     def _batches(self, samples: Samples) -> BatchSource:

@@ -9,17 +9,20 @@ from class_colours import CAR, ROAD, SPACE, rgb
 from evaluated import calibration_result, ranking_result, small_space
 from matplotlib.image import imread
 
-from salsanext_cli.core.measures.scores import Counts, confusion_matrix
+from salsanext_cli.core.measures.scores import Counts, confusion_matrix, scores
+from salsanext_cli.report.colours import screen_colours
 from salsanext_cli.report.plots import (
     CELL_PX,
     HEIGHT,
     LEFT,
     NAMES_PX,
     PLOT_PX,
+    ROW_PX,
     SKY,
     TOP,
     WIDTH,
     confusion_picture,
+    iou_picture,
     reliability_diagram,
     risk_coverage,
 )
@@ -51,6 +54,22 @@ def test_cells_are_as_dark_as_the_share_of_the_row_with_any_points_and_names():
     some = confusion_matrix(np.array([1, 2]), np.array([1, 1]), 3)
     for confusion in (np.zeros_like(some), some):
         assert pixels(confusion_picture(confusion, space)).size
+
+
+def test_bars_are_as_long_as_the_iou_in_the_colour_of_the_class():
+    picture = pixels(iou_picture(scores(counts(), SPACE), SPACE))
+    lengths = {}
+    for train in (CAR, ROAD, 6):
+        row = picture[70 + (train - 1) * ROW_PX + ROW_PX // 2 - 7]
+        colour = screen_colours(SPACE)[train]
+        lengths[train] = (row == colour).all(axis=-1).sum() / (690 / 1.08)
+    # A third of the points labelled car are unlabelled in the truth, which do not count.
+    assert lengths[CAR] == pytest.approx(1, abs=0.02)
+    assert lengths[ROAD] == pytest.approx(0.5, abs=0.02)
+    assert lengths[6] == 0
+    space = small_space("none", "$\\frac{$ [b]", "Straße")
+    nothing = np.zeros((3, 3), np.int64)
+    assert pixels(iou_picture(scores(nothing, space), space)).size
 
 
 def rows_of(picture, colour, x) -> np.ndarray:

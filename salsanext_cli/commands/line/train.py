@@ -90,6 +90,10 @@ def train(
     jobs: int | None = arguments.jobs_option(
         default=None, show_default="1; on a GPU one per core, up to 8"
     ),
+    tensorboard: bool = running_option(
+        "Also write event files for TensorBoard to RUN/events; needs the package tensorboard.",
+        default=False,
+    ),
     overwrite: bool = arguments.OVERWRITE,
     output: console.Output,
 ) -> None:
@@ -121,6 +125,7 @@ def train(
             weights=weights_file(start.weights) if start.weights else None,
             overwrite=overwrite,
             also=start.also or (),
+            tensorboard=tensorboard,
             progress=lambda report: _show_step(report, bar, output),
         )
     output.result(result.to_dict())

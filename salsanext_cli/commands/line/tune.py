@@ -169,7 +169,7 @@ def tune_risk(
             overwrite=fit.overwrite,
         )
     output.result(tuned.to_dict(), risk_tables(tuned.fit))
-    written = f"{target}, {record}" if record else f"{target}"
+    written = ", ".join(str(path) for path in (target, tuned.picture, record) if path)
     _end(output, f"tune risk: {tuned.fit.guarantee} → {written}", target, "--reject risk ")
 
 

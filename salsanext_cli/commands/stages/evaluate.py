@@ -33,8 +33,8 @@ from salsanext_cli.runs.results.selection import space_of_labels
 from salsanext_cli.runs.summary.comparison import ScanComparison
 from salsanext_cli.runs.summary.scan_summary import guarantee_of_run
 
-FILES = ("scores.txt", *PICTURES, "eval_iou.png", "eval.json")
-"""Possible files of an evaluation, also of version 0.9.0, which are replaced or removed."""
+FILES = ("scores.txt", *PICTURES, "eval.json")
+"""Possible files of an evaluation, which are replaced or removed."""
 MAX_PART_BYTES = 100  # Longest name of a folder that lists sequences
 
 log = logging.getLogger(__name__)

@@ -11,9 +11,10 @@ from pathlib import Path
 
 import torch
 
+from salsanext_cli.commands.jobs.epoch_files import EpochFiles
+from salsanext_cli.commands.jobs.event_files import require_tensorboard
 from salsanext_cli.commands.stages.training_scenes import simulated_scenes
 from salsanext_cli.core.classes.label_space import LabelSpace
-from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.plain_data import plain
@@ -45,13 +46,14 @@ from salsanext_cli.training.fit import StepReport
 from salsanext_cli.training.initial_network import inheriting, initial_network
 from salsanext_cli.training.int8_ranges import add_int8_ranges
 from salsanext_cli.training.learner import common_precision
-from salsanext_cli.training.memory import memory_of
+from salsanext_cli.training.preconditions import require_batch, require_memory
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.run_folder import (
     BEST,
     CHECKPOINT,
     CLASS_COUNTS,
     LAST,
+    PAGE,
     STAGE,
     STREETS,
     Row,
@@ -106,6 +108,7 @@ class NewTraining:
     jobs: int  # Processes that prepare samples, or threads that read scans
     group: ProcessGroup
     device: torch.device
+    tensorboard: bool  # Whether to write event files too
 
     @property
     def start(self) -> Path | None:
@@ -150,7 +153,7 @@ class NewTraining:
         )
         kind = self.group.on_main(partial(self._kind_of_samples, sources, room))
         self._announce(recipe, card.sensor, scans, kind)
-        _require_memory(step, self.group, self.device)
+        require_memory(step, self.group, self.device)
         settings = training_settings(recipe, sources, start, kind)
         data = self.group.on_main(partial(self._prepare, locks, sources, settings))
         return Setup(
@@ -167,6 +170,7 @@ class NewTraining:
             workers=self.jobs if self.jobs > 1 else 0,
             store=scan_store(recipe, data, room, self.jobs) if kind == DEVICE else None,
             report=report,
+            watch=EpochFiles(tensorboard=self.tensorboard),
         )
 
     def _resolved_recipe(self) -> Recipe:
@@ -252,6 +256,7 @@ class NewTraining:
             random = f"random weights ({setting('weights', 'default')}: those of the package)"
             begun = self.start.name if self.start else random
             log.log(NOTICE, "training from %s; the first step begins", begun)
+            log.log(NOTICE, "curve and sample predictions after each epoch: %s", run / PAGE)
         return TrainingData(
             validation=replace(validation, files=to_validate),
             sources=[training, *further],
@@ -287,6 +292,7 @@ def train(
     weights: Path | None = None,
     overwrite: bool = False,
     also: Sequence[Path] = (),
+    tensorboard: bool = False,
     progress: Callable[[StepReport], object] = lambda report: None,
 ) -> TrainResult:
     """Train a network, or resume an interrupted training in the same folder.
@@ -320,6 +326,8 @@ def train(
         Whether to start again instead of resuming.
     also : sequence of Path
         Further data sets for a share of the samples.
+    tensorboard : bool
+        Whether to write event files for TensorBoard too, which must be installed.
     progress : callable
         Called with a `StepReport` after every step.
 
@@ -327,7 +335,9 @@ def train(
     -------
     TrainResult
     """
-    _require_batch(recipe.batch, group_of_environment())
+    require_batch(recipe.batch, group_of_environment())
+    if tensorboard:
+        require_tensorboard()
     with process_group(device) as (group, chosen), ExitStack() as locks:
         new = NewTraining(
             roots=(dataset, *also),
@@ -339,6 +349,7 @@ def train(
             jobs=_workers(jobs, chosen.type),
             group=group,
             device=chosen,
+            tensorboard=tensorboard,
         )
         return _trained(new.setup(locks, space, sensor, progress), new.start)
 
@@ -379,20 +390,3 @@ def _workers(jobs: int | None, kind: str) -> int:
     """Return the number of processes that prepare samples; by default one on a CPU."""
     default = 1 if kind == "cpu" else max(1, min(MAX_LOADERS, cores() // _workers_here()))
     return default if jobs is None else worker_count(jobs)
-
-
-def _require_memory(step: StepMemory | None, group: ProcessGroup, device: torch.device) -> None:
-    """Refuse or warn of a step that needs more memory than the device has."""
-    memory = memory_of(str(device))
-    if step and memory:
-        group.on_main(partial(step.require_fits, memory))
-
-
-def _require_batch(samples: int, group: ProcessGroup) -> None:
-    """Refuse a batch with fewer samples than workers."""
-    if samples < group.size:
-        expected = f"at least one sample for each of {group.size} workers"
-        hint = "start fewer workers or set batch higher"
-        error = UsageError("recipe key batch", f"is {samples}", expected, hint)
-        error.reported_elsewhere = not group.is_main
-        raise error

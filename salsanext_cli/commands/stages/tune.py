@@ -11,13 +11,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Generic, TypeVar
 
+from salsanext_cli.commands.jobs.risk_picture import risk_picture
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import WeightsError
 from salsanext_cli.core.network.card import RiskThreshold, WeightsCard
 from salsanext_cli.core.network.tuned_settings import KEY_OF
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.plain_data import plain
-from salsanext_cli.io.files.atomic import require_target
+from salsanext_cli.io.files.atomic import require_target, write_target
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.runs.loop.run import Progress
 from salsanext_cli.runs.network_settings import NetworkSettings
@@ -48,15 +49,17 @@ class TuneReport(Generic[Fit]):
     fit: Fit
     skipped: int  # Scans that the weights were trained on, and copies
     weights: Path  # File that was written
+    picture: Path | None = None  # Picture of the fit, if it has one
 
     def to_dict(self) -> dict[str, object]:
         """Return plain data for JSON, with the fields of the fit in the same object."""
-        return {
+        data = {
             "stage": f"tune {self.part}",
             **plain(self.fit),
             "skipped": self.skipped,
             "weights": str(self.weights),
         }
+        return data if self.picture is None else {**data, "picture": str(self.picture)}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -170,14 +173,14 @@ def tune_risk(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> "TuneReport[RiskFit]":
-    """Write weights with the threshold of `predict --reject risk`.
+    """Write weights with the threshold of `predict --reject risk`, and a picture of the risk.
 
     Parameters
     ----------
     source : Path
         Labelled data set.
     target : Path
-        Weights file to write.
+        Weights file to write; the picture is beside it, with ``_risk.png`` after its stem.
     at_most : float
         Largest share of the points that are accepted and wrong, 0…1.
     confidence : float, optional
@@ -201,14 +204,20 @@ def tune_risk(
         If so few scans cannot guarantee the level.
     """
     candidates = _candidates(source, target, settings, selection, overwrite=overwrite)
+    picture = target.with_name(f"{target.stem}_risk.png")
+    require_target(picture, overwrite, ".png")
     level = RiskLevel(at_most=at_most, confidence=confidence)
     require_scans(source, candidates.count, level)
     from salsanext_cli.training.tuning.risk import fit_risk
 
     chosen = candidates.chosen(settings, progress)
     tuned = fit_risk(chosen.scans, level)
+    png = risk_picture(tuned.fit)
     _write(settings, target, tuned.card, overwrite=overwrite)
-    return TuneReport(part="risk", fit=tuned.fit, skipped=chosen.skipped, weights=target)
+    write_target(picture, png, overwrite=overwrite)
+    return TuneReport(
+        part="risk", fit=tuned.fit, skipped=chosen.skipped, weights=target, picture=picture
+    )
 
 
 def tune_dropout(

@@ -83,7 +83,8 @@ def noise_variance(network: Network, image: RangeImage, seed: int) -> Float:
     (C, H, W) float32
     """
     copies = islice(noisy_copies(image, network.sensor, seed), COPIES)
-    return network.backend.spread(map(network.input, copies), network.merging)
+    moments = network.backend.spread(map(network.input, copies), network.merging)
+    return (moments.variance() * (COPIES / (COPIES - 1))).astype(np.float32)
 
 
 def aleatoric(network: Network, image: RangeImage) -> Float:

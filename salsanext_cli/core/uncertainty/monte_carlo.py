@@ -4,6 +4,9 @@
 import hashlib
 from dataclasses import dataclass
 
+import numpy as np
+
+from salsanext_cli.core.engines.moments import entropy
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.network.dropout import require_dropout
@@ -82,13 +85,21 @@ def sample(network: Network, image: RangeImage, *, samples: int, seed: int) -> E
     """
     require_sampling(network, samples)
     seeds = [pass_seed(seed, number) for number in range(samples)]
-    spread = network.backend.sample(network.input(image.channels), seeds, network.merging)
+    moments = network.backend.sample(network.input(image.channels), seeds, network.merging)
+    mean = moments.mean()
+    variance = moments.variance()
+    total = entropy(mean)
+    information = np.maximum(total - moments.sum_of_entropies / moments.count, 0)
     uncertainty = Uncertainty(
-        epistemic=spread.epistemic,
-        entropy=spread.entropy,
-        mutual_information=spread.mutual_information,
+        epistemic=variance.mean(axis=0).astype(np.float32),
+        entropy=total.astype(np.float32),
+        mutual_information=information.astype(np.float32),
     )
-    return Estimate(probabilities=spread.mean, variance=spread.variance, uncertainty=uncertainty)
+    return Estimate(
+        probabilities=mean.astype(np.float32),
+        variance=variance.astype(np.float32),
+        uncertainty=uncertainty,
+    )
 
 
 def require_sampling(network: Network, samples: int) -> None:

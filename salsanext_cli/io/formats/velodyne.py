@@ -77,22 +77,19 @@ class VelodyneCapture:
         """Return the error of a recording without packets of points."""
         return NoInputError(self.path, "has no LiDAR packets", "packets with distances")
 
-    def scan_keys(self, topic: str) -> list[int]:
+    def times(self, topic: str) -> list[int]:
         """Return the times of the revolutions of a sensor in nanoseconds, sorted."""
         return sorted(revolution.time_ns for revolution in self._revolutions[topic])
 
     def point_count(self, topic: str) -> int:
         """Return the number of points of a revolution in the middle."""
-        times = self.scan_keys(topic)
+        times = self.times(topic)
         return len(self.columns(topic, times[len(times) // 2], 0, self.path)["x"])
 
-    def poses(self) -> None:
-        """Return None: packets state no poses."""
-
-    def columns(self, topic: str, key: int, number: int, path: Path) -> Columns:
+    def columns(self, topic: str, time: int, number: int, path: Path) -> Columns:
         """Read the points of a revolution, as `Bag.columns`; both returns, if there are two."""
         revolutions = self._revolutions[topic]
-        at_time = [revolution for revolution in revolutions if revolution.time_ns == key]
+        at_time = [revolution for revolution in revolutions if revolution.time_ns == time]
         if number >= len(at_time):
             raise FormatError(path, "no such scan", "a scan that the recording lists")
         with refusing_damage(path, EXPECTED), self._lock:

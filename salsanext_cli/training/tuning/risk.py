@@ -46,6 +46,7 @@ from salsanext_cli.training.tuning.risk_report import (
     ComputedBy,
     FewScansReport,
     HeldOutSequence,
+    RiskCurve,
     RiskFit,
 )
 from salsanext_cli.training.tuning.scans import Tuned, TuningScans
@@ -149,6 +150,7 @@ def fit_risk(scans: TuningScans, level: RiskLevel) -> Tuned[RiskFit]:
         held_out=others,
         scans=points,
         few=_report_of_few(few, judged, shares.losses, labels) if few else None,
+        curve=RiskCurve.from_shares(shares.accepted, shares.wrong),
         computed_by=ComputedBy.from_network(scans.network),
         warnings=warnings,
     )

@@ -4,9 +4,12 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.measures.accepted_labels import AcceptedCounts, AcceptedLabels
 from salsanext_cli.core.measures.risk_control import guarantee
+from salsanext_cli.core.measures.scores import Ratios
 from salsanext_cli.core.network.card import RiskThreshold
 from salsanext_cli.core.plain_data import plain
 from salsanext_cli.core.texts import percentage
@@ -79,6 +82,22 @@ class FewScansReport:
     accepted_by_useful: float  # Share of the points that as many with equal losses would accept
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RiskCurve:
+    """What thresholds accept, about one for each percent of the points; means over scans."""
+
+    accepted: Ratios  # (T,): share of the points that are accepted, 0…1, rising
+    wrong: Ratios  # (T,): share of the points that are accepted and wrong, 0…1
+
+    @classmethod
+    def from_shares(cls, accepted: Ratios, wrong: Ratios) -> "RiskCurve":
+        """Return the curve of n scans at B thresholds, from shares (n, B)."""
+        mean_accepted = accepted.mean(axis=0)
+        every_percent = np.linspace(0, mean_accepted[-1], 101)
+        thresholds = np.unique(np.searchsorted(mean_accepted, every_percent))
+        return cls(accepted=mean_accepted[thresholds], wrong=wrong.mean(axis=0)[thresholds])
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ComputedBy:
     """What computed the labels."""
@@ -103,6 +122,7 @@ class RiskFit:
     held_out: Sequence[HeldOutSequence]  # Empty for a single sequence
     scans: Sequence[AcceptedScan]
     few: FewScansReport | None  # None for enough scans or drives
+    curve: RiskCurve
     computed_by: ComputedBy
     warnings: Sequence[ScanWarning]  # Reasons to doubt the guarantee
 
@@ -127,6 +147,7 @@ class RiskFit:
             "of_scans": [[scan.share_accepted, scan.share_wrong] for scan in self.scans],
             "sentences": self.sentences,
             "few": plain(self.few),
+            "curve": plain(self.curve),
             "computed_by": plain(self.computed_by),
             "warnings": plain(self.warnings),
         }

@@ -118,13 +118,12 @@ def test_distance_bands(world):
 def test_files_are_complete_and_replace_earlier_ones(world):
     world.add("000000", [CAR], [CAR])
     world.evaluate(by_distance=True)
-    # An evaluation with probabilities, and one by version 0.9.0, wrote them.
-    for name in ("eval_reliability.png", "eval_iou.png"):
-        OwnedFolder(world.out).write(world.out / name, b"PNG")
+    # An evaluation with probabilities wrote it.
+    OwnedFolder(world.out).write(world.out / "eval_reliability.png", b"PNG")
     world.add("000001", [CAR], [ROAD])
     world.evaluate(by_distance=True)
     names = {path.name for path in world.out.iterdir() if path.is_file()}
-    assert names == {"scores.txt", "eval.json", "eval_confusion.png"}
+    assert names == {"scores.txt", "eval.json", "eval_iou.png", "eval_confusion.png"}
     assert yaml.safe_load((world.out / "scores.txt").read_text())["iou_car"] == pytest.approx(0.5)
     report = json.loads((world.out / "eval.json").read_text())
     assert report["stage"] == "eval"

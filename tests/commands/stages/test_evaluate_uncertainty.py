@@ -22,7 +22,7 @@ PICTURES = {
     "probabilities": {"eval_reliability.png", "eval_risk_coverage.png"},
     "uncertainty/epistemic": {"eval_risk_coverage.png"},
 }
-ALWAYS = {"scores.txt", "eval.json", "eval_confusion.png"}
+ALWAYS = {"scores.txt", "eval.json", "eval_iou.png", "eval_confusion.png"}
 
 
 @pytest.fixture

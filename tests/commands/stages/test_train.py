@@ -101,7 +101,8 @@ def test_a_run_folder_holds_weights_log_and_recipe(dataset, tmp_path):
     shown = {path.name for path in run.iterdir() if not path.name.startswith(".")}
     weights = {"best.safetensors", "last.safetensors", "checkpoint.safetensors"}
     records = {"class_counts.json", "train.json", "recipe.toml", "log.csv"}
-    assert shown == weights | records
+    pictures = {"curve.png", "samples.png", "training.html"}
+    assert shown == weights | records | pictures
     assert recipe(run / "recipe.toml") == TINY
     assert len((run / "log.csv").read_text().splitlines()) == 1 + TINY.epochs
     # Three scans in batches of two: the second batch of an epoch goes on with the next round.
@@ -142,7 +143,7 @@ def test_reading_many_scans_is_reported_from_time_to_time(dataset, tmp_path, mon
 
 def test_a_step_that_needs_more_than_the_machine_has_is_refused(dataset, tmp_path, monkeypatch):
     memory = Memory(total=12 * 10**6, available=12 * 10**6)
-    monkeypatch.setattr("salsanext_cli.commands.stages.train.memory_of", lambda device: memory)
+    monkeypatch.setattr("salsanext_cli.training.preconditions.memory_of", lambda device: memory)
     run = tmp_path / "run"
     error = refused(TrainingError, "memory", dataset, run)
     assert error.hint.startswith("use accumulate=2 ")

@@ -48,8 +48,7 @@ def batches_ahead(makers: Iterable[Callable[[], Batch]], device: torch.device) -
         for make in makers:
             yield make()
         return
-    # Of high priority, so that the host waits little for a batch while the GPU learns.
-    stream = torch.cuda.Stream(device, priority=-1)  # type: ignore[no-untyped-call]
+    stream = torch.cuda.Stream(device)  # type: ignore[no-untyped-call]
     begun: BegunBatch | None = None
     for make in makers:
         following = _begun(make, stream)

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: MIT
+"""Files that show a training: after every epoch, and again after a new start."""
+
+import sys
+from dataclasses import replace
+from types import ModuleType
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+from scans import SMALL, files_below, write_sequence
+
+from salsanext_cli.commands.jobs import epoch_files
+from salsanext_cli.commands.stages.predict import predict_scans
+from salsanext_cli.commands.stages.train import train
+from salsanext_cli.core.errors import MissingDependency, OutputError
+from salsanext_cli.runs.results.manifest import Manifest
+from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.training.data.sources import Source
+from salsanext_cli.training.recipe import Recipe
+
+tiny = pytest.mark.usefixtures("tiny_training")
+RECIPE = Recipe(epochs=2, batch=2, samples_per_epoch=2, crop_width=32, precision="float32")
+PICTURES = ("curve.png", "samples.png", "training.html")
+
+
+@pytest.fixture
+def labelled(tmp_path):
+    """Return a data set with training and validation scans."""
+    for name in ("00", "08"):
+        write_sequence(tmp_path / "data/sequences" / name, ["000000", "000001"])
+    return tmp_path / "data"
+
+
+@tiny
+@pytest.mark.drawn
+def test_every_epoch_writes_the_pictures(labelled, tmp_path, monkeypatch):
+    run, seen = tmp_path / "run", []
+    write = epoch_files.write_epoch_files
+
+    def written(epoch):
+        write(epoch)
+        seen.append((len(epoch.rows), epoch.is_validation, (run / "curve.png").read_bytes()))
+
+    monkeypatch.setattr(epoch_files, "write_epoch_files", written)
+    train(labelled, run, recipe=RECIPE, sensor=SMALL, device="cpu")
+    assert [(rows, is_validation) for rows, is_validation, _ in seen] == [(1, True), (2, True)]
+    assert seen[0][2] != seen[1][2]
+    assert {*PICTURES} <= files_below(run).keys()
+    # Two validation scans have three strips each.
+    height, width, _ = imread(run / "samples.png").shape
+    assert width > 2048
+    assert height > 6 * 128
+    page = (run / "training.html").read_text("utf-8")
+    assert "epoch 2 of 2" in page
+    assert 'http-equiv="refresh"' not in page
+
+
+@tiny
+def test_pictures_of_the_user_stay(labelled, tmp_path):
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / "curve.png").write_bytes(b"mine")
+    with pytest.raises(OutputError):
+        train(labelled, run, recipe=RECIPE, sensor=SMALL, device="cpu")
+    assert (run / "curve.png").read_bytes() == b"mine"
+
+
+def test_samples_are_the_labels_of_predict(world):
+    """The sample of a scan has the pixel labels that `predict` writes."""
+    settings = replace(world.network, fit=False, intensity="raw")
+    predict_scans(world.data, world.out, settings=settings, extras=("pixel_labels",))
+    network = settings.load()
+    sensor = Manifest(world.out).sensor()
+    source = Source(files=find_scans(world.data), space=network.space, sensor=sensor)
+    for file in source.files:
+        sample = epoch_files.sample_labels(file, source, network.for_sensor(sensor))
+        labels = np.load(world.result("pixel_labels", file.sequence, file.stem))
+        assert (sample.predicted == labels)[sample.occupied].all()
+        assert 0 < sample.occupied.mean() < 1
+        assert not sample.truth[~sample.occupied].any()
+        assert sample.truth.any()
+
+
+@tiny
+def test_tensorboard_must_be_installed(labelled, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "tensorboard", None)
+    with pytest.raises(MissingDependency) as caught:
+        train(
+            labelled, tmp_path / "run", recipe=RECIPE, sensor=SMALL, device="cpu", tensorboard=True
+        )
+    assert caught.value.subject == "tensorboard"
+    assert not (tmp_path / "run").exists()
+
+
+@tiny
+def test_events_have_the_rows_of_the_log(labelled, tmp_path, monkeypatch):
+    """Without TensorBoard, which is large: a stand-in lists the scalars."""
+    scalars = []
+
+    class SummaryWriter:
+        def __init__(self, folder, filename_suffix):
+            self.folder = folder
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_):
+            pass
+
+        def add_scalar(self, name, value, step):
+            scalars.append((self.folder, name, value, step))
+
+    module = ModuleType("torch.utils.tensorboard")
+    module.SummaryWriter = SummaryWriter
+    monkeypatch.setitem(sys.modules, "tensorboard", ModuleType("tensorboard"))
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", module)
+    run = tmp_path / "run"
+    result = train(labelled, run, recipe=RECIPE, sensor=SMALL, device="cpu", tensorboard=True)
+    assert {folder for folder, *_ in scalars} == {str(run / "events")}
+    logged = {(name, step): value for _, name, value, step in scalars}
+    for row in result.rows:
+        for key, value in row.items():
+            if key != "epoch" and value == value:
+                assert logged.pop((key.replace("iou_", "iou/", 1), int(row["epoch"]))) == value
+    assert not logged
