@@ -47,6 +47,7 @@ LEVELS = (
         "io.formats",
         "io.kernel_cache",
         "io.label_spaces",
+        "io.frames",
         "io.poses",
         "io.sensors",
         "io.stated_fields",

@@ -14,6 +14,7 @@ import torch
 
 from benchmarks.finished_scans import FinishedScans
 from benchmarks.gpu.gpu_measures import Figures, utilisation
+from benchmarks.gpu.gpu_points import measure_points
 from benchmarks.speed import baseline
 from benchmarks.speed import speed_product as product
 from benchmarks.weights.scene_pool import KINDS, SPACING_M, write_scene
@@ -33,10 +34,11 @@ SAMPLES = 30  # Monte-Carlo passes of a scan
 FEWEST = 2  # Passes in a small run
 WIDTHS = (512, 2048)
 BATCHES = (1, 4, 16)
-RUNS = ((1, 1), (4, 1), (16, 1), (None, 1), (None, 8))
-"""Batch, None for the default, and workers of each run over a folder."""
-SMALL_RUNS = (*RUNS[:-1], (None, 2))
+RUNS = ((None, None), (None, 1), (1, 1), (None, 8), (4, 1), (16, 1))
+"""Batch and workers of each run over a folder; None for the default of the command."""
+SMALL_RUNS = ((None, None), (None, 1), (4, 1), (None, 2))
 SCANS_OF_RUN = 256  # For each worker
+WORKERS_BY_DEFAULT = 8  # For which a run has scans whose workers are chosen by measurement
 SECONDS_OF_RUN = 12.0  # Least time that is left for a run
 
 
@@ -52,6 +54,7 @@ def measure(figures: Figures, weights: Path, *, small: bool = False) -> None:
         for sensor in sensors:
             measure_parts(figures, weights, sensor, scans[0], FEWEST if small else SAMPLES)
             measure_network(figures, weights, sensor)
+            measure_points(figures, weights, sensor, scans[0])
         if small:
             measure_runs(figures, NetworkSettings(weights, sensor=tiny), scans, SMALL_RUNS, 8)
         else:
@@ -112,18 +115,18 @@ def measure_runs(
     figures: Figures,
     network: NetworkSettings,
     scans: list[Path],
-    runs: Sequence[tuple[int | None, int]],
+    runs: Sequence[tuple[int | None, int | None]],
     count: int,
 ) -> None:
     """Measure runs of `predict` over a folder, files to labels, in scans a second."""
     settings = replace(network, device=figures.device, precision="auto", engine=ENGINE)
     for batch, jobs in runs:
-        name = f"predict, --batch {batch or 'auto'} --jobs {jobs}"
+        name = f"predict, --batch {batch or 'auto'} --jobs {jobs or 'auto'}"
         if not figures.has_time_for(name, SECONDS_OF_RUN):
             continue
         folder = scans[0].parents[1] / f"copies-{batch}-{jobs}"
         folder.mkdir()
-        for number in range(count * jobs):
+        for number in range(count * (jobs or WORKERS_BY_DEFAULT)):
             os.link(scans[number % len(scans)], folder / f"{number:06}.bin")
         finished = FinishedScans(time.monotonic)
         options = RunOptions(jobs=jobs, progress=finished)

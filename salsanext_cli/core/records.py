@@ -6,7 +6,7 @@ in radians unless a name contains ``deg``. N is the number of points of a scan, 
 its range image, C the number of classes including class 0, unlabelled.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -46,6 +46,8 @@ class FileNotes:
     split: FieldSplit | None = None  # Field that tells scans or sensors apart, if any
     # Position of the origin of the points in the coordinates of the file, metres
     frame: Origin = (0.0, 0.0, 0.0)
+    # (N,) uint8: classification of the points of a LAS file, codes of the ASPRS
+    codes: npt.NDArray[np.uint8] | None = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True, slots=True)

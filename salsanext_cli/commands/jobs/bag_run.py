@@ -17,7 +17,8 @@ from salsanext_cli.core.texts import counted, first_few, with_hint
 from salsanext_cli.io.files.atomic import refusal
 from salsanext_cli.io.files.locks import temporary_folder
 from salsanext_cli.io.files.reading import filled, is_folder, present
-from salsanext_cli.io.formats import BAG_SUFFIXES, read_scan
+from salsanext_cli.io.formats import read_scan
+from salsanext_cli.io.formats.recording_kinds import BAG, kind_of
 from salsanext_cli.io.formats.recordings import (
     files_of,
     is_recording,
@@ -76,7 +77,7 @@ def bags_of(scans: Sequence[ScanFile]) -> list[BagOfResults]:
 
 def is_bag(recording: Path) -> bool:
     """Return whether a recording is a ROS bag."""
-    return is_folder(recording) or recording.suffix.lower() in BAG_SUFFIXES
+    return kind_of(recording) is BAG
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -8,7 +8,7 @@ from salsanext_cli.core.engines.backend import PixelPrediction
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.labelling import refine_labels
-from salsanext_cli.core.records import Origins
+from salsanext_cli.core.records import Origin, Origins
 from salsanext_cli.core.uncertainty.monte_carlo import Estimate
 from salsanext_cli.io.formats.kitti_labels import encode_labels
 from salsanext_cli.report.picked import picked_cloud
@@ -24,6 +24,7 @@ class PreLabel:
 
     scan: ScanFile
     content: bytes  # Of a label file
+    frame: Origin  # Of the written points in the coordinates of the file of the scan, metres
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,8 +51,8 @@ class PickJob:
         network = prepared.scan.network
         pixels = PixelPrediction.from_softmax(estimate.probabilities)
         labelled = refine_labels(prepared.scan, pixels, KnnParameters())
-        self.data_set.write_points(file, network.sensor)
+        frame = self.data_set.write_points(file, network.sensor)
         cloud = picked_cloud(labelled, estimate.uncertainty.mutual_information, network.space)
         self.data_set.write_missing(self.data_set.paths(file.sequence, file.stem).cloud, cloud)
         raw = network.space.to_raw(labelled.labels)
-        return PreLabel(scan=file, content=encode_labels(raw))
+        return PreLabel(scan=file, content=encode_labels(raw), frame=frame)

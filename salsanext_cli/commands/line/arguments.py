@@ -24,12 +24,14 @@ from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.notices import NOTICE, log_once
 from salsanext_cli.core.texts import did_you_mean, with_hint
 from salsanext_cli.core.uncertainty.kinds import UNCERTAINTY
-from salsanext_cli.io.formats import RECORDING_SUFFIXES, SCAN_SUFFIXES
+from salsanext_cli.io.formats import SCAN_SUFFIXES
+from salsanext_cli.io.formats.recording_kinds import RECORDING_SUFFIXES
 from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.query import DATASET_VARIABLE, ResultQuery
 
 if TYPE_CHECKING:
+    from salsanext_cli.core.records import Origin
     from salsanext_cli.core.sensors.sensor import Sensor
 
 OUT_VARIABLE = "SALSANEXT_OUT"
@@ -280,7 +282,7 @@ def share(option: str, text: str | None, word: str = "") -> float | None:
     return fraction
 
 
-def position(option: str, text: str | None) -> tuple[float, ...] | None:
+def position(option: str, text: str | None) -> "Origin | None":
     """Return a position in metres, which is typed as ``500100,5400020,312``; None for no text."""
     if text is None:
         return None

@@ -2,19 +2,23 @@
 """Stage `convert`: a recording to a folder of scans in the layout of SemanticKITTI."""
 
 import logging
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
 from salsanext_cli.core.errors import OutputError, UsageError
 from salsanext_cli.core.poses import POSES
+from salsanext_cli.core.records import Origin
 from salsanext_cli.core.texts import counted, first_few, shortened
 from salsanext_cli.core.wording import argument
 from salsanext_cli.io.files.reading import filled
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.formats.kitti import encode_bin
-from salsanext_cli.io.formats.recordings import is_site, recorded_poses, recording_of
+from salsanext_cli.io.formats.recording_kinds import RECORDING_KINDS, kind_of
+from salsanext_cli.io.formats.recordings import recorded_poses, recording_of
+from salsanext_cli.io.formats.survey.local_frame import NO_SHIFT
+from salsanext_cli.io.frames import FRAMES, encode_frames, read_frames
 from salsanext_cli.io.poses import encode_poses
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.results.layouts import SCAN_FOLDER
@@ -23,9 +27,18 @@ from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.paths import ScanFile, find_scans, require_no_hidden_scans
 
 TIMES = "times.txt"
-EXPECTED = "a ROS bag, a recording of Ouster or Velodyne, or an E57 file"
+EXPECTED = ", or ".join(kind.noun for kind in RECORDING_KINDS)
 
 log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ConvertedScan:
+    """Scan of a recording that was read."""
+
+    stem: str
+    is_empty: bool  # Scans without points are skipped
+    frame: Origin  # Of its points in the coordinates of the recording, metres
 
 
 def convert(
@@ -39,7 +52,8 @@ def convert(
     """Write `FOLDER/sequences/NAME/velodyne/<time>.bin` of scans with points, and `times.txt`.
 
     Times are seconds since the first scan. Intensities of one byte are divided by 255. Scans of an
-    E57 file have numbers instead of times, and `poses.txt`.
+    E57 file have numbers instead of times, and `poses.txt`. Scans in map coordinates are moved into
+    a local frame, which `frames.json` states.
 
     Parameters
     ----------
@@ -70,31 +84,46 @@ def convert(
     sequence = Path("sequences", listed[0].sequence)
     owned = OwnedFolder(folder, "convert", str(sequence))
     scan_folder = folder / sequence / SCAN_FOLDER
-    times = folder / sequence / TIMES
-    poses = folder / sequence / POSES
+    others = [folder / sequence / name for name in (TIMES, POSES, FRAMES)]
     require_no_hidden_scans(folder)
     with owned.open():
-        owned.refuse_foreign([*_visible_files(scan_folder), times, poses])
+        owned.refuse_foreign([*_visible_files(scan_folder), *others])
         owned.manifest.write(_source_of(listed[0], owned))
-        empty: set[str] = set()
+        converted: list[ConvertedScan] = []
         task = partial(_convert_scan, owned=owned, scan_folder=scan_folder)
 
         def is_done(scan: ScanFile) -> bool:
             return filled(_target(scan_folder, scan))
 
         outcome = run_over_scans(
-            task, chosen, options, is_done=is_done, on_result=empty.update, folder=folder
+            task, chosen, options, is_done=is_done, on_result=converted.append, folder=folder
         )
-        written = [scan for scan in listed if is_done(scan)]
-        if not is_site(file):
-            owned.write(times, _encoded_times(written))
-        elif (poses_of_site := recorded_poses(file)) is not None:
-            numbers = [int(scan.stem) for scan in written]
-            owned.write(poses, encode_poses(poses_of_site[numbers]))
+        written = {number: scan for number, scan in enumerate(listed) if is_done(scan)}
+        _write_files_of_sequence(owned, folder / sequence, file, written)
+        _add_frames(owned, folder / sequence / FRAMES, converted)
+    empty = [scan.stem for scan in converted if scan.is_empty]
     if empty:
         names = first_few(sorted(empty))
         log.warning("%s without points skipped: %s", counted(len(empty), "scan"), names)
     return replace(outcome, done=outcome.done - len(empty))
+
+
+def _write_files_of_sequence(
+    owned: OwnedFolder, folder: Path, recording: Path, written: Mapping[int, ScanFile]
+) -> None:
+    """Write times and poses, if the recording has them, of the written scans by their numbers."""
+    if kind_of(recording).has_times:
+        owned.write(folder / TIMES, _encoded_times([*written.values()]))
+    poses = recorded_poses(recording)
+    if poses is not None:
+        owned.write(folder / POSES, encode_poses(poses[[*written]]))
+
+
+def _add_frames(owned: OwnedFolder, path: Path, converted: Sequence[ConvertedScan]) -> None:
+    """Write the frames of scans that were moved, beside those of earlier runs."""
+    moved = {scan.stem: scan.frame for scan in converted if scan.frame != NO_SHIFT}
+    if moved:
+        owned.write(path, encode_frames(read_frames(path) | moved))
 
 
 def _require_positive(name: str, value: int) -> None:
@@ -121,13 +150,13 @@ def _target(scan_folder: Path, scan: ScanFile) -> Path:
     return scan_folder / f"{scan.stem}.bin"
 
 
-def _convert_scan(scan: ScanFile, owned: OwnedFolder, scan_folder: Path) -> tuple[str, ...]:
-    """Write a scan; return its name if it has no points."""
+def _convert_scan(scan: ScanFile, owned: OwnedFolder, scan_folder: Path) -> ConvertedScan:
+    """Write a scan with points."""
     points = read_scan(scan.path)
-    if not len(points):
-        return (scan.stem,)
-    owned.write(_target(scan_folder, scan), encode_bin(points))
-    return ()
+    is_empty = not len(points)
+    if not is_empty:
+        owned.write(_target(scan_folder, scan), encode_bin(points))
+    return ConvertedScan(stem=scan.stem, is_empty=is_empty, frame=points.notes.frame)
 
 
 def _source_of(first: ScanFile, owned: OwnedFolder) -> StageRecord:

@@ -18,7 +18,8 @@ from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.measures.filtered_points import FilteredPoints
 from salsanext_cli.core.texts import counted, first_few, with_hint
 from salsanext_cli.core.wording import argument, command, setting
-from salsanext_cli.io.formats.recordings import is_site, recording_of
+from salsanext_cli.io.formats.recording_kinds import kind_of
+from salsanext_cli.io.formats.recordings import recording_of
 from salsanext_cli.io.formats.ros.bag_copies import Types
 from salsanext_cli.io.formats.ros.cloud_changes import cloud_subset
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
@@ -204,8 +205,7 @@ def _require_one_kind(
     for recording in recordings.values():
         if recording is not None and not is_bag(recording):
             hint = f"run `salsanext convert {recording} DATA`, then predict and filter DATA"
-            kind = "an E57 file" if is_site(recording) else "a capture of packets"
-            problem = f"is {kind}, which `filter` cannot write"
+            problem = f"is {kind_of(recording).noun}, which `filter` cannot write"
             raise UsageError(recording, problem, "files of scans, or bags", hint)
     if bags and None in recordings.values():
         names = tuple(sorted({bag.first.sequence for bag in bags}))

@@ -18,6 +18,7 @@ from salsanext_cli.core.errors import NoInputError, UsageError
 from salsanext_cli.core.measures.scan_choice import choose_scans, require_choice
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.plain_data import plain
+from salsanext_cli.core.records import Origin
 from salsanext_cli.core.texts import counted
 from salsanext_cli.core.uncertainty.monte_carlo import require_sampling
 from salsanext_cli.core.wording import argument
@@ -294,9 +295,11 @@ def _written(
     files = {scan.name: scan for scan in scans}
     picked = [files[scan.name] for scan in record.picked if scan.name in files]
     pre_labels: dict[ScanFile, bytes] = {}
+    frames: dict[ScanFile, Origin] = {}
 
     def add(pre_label: PreLabel) -> None:
         pre_labels[pre_label.scan] = pre_label.content
+        frames[pre_label.scan] = pre_label.frame
 
     outcome = run_over_scans(task, picked, options, on_result=add)
     data_set.write_pre_labels(record, pre_labels)
@@ -304,7 +307,7 @@ def _written(
     data_set.write_missing(data_set.root / TABLE, picked_csv(record.picked))
     if len(pre_labels) == len(record.picked):
         # Existing files are not replaced, so incomplete poses would remain.
-        data_set.write_poses(pre_labels)
+        data_set.write_poses(frames)
     return replace(outcome, failures=(*_failures(record, scans), *outcome.failures))
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from salsanext_cli.core.classes.label_space import TrainIds
 from salsanext_cli.core.classes.merging import ClassMerging
 from salsanext_cli.core.compiled import argument, compiled, parallel_for_slices
-from salsanext_cli.core.engines.moments import Moments
+from salsanext_cli.core.engines.moments import SoftmaxSpread
 from salsanext_cli.core.errors import WeightsError
 from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.records import Float
@@ -165,8 +165,8 @@ class Backend(ABC):
     @abstractmethod
     def sample(
         self, image: Float, seeds: Sequence[int], merging: ClassMerging | None = None
-    ) -> Moments:
-        """Return the moments of the softmax over dropout passes.
+    ) -> SoftmaxSpread:
+        """Return the spread of the softmax over dropout passes.
 
         Parameters
         ----------
@@ -179,12 +179,12 @@ class Backend(ABC):
 
         Returns
         -------
-        Moments
+        SoftmaxSpread
         """
 
     @abstractmethod
-    def spread(self, images: Iterable[Float], merging: ClassMerging | None = None) -> Moments:
-        """Return the moments of the softmax over images, without entropies.
+    def spread(self, images: Iterable[Float], merging: ClassMerging | None = None) -> Float:
+        """Return the unbiased variance of the softmax over images.
 
         Parameters
         ----------
@@ -195,7 +195,7 @@ class Backend(ABC):
 
         Returns
         -------
-        Moments
+        (C, H, W) float32
         """
 
     @abstractmethod

@@ -13,6 +13,29 @@ from salsanext_cli.core.records import Double, Float
 Values = TypeVar("Values", Float, Double)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SoftmaxSpread:
+    """Mean and spread of the softmax over passes, float32.
+
+    Attributes
+    ----------
+    mean, variance : (C, H, W) float32
+        Mean, and variance of the population (paper III-C.2).
+    epistemic : (H, W) float32
+        Mean over classes of the variance.
+    entropy : (H, W) float32
+        Entropy of the mean in nats.
+    mutual_information : (H, W) float32
+        `entropy` minus the mean entropy of the passes in nats, at least 0.
+    """
+
+    mean: Float
+    variance: Float
+    epistemic: Float
+    entropy: Float
+    mutual_information: Float
+
+
 @dataclass(slots=True)
 class Moments:
     """Sums (C, H, W) of the softmax and its squares, and (H, W) of its entropy in nats; float64."""
@@ -53,6 +76,24 @@ class Moments:
         """Return the variance (C, H, W) of the population (paper III-C.2)."""
         mean = self.mean()
         return np.maximum(self.sum_of_squares / self.count - mean * mean, 0)
+
+    def unbiased_variance(self) -> Float:
+        """Return the variance (C, H, W) float32 of the population that the passes sample."""
+        return (self.variance() * (self.count / (self.count - 1))).astype(np.float32)
+
+    def spread(self) -> SoftmaxSpread:
+        """Return mean, variance and entropies of the passes."""
+        mean = self.mean()
+        variance = self.variance()
+        total = entropy(mean)
+        information = np.maximum(total - self.sum_of_entropies / self.count, 0)
+        return SoftmaxSpread(
+            mean=mean.astype(np.float32),
+            variance=variance.astype(np.float32),
+            epistemic=variance.mean(axis=0).astype(np.float32),
+            entropy=total.astype(np.float32),
+            mutual_information=information.astype(np.float32),
+        )
 
 
 @compiled

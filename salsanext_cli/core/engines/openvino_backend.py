@@ -13,7 +13,7 @@ from salsanext_cli.core.compiled import thread_count
 from salsanext_cli.core.engines.backend import Backend, PixelPrediction
 from salsanext_cli.core.engines.conversion import converted
 from salsanext_cli.core.engines.graphs import Graph, compiled_graph, quantised
-from salsanext_cli.core.engines.moments import Moments
+from salsanext_cli.core.engines.moments import Moments, SoftmaxSpread
 from salsanext_cli.core.records import CHANNELS, Float
 
 if TYPE_CHECKING:
@@ -58,8 +58,8 @@ class OpenVinoBackend(Backend):
 
     def sample(
         self, image: Float, seeds: Sequence[int], merging: ClassMerging | None = None
-    ) -> Moments:
-        """Return the moments of the softmax over dropout passes, one per seed of the masks."""
+    ) -> SoftmaxSpread:
+        """Return the spread of the softmax over dropout passes, one per seed of the masks."""
         from salsanext_cli.core.network.segmentation import SegmentationNetwork as Module
 
         trunk = self.graph("trunk", Module.padded_trunk, [image], self.sampling_precision)
@@ -68,15 +68,15 @@ class OpenVinoBackend(Backend):
         inside = (..., slice(height), slice(width))
         for softmax, nats in self._passes(trunk(image), seeds):
             moments.add(softmax[0][inside], nats[0][inside], merging)
-        return moments
+        return moments.spread()
 
-    def spread(self, images: Iterable[Float], merging: ClassMerging | None = None) -> Moments:
-        """Return the moments of the softmax over images, without entropies."""
+    def spread(self, images: Iterable[Float], merging: ClassMerging | None = None) -> Float:
+        """Return the unbiased variance of the softmax over images, (C, H, W) float32."""
         graph = self.output_graph(1.0, self.sampling_precision)
         moments = self._no_moments(merging)
         for image in images:
             moments.add(graph(image, share=True)[0][0], None, merging)
-        return moments
+        return moments.unbiased_variance()
 
     def run(
         self, name: str, function: Callable[..., Any], *images: Float, exact: bool = False

@@ -9,7 +9,7 @@ import copy
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, partial
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import numpy as np
 import torch
@@ -21,7 +21,7 @@ from salsanext_cli.core.engines.batches import BatchSize
 from salsanext_cli.core.engines.cuda_graphs import CudaGraphs
 from salsanext_cli.core.engines.device import MAX_BATCH_PIXELS
 from salsanext_cli.core.engines.dropout_passes import dropout_rates, rest_with_factors
-from salsanext_cli.core.engines.moments import Moments
+from salsanext_cli.core.engines.moments import SoftmaxSpread
 from salsanext_cli.core.network.dropout import random_masks
 from salsanext_cli.core.network.segmentation import SegmentationNetwork
 from salsanext_cli.core.records import CHANNELS, Float
@@ -108,8 +108,8 @@ class TorchBackend(Backend):
     @torch.inference_mode()
     def sample(
         self, image: Float, seeds: Sequence[int], merging: ClassMerging | None = None
-    ) -> Moments:
-        """Return the moments of the softmax over dropout passes, one per seed of the masks."""
+    ) -> SoftmaxSpread:
+        """Return the spread of the softmax over dropout passes, one per seed of the masks."""
         features = self._padded_trunk(self.tensor([image]))
         height, width = image.shape[-2:]
 
@@ -122,16 +122,34 @@ class TorchBackend(Backend):
             )
             return softmax[..., :height, :width], nats[..., :height, :width]
 
-        return self._moments(passes, seeds, merging)
+        total, squares, nats = self._sums(passes, seeds, merging)
+        mean = total / len(seeds)
+        variance = (squares / len(seeds) - mean.square()).clamp_(min=0)
+        entropy = torch.special.entr(mean).sum(dim=0).clamp_(min=0)
+        information = (entropy - nats / len(seeds)).clamp_(min=0)
+        results = {
+            "mean": mean,
+            "variance": variance,
+            "epistemic": variance.mean(dim=0),
+            "entropy": entropy,
+            "mutual_information": information,
+        }
+        arrays = self.to_host([values.float() for values in results.values()])
+        return SoftmaxSpread(**dict(zip(results, arrays, strict=True)))
 
     @torch.inference_mode()
-    def spread(self, images: Iterable[Float], merging: ClassMerging | None = None) -> Moments:
-        """Return the moments of the softmax over images, without entropies."""
+    def spread(self, images: Iterable[Float], merging: ClassMerging | None = None) -> Float:
+        """Return the unbiased variance of the softmax over images, (C, H, W) float32."""
 
         def copies(batch: Sequence[Float]) -> tuple[Tensor, Tensor | None]:
             return self.softmax(self.tensor(batch), 1.0), None
 
-        return self._moments(copies, list(images), merging)
+        items = list(images)
+        count = len(items)
+        total, squares, _ = self._sums(copies, items, merging)
+        variance = (squares / count - (total / count).square()).clamp_(min=0)
+        (unbiased,) = self.to_host([(variance * (count / (count - 1))).float()])
+        return cast(Float, unbiased)
 
     @torch.inference_mode()
     def run(
@@ -180,13 +198,28 @@ class TorchBackend(Backend):
             torch.cuda.current_stream(self.device).synchronize()
         return [host.numpy() for host in hosts]
 
-    def _moments(
+    def _sums(
         self,
         compute: Callable[[Sequence[Any]], tuple[Tensor, Tensor | None]],
         items: Sequence[Any],
         merging: ClassMerging | None,
-    ) -> Moments:
-        """Add up the softmax of batches of items on the device, and copy the sums once."""
+    ) -> list[Tensor]:
+        """Return sums of the softmax over items, of its squares and of its entropies, float64.
+
+        Parameters
+        ----------
+        compute : callable
+            Function of a batch of items to their softmax (B, C, H, W) and entropies (B, H, W).
+        items : sequence
+            Seeds of passes, or images.
+        merging : ClassMerging, optional
+            Merging of the classes.
+
+        Returns
+        -------
+        list of Tensor
+            (C, H, W), (C, H, W) and (H, W) on the device.
+        """
 
         def add_up(batch: Sequence[Any]) -> list[Tensor]:
             softmax, nats = compute(batch)
@@ -202,10 +235,7 @@ class TorchBackend(Backend):
         for sums in batches:
             for tensor, more in zip(total, sums, strict=True):
                 tensor.add_(more)
-        sums, squares, entropies = self.to_host(total)
-        return Moments(
-            count=len(items), sum=sums, sum_of_squares=squares, sum_of_entropies=entropies
-        )
+        return total
 
 
 def _forward(module: SegmentationNetwork, images: Tensor) -> tuple[Tensor]:

@@ -83,8 +83,7 @@ def noise_variance(network: Network, image: RangeImage, seed: int) -> Float:
     (C, H, W) float32
     """
     copies = islice(noisy_copies(image, network.sensor, seed), COPIES)
-    moments = network.backend.spread(map(network.input, copies), network.merging)
-    return (moments.variance() * (COPIES / (COPIES - 1))).astype(np.float32)
+    return network.backend.spread(map(network.input, copies), network.merging)
 
 
 def aleatoric(network: Network, image: RangeImage) -> Float:

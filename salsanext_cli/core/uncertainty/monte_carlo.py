@@ -4,9 +4,6 @@
 import hashlib
 from dataclasses import dataclass
 
-import numpy as np
-
-from salsanext_cli.core.engines.moments import entropy
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.network.dropout import require_dropout
@@ -85,21 +82,13 @@ def sample(network: Network, image: RangeImage, *, samples: int, seed: int) -> E
     """
     require_sampling(network, samples)
     seeds = [pass_seed(seed, number) for number in range(samples)]
-    moments = network.backend.sample(network.input(image.channels), seeds, network.merging)
-    mean = moments.mean()
-    variance = moments.variance()
-    total = entropy(mean)
-    information = np.maximum(total - moments.sum_of_entropies / moments.count, 0)
+    spread = network.backend.sample(network.input(image.channels), seeds, network.merging)
     uncertainty = Uncertainty(
-        epistemic=variance.mean(axis=0).astype(np.float32),
-        entropy=total.astype(np.float32),
-        mutual_information=information.astype(np.float32),
+        epistemic=spread.epistemic,
+        entropy=spread.entropy,
+        mutual_information=spread.mutual_information,
     )
-    return Estimate(
-        probabilities=mean.astype(np.float32),
-        variance=variance.astype(np.float32),
-        uncertainty=uncertainty,
-    )
+    return Estimate(probabilities=spread.mean, variance=spread.variance, uncertainty=uncertainty)
 
 
 def require_sampling(network: Network, samples: int) -> None:

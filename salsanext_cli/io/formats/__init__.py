@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 from salsanext_cli.core.errors import FormatError
 from salsanext_cli.core.wording import argument
+from salsanext_cli.io.formats.recording_kinds import RECORDING_SUFFIXES
 
 if TYPE_CHECKING:
     from salsanext_cli.core.plug_ins import PlugIn
@@ -160,9 +161,6 @@ FORMATS: Mapping[str, Format] = {
 """Built-in formats by name, in the order of precedence in a folder; plug-ins come last."""
 SCAN_SUFFIXES = tuple(suffix for form in FORMATS.values() for suffix in form.suffixes)
 """Suffixes of the built-in formats."""
-BAG_SUFFIXES = (".bag", ".mcap", ".db3")
-RECORDING_SUFFIXES = (*BAG_SUFFIXES, ".pcap", ".osf", ".e57")
-"""Suffixes of recordings that are files."""
 OTHER_SUFFIXES = (".label", ".json", ".jsonl", ".toml", ".yaml", ".yml", ".md", ".safetensors")
 """Suffixes that plug-ins cannot have, beside those of scans and recordings."""
 MAX_MAGIC_BYTES = 64

@@ -64,7 +64,7 @@ class OusterRecording:
         """Return the error of a recording without packets of points."""
         return NoInputError(self.path, "has no LiDAR packets", "packets with distances")
 
-    def times(self, topic: str) -> list[int]:
+    def scan_keys(self, topic: str) -> list[int]:
         """Return the times of the frames of a sensor in nanoseconds, sorted."""
         return sorted(self._times[topic])
 
@@ -73,11 +73,14 @@ class OusterRecording:
         form = self._source.sensor_info[list(self._times).index(topic)].format
         return int(form.pixels_per_column * form.columns_per_frame)
 
-    def columns(self, topic: str, time: int, number: int, path: Path) -> Columns:
+    def poses(self) -> None:
+        """Return None: poses in recordings are not read."""
+
+    def columns(self, topic: str, key: int, number: int, path: Path) -> Columns:
         """Read the first returns of a frame, as `Bag.columns`; rays without one are at 0."""
         from ouster.sdk.core import XYZLut
 
-        places = [place for place, at in enumerate(self._times[topic]) if at == time]
+        places = [place for place, at in enumerate(self._times[topic]) if at == key]
         if number >= len(places):
             raise FormatError(path, "no such scan", "a scan that the recording lists")
         with refusing_damage(path, EXPECTED, HINT), self._lock:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Recordings of many scans, read scan by scan: ROS bags, packets of sensors, and E57 files.
+"""Recordings of many scans, read scan by scan: their topics, scans and poses by path.
 
 The path of a scan treats recording and topic as folders:
 ``drive.bag/velodyne_points/1612345678000000000``.
@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 from itertools import groupby
 from pathlib import Path
-from typing import Protocol
 
 from salsanext_cli.core.errors import FormatError, NoInputError, UsageError
 from salsanext_cli.core.poses import Poses
@@ -21,12 +20,15 @@ from salsanext_cli.core.records import Scan
 from salsanext_cli.core.texts import counted, shortened
 from salsanext_cli.core.wording import part
 from salsanext_cli.io.files.reading import identity, is_folder, present
-from salsanext_cli.io.formats import BAG_SUFFIXES, RECORDING_SUFFIXES
-from salsanext_cli.io.formats.columns import Columns, scan_of
+from salsanext_cli.io.formats.columns import scan_of
+from salsanext_cli.io.formats.recording_kinds import (
+    BAG,
+    RECORDING_SUFFIXES,
+    Recording,
+    RecordingKind,
+    kind_of,
+)
 
-E57 = ".e57"
-DIGITS_OF_NUMBER = 6  # Digits of the name of a scan of E57
-DIGITS_OF_NS = 19  # Of other scans, whose name is their time in nanoseconds
 METADATA = "metadata.yaml"  # In the folder of a ROS 2 bag, beside `.db3` or `.mcap` files
 NAME = re.compile(r"(-?\d{1,20})(?:_(\d{1,9}))?", re.ASCII)
 MAX_SHOWN = 500  # Characters of a list of topics in an error
@@ -37,11 +39,6 @@ def is_recording(path: Path) -> bool:
     if is_folder(path):
         return present(path / METADATA) and bool(storages(path))
     return path.suffix.lower() in RECORDING_SUFFIXES and present(path)
-
-
-def is_site(recording: Path) -> bool:
-    """Return whether a recording is an E57 file, whose scans have numbers, and often poses."""
-    return recording.suffix.lower() == E57
 
 
 def storages(folder: Path) -> list[Path]:
@@ -66,42 +63,6 @@ def sequence_of(recording: Path) -> str:
     return recording.name if is_folder(recording) else recording.stem
 
 
-class Recording(Protocol):
-    """Recording that is open, with the clouds of some topics."""
-
-    def cloud_topics(self) -> list[str]:
-        """Return the topics with point clouds, sorted."""
-
-    def without_clouds(self) -> NoInputError:
-        """Return the error of a recording without topics of point clouds."""
-
-    def times(self, topic: str) -> list[int]:
-        """Return the times of the clouds of a topic in nanoseconds, sorted; or their numbers."""
-
-    def point_count(self, topic: str) -> int:
-        """Return the usual number of points of a cloud of a topic."""
-
-    def columns(self, topic: str, time: int, number: int, path: Path) -> Columns:
-        """Read the cloud of a topic and a time.
-
-        Parameters
-        ----------
-        topic : str
-            Topic of point clouds.
-        time : int
-            Time in nanoseconds.
-        number : int
-            Number of the cloud among those of the same time, from 0.
-        path : Path
-            Path of the scan, for errors.
-
-        Returns
-        -------
-        Columns
-            Values (N,) of each field, by name.
-        """
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _OpenRecording:
     """Recording that is open, where it lies, and its topics."""
@@ -124,8 +85,7 @@ def recorded_paths(path: Path) -> list[Path]:
     if topic not in clouds:
         listed = shortened(", ".join(clouds.values()), MAX_SHOWN)
         raise NoInputError(folder, f"has no clouds of topic {inside}", f"one of {listed}")
-    digits = DIGITS_OF_NUMBER if is_site(folder) else DIGITS_OF_NS
-    names = _names(opened.recording.times(clouds[topic]), digits)
+    names = _names(opened.recording.scan_keys(clouds[topic]), kind_of(folder))
     if name and name not in names:
         raise NoInputError(path, "no such scan", f"one of the {len(names)} of the recording")
     return [folder / topic / stem for stem in names if name in ("", stem)]
@@ -151,18 +111,18 @@ def _several_topics(folder: Path, recording: Recording, topics: list[str]) -> Us
     return UsageError(folder, problem, "one of them", hint)
 
 
-def _names(times: list[int], digits: int) -> list[str]:
-    """Return the names of scans by their sorted times in nanoseconds; equal times get a suffix."""
+def _names(keys: list[int], kind: RecordingKind) -> list[str]:
+    """Return the names of scans by their sorted keys; equal keys get a suffix."""
     return [
-        scan_name(time, number, digits)
-        for time, equal in groupby(times)
+        scan_name(key, number, kind)
+        for key, equal in groupby(keys)
         for number, _ in enumerate(equal)
     ]
 
 
-def scan_name(time: int, number: int, digits: int = DIGITS_OF_NS) -> str:
-    """Return the name of a scan by its time in nanoseconds and its number among equal times."""
-    return f"{time:0{digits}d}" + (f"_{number}" if number else "")
+def scan_name(key: int, number: int, kind: RecordingKind = BAG) -> str:
+    """Return the name of a scan by its key and its number among equal keys."""
+    return f"{key:0{kind.key_digits}d}" + (f"_{number}" if number else "")
 
 
 def recorded_scan(path: Path, intensity_scale: float, intensity_field: str = "") -> Scan:
@@ -175,10 +135,10 @@ def recorded_scan(path: Path, intensity_scale: float, intensity_field: str = "")
     match = NAME.fullmatch(path.name)
     if topic not in opened.topics or match is None:
         raise FormatError(path, "no such scan", "a scan that the recording lists")
-    time = int(match[1])
+    key = int(match[1])
     number = int(match[2] or 0)
-    columns = opened.recording.columns(opened.topics[topic], time, number, path)
-    may_be_map = is_site(opened.folder)
+    columns = opened.recording.columns(opened.topics[topic], key, number, path)
+    may_be_map = kind_of(opened.folder).may_be_map
     return scan_of(columns, path, intensity_scale, intensity_field, may_be_map=may_be_map)
 
 
@@ -187,13 +147,7 @@ def recorded_poses(path: Path) -> Poses | None:
 
     None if the recording has none.
     """
-    folder = recording_of(path)
-    if folder is None or not is_site(folder):
-        return None
-    from salsanext_cli.io.formats.survey.e57 import E57Recording
-
-    recording = _open_recording(path).recording
-    return recording.poses() if isinstance(recording, E57Recording) else None
+    return None if recording_of(path) is None else _open_recording(path).recording.poses()
 
 
 def _open_recording(path: Path) -> _OpenRecording:
@@ -210,22 +164,4 @@ def _open_recording(path: Path) -> _OpenRecording:
 
 @lru_cache(maxsize=1)
 def _recording(path: Path, version: tuple[object, ...]) -> Recording:
-    # Few runs need any of these modules.
-    if is_folder(path) or path.suffix.lower() in BAG_SUFFIXES:
-        from salsanext_cli.io.formats.ros.bags import Bag
-
-        return Bag(path, files_of(path))
-    if path.suffix.lower() == ".pcap":
-        from salsanext_cli.io.formats.captures import VELODYNE, readable_maker
-
-        if readable_maker(path) == VELODYNE:
-            from salsanext_cli.io.formats.velodyne import VelodyneCapture
-
-            return VelodyneCapture(path)
-    if is_site(path):
-        from salsanext_cli.io.formats.survey.e57 import E57Recording
-
-        return E57Recording(path)
-    from salsanext_cli.io.formats.ouster import OusterRecording
-
-    return OusterRecording(path)
+    return kind_of(path).open_files(path, files_of(path))

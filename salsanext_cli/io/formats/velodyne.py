@@ -77,19 +77,22 @@ class VelodyneCapture:
         """Return the error of a recording without packets of points."""
         return NoInputError(self.path, "has no LiDAR packets", "packets with distances")
 
-    def times(self, topic: str) -> list[int]:
+    def scan_keys(self, topic: str) -> list[int]:
         """Return the times of the revolutions of a sensor in nanoseconds, sorted."""
         return sorted(revolution.time_ns for revolution in self._revolutions[topic])
 
     def point_count(self, topic: str) -> int:
         """Return the number of points of a revolution in the middle."""
-        times = self.times(topic)
+        times = self.scan_keys(topic)
         return len(self.columns(topic, times[len(times) // 2], 0, self.path)["x"])
 
-    def columns(self, topic: str, time: int, number: int, path: Path) -> Columns:
+    def poses(self) -> None:
+        """Return None: packets state no poses."""
+
+    def columns(self, topic: str, key: int, number: int, path: Path) -> Columns:
         """Read the points of a revolution, as `Bag.columns`; both returns, if there are two."""
         revolutions = self._revolutions[topic]
-        at_time = [revolution for revolution in revolutions if revolution.time_ns == time]
+        at_time = [revolution for revolution in revolutions if revolution.time_ns == key]
         if number >= len(at_time):
             raise FormatError(path, "no such scan", "a scan that the recording lists")
         with refusing_damage(path, EXPECTED), self._lock:

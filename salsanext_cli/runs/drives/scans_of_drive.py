@@ -86,9 +86,9 @@ def drive_findings(files: Sequence[ScanFile], drive: Drive) -> list[Finding]:
     """Return the reasons to doubt a drive that is cut into parts."""
     parts = np.bincount(drive.parts)
     if (parts == 1).all():
-        return [
-            Finding(WarningCode.APART, "no two of its scans see common locations", "labels stay")
-        ]
+        problem = "no two of its scans see common locations, so its labels do not change"
+        hint = "check the poses and the order of the scans, or fuse a drive with overlapping scans"
+        return [Finding(WarningCode.APART, problem, hint)]
     if len(parts) == 1:
         return []
     second = files[int(np.argmax(drive.parts == 1))].stem

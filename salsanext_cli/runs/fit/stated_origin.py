@@ -1,16 +1,20 @@
 # SPDX-License-Identifier: MIT
 """Position of the sensor that the user states in the coordinates of the files."""
 
+import logging
 from collections.abc import Sequence
 
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.geometry.sensor_place import ORIGIN_DIGITS
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.records import Origin
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.texts import counted
 from salsanext_cli.core.wording import argument
 from salsanext_cli.runs.fit.scan_sample import sample_of_files
 from salsanext_cli.runs.results.paths import ScanFile
+
+log = logging.getLogger(__name__)
 
 
 def origin_in_frame(origin: Origin, files: Sequence[ScanFile], sensor: Sensor) -> Origin:
@@ -35,6 +39,9 @@ def origin_in_frame(origin: Origin, files: Sequence[ScanFile], sensor: Sensor) -
     UsageError
         If the scans have several local frames.
     """
+    if len(files) > 1:
+        message = "%s is the position of the sensor in all %s"
+        log.log(NOTICE, message, argument("origin"), counted(len(files), "scan"))
     frames = {scan.notes.frame for scan in sample_of_files(files, sensor).scans}
     if len(frames) > 1:
         problem = f"was given for scans in {counted(len(frames), 'local frame')}"

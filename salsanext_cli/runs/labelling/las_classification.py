@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Labels inside of LAS scans: their classification, by the codes of a label space."""
 
+import logging
 import shlex
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -10,14 +12,18 @@ import numpy as np
 from salsanext_cli.core.classes.asprs import train_ids_of_codes
 from salsanext_cli.core.classes.label_space import BUILT_IN, LabelSpace, RawIds
 from salsanext_cli.core.errors import LabelError
+from salsanext_cli.core.notices import NOTICE
+from salsanext_cli.core.records import Scan
 from salsanext_cli.core.texts import counted
 from salsanext_cli.core.wording import command, setting
-from salsanext_cli.io.files.reading import present
+from salsanext_cli.io.files.reading import identity, present
 from salsanext_cli.io.formats import FORMATS, format_of
 from salsanext_cli.io.formats.kitti_labels import read_labels
 from salsanext_cli.io.formats.label_scalars import ASPRS_SCALAR, Ids, LabelIds
 from salsanext_cli.io.formats.survey.las_file import read_classification
 from salsanext_cli.runs.results.paths import ScanFile
+
+log = logging.getLogger(__name__)
 
 
 def is_las(path: Path) -> bool:
@@ -33,12 +39,18 @@ def classified_scans(files: Sequence[ScanFile], space: LabelSpace) -> list[ScanF
     LabelError
         If several classes, or none, have a code.
     """
-    unlabelled = space.learning_map_inv[0]
-    return [
-        file
-        for file in files
-        if is_las(file.path) and (_read_raw(file.path, space) != unlabelled).any()
-    ]
+    las_files = [file for file in files if is_las(file.path)]
+    if not las_files:
+        return []
+    log.log(NOTICE, "reading the classification of %s", counted(len(las_files), "LAS scan"))
+    meanings = LabelIds.from_codes(space)
+    classified = []
+    for file in las_files:
+        points = _points_of_codes(file.path, identity(file.path))
+        _require_meanings(points, meanings, space, file.path)
+        if any(meanings.raw_of[code] != meanings.unlabelled for code in points):
+            classified.append(file)
+    return classified
 
 
 def labels_source(file: ScanFile) -> Path:
@@ -48,17 +60,17 @@ def labels_source(file: ScanFile) -> Path:
     return file.label_path
 
 
-def read_scan_labels(file: ScanFile, space: LabelSpace, count: int) -> RawIds:
-    """Read the raw ids of the points of a scan from its `labels_source`.
+def read_scan_labels(file: ScanFile, space: LabelSpace, scan: Scan) -> RawIds:
+    """Return the raw ids of the points of a scan from its `labels_source`.
 
     Parameters
     ----------
     file : ScanFile
-        The scan.
+        File of the scan.
     space : LabelSpace
         Classes of the labels, which states their codes of the ASPRS.
-    count : int
-        Number of points of the scan, N.
+    scan : Scan
+        The scan as it was read, of N points. A LAS file states the classification with it.
 
     Returns
     -------
@@ -67,28 +79,43 @@ def read_scan_labels(file: ScanFile, space: LabelSpace, count: int) -> RawIds:
     Raises
     ------
     LabelError
-        If there are not `count` labels, or no class or several classes have a code.
+        If there are not N labels, or no class or several classes have a code.
     """
     source = labels_source(file)
-    if source != file.path:
-        return read_labels(source, count)
-    return _read_raw(source, space)
-
-
-def _read_raw(path: Path, space: LabelSpace) -> RawIds:
-    """Read the raw ids (N,) of the classification of a LAS scan."""
-    codes = read_classification(path).astype(np.int64)
+    if source != file.path or scan.notes.codes is None:
+        return read_labels(source, len(scan))
+    codes = scan.notes.codes.astype(np.int64)
     meanings = LabelIds.from_codes(space)
-    if unknown := meanings.unknown(codes):
+    _require_meanings(_counts(codes), meanings, space, source)
+    return meanings.to_raw(codes)
+
+
+@cache
+def _points_of_codes(path: Path, _: tuple[object, ...]) -> dict[int, int]:
+    """Return the number of points of each code of a LAS file, which is read once."""
+    return _counts(read_classification(path).astype(np.int64))
+
+
+def _counts(codes: Ids) -> dict[int, int]:
+    """Return the number of points of each code (N,)."""
+    unique, counts = np.unique(codes, return_counts=True)
+    return dict(zip(unique.tolist(), counts.tolist(), strict=True))
+
+
+def _require_meanings(
+    points: Mapping[int, int], meanings: LabelIds, space: LabelSpace, path: Path
+) -> None:
+    """Refuse codes of no class or several ones; `points` has the numbers of points by code."""
+    unknown = {code: count for code, count in points.items() if code not in meanings.raw_of}
+    if unknown:
         folder = str(path.parent)
         words = shlex.join(["salsanext", "import-labels", folder, folder])
         is_usual = space.name not in BUILT_IN[1:]
         named = () if is_usual else (setting("space", space.name),)
         importing = command(words, setting("ids", "FILE"), *named)
-        entries = map_of_codes(codes, unknown, meanings, space)
+        entries = map_of_codes(np.array([*points]), unknown, meanings, space)
         hint = f"run `{importing}` first, where FILE is a YAML file such as {entries}"
         raise LabelError(path, unknown_codes(unknown, space), meanings.described(), hint)
-    return meanings.to_raw(codes)
 
 
 def unknown_codes(unknown: Mapping[int, int], space: LabelSpace) -> str:

@@ -14,11 +14,14 @@ import yaml
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import FormatError, OutputError, UsageError
 from salsanext_cli.core.poses import CALIBRATION, POSES
+from salsanext_cli.core.records import Origin
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.io.files.json_files import read_json, record_of, write_json
 from salsanext_cli.io.files.reading import filled, fingerprint, present, reading
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.formats.kitti import encode_bin
+from salsanext_cli.io.formats.survey.local_frame import NO_SHIFT
+from salsanext_cli.io.frames import FRAMES, encode_frames
 from salsanext_cli.io.poses import line_numbers
 from salsanext_cli.runs.labelling.label_records import IMPORTED
 from salsanext_cli.runs.records.stage_settings import ComputedSettings
@@ -130,10 +133,14 @@ class PickedDataSet(OwnedFolder):
         labels = folder / "labels" / f"{stem}.label"
         return ScanPaths(folder / SCAN_FOLDER / f"{stem}.bin", labels, cloud)
 
-    def write_points(self, file: ScanFile, sensor: Sensor) -> None:
-        """Write a scan as `.bin`, with the intensity in its file."""
+    def write_points(self, file: ScanFile, sensor: Sensor) -> Origin:
+        """Write a scan as `.bin`, with the intensity in its file; return the frame of its points.
+
+        The frame is a position in the coordinates of the file, in metres.
+        """
         scan = read_scan(file.path, replace(sensor, intensity_scale=1.0))
         self.write_missing(self.paths(file.sequence, file.stem).points, encode_bin(scan))
+        return scan.notes.frame
 
     def write_pre_labels(self, record: PickRecord, labels: Mapping[ScanFile, bytes]) -> None:
         """Record pre-labels of scans, and write those that are missing."""
@@ -155,16 +162,26 @@ class PickedDataSet(OwnedFolder):
         text = yaml.safe_dump(described, sort_keys=False, allow_unicode=False)
         self.write_missing(self.root / LABEL_SPACE, text.encode())
 
-    def write_poses(self, scans: Iterable[ScanFile]) -> None:
-        """Write poses and calibration of the sequences of picked scans, if known."""
-        ordered = sorted(scans)
+    def write_poses(self, frames: Mapping[ScanFile, Origin]) -> None:
+        """Write poses and calibration of the sequences of picked scans, if known, and frames.
+
+        `frames` holds the frame of the points of each picked scan. Poses of scans in map
+        coordinates are in these coordinates, and skipped.
+        """
+        ordered = sorted(frames)
         for name, group in groupby(ordered, lambda scan: scan.sequence):
             picked = list(group)
             folder = self.root / "sequences" / name
+            moved = {scan.stem: frames[scan] for scan in picked if frames[scan] != NO_SHIFT}
             source = picked[0].path.parent
+            poses = source.with_name(POSES)
+            if moved:
+                self.write_missing(folder / FRAMES, encode_frames(moved))
+                if present(poses):
+                    log.warning("%s: is in map coordinates, and skipped", poses)
+                continue
             if source.name != SCAN_FOLDER:
                 continue
-            poses = source.with_name(POSES)
             calibration = source.with_name(CALIBRATION)
             try:
                 if present(poses):
@@ -235,7 +252,7 @@ class PickedDataSet(OwnedFolder):
 
     def _files(self, record: PickRecord) -> list[Path]:
         folders = sorted({self.root / "sequences" / scan.sequence for scan in record.picked})
-        uncertain = [folder / name for folder in folders for name in (POSES, CALIBRATION)]
+        uncertain = [folder / name for folder in folders for name in (POSES, CALIBRATION, FRAMES)]
         return [*self._certain_files(record), *uncertain]
 
     def _require_unchanged(self, record: PickRecord) -> None:

@@ -13,7 +13,8 @@ from pathlib import Path
 from salsanext_cli.core.errors import FormatError, NoInputError
 from salsanext_cli.core.texts import MAX_NAMES_SHOWN, first_few
 from salsanext_cli.io.files.reading import is_folder
-from salsanext_cli.io.formats import RECORDING_SUFFIXES, SCAN_SUFFIXES, is_table, scan_suffix
+from salsanext_cli.io.formats import SCAN_SUFFIXES, is_table, scan_suffix
+from salsanext_cli.io.formats.recording_kinds import RECORDING_SUFFIXES
 from salsanext_cli.io.formats.recordings import is_recording
 from salsanext_cli.io.formats.unread import UNREAD_SUFFIXES, folder_hint, unread_kind
 from salsanext_cli.runs.results.layouts import LABEL_FOLDER, SCAN_FOLDER, Layout, layout_of

@@ -48,7 +48,7 @@ def read_labelled(
 ) -> AnnotatedScan:
     """Read a scan and the targets of its points, (N,) uint8: train ids if there are no sets."""
     scan = read_scan(file.path, sensor)
-    raw = read_scan_labels(file, space, len(scan))
+    raw = read_scan_labels(file, space, scan)
     return AnnotatedScan(scan, to_targets(raw, space, sets, labels_source(file)))
 
 

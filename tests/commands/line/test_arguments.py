@@ -19,7 +19,8 @@ from salsanext_cli.commands.line.expansion import Declared, Default, Without, ex
 from salsanext_cli.commands.line.option_fields import DeclarationChange
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
-from salsanext_cli.io.formats import RECORDING_SUFFIXES, SCAN_SUFFIXES
+from salsanext_cli.io.formats import SCAN_SUFFIXES
+from salsanext_cli.io.formats.recording_kinds import RECORDING_SUFFIXES
 from salsanext_cli.io.weights.card_file import default_weights
 from salsanext_cli.runs.network_settings import NetworkSettings, weights_file
 from salsanext_cli.runs.results.scan_selection import ScanSelection

@@ -3,19 +3,44 @@
 
 import numpy as np
 import pytest
+import yaml
+from bags import messages, structured, write_bag
+from command_line import called
+from e57_files import Station, write_e57
 from las_files import write_las
-from scans import files_below, make_scan, refused
+from scans import files_below, make_scan, refused, write_sequence, write_weights
 
-from salsanext_cli import label_space, read_labels, write_labels
+from salsanext_cli import label_space, read_labels, read_scan, write_labels
 from salsanext_cli.commands.stages.export_las import export_las
 from salsanext_cli.commands.stages.predict import predict_scans
+from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import NoInputError, OutputError
 from salsanext_cli.runs.loop.run import RunOptions
+from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.results.paths import find_scans
 from salsanext_cli.runs.results.query import ResultQuery
 
 laspy = pytest.importorskip("laspy")
 SPACE = label_space()
 COARSE = label_space("coarse")
+
+
+CODES_OF_USER = {0: 1, 2: 65, 7: 66}
+
+
+@pytest.fixture
+def weights_of_user(tmp_path):
+    """Return weights for classes whose raw ids are codes of the ASPRS for something else."""
+    space = LabelSpace.from_dict(
+        {
+            "name": "mine",
+            "labels": {0: "none", 2: "car", 7: "person", 900: "street"},
+            "learning_map": {0: 0, 2: 1, 7: 2, 900: 3},
+            "learning_map_inv": {0: 0, 1: 2, 2: 7, 3: 900},
+            "asprs": CODES_OF_USER,
+        }
+    )
+    return write_weights(tmp_path / "mine.safetensors", space=space)
 
 
 def cloud(world, folder="las", stem="000000"):
@@ -78,6 +103,67 @@ def test_las_scans_in_a_map_keep_their_coordinates(tmp_path, world):
     np.testing.assert_array_equal(
         las["label"], read_labels(out / "sequences/drive/predictions/000000.label")
     )
+
+
+def codes_of(labels, codes):
+    return [codes.get(raw, 1) for raw in (labels & 0xFFFF).tolist()]
+
+
+def test_a_label_space_states_the_codes(predicted, tmp_path):
+    file = tmp_path / "mine.yaml"
+    stated = {raw: 100 + train_id for raw, train_id in SPACE.learning_map.items() if train_id}
+    file.write_text(yaml.safe_dump({**SPACE.to_dict(), "name": "mine", "asprs": stated}))
+    for option in ("--label-space", "--classes"):
+        called("export-las", predicted.out, option, file, "--overwrite")
+        np.testing.assert_array_equal(
+            cloud(predicted).classification, codes_of(predicted.labels(), stated)
+        )
+
+
+def test_classes_without_a_code_are_unassigned_and_a_warning_names_them(
+    tmp_path, weights_of_user, caplog
+):
+    write_sequence(tmp_path / "data/sequences/00", ["000000"], labels=False)
+    out = tmp_path / "out"
+    network = NetworkSettings(weights_of_user, "cpu", engine="torch")
+    assert predict_scans(tmp_path / "data", out, settings=network).done == 1
+    assert export_las(out).done == 1
+    labels = read_labels(out / "sequences/00/predictions/000000.label")
+    las = laspy.read(out / "sequences/00/las/000000.las")
+    np.testing.assert_array_equal(las.classification, codes_of(labels, CODES_OF_USER))
+    assert {*labels.tolist()} >= {2, 900}, "the test needs both classes"
+    assert ("street" in caplog.text, "person" in caplog.text) == (True, False)
+
+
+def test_scans_of_a_site_become_clouds_in_the_frames_of_their_sensors(tmp_path, world):
+    pytest.importorskip("pye57")
+    scans = [make_scan(1500, seed) for seed in range(2)]
+    places = [(500_000 + 5 * n, 5.4e6, 312) for n in range(2)]
+    stations = [
+        Station(scan.points.astype(np.float64), scan.intensity, 0.3, place)
+        for scan, place in zip(scans, places, strict=True)
+    ]
+    assert_recording_is_exported(write_e57(tmp_path / "drive.e57", stations), scans, world)
+
+
+def test_clouds_of_a_bag_become_las_clouds(tmp_path, world):
+    pytest.importorskip("rosbags")
+    written = [structured(1500, seed=seed) for seed in range(2)]
+    bag = write_bag(tmp_path, ".bag", messages(written))
+    scans = [read_scan(file.path) for file in find_scans(bag)]
+    assert_recording_is_exported(bag, scans, world)
+
+
+def assert_recording_is_exported(recording, scans, world):
+    """Compare the points and codes of LAS clouds with the scans of a recording and its labels."""
+    assert predict_scans(recording, world.out, settings=world.network).failures == ()
+    assert export_las(world.out).done == len(scans)
+    files = find_scans(recording)
+    for file, scan in zip(files, scans, strict=True):
+        las = laspy.read(world.result("las", file.sequence, file.stem))
+        labels = read_labels(world.result("predictions", file.sequence, file.stem))
+        np.testing.assert_allclose(las.xyz, scan.points, atol=1e-4)
+        np.testing.assert_array_equal(las.classification, codes_of(labels, SPACE.asprs_codes))
 
 
 def test_scans_without_labels_are_refused(tmp_path, world):

@@ -34,6 +34,15 @@ def test_mean_variance_and_entropy_are_those_of_all_passes(count):
     np.testing.assert_allclose(moments.variance(), exact.var(axis=0), atol=1e-14)
     nats = scipy_entropy(exact, axis=1).sum(axis=0)
     np.testing.assert_allclose(moments.sum_of_entropies, nats, rtol=1e-5)
+    if count > 1:
+        unbiased = exact.var(axis=0, ddof=1)
+        np.testing.assert_allclose(moments.unbiased_variance(), unbiased, atol=1e-7)
+    spread = moments.spread()
+    np.testing.assert_allclose(spread.mean, exact.mean(axis=0), rtol=1e-6)
+    np.testing.assert_allclose(spread.epistemic, exact.var(axis=0).mean(axis=0), atol=1e-7)
+    total = scipy_entropy(exact.mean(axis=0))
+    np.testing.assert_allclose(spread.entropy, total, rtol=1e-5)
+    np.testing.assert_allclose(spread.mutual_information, total - nats / count, atol=2e-5)
 
 
 def test_equal_passes_have_no_variance():

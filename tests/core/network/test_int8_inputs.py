@@ -156,10 +156,10 @@ def test_a_prediction_is_the_same_alone_and_in_a_batch_and_samples_are_float32()
     for x, pixels in zip(images, together, strict=True):
         assert np.array_equal(int8.predict([x], 1.0)[0].confidence, pixels.confidence)
         assert not np.array_equal(float32.predict([x], 1.0)[0].confidence, pixels.confidence)
-    for moments in ("sample", "spread"):
-        arguments = (images[0], [1, 2]) if moments == "sample" else (images,)
-        of_both = [getattr(b, moments)(*arguments).variance() for b in (int8, float32)]
-        assert np.array_equal(*of_both)
+    samples = [backend.sample(images[0], [1, 2]).variance for backend in (int8, float32)]
+    assert np.array_equal(*samples)
+    spreads = [backend.spread(images) for backend in (int8, float32)]
+    assert np.array_equal(*spreads)
 
 
 @pytest.fixture(scope="module")

@@ -100,8 +100,7 @@ def test_fewer_passes_at_once_when_memory_is_short(network, image, monkeypatch):
 
     monkeypatch.setattr(type(module), "rest", short_of_memory)
     found = backend.sample(given, seeds)
-    assert found.count == 4
-    for one, other in ((found.sum, expected.sum), (found.variance(), expected.variance())):
+    for one, other in ((found.mean, expected.mean), (found.variance, expected.variance)):
         np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-7)
     assert sizes == [4, 2, 1, 1, 1, 1]
     most[0] = 0

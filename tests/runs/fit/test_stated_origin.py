@@ -9,6 +9,7 @@ from scans import SMALL, make_scan, write_bin
 from salsanext_cli.commands.stages.inspect import inspect
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.core.errors import UsageError
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.runs.fit.stated_origin import origin_in_frame
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.paths import find_scans
@@ -27,6 +28,16 @@ def test_it_is_in_the_local_frame_of_a_map_and_as_stated_in_others(tmp_path):
     assert origin_in_frame(POSITION, files, SMALL) == (123.4, 456.7, 312)
     write_bin(tmp_path / "scans/a.bin", SCAN)
     assert origin_in_frame((1, 2, 3), find_scans(tmp_path / "scans"), SMALL) == (1, 2, 3)
+
+
+def test_a_line_has_the_number_of_scans_of_one_position(tmp_path, caplog):
+    caplog.set_level(NOTICE)
+    in_map(tmp_path / "map/a.las")
+    origin_in_frame(POSITION, find_scans(tmp_path / "map"), SMALL)
+    assert "position" not in caplog.text
+    in_map(tmp_path / "map/b.las")
+    origin_in_frame(POSITION, find_scans(tmp_path / "map"), SMALL)
+    assert "the position of the sensor in all 2 scans" in caplog.text
 
 
 def test_scans_of_several_frames_have_no_common_position(tmp_path):

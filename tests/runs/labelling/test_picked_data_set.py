@@ -1,9 +1,14 @@
 # SPDX-License-Identifier: MIT
 """Settings of `pick`, and poses of picked scans."""
 
+import numpy as np
 import pytest
-from scans import write_sequence
+from las_files import write_las
+from scans import SMALL, make_scan, write_sequence
 
+from salsanext_cli import read_scan
+from salsanext_cli.io.formats.survey.local_frame import NO_SHIFT
+from salsanext_cli.io.frames import read_frames
 from salsanext_cli.runs.labelling.picked_data_set import PickedDataSet, PickSettings
 from salsanext_cli.runs.records.stage_settings import ComputedSettings
 from salsanext_cli.runs.results.manifest import settings_json
@@ -22,10 +27,29 @@ def test_poses_with_ambiguous_names_are_skipped(tmp_path, caplog, stems, lines, 
     folder = tmp_path / "data/sequences/08"
     write_sequence(folder, stems, labels=False)
     (folder / "poses.txt").write_text("".join(f"line {n}\n" for n in range(lines)))
-    PickedDataSet(tmp_path / "out").write_poses(find_scans(tmp_path / "data"))
+    frames = dict.fromkeys(find_scans(tmp_path / "data"), NO_SHIFT)
+    PickedDataSet(tmp_path / "out").write_poses(frames)
     target = tmp_path / "out/sequences/08/poses.txt"
     assert (target.read_text() if target.exists() else None) == picked
     assert ("poses.txt: " in caplog.text) == (picked is None)
+
+
+def test_scans_in_a_map_have_the_frame_of_their_copies_and_no_poses(tmp_path, caplog):
+    pytest.importorskip("laspy")
+    points = make_scan(200).points + np.array([500_123.4, 5_400_456.7, 312.0])
+    folder = tmp_path / "data/sequences/08/velodyne"
+    path = write_las(folder / "000003.las", points, offsets=(5e5, 5.4e6, 0))
+    path.parents[1].joinpath("poses.txt").write_text("line\n")
+    (scan,) = find_scans(tmp_path / "data")
+    data_set = PickedDataSet(tmp_path / "out")
+    frame = data_set.write_points(scan, SMALL)
+    data_set.write_poses({scan: frame})
+    sequence = tmp_path / "out/sequences/08"
+    assert read_frames(sequence / "frames.json") == {"000003": frame}
+    copied = read_scan(sequence / "velodyne/000003.bin").points
+    assert np.abs(copied + np.array(frame) - points).max() < 0.8e-3
+    assert not (sequence / "poses.txt").exists()
+    assert str(path.parents[1] / "poses.txt") in caplog.text
 
 
 def test_the_settings_are_one_table_with_those_of_the_network():

@@ -84,7 +84,7 @@ class Bag:
         expected = "clouds, such as sensor_msgs/PointCloud2"
         return NoInputError(self.path, problem if topics else "has no messages", expected, hint)
 
-    def times(self, topic: str) -> list[int]:
+    def scan_keys(self, topic: str) -> list[int]:
         """Return the recording times of the clouds of a topic in nanoseconds, sorted."""
         with self._lock, refusing_damage(self.path, EXPECTED, HINT):
             return sorted(
@@ -93,7 +93,7 @@ class Bag:
 
     def point_count(self, topic: str) -> int:
         """Return the largest number of points in the first, middle and last cloud of a topic."""
-        times = self.times(topic)
+        times = self.scan_keys(topic)
         if not times:
             return 0
         sample = sorted({times[0], times[len(times) // 2], times[-1]})
@@ -105,14 +105,17 @@ class Bag:
                 counts.append(point_count(message))
         return max(counts)
 
-    def columns(self, topic: str, time: int, number: int, path: Path) -> Columns:
+    def poses(self) -> None:
+        """Return None: bags are read for their clouds only."""
+
+    def columns(self, topic: str, key: int, number: int, path: Path) -> Columns:
         """Read the cloud of a topic and a time.
 
         Parameters
         ----------
         topic : str
             Topic of point clouds.
-        time : int
+        key : int
             Recording time in nanoseconds.
         number : int
             Number of the cloud among those of the same time, from 0.
@@ -129,7 +132,7 @@ class Bag:
         FormatError
             If there is no such cloud, or it is damaged.
         """
-        message, kind = self._message(topic, time, number, path)
+        message, kind = self._message(topic, key, number, path)
         return CLOUD_MESSAGES[kind](message, path)
 
     def _message(self, topic: str, time: int, number: int, path: Path) -> tuple[Any, str]:

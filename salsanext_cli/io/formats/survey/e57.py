@@ -2,11 +2,11 @@
 """E57 files: scans of a site with their poses, read by pye57, which is imported when it is used."""
 
 import weakref
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from threading import Lock
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -29,6 +29,23 @@ MAX_POINTS_PER_BYTE = 8  # A point takes at least one bit
 MAX_LENGTH_ERROR = 1e-2  # Largest difference of the length of a quaternion from 1
 
 
+class E57Header(Protocol):
+    """What is read of `pye57.ScanHeader`, the node of a scan."""
+
+    node: Any  # libe57.StructureNode
+    points: Any  # libe57.CompressedVectorNode
+    point_count: int
+    point_fields: Sequence[str]
+    rotation: Sequence[float]  # Quaternion w, x, y, z
+    translation: Sequence[float]  # 3, metres
+
+    def __getitem__(self, name: str) -> Any:
+        """Return a node of the scan, such as `intensityLimits`."""
+
+    def has_pose(self) -> bool:
+        """Return whether the scan states its pose."""
+
+
 class E57Recording:
     """E57 file, whose scans are those of one topic, in the frames of their sensors.
 
@@ -48,7 +65,9 @@ class E57Recording:
             weakref.finalize(self, self._file.close)
             root = self._file.root()
             nodes = root["data3D"] if root.isDefined("data3D") else ()
-            self._headers = [pye57.ScanHeader(nodes[number]) for number in range(len(nodes))]
+            self._headers: list[E57Header] = [
+                pye57.ScanHeader(nodes[number]) for number in range(len(nodes))
+            ]
 
     def cloud_topics(self) -> list[str]:
         """Return the only topic, if there are scans."""
@@ -58,7 +77,7 @@ class E57Recording:
         """Return the error of a file without scans."""
         return NoInputError(self.path, "contains no scans", "an E57 file with point clouds")
 
-    def times(self, topic: str) -> list[int]:
+    def scan_keys(self, topic: str) -> list[int]:
         """Return the numbers of the scans; `topic` is `TOPIC`."""
         return [*range(len(self._headers))]
 
@@ -66,14 +85,14 @@ class E57Recording:
         """Return the largest number of points of a scan; `topic` is `TOPIC`."""
         return max(header.point_count for header in self._headers)
 
-    def columns(self, topic: str, time: int, number: int, path: Path) -> Columns:
-        """Read a scan in the frame of its sensor, as `Bag.columns`; `time` is its number.
+    def columns(self, topic: str, key: int, number: int, path: Path) -> Columns:
+        """Read a scan in the frame of its sensor, as `Bag.columns`; `key` is its number.
 
         Points without a measurement are NaN. Intensities above 1 are divided by their limit.
         """
-        if number or not 0 <= time < len(self._headers):
+        if number or not 0 <= key < len(self._headers):
             raise FormatError(path, "no such scan", "a scan that the file lists")
-        header = self._headers[time]
+        header = self._headers[key]
         with self._lock, _refusing_damage(path):
             fields = _fields_of(header, path)
             if header.point_count > self._size * MAX_POINTS_PER_BYTE:
@@ -90,7 +109,7 @@ class E57Recording:
                 columns[INTENSITY] = _share_of_limits(values[INTENSITY], header)
             return columns
 
-    def _values(self, header: Any, fields: list[str]) -> dict[str, Double]:
+    def _values(self, header: E57Header, fields: list[str]) -> dict[str, Double]:
         """Read fields (N,) float64 of a scan by name."""
         libe57 = _import_pye57(self.path).libe57
         count = header.point_count
@@ -133,7 +152,7 @@ def _import_pye57(path: Path) -> Any:
         raise MissingDependency(path, f"needs {error.subject}", hint=error.hint) from error
 
 
-def _fields_of(header: Any, path: Path) -> list[str]:
+def _fields_of(header: E57Header, path: Path) -> list[str]:
     """Return the fields of a scan to read; refuse a scan without coordinates."""
     present = [*header.point_fields]
     for axes in (CARTESIAN, SPHERICAL):
@@ -154,7 +173,7 @@ def _cartesian(values: Mapping[str, Double]) -> Double:
     return np.column_stack([x, y, distance * np.sin(elevation)])
 
 
-def _is_single(header: Any) -> bool:
+def _is_single(header: E57Header) -> bool:
     """Return whether the coordinates of a scan are stored in float32."""
     libe57 = import_extra("pye57", "e57").libe57
     prototype = libe57.StructureNode(header.points.prototype())
@@ -164,12 +183,12 @@ def _is_single(header: Any) -> bool:
     return bool(libe57.FloatNode(node).precision() == libe57.E57_SINGLE)
 
 
-def _share_of_limits(values: Double, header: Any) -> npt.NDArray[np.float32]:
+def _share_of_limits(values: Double, header: E57Header) -> npt.NDArray[np.float32]:
     """Return intensities (N,) float32, of 0 to 1 if the limits of the sensor are stated."""
     least = 0.0
     largest = 1.0
     if header.node.isDefined("intensityLimits"):
-        limits = header.intensityLimits
+        limits = header["intensityLimits"]
         least = min(_number_of(limits["intensityMinimum"]), 0.0)
         largest = _number_of(limits["intensityMaximum"])
     # Limits within 0 to 1 are often those of the points.
@@ -184,7 +203,7 @@ def _number_of(node: Any) -> float:
     return float(node.scaledValue() if is_scaled else node.value())
 
 
-def _pose_of(header: Any, path: Path) -> Poses:
+def _pose_of(header: E57Header, path: Path) -> Poses:
     """Return the pose (4, 4) of a scan; refuse a quaternion of another length than 1."""
     w, x, y, z = map(float, header.rotation)
     length = float(np.linalg.norm([w, x, y, z]))

@@ -2,6 +2,7 @@
 """Scans of LAS and LAZ files, with intensities in the range that the files of a folder share."""
 
 from contextlib import suppress
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -37,7 +38,9 @@ def read_las(
     notice_units(file.units)
     if intensity_scale == 1:
         columns["intensity"] = _share_of_range(columns["intensity"], path)
-    return scan_of(columns, path, intensity_scale, intensity_field, may_be_map=True)
+    scan = scan_of(columns, path, intensity_scale, intensity_field, may_be_map=True)
+    codes = columns["classification"].astype(np.uint8)
+    return replace(scan, notes=replace(scan.notes, codes=codes))
 
 
 def _share_of_range(values: npt.NDArray[Any], path: Path) -> npt.NDArray[np.float32]:

@@ -4,14 +4,16 @@
 Each worker of torchrun draws from its share of the scans of every data set.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
 import torch
 
-from salsanext_cli.training.data.dataset import Batch, Samples
+from salsanext_cli.core.errors import TrainingError
+from salsanext_cli.core.wording import setting
+from salsanext_cli.training.data.dataset import Batch, SampleKey, Samples
 from salsanext_cli.training.data.on_device.batch_maker import BatchMaker
 from salsanext_cli.training.data.on_device.lookahead import batches_ahead
 from salsanext_cli.training.data.on_device.scan_store import ScanStore
@@ -66,16 +68,31 @@ class DeviceBatches:
             device=self.device,
             rank=self.group.rank,
         )
-        makers = (partial(maker.make, keys) for keys in share.plan.batches(first_step))
+        makers = (partial(self._made, maker, keys) for keys in share.plan.batches(first_step))
         return batches_ahead(makers, self.device)
+
+    def _made(self, maker: BatchMaker, keys: Sequence[SampleKey]) -> Batch:
+        """Return a batch; if the device is full, the scans leave it."""
+        try:
+            return maker.make(keys)
+        except torch.OutOfMemoryError as error:
+            if not self._scans_leave():
+                problem = f"not enough memory on {self.device} to make {len(keys)} of them"
+                hint = f"use {setting('samples', 'workers')}, or set batch lower"
+                raise TrainingError("samples", problem, hint=hint) from error
+        # The error, which holds memory, is gone here.
+        return maker.make(keys)
+
+    def _scans_leave(self) -> bool:
+        """Move the scans from a GPU to its host; return whether there were any."""
+        return self.device.type == "cuda" and self.store.move_to_host()
 
     def free_device(self) -> bool:
         """Move the scans to the host; return whether they were on the device.
 
         Workers that share a batch keep them, since the others cannot repeat the step.
         """
-        is_alone = self.group.size == 1
-        return is_alone and self.device.type == "cuda" and self.store.move_to_host()
+        return self.group.size == 1 and self._scans_leave()
 
     def paths(self, step: int) -> list[Path]:
         """Return the files of the images of a step, of all workers."""

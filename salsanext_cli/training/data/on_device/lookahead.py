@@ -48,7 +48,8 @@ def batches_ahead(makers: Iterable[Callable[[], Batch]], device: torch.device) -
         for make in makers:
             yield make()
         return
-    stream = torch.cuda.Stream(device)  # type: ignore[no-untyped-call]
+    # Of high priority, so that the host waits little for a batch while the GPU learns.
+    stream = torch.cuda.Stream(device, priority=-1)  # type: ignore[no-untyped-call]
     begun: BegunBatch | None = None
     for make in makers:
         following = _begun(make, stream)

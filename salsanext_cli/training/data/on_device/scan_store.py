@@ -9,10 +9,8 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from salsanext_cli.core.classes.label_space import TrainIds
 from salsanext_cli.core.records import MAX_INTENSITY, Mask, Scan
 from salsanext_cli.runs.results.paths import ScanFile
-from salsanext_cli.training.data.augment import AnnotatedScan
 from salsanext_cli.training.data.on_device.point_batch import StoredScan
 from salsanext_cli.training.data.on_device.scan_memory import ScanMemory
 from salsanext_cli.training.data.reading_progress import with_progress
@@ -54,11 +52,15 @@ class ScanStore:
         """Read the scans of data sets that are not in memory yet; return the keys of all."""
         keys = [(number, file) for number, source in enumerate(sources) for file in source.files]
         missing = [key for key in keys if key not in self.whole]
+        if not missing:
+            return keys
         run = joblib.Parallel(self.jobs, backend="threading", return_as="generator")
-        calls = [joblib.delayed(sources[number].read)(file, self.sets) for number, file in missing]
-        scans = with_progress(run(calls), len(missing)) if missing else ()
-        for key, annotated in zip(missing, scans, strict=True):
-            self._put(key, annotated)
+        calls = [
+            joblib.delayed(half_scan)(sources[number], file, self.sets) for number, file in missing
+        ]
+        scans = with_progress(run(calls), len(missing))
+        for key, scan in zip(missing, scans, strict=True):
+            self._put(key, scan)
         return keys
 
     def move_to_host(self) -> bool:
@@ -73,16 +75,20 @@ class ScanStore:
         torch.cuda.empty_cache()
         return is_moved
 
-    def _put(self, key: ScanKey, annotated: AnnotatedScan) -> None:
-        values = half_values(annotated.scan)
-        targets = annotated.labels
-        self.whole[key] = self._stored(values, targets)
+    def _put(self, key: ScanKey, scan: StoredScan) -> None:
+        self.whole[key] = self.memory.put(scan.values, scan.targets)
         if self.rare is not None:
-            is_rare = self.rare[targets]
-            self.pasted[key] = self._stored(values[is_rare], targets[is_rare])
+            is_rare = torch.from_numpy(self.rare)[scan.targets.long()]
+            self.pasted[key] = self.memory.put(scan.values[is_rare], scan.targets[is_rare])
 
-    def _stored(self, values: npt.NDArray[np.float16], targets: TrainIds) -> StoredScan:
-        return self.memory.put(torch.from_numpy(values), torch.from_numpy(targets))
+
+def half_scan(source: Source, file: ScanFile, sets: ClassSets) -> StoredScan:
+    """Read a scan and its targets as they are stored, on the host."""
+    annotated = source.read(file, sets)
+    return StoredScan(
+        values=torch.from_numpy(half_values(annotated.scan)),
+        targets=torch.from_numpy(annotated.labels),
+    )
 
 
 def half_values(scan: Scan) -> npt.NDArray[np.float16]:

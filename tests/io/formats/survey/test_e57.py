@@ -13,6 +13,7 @@ from salsanext_cli.commands.stages.convert import convert
 from salsanext_cli.core.errors import FormatError, MissingDependency, NoInputError
 from salsanext_cli.io.formats import recordings
 from salsanext_cli.io.formats.recordings import recorded_poses
+from salsanext_cli.io.frames import read_frames
 from salsanext_cli.io.poses import pose_readings
 from salsanext_cli.runs.fit.pose_files import poses_beside, readings_of
 from salsanext_cli.runs.results.paths import find_scans
@@ -98,6 +99,19 @@ def test_a_topic_of_a_site_is_converted_as_the_site(site, tmp_path, inside):
         "poses.txt",
         "velodyne",
     ]
+
+
+def test_the_frame_of_a_scan_in_a_map_is_written_beside_it(tmp_path):
+    points = STATIONS[0].points + [500_123.0, 5_400_456.0, 300]
+    path = write_with_limits(tmp_path / "a.e57", points, SCANS[0].intensity)
+    folder = tmp_path / "data"
+    assert convert(path, folder).done == 1
+    assert convert(path, folder).skipped == 1
+    place = folder / "sequences/a"
+    assert sorted(p.name for p in place.iterdir()) == ["convert.json", "frames.json", "velodyne"]
+    (frame,) = read_frames(place / "frames.json").values()
+    (scan,) = find_scans(folder)
+    assert np.abs(read_scan(scan.path).points + np.array(frame) - points).max() < 0.8e-3
 
 
 def test_identities_are_no_poses_and_rounded_map_coordinates_no_scan(tmp_path):

@@ -2,14 +2,16 @@
 """Batches of a device, beside the samples of workers: equal without chance, alike with it."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from scans import SMALL, write_bin, write_sequence
+from scans import SMALL, real_scans, write_bin, write_sequence
 from stored import maker_of, round_to_half, with_statistics
 
 from salsanext_cli import Scan, label_space
+from salsanext_cli import sensor as named_sensor
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.runs.results.paths import ScanFile, find_scans
 from salsanext_cli.training.data.dataset import Samples
@@ -133,6 +135,19 @@ def test_scans_without_a_measurement_make_empty_images(tmp_path) -> None:
     assert images.shape == (2, 5, SMALL.height, 16)
     assert not images.any()
     assert not truth.any()
+
+
+@pytest.mark.real
+def test_pixels_of_real_scans_have_the_classes_of_workers(real_data: Path) -> None:
+    """But for points that 16 bits move over the border of a pixel."""
+    (path, *_) = (path for path in real_scans(real_data) if "semantickitti" in path.parts)
+    scans = [file for file in find_scans(path.parents[3]) if file.label_path.exists()]
+    drawn = samples(scans[:2], PLAIN, named_sensor("hdl64"))
+    _, truth = maker_of(drawn).make([(0, 0), (1, 1)])
+    for number in range(2):
+        image, targets = drawn[0, number]
+        is_full = image.any(axis=0)
+        assert (truth[number].numpy() == targets)[is_full].mean() > 0.975
 
 
 # Equal distributions

@@ -6,12 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from scans import SMALL, write_sequence
+from scans import SMALL, refused, write_sequence
 from stored import CPU
 
 from salsanext_cli import label_space
+from salsanext_cli.core.errors import TrainingError
 from salsanext_cli.runs.results.paths import find_scans
-from salsanext_cli.training.data.dataset import Samples
+from salsanext_cli.training.data.dataset import Batch, SampleKey, Samples
+from salsanext_cli.training.data.on_device.batch_maker import BatchMaker
 from salsanext_cli.training.data.on_device.device_batches import DeviceBatches, share_of
 from salsanext_cli.training.data.on_device.scan_memory import ScanMemory
 from salsanext_cli.training.data.on_device.scan_store import ScanStore
@@ -84,3 +86,30 @@ def test_the_scans_of_a_step_are_those_of_all_workers(samples: Samples) -> None:
         paths += [share.scan_at(index)[1].path for _, index in keys]
     for group in groups:
         assert batches_of(samples, group).paths(4) == paths
+
+
+def test_scans_leave_a_full_device_for_its_samples(samples: Samples, monkeypatch) -> None:
+    """Once; then there is an error."""
+    make = BatchMaker.make
+    failures = [True, False, False, True]
+
+    def exhausted(maker: BatchMaker, keys: list[SampleKey]) -> Batch:
+        if failures and failures.pop(0):
+            raise torch.OutOfMemoryError("no room")
+        return make(maker, keys)
+
+    expected = next(batches_of(samples, ProcessGroup()).batches(0))
+    monkeypatch.setattr(BatchMaker, "make", exhausted)
+    rooms = [True, False]
+    monkeypatch.setattr(DeviceBatches, "_scans_leave", lambda _: rooms.pop(0))
+    stream = batches_of(samples, ProcessGroup()).batches(0)
+    assert torch.equal(next(stream)[0], expected[0])
+    next(stream)
+    refused(TrainingError, "samples", next, stream)
+    assert not rooms
+
+
+def test_workers_that_share_a_batch_repeat_no_step(samples: Samples, monkeypatch) -> None:
+    monkeypatch.setattr(DeviceBatches, "_scans_leave", lambda _: True)
+    assert batches_of(samples, ProcessGroup()).free_device()
+    assert not batches_of(samples, ProcessGroup(rank=1, size=2)).free_device()

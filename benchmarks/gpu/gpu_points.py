@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: MIT
+"""Speed of the way of points on a device: projection, kNN, labels and errors, by batch."""
+
+import logging
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import torch
+
+import salsanext_cli as sn
+from benchmarks.gpu.gpu_measures import Figures
+from salsanext_cli.core.geometry.knn_parameters import KnnParameters
+from salsanext_cli.core.label_request import LabelRequest
+from salsanext_cli.core.labellers import labeller_for
+from salsanext_cli.core.on_device.knn import knn_refine
+from salsanext_cli.core.on_device.labeller import DeviceLabeller
+from salsanext_cli.core.on_device.network_input import network_inputs
+from salsanext_cli.core.on_device.projection import project
+from salsanext_cli.core.on_device.scan_batch import ScanBatch
+from salsanext_cli.core.records import Scan
+from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.uncertainty.error_features import knows_error
+from salsanext_cli.io.formats import read_scan
+from salsanext_cli.io.weights.loading import load_network
+
+BATCHES = {"cpu": (1, 2), "cuda": (1, 16)}
+REPETITIONS = 20
+ENGINE = "torch"
+
+
+def measure_points(figures: Figures, weights: Path, sensor: Sensor, path: Path) -> None:
+    """Measure each step of batches of one scan, its check, and the scan in memory to its labels.
+
+    Parameters
+    ----------
+    figures : Figures
+        Record of the figures.
+    weights : Path
+        Weights file.
+    sensor : Sensor
+        Sensor of the scan.
+    path : Path
+        File of the scan.
+    """
+    logging.getLogger("salsanext_cli").addHandler(logging.NullHandler())  # Of equal warnings
+    size = f"{sensor.height}×{sensor.width}"
+    if not figures.has_time_for(f"{size} on the device"):
+        return
+    network = load_network(weights, figures.device, sensor, "auto", ENGINE)
+    scan = read_scan(path, sensor)
+    for batch in BATCHES[torch.device(figures.device).type]:
+        with torch.inference_mode():
+            steps = steps_of_batch(network, scan, batch)
+            for step, call in steps.items():
+                name = f"{size} on the device, batch {batch}: {step}"
+                if not figures.has_time_for(name):
+                    return
+                with figures.peak_memory() as peak:
+                    seconds = figures.seconds(call, REPETITIONS)
+                    figures.add(name, 1e3 * seconds / batch, f"ms a scan{peak()}")
+    on_host: dict[str, Callable[[], object]] = {
+        "check of a scan": partial(labeller_for(network, LabelRequest()).prepare, scan),
+        "sn.label of a scan in memory": partial(sn.label, scan.points, scan.intensity, network),
+    }
+    for step, call in on_host.items():
+        name = f"{size} {step}"
+        if figures.has_time_for(name):
+            figures.add(name, 1e3 * figures.seconds(call, REPETITIONS), "ms")
+
+
+def steps_of_batch(network: sn.Network, scan: Scan, batch: int) -> dict[str, Callable[[], object]]:
+    """Return the steps of a batch of copies of one scan, by name, each with its input."""
+    labels_only = DeviceLabeller(network=network, request=LabelRequest())
+    prepared = [labels_only.prepare(scan)] * batch
+    points = [copy.points for copy in prepared]
+    sensors = [copy.checked.sensor for copy in prepared]
+    scans = ScanBatch.on_device(points, sensors, network.device)
+    images = project(scans)
+    classes = network.space.class_count
+    labels = torch.randint(classes, images.occupied.shape, device=scans.points.device)
+    trained = network.card.sensor
+    steps: dict[str, Callable[[], object]] = {
+        "points to the device": partial(ScanBatch.on_device, points, sensors, network.device),
+        "projection": partial(project, scans),
+        "input of the network": partial(network_inputs, images, sensors, trained),
+        "kNN of random labels": partial(knn_refine, images, labels.byte(), KnnParameters()),
+        "points to labels": partial(labels_only.compute, prepared),
+    }
+    if knows_error(network):
+        with_error = DeviceLabeller(network=network, request=LabelRequest(error=True))
+        steps["points to labels and errors"] = partial(with_error.compute, prepared)
+    return steps
