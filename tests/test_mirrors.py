@@ -1,7 +1,11 @@
 # SPDX-License-Identifier: MIT
 """A module has a test file of its name, at its place in the tree, or a row here states another."""
 
+import ast
+from pathlib import Path
+
 import pytest
+from package_trees import MODULES, imports_of
 
 from tools.mirrored_tests import PACKAGE, TESTS, mirror_of, without_mirror
 
@@ -18,10 +22,11 @@ WHOLE_RUN_ON_CLUSTER = "a process or a cluster, which only a whole run has"
 ELSEWHERE: dict[str, dict[str, str]] = {
     WHOLE_STREETS: {
         "synthesis/presets.py": "synthesis/test_surfaces.py",
-        "synthesis/street/": "synthesis/test_street.py",
+        "synthesis/street/": "synthesis/test_drive.py",
         "synthesis/things/": "synthesis/test_things.py",
+        "synthesis/things/riders.py": "synthesis/test_drive.py",
     },
-    COMMAND_LINE: {"commands/line/": "commands/line/test_commands.py"},
+    COMMAND_LINE: {"commands/line/": "commands/line/test_app.py"},
     WHOLE_PAGE: {
         "report/canvas.py": "report/test_scan_pictures.py",
         "report/page/": "commands/stages/test_report.py",
@@ -32,12 +37,8 @@ ELSEWHERE: dict[str, dict[str, str]] = {
         "io/formats/columns.py": "io/formats/test_kitti.py",
         "io/formats/evidence/": "io/formats/evidence/test_column_evidence.py",
         "io/formats/kitti_labels.py": "io/formats/test_kitti.py",
-        "io/formats/recordings.py": "io/formats/ros/test_bags.py",
-        "io/formats/ros/mcap.py": "io/formats/ros/test_bags.py",
-        "io/formats/tables/arrow.py": "io/formats/test_other_programs.py",
+        "io/formats/recordings.py": "io/formats/survey/test_e57.py",
         "io/formats/tables/text_layout.py": "io/formats/tables/test_text.py",
-        "io/formats/unread.py": "io/formats/test_other_programs.py",
-        "io/formats/velodyne.py": "io/formats/test_captures.py",
     },
     THROUGH_STAGE: {
         "commands/evaluation.py": "commands/stages/test_evaluate.py",
@@ -47,9 +48,7 @@ ELSEWHERE: dict[str, dict[str, str]] = {
         "commands/jobs/risk_picture.py": "commands/stages/test_tune_risk.py",
         "commands/jobs/fuse_task.py": "commands/stages/test_fuse.py",
         "commands/jobs/image_job.py": "commands/stages/test_predict.py",
-        "commands/jobs/label_rejection.py": "commands/stages/test_rejected_points.py",
         "commands/jobs/label_checks.py": "commands/stages/test_submit.py",
-        "commands/jobs/object_table.py": "commands/stages/test_predict.py",
         "commands/jobs/picture_task.py": "commands/stages/test_picture.py",
         "commands/jobs/pick_job.py": "commands/stages/test_pick.py",
         "commands/jobs/point_filter.py": "commands/stages/test_filter.py",
@@ -57,7 +56,6 @@ ELSEWHERE: dict[str, dict[str, str]] = {
         "commands/jobs/uncertainty_job.py": "commands/stages/test_uncertainty.py",
         "report/readable_scans.py": "commands/stages/test_report.py",
         "report/run_server.py": "commands/stages/test_report.py",
-        "runs/drives/by_sequence.py": "commands/stages/test_fuse.py",
         "runs/drives/drive_of_run.py": "commands/stages/test_fuse.py",
         "runs/drives/fusible_results.py": "commands/stages/test_fuse.py",
         "runs/summary/recorded_summary.py": "runs/summary/test_scan_summary.py",
@@ -71,16 +69,12 @@ ELSEWHERE: dict[str, dict[str, str]] = {
         "training/tuning/risk_report.py": "commands/stages/test_tune_risk.py",
         "commands/stages/models.py": "commands/stages/test_weights_version.py",
         "commands/stages/project.py": "commands/stages/test_knn_refine.py",
-        "core/checks/training_checks.py": "commands/stages/test_checks_of_scans.py",
         "core/fitting/network_fit.py": "runs/fit/test_sensor_fit.py",
         "core/measures/survey.py": "commands/stages/test_inspect.py",
         "core/fitting/sensor_texts.py": "commands/line/test_summary.py",
         "io/weights/card_file.py": "io/weights/test_weights.py",
         "io/weights/loading.py": "core/engines/test_network.py",
         "io/weights/onnx_export.py": "commands/stages/test_export_onnx.py",
-        "runs/drives/drive_record.py": "commands/stages/test_fuse.py",
-        "runs/drives/earlier_fusion.py": "commands/stages/test_fuse.py",
-        "runs/drives/stored_softmax.py": "commands/stages/test_fuse.py",
         "runs/fit/range_images.py": "commands/stages/test_knn_refine.py",
         "runs/fit/scan_reading.py": "commands/stages/test_predict.py",
         "runs/fit/scan_sample.py": "core/fitting/test_field_of_view.py",
@@ -110,7 +104,7 @@ ELSEWHERE: dict[str, dict[str, str]] = {
     },
     PART_OF_ONE_RESULT: {
         "api.py": "test_public.py",
-        "core/api.py": "core/test_labellers.py",
+        "core/api.py": "test_public.py",
         "core/checks/scan_structure.py": "core/checks/test_structure_checks.py",
         "core/engines/dropout_passes.py": "core/uncertainty/test_monte_carlo.py",
         "core/fitting/ego_fit.py": "core/fitting/test_field_of_view.py",
@@ -126,7 +120,7 @@ ELSEWHERE: dict[str, dict[str, str]] = {
         "core/measures/histograms.py": "core/measures/test_uncertainty_evaluation.py",
         "core/network/registry.py": "core/network/test_family.py",
         "core/network/segmentation.py": "core/network/test_family.py",
-        "drive_labels.py": "test_public.py",
+        "drive_labels.py": "commands/stages/test_fuse.py",
         "runs/fit/mixed_sensors.py": "runs/summary/test_scan_summary.py",
         "runs/summary/scan_warnings.py": "runs/summary/test_scan_summary.py",
     },
@@ -153,11 +147,10 @@ ELSEWHERE: dict[str, dict[str, str]] = {
         "core/engines/conversion.py": "core/engines/test_graphs.py",
         "core/engines/openvino_backend.py": "core/engines/test_graphs.py",
         "core/engines/openvino_runtime.py": "core/engines/test_graphs.py",
-        "io/kernel_cache.py": "core/test_compiled.py",
         "io/user_caches.py": "core/test_caches.py",
         "training/data/on_device/lookahead.py": "cuda/test_samples.py",
         "training/failure_watch.py": "training/test_distributed.py",
-        "training/transfer.py": "cuda/test_devices.py",
+        "training/transfer.py": "training/test_losses.py",
         "training/fused_step.py": "training/test_learner.py",
     },
 }
@@ -186,6 +179,58 @@ def test_a_row_is_about_a_module_without_such_a_file(module):
     else:
         assert path.is_file()
         assert not (TESTS / mirror_of(path.relative_to(PACKAGE))).exists()
+
+
+def files_of_test(path: Path) -> set[Path]:
+    """Return a test file, and the files of fixtures and helpers that it imports."""
+    folders = [TESTS, *(folder for folder in path.parents if folder.is_relative_to(TESTS))]
+    fixtures = [folder / "conftest.py" for folder in folders]
+    files = {path, *(file for file in fixtures if file.is_file())}
+    words = {name.partition(".")[0] for name in imported_names(path)}
+    return files | {TESTS / f"{word}.py" for word in words if (TESTS / f"{word}.py").is_file()}
+
+
+def imported_names(path: Path) -> set[str]:
+    """Return the names of the modules that a file imports."""
+    nodes = [*ast.walk(ast.parse(path.read_text("utf-8")))]
+    names = {node.module or "" for node in nodes if isinstance(node, ast.ImportFrom)}
+    return names | {
+        alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names
+    }
+
+
+def reached(test: str) -> set[str]:
+    """Return the modules that a test file and its helpers import, and those that these import."""
+    imported = {name for file in files_of_test(TESTS / test) for name in imports_of(file)}
+    return {*imported, *(name for module in imported for name in imports_of(PACKAGE / module))}
+
+
+def reached_in(folder: str, modules: set[str]) -> set[str]:
+    """Return some modules, and those of a folder that they reach through its other modules."""
+    further = modules
+    while further:
+        imported = {name for module in further for name in imports_of(PACKAGE / module)}
+        further = {name for name in imported if name.startswith(folder)} - modules
+        modules = modules | further
+    return modules
+
+
+@pytest.mark.parametrize("module", ROWS)
+def test_the_test_file_of_a_row_reaches_the_module(module):
+    """It imports the module, or one that does; further modules of the folder may stand between."""
+    folder = module.rpartition("/")[0]
+    modules = reached_in(f"{folder}/", reached(ROWS[module]))
+    expected = {module}
+    if module.endswith("/"):
+        lacking = {path.as_posix() for path in without_mirror()} - ROWS.keys()
+        expected = {name for name in lacking if name.startswith(module)}
+    assert expected - modules == set()
+
+
+def test_a_test_reaches_few_modules():
+    """Else every row would be right."""
+    assert "core/poses.py" in reached("core/test_poses.py")
+    assert len(reached("core/test_poses.py")) < len(MODULES) / 10
 
 
 def test_every_test_file_in_the_tree_is_where_its_module_is():

@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
-from package_trees import MODULES, PACKAGE, name_of, tree_of
+from package_trees import MODULES, PACKAGE, imports_of, name_of, tree_of
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs/project/development.md").read_text("utf-8")
@@ -35,19 +35,6 @@ def paths_in(cell: str) -> set[str]:
 def belongs(name: str, paths: set[str]) -> bool:
     """Return whether a module is one of some paths, or in a folder of them."""
     return any(name == path or (path.endswith("/") and name.startswith(path)) for path in paths)
-
-
-def imported_modules(tree: ast.AST) -> set[str]:
-    """Return the paths in the package of the modules that a module may import."""
-    names: set[str] = set()
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            names.update(alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            names.update(f"{node.module}.{alias.name}" for alias in node.names)
-            names.add(node.module)
-    own = [name.split(".")[1:] for name in names if name.startswith("salsanext_cli.")]
-    return {"/".join(parts) + ".py" for parts in own}
 
 
 def words_of_code(tree: ast.AST) -> set[str]:
@@ -86,7 +73,7 @@ def test_the_importers_of_a_part_are_listed(part):
         name_of(module)
         for module in MODULES
         if not belongs(name_of(module), deleted)
-        if any(belongs(name, deleted) for name in imported_modules(tree_of(module)))
+        if any(belongs(name, deleted) for name in imports_of(module))
     }
     assert importers == users
 

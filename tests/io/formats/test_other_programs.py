@@ -177,52 +177,6 @@ def test_labels_in_one_column_or_row(tmp_path, said, shape):
         read_scan(tmp_path / "l.npy")
 
 
-def feather(table, **more):
-    arrow = pytest.importorskip("pyarrow")
-    write = pytest.importorskip("pyarrow.feather").write_feather
-    return saved(lambda file, of: write(of, file), arrow.table({**table, **more}))
-
-
-@pytest.mark.parametrize("compression", ["none", "snappy", "zstd"])
-def test_parquet_is_read_as_feather(tmp_path, compression):
-    arrow = pytest.importorskip("pyarrow")
-    write = pytest.importorskip("pyarrow.parquet").write_table
-    path, notes = tmp_path / "s.parquet", ["ground"] * 300
-    columns = dict(zip(("x", "y", "z", "intensity"), TABLE.T, strict=True))
-    z = arrow.array(Z, mask=np.arange(300) == 7)
-    write(arrow.table({**columns, "z": z, "notes": notes}), path, compression=compression)
-    scan, expected = read_scan(path), SCAN.points.copy()
-    # An empty cell is a point without a measurement.
-    expected[7, 2] = np.nan
-    np.testing.assert_array_equal(scan.points, expected)
-    np.testing.assert_array_equal(scan.intensity, SCAN.intensity)
-    write(arrow.table({"x": X, "y": Y}), path)
-    with pytest.raises(FormatError, match="also z"):
-        read_scan(path)
-    path.write_bytes(path.read_bytes()[:-9])
-    with pytest.raises(FormatError, match="damaged or cut off"):
-        read_scan(path)
-
-
-def test_scans_of_argoverse(tmp_path, said):
-    """Coordinates have 16 bits, intensities a byte."""
-    path = tmp_path / "315969904359876000.feather"
-    table = {axis: values.astype("<f2") for axis, values in zip("xyz", TABLE.T, strict=False)}
-    intensity = np.arange(300).astype(np.uint8)
-    path.write_bytes(feather(table, intensity=intensity, offset_ns=np.arange(300, dtype="i4")))
-    scan = read_scan(path)
-    np.testing.assert_array_equal(scan.points, SCAN.points.astype("<f2").astype("<f4"))
-    np.testing.assert_array_equal(scan.intensity, intensity.astype("<f4") / np.float32(255))
-    assert "16 bits" in said.text
-    for content, problem in (
-        (path.read_bytes()[:-9], "damaged or cut off"),
-        (b"FEA1" + bytes(99), "Feather version 1"),
-    ):
-        path.write_bytes(content)
-        with pytest.raises(FormatError, match=problem):
-            read_scan(path)
-
-
 def rotation(turn=0.3):
     c, s = np.cos(turn), np.sin(turn)
     return np.array([[c, -s, 0, 5.5], [s, c, 0, -2], [0, 0, 1, 0.25]])

@@ -2,7 +2,6 @@
 """Scans of ROS bags that rosbags wrote, and PointCloud2 messages of any layout."""
 
 import sqlite3
-import struct
 import sys
 
 import numpy as np
@@ -207,50 +206,6 @@ def test_clouds_of_channels_are_read_and_refused_with_missing_values(tmp_path):
     path = write_bag(tmp_path / "b", ".bag", [("/cloud", START, channels(POINTS[0], missing=1))])
     with pytest.raises(FormatError, match="channel intensity has 199 values"):
         read_scan(find_scans(path)[0].path)
-
-
-def record(kind, content):
-    return struct.pack("<BQ", kind, len(content)) + content
-
-
-def string(text):
-    return struct.pack("<I", len(text)) + text.encode()
-
-
-def other_mcap(profile, schemas):
-    """Return an MCAP file without messages: header, summary of schemas, footer."""
-    magic = b"\x89MCAP0\r\n"
-    start = magic + record(0x01, string(profile) + string("test")) + record(0x0F, bytes(4))
-    summary = b"".join(
-        record(0x03, struct.pack("<H", number) + string(name) + string("protobuf") + string("x"))
-        for number, name in enumerate(schemas, start=1)
-    )
-    return start + summary + record(0x02, struct.pack("<QQI", len(start), 0, 0)) + magic
-
-
-@pytest.mark.parametrize(
-    ("profile", "schemas", "problem"),
-    [
-        (
-            "",
-            ["foxglove.PointCloud"],
-            r"is not a recording of ROS 2: contains foxglove\.PointCloud",
-        ),
-        ("other", [], "is not a recording of ROS 2: has the profile 'other'"),
-        ("ros1", ["sensor_msgs/PointCloud2"], "is a recording of ROS 1"),
-    ],
-)
-def test_recordings_of_other_systems_are_named_and_not_called_damaged(
-    tmp_path, profile, schemas, problem
-):
-    path = tmp_path / "drive.mcap"
-    path.write_bytes(other_mcap(profile, schemas))
-    with pytest.raises(FormatError, match=problem) as caught:
-        find_scans(path)
-    assert caught.value.hint
-    path.write_bytes(other_mcap("ros2", []))
-    with pytest.raises(NoInputError, match="no messages"):
-        find_scans(path)
 
 
 def test_packets_are_answered_with_a_hint(tmp_path):
