@@ -26,7 +26,7 @@ from typing import Any, TextIO
 
 from benchmarks.processes import ROOT, script_command, script_environment
 
-SHARES = {"tests": 4.0, "speed": 3.0, "training": 1.5, "train": 6.0}
+SHARES = {"tests": 4.0, "speed": 3.0, "training": 2.5, "train": 5.0}
 """Parts in their order, and their shares of the time; what one leaves, later ones get."""
 TESTS = ("tests/cuda", "tests/core/on_device", "tests/core/engines/test_cuda_graphs.py")
 """Tests that run on a GPU; those of `predict` need packages that such a machine may lack."""

@@ -71,7 +71,7 @@ SLOW_RUNS = {
         *("loss of the same batch", "data", "book-keeping", "step", "ours is "),
     ),
     "speed.sample_speed data --sensor tiny.toml --recipe street --turns 1": (
-        *("samples per CPU second", "the code of a device is "),
+        *("workers ", "device ", "the code of a device is "),
     ),
     "studies.other_sensors --sensors vlp16 --weights w.safetensors": ("vlp16",),
     "studies.fusion out data/sequences/08 --predict --weights w.safetensors": ("08  single",),

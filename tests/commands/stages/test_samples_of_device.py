@@ -104,6 +104,7 @@ def test_a_training_of_an_older_version_has_samples_of_workers(dataset, tmp_path
         go(dataset, run)
 
 
+@pytest.mark.usefixtures("one_step_fits")
 def test_folds_share_the_scans_in_memory(tmp_path: Path) -> None:
     for name in ("a", "b", "c"):
         write_sequence(tmp_path / "data/sequences" / name, ["0"], count=600)

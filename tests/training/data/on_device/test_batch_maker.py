@@ -220,6 +220,7 @@ def compare_moments(one: np.ndarray, other: np.ndarray) -> None:
     np.testing.assert_array_less(difference, MOST_DEVIATIONS * error + scale)
 
 
+@pytest.mark.slow
 def test_samples_of_another_distribution_have_other_moments(files: list[ScanFile]) -> None:
     """The comparison of moments can fail."""
     half = samples(files, PLAIN.with_changes(drop=0.5))
