@@ -12,14 +12,18 @@ from devices import CUDA
 from scans import SMALL, make_scan
 from shallow import shallow, weights  # noqa: F401
 
-from salsanext_cli import Network, load_network, project
+from salsanext_cli import Network, RangeImage, load_network, project
 from salsanext_cli.core.engines import torch_backend
 from salsanext_cli.core.engines.cuda_graphs import CudaGraphs, recorded_call
 from salsanext_cli.core.uncertainty.aleatoric import aleatoric, noise_variance
 from salsanext_cli.core.uncertainty.monte_carlo import sample
 
 pytestmark = CUDA
-IMAGES = [project(make_scan(2000, seed), SMALL) for seed in range(3)]
+
+
+@pytest.fixture(scope="module")
+def images() -> list[RangeImage]:
+    return [project(make_scan(2000, seed), SMALL) for seed in range(3)]
 
 
 @pytest.fixture(params=["float32", "float16"])
@@ -27,19 +31,23 @@ def network(weights: Path, request: pytest.FixtureRequest) -> Network:
     return load_network(weights, "cuda", SMALL, request.param, "torch")
 
 
-def test_predictions(network: Network, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_predictions(
+    network: Network, images: list[RangeImage], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Each result is that of its image, also after those of other images."""
-    found = [network.probabilities(image) for image in IMAGES]
+    found = [network.probabilities(image) for image in images]
     assert any(network.backend._graphs._calls.values())
     monkeypatch.setattr(torch_backend, "MAX_GRAPH_PIXELS", 0)
     plain = replace(network, backend=replace(network.backend))
-    for softmax, image in zip(found, IMAGES, strict=True):
+    for softmax, image in zip(found, images, strict=True):
         np.testing.assert_allclose(softmax, plain.probabilities(image), atol=1e-6)
 
 
-def test_passes_and_density_filtering(network: Network, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_passes_and_density_filtering(
+    network: Network, images: list[RangeImage], monkeypatch: pytest.MonkeyPatch
+) -> None:
     def estimates(network: Network) -> list[np.ndarray]:
-        image = IMAGES[1]
+        image = images[1]
         passes = sample(network, image, samples=3, seed=1)
         return [
             passes.probabilities,
