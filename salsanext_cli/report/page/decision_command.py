@@ -5,19 +5,27 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from salsanext_cli.core.measures.decision import Verdict
+from salsanext_cli.core.measures.decision import Decision, Verdict
 from salsanext_cli.core.wording import setting
 from salsanext_cli.report.page.run_results import RunResults
 from salsanext_cli.runs.results.making_commands import UNKNOWN_SCANS
 from salsanext_cli.runs.results.manifest import Manifest
-from salsanext_cli.runs.results.repeated_settings import path_as_typed, settings_of_network
+from salsanext_cli.runs.results.repeated_settings import (
+    SETTINGS_OF_LABELS,
+    path_as_typed,
+    settings_of_network,
+)
 from salsanext_cli.runs.results.selection import data_set_of
 
 
 def decision_command(run: RunResults, decided: Verdict) -> str:
     """Return the command that follows from a decision; empty if there is none."""
     scans, settings = _scans(run)
-    return decided.command(str(scans), [*settings, *settings_of_network(Manifest(run.reader.out))])
+    # `pick` takes no origin; the other command labels the same scans again, in coarse classes.
+    is_prediction = decided.decision is Decision.COARSE
+    omitted = ("classes",) if is_prediction else SETTINGS_OF_LABELS
+    settings += settings_of_network(Manifest(run.reader.out), omitted)
+    return decided.command(str(scans), settings)
 
 
 def _scans(run: RunResults) -> tuple[Path, list[str]]:

@@ -6,6 +6,7 @@ import html
 import re
 import shlex
 import shutil
+from types import SimpleNamespace
 
 import pytest
 from command_line import called
@@ -15,8 +16,12 @@ from scans import write_sequence
 from salsanext_cli.commands.line.option_names import CommandLine
 from salsanext_cli.commands.stages.report import report
 from salsanext_cli.core.checks.finding import Finding
+from salsanext_cli.core.measures.decision import Decision, Verdict
 from salsanext_cli.core.wording import spelled
+from salsanext_cli.report.page.decision_command import decision_command
+from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
+from salsanext_cli.runs.results.paths import find_scans
 
 
 def words_of_command(out) -> list[str]:
@@ -78,3 +83,21 @@ def test_weights_that_changed_since_are_not_named(drive, tmp_path):
     weights.write_bytes(b"others")
     words = words_of_command(tmp_path / "out")
     assert words[words.index("--weights") + 1] == "WEIGHTS"
+
+
+def test_scans_are_labelled_again_from_the_same_origin(drive, tmp_path):
+    scans = drive.data / "sequences/08/velodyne"
+    options = ("--weights", drive.network.weights, "--engine", "torch", "--origin", "0.5,0,-0.25")
+    called("predict", scans, tmp_path / "out", *options)
+    rows = [SimpleNamespace(file=file) for file in find_scans(scans)]
+    run = SimpleNamespace(rows=rows, reader=SimpleNamespace(out=tmp_path / "out"))
+    words = {}
+    for decision in (Decision.COARSE, Decision.LABEL_TEN):
+        with spelled(CommandLine()):
+            command = decision_command(run, Verdict(decision=decision, reason=""))
+        words[decision] = shlex.split(command)
+    called(*words[Decision.COARSE][1:])
+    origins = [Manifest(tmp_path / name).sensor().origin for name in ("out", "coarse")]
+    assert origins == [(0.5, 0, -0.25)] * 2
+    # `pick` has no such option.
+    called(*words[Decision.LABEL_TEN][1:])
