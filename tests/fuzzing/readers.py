@@ -27,7 +27,7 @@ from fuzzing.cloud_seeds import (
     parquet,
     structured,
 )
-from las_files import write_las
+from las_files import size_records, text_record, write_las
 from ouster_recordings import write_recording
 from scans import SMALL, make_scan
 from tiny_network import TinyNetwork
@@ -57,6 +57,9 @@ FEW = LabelSpace.from_dict(
 )
 COUNT = 30
 """Points of the scans: a file so small is hit everywhere."""
+
+
+FOOT = 'LOCAL_CS["site",LOCAL_DATUM["site",0],UNIT["foot",0.3048],AXIS["x",EAST]]'
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,7 +178,11 @@ def _las(folder: Path, name: str) -> Reader:
     """Return the seeds of LAS files of an old and of a new point format."""
     pytest.importorskip("lazrs")
     points = make_scan(COUNT).points
-    seeds = [write_las(folder / name, points, kind=kind).read_bytes() for kind in (3, 6)]
+    records = {"records": size_records(0.3), "extended_records": [text_record(FOOT)]}
+    seeds = [
+        write_las(folder / name, points, kind=kind, **others).read_bytes()
+        for kind, others in ((3, {}), (6, {}), (6, records))
+    ]
     return Reader(name, seeds, _scan)
 
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """LAS and LAZ files that laspy wrote, compared with the arrays that it got."""
 
+import struct
 import sys
 
 import numpy as np
@@ -11,10 +12,11 @@ from scans import make_scan, refused
 from salsanext_cli import read_scan
 from salsanext_cli.core.errors import FormatError, MissingDependency
 from salsanext_cli.io.files.reading import PANIC
-from salsanext_cli.io.formats.survey.las_file import las_columns
+from salsanext_cli.io.formats.survey.las_file import las_columns, read_classification
 
 laspy = pytest.importorskip("laspy")
 pytest.importorskip("lazrs")
+SCALE_OF_X = 131  # Position in the header
 SUFFIXES = (".las", ".laz")
 SCAN = make_scan(700)
 WORDS = np.rint(SCAN.intensity * 65535).astype(np.uint16)
@@ -32,6 +34,16 @@ def test_every_point_format_has_the_points_and_16_bit_intensities(tmp_path, suff
     assert "classification" in scan.notes.fields
 
 
+def test_coordinates_beyond_float64_are_no_measurements(tmp_path):
+    path = write_las(tmp_path / "s.las", SCAN.points)
+    content = bytearray(path.read_bytes())
+    content[SCALE_OF_X : SCALE_OF_X + 8] = struct.pack("<d", 1e308)
+    path.write_bytes(content)
+    points = read_scan(path).points
+    assert not np.isfinite(points[np.abs(SCAN.points[:, 0]) > 0.01, 0]).any()
+    assert np.abs(points[:, 1:] - SCAN.points[:, 1:]).max() < 0.6e-3
+
+
 def test_withheld_points_are_no_measurements(tmp_path):
     withheld = np.arange(700) % 7 == 0
     path = write_las(tmp_path / "s.las", SCAN.points, withheld=withheld.astype(np.uint8))
@@ -47,6 +59,14 @@ def test_columns_have_all_dimensions_in_the_coordinates_of_the_file(tmp_path):
     np.testing.assert_allclose(
         np.column_stack([columns[axis] for axis in "xyz"]), points, atol=6e-4
     )
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("kind", range(11))
+def test_the_classification_alone_is_that_of_all_dimensions(tmp_path, suffix, kind):
+    classes = (np.arange(700) % 20).astype(np.uint8)
+    path = write_las(tmp_path / f"s{suffix}", SCAN.points, kind=kind, classification=classes)
+    np.testing.assert_array_equal(read_classification(path), classes)
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)

@@ -4,10 +4,14 @@
 import numpy as np
 import pytest
 from las_files import text_record, write_las
+from scans import refused
 
+from salsanext_cli import read_scan
+from salsanext_cli.core.errors import FormatError
 from salsanext_cli.io.formats.survey import las_records
 from salsanext_cli.io.formats.survey.las_records import projection_records
 
+START_OF_RECORDS = 235  # Position of the start of extended records in the header
 laspy = pytest.importorskip("laspy")
 
 
@@ -44,3 +48,12 @@ def test_large_records_are_skipped_and_incomplete_ones_refused(tmp_path):
         path.write_bytes(content[:length])
         with pytest.raises(ValueError, match="more records"):
             records_of(path)
+
+
+@pytest.mark.parametrize("start", [0, 2**63, 2**64 - 1])
+def test_impossible_starts_are_damage(tmp_path, start):
+    path = write_las(tmp_path / "s.las", np.ones((3, 3)), extended_records=[text_record("a")])
+    content = bytearray(path.read_bytes())
+    content[START_OF_RECORDS : START_OF_RECORDS + 8] = start.to_bytes(8, "little")
+    path.write_bytes(content)
+    refused(FormatError, path, read_scan, path)
