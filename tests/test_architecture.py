@@ -26,7 +26,7 @@ LEVELS = (
         "core.texts",
         "core.wording",
     ),
-    ("core.errors", "core.poses"),
+    ("core.errors", "core.interruptions", "core.poses"),
     (
         "core.compiled",
         "core.field_rules",

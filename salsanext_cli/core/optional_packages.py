@@ -13,6 +13,7 @@ from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
 from salsanext_cli.core.errors import MissingDependency
+from salsanext_cli.core.interruptions import require_no_interruption
 
 NAME = "salsanext"
 OWN_DISTRIBUTIONS = {"paper": "examples/paper_networks"}
@@ -57,6 +58,7 @@ def import_package(name: str, command: str = "") -> Any:
     try:
         return import_module(name)
     except (ImportError, OSError) as error:
+        require_no_interruption(error)
         missing = getattr(error, "name", "") in (name, name.partition(".")[0])
         problem = "is not installed" if missing else f"cannot be imported: {error}"
         hint = command or f"pip install {name}"

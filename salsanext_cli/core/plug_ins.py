@@ -13,6 +13,7 @@ from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from salsanext_cli.core.interruptions import require_no_interruption
 from salsanext_cli.core.notices import warn_once
 from salsanext_cli.core.texts import error_text
 
@@ -110,6 +111,7 @@ def _loaded_plug_in(
     except (KeyboardInterrupt, MemoryError, _UnusablePlugInError):
         raise
     except BaseException as error:  # a module may raise anything, or exit
+        require_no_interruption(error)
         text = f"{type(error).__name__}: {error_text(error)}"
         raise _UnusablePlugInError(text) from error
     if problem:

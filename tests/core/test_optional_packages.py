@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Commands that install optional packages."""
+"""Commands that install optional packages, and interruptions of imports."""
 
 import json
 import shlex
@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from salsanext_cli.core.errors import MissingDependency
-from salsanext_cli.core.optional_packages import extra_command, import_extra
+from salsanext_cli.core.optional_packages import extra_command, import_extra, import_package
 
 
 def install_from(record: object, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -55,3 +55,24 @@ def test_otherwise_both_ways_are_named(tmp_path, monkeypatch, record):
     assert "'.[ros]'" in extra_command("ros")
     assert "'salsanext[paper]'" in extra_command("paper")
     assert extra_command("paper").endswith(" examples/paper_networks")
+
+
+INTERRUPTED = """
+try:
+    raise KeyboardInterrupt
+except KeyboardInterrupt as error:
+    try:
+        raise RuntimeError("no memory") from error
+    except RuntimeError:
+        raise ImportError("initialization failed")
+"""
+
+
+def test_an_interrupted_import_is_not_a_missing_package(tmp_path, monkeypatch):
+    (tmp_path / "interrupted_package.py").write_text(INTERRUPTED)
+    (tmp_path / "broken_package.py").write_text("raise ImportError('initialization failed')")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(KeyboardInterrupt):
+        import_package("interrupted_package")
+    with pytest.raises(MissingDependency):
+        import_package("broken_package")

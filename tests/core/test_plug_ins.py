@@ -275,6 +275,16 @@ def test_a_plug_in_with_a_mistake_is_one_warning(plugged, tmp_path, caplog, mist
 
 
 @pytest.mark.usefixtures("clean")
+def test_an_interrupted_import_of_a_plug_in_is_no_mistake_of_it(tmp_path, monkeypatch):
+    module = "try: raise KeyboardInterrupt\nexcept KeyboardInterrupt: raise ImportError"
+    points = {"salsanext.formats": {"odd": ODD_FORMAT}}
+    install(tmp_path / "site", {"odd_plug_in.py": module}, points, "zz-odd")
+    monkeypatch.syspath_prepend(tmp_path / "site")
+    with pytest.raises(KeyboardInterrupt):
+        plugged_formats()
+
+
+@pytest.mark.usefixtures("clean")
 def test_a_plug_in_that_returns_no_scan_or_no_network_is_refused(tmp_path, monkeypatch):
     named = {"formats": {"odd": ODD_FORMAT}, "networks": {"odd": "odd_plug_in:Net"}}
     points = {f"salsanext.{kind}": targets for kind, targets in named.items()}

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -44,6 +45,18 @@ def handle_signals() -> None:
     for number in WORDS:
         if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
             signal.signal(number, handle)
+    _hide_dropped_interruptions()
+
+
+def _hide_dropped_interruptions() -> None:
+    """Print no traceback if Python drops the interruption of a callback, such as in an import."""
+    show = sys.unraisablehook
+
+    def show_others(dropped: sys.UnraisableHookArgs) -> None:
+        if not (ARRIVED and dropped.exc_type is KeyboardInterrupt):
+            show(dropped)
+
+    sys.unraisablehook = show_others
 
 
 @contextmanager

@@ -9,7 +9,11 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from salsanext_cli.commands.line.console import print_line
-from salsanext_cli.commands.line.interruption import NO_HALF_FILES, on_interruption
+from salsanext_cli.commands.line.interruption import (
+    NO_HALF_FILES,
+    on_interruption,
+    require_uninterrupted,
+)
 from salsanext_cli.core.notices import demote_reader_notices
 
 if TYPE_CHECKING:
@@ -44,11 +48,13 @@ class Written:
     total: int = 0  # Number of all units
 
     def __call__(self, done: int, total: int) -> None:
-        """Note and show the number of finished units and of all."""
+        """Note and show the number of finished units and of all; end after a dropped signal."""
         self.done = done
         self.total = total
         if self.show:
             self.show(done, total)
+        if sys.exception() is None:  # Otherwise the run is ending already.
+            require_uninterrupted()
 
     def finished(self) -> str:
         """State what is finished, in words."""

@@ -7,6 +7,7 @@ from importlib import import_module
 from typing import Any
 
 from salsanext_cli.core.errors import MissingDependency
+from salsanext_cli.core.interruptions import require_no_interruption
 from salsanext_cli.core.texts import error_text
 
 CONVERTER = "openvino.tools.ovc"
@@ -37,6 +38,7 @@ def openvino_failure() -> str:
     except MissingDependency as error:
         return error.problem
     except OPENVINO_ERRORS as error:
+        require_no_interruption(error)
         return f"does not start: {error_text(error)}"
     return ""
 
@@ -48,6 +50,7 @@ def import_openvino() -> Any:
     try:
         return import_module("openvino")
     except OPENVINO_ERRORS as error:
+        require_no_interruption(error)
         problem = f"cannot be imported: {error_text(error)}"
         raise MissingDependency("openvino", problem, hint="install it again") from error
     finally:

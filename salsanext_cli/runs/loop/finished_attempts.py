@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 from salsanext_cli.runs.loop.job import Attempt
 
@@ -80,12 +81,17 @@ def finished_attempts() -> Iterator[FinishedAttempts]:
     """Make a private folder of attempts, which is removed even if this process is killed."""
     from joblib.externals.loky.backend import resource_tracker
 
+    def remove(folder: Path) -> None:
+        shutil.rmtree(folder, ignore_errors=True)
+        resource_tracker.unregister(str(folder), "folder")
+
     with ExitStack() as stack:
-        folder = None
+        made = None
         with suppress(OSError):
-            folder = tempfile.mkdtemp(prefix="salsanext-")
-        if folder is not None:
-            resource_tracker.register(folder, "folder")
-            stack.callback(resource_tracker.unregister, folder, "folder")
-            stack.callback(shutil.rmtree, folder, ignore_errors=True)
-        yield FinishedAttempts(None if folder is None else Path(folder))
+            folder = Path(tempfile.gettempdir(), f"salsanext-{uuid4().hex}")
+            # It is made last and forgotten last, so that no signal between the steps leaves it.
+            resource_tracker.register(str(folder), "folder")
+            stack.callback(remove, folder)
+            folder.mkdir(mode=0o700)
+            made = folder
+        yield FinishedAttempts(made)

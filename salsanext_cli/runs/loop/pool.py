@@ -14,7 +14,7 @@ import threading
 import time
 import warnings
 from collections.abc import Generator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from itertools import groupby, pairwise
@@ -26,6 +26,7 @@ from uuid import uuid4
 from salsanext_cli.core import wording
 from salsanext_cli.core.errors import WorkersLost
 from salsanext_cli.io.files.atomic import MARK
+from salsanext_cli.runs.loop.blocked_signals import signals_blocked
 from salsanext_cli.runs.loop.finished_attempts import (
     FinishedAttempts,
     append_attempt,
@@ -38,12 +39,14 @@ from salsanext_cli.runs.results.paths import ScanFile
 
 CHUNKS_IN_FLIGHT = 2  # Chunks sent per worker, so that the next is ready when one is done
 HARMLESS_WARNINGS = (
-    # The user has stopped the run.
+    # The user has stopped the run, perhaps after its last task.
     ".*tasks which were still being processed",
+    ".*tasks have been successfully executed",
     # Loky itself replaces an idle worker that has grown while it loaded a network; nothing is lost.
     "A worker stopped while some jobs were given",
 )
 """Warnings of joblib without use for a user; raised as errors, they would stop its threads."""
+MANAGER_THREAD = "ExecutorManagerThread"  # Name of loky's thread that sends work to workers
 MAX_CHUNK_SCANS = 16
 """Bound of the work that is lost with a worker, and of the scans between signs of progress."""
 MIN_CHUNKS_PER_WORKER = 4  # Lower bound, so that the last chunks end at about the same time
@@ -119,14 +122,15 @@ def _attempts_by_chunk(
                 batch_size=1,
                 pre_dispatch=CHUNKS_IN_FLIGHT * workers,
             )
-        with signals_blocked(signal.SIGINT, signal.SIGTERM):
-            calls = (
-                joblib.delayed(function)(scans_of_chunk, number, finished.file(number))
-                for number, scans_of_chunk in enumerate(chunks(scans, workers, most))
-            )
-            results = parallel(calls)
+        calls = (
+            joblib.delayed(function)(scans_of_chunk, number, finished.file(number))
+            for number, scans_of_chunk in enumerate(chunks(scans, workers, most))
+        )
         try:
-            with closing(results):
+            with lost_chunks_hidden(), ExitStack() as stack:
+                # A signal that has waited takes effect at the end of the inner body.
+                with signals_blocked(signal.SIGINT, signal.SIGTERM):
+                    results = stack.enter_context(closing(parallel(calls)))
                 for chunk in results:
                     finished.forget(chunk.number)
                     yield from chunk.attempts
@@ -195,19 +199,24 @@ def opened_once(task: Task, process: WorkerProcess) -> AttemptFunction:
 
 
 @contextmanager
-def signals_blocked(*signals: signal.Signals) -> Generator[None, None, None]:
-    """Start threads and processes that signals do not reach, because this thread ends them.
+def lost_chunks_hidden() -> Generator[None, None, None]:
+    """Print no error of loky's thread about chunks that the end of the body has removed.
 
-    The trackers of resources must run before, because starting these unblocks the signals.
+    The thread fails with `KeyError` if it has not sent them to a worker before. The workers are
+    killed by then.
     """
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
+    show = threading.excepthook
+
+    def show_others(failed: threading.ExceptHookArgs) -> None:
+        name = failed.thread.name if failed.thread else ""
+        if not (name == MANAGER_THREAD and failed.exc_type is KeyError):
+            show(failed)
+
+    threading.excepthook = show_others
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        threading.excepthook = show
 
 
 def start_silent_trackers() -> None:

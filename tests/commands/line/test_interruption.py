@@ -141,19 +141,112 @@ def test_what_was_finished_before_is_not_stated_again():
     interrupted(work, signal.SIGINT)
 
 
-@SIGNALS
-def test_a_signal_that_python_drops_ends_a_training_at_its_next_step(number):
-    """Python ignores errors in callbacks of weak references."""
-    body = f"""
+DROPPED = """
     import weakref
-    from salsanext_cli.commands.line.interruption import require_uninterrupted
     class Thing: pass
     thing = Thing()
-    reference = weakref.ref(thing, lambda _: os.kill(os.getpid(), {number:d}))
+    reference = weakref.ref(thing, lambda _: os.kill(os.getpid(), NUMBER))
     del thing
-    require_uninterrupted()
+    NEXT
     time.sleep(10)
+"""
+"""A signal that Python drops, as it does errors in callbacks of weak references, as of imports."""
+PROGRESS = """
+    from salsanext_cli.commands.line.progress import writing
+    with writing('predict', True) as bar: bar(0, 8)"""
+TRAINING = """
+    from salsanext_cli.commands.line.interruption import require_uninterrupted
+    require_uninterrupted()"""
+
+
+@SIGNALS
+@pytest.mark.parametrize("step", [PROGRESS, TRAINING])
+def test_a_signal_that_python_drops_ends_a_command_at_its_next_step(number, step):
+    body = DROPPED.replace("NUMBER", f"{number:d}").replace("    NEXT", step)
+    ended = python(COMMAND.replace("    BODY", body))
+    (line,) = ended.stderr.splitlines()
+    assert line.startswith(LINES[number].partition(":")[0])
+    assert ended.returncode == 128 + number
+
+
+def test_other_errors_that_python_drops_are_printed():
+    body = """
+    import weakref
+    class Thing: pass
+    thing = Thing()
+    reference = weakref.ref(thing, lambda _: 1 / 0)
+    del thing
     """
     ended = python(COMMAND.replace("    BODY", body))
-    assert ended.stderr.endswith(LINES[number])
-    assert ended.returncode == 128 + number
+    assert "ZeroDivisionError" in ended.stderr
+
+
+@SIGNALS
+def test_a_signal_while_openvino_is_imported_does_not_choose_another_engine(number):
+    """Its module in C++ turns the interruption into an `ImportError`."""
+    body = f"""
+    from importlib.abc import Loader, MetaPathFinder
+    from importlib.machinery import ModuleSpec
+    from salsanext_cli.core.engines.registry import choose_engine
+    class Interrupted(MetaPathFinder, Loader):
+        def find_spec(self, name, *_):
+            return ModuleSpec(name, self) if name == "openvino" else None
+        def exec_module(self, module):
+            try:
+                send({number:d})
+            except KeyboardInterrupt as error:
+                raise ImportError("initialization failed") from error
+    sys.meta_path.insert(0, Interrupted())
+    print(choose_engine("auto", "cpu"))
+    """
+    ended = python(COMMAND.replace("    BODY", body))
+    assert (ended.stdout, ended.stderr, ended.returncode) == ("", LINES[number], 128 + number)
+
+
+WORKERS = """
+    import joblib
+    from pathlib import Path
+    from salsanext_cli.runs.loop.run import RunOptions, run_over_scans
+    from works import Write, scans_of
+    start = joblib.Parallel.__call__
+    def interrupted(self, calls):
+        results = start(self, calls)
+        os.kill(os.getpid(), NUMBER)
+        return results
+    joblib.Parallel.__call__ = interrupted
+    scans = scans_of(*(f"{n:02d}" for n in range(20)))
+    run_over_scans(Write(Path('OUT'), 0.1), scans, RunOptions(jobs=2))
+"""
+
+
+LATE = """
+    from joblib.externals.loky import process_executor
+    submit = process_executor.ProcessPoolExecutor.submit
+    def slowly(self, *arguments):
+        future = submit(self, *arguments)
+        time.sleep(0.1)
+        return future
+    process_executor.ProcessPoolExecutor.submit = slowly
+    manager = process_executor._ExecutorManagerThread
+    wait = manager.wait_result_broken_or_wakeup
+    def late(self):
+        result = wait(self)
+        time.sleep(1)
+        return result
+    manager.wait_result_broken_or_wakeup = late
+"""
+"""The thread of loky that sends chunks to workers sees them only when they have been removed."""
+
+
+@pytest.mark.parametrize(
+    ("number", "before"), [(signal.SIGINT, ""), (signal.SIGTERM, ""), (signal.SIGTERM, LATE)]
+)
+def test_nothing_follows_the_line_if_a_signal_arrives_while_workers_are_started(
+    tmp_path, number, before
+):
+    work = before + WORKERS.replace("NUMBER", f"{number:d}").replace("OUT", str(tmp_path / "out"))
+    code = COMMAND.replace("    BODY", work)
+    paths = os.pathsep.join(filter(None, sys.path))
+    ended = python(code, PYTHONPATH=paths, TMPDIR=str(tmp_path))
+    assert (ended.stdout, ended.stderr, ended.returncode) == ("", LINES[number], 128 + number)
+    assert not list(tmp_path.glob("salsanext-*"))

@@ -11,7 +11,7 @@ from scans import refused
 from salsanext_cli.core.errors import OutputError
 from salsanext_cli.io.files.atomic import write_bytes
 from salsanext_cli.io.files.locks import locked
-from salsanext_cli.runs.loop.pool import signals_blocked
+from salsanext_cli.runs.loop.blocked_signals import signals_blocked
 
 
 def refuse(*_: object, **__: object) -> None:

@@ -120,7 +120,7 @@ def test_a_run_needs_no_temporary_folder(tmp_path, monkeypatch):
     def refuse(**_):
         raise FileNotFoundError("no usable temporary directory")
 
-    monkeypatch.setattr("tempfile.mkdtemp", refuse)
+    monkeypatch.setattr("tempfile.gettempdir", refuse)
     outcome = run(Write(tmp_path), scans_of("a", "b"), jobs=2)
     assert outcome.done == 2
     append_attempt(tmp_path / "nowhere" / "0", Attempt(file=scans_of("a")[0], result="a"))
