@@ -27,7 +27,8 @@ from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.paths import ScanFile, find_scans, require_no_hidden_scans
 
 TIMES = "times.txt"
-EXPECTED = ", or ".join(kind.noun for kind in RECORDING_KINDS)
+NOUNS = [kind.noun for kind in RECORDING_KINDS]
+EXPECTED = f"{', '.join(NOUNS[:-1])}, or {NOUNS[-1]}"
 
 log = logging.getLogger(__name__)
 
