@@ -12,7 +12,6 @@ from salsanext_cli.commands.line.next_command import next_command
 from salsanext_cli.commands.line.progress import over_scans
 from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.results.repeated_settings import settings_as_typed
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 
 
@@ -57,5 +56,7 @@ def project(
 
 def _network_as_typed(settings: NetworkSettings) -> list[str]:
     """Return the options by which `predict` takes the network of the range images."""
+    from salsanext_cli.runs.results.repeated_settings import settings_as_typed
+
     weights = {"weights": settings.weights} if settings.weights else {}
     return settings_as_typed(weights | settings.named())
