@@ -78,7 +78,7 @@ class Learner:
         self.scaler = torch.amp.GradScaler(device.type, enabled=dtype is torch.float16)
 
     def step(self, images: Tensor, truth: Tensor, step: int, steps_per_epoch: int) -> Tensor:
-        """Learn from a worker's images (B, 5, H, W) and truth (B, H, W) uint8, both on the CPU.
+        """Learn from a worker's images (B, 5, H, W), and truth (B, H, W) uint8 on the CPU.
 
         Return the loss of all workers, 0-d on the device, without waiting for it. It is NaN, and no
         weight changes, if loss or gradient is not finite. In float16 the scaler skips steps whose

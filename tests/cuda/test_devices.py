@@ -186,12 +186,19 @@ def test_a_resumed_training_goes_on_as_one_that_was_not(tmp_path, device, precis
 @on_both("float32", "bfloat16")
 @pytest.mark.usefixtures("tiny_training")
 def test_a_whole_training(tmp_path: Path, device: str, precision: str) -> None:
-    """On a GPU loader workers prepare the samples."""
+    """On a GPU worker processes prepare the samples; `test_samples` has those of a device."""
     write_sequence(tmp_path / "data/sequences/00", ["0", "1", "2"], count=600)
     write_sequence(tmp_path / "data/sequences/08", ["0"], count=600)
     changes = {"epochs": 2, "batch": 2, "crop_width": 32, "average": 0.5, "precision": precision}
     recipe = Recipe().with_changes(**changes)
-    result = train(tmp_path / "data", tmp_path / "run", recipe=recipe, sensor=SMALL, device=device)
+    result = train(
+        tmp_path / "data",
+        tmp_path / "run",
+        recipe=recipe,
+        sensor=SMALL,
+        device=device,
+        samples="workers",
+    )
     assert [row["epoch"] for row in result.rows] == [1, 2]
     assert all(math.isfinite(row["loss"]) and row["miou"] >= 0 for row in result.rows)
     settings = NetworkSettings(result.best, device, engine="torch")
