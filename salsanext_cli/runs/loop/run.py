@@ -112,10 +112,16 @@ class RunningCount:
 
     options: RunOptions
     scans: int  # Number of scans to attempt
+    # Scans without an attempt. Those of attempts are copies from workers, which would stay.
+    unattempted: set[ScanFile]
     on_result: Callable[[Any], object]
-    attempted: set[ScanFile] = field(default_factory=set)
     failures: list[Failure] = field(default_factory=list)
     workers: int = 0  # As of `Outcome`
+
+    @property
+    def attempted(self) -> int:
+        """Number of attempted scans."""
+        return self.scans - len(self.unattempted)
 
     def use_workers(self, count: int) -> None:
         """Note the number of workers that was chosen by measurement."""
@@ -132,9 +138,9 @@ class RunningCount:
             raise error
         else:
             self.failures.append(Failure.from_error(scan, error))
-        self.attempted.add(scan)
+        self.unattempted.discard(scan)
         if self.options.progress:
-            self.options.progress(len(self.attempted), self.scans)
+            self.options.progress(self.attempted, self.scans)
 
 
 def run_over_scans(
@@ -181,7 +187,10 @@ def run_over_scans(
     scans_of_shard = options.shard.select(scans)
     todo = [scan for scan in scans_of_shard if options.overwrite or not is_done(scan)]
     count = RunningCount(
-        options=options, scans=len(todo), on_result=summary.add if summary else on_result
+        options=options,
+        scans=len(todo),
+        unattempted=set(todo),
+        on_result=summary.add if summary else on_result,
     )
     if todo and options.progress:
         options.progress(0, len(todo))
@@ -193,12 +202,12 @@ def run_over_scans(
     except WorkersLost as lost:
         for failure in count.failures:
             log.error("%s", failure.text)
-        missing = [scan for scan in todo if scan not in count.attempted and not is_done(scan)]
+        missing = [scan for scan in todo if scan in count.unattempted and not is_done(scan)]
         raise _with_missing(lost, missing, len(todo)) from lost
     return Outcome(
         skipped=len(scans_of_shard) - len(todo),
         failures=tuple(sorted(count.failures, key=lambda failure: failure.scan)),
-        done=len(count.attempted) - len(count.failures),
+        done=count.attempted - len(count.failures),
         seconds=time.monotonic() - start,
         summary=summary,
         workers=count.workers,
