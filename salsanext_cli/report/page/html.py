@@ -10,6 +10,7 @@ import numpy as np
 
 from salsanext_cli.core.texts import escaped
 from salsanext_cli.report.colours import screen_colours
+from salsanext_cli.report.mapped_drives import drive_maps
 from salsanext_cli.report.page.class_table import class_table
 from salsanext_cli.report.page.clouds import Scale, encode_cloud
 from salsanext_cli.report.page.labelled_scans import labelled_scans
@@ -95,6 +96,7 @@ def html_of(
             "warnings": [*run.warnings(), *failures],
             "classes": class_table(class_points.sum(axis=0), compared, space, colours),
             "comparison": labelled_scans(compared, space) if compared else None,
+            "drive_maps": drive_maps(run),
             "other_run": other_run(run.reader.out),
             "data": escaped(data),
             "clouds": escaped(clouds),

@@ -14,7 +14,7 @@ from salsanext_cli.report.page.confusions import (
     largest_confusions_in_words,
 )
 from salsanext_cli.report.page.run_results import Comparison
-from salsanext_cli.report.plots import PICTURES, uncertainty_pictures
+from salsanext_cli.report.plots import PICTURES, iou_picture, uncertainty_pictures
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,12 +37,15 @@ class LabelledScans:
 def labelled_scans(compared: Comparison, space: LabelSpace) -> LabelledScans | None:
     """Return the section on labelled scans; None if it is empty."""
     confusion = compared.counts.confusion
+    pictures = uncertainty_pictures(compared.uncertainty)
+    if compared.scores.points:
+        pictures = {"eval_iou.png": iou_picture(compared.scores, space), **pictures}
     figures = [
         Figure(
             description=PICTURES[name],
             address=f"data:image/png;base64,{b64encode(png).decode('ascii')}",
         )
-        for name, png in uncertainty_pictures(compared.uncertainty).items()
+        for name, png in pictures.items()
     ]
     section = LabelledScans(
         matrix=confusion_matrix(confusion, space),

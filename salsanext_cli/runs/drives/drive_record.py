@@ -10,6 +10,7 @@ import numpy as np
 from salsanext_cli.core.errors import OutputError
 from salsanext_cli.core.fusion.drive import Drive
 from salsanext_cli.core.poses import POSES
+from salsanext_cli.core.records import Double
 from salsanext_cli.core.wording import setting
 from salsanext_cli.io.files.json_files import read_json
 from salsanext_cli.io.files.reading import present, refusing_damage
@@ -39,3 +40,20 @@ def drive_record(drive: Drive, stems: Sequence[str]) -> dict[str, object]:
     """Return the record of the drive, whose scans have these stems."""
     digest = hashlib.sha256(encode_poses(drive.poses)).hexdigest()
     return {"scans": [*stems], "poses": digest, "parts": drive.parts.tolist()}
+
+
+def poses_of_largest_part(folder: Path) -> dict[str, Double]:
+    """Return the poses (4, 4) of the scans of the largest part of a recorded drive, by stem.
+
+    Empty if the folder of the sequence has no recorded drive.
+    """
+    drive = recorded_drive(folder)
+    record = read_json(folder / DRIVE)
+    if drive is None or record is None:
+        return {}
+    largest = np.bincount(drive.parts).argmax()
+    poses: dict[str, Double] = {}
+    for stem, pose, part in zip(record["scans"], drive.poses, drive.parts, strict=True):
+        if part == largest:
+            poses[str(stem)] = pose
+    return poses

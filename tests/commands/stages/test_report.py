@@ -115,8 +115,8 @@ def test_scores_are_the_same_as_in_eval(world):
     assert numbers["sentence"] == sentence
     for text in ("87.5 %", sentence[1:], "not recorded", "8 labelled points, 2 scans with labels"):
         assert text in page.text
-    # A plot of the uncertainty, and a thumbnail of each scan.
-    assert page.source.count("data:image/png;base64,") == 3
+    # Plots of the IoU and of the uncertainty, and a thumbnail of each scan.
+    assert page.source.count("data:image/png;base64,") == 4
     assert [*result.shown] == ["08/000000", "08/000001"]
     assert page.data["drive"]["kind"] == "entropy"
 

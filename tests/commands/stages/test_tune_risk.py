@@ -21,7 +21,13 @@ from salsanext_cli.commands.stages.models import describe_weights
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.commands.stages.report import read_run, report
 from salsanext_cli.core.checks.warning_codes import WarningCode
-from salsanext_cli.core.errors import NoInputError, TrainingError, UsageError, WeightsError
+from salsanext_cli.core.errors import (
+    NoInputError,
+    OutputError,
+    TrainingError,
+    UsageError,
+    WeightsError,
+)
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.measures.risk_control import RISK_BOUND_EXCEEDED
 from salsanext_cli.core.network.card import AccuracyLine, RiskThreshold
@@ -147,6 +153,27 @@ def test_the_threshold_states_level_and_scans(run):
     expected = {"kind": "least_confidence", "at_most": 0.3, "confidence": None, "scans": 3}
     assert recorded.items() >= {**expected, "sequences": ["00", "08"]}.items()
     assert [part["sequence"] for part in run.tuned["held_out"]] == ["00", "08"]
+
+
+def test_the_curve_passes_through_the_threshold(run):
+    """Its mean shares at the threshold are those that the run accepts, within a percent."""
+    accepted, wrong = (np.array(run.tuned["curve"][key]) for key in ("accepted", "wrong"))
+    assert (np.diff(accepted) > 0).all()
+    assert (np.diff(wrong) >= 0).all()
+    mean_accepted, mean_wrong = np.mean(run.tuned["of_scans"], axis=0)
+    assert np.interp(mean_accepted, accepted, wrong) == pytest.approx(mean_wrong, abs=0.02)
+    assert 90 < len(accepted) <= 101
+
+
+def test_the_picture_is_beside_the_weights_and_replaces_nothing(run, tmp_path):
+    picture = run.target.with_name("tuned_risk.png")
+    assert run.tuned["picture"] == str(picture)
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    target = tmp_path / "other.safetensors"
+    (tmp_path / "other_risk.png").write_bytes(b"mine")
+    with refused(OutputError, tmp_path / "other_risk.png"):
+        run.world.tune("risk", target, at_most=0.3)
+    assert not target.exists()
 
 
 def test_labels_above_the_threshold_are_rejected(run):
