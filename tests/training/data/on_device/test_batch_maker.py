@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: MIT
 """Batches of a device, beside the samples of workers: equal without chance, alike with it."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Self
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 import torch
 from scans import SMALL, real_scans, write_bin, write_sequence
@@ -15,12 +18,16 @@ from salsanext_cli import sensor as named_sensor
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.runs.results.paths import ScanFile, find_scans
 from salsanext_cli.training.data.dataset import Samples
+from salsanext_cli.training.data.on_device import batch_maker
+from salsanext_cli.training.data.on_device.batch_random import BatchRandom
+from salsanext_cli.training.data.on_device.point_batch import StoredScan
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.recipe import Recipe
 
 SPACE = label_space()
 RARE = np.isin(SPACE.names, ["bicycle", "person", "pole"])
 PLAIN = Recipe(rotate=0.0, shift=0.0, flip=0.0, drop=0.0)
+META = torch.device("meta")
 COMPARED = 1000  # Samples of each path
 MOST_DEVIATIONS = 5.0  # Largest difference of two means in standard errors
 
@@ -148,6 +155,49 @@ def test_pixels_of_real_scans_have_the_classes_of_workers(real_data: Path) -> No
         image, targets = drawn[0, number]
         is_full = image.any(axis=0)
         assert (truth[number].numpy() == targets)[is_full].mean() > 0.975
+
+
+class MetaRandom(BatchRandom):
+    """Random numbers of the device `meta`, whose tensors have shapes but no values."""
+
+    @classmethod
+    def seeded(cls, seed: Sequence[int], device: torch.device) -> Self:
+        return cls(host=np.random.default_rng(seed), points=torch.Generator())
+
+    def uniform(self, *shape: int) -> torch.Tensor:
+        return torch.rand(shape, device=META)
+
+    def normal(self, *shape: int) -> torch.Tensor:
+        return torch.randn(shape, device=META)
+
+    def put(self, values: npt.ArrayLike, dtype: torch.dtype = torch.float32) -> torch.Tensor:
+        return torch.from_numpy(np.array(values)).to(META, dtype)
+
+
+def test_no_step_reads_from_the_device_or_mixes_devices(files, monkeypatch) -> None:
+    """A GPU makes a batch while its host goes on; `meta` refuses both, without a GPU."""
+    monkeypatch.setattr(batch_maker, "BatchRandom", MetaRandom)
+    chances = ("mix", "paste", "intensity", "mount", "view", "fewer_beams", "jitter", "holes")
+    recipe = Recipe(
+        crop_width=32, crop_on_class=0.5, no_intensity=0.5, **dict.fromkeys(chances, 0.5)
+    )
+    sensor = with_statistics(SMALL, files)
+    source = Source(
+        files=files,
+        space=SPACE,
+        sensor=sensor,
+        fitted={"00": replace(sensor, ego_box=(1, -9, -2, 9, 3, 1), min_range=1.0)},
+    )
+    maker = maker_of(replace(samples(files, recipe, sensor), sources=[source]))
+    for scans in (maker.store.whole, maker.store.pasted):
+        for key, scan in scans.items():
+            scans[key] = StoredScan(values=scan.values.to(META), targets=scan.targets.to(META))
+    for position in range(4):
+        keys = [(position, 0), (position + 1, 3)]
+        images, truth = replace(maker, device=META).make(keys)
+        assert images.device == truth.device == META
+        assert images.shape == (2, 5, SMALL.height, 32)
+        assert (truth.shape, truth.dtype) == ((2, SMALL.height, 32), torch.uint8)
 
 
 # Equal distributions
