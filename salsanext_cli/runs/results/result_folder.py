@@ -335,6 +335,8 @@ class ResultFolder:
 
 def is_result_folder(folder: Path) -> bool:
     """Return whether a folder has results of scans, or the record of a stage that ran in it."""
+    if not is_folder(folder):
+        return False
     if any(find_outputs(folder, name) for name in FOLDERS):
         return True
     try:
