@@ -163,6 +163,7 @@ def test_a_gpu_makes_samples_if_there_is_room(tmp_path, samples, device, has_roo
         jobs=1,
         group=SINGLE_PROCESS,
         device=torch.device(device),
+        tensorboard=False,
     )
     compared: list[object] = []
 
