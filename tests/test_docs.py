@@ -207,6 +207,7 @@ READERS: dict[tuple[str, str], Callable[[str], object]] = {
         label_space().to_dict() | yaml.safe_load(body)
     ),
     ("classes.md", "yaml"): lambda body: LabelSpace.from_dict(yaml.safe_load(body)),
+    ("automate.md", "json"): json.loads,
     ("json.md", "json"): json.loads,
     ("many-scans.md", "yaml"): has_a_pod_for_each_shard,
     ("plug-ins.md", "toml"): lambda body: tomllib.loads(body)["project"]["entry-points"],

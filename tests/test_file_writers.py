@@ -25,6 +25,7 @@ LIBRARY_WRITERS = {
 """Modules that may let a library write a file, and which."""
 REPLACING = {
     "append_line",
+    "appending",
     "save_weights",
     "save_with_card",
     "write_bytes",
@@ -41,6 +42,7 @@ WRITERS = {
     "io/formats/kitti_labels.py": "`sn.write_labels`, for callers from Python",
     "io/formats/ply.py": "`sn.write_ply`, for callers from Python",
     "runs/labelling/label_records.py": "a line at the end of the list of imported labels",
+    "runs/loop/event_file.py": "lines at the end of a file of events",
     "runs/labelling/picked_data_set.py": "the record of `pick`",
     "runs/records/digest_files.py": "files that are named after their content",
     "runs/results/manifest.py": "records of stages",

@@ -28,6 +28,7 @@ from salsanext_cli.io.formats.recordings import (
 )
 from salsanext_cli.io.formats.ros.bag_copies import CloudChange, Types, copy_bag
 from salsanext_cli.io.formats.ros.bags import HINT, Bag
+from salsanext_cli.runs.loop.event_file import opened_events
 from salsanext_cli.runs.loop.run import Failure, Outcome, RunOptions
 from salsanext_cli.runs.results.making_commands import making_hint
 from salsanext_cli.runs.results.owned_folder import OwnedFolder, files_at
@@ -110,9 +111,14 @@ class BagRun:
         progress = CloudProgress(total=total, show=options.progress)
         progress.begin()
         done = 0
-        for bag, clouds in clouds_of_bags.items():
-            with _listed_failure(bag, failures, options), progress.attempt(len(clouds)):
-                done += self._copy(bag, clouds, progress)
+        with opened_events(options.events, total) as events:
+            for bag, clouds in clouds_of_bags.items():
+                with (
+                    _listed_failure(bag, failures, options),
+                    progress.attempt(len(clouds)),
+                    events.together(clouds),
+                ):
+                    done += self._copy(bag, clouds, progress)
         return Outcome(
             skipped=skipped,
             failures=tuple(sorted(failures, key=lambda failure: failure.scan)),

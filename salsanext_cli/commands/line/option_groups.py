@@ -5,6 +5,7 @@ from dataclasses import Field
 from functools import partial
 from typing import Any, Literal
 
+from salsanext_cli.commands.line.events_option import typed_events
 from salsanext_cli.commands.line.option_fields import (
     Declaration,
     declaration_in,
@@ -135,6 +136,9 @@ OPTIONS: dict[type, dict[str, Declaration]] = {
         ),
         "overwrite": running("Replace existing results."),
         "on_error": running("Skip a scan that fails, or stop."),
+        "events": running(
+            "Append a line of JSON for each scan as it ends.", parse=typed_events, metavar="FILE"
+        ),
     },
 }
 """Declaration of each field that commands offer, by record."""

@@ -84,8 +84,9 @@ def over_scans(
 
     `at_end`: whether it writes its results at the end, and not those of each scan.
     """
+    events = options.events and dataclasses.replace(options.events, command=label)
     with writing(label, quiet, at_end=at_end) as bar:
-        yield dataclasses.replace(options, progress=bar)
+        yield dataclasses.replace(options, progress=bar, events=events)
 
 
 @contextmanager

@@ -178,17 +178,49 @@ def write_target(path: Path, content: bytes, *, overwrite: bool) -> None:
         file.write(content)
 
 
-def append_line(path: Path, line: bytes, *, durable: bool = False) -> None:
-    """Append a line to a file that other processes append to as well, or raise `OutputError`."""
+@contextmanager
+def appending(path: Path, *, durable: bool = False) -> Iterator[Callable[[bytes], None]]:
+    """Open a file that other processes append to as well.
+
+    Parameters
+    ----------
+    path : Path
+        The file, which is created if it is missing.
+    durable : bool
+        Whether what is appended must survive a power cut.
+
+    Yields
+    ------
+    callable
+        Function that appends bytes by one unbuffered write, which does not mix with those of other
+        processes.
+
+    Raises
+    ------
+    OutputError
+        If the system refuses to write the file.
+    """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        # One unbuffered write does not mix with those of other processes. A line end comes first,
-        # too: the line before may have been cut off.
-        with path.open("ab", buffering=0) as file:
-            content = b"\n" + line + b"\n"
+        file = path.open("ab", buffering=0)
+    except OSError as error:
+        raise refusal(path, error) from error
+
+    def append(content: bytes) -> None:
+        try:
             if file.write(content) != len(content):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             if durable:
                 os.fsync(file.fileno())
-    except OSError as error:
-        raise refusal(path, error) from error
+        except OSError as error:
+            raise refusal(path, error) from error
+
+    with file:
+        yield append
+
+
+def append_line(path: Path, line: bytes, *, durable: bool = False) -> None:
+    """Append a line to a file that other processes append to as well, or raise `OutputError`."""
+    with appending(path, durable=durable) as append:
+        # A line end comes first, too: the line before may have been cut off.
+        append(b"\n" + line + b"\n")

@@ -28,13 +28,14 @@ from typing import Any, Self
 
 from salsanext_cli.core.errors import SalsanextError, WorkersLost
 from salsanext_cli.core.texts import first_few, with_hint
+from salsanext_cli.runs.loop.event_file import EventLog, opened_events
 from salsanext_cli.runs.loop.job import Attempt, Task
 from salsanext_cli.runs.loop.measured_workers import attempts_as_needed, needs_measurement
 from salsanext_cli.runs.loop.pipeline import attempt_function, opened_work
 from salsanext_cli.runs.loop.run_options import Progress, RunOptions
 from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.runs.results.selection import MissingResults
-from salsanext_cli.runs.summary.scan_summary import RunSummary
+from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
 
 __all__ = ["Failure", "Outcome", "Progress", "RunOptions", "run_over_scans"]
 
@@ -115,6 +116,7 @@ class RunningCount:
     # Scans without an attempt. Those of attempts are copies from workers, which would stay.
     unattempted: set[ScanFile]
     on_result: Callable[[Any], object]
+    events: EventLog
     failures: list[Failure] = field(default_factory=list)
     workers: int = 0  # As of `Outcome`
 
@@ -132,6 +134,9 @@ class RunningCount:
         scan = attempt.file
         error = attempt.error
         log.info("%s: %s", scan.name, error.headline if error else "done")
+        result = attempt.result
+        codes = result.warning_codes if isinstance(result, ScanSummary) else ()
+        self.events.add(scan, error, codes)
         if error is None:
             self.on_result(attempt.get())
         elif self.options.on_error == "stop":
@@ -186,24 +191,17 @@ def run_over_scans(
     start = time.monotonic()
     scans_of_shard = options.shard.select(scans)
     todo = [scan for scan in scans_of_shard if options.overwrite or not is_done(scan)]
-    count = RunningCount(
-        options=options,
-        scans=len(todo),
-        unattempted=set(todo),
-        on_result=summary.add if summary else on_result,
-    )
     if todo and options.progress:
         options.progress(0, len(todo))
-    try:
-        if todo:
-            with closing(_attempts(task, todo, count, folder)) as attempts:
-                for attempt in attempts:
-                    count.add(attempt)
-    except WorkersLost as lost:
-        for failure in count.failures:
-            log.error("%s", failure.text)
-        missing = [scan for scan in todo if scan in count.unattempted and not is_done(scan)]
-        raise _with_missing(lost, missing, len(todo)) from lost
+    with opened_events(options.events, len(todo)) as events:
+        count = RunningCount(
+            options=options,
+            scans=len(todo),
+            unattempted=set(todo),
+            on_result=summary.add if summary else on_result,
+            events=events,
+        )
+        _run(task, todo, count, is_done, folder)
     return Outcome(
         skipped=len(scans_of_shard) - len(todo),
         failures=tuple(sorted(count.failures, key=lambda failure: failure.scan)),
@@ -212,6 +210,27 @@ def run_over_scans(
         summary=summary,
         workers=count.workers,
     )
+
+
+def _run(
+    task: Task,
+    todo: Sequence[ScanFile],
+    count: RunningCount,
+    is_done: Callable[[ScanFile], bool],
+    folder: Path | None,
+) -> None:
+    """Attempt all scans, and count the attempts; arguments as of `run_over_scans`."""
+    if not todo:
+        return
+    try:
+        with closing(_attempts(task, todo, count, folder)) as attempts:
+            for attempt in attempts:
+                count.add(attempt)
+    except WorkersLost as lost:
+        for failure in count.failures:
+            log.error("%s", failure.text)
+        missing = [scan for scan in todo if scan in count.unattempted and not is_done(scan)]
+        raise _with_missing(lost, missing, len(todo)) from lost
 
 
 def _attempts(

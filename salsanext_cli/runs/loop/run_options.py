@@ -7,6 +7,7 @@ from typing import Any, Literal, Protocol, TypeVar
 
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.wording import argument
+from salsanext_cli.runs.loop.event_file import EventFile
 
 
 class Sortable(Protocol):
@@ -69,6 +70,8 @@ class RunOptions:
     shard: Shard = Shard()
     overwrite: bool = False
     on_error: Literal["skip", "stop"] = "skip"
+    # File that gets a line for each scan that has ended
+    events: EventFile | None = None
     # Called before the first scan and after each; for those of a chunk when its worker has ended it
     progress: Progress | None = None
 

@@ -66,6 +66,11 @@ class ScanSummary:
     confidence: float = math.nan  # Mean of the largest probabilities of the points
     traits: UnitTraits | None = None  # Of the scan and its labels, if a threshold rejects some
 
+    @property
+    def warning_codes(self) -> list[str]:
+        """Codes of the warnings about the scan, each once, sorted."""
+        return sorted({str(finding.code) for finding in self.check.findings})
+
     @classmethod
     def from_labels(
         cls,
