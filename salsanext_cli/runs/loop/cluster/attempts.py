@@ -17,6 +17,7 @@ from typing import Any
 from uuid import uuid4
 
 from salsanext_cli.core import wording
+from salsanext_cli.core.engines.registry import library_packages
 from salsanext_cli.core.errors import UsageError, WorkersLost
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.optional_packages import import_extra
@@ -168,7 +169,7 @@ def requirements(scans: Sequence[ScanFile], folder: Path | None) -> NodeRequirem
         # A file in it shows whether a node sees the same folder.
         paths += [path for path in sorted(writable.iterdir()) if path.is_file()][:1]
     return NodeRequirements(
-        versions=installed_versions(),
+        versions=installed_versions(library_packages()),
         current=str(Path.cwd()),
         files=tuple(map(_readable, paths)),
         writable=None if writable is None else str(writable),

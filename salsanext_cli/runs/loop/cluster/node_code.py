@@ -9,6 +9,7 @@ import os
 import pickle
 import tempfile
 import traceback
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib import import_module
@@ -16,8 +17,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-LIBRARIES = ("openvino", "torch")
-"""Libraries whose version must be that of the main process, besides the package itself."""
+PACKAGE = "salsanext"
 THREAD_VARIABLES = (
     "LOKY_MAX_CPU_COUNT",
     "MKL_NUM_THREADS",
@@ -57,12 +57,12 @@ class NodeRequirements:
     writable: str | None = None
 
 
-def installed_versions() -> dict[str, str]:
-    """Return the versions of the package and of the libraries; empty texts for absent ones."""
-    versions = {"salsanext": ""}
+def installed_versions(libraries: Iterable[str]) -> dict[str, str]:
+    """Return the versions of the package and of libraries; empty texts for absent ones."""
+    versions = {PACKAGE: ""}
     with suppress(ImportError):
-        versions["salsanext"] = import_module("salsanext_cli.version").__version__
-    for name in LIBRARIES:
+        versions[PACKAGE] = import_module("salsanext_cli.version").__version__
+    for name in libraries:
         try:
             # Builds for another device have another text after the sign.
             versions[name] = version(name).partition("+")[0]
@@ -73,7 +73,8 @@ def installed_versions() -> dict[str, str]:
 
 def node_problem(required: NodeRequirements) -> str:
     """Return what this node lacks, in words; an empty text if it lacks nothing."""
-    problem = version_problem(required.versions, installed_versions())
+    libraries = [name for name in required.versions if name != PACKAGE]
+    problem = version_problem(required.versions, installed_versions(libraries))
     if problem:
         return problem
     if not Path(required.current).is_dir():

@@ -12,6 +12,7 @@ import pytest
 from works import Write, scans_of
 
 from salsanext_cli.core import wording
+from salsanext_cli.core.engines.registry import library_packages
 from salsanext_cli.core.errors import FormatError
 from salsanext_cli.io.files.atomic import MARK
 from salsanext_cli.runs.loop.cluster import node_code
@@ -35,7 +36,7 @@ def required(tmp_path):
     scan = tmp_path / "scan.bin"
     scan.write_bytes(b"1234")
     return NodeRequirements(
-        versions=installed_versions(),
+        versions=installed_versions(library_packages()),
         current=str(tmp_path),
         files=(ReadableFile(path=str(scan), size=4), ReadableFile(path=str(tmp_path), size=None)),
         writable=str(tmp_path),
@@ -56,7 +57,8 @@ def test_a_node_like_this_one_lacks_nothing(required, tmp_path):
 
 
 def test_versions_are_those_of_the_packages():
-    versions = installed_versions()
+    versions = installed_versions(library_packages())
+    assert versions.keys() == {"salsanext", *library_packages()}
     assert versions["salsanext"] == __version__
     assert versions["torch"] == sys.modules["torch"].__version__.partition("+")[0]
 
