@@ -21,7 +21,7 @@ from salsanext_cli.core.engines.registry import library_packages
 from salsanext_cli.core.errors import UsageError, WorkersLost
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.optional_packages import import_extra
-from salsanext_cli.core.texts import counted
+from salsanext_cli.core.texts import counted, shortened
 from salsanext_cli.io.files.atomic import MARK
 from salsanext_cli.runs.loop.cluster.bug import Bug
 from salsanext_cli.runs.loop.cluster.chunk_queue import ChunkQueue
@@ -53,6 +53,7 @@ from salsanext_cli.runs.results.paths import ScanFile
 
 ADDRESS = re.compile(r"auto|(?P<client>ray://)?(?P<host>[^\s/:]+|\[[^\s/]+\]):(?P<port>\d{1,5})")
 CONNECT_TIMEOUT_S = 15.0
+MAX_PROBLEM_CHARACTERS = 300  # Of what Ray says; its mismatch of versions takes 200
 EXPECTED_ADDRESS = "auto, HOST:PORT or ray://HOST:PORT"
 
 log = logging.getLogger(__name__)
@@ -131,7 +132,8 @@ def require_listener(address: str) -> None:
 
 def _not_joined(address: str, problem: str) -> UsageError:
     subject = wording.setting("cluster", address)
-    return UsageError(subject, problem, "a running Ray cluster", starting_hint(address))
+    text = shortened(problem, MAX_PROBLEM_CHARACTERS)
+    return UsageError(subject, text, "a running Ray cluster", starting_hint(address))
 
 
 def starting_hint(address: str) -> str:

@@ -296,3 +296,8 @@ def first_line(error: Exception) -> str:
     """Return the first line of the text of an error that is not empty."""
     lines = (line.strip() for line in str(error).splitlines())
     return next(filter(None, lines), type(error).__name__)
+
+
+def one_line(error: Exception) -> str:
+    """Return the text of an error on one line, such as two versions that Ray lists below it."""
+    return " ".join(str(error).split()) or type(error).__name__

@@ -15,7 +15,7 @@ from functools import partial
 from queue import SimpleQueue
 from typing import Any
 
-from salsanext_cli.runs.loop.cluster.driver import Calls, Driver, Send, first_line
+from salsanext_cli.runs.loop.cluster.driver import Calls, Driver, Send, first_line, one_line
 from salsanext_cli.runs.loop.cluster.messages import (
     Assignment,
     Crash,
@@ -76,7 +76,7 @@ def _joined(cluster: Any, address: str, send: Send) -> bool:
     try:
         cluster.join(address)
     except cluster.NOT_JOINED as error:
-        send(NotJoined(problem=first_line(error)))
+        send(NotJoined(problem=one_line(error)))
         return False
     finally:
         timer.cancel()

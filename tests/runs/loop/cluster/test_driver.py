@@ -8,7 +8,7 @@ from queue import SimpleQueue
 import pytest
 
 from salsanext_cli.runs.loop.cluster import driver as driver_module
-from salsanext_cli.runs.loop.cluster.driver import MAX_FAILED_STARTS, Driver, first_line
+from salsanext_cli.runs.loop.cluster.driver import MAX_FAILED_STARTS, Driver, first_line, one_line
 from salsanext_cli.runs.loop.cluster.messages import (
     Assignment,
     FinishedChunk,
@@ -265,6 +265,8 @@ def test_a_run_without_workers_says_that_it_waits(monkeypatch):
     assert len(room.sent_of(Waiting)) == count
 
 
-def test_the_first_line_of_an_error_is_its_text():
+def test_an_error_is_told_by_its_first_line_or_on_one_line():
+    assert one_line(LossError("versions:\n  2.51\n  2.60")) == "versions: 2.51 2.60"
+    assert one_line(LossError()) == "LossError"
     assert first_line(LossError("\n  the worker died. \nmore")) == "the worker died."
     assert first_line(LossError()) == "LossError"
