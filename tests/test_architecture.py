@@ -53,7 +53,7 @@ LEVELS = (
         "io.stated_fields",
         "io.weights",
     ),
-    ("io.user_caches",),
+    ("io.labelling_tools", "io.user_caches"),
     ("runs.network_announcement", "runs.records", "runs.sensor_request"),
     ("runs.network_settings", "runs.results"),
     ("runs.fit",),

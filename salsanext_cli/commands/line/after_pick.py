@@ -23,8 +23,12 @@ def lines_after_pick(
     labels: PickedLabels,
     weights: Path | str | None,
     labelled: Sequence[Path],
+    tool_folder: Path | None = None,
 ) -> Iterator[str]:
-    """Yield the lines about picked scans in a data set; `labelled`: data sets that have labels."""
+    """Yield the lines about picked scans in a data set.
+
+    `labelled`: data sets that have labels; `tool_folder`: folder of the files of a labelling tool.
+    """
     scale = picking.scale
     if scale is not None and scale.least < scale.most:
         yield scale_text(scale)
@@ -36,6 +40,8 @@ def lines_after_pick(
         yield f"does it pay? {gains.text}"
     yield f"next: {shlex.join(['salsanext', 'report', str(out)])}"
     commands = commands_after_pick(out, weights, labelled)
+    if tool_folder is not None:
+        yield f"for the labelling tool: {tool_folder}"
     yield f"to label: save the corrected clouds in the folder edited, then {commands}"
 
 

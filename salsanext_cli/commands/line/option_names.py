@@ -17,6 +17,7 @@ OPTION_OF = {
     "names": "--from",
     "selection.limit": "--subset",  # Of the commands that spread the scans over the data
     "space": "--label-space",
+    "tool": "--for",
 }
 """Option by argument, where their names differ."""
 OPTION_OF_EXTRA = {"uncertainty/error": "--error", "votes": "--fuse"}

@@ -146,6 +146,9 @@ def pick(
     names: Path | None = option(
         "Pick the scans whose names this text file lists, one per line.", "--from", metavar="FILE"
     ),
+    tool: str | None = option(
+        "Also write the scans for a labelling tool: point-labeler or sse.", "--for", metavar="TOOL"
+    ),
     seed: int = option("Seed of the dropout masks.", default=0),
     labelled: list[Path] | None = option(
         "Data set of labelled scans, which the picked scans should differ from; may be given "
@@ -166,6 +169,7 @@ def pick(
     from salsanext_cli.commands.line.picked_labels import label_picked_scans
     from salsanext_cli.commands.stages.pick import pick as stage
     from salsanext_cli.report.picked import picked_table
+    from salsanext_cli.runs.labelling.picked_data_set import TOOL_FOLDER
 
     if names and count is not None:
         raise UsageError("--count", "chooses scans, and so does --from", "one of both")
@@ -177,6 +181,7 @@ def pick(
             seed=seed,
             labelled=labelled or (),
             names=names,
+            tool=tool,
             settings=settings,
             selection=selection,
             options=options,
@@ -187,7 +192,9 @@ def pick(
         with over_scans("predict", running, output.quiet) as options:
             labels = label_picked_scans(out, settings, options)
         failures = (*failures, *labels.failures)
+    tool_folder = None if tool is None or not picking.picked else out / TOOL_FOLDER / tool
     result = picking.to_dict() | {"out": str(out)} | _labels_as_data(labels)
+    result["tool_folder"] = tool_folder and str(tool_folder)
     result["failures"] = [failure.to_dict() for failure in failures]
     output.result(result, picked_table(picking.picked) if picking.picked else None)
     summary.print_failures(failures)
@@ -195,7 +202,10 @@ def pick(
     counts = ", ".join([numbers, *summary.skipped_and_failed_texts(picking.outcome)])
     output.print(f"pick: {counts} → {out}" if picking.picked else f"pick: {counts}")
     if labels is not None:
-        for line in lines_after_pick(out, picking, labels, settings.weights, labelled or ()):
+        lines = lines_after_pick(
+            out, picking, labels, settings.weights, labelled or (), tool_folder
+        )
+        for line in lines:
             output.print(line)
     summary.exit_with_status(failures, failed=strict and bool(picking.warnings))
 

@@ -22,6 +22,7 @@ from salsanext_cli.core.records import Origin
 from salsanext_cli.core.texts import counted
 from salsanext_cli.core.uncertainty.monte_carlo import require_sampling
 from salsanext_cli.core.wording import argument
+from salsanext_cli.io.labelling_tools.registry import tool_named
 from salsanext_cli.report.picked import picked_csv, picked_scans, scans_of_list
 from salsanext_cli.runs.fit.scan_sample import sample_of_files
 from salsanext_cli.runs.fit.sensor_fit import fit_scans, settings_of_network
@@ -37,6 +38,7 @@ from salsanext_cli.runs.labelling.picked_data_set import (
     UncertaintyScale,
 )
 from salsanext_cli.runs.labelling.scan_description import DescribeJob, ScanDescription
+from salsanext_cli.runs.labelling.tool_files import write_for_tool
 from salsanext_cli.runs.loop.network_task import NetworkTask
 from salsanext_cli.runs.loop.run import Failure, Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.loop.run_origins import OriginsOfSource
@@ -88,6 +90,7 @@ def pick(
     options: RunOptions = RunOptions(),
     labelled: Sequence[Path] = (),
     names: Path | None = None,
+    tool: str | None = None,
 ) -> Picking:
     """Write a data set of the scans most worth labelling, in the layout of SemanticKITTI.
 
@@ -111,12 +114,15 @@ def pick(
         Data sets of labelled scans, which the picked ones are to differ from.
     names : Path, optional
         Text file with the names of the scans to pick, one per line, instead of `count` scans.
+    tool : str, optional
+        Labelling tool, for which the picked scans are also written into the folder ``tools``.
 
     Returns
     -------
     Picking
     """
     require_choice(count, seed)
+    labelling_tool = None if tool is None else tool_named(tool)
     network = settings.for_sampling().load()
     require_sampling(network, SAMPLES)
     listed = scans_of(source)
@@ -136,6 +142,7 @@ def pick(
         record = data_set.earlier(recorded, overwrite=options.overwrite)
         if record and data_set.is_complete(record):
             log_recorded(record.warnings)
+            write_for_tool(data_set, labelling_tool, record.picked)
             return _picking(record, scans)
         resolved = settings.resolved(network)
         origins = by_poses.scan_origins(scans, network.sensor)
@@ -150,6 +157,7 @@ def pick(
         task = NetworkTask(job=write, settings=resolved, network=network, batch=1)
         space = space if space.fits(network.space) else space_of([], network.space)
         outcome = _written(task, data_set, record, scans, options, space)
+        write_for_tool(data_set, labelling_tool, record.picked)
     return replace(_picking(record, scans), outcome=outcome)
 
 

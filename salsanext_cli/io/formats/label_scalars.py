@@ -195,6 +195,7 @@ class LabelIds:
     names: dict[int, str]  # Name of the class by id of the tool
     unlabelled: int  # Raw id of points without a label
     codes: LabelIds | None = None  # Meaning of codes of the ASPRS, if it is another one
+    is_stated: bool = False  # Whether the user stated it in a file
 
     @classmethod
     def from_space(cls, space: LabelSpace, tool: Path | None = None) -> LabelIds:
@@ -206,7 +207,16 @@ class LabelIds:
         _require_class_of_unlabelled(space)
         names = {i: space.labels.get(raw, str(raw)) for i, raw in sorted(raw_of.items())}
         unlabelled = space.learning_map_inv[0]
-        return cls(raw_of, names, unlabelled, None if tool else cls.from_codes(space))
+        if tool is not None:
+            return cls(raw_of, names, unlabelled, is_stated=True)
+        return cls(raw_of, names, unlabelled, cls.from_codes(space))
+
+    @classmethod
+    def from_train_ids(cls, space: LabelSpace) -> LabelIds:
+        """Return the raw ids of the train ids of a label space."""
+        _require_class_of_unlabelled(space)
+        names = dict(enumerate(space.names))
+        return cls(dict(space.learning_map_inv), names, space.learning_map_inv[0])
 
     @classmethod
     def from_codes(cls, space: LabelSpace) -> LabelIds:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,6 @@ from salsanext_cli.core.texts import counted, first_few
 from salsanext_cli.core.wording import argument
 from salsanext_cli.io.files.reading import is_folder, present
 from salsanext_cli.io.formats import format_of, suffixes_in_words
-from salsanext_cli.io.formats.kitti_labels import read_labels
 from salsanext_cli.io.formats.label_scalars import (
     LABEL_READER,
     LabelIds,
@@ -25,11 +25,14 @@ from salsanext_cli.io.formats.label_scalars import (
     whole_numbers,
 )
 from salsanext_cli.io.formats.npy import read_integers
+from salsanext_cli.io.labelling_tools.registry import lacks_labels, tool_of
+from salsanext_cli.io.labelling_tools.tool import ToolLabels
 from salsanext_cli.runs.labelling.label_records import ImportedScan
 from salsanext_cli.runs.labelling.las_classification import map_of_codes, unknown_codes
 from salsanext_cli.runs.results.paths import ScanFile, counted_by_suffix
 
-LABEL_SUFFIXES = (".label", ".npy")  # Files with one label per point and no coordinates
+LABEL_ARRAY = ".npy"  # Suffix of a file with one label per point and no coordinates
+LABEL_SUFFIXES = (".label", LABEL_ARRAY)  # In messages
 MAX_UNMATCHED = 0.01  # Largest share of the points of a cloud that are not in the scan
 ROUNDED_M = 0.05  # Below it, coordinates were probably rounded; other scans are farther away
 
@@ -55,7 +58,9 @@ def find_edited(source: Path) -> list[Path]:
 
 
 def _is_edited(path: Path) -> bool:
-    return path.suffix.lower() in LABEL_SUFFIXES or _has_points(path)
+    if lacks_labels(path):
+        return False
+    return path.suffix.lower() == LABEL_ARRAY or _has_points(path) or tool_of(path) is not None
 
 
 def _has_points(path: Path) -> bool:
@@ -123,12 +128,9 @@ def read_edited(
     points.
     """
     points = cloud_of_scan.points
-    has_points = _has_points(path)
-    if has_points:
-        cloud = LabelledCloud.read(path, scalar, cloud_of_scan.notes.frame)
-    else:
-        cloud = _labels_in_order(path, points)
-    meanings = meanings.for_cloud(cloud)
+    labels = _labels_of(path, cloud_of_scan, meanings, space, scalar)
+    cloud = labels.cloud
+    meanings = labels.meanings
     if unknown := meanings.unknown(cloud.ids):
         raise _unknown_ids(path, cloud, unknown, meanings, space)
     raw = meanings.to_raw(cloud.ids)
@@ -140,7 +142,7 @@ def read_edited(
         unmatched=np.empty(0),
         cloud_points=len(points),
     )
-    if has_points:
+    if not labels.is_in_order:
         transfer = transfer_labels(points, cloud.points, raw)
         _require_same_scan(path, transfer)
     raw = transfer.filled(meanings.unlabelled)
@@ -162,17 +164,34 @@ def read_edited(
     )
 
 
-def _labels_in_order(path: Path, points: Float) -> LabelledCloud:
-    """Read a file with one label for each point, in order."""
-    if path.suffix.lower() == ".npy":
-        values: npt.NDArray[np.integer] = read_integers(path)
-        if len(values) != len(points):
-            problem = f"has {counted(len(values), 'label')}"
-            expected = f"{len(points):,}"
-            hint = "use the labels that belong to this scan"
-            raise LabelError(path, problem, f"{expected}, one per point of the scan", hint)
+def _labels_of(
+    path: Path, scan: Scan, meanings: LabelIds, space: LabelSpace, scalar: str | None
+) -> ToolLabels:
+    """Read a file by the tool that recognises it; a named scalar is that of any cloud.
+
+    `meanings` are those of raw ids, or of the ids that the user stated.
+    """
+    is_cloud = _has_points(path)
+    tool = None if is_cloud and scalar is not None else tool_of(path)
+    if tool is not None:
+        labels = tool.read(path, scan, space)
+        return replace(labels, meanings=meanings) if meanings.is_stated else labels
+    if is_cloud:
+        cloud = LabelledCloud.read(path, scalar, scan.notes.frame)
     else:
-        values = read_labels(path, len(points))
+        cloud = _array_in_order(path, scan.points)
+    meanings = meanings.for_cloud(cloud)
+    return ToolLabels(cloud=cloud, meanings=meanings, is_in_order=not is_cloud)
+
+
+def _array_in_order(path: Path, points: Float) -> LabelledCloud:
+    """Read an array with one label for each point, in order."""
+    values: npt.NDArray[np.integer] = read_integers(path)
+    if len(values) != len(points):
+        problem = f"has {counted(len(values), 'label')}"
+        expected = f"{len(points):,}"
+        hint = "use the labels that belong to this scan"
+        raise LabelError(path, problem, f"{expected}, one per point of the scan", hint)
     return LabelledCloud(points=points, ids=whole_numbers(values, path, "label"), scalar="labels")
 
 

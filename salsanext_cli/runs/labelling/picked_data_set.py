@@ -36,6 +36,7 @@ STAGE = "pick"
 LABEL_SPACE = "labels.yaml"
 TABLE = "picked.csv"
 PREDICTED = "predicted"  # Folder of the results of the picked scans, for `report` and `eval`
+TOOL_FOLDER = "tools"  # Folder with a folder for each labelling tool
 CHOSEN = "both"  # Strategy that picks scans by uncertainty and distance
 NAMED = "named"  # Strategy that picks the scans of a list
 
@@ -253,7 +254,9 @@ class PickedDataSet(OwnedFolder):
     def _files(self, record: PickRecord) -> list[Path]:
         folders = sorted({self.root / "sequences" / scan.sequence for scan in record.picked})
         uncertain = [folder / name for folder in folders for name in (POSES, CALIBRATION, FRAMES)]
-        return [*self._certain_files(record), *uncertain]
+        tools = self.root / TOOL_FOLDER
+        tool_files = [path for path in self.written() if tools in path.parents]
+        return [*self._certain_files(record), *uncertain, *tool_files]
 
     def _require_unchanged(self, record: PickRecord) -> None:
         """Refuse to replace imported labels and files that changed since `pick` wrote them."""

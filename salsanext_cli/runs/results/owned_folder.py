@@ -30,7 +30,15 @@ from salsanext_cli.io.files.reading import filled, is_folder, present, reading
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.scan_folders import FILE_LISTS
 
-SUBFOLDERS = ("sequences/*/", "sequences/*/*/", "sequences/*/*/*/", "folds/*/", "eval/*/")
+SUBFOLDERS = (
+    "sequences/*/",
+    "sequences/*/*/",
+    "sequences/*/*/*/",
+    "folds/*/",
+    "eval/*/",
+    "tools/*/",
+    "tools/*/*/*/",
+)
 """Patterns of the subfolders that stages write into."""
 RECORDS_LOCK_TIMEOUT_S = 1800.0
 """A hundred other processes may hold the lock for seconds each in runs on a million scans."""

@@ -19,6 +19,7 @@ from salsanext_cli.commands.line.picked_labels import PickedLabels
 from salsanext_cli.commands.stages import submit as stage
 from salsanext_cli.commands.stages.pick import Picking
 from salsanext_cli.commands.stages.predict import predict_scans
+from salsanext_cli.io.labelling_tools.registry import TOOLS
 from salsanext_cli.runs.labelling.picked_data_set import PickedScan, UncertaintyScale
 from salsanext_cli.runs.loop.run import Outcome
 from salsanext_cli.runs.results.paths import output_path
@@ -66,6 +67,19 @@ def test_pick_names_the_next_commands_and_the_scans_that_failed(run, data, tmp_p
     assert result["predicted"] == str(tmp_path / "out/predicted")
     assert [failure["code"] for failure in result["failures"]] == ["format"]
     assert f"error: {broken}: " in picked.stderr
+
+
+def test_pick_names_the_folder_of_a_labelling_tool(run, data, tmp_path, weights):
+    picking = ("pick", data, tmp_path / "out", "--count", 1, "--weights", weights)
+    wrong = run(*picking, "--for", "point_labeler")
+    assert (wrong.exit_code, subject(wrong)) == (2, "--for point_labeler")
+    text = " ".join(run("pick", "--help", status=0).stdout.split())
+    assert all(name in text for name in TOOLS)
+    result = only_json(run(*picking, "--for", "sse", "--json"))
+    assert result["tool_folder"] == str(tmp_path / "out/tools/sse")
+    assert len([*(tmp_path / "out/tools/sse").glob("*.pcd")]) == 1
+    again = run(*picking, status=0)
+    assert "labelling tool" not in again.stderr
 
 
 def test_pick_prints_the_failures_of_the_labels_of_picked_scans(

@@ -331,6 +331,30 @@ def test_the_scans_of_a_list_are_picked_in_its_order(drive, tmp_path):
     assert names(run(drive, names=listed, overwrite=True)) == ["08/000040"]
 
 
+def test_the_scans_are_also_written_for_a_tool_at_the_first_run_or_later(picked, drive):
+    tools = picked.out / "tools"
+    assert not tools.exists()
+    before = files_below(picked.out)
+    run(picked, tool="sse")
+    stems = of_folder(picked, "velodyne")
+    names = [f"08_{stem.removesuffix('.bin')}.pcd" for stem in stems]
+    assert sorted(files_below(tools)) == [f"sse/{name}" for name in [*names, "settings.json"]]
+    assert before.items() <= files_below(picked.out).items()
+    edited = tools / "sse/settings.json"
+    edited.write_text("{}")
+    refused(OutputError, edited, run, picked, count=2, overwrite=True)
+    edited.unlink()
+    run(picked, count=2, overwrite=True, tool="point-labeler")
+    assert sorted(path.name for path in tools.glob("*/*")) == ["08"]
+    poses = (tools / "point-labeler/08/poses.txt").read_text()
+    assert len(poses.splitlines()) == 2
+
+
+def test_an_unknown_tool_is_refused_before_a_scan_is_read(drive):
+    refused(UsageError, "tool pcl", run, drive, tool="pcl")
+    assert not drive.out.exists()
+
+
 @pytest.mark.parametrize(
     ("content", "subject"), [(b"", "is empty"), (b"# none\n", "comments"), (b"\xff\xfe", "no text")]
 )

@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: MIT
+"""The point_labeler of SemanticKITTI: a folder of the odometry benchmark for each sequence."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from salsanext_cli.core.classes.label_space import LabelSpace
+from salsanext_cli.core.poses import CALIBRATION, POSES, Poses
+from salsanext_cli.core.records import Scan
+from salsanext_cli.io.formats.kitti import encode_bin
+from salsanext_cli.io.formats.kitti_labels import encode_labels, read_labels
+from salsanext_cli.io.formats.label_scalars import LabelIds, LabelledCloud, whole_numbers
+from salsanext_cli.io.labelling_tools.tool import Files, LabelledPoints, LabellingTool, ToolLabels
+from salsanext_cli.io.poses import encode_poses
+
+APART_M = 250.0  # Distance of scans without poses; the tool shows points up to 50 m from a tile
+NO_ROTATION = "Tr: 1 0 0 0 0 1 0 0 0 0 1 0\n"  # The poses are those of the LiDAR
+
+
+class PointLabeler(LabellingTool):
+    """The tool that SemanticKITTI was labelled with."""
+
+    name = "point-labeler"
+
+    def scan_files(self, scan: LabelledPoints, space: LabelSpace) -> Files:
+        """Return points and labels, as SemanticKITTI has them."""
+        return {
+            f"{scan.sequence}/velodyne/{scan.stem}.bin": encode_bin(scan.scan),
+            f"{scan.sequence}/labels/{scan.stem}.label": encode_labels(scan.labels),
+        }
+
+    def sequence_files(self, sequence: str, stems: Sequence[str], poses: Poses | None) -> Files:
+        """Return the poses, and a calibration without rotation; the tool opens none without both.
+
+        Scans without poses are placed side by side, so that the tool shows each alone.
+        """
+        if poses is None:
+            poses = np.tile(np.eye(4), (len(stems), 1, 1))
+            poses[:, 0, 3] = APART_M * np.arange(len(stems))
+        return {
+            f"{sequence}/{POSES}": encode_poses(poses),
+            f"{sequence}/{CALIBRATION}": NO_ROTATION.encode("ascii"),
+        }
+
+    def recognises(self, path: Path) -> bool:
+        """Return whether a file is a label file; the tool saves what it got."""
+        return path.suffix.lower() == ".label"
+
+    def read(self, path: Path, scan: Scan, space: LabelSpace) -> ToolLabels:
+        """Read a label file: raw ids, with instances."""
+        ids = whole_numbers(read_labels(path, len(scan)), path, "label")
+        return ToolLabels(
+            cloud=LabelledCloud(points=scan.points, ids=ids, scalar="labels"),
+            meanings=LabelIds.from_space(space),
+            is_in_order=True,
+        )

@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: MIT
+"""Semantic Segmentation Editor (sse): ascii PCD files, whose labels are indices of classes."""
+
+from pathlib import Path
+
+from salsanext_cli.core.classes.label_space import LabelSpace
+from salsanext_cli.core.records import Scan
+from salsanext_cli.io.files.json_files import encode_json
+from salsanext_cli.io.files.reading import present
+from salsanext_cli.io.formats.label_scalars import LabelIds, LabelledCloud
+from salsanext_cli.io.formats.pcd_writing import encode_pcd
+from salsanext_cli.io.labelling_tools.tool import (
+    Files,
+    LabelledPoints,
+    LabellingTool,
+    ToolLabels,
+    pcd_fields,
+)
+
+SETTINGS = "settings.json"
+LABEL = "label"
+OBJECT = "object"  # Field that the editor adds: number of the object of a point, or -1
+
+
+class SemanticSegmentationEditor(LabellingTool):
+    """The editor of Hitachi, whose older versions read no binary PCD files."""
+
+    name = "sse"
+
+    def scan_files(self, scan: LabelledPoints, space: LabelSpace) -> Files:
+        """Return an ascii PCD file, with train ids as labels."""
+        columns = scan.columns() | {LABEL: space.to_train(scan.labels, source=scan.name)}
+        return {f"{scan.name}.pcd": encode_pcd(columns, text=True)}
+
+    def common_files(self, space: LabelSpace) -> Files:
+        """Return the settings of the editor, with the classes in the order of their train ids."""
+        classes = [
+            {"label": name, "color": "#" + bytes(colour.tolist()).hex().upper()}
+            for name, colour in zip(space.names, space.colours, strict=True)
+        ]
+        settings = {
+            "configuration": {"images-folder": "", "internal-folder": ""},
+            "sets-of-classes": [{"name": space.name, "objects": classes}],
+        }
+        return {SETTINGS: encode_json(settings)}
+
+    def recognises(self, path: Path) -> bool:
+        """Return whether a PCD file has objects, or lies beside the settings of the editor."""
+        fields = pcd_fields(path)
+        return LABEL in fields and (OBJECT in fields or present(path.with_name(SETTINGS)))
+
+    def read(self, path: Path, scan: Scan, space: LabelSpace) -> ToolLabels:
+        """Read a PCD file; the labels are train ids."""
+        return ToolLabels(
+            cloud=LabelledCloud.read(path, LABEL, scan.notes.frame),
+            meanings=LabelIds.from_train_ids(space),
+            is_in_order=False,
+        )

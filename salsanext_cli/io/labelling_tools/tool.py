@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: MIT
+"""Interface of a labelling tool: the files that it opens, and the files that it saves."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy.typing as npt
+
+from salsanext_cli.core.classes.label_space import LabelSpace, RawIds
+from salsanext_cli.core.errors import FormatError
+from salsanext_cli.core.poses import Poses
+from salsanext_cli.core.records import Scan
+from salsanext_cli.io.files.reading import reading
+from salsanext_cli.io.formats.label_scalars import LabelIds, LabelledCloud
+from salsanext_cli.io.formats.pcd import read_header
+
+Files = Mapping[str, bytes]  # Content of files by path in the folder of a tool, with slashes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LabelledPoints:
+    """A scan with the labels to correct."""
+
+    sequence: str
+    stem: str  # Of the file of the scan
+    scan: Scan  # N points
+    labels: RawIds  # (N,) uint32: raw ids
+
+    @property
+    def name(self) -> str:
+        """Name in a folder of scans of all sequences; its words name the scan."""
+        return f"{self.sequence}_{self.stem}"
+
+    def columns(self) -> dict[str, npt.NDArray[Any]]:
+        """Return coordinates in metres and intensity, (N,) float32 each, as tools name them."""
+        coordinates = dict(zip("xyz", self.scan.points.T, strict=True))
+        return {**coordinates, "intensity": self.scan.intensity}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ToolLabels:
+    """Labels of one scan from a file of a tool."""
+
+    cloud: LabelledCloud  # Of M points
+    meanings: LabelIds  # Of the ids in the cloud
+    is_in_order: bool  # Whether the points are those of the scan, in their order
+
+
+class LabellingTool(ABC):
+    """A tool to label scans with."""
+
+    name: ClassVar[str]  # On the command line, and of its folder in a data set
+
+    @abstractmethod
+    def scan_files(self, scan: LabelledPoints, space: LabelSpace) -> Files:
+        """Return the files of a scan with labels of a label space."""
+
+    def sequence_files(self, sequence: str, stems: Sequence[str], poses: Poses | None) -> Files:
+        """Return further files of a sequence of N scans, which are sorted.
+
+        `poses` are (N, 4, 4) float64 from the frame of a scan to that of the drive, in metres, or
+        None if they are unknown.
+        """
+        return {}
+
+    def common_files(self, space: LabelSpace) -> Files:
+        """Return further files of all scans, such as the classes of a label space."""
+        return {}
+
+    @abstractmethod
+    def recognises(self, path: Path) -> bool:
+        """Return whether the tool saved a file with labels, or got it."""
+
+    def lacks_labels(self, path: Path) -> bool:
+        """Return whether a point cloud is of the tool, which has the labels in another file."""
+        return False
+
+    @abstractmethod
+    def read(self, path: Path, scan: Scan, space: LabelSpace) -> ToolLabels:
+        """Read a file that the tool recognises, of a scan whose labels are of a label space."""
+
+
+def pcd_fields(path: Path) -> tuple[str, ...]:
+    """Return the names of the fields of a PCD file; none of other and of damaged files."""
+    if path.suffix.lower() != ".pcd":
+        return ()
+    try:
+        with reading(path) as file:
+            return read_header(file, path).names
+    except FormatError:
+        return ()

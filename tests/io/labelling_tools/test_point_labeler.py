@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: MIT
+"""Folders of point_labeler, which edits label files in place."""
+
+import numpy as np
+import pytest
+from picked_for_tools import SEQUENCES, PickedForTool
+from scans import files_below
+
+from salsanext_cli.io.labelling_tools.point_labeler import APART_M
+
+SCAN = ("08", "000011")
+
+
+@pytest.fixture
+def picked(tmp_path):
+    return PickedForTool(tmp_path, "point-labeler")
+
+
+def opened_poses(folder):
+    """Return the poses as the tool computes them: from the LiDAR, by a calibration."""
+
+    def matrix(words):
+        return np.vstack([np.array(words, float).reshape(3, 4), [0, 0, 0, 1]])
+
+    (line,) = (folder / "calib.txt").read_text().splitlines()
+    assert line.startswith("Tr: ")
+    lidar_to_camera = matrix(line.split()[1:])
+    poses = [matrix(line.split()) for line in (folder / "poses.txt").read_text().splitlines()]
+    return [np.linalg.inv(lidar_to_camera) @ pose @ lidar_to_camera for pose in poses]
+
+
+def test_each_sequence_is_a_folder_of_the_benchmark(picked):
+    picked.write()
+    expected = [
+        f"{sequence}/{name}"
+        for sequence, stems in SEQUENCES.items()
+        for name in (
+            "calib.txt",
+            "poses.txt",
+            *(f"labels/{stem}.label" for stem in stems),
+            *(f"velodyne/{stem}.bin" for stem in stems),
+        )
+    ]
+    assert sorted(files_below(picked.folder)) == sorted(expected)
+    for sequence, stem in picked.scans:
+        for name in (f"velodyne/{stem}.bin", f"labels/{stem}.label"):
+            original = picked.root / "sequences" / sequence / name
+            assert (picked.folder / sequence / name).read_bytes() == original.read_bytes()
+
+
+def test_scans_without_poses_are_shown_apart(picked):
+    picked.write()
+    first, second = opened_poses(picked.folder / "08")
+    np.testing.assert_array_equal(first, np.eye(4))
+    np.testing.assert_array_equal(second[:3, 3], [APART_M, 0, 0])
+    assert len(opened_poses(picked.folder / "09")) == 1
+
+
+def test_poses_of_the_camera_are_those_of_the_lidar_to_the_tool(picked):
+    sequence = picked.root / "sequences/08"
+    # The axes of the camera: x right, y down, z forward.
+    (sequence / "calib.txt").write_text(
+        "P0: 1 0 0 0 0 1 0 0 0 0 1 0\nTr: 0 -1 0 0 0 0 -1 0 1 0 0 0\n"
+    )
+    (sequence / "poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 0 0 1 0 0 0 0 1 5\n")
+    picked.write()
+    first, second = opened_poses(picked.folder / "08")
+    np.testing.assert_allclose(first, np.eye(4), atol=1e-12)
+    np.testing.assert_allclose(second[:3, 3], [5, 0, 0], atol=1e-12)
+
+
+def test_unreadable_poses_are_skipped_with_a_warning(picked, caplog):
+    poses = picked.root / "sequences/08/poses.txt"
+    poses.write_text("1 0 0 0 0 1 0 0 0 0 1 zero\n" * 2)
+    picked.write()
+    assert str(poses) in caplog.text
+    assert opened_poses(picked.folder / "08")[1][0, 3] == APART_M
+
+
+def test_three_labels_changed_in_place_come_back_exactly(picked):
+    picked.write()
+    path = picked.folder / "08/labels/000011.label"
+    path.write_bytes(picked.corrected(SCAN).astype("<u4").tobytes())
+    found = picked.import_from(picked.folder)
+    assert [scan.scan for scan in found.scans] == ["08/000011"]
+    assert (len(found.unedited), found.failures) == (2, [])
+    np.testing.assert_array_equal(picked.labels(SCAN), picked.corrected(SCAN))
+    assert (picked.labels(SCAN) != picked.before[SCAN]).sum() == 3
+
+
+def test_the_same_command_again_keeps_edited_labels(picked):
+    picked.write()
+    path = picked.folder / "08/labels/000011.label"
+    path.write_bytes(picked.corrected(SCAN).astype("<u4").tobytes())
+    (picked.folder / "09/poses.txt").unlink()
+    edited = files_below(picked.folder)
+    picked.write()
+    again = files_below(picked.folder)
+    assert again.keys() - edited.keys() == {"09/poses.txt"}
+    assert {name: again[name] for name in edited} == edited
+
+
+def test_a_label_file_of_another_scan_is_refused(picked):
+    picked.write()
+    path = picked.folder / "08/labels/000011.label"
+    path.write_bytes(b"\n\0\0\0" * 7)
+    (failure,) = picked.import_from(path).failures
+    assert failure.code == "label"
+    np.testing.assert_array_equal(picked.labels(SCAN), picked.before[SCAN])

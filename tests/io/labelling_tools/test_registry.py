@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: MIT
+import numpy as np
+import pytest
+from edited_clouds import write_pcd, write_ply
+from scans import refused
+
+from salsanext_cli.core.errors import UsageError
+from salsanext_cli.io.labelling_tools.registry import TOOLS, tool_named, tool_of
+
+POINTS = np.eye(3, dtype="f4")
+LABELS = np.arange(3, dtype="i4")
+
+
+def test_each_tool_has_its_name():
+    assert all(tool_named(name).name == name for name in TOOLS)
+    with refused(UsageError, "tool supervisly"):
+        tool_named("supervisly")
+
+
+@pytest.mark.parametrize(
+    ("name", "scalars", "tool"),
+    [
+        ("a.pcd", {"label": LABELS}, None),
+        ("a.pcd", {"object": LABELS}, None),
+        ("a.PCD", {"label": LABELS, "object": LABELS}, "sse"),
+        ("a.ply", {"label": LABELS, "object": LABELS}, None),
+    ],
+)
+def test_clouds_are_recognised_by_their_fields(tmp_path, name, scalars, tool):
+    write = write_ply if name.endswith("ply") else write_pcd
+    found = tool_of(write(tmp_path / name, POINTS, scalars))
+    assert (found and found.name) == tool
+
+
+def test_a_damaged_cloud_is_of_no_tool(tmp_path):
+    path = tmp_path / "a.pcd"
+    path.write_bytes(b"FIELDS label object\n")
+    assert tool_of(path) is None
