@@ -35,11 +35,14 @@ if TYPE_CHECKING:
     from salsanext_cli.core.sensors.sensor import Sensor
 
 OUT_VARIABLE = "SALSANEXT_OUT"
-SCANS_HELP = "Scan file, folder of scans, sequence folder, data set or recording."
+SCANS_HELP = (
+    "Scan file, folder of scans, sequence folder, data set, recording, or @FILE: a text file with "
+    "one path per line."
+)
 FORMATS = f"{' '.join(SCAN_SUFFIXES)}; of recordings: {' '.join(RECORDING_SUFFIXES)}"
 SUBSET = DeclarationChange(names=("--subset",), help="Only N scans, evenly spaced over the data.")
 """Declaration of `ScanSelection.limit` in commands that spread the scans over the data."""
-EXPECTED_SCANS = "scan file, folder of scans, sequence folder, data set or recording"
+EXPECTED_SCANS = "scan file, folder of scans, sequence folder, data set, recording or @list.txt"
 DEFAULT_SCANS = "the data set or sequence in the current folder"
 
 
@@ -203,9 +206,14 @@ def _typed_paths(context: typer.Context, scans: Path | None, out: Path) -> list[
 
 
 def _require_folder(out: Path) -> None:
-    """Refuse a file as OUT."""
+    """Refuse a file, or a list of scans, as OUT."""
     from salsanext_cli.io.files.reading import is_folder, present
+    from salsanext_cli.runs.results.scan_list import list_of
 
+    file_of_list = list_of(out)
+    if file_of_list is not None and present(file_of_list):
+        hint = f"give OUT last: salsanext predict {out} out/"
+        raise UsageError("OUT", f"{out} is a list of scans", "a folder for the results", hint)
     if present(out) and not is_folder(out):
         hint = "give OUT last: salsanext predict a.bin b.bin out/"
         raise UsageError("OUT", f"{out} is a file", "a folder for the results", hint)

@@ -29,7 +29,8 @@ from salsanext_cli.io.labelling_tools.registry import lacks_labels, tool_of
 from salsanext_cli.io.labelling_tools.tool import ToolLabels
 from salsanext_cli.runs.labelling.label_records import ImportedScan
 from salsanext_cli.runs.labelling.las_classification import map_of_codes, unknown_codes
-from salsanext_cli.runs.results.paths import ScanFile, counted_by_suffix
+from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.results.scan_folders import counted_by_suffix
 
 LABEL_ARRAY = ".npy"  # Suffix of a file with one label per point and no coordinates
 LABEL_SUFFIXES = (".label", LABEL_ARRAY)  # In messages

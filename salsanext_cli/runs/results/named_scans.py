@@ -6,10 +6,9 @@ from pathlib import Path
 
 from salsanext_cli.core.errors import FormatError, UsageError
 from salsanext_cli.core.texts import did_you_mean, first_few
-from salsanext_cli.io.files.reading import reading
+from salsanext_cli.io.files.listed_lines import listed_lines
 from salsanext_cli.runs.results.paths import ScanFile
 
-COMMENT = "#"
 EXAMPLE = "one name per line, such as 08/000000"
 
 
@@ -55,14 +54,7 @@ def read_names(path: Path) -> list[str]:
 
     Raises `FormatError` if the file has none or is no text.
     """
-    with reading(path) as file:
-        content = file.read()
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise FormatError(path, "is no text in UTF-8", EXAMPLE) from None
-    lines = (line.strip() for line in text.splitlines())
-    names = [line for line in lines if line and not line.startswith(COMMENT)]
+    names = [line.text for line in listed_lines(path, EXAMPLE)]
     if not names:
         raise FormatError(path, "contains no name of a scan", EXAMPLE)
     return names

@@ -3,7 +3,6 @@
 
 import os
 import re
-from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import groupby
@@ -12,17 +11,10 @@ from typing import Any
 
 from salsanext_cli.core.errors import NoInputError, OutputError
 from salsanext_cli.core.notices import NOTICE, log_once
-from salsanext_cli.core.texts import first_few
 from salsanext_cli.core.uncertainty.kinds import UNCERTAINTY
 from salsanext_cli.io.files.reading import present, reason
-from salsanext_cli.io.formats import is_table, scan_suffix, suffixes_in_words
-from salsanext_cli.io.formats.recordings import (
-    is_recording,
-    recorded_paths,
-    recording_of,
-    sequence_of,
-)
-from salsanext_cli.io.formats.unread import UNFINISHED, conversion_hint, folder_hint, unread_kind
+from salsanext_cli.io.formats import is_table, scan_suffix
+from salsanext_cli.io.formats.recordings import recorded_paths, recording_of, sequence_of
 from salsanext_cli.runs.results.layouts import LABEL_FOLDER, SCAN_FOLDER, layout_of, sequence_name
 from salsanext_cli.runs.results.scan_folders import (
     CERTAIN,
@@ -32,16 +24,18 @@ from salsanext_cli.runs.results.scan_folders import (
     ambiguous_folders,
     folders_in,
     folders_of_one_name,
-    hint_of_labels,
     names_in,
+    no_scans_error,
     other_files_below,
     scan_names,
     search_below,
+    unread_file_error,
     usable,
     words_of_choice,
     words_of_drives,
     words_of_others,
 )
+from salsanext_cli.runs.results.scan_list import list_of, listed_paths
 
 SINGLE_SCAN_STAGES = ("predict", "knn-refine", "uncertainty")
 FUSED = "fused"  # Folder of the fused labels in the folder of the labels of single scans
@@ -71,34 +65,6 @@ SUFFIX_OF_FOLDER = {
     "laz": ".laz",
 }
 """Folders of a sequence in an output folder, and the suffix of the files in each."""
-
-
-def counted_by_suffix(paths: Iterable[Path]) -> str:
-    """Return the numbers of files by suffix, in words."""
-    counts = sorted(Counter(path.suffix.lower() for path in paths).items())
-    return ", ".join(f"{count} {suffix or 'without a suffix'}" for suffix, count in counts)
-
-
-def _unread_file_error(path: Path) -> NoInputError:
-    """Return the error of a file that is neither a scan nor a recording."""
-    problem = f"{path.suffix} files are not supported" if path.suffix else "has no suffix"
-    if unread_kind(path.name) == UNFINISHED:
-        problem = "is a bag that was never closed"
-    hint = hint_of_labels(path.parent, [path.name]) or conversion_hint(path)
-    return NoInputError(path, problem, f"one of {suffixes_in_words()}", hint)
-
-
-def _no_scans_error(source: Path, others: list[str]) -> NoInputError:
-    """Return the error of a source without scans, with the names of the files in it."""
-    expected = f"{suffixes_in_words()} files, or sequences/*/velodyne"
-    inside = sorted(filter(is_recording, source.iterdir())) if source.is_dir() else []
-    if inside:
-        problem = f"contains no scans, but recordings: {first_few([r.name for r in inside])}"
-        return NoInputError(source, problem, expected, f"give one recording, such as {inside[0]}")
-    paths = [source / name for name in others]
-    problem = f"contains no scans{f', but {counted_by_suffix(paths)}' if paths else ''}"
-    hint = hint_of_labels(source, others) or folder_hint(source, others)
-    return NoInputError(source, problem, f"{expected}, or a recording", hint)
 
 
 @dataclass(frozen=True, slots=True, order=True, kw_only=True)
@@ -139,15 +105,26 @@ def drive_order(file: ScanFile) -> tuple[Any, ...]:
 def find_scans(
     source: Path, sequences: Collection[str] | None = None, *, unique: bool = True
 ) -> list[ScanFile]:
-    """Find the scans of a file, folder, data set or recording, sorted.
+    """Find the scans of a file, folder, data set, recording or list (see `scan_list`), sorted.
 
     `unique`: whether to refuse several files of one name.
     """
+    file_of_list = list_of(source)
+    scans = _scans_at_source(source) if file_of_list is None else _scans_of_list(file_of_list)
+    if sequences is not None:
+        scans = scans_of_sequences(scans, sequences, source)
+    if unique:
+        require_unique_stems(scans)
+    return scans
+
+
+def _scans_at_source(source: Path) -> list[ScanFile]:
+    """Return the scans of anything but a list, sorted."""
     try:
         root = _absolute(source)  # Messages name the source as the user gave it
         is_file = present(source) and not source.is_dir()
         if is_file and not recording_of(root) and not scan_suffix(source.name):
-            raise _unread_file_error(source)
+            raise unread_file_error(source)
         scans = sorted(_scans_of(root))
         if source.is_dir() and all(is_table(scan.path.name) for scan in scans[:1]):
             scans = _scans_below(source, root, scans)
@@ -157,12 +134,17 @@ def find_scans(
     except OSError as error:
         raise NoInputError(source, reason(error), "a scan or a folder of scans") from error
     if not scans:
-        raise _no_scans_error(source, others)
-    if sequences is not None:
-        scans = scans_of_sequences(scans, sequences, source)
-    if unique:
-        require_unique_stems(scans)
+        raise no_scans_error(source, others)
     return scans
+
+
+def _scans_of_list(path: Path) -> list[ScanFile]:
+    """Return the scans that a text file lists, sorted, without repetitions."""
+    scans: set[ScanFile] = set()
+    for listed in listed_paths(path):
+        with listed.naming_line():
+            scans.update(_scans_at_source(listed.path))
+    return sorted(scans)
 
 
 def scans_at_top(folder: Path) -> list[ScanFile]:

@@ -13,10 +13,16 @@ from pathlib import Path
 from salsanext_cli.core.errors import FormatError, NoInputError
 from salsanext_cli.core.texts import MAX_NAMES_SHOWN, first_few
 from salsanext_cli.io.files.reading import is_folder
-from salsanext_cli.io.formats import SCAN_SUFFIXES, is_table, scan_suffix
+from salsanext_cli.io.formats import SCAN_SUFFIXES, is_table, scan_suffix, suffixes_in_words
 from salsanext_cli.io.formats.recording_kinds import RECORDING_SUFFIXES
 from salsanext_cli.io.formats.recordings import is_recording
-from salsanext_cli.io.formats.unread import UNREAD_SUFFIXES, folder_hint, unread_kind
+from salsanext_cli.io.formats.unread import (
+    UNFINISHED,
+    UNREAD_SUFFIXES,
+    conversion_hint,
+    folder_hint,
+    unread_kind,
+)
 from salsanext_cli.runs.results.layouts import LABEL_FOLDER, SCAN_FOLDER, Layout, layout_of
 
 OWN_TABLES = ("scores.txt", "log.csv", "picked.csv")
@@ -307,3 +313,31 @@ def hint_of_labels(folder: Path, names: Iterable[str]) -> str:
     scans = Path(os.path.normpath(folder / os.pardir / SCAN_FOLDER))
     place = shlex.quote(str(scans)) if scans.is_dir() else "the folder of the scans"
     return f"labels are no scans: give {place}"
+
+
+def counted_by_suffix(paths: Iterable[Path]) -> str:
+    """Return the numbers of files by suffix, in words."""
+    counts = sorted(Counter(path.suffix.lower() for path in paths).items())
+    return ", ".join(f"{count} {suffix or 'without a suffix'}" for suffix, count in counts)
+
+
+def unread_file_error(path: Path) -> NoInputError:
+    """Return the error of a file that is neither a scan nor a recording."""
+    problem = f"{path.suffix} files are not supported" if path.suffix else "has no suffix"
+    if unread_kind(path.name) == UNFINISHED:
+        problem = "is a bag that was never closed"
+    hint = hint_of_labels(path.parent, [path.name]) or conversion_hint(path)
+    return NoInputError(path, problem, f"one of {suffixes_in_words()}", hint)
+
+
+def no_scans_error(source: Path, others: list[str]) -> NoInputError:
+    """Return the error of a source without scans, with the names of the files in it."""
+    expected = f"{suffixes_in_words()} files, or sequences/*/velodyne"
+    inside = sorted(filter(is_recording, source.iterdir())) if source.is_dir() else []
+    if inside:
+        problem = f"contains no scans, but recordings: {first_few([r.name for r in inside])}"
+        return NoInputError(source, problem, expected, f"give one recording, such as {inside[0]}")
+    paths = [source / name for name in others]
+    problem = f"contains no scans{f', but {counted_by_suffix(paths)}' if paths else ''}"
+    hint = hint_of_labels(source, others) or folder_hint(source, others)
+    return NoInputError(source, problem, f"{expected}, or a recording", hint)

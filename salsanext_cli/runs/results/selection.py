@@ -22,11 +22,11 @@ from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.runs.results.layouts import SCAN_FOLDER, layout_of
 from salsanext_cli.runs.results.paths import (
     ScanFile,
-    counted_by_suffix,
     find_scans,
     require_unique_stems,
     scans_of_sequences,
 )
+from salsanext_cli.runs.results.scan_folders import counted_by_suffix
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 
 LABEL_SPACE_FILES = ("labels.yaml", "semantic-kitti.yaml")
