@@ -41,6 +41,7 @@ def test_a_message_is_logged_once(caplog):
 
 
 def test_assumptions_of_readers_are_details_where_an_earlier_command_stated_them(caplog):
+    caplog.set_level(logging.INFO, "salsanext_cli")
     with demote_reader_notices():
         notice_once("read as rows")
         log_once("folder used", NOTICE)
