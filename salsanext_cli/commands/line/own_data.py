@@ -147,7 +147,9 @@ def pick(
         "Pick the scans whose names this text file lists, one per line.", "--from", metavar="FILE"
     ),
     tool: str | None = option(
-        "Also write the scans for a labelling tool: point-labeler or sse.", "--for", metavar="TOOL"
+        "Also write the scans for a labelling tool: point-labeler, sse or supervisely.",
+        "--for",
+        metavar="TOOL",
     ),
     seed: int = option("Seed of the dropout masks.", default=0),
     labelled: list[Path] | None = option(
@@ -218,8 +220,8 @@ def _labels_as_data(labels: "PickedLabels | None") -> dict[str, object]:
 
 def import_labels(
     edited: Path = argument(
-        "Labelled point cloud (.ply, .pcd, .las, .laz), .label or .npy file, or a folder of such "
-        "files.",
+        "Labelled point cloud (.ply, .pcd, .las, .laz), .label or .npy file, file of a labelling "
+        "tool, or a folder of such files.",
         default=...,
         metavar="EDITED",
     ),

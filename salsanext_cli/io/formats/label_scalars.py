@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, Self
@@ -219,6 +219,19 @@ class LabelIds:
         return cls(dict(space.learning_map_inv), names, space.learning_map_inv[0])
 
     @classmethod
+    def from_names(cls, names: Mapping[int, str], space: LabelSpace, source: Path) -> LabelIds:
+        """Return the raw ids of ids whose classes a file of a tool names."""
+        _require_class_of_unlabelled(space)
+        raw_ids = raw_ids_of_names(names.values(), space, source)
+        raw_of = {i: raw_ids[name] for i, name in names.items()}
+        return cls(raw_of, dict(sorted(names.items())), space.learning_map_inv[0])
+
+    def with_unlabelled(self, ids: Ids) -> LabelIds:
+        """Return the same meanings, with further ids that mean no label."""
+        others = dict.fromkeys(np.unique(_classes(ids)).tolist(), self.unlabelled)
+        return replace(self, raw_of=others | self.raw_of)
+
+    @classmethod
     def from_codes(cls, space: LabelSpace) -> LabelIds:
         """Return the raw ids of the codes of the ASPRS but those of several classes."""
         _require_class_of_unlabelled(space)
@@ -270,6 +283,24 @@ def _classes(ids: Ids) -> Ids:
     return np.where(ids >= 0, ids & CLASS_BITS, ids)
 
 
+def raw_ids_of_names(names: Iterable[str], space: LabelSpace, source: Path) -> dict[str, int]:
+    """Return the raw id of each name of a class in a file; refuse names of no class."""
+    raw_ids = _raw_ids_by_name(space)
+    names = list(names)
+    unknown = sorted({name for name in names if name not in raw_ids})
+    if unknown:
+        problem = f"has unknown classes {shortened(', '.join(unknown))}"
+        hint = "rename them in the labelling tool, or change labels.yaml"
+        raise LabelError(source, problem, f"classes of {space.name}: {', '.join(raw_ids)}", hint)
+    return {name: raw_ids[name] for name in names}
+
+
+def _raw_ids_by_name(space: LabelSpace) -> dict[str, int]:
+    """Return the raw id of each name; of several, the one that represents its class."""
+    by_name = {name: raw for raw, name in reversed(space.labels.items())}
+    return by_name | {space.labels[raw]: raw for raw in space.learning_map_inv.values()}
+
+
 def _raw_ids(space: LabelSpace) -> list[int]:
     return sorted({*space.learning_map, *space.learning_map_inv.values()})
 
@@ -283,8 +314,7 @@ def _read_map(path: Path, space: LabelSpace) -> dict[int, int]:
         raise UsageError(subject, "no such file", EXPECTED_MAP) from error
     if not isinstance(data, Mapping) or not data:
         raise UsageError(path, f"contains a {type(data).__name__}", EXPECTED_MAP)
-    by_name = {name: raw for raw, name in reversed(space.labels.items())}
-    by_name |= {space.labels[raw]: raw for raw in space.learning_map_inv.values()}
+    by_name = _raw_ids_by_name(space)
     raw_ids = _raw_ids(space)
     raw_of: dict[Any, Any] = {
         key: by_name.get(value) if isinstance(value, str) else value for key, value in data.items()

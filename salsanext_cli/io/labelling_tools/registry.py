@@ -9,10 +9,11 @@ from salsanext_cli.core.texts import did_you_mean
 from salsanext_cli.core.wording import argument
 from salsanext_cli.io.labelling_tools.point_labeler import PointLabeler
 from salsanext_cli.io.labelling_tools.sse import SemanticSegmentationEditor
+from salsanext_cli.io.labelling_tools.supervisely import Supervisely
 from salsanext_cli.io.labelling_tools.tool import LabellingTool
 
 TOOLS: Mapping[str, LabellingTool] = {
-    tool.name: tool for tool in (PointLabeler(), SemanticSegmentationEditor())
+    tool.name: tool for tool in (PointLabeler(), SemanticSegmentationEditor(), Supervisely())
 }
 """Tools by name."""
 

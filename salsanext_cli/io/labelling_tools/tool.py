@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Interface of a labelling tool: the files that it opens, and the files that it saves."""
 
+import json
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,9 +12,10 @@ import numpy.typing as npt
 
 from salsanext_cli.core.classes.label_space import LabelSpace, RawIds
 from salsanext_cli.core.errors import FormatError
+from salsanext_cli.core.plain_data import Json
 from salsanext_cli.core.poses import Poses
 from salsanext_cli.core.records import Scan
-from salsanext_cli.io.files.reading import reading
+from salsanext_cli.io.files.reading import reading, refusing_damage
 from salsanext_cli.io.formats.label_scalars import LabelIds, LabelledCloud
 from salsanext_cli.io.formats.pcd import read_header
 
@@ -81,6 +83,12 @@ class LabellingTool(ABC):
     @abstractmethod
     def read(self, path: Path, scan: Scan, space: LabelSpace) -> ToolLabels:
         """Read a file that the tool recognises, of a scan whose labels are of a label space."""
+
+
+def read_json_object(path: Path, expected: str) -> Json:
+    """Read a JSON object; `expected` is what the file should contain, in errors."""
+    with reading(path) as file, refusing_damage(path, expected):
+        return Json(json.load(file).items())
 
 
 def pcd_fields(path: Path) -> tuple[str, ...]:

@@ -32,6 +32,16 @@ def test_clouds_are_recognised_by_their_fields(tmp_path, name, scalars, tool):
     assert (found and found.name) == tool
 
 
+def test_labels_with_a_file_of_their_names_are_of_supervisely(tmp_path):
+    (tmp_path / "class_mapping.json").write_text("{}")
+    for folder in (tmp_path, tmp_path / "08"):
+        path = write_pcd(folder / "a.pcd", POINTS, {"labels": LABELS})
+        assert tool_of(path).name == "supervisely"
+    assert tool_of(write_pcd(tmp_path / "b.pcd", POINTS, {"label": LABELS})) is None
+    assert tool_of(tmp_path / "ann/08_000010.pcd.json").name == "supervisely"
+    assert tool_of(tmp_path / "meta.json") is None
+
+
 def test_a_damaged_cloud_is_of_no_tool(tmp_path):
     path = tmp_path / "a.pcd"
     path.write_bytes(b"FIELDS label object\n")
