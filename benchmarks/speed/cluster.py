@@ -13,6 +13,7 @@ import statistics
 import sys
 import tempfile
 import time
+from bisect import bisect_left
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -47,9 +48,10 @@ def local_cluster(nodes: int) -> Iterator[Any]:
 
 
 def rate(finished: FinishedScans[float]) -> float:
-    """Return the scans per second after the first finished ones."""
-    seconds = finished.readings[-1] - finished.readings[0]
-    return (finished.counts[-1] - finished.counts[0]) / seconds
+    """Return the scans per second after the first tenth, when all workers have started."""
+    start = bisect_left(finished.counts, finished.counts[-1] // 10)
+    seconds = finished.readings[-1] - finished.readings[start]
+    return (finished.counts[-1] - finished.counts[start]) / seconds
 
 
 def labelled(scans: Path, **workers: Any) -> tuple[float, float]:
