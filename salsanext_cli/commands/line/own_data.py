@@ -147,7 +147,7 @@ def pick(
         "Pick the scans whose names this text file lists, one per line.", "--from", metavar="FILE"
     ),
     tool: str | None = option(
-        "Also write the scans for a labelling tool: point-labeler, sse or supervisely.",
+        "Also write the scans for a labelling tool: point-labeler, segments, sse or supervisely.",
         "--for",
         metavar="TOOL",
     ),

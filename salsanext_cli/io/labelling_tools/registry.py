@@ -8,12 +8,14 @@ from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.texts import did_you_mean
 from salsanext_cli.core.wording import argument
 from salsanext_cli.io.labelling_tools.point_labeler import PointLabeler
+from salsanext_cli.io.labelling_tools.segments import Segments
 from salsanext_cli.io.labelling_tools.sse import SemanticSegmentationEditor
 from salsanext_cli.io.labelling_tools.supervisely import Supervisely
 from salsanext_cli.io.labelling_tools.tool import LabellingTool
 
 TOOLS: Mapping[str, LabellingTool] = {
-    tool.name: tool for tool in (PointLabeler(), SemanticSegmentationEditor(), Supervisely())
+    tool.name: tool
+    for tool in (PointLabeler(), Segments(), SemanticSegmentationEditor(), Supervisely())
 }
 """Tools by name."""
 

@@ -2,7 +2,6 @@
 """Supervisely: it opens PCD files with names of their labels, and saves points of figures."""
 
 from collections import defaultdict
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -29,8 +28,10 @@ from salsanext_cli.io.labelling_tools.tool import (
     LabelledPoints,
     LabellingTool,
     ToolLabels,
+    named_raw_ids,
     pcd_fields,
     read_json_object,
+    whole_numbers_of_json,
 )
 
 LABELS = "labels"  # Field of a PCD file
@@ -54,9 +55,7 @@ class Supervisely(LabellingTool):
 
     def common_files(self, space: LabelSpace) -> Files:
         """Return the names of all raw ids but that of points without a label."""
-        unlabelled = space.learning_map_inv[0]
-        raw_ids = sorted({*space.learning_map, *space.learning_map_inv.values()} - {unlabelled})
-        return {MAPPING: encode_json({str(raw): space.labels[raw] for raw in raw_ids})}
+        return {MAPPING: encode_json(named_raw_ids(space))}
 
     def recognises(self, path: Path) -> bool:
         """Return whether a file is an annotation, or a PCD file with names of its labels."""
@@ -136,15 +135,7 @@ def _indices_of_classes(annotation: Json) -> dict[str, Ids]:
     for figure in annotation["figures"]:
         if figure["geometryType"] == POINTS:
             indices[class_of[figure["objectKey"]]] += figure["geometry"]["indices"]
-    return {name: _distinct(places) for name, places in indices.items()}
-
-
-def _distinct(places: Sequence[int]) -> Ids:
-    """Return sorted whole numbers without repetitions."""
-    numbers = np.array(places)
-    if len(places) and numbers.dtype.kind != "i":
-        raise ValueError("indices that are no whole numbers")
-    return np.unique(numbers).astype(np.int64)
+    return {name: np.unique(whole_numbers_of_json(places)) for name, places in indices.items()}
 
 
 def _require_points(path: Path, indices: Ids, points: Float) -> None:

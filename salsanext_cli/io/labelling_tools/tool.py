@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
+import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.core.classes.label_space import LabelSpace, RawIds
@@ -16,7 +17,7 @@ from salsanext_cli.core.plain_data import Json
 from salsanext_cli.core.poses import Poses
 from salsanext_cli.core.records import Scan
 from salsanext_cli.io.files.reading import reading, refusing_damage
-from salsanext_cli.io.formats.label_scalars import LabelIds, LabelledCloud
+from salsanext_cli.io.formats.label_scalars import Ids, LabelIds, LabelledCloud
 from salsanext_cli.io.formats.pcd import read_header
 
 Files = Mapping[str, bytes]  # Content of files by path in the folder of a tool, with slashes
@@ -83,6 +84,21 @@ class LabellingTool(ABC):
     @abstractmethod
     def read(self, path: Path, scan: Scan, space: LabelSpace) -> ToolLabels:
         """Read a file that the tool recognises, of a scan whose labels are of a label space."""
+
+
+def named_raw_ids(space: LabelSpace) -> dict[int, str]:
+    """Return the name of every raw id of a label space but that of points without a label."""
+    raw_ids = {*space.learning_map, *space.learning_map_inv.values()}
+    raw_ids.discard(space.learning_map_inv[0])
+    return {raw: space.labels[raw] for raw in sorted(raw_ids & space.labels.keys())}
+
+
+def whole_numbers_of_json(values: Sequence[int]) -> Ids:
+    """Return a list of JSON as an array (N,) int64; raise `ValueError` for other values."""
+    numbers = np.array(values)
+    if len(values) and (numbers.dtype.kind != "i" or numbers.ndim != 1):
+        raise ValueError("a list of other values than whole numbers")
+    return numbers.astype(np.int64)
 
 
 def read_json_object(path: Path, expected: str) -> Json:

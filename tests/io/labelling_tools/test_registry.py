@@ -5,7 +5,7 @@ from edited_clouds import write_pcd, write_ply
 from scans import refused
 
 from salsanext_cli.core.errors import UsageError
-from salsanext_cli.io.labelling_tools.registry import TOOLS, tool_named, tool_of
+from salsanext_cli.io.labelling_tools.registry import TOOLS, lacks_labels, tool_named, tool_of
 
 POINTS = np.eye(3, dtype="f4")
 LABELS = np.arange(3, dtype="i4")
@@ -40,6 +40,18 @@ def test_labels_with_a_file_of_their_names_are_of_supervisely(tmp_path):
     assert tool_of(write_pcd(tmp_path / "b.pcd", POINTS, {"label": LABELS})) is None
     assert tool_of(tmp_path / "ann/08_000010.pcd.json").name == "supervisely"
     assert tool_of(tmp_path / "meta.json") is None
+
+
+def test_json_with_objects_of_points_is_of_segments(tmp_path):
+    path = tmp_path / "a.json"
+    for content, tool in (("{}", None), ("", None), ('{"point_annotations": [', "segments")):
+        path.write_text(content)
+        found = tool_of(path)
+        assert (found and found.name) == tool
+    cloud = write_pcd(tmp_path / "a.pcd", POINTS, {"intensity": LABELS})
+    assert lacks_labels(cloud)
+    path.unlink()
+    assert not lacks_labels(cloud)
 
 
 def test_a_damaged_cloud_is_of_no_tool(tmp_path):
