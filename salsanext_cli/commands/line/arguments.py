@@ -36,8 +36,7 @@ if TYPE_CHECKING:
 
 OUT_VARIABLE = "SALSANEXT_OUT"
 SCANS_HELP = (
-    "Scan file, folder of scans, sequence folder, data set, recording, or @FILE: a text file with "
-    "one path per line."
+    "Scan file, folder of scans, sequence folder, data set, recording, or @FILE, a list of paths."
 )
 FORMATS = f"{' '.join(SCAN_SUFFIXES)}; of recordings: {' '.join(RECORDING_SUFFIXES)}"
 SUBSET = DeclarationChange(names=("--subset",), help="Only N scans, evenly spaced over the data.")
