@@ -30,6 +30,7 @@ from scans import SMALL, make_scan, write_array, write_bin, write_sequence
 import salsanext_cli
 from salsanext_cli import LabelSpace, Sensor, label_space, load_network, project, read_scan
 from salsanext_cli.commands.line.app import COMMANDS
+from salsanext_cli.commands.line.options_file import COMMANDS_WITH_FILE
 from salsanext_cli.commands.line.shard_option import shard_of_kubernetes
 from salsanext_cli.commands.stages import predict as stage
 from salsanext_cli.commands.stages import synth
@@ -195,6 +196,21 @@ def has_a_pod_for_each_shard(body: str) -> bool:
     return shard == Shard(1, spec["completions"])
 
 
+def has_only_options(body: str) -> bool:
+    """Return whether all keys of an options file are options of commands that read it."""
+    content = tomllib.loads(body)
+    tables = {key: value for key, value in content.items() if isinstance(value, dict)}
+    names = {
+        name: {option for p in parsed(name).params for option in p.opts}
+        for name in COMMANDS_WITH_FILE
+    }
+    in_tables = all(f"--{key}" in names[name] for name in tables for key in tables[name])
+    top = [key for key in content if key not in tables]
+    return in_tables and all(
+        any(f"--{key}" in names[name] for name in COMMANDS_WITH_FILE) for key in top
+    )
+
+
 READERS: dict[tuple[str, str], Callable[[str], object]] = {
     ("sensors.md", "toml"): lambda body: Sensor.from_dict(
         SMALL.to_dict() | tomllib.loads(body), "sensors.md"
@@ -208,6 +224,7 @@ READERS: dict[tuple[str, str], Callable[[str], object]] = {
     ),
     ("classes.md", "yaml"): lambda body: LabelSpace.from_dict(yaml.safe_load(body)),
     ("automate.md", "json"): json.loads,
+    ("automate.md", "toml"): has_only_options,
     ("json.md", "json"): json.loads,
     ("many-scans.md", "yaml"): has_a_pod_for_each_shard,
     ("plug-ins.md", "toml"): lambda body: tomllib.loads(body)["project"]["entry-points"],

@@ -176,6 +176,11 @@ def test_label_array(tmp_path, monkeypatch, capsys):
     notebook = json.loads((EXAMPLES / "label_array.ipynb").read_text("utf-8"))
     cells = ["".join(cell["source"]) for cell in notebook["cells"] if cell["cell_type"] == "code"]
     assert not any(cell.get("outputs") for cell in notebook["cells"])
+    badge = re.search(r"colab-badge.svg\)\]\((.*?)\)", "".join(notebook["cells"][0]["source"]))
+    opened = badge[1].partition(
+        "https://colab.research.google.com/github/salsanext/salsanext/blob/main/"
+    )
+    assert (EXAMPLES.parent / opened[2]).samefile(EXAMPLES / "label_array.ipynb")
     names: dict[str, Any] = {}
     for number, body in enumerate(cells):
         exec(compile(body, f"cell {number}", "exec"), names)

@@ -8,6 +8,7 @@ import typer
 
 from salsanext_cli.commands.line.cluster_option import choose_workers
 from salsanext_cli.commands.line.console import WRONG_USE, usage_errors
+from salsanext_cli.commands.line.options_file import settle_options, use_options_file
 from salsanext_cli.commands.line.removed import refuse_removed
 from salsanext_cli.commands.line.typer_interface import TyperCommand, TyperGroup, stating_command
 
@@ -93,8 +94,10 @@ class Command(TyperCommand):
         is_json = "--json" in args
         refuse_removed(_names(ctx), args, json=is_json)
         _print_whole_help(self, ctx, args)
+        use_options_file(ctx, args, json=is_json)
         with stating_command(ctx):
             others = super().parse_args(ctx, args)
+        settle_options(ctx)
         choose_workers(ctx, json=is_json)
         return others
 

@@ -12,12 +12,24 @@ from typing import Any, cast
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-__all__ = ["USAGE_ERROR", "TyperCommand", "TyperGroup", "is_typed", "stating_command"]
+__all__ = [
+    "OF_FILE",
+    "OF_VARIABLE",
+    "TYPED",
+    "USAGE_ERROR",
+    "TyperCommand",
+    "TyperGroup",
+    "is_typed",
+    "source_of",
+    "stating_command",
+]
 
 USAGE_ERROR = cast("type[Exception]", typer.BadParameter.__base__)
 """Errors of the command line, one kind of which typer exports."""
 TYPED = "COMMANDLINE"
-"""Name of the source of parameters that were typed."""
+OF_VARIABLE = "ENVIRONMENT"
+OF_FILE = "DEFAULT_MAP"
+"""Names of the sources of parameters: typed, from a variable, from the options file."""
 
 
 @contextmanager
@@ -31,7 +43,12 @@ def stating_command(context: Any) -> Iterator[None]:
         raise
 
 
+def source_of(context: Any, parameter: str) -> str:
+    """Return the name of the source of a parameter; empty before it is parsed."""
+    source = context.get_parameter_source(parameter)
+    return "" if source is None else str(source.name)
+
+
 def is_typed(context: Any, parameter: str) -> bool:
     """Return whether a parameter was typed, and is not set by its variable or its default."""
-    source = context.get_parameter_source(parameter)
-    return source is not None and source.name == TYPED
+    return source_of(context, parameter) == TYPED

@@ -38,7 +38,7 @@ def usage_error(raised: Any, arguments: Sequence[str]) -> UsageError:
         return _unknown_option(option_name, [*parameters], path)
     parameter: Any = getattr(raised, "param", None)
     value = None if parameter is None else _value(parameter, arguments)
-    expected = "" if parameter is None else _expected(parameter)
+    expected = "" if parameter is None else expected_value(parameter)
     if value is not None and expected:
         return _wrong_value(parameter, value, expected, path)
     message = raised.format_message().rstrip(".")
@@ -69,7 +69,7 @@ def _missing_value(parameter: Any, name: str, path: str) -> UsageError:
     hint = f"see {path} --help"
     if parameter.is_flag:
         return UsageError(name, "does not take a value", hint=hint)
-    return UsageError(name, "needs a value", _expected(parameter), hint)
+    return UsageError(name, "needs a value", expected_value(parameter), hint)
 
 
 def _unknown_option(name: str, offered: Sequence[str], path: str) -> UsageError:
@@ -96,7 +96,7 @@ def _value(parameter: Any, arguments: Sequence[str]) -> str | None:
     return os.environ.get(parameter.envvar) if isinstance(parameter.envvar, str) else None
 
 
-def _expected(parameter: Any) -> str:
+def expected_value(parameter: Any) -> str:
     """Return what the value of an option must be; empty if that is not known."""
     least = getattr(parameter, "min", None)
     most = getattr(parameter, "max", None)
