@@ -71,7 +71,9 @@ def compare(
     OwnedFolder(after).refuse_foreign(paths)
     runs = _with_usable_labels(RunPair.from_folders(before, after, query))
     pairs: list[ScanPair] = []
-    outcome = run_over_scans(runs.count, runs.scans, options, on_result=pairs.append)
+    outcome = run_over_scans(
+        runs.count, runs.scans, options, on_result=pairs.append, reads=[before, after]
+    )
     if not pairs:
         first = outcome.failures[0]
         raise NoInputError(after, f"no scan could be compared: {first.reason}", hint=first.hint)

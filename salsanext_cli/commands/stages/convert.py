@@ -97,7 +97,7 @@ def convert(
             return filled(_target(scan_folder, scan))
 
         outcome = run_over_scans(
-            task, chosen, options, is_done=is_done, on_result=converted.append, folder=folder
+            task, chosen, options, is_done=is_done, on_result=converted.append, writes=[folder]
         )
         written = {number: scan for number, scan in enumerate(listed) if is_done(scan)}
         _write_files_of_sequence(owned, folder / sequence, file, written)

@@ -154,7 +154,9 @@ def _evaluation(
     """Count the scans and divide the counts."""
     space = comparison.space
     separate = SeparateCounts(space, comparison.by_distance)
-    outcome = run_over_scans(comparison.count, scans, options, on_result=separate.add)
+    outcome = run_over_scans(
+        comparison.count, scans, options, on_result=separate.add, reads=[results.root]
+    )
     counts = separate.scored()
     if not counts.scans:
         raise _nothing_compared(results.root, counts, outcome.failures)

@@ -107,7 +107,7 @@ def export_las(
             labels=chosen.labels,
             compressed=compressed,
         )
-        outcome = run_over_scans(task, chosen.scans, options, is_done=output.is_done, folder=out)
+        outcome = run_over_scans(task, chosen.scans, options, is_done=output.is_done, writes=[out])
     log.log(NOTICE, "classified: %s", out / "sequences/*" / folder)
     return replace(outcome, missing=chosen.missing)
 

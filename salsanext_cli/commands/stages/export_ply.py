@@ -124,7 +124,7 @@ def export_ply(
             classes=query.classes,
             labels=chosen.labels,
         )
-        outcome = run_over_scans(task, chosen.scans, options, is_done=output.is_done, folder=out)
+        outcome = run_over_scans(task, chosen.scans, options, is_done=output.is_done, writes=[out])
     log.log(NOTICE, "coloured by %s: %s", colour, out / "sequences/*" / destination.folder)
     return replace(outcome, missing=chosen.missing)
 

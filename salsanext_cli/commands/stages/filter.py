@@ -105,9 +105,14 @@ def _filter_files(
     def add(scan: WrittenScan) -> None:
         written[scan.file] = scan.counts
 
-    root = task.owned.root
     return run_over_scans(
-        task.write, scans, options, is_done=task.is_done, on_result=add, folder=root
+        task.write,
+        scans,
+        options,
+        is_done=task.is_done,
+        on_result=add,
+        writes=[task.owned.root],
+        reads=[task.results.root],
     )
 
 

@@ -111,7 +111,7 @@ def fuse_results(
             fused=fused,
         )
         outcome = run_over_scans(
-            task, fusible.scans, options, is_done=is_done, summary=summary, folder=target
+            task, fusible.scans, options, is_done=is_done, summary=summary, writes=[out, target]
         )
     return replace(outcome, missing=fusible.missing)
 

@@ -127,7 +127,7 @@ def knn_refine_scans(
     with run as output, recorded_summary(summary, output, chosen):
         job = RefineJob(space=space, sensor=sensor, knn=knn, output=output)
         return run_over_scans(
-            job, chosen, options, is_done=output.is_done, summary=summary, folder=out
+            job, chosen, options, is_done=output.is_done, summary=summary, writes=[out]
         )
 
 

@@ -280,7 +280,7 @@ class PictureRun:
                 truth_in=(chosen.labels, chosen.space) if draws_truth else None,
             )
             outcome = run_over_scans(
-                task, chosen.scans, self.options, is_done=output.is_done, folder=self.results.root
+                task, chosen.scans, self.options, is_done=output.is_done, writes=[self.results.root]
             )
             log.log(NOTICE, "pictures: %s", results.root / "sequences/*" / FOLDER)
         return PictureOutcome.from_run(

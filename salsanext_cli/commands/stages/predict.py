@@ -133,7 +133,7 @@ def predict_scans(
             job=job, settings=resolved_for(settings, network, scans), network=network, batch=batch
         )
         outcome = run_over_scans(
-            task, scans, options, is_done=output.is_done, summary=summary, folder=out
+            task, scans, options, is_done=output.is_done, summary=summary, writes=[out]
         )
     rejected_points = summary.rejected_points if rejection else None
     return PredictOutcome.from_run(outcome, rejected_points=rejected_points)
@@ -242,6 +242,12 @@ def predict_range_images(
         job = partial(PredictImageJob, folder=folder, output=output)
         task = NetworkTask(job=job, settings=settings.resolved(network), network=network)
         outcome = run_over_scans(
-            task, scans, options, is_done=output.is_done, summary=summary, folder=out
+            task,
+            scans,
+            options,
+            is_done=output.is_done,
+            summary=summary,
+            writes=[out],
+            reads=[folder],
         )
     return PredictOutcome.from_run(outcome)

@@ -117,5 +117,5 @@ def project_scans(
             sensor=sensor, output=output, origins=origins.result_origins(output, scans, sensor)
         )
         return run_over_scans(
-            job, scans, options, is_done=output.is_done, summary=summary, folder=out
+            job, scans, options, is_done=output.is_done, summary=summary, writes=[out]
         )

@@ -231,7 +231,7 @@ def read_run(
             training_rows.add(row)
 
     task = partial(ScanRow.read, reader=reader)
-    outcome = run_over_scans(task, chosen.scans, options, on_result=add)
+    outcome = run_over_scans(task, chosen.scans, options, on_result=add, reads=[out])
     if not rows:
         raise NoInputError(out, f"no results can be read: {outcome.failures[0].reason}")
     scored = counts.scored()

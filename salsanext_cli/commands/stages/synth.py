@@ -139,7 +139,7 @@ def synthesise(
     ]
     with owned.open():
         _begin(owned, settings.record, files, overwrite)
-        run_over_scans(write, sequences, options, on_result=points.update, folder=out)
+        run_over_scans(write, sequences, options, on_result=points.update, writes=[out])
         space = replace(label_space("semantic-kitti"), splits=settings.splits)
         text = yaml.safe_dump(space.to_dict(), sort_keys=False, allow_unicode=True)
         owned.write_missing(out / LABEL_SPACE, text.encode())

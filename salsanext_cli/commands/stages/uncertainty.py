@@ -119,7 +119,7 @@ def uncertainty(
             log.log(NOTICE, "each scan takes %s", method.passes_text)
         task = NetworkTask(job=job, settings=resolved, network=network, batch=1)
         return run_over_scans(
-            task, scans, options, is_done=output.is_done, summary=summary, folder=out
+            task, scans, options, is_done=output.is_done, summary=summary, writes=[out]
         )
 
 

@@ -32,6 +32,7 @@ from salsanext_cli.runs.loop.event_file import EventLog, opened_events
 from salsanext_cli.runs.loop.job import Attempt, Task
 from salsanext_cli.runs.loop.measured_workers import attempts_as_needed, needs_measurement
 from salsanext_cli.runs.loop.pipeline import attempt_function, opened_work
+from salsanext_cli.runs.loop.run_folders import RunFolders
 from salsanext_cli.runs.loop.run_options import Progress, RunOptions
 from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.runs.results.selection import MissingResults
@@ -156,7 +157,8 @@ def run_over_scans(
     is_done: Callable[[ScanFile], bool] = lambda scan: False,
     on_result: Callable[[Any], object] = lambda result: None,
     summary: RunSummary | None = None,
-    folder: Path | None = None,
+    writes: Sequence[Path] = (),
+    reads: Sequence[Path] = (),
 ) -> Outcome:
     """Run a task over the scans of this shard that are not done.
 
@@ -174,8 +176,10 @@ def run_over_scans(
         Function of each result, which is called in this thread.
     summary : RunSummary, optional
         Summary to which the results are added, instead of `on_result`.
-    folder : Path, optional
-        Folder that the task writes into, which all nodes of a cluster must share.
+    writes : sequence of Path, optional
+        Folders that the task writes into, which all nodes of a cluster must share.
+    reads : sequence of Path, optional
+        Folders whose results the task reads, which all nodes must share, too.
 
     Returns
     -------
@@ -201,7 +205,8 @@ def run_over_scans(
             on_result=summary.add if summary else on_result,
             events=events,
         )
-        _run(task, todo, count, is_done, folder)
+        folders = RunFolders(writes=tuple(writes), reads=tuple(reads))
+        _run(task, todo, count, is_done, folders)
     return Outcome(
         skipped=len(scans_of_shard) - len(todo),
         failures=tuple(sorted(count.failures, key=lambda failure: failure.scan)),
@@ -217,13 +222,13 @@ def _run(
     todo: Sequence[ScanFile],
     count: RunningCount,
     is_done: Callable[[ScanFile], bool],
-    folder: Path | None,
+    folders: RunFolders,
 ) -> None:
     """Attempt all scans, and count the attempts; arguments as of `run_over_scans`."""
     if not todo:
         return
     try:
-        with closing(_attempts(task, todo, count, folder)) as attempts:
+        with closing(_attempts(task, todo, count, folders)) as attempts:
             for attempt in attempts:
                 count.add(attempt)
     except WorkersLost as lost:
@@ -234,7 +239,7 @@ def _run(
 
 
 def _attempts(
-    task: Task, scans: Sequence[ScanFile], count: RunningCount, folder: Path | None
+    task: Task, scans: Sequence[ScanFile], count: RunningCount, folders: RunFolders
 ) -> Generator[Attempt[Any], None, None]:
     """Yield the attempts of all scans, in no particular order if workers make them.
 
@@ -245,7 +250,7 @@ def _attempts(
     if options.cluster is not None:
         from salsanext_cli.runs.loop.cluster.attempts import attempts_of_cluster
 
-        return attempts_of_cluster(task, scans, options, folder)
+        return attempts_of_cluster(task, scans, options, folders)
     if min(len(scans), options.workers()) == 1:
         work = opened_work(task)
         if needs_measurement(work, scans, options):

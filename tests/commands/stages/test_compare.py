@@ -9,6 +9,7 @@ from evaluated import CAR, ROAD, SPACE, World
 from matplotlib.image import imread
 from rich.console import Console
 from scans import files_below, refused
+from works import attempts_in_process
 
 from salsanext_cli import label_space, read_scan, sensor
 from salsanext_cli.commands.stages.compare import compare
@@ -17,6 +18,9 @@ from salsanext_cli.commands.stages.report import report
 from salsanext_cli.core.errors import LabelError, NoInputError, OutputError, UsageError
 from salsanext_cli.core.network.card import scan_digest
 from salsanext_cli.report.run_change_tables import comparison_tables
+from salsanext_cli.runs.loop.cluster import attempts
+from salsanext_cli.runs.loop.run_folders import RunFolders
+from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.results.paths import find_scans, output_path
 from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.results.scan_selection import ScanSelection
@@ -244,6 +248,29 @@ def test_the_page_of_a_run_has_the_changes(runs):
     assert "car became road" in text
     record(runs[1], temperature=2.0)
     assert 'id="changes"' not in page(runs)
+
+
+@pytest.mark.parametrize("command", ["compare", "eval", "report"])
+def test_nodes_of_a_cluster_must_see_the_results_that_they_read(runs, monkeypatch, command):
+    asked = []
+
+    def attempts_of_nodes(task, scans, options, folders):
+        asked.append(folders)
+        yield from attempts_in_process(task, scans, RunOptions())
+
+    monkeypatch.setattr(attempts, "attempts_of_cluster", attempts_of_nodes)
+    before, after = runs
+    options = RunOptions(cluster="auto")
+    query = ResultQuery(before.dataset)
+    reads = (after.out,)
+    if command == "compare":
+        compare(before.out, after.out, query=query, options=options)
+        reads = (before.out, after.out)
+    elif command == "eval":
+        evaluate(after.out, query=query, options=options)
+    else:
+        report(after.out, query=query, options=options)
+    assert asked == [RunFolders(reads=reads)]
 
 
 def page(runs):

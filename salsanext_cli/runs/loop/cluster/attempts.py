@@ -17,7 +17,6 @@ from typing import Any
 from uuid import uuid4
 
 from salsanext_cli.core import wording
-from salsanext_cli.core.engines.registry import library_packages
 from salsanext_cli.core.errors import UsageError, WorkersLost
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.optional_packages import import_extra
@@ -39,15 +38,12 @@ from salsanext_cli.runs.loop.cluster.messages import (
     UnusableNode,
     Waiting,
 )
-from salsanext_cli.runs.loop.cluster.node_code import (
-    NodeRequirements,
-    ReadableFile,
-    installed_versions,
-)
+from salsanext_cli.runs.loop.cluster.node_requirements import node_requirements
 from salsanext_cli.runs.loop.cluster.work import Work
 from salsanext_cli.runs.loop.job import Attempt, OpenableTask, Task
 from salsanext_cli.runs.loop.network_task import NetworkTask
 from salsanext_cli.runs.loop.pool import MAX_CHUNK_SCANS, WorkerProcess, chunks
+from salsanext_cli.runs.loop.run_folders import RunFolders
 from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.results.paths import ScanFile
 
@@ -60,7 +56,7 @@ log = logging.getLogger(__name__)
 
 
 def attempts_of_cluster(
-    task: Task, scans: Sequence[ScanFile], options: RunOptions, folder: Path | None = None
+    task: Task, scans: Sequence[ScanFile], options: RunOptions, folders: RunFolders
 ) -> Generator[Attempt[Any], None, None]:
     """Yield the attempts of workers on a cluster, which end when this is closed, in any order.
 
@@ -72,8 +68,8 @@ def attempts_of_cluster(
         Scans to attempt.
     options : RunOptions
         Its `cluster` is the address.
-    folder : Path, optional
-        Folder that the workers write into.
+    folders : RunFolders
+        Folders that the workers write into and read from.
 
     Yields
     ------
@@ -95,15 +91,16 @@ def attempts_of_cluster(
         run_id=uuid4().hex, mark=MARK.get(), folder=Path.cwd(), spelling=wording.used()
     )
     work = Work(task=task, process=process, stop=options.on_error == "stop")
-    assignment = Assignment(
-        address=address,
-        work=pickle.dumps(work),
-        required=requirements(scans, folder),
-        scans=len(scans),
-        uses_gpu=uses_gpu(task),
-    )
     most = task.max_chunk_scans if isinstance(task, OpenableTask) else MAX_CHUNK_SCANS
-    with driver_process() as driver:
+    has_gpu = uses_gpu(task)
+    with node_requirements(scans, folders) as required, driver_process() as driver:
+        assignment = Assignment(
+            address=address,
+            work=pickle.dumps(work),
+            required=required,
+            scans=len(scans),
+            uses_gpu=has_gpu,
+        )
         driver.send(assignment)
         messages = driver.messages()
         joined = _joined(messages, address)
@@ -160,35 +157,6 @@ def uses_gpu(task: Task) -> bool:
         hint = f"use {wording.setting('device', 'cuda')}; each worker gets a GPU"
         raise UsageError(subject, "names a GPU of one machine", hint=hint)
     return device != "cpu"
-
-
-def requirements(scans: Sequence[ScanFile], folder: Path | None) -> NodeRequirements:
-    """Return what each node needs: versions, the first scan, and the folder of the results."""
-    paths = [existing(scans[0].path)]
-    writable = None
-    if folder is not None:
-        writable = existing(folder)
-        # A file in it shows whether a node sees the same folder.
-        paths += [path for path in sorted(writable.iterdir()) if path.is_file()][:1]
-    return NodeRequirements(
-        versions=installed_versions(library_packages()),
-        current=str(Path.cwd()),
-        files=tuple(map(_readable, paths)),
-        writable=None if writable is None else str(writable),
-    )
-
-
-def existing(path: Path) -> Path:
-    """Return a path, or the nearest folder above it that exists: scans of recordings are no files.
-
-    The path becomes absolute.
-    """
-    path = path.absolute()
-    return next(place for place in (path, *path.parents) if place.exists())
-
-
-def _readable(path: Path) -> ReadableFile:
-    return ReadableFile(path=str(path), size=path.stat().st_size if path.is_file() else None)
 
 
 def _joined(messages: Iterator[Any], address: str) -> Joined:

@@ -36,6 +36,23 @@ class ReadableFile:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Probe:
+    """File of a folder by whose content a node shows that it sees the same folder."""
+
+    path: str  # Absolute
+    content: bytes
+
+
+@dataclass(frozen=True, kw_only=True)
+class SharedFolder:
+    """Folder of results that each node must see as the main process does."""
+
+    path: str  # Absolute
+    probe: Probe | None = None  # None if the main process cannot write one
+    is_written: bool = False  # Whether the workers write into it
+
+
+@dataclass(frozen=True, kw_only=True)
 class NodeRequirements:
     """What each node needs to attempt the scans of a run.
 
@@ -47,14 +64,14 @@ class NodeRequirements:
         Current folder of the main process, to which names are relative.
     files : tuple of ReadableFile
         Files that a node must see as the main process does.
-    writable : str, optional
-        Folder to write into, absolute; None if the workers write nothing.
+    folders : tuple of SharedFolder
+        Folders of results.
     """
 
     versions: dict[str, str]
     current: str
     files: tuple[ReadableFile, ...] = ()
-    writable: str | None = None
+    folders: tuple[SharedFolder, ...] = ()
 
 
 def installed_versions(libraries: Iterable[str]) -> dict[str, str]:
@@ -83,7 +100,11 @@ def node_problem(required: NodeRequirements) -> str:
         problem = reading_problem(file)
         if problem:
             return problem
-    return writing_problem(required.writable) if required.writable else ""
+    for folder in required.folders:
+        problem = sharing_problem(folder)
+        if problem:
+            return problem
+    return ""
 
 
 def version_problem(required: dict[str, str], installed: dict[str, str]) -> str:
@@ -110,6 +131,24 @@ def reading_problem(file: ReadableFile) -> str:
     if file.size not in (None, size):
         return f"has another {file.path}, of {size} bytes instead of {file.size}"
     return ""
+
+
+def sharing_problem(folder: SharedFolder) -> str:
+    """Return why a folder is not that of the main process, or cannot be written, in words."""
+    problem = reading_problem(ReadableFile(path=folder.path, size=None))
+    if problem:
+        return problem
+    if folder.probe and not contains(folder.probe):
+        return f"has another {folder.path}, which lacks a file that was written here"
+    return writing_problem(folder.path) if folder.is_written else ""
+
+
+def contains(probe: Probe) -> bool:
+    """Return whether the file of a probe exists here with its content."""
+    try:
+        return Path(probe.path).read_bytes() == probe.content
+    except OSError:
+        return False
 
 
 def writing_problem(folder: str) -> str:

@@ -18,7 +18,6 @@ from salsanext_cli.runs.loop.cluster import attempts
 from salsanext_cli.runs.loop.network_task import NetworkTask
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.results.paths import ScanFile
 
 HERE = "127.0.0.1"
 
@@ -108,24 +107,3 @@ def test_workers_of_a_network_on_gpus_get_one_each():
     assert attempts.uses_gpu(of("cuda"))
     assert attempts.uses_gpu(of("auto"))
     refused(UsageError, 'device="cuda:1"', attempts.uses_gpu, of("cuda:1"))
-
-
-def test_nodes_need_the_first_scan_and_a_file_of_the_folder(tmp_path):
-    scan = tmp_path / "scan.bin"
-    scan.write_bytes(b"1234")
-    out = tmp_path / "out"
-    out.mkdir()
-    (out / "predict.json").write_bytes(b"{}")
-    (out / "sequences").mkdir()
-    required = attempts.requirements([ScanFile(sequence="s", stem="scan", path=scan)], out)
-    assert [(file.path, file.size) for file in required.files] == [
-        (str(scan), 4),
-        (str(out / "predict.json"), 2),
-    ]
-    assert required.writable == str(out)
-    # The scan of a recording is no file, and a folder may not exist yet.
-    bag = [ScanFile(sequence="s", stem="1", path=scan / "topic/1")]
-    required = attempts.requirements(bag, tmp_path / "new/out")
-    assert required.files[0].path == str(scan)
-    assert required.writable == str(tmp_path)
-    assert attempts.requirements(bag, None).writable is None

@@ -21,6 +21,7 @@ from salsanext_cli.runs.loop.cluster.node_code import (
     NodeRequirements,
     NodeWorker,
     ReadableFile,
+    SharedFolder,
     installed_versions,
     node_problem,
     version_problem,
@@ -39,7 +40,7 @@ def required(tmp_path):
         versions=installed_versions(library_packages()),
         current=str(tmp_path),
         files=(ReadableFile(path=str(scan), size=4), ReadableFile(path=str(tmp_path), size=None)),
-        writable=str(tmp_path),
+        folders=(SharedFolder(path=str(tmp_path), is_written=True),),
     )
 
 
@@ -76,7 +77,7 @@ def test_what_cannot_be_read_or_written_is_named(required, tmp_path):
         (replace(required, current=str(absent)), absent),
         (replace(required, files=(ReadableFile(path=str(absent), size=4),)), absent),
         (replace(required, files=(ReadableFile(path=str(absent), size=None),)), absent),
-        (replace(required, writable=str(absent)), absent),
+        (replace(required, folders=(SharedFolder(path=str(absent)),)), absent),
         (replace(required, files=(replace(required.files[0], size=5),)), tmp_path / "scan.bin"),
     )
     for required_here, path in cases:
@@ -134,5 +135,6 @@ def test_a_worker_says_why_it_cannot_begin(worker, required):
     assert "weights: cut off" in worker(Closed()).open(required)
     torn = NodeWorker(b"no pickle", 1)
     assert torn.open(required).startswith("cannot begin: ")
-    absent = replace(required, writable="/nowhere/at/all")
+    folder = SharedFolder(path="/nowhere/at/all", is_written=True)
+    absent = replace(required, folders=(folder,))
     assert "/nowhere/at/all" in worker(Closed()).open(absent)

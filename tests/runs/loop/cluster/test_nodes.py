@@ -19,6 +19,7 @@ from salsanext_cli.io.files.atomic import MARK
 from salsanext_cli.runs.loop.cluster.attempts import attempts_of_cluster
 from salsanext_cli.runs.loop.cluster.worker_size import MAX_CORES_PER_WORKER
 from salsanext_cli.runs.loop.run import RunOptions, run_over_scans
+from salsanext_cli.runs.loop.run_folders import RunFolders
 from salsanext_cli.runs.results.paths import ScanFile
 
 pytestmark = pytest.mark.slow
@@ -184,7 +185,7 @@ def test_a_folder_that_nodes_do_not_see_is_named(tmp_path, cluster, which, monke
         Write(out),
         [ScanFile(sequence="s", stem="scan", path=scan)],
         RunOptions(cluster=cluster.address),
-        folder=out,
+        writes=[out],
     )
     assert str(scan if which == "scan" else out) in caught.value.problem
 
@@ -192,7 +193,7 @@ def test_a_folder_that_nodes_do_not_see_is_named(tmp_path, cluster, which, monke
 def test_a_run_that_is_ended_keeps_what_is_finished_and_leaves_no_worker(tmp_path, cluster):
     task = Write(tmp_path, 0.3)
     options = RunOptions(cluster=cluster.address)
-    with closing(attempts_of_cluster(task, scans_of(*NAMES), options)) as attempts:
+    with closing(attempts_of_cluster(task, scans_of(*NAMES), options, RunFolders())) as attempts:
         next(attempts)
     finished = done(tmp_path)
     assert 0 < len(finished) < len(NAMES)
