@@ -6,14 +6,20 @@ from __future__ import annotations
 from rich.console import Group
 from rich.table import Table
 
-from salsanext_cli.core.measures.paired import Difference
+from salsanext_cli.core.measures.paired import MIN_PARTS, MIN_SCANS, Difference
 from salsanext_cli.core.texts import counted
-from salsanext_cli.report.run_changes import run_name, scores_by_name
+from salsanext_cli.report.run_changes import (
+    has_intervals,
+    many_scores_text,
+    run_name,
+    scores_by_name,
+)
 from salsanext_cli.report.tables import ABSENT, percent, table_of
 from salsanext_cli.runs.summary.run_comparison import RunComparison
 
-INTERVAL = "interval: paired bootstrap over {parts}, drives or parts of drives; clear: without 0"
-FEW_PARTS = "no intervals: too few scans"
+INTERVAL = "interval: paired bootstrap over {parts} drives or parts of drives; clear: without 0"
+FEW_PARTS = f"no intervals: fewer than {MIN_PARTS} drives, or parts of {MIN_SCANS} scans of a drive"
+MAYBE_TRAINED_ON = "the weights may have been trained on these scans"
 
 
 def comparison_tables(comparison: RunComparison) -> Group:
@@ -51,12 +57,16 @@ def _score_table(comparison: RunComparison, scores: dict[str, Difference]) -> Ta
         for name, difference in scores.items()
     ]
     names = f"{run_name(comparison.before)} → {run_name(comparison.after)}"
-    has_intervals = any(difference.low is not None for difference in scores.values())
+    notes = [FEW_PARTS]
+    if has_intervals(comparison):
+        notes = [INTERVAL.format(parts=comparison.parts), many_scores_text(comparison)]
+    if comparison.training_scans is None:
+        notes.append(MAYBE_TRAINED_ON)
     return table_of(
-        ("score", "before %", "after %", "change", "95 % interval", ""),
+        ("score", "before %", "after %", "change, percentage points", "95 % interval", ""),
         rows,
         title=f"{names}: {counted(comparison.scored, 'scan')} with labels",
-        caption=INTERVAL.format(parts=comparison.parts) if has_intervals else FEW_PARTS,
+        caption="\n".join(notes),
     )
 
 

@@ -40,7 +40,7 @@ ROW_PX = 26
 NAMES_PX = 190  # Width of the names of scores
 AXES_PX = 600
 NUMBERS_PX = 230  # Width of the changes in numbers
-ABOVE_PX = 84  # Height of the title and the legend
+ABOVE_PX = 100  # Height of the title and the legend
 BELOW_PX = 60  # Height of the numbers and the label of the axis
 MAX_NAME = 40  # Longest name of a run in a legend
 UNCLEAR = "#8a8f98"
@@ -55,8 +55,19 @@ def scores_by_name(comparison: RunComparison) -> dict[str, Difference]:
     return {"accuracy": comparison.accuracy, mean: comparison.iou_mean} | ious
 
 
+def has_intervals(comparison: RunComparison) -> bool:
+    """Return whether a score of two runs has an interval of its change."""
+    return any(score.low is not None for score in scores_by_name(comparison).values())
+
+
+def many_scores_text(comparison: RunComparison) -> str:
+    """State how many scores are judged at once."""
+    count = len(scores_by_name(comparison))
+    return f"{counted(count, 'score')} judged at once: 1 of 20 without a change is clear by chance"
+
+
 def change_text(difference: Difference) -> str:
-    """Return the change of a score with its interval: ``+3.1 (+1.0 … +5.2)``, in points of %."""
+    """Return a change with its interval in percentage points: ``+3.1 (+1.0 … +5.2)``."""
     change = f"{100 * difference.change:+.1f}"
     if difference.low is None or difference.high is None:
         return change
@@ -89,10 +100,12 @@ def _score_picture(comparison: RunComparison, scores: Mapping[str, Difference]) 
         weight = "bold" if difference.is_clear else "normal"
         style: dict[str, Any] = {"va": "center", "size": 9, "weight": weight, "color": DARK}
         axes.text(103, row, change_text(difference), clip_on=False, **style)
-    axes.set_xlabel("%  (change in points, with its 95 % interval; bold: it excludes 0)")
+    axes.set_xlabel("%  (change in percentage points, with its 95 % interval; bold: it excludes 0)")
     names = f"○ {run_name(comparison.before)}   ● {run_name(comparison.after)}"
     marks = f"{names}   green: clearly better, orange: clearly worse, grey: not clear"
     canvas.text_at(figure, 20, 56, marks, 14, DARK)
+    if has_intervals(comparison):
+        canvas.text_at(figure, 20, 78, many_scores_text(comparison), 12, DARK)
     return canvas.png_of(figure)
 
 
@@ -147,7 +160,8 @@ def changed_scan_picture(file: ScanFile, change: ScanChange, runs: RunPair) -> b
     """
     scan = read_scan(file.path, runs.sensor)
     labels = runs.labels_of(file)
-    truth = runs.truth_of(file, len(labels.before))
+    true_labels = runs.truth_of(file, len(labels.before))
+    truth = true_labels.train if true_labels else None
     shown = {"first run": labels.before, "second run": labels.after}
     if truth is not None:
         shown["truth"] = truth

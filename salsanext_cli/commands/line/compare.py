@@ -53,5 +53,7 @@ def compare(
     summary.print_failures(failures)
     for other, outcome in zip(others, outcomes, strict=True):
         scans = counted(outcome.comparison.scans, "scan")
-        output.print(f"compare: {scans} → {other}/{', '.join(FILES)}")
-    summary.exit_with_status(failures)
+        other_scans = summary.text_of_other_scans(outcome.missing)
+        output.print(f"compare: {scans}{other_scans} → {other}/{', '.join(FILES)}")
+    are_missing = any(outcome.missing.scans for outcome in outcomes)
+    summary.exit_with_status(failures, failed=are_missing)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from salsanext_cli.core.errors import LabelError, NoInputError
-from salsanext_cli.core.texts import counted, escaped
+from salsanext_cli.core.texts import escaped
 from salsanext_cli.io.files.json_files import encode_json
 from salsanext_cli.report.run_changes import changed_scan_picture, comparison_picture
 from salsanext_cli.runs.labelling.foreign_labels import warn_of_foreign_labels
@@ -15,6 +15,7 @@ from salsanext_cli.runs.labelling.label_records import pre_labelled_scans
 from salsanext_cli.runs.loop.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.query import ResultQuery
+from salsanext_cli.runs.results.selection import MissingResults
 from salsanext_cli.runs.summary.run_comparison import (
     CHANGED_SCAN,
     FILES,
@@ -34,6 +35,7 @@ class CompareOutcome:
 
     comparison: RunComparison
     failures: tuple[Failure, ...]  # Scans that could not be compared
+    missing: MissingResults  # Scans without labels of both runs
 
 
 def compare(
@@ -79,6 +81,9 @@ def compare(
         raise NoInputError(after, f"no scan could be compared: {first.reason}", hint=first.hint)
     _require_other_scans(runs, pairs)
     comparison = run_comparison(pairs, runs)
+    for text in (*runs.warnings(), *comparison.warnings()):
+        log.warning("%s", text)
+    runs.missing.log_error(len(runs.scans) + len(runs.missing.scans), "labels of both runs")
     files = {
         after / RECORD: encode_json(escaped(comparison.to_dict())),
         after / PICTURE: comparison_picture(comparison),
@@ -87,7 +92,7 @@ def compare(
         file = next(scan for scan in runs.scans if scan.name == comparison.most_changed[0].scan)
         files[after / CHANGED_SCAN] = changed_scan_picture(file, comparison.most_changed[0], runs)
     OwnedFolder(after).replace(files, absent=[path for path in paths if path not in files])
-    return CompareOutcome(comparison=comparison, failures=outcome.failures)
+    return CompareOutcome(comparison=comparison, failures=outcome.failures, missing=runs.missing)
 
 
 def _with_usable_labels(runs: RunPair) -> RunPair:
@@ -99,14 +104,9 @@ def _with_usable_labels(runs: RunPair) -> RunPair:
 
 
 def _require_other_scans(runs: RunPair, pairs: Sequence[ScanPair]) -> None:
-    """Refuse scans with true labels that the weights were all trained on; warn of some."""
+    """Refuse scans with true labels that the weights of a run were all trained on."""
     scored = [pair for pair in pairs if pair.sums is not None]
-    training = [pair for pair in scored if pair.trained_on]
-    if not training:
-        return
-    if len(training) == len(scored):
+    if scored and all(pair.trained_on for pair in scored):
         problem = "the weights of a run were trained on all scans with labels"
         hint = "predict and compare other scans"
         raise LabelError(runs.after, problem, hint=hint)
-    scans = f"{len(training):,} of {counted(len(scored), 'labelled scan')}"
-    log.warning("%s skipped: the weights of a run were trained on them", scans)

@@ -2,12 +2,14 @@
 """Differences of the scores of two runs on the same scans, with intervals of a paired bootstrap.
 
 Neighbouring scans of a drive show the same things, so that scans are not drawn one by one. Each
-resample draws whole drives, the same for both runs. Few drives are divided into parts of
-consecutive scans.
+resample draws whole drives, the same for both runs. Few drives are divided into long parts of
+consecutive scans. The percentiles of resamples of few parts are too close to each other, so that
+the intervals are widened as those of Student's t are.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -17,11 +19,13 @@ import numpy.typing as npt
 from salsanext_cli.core.measures.scores import Counts, Ratios, ratio
 from salsanext_cli.core.records import Indices, Mask
 
-PARTS = 20  # Number of parts into which the scans of few drives are divided, if there are so many
+PARTS = 20  # Largest number of parts into which the scans of few drives are divided
+MIN_SCANS = 50  # Least number of scans of a part of a drive; shorter parts show the same things
 MIN_PARTS = 5  # Fewer parts have no interval: their resamples are too much alike
 RESAMPLES = 1000
 SEED = 0
 INTERVAL = (2.5, 97.5)  # Percentiles of the resampled differences
+NORMAL_QUANTILE = 1.959964  # Of 97.5 %
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,7 +34,7 @@ class Difference:
 
     before: float
     after: float
-    low: float | None  # Lower end of the interval; None if there are too few scans
+    low: float | None  # Lower end of the interval; None if too few parts have points of it
     high: float | None  # Its upper end
 
     @property
@@ -73,6 +77,8 @@ def class_sums(matrix: Counts) -> Counts:
 def consecutive_parts(sequences: Sequence[str]) -> Indices:
     """Return the part of each scan: a sequence, or consecutive scans if there are few sequences.
 
+    A part of a sequence has at least `MIN_SCANS` scans; a whole sequence may have fewer.
+
     Parameters
     ----------
     sequences : sequence of str
@@ -88,7 +94,8 @@ def consecutive_parts(sequences: Sequence[str]) -> Indices:
     parts = np.empty(len(sequences), np.int64)
     number = 0
     for start, count in zip(starts.tolist(), counts.tolist(), strict=True):
-        for scans in np.array_split(np.arange(start, start + count), min(parts_of_each, count)):
+        parts_of_sequence = max(1, min(parts_of_each, count // MIN_SCANS))
+        for scans in np.array_split(np.arange(start, start + count), parts_of_sequence):
             parts[scans] = number
             number += 1
     return parts
@@ -96,6 +103,8 @@ def consecutive_parts(sequences: Sequence[str]) -> Indices:
 
 def score_differences(sums: Counts, parts: Indices) -> ScoreDifferences | None:
     """Compare the scores of two runs.
+
+    A score has an interval only if at least `MIN_PARTS` parts have points that it is about.
 
     Parameters
     ----------
@@ -117,7 +126,8 @@ def score_differences(sums: Counts, parts: Indices) -> ScoreDifferences | None:
     np.add.at(sums_of_parts, parts, sums)
     scores = _scores(_resampled(sums_of_parts), present)
     scores_of_runs = scores[0]
-    bounds = _intervals(scores[1:, 1] - scores[1:, 0])
+    changes = scores[:, 1] - scores[:, 0]
+    bounds = _intervals(changes[0], changes[1:], _parts_of_scores(sums_of_parts))
     differences = [
         Difference(before=before, after=after, low=low, high=high)
         for (before, after), (low, high) in zip(scores_of_runs.T.tolist(), bounds, strict=True)
@@ -162,17 +172,52 @@ def _scores(sums: Counts, present: Mask) -> Ratios:
     return np.concatenate([accuracy[..., None], mean[..., None], ious], axis=-1)
 
 
-def _intervals(changes: Ratios) -> list[tuple[float | None, float | None]]:
-    """Return the ends of the interval of each column of resampled changes (R, K); None without."""
+def _parts_of_scores(sums: Counts) -> Indices:
+    """Return how many parts have points of accuracy, mean IoU and IoUs, (2 + C,), of sums of parts.
+
+    `sums`: (U, 2, 3, C), as of `class_sums`.
+    """
+    has_class = sums[:, 0, 1] > 0
+    scored = np.count_nonzero(has_class.any(axis=1))
+    return np.concatenate([[scored, scored], np.count_nonzero(has_class, axis=0)])
+
+
+def _intervals(
+    changes: Ratios, resampled: Ratios, parts: Indices
+) -> list[tuple[float | None, float | None]]:
+    """Return the ends of the interval of each change; None if too few parts have points of it.
+
+    `changes`: (K,); `resampled`: (R, K), NaN where a resample lacks a class; `parts`: (K,), number
+    of parts with points of the score.
+    """
     intervals: list[tuple[float | None, float | None]] = []
-    for column in changes.T:
+    for change, column, count in zip(changes.tolist(), resampled.T, parts.tolist(), strict=True):
         changes_of_score = column[~np.isnan(column)]
-        if len(changes_of_score):
-            low, high = np.percentile(changes_of_score, INTERVAL)
-            intervals.append((float(low), float(high)))
+        if count >= MIN_PARTS and len(changes_of_score):
+            low, high = np.percentile(changes_of_score, INTERVAL).tolist()
+            factor = widening(count)
+            intervals.append((change + factor * (low - change), change + factor * (high - change)))
         else:
             intervals.append((None, None))
     return intervals
+
+
+def widening(parts: int) -> float:
+    """Return the factor of the width of an interval from resamples of a number of parts.
+
+    The resamples spread by the deviation of the parts with n in place of n - 1 as its divisor, and
+    their percentiles are those of a normal distribution, not of Student's t with n - 1 degrees of
+    freedom. Its quantile is that of Abramowitz and Stegun, 26.7.5.
+    """
+    z = NORMAL_QUANTILE
+    freedom = parts - 1
+    quantile = (
+        z
+        + (z**3 + z) / (4 * freedom)
+        + (5 * z**5 + 16 * z**3 + 3 * z) / (96 * freedom**2)
+        + (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / (384 * freedom**3)
+    )
+    return quantile / z * math.sqrt(parts / freedom)
 
 
 def agreement(turned: npt.NDArray[np.int64]) -> float:

@@ -10,7 +10,13 @@ from pathlib import Path
 
 from salsanext_cli.core.measures.paired import Difference
 from salsanext_cli.core.texts import counted
-from salsanext_cli.report.run_changes import change_text, scores_by_name
+from salsanext_cli.report.run_change_tables import FEW_PARTS, MAYBE_TRAINED_ON
+from salsanext_cli.report.run_changes import (
+    change_text,
+    has_intervals,
+    many_scores_text,
+    scores_by_name,
+)
 from salsanext_cli.report.tables import percent
 from salsanext_cli.runs.summary.run_comparison import (
     CHANGED_SCAN,
@@ -50,6 +56,7 @@ class OtherRun:
     folder: str  # Of the other run
     summary: str
     scores: Sequence[ScoreRow]  # Empty without labels
+    notes: Sequence[str]  # What limits the scores, in words
     turns: Sequence[str]  # Most frequent changes of labels, in words
     figures: Sequence[ChangeFigure]
 
@@ -66,6 +73,7 @@ def other_run(out: Path) -> OtherRun | None:
         folder=comparison.before,
         summary=_summary(comparison),
         scores=[_row(name, score) for name, score in scores.items()],
+        notes=_notes(comparison),
         turns=[_turn_text(turn) for turn in comparison.turns],
         figures=[
             ChangeFigure(description=title, address=_address(out / name))
@@ -81,6 +89,14 @@ def _summary(comparison: RunComparison) -> str:
     scored = f", {comparison.scored:,} of them with labels" if comparison.scored else ""
     scans = f"{counted(comparison.scans, 'scan')}{scored}"
     return f"{scans}: {same} of the labels are the same."
+
+
+def _notes(comparison: RunComparison) -> list[str]:
+    """State what limits the scores of two runs, in words."""
+    notes = [many_scores_text(comparison) if has_intervals(comparison) else FEW_PARTS]
+    if comparison.training_scans is None:
+        notes.append(MAYBE_TRAINED_ON)
+    return notes
 
 
 def _row(name: str, difference: Difference) -> ScoreRow:

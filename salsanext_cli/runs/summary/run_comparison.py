@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +21,9 @@ from salsanext_cli.core.measures.paired import (
 )
 from salsanext_cli.core.measures.scores import Counts, largest_confusions
 from salsanext_cli.core.plain_data import plain
+from salsanext_cli.core.texts import counted, first_few
 from salsanext_cli.io.files.json_files import read_record
+from salsanext_cli.io.files.reading import is_folder
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.paths import PREDICTION_STAGES, drive_order
 from salsanext_cli.runs.summary.run_pair import RunPair, ScanPair
@@ -32,6 +35,8 @@ CHANGED_SCAN = "compare_scan.png"
 FILES = (RECORD, PICTURE, CHANGED_SCAN)
 """Files of a comparison, in the folder of the second run."""
 MAX_LISTED = 10  # Scans, and pairs of classes
+UNKNOWN_SOURCES = {"truth": "labels", "before": "first run", "after": "second run"}
+"""Names of the labels whose ids may be unknown."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,7 +77,11 @@ class RunComparison:
     label_space: str  # Name of the classes
     scans: int  # Number of scans with labels of both runs
     scored: int  # Number of scans with true labels that the weights of no run were trained on
-    training_scans: int  # Number of scans that the weights of a run were trained on
+    # Number of scans that the weights of a run were trained on; None if a record of them is missing
+    training_scans: int | None
+    missing: tuple[str, ...]  # Scans that a run was asked for, without labels of both
+    not_asked_for: int  # Number of the other scans without labels
+    unknown_ids: Mapping[str, Mapping[str, int]]  # Points by unknown id: `truth`, `before`, `after`
     parts: int  # Number of drives, or parts of drives, that the intervals are about
     agreement: float  # Share of the points with the same label, 0…1
     accuracy: Difference | None  # None without true labels
@@ -81,12 +90,24 @@ class RunComparison:
     turns: tuple[Turn, ...]  # Most frequent changes of labels
     most_changed: tuple[ScanChange, ...]  # Scans with the largest share of changed labels
     weights: tuple[str | None, str | None]  # SHA-256 of the weights of both runs
-    origins: Mapping[str, str]  # Digests of the settings of the second run, by stage
+    # Digests of the settings of both runs, by stage
+    origins: tuple[Mapping[str, str], Mapping[str, str]]
 
     def to_dict(self) -> dict[str, object]:
         """Return plain data for JSON."""
         data = {name: plain(getattr(self, name)) for name in self.__slots__}
         return {"stage": "compare", "version": __version__, **data}
+
+    def warnings(self) -> Iterator[str]:
+        """Yield reasons to doubt the comparison, in words."""
+        labelled = self.scored + (self.training_scans or 0)
+        if self.training_scans:
+            scans = f"{self.training_scans:,} of {counted(labelled, 'labelled scan')}"
+            yield f"{scans} skipped: the weights of a run were trained on them"
+        for source, ids in self.unknown_ids.items():
+            if ids:
+                listed = first_few([f"{i} ({count:,}×)" for i, count in ids.items()])
+                yield f"{UNKNOWN_SOURCES[source]}: unknown ids {listed} count as unlabelled"
 
 
 def run_comparison(pairs: Sequence[ScanPair], runs: RunPair) -> RunComparison:
@@ -99,7 +120,9 @@ def run_comparison(pairs: Sequence[ScanPair], runs: RunPair) -> RunComparison:
         parts = consecutive_parts([pair.file.sequence for pair in scored])
         differences = score_differences(sums, parts)
     space = runs.space
+    before = Manifest(runs.before)
     after = Manifest(runs.after)
+    is_known = not any(recorded.missing for recorded in runs.trained_on)
     ious = differences.classes if differences else {}
     turned: Counts = np.sum([pair.turned for pair in ordered], axis=0)
     return RunComparison(
@@ -108,7 +131,10 @@ def run_comparison(pairs: Sequence[ScanPair], runs: RunPair) -> RunComparison:
         label_space=space.name,
         scans=len(ordered),
         scored=len(scored),
-        training_scans=sum(pair.trained_on for pair in ordered),
+        training_scans=sum(pair.trained_on for pair in ordered) if is_known else None,
+        missing=tuple(scan.name for scan in runs.missing.scans),
+        not_asked_for=runs.missing.not_asked_for,
+        unknown_ids=_unknown_ids(ordered),
         parts=differences.parts if differences else 0,
         agreement=agreement(turned),
         accuracy=differences.accuracy if differences else None,
@@ -116,9 +142,20 @@ def run_comparison(pairs: Sequence[ScanPair], runs: RunPair) -> RunComparison:
         classes=_class_changes(turned, ious, space),
         turns=_turns(turned, space),
         most_changed=_most_changed(ordered),
-        weights=(Manifest(runs.before).weights("predictions"), after.weights("predictions")),
-        origins=after.origins(PREDICTION_STAGES),
+        weights=(before.weights("predictions"), after.weights("predictions")),
+        origins=(before.origins(PREDICTION_STAGES), after.origins(PREDICTION_STAGES)),
     )
+
+
+def _unknown_ids(pairs: Sequence[ScanPair]) -> dict[str, dict[str, int]]:
+    """Return the points of all scans by source and unknown raw id."""
+    sums: dict[str, Counter[int]] = {source: Counter() for source in UNKNOWN_SOURCES}
+    for pair in pairs:
+        for source, ids in pair.unknown.items():
+            sums[source].update(ids)
+    return {
+        source: {str(i): count for i, count in sorted(ids.items())} for source, ids in sums.items()
+    }
 
 
 def _class_changes(
@@ -174,12 +211,22 @@ def _gain(sums: Counts | None) -> float | None:
 
 
 def recorded_comparison(out: Path) -> RunComparison | None:
-    """Return the comparison of a run with an earlier one; None without one of its present labels.
+    """Return the comparison of a run with an earlier one; None without one of their present labels.
 
-    A file of an earlier version, or of somebody else, is none.
+    A file of an earlier version, or of somebody else, is none. An earlier run whose folder is gone
+    is not checked.
     """
     with suppress(OutputError):
         comparison = read_record(RunComparison, out / RECORD)
-        if comparison and comparison.origins == Manifest(out).origins(PREDICTION_STAGES):
+        if comparison and _is_current(comparison, out):
             return comparison
     return None
+
+
+def _is_current(comparison: RunComparison, out: Path) -> bool:
+    """Return whether both runs have the settings that were compared, the weights among them."""
+    before, after = comparison.origins
+    first = Path(comparison.before)
+    if is_folder(first) and Manifest(first).origins(PREDICTION_STAGES) != before:
+        return False
+    return Manifest(out).origins(PREDICTION_STAGES) == after

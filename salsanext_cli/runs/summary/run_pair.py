@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
 
@@ -16,15 +16,16 @@ from salsanext_cli.core.measures.paired import class_sums
 from salsanext_cli.core.measures.scores import Counts, confusion_matrix, scored_rows
 from salsanext_cli.core.network.card import is_among
 from salsanext_cli.core.sensors.sensor import Sensor
-from salsanext_cli.core.texts import counted, first_few
+from salsanext_cli.core.texts import counted, first_few, with_hint
 from salsanext_cli.core.wording import argument, setting
 from salsanext_cli.io.files.reading import present
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.formats.kitti_labels import read_labels
+from salsanext_cli.runs.records.digest_files import RecordedScans
 from salsanext_cli.runs.results.paths import ScanFile, output_path, with_outputs
 from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.results.result_folder import ResultFolder
-from salsanext_cli.runs.results.selection import space_of_labels
+from salsanext_cli.runs.results.selection import MissingResults, space_of_labels
 
 OTHER_SCANS = "compare runs on the same scans"
 
@@ -37,6 +38,7 @@ class ScanPair:
     turned: Counts  # (C, C): points by label of the first run and of the second
     sums: Counts | None  # (2, 3, C): `class_sums` of both runs; None without true labels
     trained_on: bool  # Whether the weights of a run were trained on the scan
+    unknown: Mapping[str, Mapping[int, int]]  # Points by unknown raw id: `truth`, `before`, `after`
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -45,6 +47,15 @@ class PairedLabels:
 
     before: TrainIds  # (N,)
     after: TrainIds  # (N,)
+    unknown: Mapping[str, Mapping[int, int]]  # Points by unknown raw id: `before`, `after`
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TrueLabels:
+    """True train ids of the points of a scan."""
+
+    train: TrainIds  # (N,)
+    unknown: Mapping[int, int]  # Points by unknown raw id
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,7 +68,8 @@ class RunPair:
     space: LabelSpace  # Classes of both runs
     labels: LabelSpace  # Meaning of the raw ids of the true labels
     sensor: Sensor  # Sensor of the first run
-    trained_on: frozenset[str]  # Digests of the scans that the weights of a run were trained on
+    trained_on: Sequence[RecordedScans]  # Scans that the weights of each run were trained on
+    missing: MissingResults = field(default_factory=MissingResults)  # Scans without labels
     # Names of the scans whose label files are pre-labels, or have the ids of another label space
     unusable: frozenset[str] = frozenset()
 
@@ -89,7 +101,7 @@ class RunPair:
         )
         _require_same_classes(before, space, after, other_space)
         common = _require_same_scans(first, scans, second, other_scans)
-        trained_on = [run.manifest.trained_on().digests for run in (first, second)]
+        unlabelled = {*scans, *other_scans} - {*common}
         return cls(
             before=before,
             after=after,
@@ -97,8 +109,17 @@ class RunPair:
             space=space,
             labels=space_of_labels(common, space, query.label_space),
             sensor=first.manifest.sensor(),
-            trained_on=frozenset[str]().union(*trained_on),
+            trained_on=[run.manifest.trained_on() for run in (first, second)],
+            missing=_missing(first, second, unlabelled),
         )
+
+    def warnings(self) -> Iterator[str]:
+        """Yield which run lacks the digests of its training scans, in words."""
+        for recorded in self.trained_on:
+            if recorded.missing:
+                question = "whether the weights were trained on these scans"
+                headline = f"{recorded.missing}: is missing, so it is unknown {question}"
+                yield with_hint(headline, recorded.hint)
 
     def labels_of(self, file: ScanFile) -> PairedLabels:
         """Read the labels of a scan by both runs."""
@@ -115,14 +136,21 @@ class RunPair:
         return PairedLabels(
             before=self.space.to_train(before, strict=False, source=paths[0]),
             after=self.space.to_train(after, strict=False, source=paths[1]),
+            unknown={
+                "before": self.space.unknown_ids(before),
+                "after": self.space.unknown_ids(after),
+            },
         )
 
-    def truth_of(self, file: ScanFile, count: int) -> TrainIds | None:
-        """Read the true train ids (N,) of a scan of `count` points; None without usable ones."""
+    def truth_of(self, file: ScanFile, count: int) -> TrueLabels | None:
+        """Read the true labels of a scan of `count` points; None without usable ones."""
         if file.name in self.unusable or not present(file.label_path):
             return None
         raw = read_labels(file.label_path, count)
-        return self.labels.to_train(raw, strict=False, source=file.label_path)
+        return TrueLabels(
+            train=self.labels.to_train(raw, strict=False, source=file.label_path),
+            unknown=self.labels.unknown_ids(raw),
+        )
 
     def count(self, file: ScanFile) -> ScanPair:
         """Count the points of a scan by the labels of both runs, and by the truth if there is."""
@@ -131,13 +159,23 @@ class RunPair:
         turned = confusion_matrix(labels.before, labels.after, classes)
         truth = self.truth_of(file, len(labels.before))
         if truth is None:
-            return ScanPair(file=file, turned=turned, sums=None, trained_on=False)
+            return ScanPair(
+                file=file, turned=turned, sums=None, trained_on=False, unknown=labels.unknown
+            )
         sums = [
-            class_sums(scored_rows(confusion_matrix(truth, predicted, classes), self.space))
+            class_sums(scored_rows(confusion_matrix(truth.train, predicted, classes), self.space))
             for predicted in (labels.before, labels.after)
         ]
-        is_known = is_among(self.trained_on, len(truth), lambda: read_scan(file.path, self.sensor))
-        return ScanPair(file=file, turned=turned, sums=np.array(sums), trained_on=is_known)
+        digests = frozenset[str]().union(*(recorded.digests for recorded in self.trained_on))
+        return ScanPair(
+            file=file,
+            turned=turned,
+            sums=np.array(sums),
+            trained_on=is_among(
+                digests, len(truth.train), lambda: read_scan(file.path, self.sensor)
+            ),
+            unknown={"truth": truth.unknown, **labels.unknown},
+        )
 
 
 def _require_all_labels(run: ResultFolder) -> None:
@@ -179,6 +217,18 @@ def _require_same_scans(
         scan = next(members)
         _require_same_points(scan, second_by_name[scan.name], first.manifest.sensor())
     return common
+
+
+def _missing(
+    first: ResultFolder, second: ResultFolder, unlabelled: set[ScanFile]
+) -> MissingResults:
+    """Divide scans without labels of both runs by whether a stage of either was asked for them."""
+    missing: set[ScanFile] = set()
+    for run in (first, second):
+        missing.update(run.missing_predictions(unlabelled).scans)
+    return MissingResults(
+        scans=tuple(sorted(missing)), not_asked_for=len(unlabelled) - len(missing)
+    )
 
 
 def _labelled(run: ResultFolder, scans: Iterable[ScanFile]) -> dict[str, ScanFile]:

@@ -98,6 +98,12 @@ def test_runs_are_compared_with_the_first(run, predict, results, tmp_path):
     assert printed.stderr.splitlines()[-1].startswith(f"compare: 2 scans → {others[0]}/")
     refused = run("compare", results, results)
     assert (refused.exit_code, subject(refused)) == (2, str(results))
+    scan = sorted(others[0].rglob("*.label"))[0].relative_to(others[0])
+    for folder in (results, others[0]):
+        (folder / scan).unlink()
+    incomplete = run("compare", results, others[0], "--json", status=1)
+    (comparison,) = only_json(incomplete)["comparisons"]
+    assert comparison["missing"] == [f"{scan.parts[1]}/{scan.stem}"]
 
 
 def test_columns_are_those_of_the_scans_in_every_stage(run, data, weights, tmp_path):

@@ -5,7 +5,7 @@ from io import StringIO
 
 import numpy as np
 import pytest
-from evaluated import CAR, ROAD, SPACE, World
+from evaluated import CAR, ROAD, SPACE, UNKNOWN, World
 from matplotlib.image import imread
 from rich.console import Console
 from scans import files_below, refused
@@ -32,14 +32,15 @@ SCANS = 6
 
 @pytest.fixture
 def runs(tmp_path):
-    """Return two runs on scans with truth; the second one is better for cars."""
+    """Return two runs on drives of one scan with truth; the second one is better for cars."""
     worlds = World(tmp_path), World(tmp_path)
     worlds[1].out = tmp_path / "after"
     for number in range(SCANS):
         truth = [CAR, ROAD, ROAD, TREE, 0] * 4
         before = np.where(np.arange(20) < 2 + number, CAR, truth)
         for world, predicted in zip(worlds, (before, truth), strict=True):
-            world.add(f"{number}", truth, np.where(predicted == 0, ROAD, predicted))
+            predictions = np.where(predicted == 0, ROAD, predicted)
+            world.add("0", truth, predictions, sequence=f"{number:02}")
     return worlds
 
 
@@ -86,7 +87,7 @@ def test_changed_labels_are_those_of_a_slow_loop(runs):
     turns, same, points, changed = {}, 0, 0, {}
     for number in range(SCANS):
         labels = [
-            np.fromfile(output_path(world.out, "08", "predictions", f"{number}"), np.uint32)
+            np.fromfile(output_path(world.out, f"{number:02}", "predictions", "0"), np.uint32)
             for world in runs
         ]
         for before, after in zip(*labels, strict=True):
@@ -94,7 +95,8 @@ def test_changed_labels_are_those_of_a_slow_loop(runs):
             same += before == after
             if before != after:
                 turns[before, after] = turns.get((before, after), 0) + 1
-                changed[f"08/{number}"] = changed.get(f"08/{number}", 0) + 1
+                name = f"{number:02}/0"
+                changed[name] = changed.get(name, 0) + 1
     names = SPACE.labels
     assert {(names_of(turn)): turn.points for turn in found.turns} == {
         (names[a], names[b]): count for (a, b), count in turns.items()
@@ -117,8 +119,13 @@ def test_the_record_is_read_again_until_the_labels_change(runs):
     found = compared(runs).comparison
     assert recorded_comparison(runs[1].out) == found
     assert recorded_comparison(runs[0].out) is None
-    record(runs[1], temperature=2.0)
-    assert recorded_comparison(runs[1].out) is None
+    for world in runs:
+        record(world, temperature=2.0)
+        assert recorded_comparison(runs[1].out) is None
+        record(world)
+        assert recorded_comparison(runs[1].out) == found
+    shutil.move(runs[0].out, runs[0].out.with_name("moved"))
+    assert recorded_comparison(runs[1].out) == found
     (runs[1].out / "compare.json").write_text("{}")
     assert recorded_comparison(runs[1].out) is None
 
@@ -155,7 +162,14 @@ def printed(comparison):
 
 def test_tables_have_scores_changes_and_scans(runs):
     text = printed(compared(runs).comparison)
-    for words in ("accuracy", "mean IoU, 3 classes", "clear", "Most changed scans", "08/5"):
+    for words in (
+        "accuracy",
+        "mean IoU, 3 classes",
+        "clear",
+        "Most changed scans",
+        "05/0",
+        "5 scores judged",
+    ):
         assert words in text
 
 
@@ -172,14 +186,12 @@ def test_runs_that_cannot_be_compared_are_refused(runs, tmp_path):
     with refused(UsageError, after.out):
         compared(runs)
     record(after)
-    output_path(after.out, "08", "predictions", "0").unlink()
+    output_path(after.out, "00", "predictions", "0").unlink()
     with refused(UsageError, after.out) as raised:
         compared(runs)
-    assert "08/0" in raised.value.problem
+    assert "00/0" in raised.value.problem
     # A common choice of scans can be compared.
-    before.add("0", [CAR], [CAR], sequence="09")
-    after.add("0", [CAR], [CAR], sequence="09")
-    of_both = compared(runs, selection=ScanSelection(sequences=("09",)))
+    of_both = compared(runs, selection=ScanSelection(sequences=("01",)))
     assert (of_both.comparison.scans, of_both.comparison.accuracy.low) == (1, None)
     with pytest.raises(NoInputError):
         compare(before.out, tmp_path / "nowhere", query=ResultQuery(before.dataset))
@@ -187,8 +199,8 @@ def test_runs_that_cannot_be_compared_are_refused(runs, tmp_path):
 
 def test_scans_that_a_run_was_trained_on_are_not_scored(runs, caplog):
     files = find_scans(runs[0].dataset)
-    runs[0].add("7", [CAR, ROAD], [CAR, ROAD])
-    runs[1].add("7", [CAR, ROAD], [CAR, CAR])
+    runs[0].add("0", [CAR, ROAD], [CAR, ROAD], sequence="07")
+    runs[1].add("0", [CAR, ROAD], [CAR, CAR], sequence="07")
     record(runs[0])
     # The others have equal points, and are one scan to the digest.
     record(runs[1], trained_on=scan_digest(read_scan(files[0].path)))
@@ -197,9 +209,65 @@ def test_scans_that_a_run_was_trained_on_are_not_scored(runs, caplog):
     assert found.accuracy.after == 0.5
     assert "6 of 7" in caplog.text
     for world in runs:
-        output_path(world.out, "08", "predictions", "7").unlink()
+        output_path(world.out, "07", "predictions", "0").unlink()
     with refused(LabelError, runs[1].out):
         compared(runs)
+
+
+def test_a_missing_record_of_training_scans_is_stated(runs, caplog):
+    for world in runs:
+        record(world)
+    name = f"digests-{16 * '0'}.digests"
+    record(runs[0], trained_on=name)
+    found = compared(runs).comparison
+    assert (found.training_scans, found.scored) == (None, SCANS)
+    (warning,) = (r.getMessage() for r in caplog.records if name in r.getMessage())
+    assert warning.startswith(str(runs[0].out / name))
+    assert "may have been trained on" in " ".join(printed(found).split())
+    assert "may have been trained on" in page(runs)
+    assert recorded_comparison(runs[1].out) == found
+
+
+def test_unknown_ids_are_counted(runs, caplog):
+    runs[0].add("0", [CAR, ROAD, ROAD, UNKNOWN], [CAR, ROAD, ROAD, ROAD], sequence="07")
+    runs[1].add("0", None, [CAR, ROAD, UNKNOWN + 1, UNKNOWN + 1], sequence="07")
+    found = compared(runs).comparison
+    assert found.unknown_ids == {
+        "truth": {f"{UNKNOWN}": 1},
+        "before": {},
+        "after": {f"{UNKNOWN + 1}": 2},
+    }
+    assert f"labels: unknown ids {UNKNOWN} (1×)" in caplog.text
+    assert f"second run: unknown ids {UNKNOWN + 1} (2×)" in caplog.text
+
+
+def test_scans_that_both_runs_lack_are_missing(runs):
+    for world in runs:
+        world.add("0", [CAR], [CAR], sequence="07")
+        world.add("1", [CAR, ROAD], None, sequence="07")
+    outcome = compared(runs)
+    assert [scan.name for scan in outcome.missing.scans] == ["07/1"]
+    assert (outcome.comparison.missing, outcome.comparison.not_asked_for) == (("07/1",), 0)
+    folder = runs[0].dataset / "sequences/07/velodyne"
+    for world in runs:
+        record(world)
+        path = world.out / "predict.json"
+        content = json.loads(path.read_text())
+        content["scans"] = {"07": {"folder": str(folder), "asked_for": ["0.bin"]}}
+        path.write_text(json.dumps(content))
+    outcome = compared(runs)
+    assert (outcome.missing.scans, outcome.missing.not_asked_for) == ((), 1)
+
+
+def test_a_short_drive_has_no_interval(runs):
+    before, after = runs
+    for number in range(SCANS):
+        before.add(f"{number}", [CAR, ROAD], [CAR, CAR], sequence="09")
+        after.add(f"{number}", None, [CAR, ROAD], sequence="09")
+    found = compared(runs, selection=ScanSelection(sequences=("09",))).comparison
+    assert (found.scored, found.parts, found.accuracy.change) == (SCANS, 1, 0.5)
+    assert (found.accuracy.low, found.accuracy.is_clear) == (None, False)
+    assert "no intervals" in printed(found)
 
 
 def test_other_scans_of_the_same_names_are_refused(runs, tmp_path):
@@ -208,19 +276,20 @@ def test_other_scans_of_the_same_names_are_refused(runs, tmp_path):
     for world, dataset in zip(runs, (runs[0].dataset, moved), strict=True):
         record(world)
         content = json.loads((world.out / "predict.json").read_text())
-        folder = str(dataset / "sequences/08/velodyne")
-        names = [f"{number}.bin" for number in range(SCANS)]
-        content["scans"] = {"08": {"folder": folder, "asked_for": names}}
+        content["scans"] = {
+            sequence.name: {"folder": str(sequence / "velodyne"), "asked_for": ["0.bin"]}
+            for sequence in (dataset / "sequences").iterdir()
+        }
         (world.out / "predict.json").write_text(json.dumps(content))
     assert compare(runs[0].out, runs[1].out).comparison.scans == SCANS
-    first = moved / "sequences/08/velodyne/0.bin"
+    first = moved / "sequences/00/velodyne/0.bin"
     first.write_bytes(np.flip(np.fromfile(first, np.float32)).tobytes())
     with refused(UsageError, first):
         compare(runs[0].out, runs[1].out)
 
 
 def test_labels_of_other_lengths_fail_alone(runs):
-    runs[1].add("1", None, [CAR] * 3)
+    runs[1].add("0", None, [CAR] * 3, sequence="01")
     outcome = compared(runs)
     assert [failure.code for failure in outcome.failures] == ["label"]
     assert outcome.comparison.scans == SCANS - 1
@@ -246,6 +315,7 @@ def test_the_page_of_a_run_has_the_changes(runs):
     assert 'id="changes"' in text
     assert "clearly better" in text
     assert "car became road" in text
+    assert "scores judged at once" in text
     record(runs[1], temperature=2.0)
     assert 'id="changes"' not in page(runs)
 

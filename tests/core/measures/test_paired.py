@@ -1,13 +1,17 @@
 # SPDX-License-Identifier: MIT
 """Paired differences, against a slow loop over resamples and parts."""
 
+import math
+
 import numpy as np
 import pytest
 from evaluated import small_space
+from scipy.stats import t
 
 from salsanext_cli.core.measures.paired import (
     INTERVAL,
     MIN_PARTS,
+    MIN_SCANS,
     PARTS,
     RESAMPLES,
     SEED,
@@ -15,6 +19,7 @@ from salsanext_cli.core.measures.paired import (
     class_sums,
     consecutive_parts,
     score_differences,
+    widening,
 )
 from salsanext_cli.core.measures.scores import confusion_matrix, scored_rows, scores
 
@@ -65,9 +70,10 @@ def test_changes_and_intervals_are_those_of_a_slow_loop():
         resampled.append(
             slow_changes([pairs[i] for part in drawn for i in (2 * part, 2 * part + 1)])
         )
-    low, high = np.percentile(resampled, INTERVAL, axis=0)
-    assert [d.low for d in differences] == pytest.approx(low)
-    assert [d.high for d in differences] == pytest.approx(high)
+    changes = np.array(slow_changes(pairs))
+    ends = changes + widening(7) * (np.percentile(resampled, INTERVAL, axis=0) - changes)
+    assert [d.low for d in differences] == pytest.approx(ends[0])
+    assert [d.high for d in differences] == pytest.approx(ends[1])
     assert all(d.is_clear for d in differences)
     assert set(found.classes) == {1, 2}
     assert found.parts == 7
@@ -89,12 +95,33 @@ def test_few_parts_have_no_interval():
     assert score_differences(sums_of(nothing), np.arange(6)) is None
 
 
-def test_unchanged_scores_are_rarely_clear():
+@pytest.mark.parametrize("parts_of_trees", [1, MIN_PARTS - 1, MIN_PARTS])
+def test_a_class_of_few_parts_has_no_interval(parts_of_trees):
+    """A class in one part has the same change in every resample that has it."""
+    pairs = []
+    for number in range(20):
+        truth = np.repeat([1, 2, 3 if number < parts_of_trees else 1], 50)
+        worse = np.where((truth == 3) & (np.arange(150) % 2 > 0), 2, truth)
+        pairs.append([confusion_matrix(truth, predicted, 4) for predicted in (worse, truth)])
+    tree = score_differences(sums_of(pairs), np.arange(20)).classes[3]
+    assert tree.change == 0.5
+    assert (tree.low is None) == (parts_of_trees < MIN_PARTS)
+    assert tree.is_clear == (parts_of_trees == MIN_PARTS)
+
+
+@pytest.mark.parametrize("parts", [MIN_PARTS, 10, 20, 1000])
+def test_the_widening_is_that_of_students_t(parts):
+    expected = t.ppf(0.975, parts - 1) / 1.96 * math.sqrt(parts / (parts - 1))
+    assert widening(parts) == pytest.approx(expected, rel=3e-3)
+
+
+@pytest.mark.parametrize("parts", [MIN_PARTS, 20])
+def test_unchanged_scores_are_rarely_clear(parts):
     """The interval has 95 %: of 100 pairs of equally good runs, few differ clearly."""
     clear = 0
     for seed in range(100):
         random = np.random.default_rng(seed)
-        truth = random.integers(1, 3, (20, 200))
+        truth = random.integers(1, 3, (parts, 200))
         sums = np.array(
             [
                 [
@@ -106,17 +133,19 @@ def test_unchanged_scores_are_rarely_clear():
                 for row in truth
             ]
         )
-        clear += score_differences(sums, np.arange(20)).accuracy.is_clear
-    assert clear <= 15
+        clear += score_differences(sums, np.arange(parts)).accuracy.is_clear
+    assert clear <= 8
 
 
 @pytest.mark.parametrize(
     ("counts", "expected"),
     [
-        ({"00": 3}, 3),
-        ({"00": 400}, PARTS),
-        ({"00": 100, "01": 100, "02": 2}, 7 + 7 + 2),
-        ({f"{n:02}": 50 for n in range(MIN_PARTS)}, MIN_PARTS),
+        ({"00": 3}, 1),
+        ({"00": 2 * MIN_SCANS - 1}, 1),
+        ({"00": 6 * MIN_SCANS}, 6),
+        ({"00": 4000}, PARTS),
+        ({"00": 1000, "01": 100, "02": 2}, 7 + 2 + 1),
+        ({f"{n:02}": 2 for n in range(MIN_PARTS)}, MIN_PARTS),
     ],
 )
 def test_parts_are_consecutive_scans_of_one_sequence(counts, expected):
