@@ -57,8 +57,10 @@ def memory_of(device: str, system: SystemFiles = SYSTEM) -> Memory | None:
     if device.startswith("cuda"):
         import torch
 
-        available, total = torch.cuda.mem_get_info(device)
-        return Memory(total=total, available=available)
+        free, total = torch.cuda.mem_get_info(device)
+        # Blocks that torch keeps for later tensors are not free for the driver.
+        unused = torch.cuda.memory_reserved(device) - torch.cuda.memory_allocated(device)
+        return Memory(total=total, available=free + unused)
     if device != "cpu" or not system.meminfo.exists():
         return None
     lines = (line.split() for line in system.meminfo.read_text("utf-8").splitlines())

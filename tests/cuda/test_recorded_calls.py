@@ -8,17 +8,34 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from command_line import python
 from devices import CUDA
 from scans import SMALL, make_scan
 from shallow import shallow, weights  # noqa: F401
 
 from salsanext_cli import Network, RangeImage, load_network, project
 from salsanext_cli.core.engines import torch_backend
-from salsanext_cli.core.engines.cuda_graphs import CudaGraphs, recorded_call
+from salsanext_cli.core.engines.cuda_graphs import CudaGraphs
 from salsanext_cli.core.uncertainty.aleatoric import aleatoric, noise_variance
 from salsanext_cli.core.uncertainty.monte_carlo import sample
 
 pytestmark = CUDA
+
+NEEDS_HOST = """
+import torch
+from salsanext_cli.core.engines.cuda_graphs import CudaGraphs, recorded_call
+
+def scaled(x):
+    return (x * x.sum().item(),)
+
+x = torch.ones(3, device="cuda")
+stream = torch.cuda.current_stream()
+assert recorded_call(scaled, (x,)) is None
+assert torch.cuda.current_stream() == stream
+assert CudaGraphs().call("scaled", scaled, x)[0].tolist() == [3.0] * 3
+torch.cuda.empty_cache()
+assert recorded_call(lambda x: (x * x,), (x,)) is not None
+"""
 
 
 @pytest.fixture(scope="module")
@@ -73,10 +90,18 @@ def test_results_are_not_overwritten_by_later_calls() -> None:
 
 
 def test_a_function_that_needs_the_host_is_not_recorded() -> None:
-    x = torch.ones(3, device="cuda")
+    """And later ones are; in a process of its own, which a failed recording may damage."""
+    result = python(NEEDS_HOST)
+    assert result.returncode == 0, result.stderr
 
-    def scaled(values: torch.Tensor) -> tuple[torch.Tensor]:
-        return (values * values.sum().item(),)
 
-    assert recorded_call(scaled, (x,)) is None
-    assert CudaGraphs().call("scaled", scaled, x)[0].tolist() == [3.0] * 3
+@pytest.mark.skipif(torch.cuda.device_count() < 2, reason="fewer than two GPUs")
+def test_each_gpu_replays_calls_of_its_own() -> None:
+    for device in ("cuda:0", "cuda:1"):
+        graphs = CudaGraphs()
+        for value in (2.0, 3.0):
+            (result,) = graphs.call(
+                "square", lambda x: (x * x,), torch.full((4,), value).to(device)
+            )
+            assert result.tolist() == [value * value] * 4
+        assert any(graphs._calls.values())

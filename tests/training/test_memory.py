@@ -75,9 +75,11 @@ def test_a_control_group_limits_it_and_its_cached_files_are_free(system, groups,
     assert memory_of("cpu", system.files) == kib(1000, 600)
 
 
-def test_that_of_a_gpu_is_stated_by_its_driver(monkeypatch):
-    monkeypatch.setattr("torch.cuda.mem_get_info", lambda device: {"cuda:1": (3, 8)}[device])
-    assert memory_of("cuda:1") == Memory(total=8, available=3)
+def test_that_of_a_gpu_is_stated_by_its_driver_and_includes_what_torch_keeps(monkeypatch):
+    for name, values in (("mem_get_info", (3, 80)), ("memory_reserved", 50)):
+        monkeypatch.setattr(f"torch.cuda.{name}", lambda device, v=values: {"cuda:1": v}[device])
+    monkeypatch.setattr("torch.cuda.memory_allocated", lambda device: {"cuda:1": 40}[device])
+    assert memory_of("cuda:1") == Memory(total=80, available=13)
 
 
 def test_it_is_unknown_elsewhere(system, tmp_path):

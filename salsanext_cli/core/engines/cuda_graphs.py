@@ -13,6 +13,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from salsanext_cli.core.engines.host_use import HostUseRefused
+
 MAX_GRAPHS = 8  # Graphs of a network: each keeps the memory of a call
 WARM_UP_CALLS = 3  # Calls before the recording, in which libraries allocate what they need
 Function = Callable[..., tuple[Tensor, ...]]
@@ -87,16 +89,22 @@ def recorded_call(function: Function, inputs: tuple[Tensor, ...]) -> RecordedCal
     try:
         with torch.cuda.device(device):
             own_inputs = [tensor.clone() for tensor in inputs]
+            # The stream is of this device: that of `torch.cuda.graph` is of the first one used.
             stream = torch.cuda.Stream()  # type: ignore[no-untyped-call]
             stream.wait_stream(torch.cuda.current_stream())
+            # `torch.cuda.graph` does not restore the stream after an error: this context does.
             with torch.cuda.stream(stream):
                 for _ in range(WARM_UP_CALLS):
                     function(*own_inputs)
+                # A recording that fails can damage the allocator of torch 2.11 and older.
+                with HostUseRefused():  # type: ignore[no-untyped-call]
+                    function(*own_inputs)
+                graph = torch.cuda.CUDAGraph()
+                # Other threads copy scans to pinned memory meanwhile.
+                mode = "thread_local"
+                with torch.cuda.graph(graph, stream=stream, capture_error_mode=mode):
+                    outputs = function(*own_inputs)
             torch.cuda.current_stream().wait_stream(stream)
-            graph = torch.cuda.CUDAGraph()
-            # Other threads copy scans to pinned memory meanwhile.
-            with torch.cuda.graph(graph, capture_error_mode="thread_local"):
-                outputs = function(*own_inputs)
     except RuntimeError as error:
         log.debug("not recorded as a CUDA graph: %s", error)
         return None

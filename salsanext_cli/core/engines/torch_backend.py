@@ -191,6 +191,14 @@ class TorchBackend(Backend):
 
     def to_host(self, tensors: Sequence[Tensor]) -> list[Any]:
         """Return tensors as arrays, copied together; wait for the device once."""
+        arrays = self.staged(tensors)
+        return [array.copy() for array in arrays] if self._on_gpu else arrays
+
+    def staged(self, tensors: Sequence[Tensor]) -> list[Any]:
+        """Return tensors as arrays as `to_host`, but on a GPU in page-locked memory.
+
+        Systems have little of it, so what is kept must be copied.
+        """
         hosts = [torch.empty(t.shape, dtype=t.dtype, pin_memory=self._on_gpu) for t in tensors]
         for host, tensor in zip(hosts, tensors, strict=True):
             host.copy_(tensor, non_blocking=True)

@@ -114,7 +114,7 @@ class DeviceLabeller:
             "is_finite": confidence.isfinite().flatten(1).all(dim=1),
             "ego_count": images.ego_counts,
         }
-        arrays = self._backend.to_host([*point_values.values(), *scan_values.values()])
+        arrays = self._backend.staged([*point_values.values(), *scan_values.values()])
         point_arrays = dict(zip(point_values, arrays, strict=False))
         scan_arrays = dict(zip(scan_values, arrays[len(point_values) :], strict=True))
         return _labels_of_scans(batch.counts, point_arrays, scan_arrays)
@@ -150,7 +150,7 @@ class DeviceLabeller:
 def _labels_of_scans(
     counts: Sequence[int], point_arrays: Mapping[str, Any], scan_arrays: Mapping[str, Any]
 ) -> list[DeviceLabels]:
-    """Return the results of each scan of a batch.
+    """Return the results of each scan of a batch, copied: no scan keeps the arrays of the batch.
 
     Parameters
     ----------
@@ -169,8 +169,8 @@ def _labels_of_scans(
     start = 0
     for number, count in enumerate(counts):
         points = slice(start, start + count)
-        parts = {name: values[points] for name, values in point_arrays.items()}
-        parts |= {name: values[number] for name, values in scan_arrays.items()}
+        parts = {name: values[points].copy() for name, values in point_arrays.items()}
+        parts |= {name: values[number].copy() for name, values in scan_arrays.items()}
         results.append(DeviceLabels(**parts))
         start += count
     return results

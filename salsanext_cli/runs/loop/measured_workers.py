@@ -13,7 +13,7 @@ from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from salsanext_cli.core.engines.gpu_memory import processes_in_memory
+from salsanext_cli.core.engines.gpu_memory import gpus_of_workers, processes_in_memory
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.texts import percentage
 from salsanext_cli.runs.loop.job import Attempt, ScanJob, Task
@@ -135,7 +135,8 @@ def attempts_as_needed(
     yield from measured.attempts(scans[:FIRST_SCANS], on_stop)
     rest = scans[FIRST_SCANS:]
     remaining_s = len(rest) * measured.seconds_per_scan
-    workers = workers_for(measured.busy_share, remaining_s, cores())
+    gpus = gpus_of_workers(pipeline.device)
+    workers = workers_for(measured.busy_share, remaining_s, cores(), gpus)
     workers = min(workers, processes_in_memory(pipeline.device))
     if workers < 2:
         yield from pipeline.run(rest, on_stop)
@@ -148,7 +149,7 @@ def attempts_as_needed(
     yield from attempts_of_workers(task, rest, replace(options, jobs=workers))
 
 
-def workers_for(busy_share: float, remaining_s: float, core_count: int) -> int:
+def workers_for(busy_share: float, remaining_s: float, core_count: int, gpus: int) -> int:
     """Return the number of workers that ends a run first.
 
     Parameters
@@ -159,13 +160,15 @@ def workers_for(busy_share: float, remaining_s: float, core_count: int) -> int:
         Time that one process would need for the remaining scans, in seconds.
     core_count : int
         Number of cores.
+    gpus : int
+        Number of GPUs that the workers share.
 
     Returns
     -------
     int
         At most one worker per `CORES_PER_WORKER`; 1 if more do not save time.
     """
-    enough = math.ceil(1 / max(busy_share, 1 / core_count))
+    enough = math.ceil(gpus / max(busy_share, 1 / core_count))
     workers = max(1, min(enough, core_count // CORES_PER_WORKER))
     is_sooner = START_S + remaining_s / workers < remaining_s
     return workers if is_sooner else 1

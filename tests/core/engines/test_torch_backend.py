@@ -3,6 +3,7 @@
 
 from concurrent.futures import ThreadPoolExecutor
 
+import numpy as np
 import pytest
 import torch
 from scans import SMALL
@@ -88,3 +89,14 @@ def test_batches_of_few_pixels_are_recorded_on_a_gpu(monkeypatch):
     for batch, softmax in zip(images, expected, strict=True):
         torch.testing.assert_close(backend.softmax(batch, 2.0), softmax)
     assert recorded == [("logits", 1), ("logits", 4)]
+
+
+def test_what_leaves_the_library_is_not_page_locked(monkeypatch):
+    """Arrays of the tests stand for page-locked memory."""
+    staging = [np.arange(6.0), np.ones((2, 3), np.uint8)]
+    monkeypatch.setattr(TorchBackend, "_on_gpu", True)
+    monkeypatch.setattr(TorchBackend, "staged", lambda *_: staging)
+    backend = TorchBackend(TinyNetwork, WeightsCard({}, label_space(), SMALL), (16, 128))
+    for array, source in zip(backend.to_host([]), staging, strict=True):
+        np.testing.assert_array_equal(array, source)
+        assert not np.shares_memory(array, source)

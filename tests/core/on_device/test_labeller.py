@@ -3,6 +3,7 @@
 """Labels of scans on a device are those of the kernels."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -60,8 +61,10 @@ def assert_same(found: list[LabelledScan], expected: list[LabelledScan]) -> None
             np.testing.assert_allclose(scan.error, other.error, atol=1e-4)
 
 
-def both(network: Network, request: LabelRequest) -> tuple[Labeller, Labeller]:
-    of_cpu = replace(network, backend=replace(network.backend, device="cpu"))
+def both(network: Network, request: LabelRequest, file: Path) -> tuple[Labeller, Labeller]:
+    """Return labellers of a network and of the same on the CPU, from its file of weights."""
+    backend = load_network(file, "cpu", SMALL, "float32", "torch").backend
+    of_cpu = replace(network, backend=replace(backend, card=network.card))
     kernels = KernelLabeller(network=of_cpu, request=request)
     return DeviceLabeller(network=network, request=request), kernels
 
@@ -70,35 +73,43 @@ def both(network: Network, request: LabelRequest) -> tuple[Labeller, Labeller]:
 @pytest.mark.parametrize(
     "request_", [LabelRequest(), ALL_RESULTS, LabelRequest(knn=KnnParameters(window=1, k=1))]
 )
-def test_results_are_those_of_the_kernels(network, request_):
-    on_device, kernels = both(network, request_)
+def test_results_are_those_of_the_kernels(network, weights, request_):
+    on_device, kernels = both(network, request_, weights)
     found = labelled_by(on_device, SCANS)
     assert found[0].checked.check.ego_points > 0
     assert_same(found, labelled_by(kernels, SCANS))
 
 
 @on_each_device
-def test_scans_of_several_sensors_and_merged_classes(network):
+def test_scans_of_several_sensors_and_merged_classes(network, weights):
     first = replace(SMALL, traits=(900.0, 900.0, 500.0, 300.0, 3000.0, 1.0))
     other = replace(
         SMALL, origin=(0.0, 0.0, 0.5), fov_up=5.0, traits=(9.0, 9.0, 9.0, 9.0, 90.0, 1.0)
     )
     merging = ClassMerging.between(network.space, label_space("coarse"))
     network = replace(network, sensor=replace(first, others=(other,)), merging=merging)
-    on_device, kernels = both(network, LabelRequest(softmax=True))
+    on_device, kernels = both(network, LabelRequest(softmax=True), weights)
     assert_same(labelled_by(on_device, SCANS), labelled_by(kernels, SCANS))
 
 
 @on_each_device
-def test_a_batch_has_the_labels_of_single_scans(network):
-    labeller, _ = both(network, ALL_RESULTS)
+def test_a_batch_has_the_labels_of_single_scans(network, weights):
+    labeller, _ = both(network, ALL_RESULTS, weights)
     alone = [labelled_by(labeller, [scan])[0] for scan in SCANS]
     assert_same(labelled_by(labeller, SCANS), alone)
 
 
 @on_each_device
-def test_the_range_image_is_that_of_the_kernels(network):
-    on_device, kernels = both(network, LabelRequest())
+def test_a_kept_result_keeps_no_memory_of_its_batch(network, weights):
+    labeller, _ = both(network, ALL_RESULTS, weights)
+    for scan in labelled_by(labeller, SCANS):
+        arrays = [scan.labels, scan.least_confidence, scan.pixel_labels, scan.softmax, scan.error]
+        assert all(array.flags.owndata for array in arrays)
+
+
+@on_each_device
+def test_the_range_image_is_that_of_the_kernels(network, weights):
+    on_device, kernels = both(network, LabelRequest(), weights)
     (found,) = labelled_by(on_device, SCANS[:1])
     (expected,) = labelled_by(kernels, SCANS[:1])
     image = found.checked.range_image()
@@ -106,8 +117,8 @@ def test_the_range_image_is_that_of_the_kernels(network):
 
 
 @on_each_device
-def test_errors_name_the_source(network):
-    labeller, _ = both(network, LabelRequest())
+def test_errors_name_the_source(network, weights):
+    labeller, _ = both(network, LabelRequest(), weights)
     kilometres = Scan(make_scan().points / 1000, make_scan().intensity)
     refused(FormatError, "far.bin", labeller.prepare, kilometres, source="far.bin")
     broken = replace(network.card, temperature=float("nan"))

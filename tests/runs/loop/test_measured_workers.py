@@ -101,21 +101,24 @@ def test_the_scans_after_the_first_are_measured():
 
 
 @pytest.mark.parametrize(
-    ("busy_share", "remaining_s", "cores", "expected"),
+    ("busy_share", "remaining_s", "cores", "gpus", "expected"),
     [
-        (0.1, 1000.0, 64, 10),
-        (0.1, 1000.0, 16, 8),
-        (0.3, 1000.0, 16, 4),
-        (1.0, 1000.0, 16, 1),
-        (0.0, 1000.0, 16, 8),
-        (0.1, 1000.0, 2, 1),
-        (0.1, START_S, 16, 1),
-        (0.5, 2 * START_S - 0.1, 16, 1),
-        (0.5, 2 * START_S + 0.1, 16, 2),
+        (0.3, 1000.0, 64, 2, 7),
+        (1.0, 1000.0, 64, 8, 8),
+        (0.3, 1000.0, 8, 4, 4),
+        (0.1, 1000.0, 64, 1, 10),
+        (0.1, 1000.0, 16, 1, 8),
+        (0.3, 1000.0, 16, 1, 4),
+        (1.0, 1000.0, 16, 1, 1),
+        (0.0, 1000.0, 16, 1, 8),
+        (0.1, 1000.0, 2, 1, 1),
+        (0.1, START_S, 16, 1, 1),
+        (0.5, 2 * START_S - 0.1, 16, 1, 1),
+        (0.5, 2 * START_S + 0.1, 16, 1, 2),
     ],
 )
-def test_workers_are_few_and_must_save_time(busy_share, remaining_s, cores, expected):
-    assert workers_for(busy_share, remaining_s, cores) == expected
+def test_workers_are_few_and_must_save_time(busy_share, remaining_s, cores, gpus, expected):
+    assert workers_for(busy_share, remaining_s, cores, gpus) == expected
 
 
 @pytest.mark.usefixtures("of_16_cores")

@@ -11,7 +11,7 @@ import torch
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.runs.results.selection import evenly_spaced
-from salsanext_cli.training.data.on_device.scan_memory import BYTES_PER_POINT
+from salsanext_cli.training.data.on_device.scan_memory import BYTES_PER_POINT, host_reserve
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.memory import memory_of
 from salsanext_cli.training.step_memory import StepMemory
@@ -73,6 +73,7 @@ class DeviceRoom:
         if self.device.type == "cpu":
             available -= self.reserve
         elif memory := memory_of(str(self.device)):
+            available = max(host.available - host_reserve(host), 0) // self.workers_here
             available += max(memory.available - self.reserve, 0)
         needed = bytes_of_scans(sources) // self.workers
         if needed <= USED_SHARE * available:

@@ -14,10 +14,12 @@ from salsanext_cli.core.errors import TrainingError
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.wording import setting
 from salsanext_cli.training.data.on_device.point_batch import StoredScan
-from salsanext_cli.training.memory import memory_of
+from salsanext_cli.training.memory import Memory, memory_of
 
 BLOCK_POINTS = 1 << 24  # Points of a block: few large blocks leave no gaps in the memory
 BYTES_PER_POINT = 9  # Four values of float16, and a target
+LEAST_HOST_RESERVE = 2_000_000_000  # Bytes of the host that stay free beside page-locked scans
+HOST_RESERVE_SHARE = 0.1  # Of the memory of the host, if that is more
 
 log = logging.getLogger(__name__)
 
@@ -74,10 +76,27 @@ class ScanMemory:
                 pass
             if self.device.type != "cpu":
                 self.fill()
-        if self.device.type == "cpu" or not _has_room("cpu", size):
-            hint = f"read the scans for each batch: {setting('samples', 'workers')}"
-            raise TrainingError("memory", "has no room for the scans of the training", hint=hint)
+        if self.device.type == "cpu":
+            raise _no_room()
+        require_host_room(points)
         return _block(points, torch.device("cpu"), pin_memory=True)
+
+
+def host_reserve(host: Memory) -> int:
+    """Return the bytes of a host that stay free beside the page-locked scans of a GPU."""
+    return max(LEAST_HOST_RESERVE, int(HOST_RESERVE_SHARE * host.total))
+
+
+def require_host_room(points: int) -> None:
+    """Raise `TrainingError` unless the host of a GPU has room for so many points."""
+    host = memory_of("cpu")
+    if host is not None and host.available < BYTES_PER_POINT * points + host_reserve(host):
+        raise _no_room()
+
+
+def _no_room() -> TrainingError:
+    hint = f"read the scans for each batch: {setting('samples', 'workers')}"
+    return TrainingError("memory", "has no room for the scans of the training", hint=hint)
 
 
 def _has_room(device: str, size: int) -> bool:

@@ -12,7 +12,7 @@ import torch
 from salsanext_cli.core.records import MAX_INTENSITY, Mask, Scan
 from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.training.data.on_device.point_batch import StoredScan
-from salsanext_cli.training.data.on_device.scan_memory import ScanMemory
+from salsanext_cli.training.data.on_device.scan_memory import ScanMemory, require_host_room
 from salsanext_cli.training.data.reading_progress import with_progress
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.data.targets import ClassSets
@@ -64,16 +64,27 @@ class ScanStore:
         return keys
 
     def move_to_host(self) -> bool:
-        """Move the scans from a GPU to its host; return whether there were any."""
+        """Move the scans from a GPU to its host; return whether there were any.
+
+        Raises
+        ------
+        TrainingError
+            If the host has no room for all of them; then none has moved.
+        """
+        moving = [
+            (scans, key)
+            for scans in (self.whole, self.pasted)
+            for key, scan in scans.items()
+            if scan.values.device.type != "cpu"
+        ]
+        if not moving:
+            return False
+        require_host_room(sum(len(scans[key]) for scans, key in moving))
         self.memory.fill()
-        is_moved = False
-        for scans in (self.whole, self.pasted):
-            for key, scan in scans.items():
-                if scan.values.device.type == "cuda":
-                    scans[key] = self.memory.put(scan.values, scan.targets)
-                    is_moved = True
+        for scans, key in moving:
+            scans[key] = self.memory.put(scans[key].values, scans[key].targets)
         torch.cuda.empty_cache()
-        return is_moved
+        return True
 
     def _put(self, key: ScanKey, scan: StoredScan) -> None:
         self.whole[key] = self.memory.put(scan.values, scan.targets)

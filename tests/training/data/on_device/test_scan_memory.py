@@ -10,7 +10,12 @@ from salsanext_cli.core.errors import TrainingError
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.training.data.on_device import scan_memory
 from salsanext_cli.training.data.on_device.point_batch import StoredScan
-from salsanext_cli.training.data.on_device.scan_memory import BYTES_PER_POINT, ScanMemory
+from salsanext_cli.training.data.on_device.scan_memory import (
+    BYTES_PER_POINT,
+    LEAST_HOST_RESERVE,
+    ScanMemory,
+    require_host_room,
+)
 from salsanext_cli.training.memory import Memory
 
 
@@ -64,7 +69,7 @@ def test_a_full_gpu_has_further_scans_on_its_host(blocks, monkeypatch, caplog):
     """Even if it becomes less full; the log contains it once."""
     caplog.set_level(NOTICE)
     sizes = iter([190, 189, 10**9, 10**9])
-    room = {"cuda": lambda: next(sizes), "cpu": lambda: 90}
+    room = {"cuda": lambda: next(sizes), "cpu": lambda: 90 + LEAST_HOST_RESERVE}
     monkeypatch.setattr(
         scan_memory, "memory_of", lambda device: Memory(total=10**9, available=room[device]())
     )
@@ -73,8 +78,16 @@ def test_a_full_gpu_has_further_scans_on_its_host(blocks, monkeypatch, caplog):
         assert memory.put(*scan(10, value)).targets.tolist() == 10 * [value]
     assert blocks == [("cuda", False), ("cpu", True), ("cpu", True)]
     assert len(caplog.messages) == 1
-    room["cpu"] = lambda: 89
+    room["cpu"] = lambda: 89 + LEAST_HOST_RESERVE
     refused(TrainingError, "memory", memory.put, *scan(10, 1))
+
+
+@pytest.mark.parametrize(("total", "reserve"), [(10**9, 2 * 10**9), (10**12, 10**11)])
+def test_a_tenth_of_the_host_stays_free(monkeypatch, total, reserve):
+    room = 90 + reserve
+    monkeypatch.setattr(scan_memory, "memory_of", lambda _: Memory(total=total, available=room))
+    require_host_room(10)
+    refused(TrainingError, "memory", require_host_room, 11)
 
 
 def test_memory_that_another_program_takes_meanwhile_is_no_error(blocks, monkeypatch):

@@ -7,15 +7,22 @@ import numpy as np
 import pytest
 import torch
 from calls import calls_of
-from scans import SMALL, make_scan, write_sequence
+from scans import SMALL, make_scan, refused, write_sequence
 from stored import CPU
 
 from salsanext_cli import Scan, label_space
-from salsanext_cli.core.errors import SalsanextError
+from salsanext_cli.core.errors import SalsanextError, TrainingError
 from salsanext_cli.runs.results.paths import find_scans
-from salsanext_cli.training.data.on_device.scan_memory import ScanMemory
+from salsanext_cli.training.data.on_device import scan_memory
+from salsanext_cli.training.data.on_device.point_batch import StoredScan
+from salsanext_cli.training.data.on_device.scan_memory import (
+    BYTES_PER_POINT,
+    LEAST_HOST_RESERVE,
+    ScanMemory,
+)
 from salsanext_cli.training.data.on_device.scan_store import ScanStore, half_values
 from salsanext_cli.training.data.sources import Source
+from salsanext_cli.training.memory import Memory
 
 SPACE = label_space()
 
@@ -64,6 +71,24 @@ def test_the_error_of_a_scan_is_that_of_its_file(tmp_path: Path) -> None:
     with pytest.raises(SalsanextError) as caught:
         ScanStore(memory=ScanMemory(device=CPU), jobs=2).read([source])
     assert caught.value.subject == str(source.files[1].label_path)
+
+
+def test_scans_that_the_host_cannot_hold_stay_on_the_device(monkeypatch) -> None:
+    """Their whole number counts, before the first of them moves; "meta" stands for the GPU."""
+    there = torch.device("meta")
+    stored = StoredScan(
+        values=torch.empty(6, 4, dtype=torch.float16, device=there),
+        targets=torch.empty(6, dtype=torch.uint8, device=there),
+    )
+    store = ScanStore(memory=ScanMemory(device=there))
+    assert not store.move_to_host()
+    store.whole.update({(0, "a"): stored, (0, "b"): stored})
+    store.pasted[0, "a"] = stored
+    room = LEAST_HOST_RESERVE + 18 * BYTES_PER_POINT - 1
+    monkeypatch.setattr(scan_memory, "memory_of", lambda _: Memory(total=9, available=room))
+    refused(TrainingError, "memory", store.move_to_host)
+    assert not store.memory.is_full
+    assert {*store.whole.values(), *store.pasted.values()} == {stored}
 
 
 def test_values_beyond_float16_are_no_measurements() -> None:
