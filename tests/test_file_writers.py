@@ -34,6 +34,7 @@ REPLACING = {
 }
 """Functions of the package that replace a file unless their caller forbids it."""
 WRITERS = {
+    "commands/jobs/bag_sources.py": "the record of the bags that were copied into a folder",
     "commands/stages/import_weights.py": "the target, by `overwrite`",
     "commands/stages/submit.py": "the target, by `overwrite`",
     "commands/stages/tune.py": "the target, by `overwrite`",

@@ -42,6 +42,7 @@ ELSEWHERE: dict[str, dict[str, str]] = {
     },
     THROUGH_STAGE: {
         "commands/evaluation.py": "commands/stages/test_evaluate.py",
+        "commands/jobs/bag_sources.py": "commands/jobs/test_bag_run.py",
         "commands/jobs/filled_folder.py": "commands/stages/test_filter.py",
         "commands/jobs/epoch_files.py": "commands/stages/test_train_pictures.py",
         "commands/jobs/event_files.py": "commands/stages/test_train_pictures.py",

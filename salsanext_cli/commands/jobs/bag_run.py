@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from salsanext_cli.commands.jobs.bag_sources import BagSources, BagState
 from salsanext_cli.commands.jobs.cloud_progress import CloudProgress
 from salsanext_cli.core.errors import FormatError, NoInputError, OutputError, SalsanextError
 from salsanext_cli.core.geometry.point_sample import measured_ranges
@@ -103,7 +104,7 @@ class BagRun:
         for bag in options.shard.select(bags):
             with _listed_failure(bag, failures, options):
                 clouds = bag.clouds()
-                if self._is_done(bag) and not options.overwrite:
+                if self._is_done(bag, len(clouds)) and not options.overwrite:
                     skipped += len(clouds)
                 else:
                     clouds_of_bags[bag] = clouds
@@ -126,6 +127,10 @@ class BagRun:
             seconds=time.monotonic() - start,
         )
 
+    @property
+    def _sources(self) -> BagSources:
+        return BagSources(self.owned)
+
     def target(self, bag: BagOfResults) -> Path:
         """Return the path of a copy: a file for ROS 1, a folder for ROS 2."""
         suffix = ".bag" if bag.path.suffix.lower() == ".bag" and not is_folder(bag.path) else ""
@@ -141,15 +146,19 @@ class BagRun:
                 raise OutputError(target, problem, "one bag of this name", "rename one of them")
             sources[target] = bag.path
 
-    def _is_done(self, bag: BagOfResults) -> bool:
+    def _is_done(self, bag: BagOfResults, clouds: int) -> bool:
+        """Return whether there is a whole copy of a bag as it is now, with a number of clouds."""
         target = self.target(bag)
         if not present(target) or not is_recording(target):
+            return False
+        if self._sources.state(target.name) != BagState.from_bag(bag.path, clouds):
             return False
         return all(map(filled, files_at(target))) and not self.owned.foreign_members(target)
 
     def _copy(self, bag: BagOfResults, clouds: Sequence[ScanFile], progress: CloudProgress) -> int:
         """Copy a bag; return the number of its clouds with results."""
         target = self.target(bag)
+        state = BagState.from_bag(bag.path, len(clouds))  # A change while it is copied shows later
         self.owned.refuse_foreign_members(target)
         self._require_labels(bag, clouds)
         opened = Bag(bag.path, files_of(bag.path))
@@ -163,6 +172,7 @@ class BagRun:
                     problem = f"has {count:,} clouds, and {len(clouds):,} in its index"
                     raise FormatError(bag.path, problem, "a complete bag", HINT)
                 self.owned.adopt(written, target)
+            self._sources.record(target.name, state)
         except OSError as error:
             raise refusal(target, error) from error
         return count

@@ -101,7 +101,8 @@ def convert(
         )
         written = {number: scan for number, scan in enumerate(listed) if is_done(scan)}
         _write_files_of_sequence(owned, folder / sequence, file, written)
-        _add_frames(owned, folder / sequence / FRAMES, converted)
+        if kind_of(file).may_be_map:
+            _add_frames(owned, folder / sequence / FRAMES, converted, [*written.values()])
     empty = [scan.stem for scan in converted if scan.is_empty]
     if empty:
         names = first_few(sorted(empty))
@@ -120,11 +121,21 @@ def _write_files_of_sequence(
         owned.write(folder / POSES, encode_poses(poses[[*written]]))
 
 
-def _add_frames(owned: OwnedFolder, path: Path, converted: Sequence[ConvertedScan]) -> None:
-    """Write the frames of scans that were moved, beside those of earlier runs."""
-    moved = {scan.stem: scan.frame for scan in converted if scan.frame != NO_SHIFT}
+def _add_frames(
+    owned: OwnedFolder, path: Path, converted: Sequence[ConvertedScan], written: Sequence[ScanFile]
+) -> None:
+    """Write the frames of all written scans that were moved, beside those of earlier runs.
+
+    A run that was interrupted wrote scans without their frames, which are read again.
+    """
+    recorded = read_frames(path)
+    frames = {scan.stem: scan.frame for scan in converted}
+    for scan in written:
+        if scan.stem not in frames and scan.stem not in recorded:
+            frames[scan.stem] = read_scan(scan.path).notes.frame
+    moved = {stem: frame for stem, frame in frames.items() if frame != NO_SHIFT}
     if moved:
-        owned.write(path, encode_frames(read_frames(path) | moved))
+        owned.write(path, encode_frames(recorded | moved))
 
 
 def _require_positive(name: str, value: int) -> None:

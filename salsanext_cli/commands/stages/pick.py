@@ -310,12 +310,14 @@ def _written(
         frames[pre_label.scan] = pre_label.frame
 
     outcome = run_over_scans(task, picked, options, on_result=add)
-    data_set.write_pre_labels(record, pre_labels)
-    data_set.write_label_space(space, record.picked)
-    data_set.write_missing(data_set.root / TABLE, picked_csv(record.picked))
+    # The data set is complete with its other files, so these come first.
+    data_set.write_frames(frames)
     if len(pre_labels) == len(record.picked):
         # Existing files are not replaced, so incomplete poses would remain.
         data_set.write_poses(frames)
+    data_set.write_pre_labels(record, pre_labels)
+    data_set.write_label_space(space, record.picked)
+    data_set.write_missing(data_set.root / TABLE, picked_csv(record.picked))
     return replace(outcome, failures=(*_failures(record, scans), *outcome.failures))
 
 

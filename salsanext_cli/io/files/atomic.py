@@ -80,6 +80,12 @@ def writing(
         raise
 
 
+def make_durable(path: Path) -> None:
+    """Make the content of a complete file survive a power cut; raise an `OSError` if it cannot."""
+    with path.open("rb+") as file:
+        os.fsync(file.fileno())
+
+
 def _sync_names(folder: Path) -> None:
     """Make the names in a folder survive a power cut, if the system can."""
     with suppress(OSError):

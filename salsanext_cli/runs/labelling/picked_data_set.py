@@ -21,7 +21,7 @@ from salsanext_cli.io.files.reading import filled, fingerprint, present, reading
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.formats.kitti import encode_bin
 from salsanext_cli.io.formats.survey.local_frame import NO_SHIFT
-from salsanext_cli.io.frames import FRAMES, encode_frames
+from salsanext_cli.io.frames import FRAMES, encode_frames, read_frames
 from salsanext_cli.io.poses import line_numbers
 from salsanext_cli.runs.labelling.label_records import IMPORTED
 from salsanext_cli.runs.records.stage_settings import ComputedSettings
@@ -163,8 +163,18 @@ class PickedDataSet(OwnedFolder):
         text = yaml.safe_dump(described, sort_keys=False, allow_unicode=False)
         self.write_missing(self.root / LABEL_SPACE, text.encode())
 
+    def write_frames(self, frames: Mapping[ScanFile, Origin]) -> None:
+        """Write the frames of scans that were moved, beside those that are written already."""
+        ordered = sorted(scan for scan, frame in frames.items() if frame != NO_SHIFT)
+        for name, group in groupby(ordered, lambda scan: scan.sequence):
+            path = self.root / "sequences" / name / FRAMES
+            recorded = read_frames(path)
+            combined = {scan.stem: frames[scan] for scan in group} | recorded
+            if combined != recorded:
+                self.write(path, encode_frames(combined))
+
     def write_poses(self, frames: Mapping[ScanFile, Origin]) -> None:
-        """Write poses and calibration of the sequences of picked scans, if known, and frames.
+        """Write poses and calibration of the sequences of picked scans, if known.
 
         `frames` holds the frame of the points of each picked scan. Poses of scans in map
         coordinates are in these coordinates, and skipped.
@@ -173,11 +183,9 @@ class PickedDataSet(OwnedFolder):
         for name, group in groupby(ordered, lambda scan: scan.sequence):
             picked = list(group)
             folder = self.root / "sequences" / name
-            moved = {scan.stem: frames[scan] for scan in picked if frames[scan] != NO_SHIFT}
             source = picked[0].path.parent
             poses = source.with_name(POSES)
-            if moved:
-                self.write_missing(folder / FRAMES, encode_frames(moved))
+            if any(frames[scan] != NO_SHIFT for scan in picked):
                 if present(poses):
                     log.warning("%s: is in map coordinates, and skipped", poses)
                 continue

@@ -23,7 +23,15 @@ from uuid import uuid4
 from salsanext_cli.core.checks.finding import Finding
 from salsanext_cli.core.errors import OutputError
 from salsanext_cli.core.texts import first_few
-from salsanext_cli.io.files.atomic import MARK, append_line, refusal, sweep, sweep_stale, writing
+from salsanext_cli.io.files.atomic import (
+    MARK,
+    append_line,
+    make_durable,
+    refusal,
+    sweep,
+    sweep_stale,
+    writing,
+)
 from salsanext_cli.io.files.json_files import read_record, write_json
 from salsanext_cli.io.files.locks import locked, remove_if_empty
 from salsanext_cli.io.files.reading import filled, is_folder, present, reading
@@ -194,6 +202,9 @@ class OwnedFolder:
         OSError
             If the system refuses to move them; then the earlier one stays, too.
         """
+        # The list outlasts a power cut, after which a shorter file would be foreign.
+        for file in files_at(written):
+            make_durable(file)
         with self.locked_records():
             self.refuse_foreign_members(path)
             for file in files_at(written):

@@ -91,6 +91,20 @@ def test_a_bag_is_not_written_again_unless_it_shall_be_replaced(tmp_path, kind):
     assert edited.read_bytes() == b"mine"
 
 
+@pytest.mark.parametrize("kind", [".bag", ".mcap"])
+def test_a_bag_that_was_recorded_further_is_written_again(tmp_path, kind):
+    bag = LabelledBag(tmp_path, kind)
+    call = apply_to(bag, tmp_path)
+    assert call().done == 3
+    bag.path.rename(tmp_path / "earlier")
+    later = f"{START + 2 * STEP}"
+    bag = LabelledBag(tmp_path, kind, further=[(TOPIC, int(later), cloud(POINTS[0]))])
+    bag.label(later, [ROAD] * 6)
+    assert call().done == 4
+    assert call().skipped == 4
+    assert len(read_scan(tmp_path / "to" / bag.path.name / TOPIC.strip("/") / later)) == 6
+
+
 @pytest.mark.parametrize(
     "add", [lambda path: path.touch(), lambda path: path.mkdir()], ids=["file", "folder"]
 )

@@ -30,6 +30,8 @@ from salsanext_cli.core.errors import (
 )
 from salsanext_cli.core.measures.scan_choice import choose_scans
 from salsanext_cli.core.notices import NOTICE
+from salsanext_cli.io.frames import read_frames
+from salsanext_cli.runs.labelling.picked_data_set import PickedDataSet
 from salsanext_cli.runs.labelling.scan_description import DescribeJob
 from salsanext_cli.runs.loop.pipeline import Pipeline
 from salsanext_cli.runs.loop.run import RunOptions
@@ -269,6 +271,24 @@ def test_unreadable_scans_are_named_each_time_and_the_others_picked(drive):
         assert [failure.scan.stem for failure in found.outcome.failures] == ["000030", "000040"]
         assert found.outcome.done == done
     assert found.to_dict()["failures"][0]["code"] == "format"
+
+
+def test_frames_are_written_although_a_scan_fails(drive, monkeypatch):
+    write, stems = PickedDataSet.write_points, []
+
+    def write_moved(self, file, sensor):
+        stems.append(file.stem)
+        if len(stems) == 1:
+            raise FormatError(file.path, "is damaged", "a scan")
+        write(self, file, sensor)
+        return (10_000.0, 0.0, 0.0)
+
+    monkeypatch.setattr(PickedDataSet, "write_points", write_moved)
+    assert len(run(drive).outcome.failures) == 1
+    frames = drive.out / "sequences/08/frames.json"
+    assert read_frames(frames) == dict.fromkeys(stems[1:], (10_000.0, 0.0, 0.0))
+    assert run(drive).outcome.failures == ()
+    assert [*read_frames(frames)] == sorted(stems[:3])
 
 
 def test_all_of_too_few(drive, caplog):

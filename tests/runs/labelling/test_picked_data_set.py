@@ -43,6 +43,7 @@ def test_scans_in_a_map_have_the_frame_of_their_copies_and_no_poses(tmp_path, ca
     (scan,) = find_scans(tmp_path / "data")
     data_set = PickedDataSet(tmp_path / "out")
     frame = data_set.write_points(scan, SMALL)
+    data_set.write_frames({scan: frame})
     data_set.write_poses({scan: frame})
     sequence = tmp_path / "out/sequences/08"
     assert read_frames(sequence / "frames.json") == {"000003": frame}
@@ -50,6 +51,21 @@ def test_scans_in_a_map_have_the_frame_of_their_copies_and_no_poses(tmp_path, ca
     assert np.abs(copied + np.array(frame) - points).max() < 0.8e-3
     assert not (sequence / "poses.txt").exists()
     assert str(path.parents[1] / "poses.txt") in caplog.text
+
+
+def test_frames_are_added_to_those_that_are_written(tmp_path):
+    folder = tmp_path / "data/sequences/08"
+    write_sequence(folder, ("000000", "000001", "000002"), labels=False)
+    first, second, third = find_scans(tmp_path / "data")
+    frame = (500_000.0, 5_400_000.0, 0.0)
+    data_set = PickedDataSet(tmp_path / "out")
+    path = tmp_path / "out/sequences/08/frames.json"
+    data_set.write_frames({second: NO_SHIFT})
+    assert not path.exists()
+    data_set.write_frames({third: frame})
+    data_set.write_frames({first: frame, second: NO_SHIFT, third: (0.0, 1.0, 0.0)})
+    assert read_frames(path) == {"000000": frame, "000002": frame}
+    assert data_set.foreign_files([path]) == []
 
 
 def test_the_settings_are_one_table_with_those_of_the_network():

@@ -126,6 +126,18 @@ def test_an_adopted_folder_replaces_the_earlier_one(written: OwnedFolder, adopte
     assert written.foreign_files([written.root / "file"]) == []
 
 
+def test_adopted_files_are_on_the_disk_before_they_are_listed(written, adopted, monkeypatch):
+    """Else a power cut would leave shorter files, which would be foreign."""
+    later = written.root / ".new/drive"
+    complete = {file.stat().st_ino for file in later.iterdir()}
+    (listing,) = (written.root / FILE_LISTS).iterdir()
+    listing_number = listing.stat().st_ino
+    synced = []
+    monkeypatch.setattr(os, "fsync", lambda handle: synced.append(os.fstat(handle).st_ino))
+    adopt_later(written)
+    assert {*synced[: synced.index(listing_number)]} == complete
+
+
 def test_a_folder_that_a_power_cut_emptied_is_replaced(written, adopted):
     (adopted / "drive_0.mcap").write_bytes(b"")
     adopt_later(written)

@@ -16,6 +16,7 @@ from salsanext_cli.io.formats.recordings import recorded_poses
 from salsanext_cli.io.frames import read_frames
 from salsanext_cli.io.poses import pose_readings
 from salsanext_cli.runs.fit.pose_files import poses_beside, readings_of
+from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.results.paths import find_scans
 
 pye57 = pytest.importorskip("pye57")
@@ -112,6 +113,23 @@ def test_the_frame_of_a_scan_in_a_map_is_written_beside_it(tmp_path):
     (frame,) = read_frames(place / "frames.json").values()
     (scan,) = find_scans(folder)
     assert np.abs(read_scan(scan.path).points + np.array(frame) - points).max() < 0.8e-3
+
+
+def test_the_frame_of_a_scan_of_an_interrupted_run_is_written_later(tmp_path):
+    points = STATIONS[0].points + [500_123.0, 5_400_456.0, 300]
+    path = write_with_limits(tmp_path / "a.e57", points, SCANS[0].intensity)
+    folder = tmp_path / "data"
+
+    def interrupt(done, total):
+        if done:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        convert(path, folder, options=RunOptions(progress=interrupt))
+    assert not (folder / "sequences/a/frames.json").exists()
+    assert convert(path, folder).skipped == 1
+    frames = read_frames(folder / "sequences/a/frames.json")
+    assert frames == {"000000": (500_000.0, 5_400_000.0, 0.0)}
 
 
 def test_identities_are_no_poses_and_rounded_map_coordinates_no_scan(tmp_path):
