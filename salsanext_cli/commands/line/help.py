@@ -15,7 +15,7 @@ from salsanext_cli.commands.line.typer_interface import TyperCommand, TyperGroup
 DOCUMENTATION = "https://salsanext.readthedocs.io"
 NAMES_WIDTH = 24  # Columns of the names of options; longer ones get a line
 HIDDEN = {
-    "": "--batch --cluster --ego --engine --events --install-completion --intensity "
+    "": "--batch --cluster --dry-run --ego --engine --events --install-completion --intensity "
     "--knn-cutoff --knn-k --knn-sigma --knn-window --min-range --movable-reach --on-error --origin "
     "--pixel-labels --precision --shard --show-completion",
     "pick": "--seed",

@@ -27,7 +27,7 @@ from salsanext_cli.runs.results.query import DATASET_VARIABLE
 FILE = Path("salsanext.toml")
 COMMANDS_WITH_FILE = ("predict", "uncertainty", "eval", "pick")
 """Commands that read the file."""
-ONLY_TYPED = {"cluster", "events", "json", "overwrite", "quiet", "shard", "verbose"}
+ONLY_TYPED = {"cluster", "dry_run", "events", "json", "overwrite", "quiet", "shard", "verbose"}
 """Options of one run: what may replace results or leave the machine is no setting of a folder."""
 EXCLUSIVE = (("split", "sequences"), ("jobs", "cluster"), ("count", "names"))
 """Parameters that exclude each other."""
@@ -114,7 +114,7 @@ def _require_offered(keys: Iterable[str], offered: Collection[str], table: str =
             continue
         problem = f"{table} {key}: no such option".lstrip()
         hint = did_you_mean(key, [*offered, *COMMANDS_WITH_FILE])
-        if key in ONLY_TYPED:
+        if key.replace("-", "_") in ONLY_TYPED:
             problem = f"{table} {key}: belongs to one run".lstrip()
             hint = f"type --{key}"
         raise UsageError(FILE, problem, hint=hint or "keys are options without the dashes")

@@ -23,6 +23,7 @@ from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.sensor_request import AUTO
 
 if TYPE_CHECKING:
+    from salsanext_cli.commands.jobs.prediction_plan import PredictionPlan
     from salsanext_cli.commands.stages.predict import PredictOutcome
     from salsanext_cli.core.records import Origin
 
@@ -106,6 +107,9 @@ def predict(
         show_default="1 on a CPU, several on a GPU",
     ),
     running: MeasuredRunOptions,
+    dry_run: bool = running_option(
+        "Print the scans to do, the sensor and the size; compute nothing.", default=False
+    ),
     strict: bool = arguments.STRICT,
     output: console.Output,
 ) -> None:
@@ -113,7 +117,11 @@ def predict(
 
     Example: salsanext predict seq/velodyne out/
     """
-    from salsanext_cli.commands.stages.predict import predict_range_images, predict_scans
+    from salsanext_cli.commands.stages.predict import (
+        plan_prediction,
+        predict_range_images,
+        predict_scans,
+    )
     from salsanext_cli.runs.fit.range_images import projected_sensor
     from salsanext_cli.runs.results.paths import FUSED
 
@@ -124,11 +132,28 @@ def predict(
         extras.require_fusable(source, out, running)
     settings = replace(settings, classes=classes)
     position = arguments.position("--origin", origin)
+    images = source if isinstance(source, Path) and projected_sensor(source) is not None else None
+    if dry_run:
+        if images is not None:
+            raise UsageError("--dry-run", "plans no range images", "scans as the source")
+        plan = plan_prediction(
+            source,
+            out,
+            settings=settings,
+            knn=knn,
+            extras=extras.names,
+            reject=extras.threshold,
+            origin=position,
+            selection=selection,
+            options=running,
+        )
+        _print_plan(plan, out, output)
+        return
     with over_scans("predict", running, output.quiet) as options:
-        if isinstance(source, Path) and projected_sensor(source) is not None:
+        if images is not None:
             _refuse_options_of_points(extras, knn, batch, position)
             outcome = predict_range_images(
-                source, out, settings=settings, selection=selection, options=options
+                images, out, settings=settings, selection=selection, options=options
             )
         else:
             outcome = predict_scans(
@@ -152,6 +177,20 @@ def predict(
     summary.print_summary_and_exit(
         "predict", outcome, out, output, following=following, numbers=numbers, strict=strict
     )
+
+
+def _print_plan(plan: "PredictionPlan", out: Path, output: console.Output) -> None:
+    """Print what a prediction would do."""
+    from salsanext_cli.core.fitting.sensor_texts import image_text
+
+    output.result({"stage": "predict", "out": str(out), **plan.to_dict()})
+    scans = counted(plan.scans, "scan")
+    output.print(f"predict: {scans} found, {plan.done:,} done already, {plan.todo:,} to do → {out}")
+    for text in dict.fromkeys(image_text(sensor, plan.trained) for sensor in plan.sensor.members):
+        output.print(f"image: {text}")
+    size = f"{plan.todo * plan.bytes_per_scan / 1e6:,.1f} MB"
+    points = f"scans of {plan.points_per_scan:,} points"
+    output.print(f"results: {size} for {points}; nothing was computed or written into {out}")
 
 
 def _numbers(

@@ -2,20 +2,18 @@
 """Stage `predict`: scans to labels, or range images on disk to pixel labels."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Literal
 
 from salsanext_cli.commands.jobs.image_job import PredictImageJob
-from salsanext_cli.commands.jobs.label_rejection import LabelRejection, label_rejection
+from salsanext_cli.commands.jobs.label_rejection import LabelRejection
 from salsanext_cli.commands.jobs.predict_job import PredictJob
+from salsanext_cli.commands.jobs.prediction_plan import PredictionPlan, prepare_prediction
 from salsanext_cli.core.engines.network import Network
-from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.records import Origin
-from salsanext_cli.core.uncertainty.error_features import error_model
-from salsanext_cli.core.wording import argument, setting
 from salsanext_cli.runs.fit.range_images import projected_sensor, range_image, sensor_of_images
 from salsanext_cli.runs.fit.sensor_fit import (
     fitted_view,
@@ -23,23 +21,26 @@ from salsanext_cli.runs.fit.sensor_fit import (
     resolved_for,
     settings_of_network,
 )
-from salsanext_cli.runs.fit.stated_origin import origin_in_frame
 from salsanext_cli.runs.loop.network_task import NetworkTask
-from salsanext_cli.runs.loop.recorded_names import with_recorded_names
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.loop.run_origins import OriginsOfRun
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.records.stage_settings import PredictSettings
-from salsanext_cli.runs.results.output_run import output_run
-from salsanext_cli.runs.results.paths import ERROR, LEAST_CONFIDENCE, ScanFile, with_outputs
-from salsanext_cli.runs.results.recorded_origins import folders_of_origins
+from salsanext_cli.runs.results.output_run import foreseen_run, output_run
+from salsanext_cli.runs.results.paths import ScanFile, with_outputs
 from salsanext_cli.runs.results.result_folder import ResultFolder
 from salsanext_cli.runs.results.scan_selection import ScanSelection
-from salsanext_cli.runs.results.selection import choose, scans_of, space_of
+from salsanext_cli.runs.results.selection import choose, space_of
 from salsanext_cli.runs.summary.recorded_summary import recorded_summary
 from salsanext_cli.runs.summary.scan_summary import RunSummary
 
-__all__ = ["PredictJob", "PredictOutcome", "predict_range_images", "predict_scans"]
+__all__ = [
+    "PredictJob",
+    "PredictOutcome",
+    "plan_prediction",
+    "predict_range_images",
+    "predict_scans",
+]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,45 +93,40 @@ def predict_scans(
     -------
     PredictOutcome
     """
-    typed = settings.named()
-    if origin is not None:
-        typed["origin"] = origin
-    if batch is not None and batch < 1:
-        raise UsageError(argument("batch"), str(batch), "at least 1, or auto")
-    if origin is not None:
-        reader = settings.named_sensor() or settings.trained_sensor()
-        settings = replace(settings, origin=origin_in_frame(origin, scans_of(source), reader))
-    network = settings.load()
-    listed = with_recorded_names(scans_of(source), out)
-    scans = choose(listed, selection, space_of(listed, network.card.space), source)
-    origins = OriginsOfRun(out=out, stage="predict", listed=listed, overwrite=options.overwrite)
-    network = network_of_run(
-        settings,
-        network,
-        listed,
+    prepared = prepare_prediction(
+        source,
         out,
+        settings=settings,
+        knn=knn,
+        extras=extras,
+        reject=reject,
+        batch=batch,
+        origin=origin,
+        selection=selection,
         overwrite=options.overwrite,
-        origins_of=origins.sample_origins,
     )
-    rejection = None if reject is None else label_rejection(reject, settings, network, knn)
-    extras = _possible_extras(extras, rejection, network)
-    recorded = _recorded_settings(network, knn, extras, rejection)
-    summary = _new_summary(network, scans, recorded, rejection)
+    network = prepared.network
+    scans = prepared.scans
+    rejection = prepared.rejection
+    summary = _new_summary(network, scans, prepared.recorded, rejection)
     opening = output_run(
         out,
         "predict",
-        recorded,
-        _folders(out, network, extras),
+        prepared.recorded,
+        prepared.folders,
         scans,
         overwrite=options.overwrite,
         weights=settings.named_path,
-        options=typed,
+        options=prepared.options,
     )
     with opening as output, recorded_summary(summary, output, scans):
-        by_poses = origins.result_origins(output, scans, network.sensor)
+        by_poses = prepared.origins.result_origins(output, scans, network.sensor)
         job = partial(PredictJob, knn=knn, output=output, reject=rejection, origins=by_poses)
         task = NetworkTask(
-            job=job, settings=resolved_for(settings, network, scans), network=network, batch=batch
+            job=job,
+            settings=resolved_for(prepared.settings, network, scans),
+            network=network,
+            batch=batch,
         )
         outcome = run_over_scans(
             task, scans, options, is_done=output.is_done, summary=summary, writes=[out]
@@ -139,37 +135,42 @@ def predict_scans(
     return PredictOutcome.from_run(outcome, rejected_points=rejected_points)
 
 
-def _recorded_settings(
-    network: Network, knn: KnnParameters, extras: tuple[str, ...], rejection: LabelRejection | None
-) -> PredictSettings:
-    """Return the settings to record."""
-    settings = replace(
-        settings_of_network(network, PredictSettings),
-        temperature=network.card.temperature,
+def plan_prediction(
+    source: Path | Sequence[Path],
+    out: Path,
+    *,
+    settings: NetworkSettings = NetworkSettings(),
+    knn: KnnParameters = KnnParameters(),
+    extras: tuple[str, ...] = (),
+    reject: float | Literal["risk"] | None = None,
+    origin: Origin | None = None,
+    selection: ScanSelection = ScanSelection(),
+    options: RunOptions = RunOptions(),
+) -> PredictionPlan:
+    """Return what `predict_scans` would do with the same arguments; write nothing into `out`.
+
+    The fit to the scans is that of the run, and what the run would refuse is refused.
+    """
+    prepared = prepare_prediction(
+        source,
+        out,
+        settings=settings,
         knn=knn,
-        accuracy=network.card.accuracy,
-        objects="objects" in extras or None,
+        extras=extras,
+        reject=reject,
+        origin=origin,
+        selection=selection,
+        overwrite=options.overwrite,
     )
-    return rejection.recorded_in(settings) if rejection else settings
-
-
-def _possible_extras(
-    extras: tuple[str, ...], rejection: LabelRejection | None, network: Network
-) -> tuple[str, ...]:
-    """Return the further results with those that the rejection needs; refuse impossible ones."""
-    if rejection and rejection.kind == "error":
-        extras = tuple(dict.fromkeys((*extras, ERROR)))
-    if ERROR in extras:
-        error_model(network)
-    if "objects" in extras:
-        network.space.require_movable(setting("extras", ("objects",)))
-    return extras
-
-
-def _folders(out: Path, network: Network, extras: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the folders of the results, the labels last."""
-    origins = folders_of_origins(out, "predict", network.sensor)
-    return (*origins, *extras, LEAST_CONFIDENCE, "predictions")
+    run = foreseen_run(
+        out,
+        "predict",
+        prepared.recorded,
+        prepared.folders,
+        prepared.scans,
+        overwrite=options.overwrite,
+    )
+    return PredictionPlan.from_run(prepared, run, options.shard.select(prepared.scans))
 
 
 def _new_summary(

@@ -126,6 +126,19 @@ class OutputRun(OwnedFolder):
         self.manifest.write(record)
         return record
 
+    def foresee(self, new: StageRecord) -> StageRecord:
+        """Refuse what `claim` refuses because of results; return the record that it continues.
+
+        Nothing is written or locked, so that another run may change the answer.
+        """
+        earlier = self._earlier_records(new)
+        if not self.overwrite:
+            self._require_unclaimed(new, earlier)
+        recorded = [earlier.stage, *earlier.others] if earlier.stage else [*earlier.others]
+        names = {name for record in recorded for name in record.writes}
+        self._require_recorded([name for name in new.writes if name not in names])
+        return earlier.stage if earlier.stage and earlier.is_same else new
+
     def withdraw(self) -> None:
         """Remove the record of a run that has ended without any result, and its warnings."""
         with self.locked_records():
@@ -231,12 +244,16 @@ class OutputRun(OwnedFolder):
 
     def _remove_unrecorded(self, folders: Iterable[str]) -> list[Path]:
         """Refuse or remove results that no stage recorded: their settings are unknown."""
+        return self.remove_written(self._require_recorded(folders))
+
+    def _require_recorded(self, folders: Iterable[str]) -> list[Path]:
+        """Return the results that no stage recorded; refuse them unless they are replaced."""
         results = self._results_in(folders)
         if results and not self.overwrite:
             overwriting = f"{setting('overwrite', True)} to replace what salsanext wrote"
             hint = f"use another output folder, or {overwriting}"
             raise OutputError(results[0], "is a result that no stage recorded", hint=hint)
-        return self.remove_written(results)
+        return results
 
     def _results_in(self, folders: Iterable[str]) -> list[Path]:
         paths: list[Path] = []
@@ -343,6 +360,23 @@ def output_run(
             stack.enter_context(run.open(shared=True))
         yield _with_foreign_files(run, claimed, scans)
         _require_still_recorded(run, new)
+
+
+def foreseen_run(
+    out: Path,
+    stage: str,
+    settings: StageSettings,
+    folders: Iterable[str],
+    scans: Sequence[ScanFile],
+    *,
+    overwrite: bool,
+) -> OutputRun:
+    """Return the run that `output_run` would begin, without writing; arguments as of it."""
+    sources = _scan_sources(out, scans)
+    run = OutputRun(out, stage, folders=tuple(folders), overwrite=overwrite)
+    writes = tuple(sorted(run.folders))
+    new = StageRecord(stage=stage, settings=settings_json(settings), writes=writes, scans=sources)
+    return _with_foreign_files(run, run.foresee(new), scans)
 
 
 def _with_foreign_files(
