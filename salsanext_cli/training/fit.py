@@ -78,6 +78,7 @@ class Training:
     card: WeightsCard
     report: Callable[[StepReport], object]  # Called after every step, in the main worker alone
     watch: EpochWatch | None = None
+    watch_failed: bool = False  # Whether the watch raised an error, which is logged once
 
     @property
     def plan(self) -> SamplingPlan:
@@ -159,13 +160,27 @@ class Training:
         if group.is_main:
             self._write(state, row, card)
             if self.watch:
-                self.watch.notify(self._finished(state, self.watch.scans))
+                self._notify(self.watch, state)
         self._report(state, step, row)
 
     def _network(self) -> Network:
         """Return the network of the present weights."""
         module = self.learner.average.eval()
         return network_of_module(module, self.card, str(self.learner.device))
+
+    def _notify(self, watch: EpochWatch, state: TrainingState) -> None:
+        """Call what shows an epoch; an error there does not end the training."""
+        try:
+            watch.notify(self._finished(state, watch.scans))
+            return
+        except Exception as error:  # noqa: BLE001 - of any library that draws
+            if not self.watch_failed:
+                message = "%s: pictures after epoch %d failed, and the training goes on: %s"
+                log.warning(message, self.run, state.epoch, error)
+            self.watch_failed = True
+        # The error, which holds memory, is gone here.
+        if self.learner.device.type == "cuda":
+            torch.cuda.empty_cache()
 
     def _finished(self, state: TrainingState, scans: Source) -> FinishedEpoch:
         """Return what can be shown of an epoch, with predictions of some scans."""

@@ -140,13 +140,14 @@ def submit(
     scans = _scans_at_hand(out, dataset, files)
     space = _full_space(out, scans, space)
     required = _required(space, scans, files)
-    sequences_at_hand = {scan.sequence for scan in scans}
-    unchecked = sorted({sequence for sequence, _ in required.names} - sequences_at_hand)
-    if unchecked:
-        problem = f"no scans of sequence {first_few(unchecked)}: numbers of labels not checked"
-        log.warning("%s", with_hint(problem, f"give {argument('dataset')}"))
-    _note_others(required, files)
     clouds = {(scan.sequence, scan.stem): scan.path for scan in scans}
+    unchecked = [name for name in required.names if name not in clouds]
+    if unchecked:
+        names = first_few(["/".join(name) for name in unchecked])
+        problem = f"numbers of labels not checked: no points of {counted(len(unchecked), 'scan')}"
+        hint = f"give the whole data set with {argument('dataset')}"
+        log.warning("%s", with_hint(f"{problem}: {names}", hint))
+    _note_others(required, files)
     steps = count(1)
 
     def advance() -> None:

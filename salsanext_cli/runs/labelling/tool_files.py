@@ -50,7 +50,7 @@ def write_for_tool(
     for sequence, members in groupby(by_sequence, lambda scan: scan.sequence):
         stems = [scan.scan for scan in members]
         poses = _poses(data_set.root / "sequences" / sequence / POSES, stems)
-        _write_missing(data_set, folder, tool.sequence_files(sequence, stems, poses))
+        _write_current(data_set, folder, tool.sequence_files(sequence, stems, poses))
 
 
 def _is_complete(data_set: PickedDataSet, scan: PickedScan) -> bool:
@@ -82,3 +82,18 @@ def _write_missing(data_set: PickedDataSet, folder: Path, files: Files) -> None:
     """Write the files of a tool that do not exist."""
     for name, content in files.items():
         data_set.write_missing(folder / name, content)
+
+
+def _write_current(data_set: PickedDataSet, folder: Path, files: Files) -> None:
+    """Write the files of a tool about all scans of a sequence; edited ones stay, with a warning."""
+    for name, content in files.items():
+        path = folder / name
+        if not filled(path):
+            data_set.write(path, content)
+            continue
+        if path.read_bytes() == content:
+            continue
+        if data_set.foreign_files([path]):
+            log.warning("%s: was edited, and stays; it may not fit all scans", path)
+        else:
+            data_set.write(path, content)

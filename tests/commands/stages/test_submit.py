@@ -64,7 +64,7 @@ def test_the_file_is_what_the_benchmark_wants(folders, with_data, caplog):
     made = folders.submit(with_data=with_data, progress=lambda *step: steps.append(step))
     assert made == Submission(scans=14, lengths_checked=with_data)
     assert steps == [(number, 28) for number in range(1, 29)]
-    assert ("sequence 11, 12, 13 and 8 more" in caplog.text) != with_data
+    assert ("14 scans: 11/000000, 11/000001, 11/000002 and 11 more" in caplog.text) != with_data
     with zipfile.ZipFile(folders.zip) as packed:
         assert packed.testzip() is None
         names = packed.namelist()
@@ -76,6 +76,13 @@ def test_the_file_is_what_the_benchmark_wants(folders, with_data, caplog):
         for name in set(names) - {*folders_of}:
             assert packed.read(name) == (folders.out / name).read_bytes()
             assert names.index(name) > names.index(name.rpartition("/")[0] + "/")
+
+
+def test_a_scan_that_is_not_there_is_not_checked(folders, caplog):
+    folders.scan("11", "000001").unlink()
+    made = folders.submit()
+    assert made == Submission(scans=14, lengths_checked=False)
+    assert "1 scan: 11/000001" in caplog.text
 
 
 def test_equal_predictions_give_equal_bytes(folders):

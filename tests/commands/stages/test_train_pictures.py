@@ -57,6 +57,20 @@ def test_every_epoch_writes_the_pictures(labelled, tmp_path, monkeypatch):
 
 
 @tiny
+def test_a_failed_picture_does_not_end_the_training(labelled, tmp_path, monkeypatch, caplog):
+    run = tmp_path / "run"
+
+    def fail(epoch):
+        raise RuntimeError(f"no memory for epoch {len(epoch.rows)}")
+
+    monkeypatch.setattr(epoch_files, "write_epoch_files", fail)
+    train(labelled, run, recipe=RECIPE, sensor=SMALL, device="cpu")
+    assert (run / "best.safetensors").exists()
+    messages = [record.getMessage() for record in caplog.records]
+    assert [str(run) in text for text in messages if "no memory" in text] == [True]
+
+
+@tiny
 def test_pictures_of_the_user_stay(labelled, tmp_path):
     run = tmp_path / "run"
     run.mkdir()

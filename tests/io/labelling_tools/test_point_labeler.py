@@ -100,6 +100,29 @@ def test_the_same_command_again_keeps_edited_labels(picked):
     assert {name: again[name] for name in edited} == edited
 
 
+def test_poses_follow_the_scans_unless_they_were_edited(picked, caplog):
+    """A scan that is added before others moves the lines of their poses."""
+    picked.write()
+    path = picked.folder / "08/poses.txt"
+    both = path.read_bytes()
+    lines = both.splitlines(keepends=True)
+    scans = sorted((picked.folder / "08/velodyne").iterdir())
+    assert len(lines) == len(scans) == 2
+    stem = scans[0].stem
+    points = picked.root / f"sequences/08/velodyne/{stem}.bin"
+    hidden = points.rename(points.with_suffix(".hidden"))
+    path.unlink()
+    picked.write()
+    assert len(path.read_bytes().splitlines()) == 1
+    hidden.rename(points)
+    picked.write()
+    assert path.read_bytes() == both
+    path.write_bytes(lines[0])
+    picked.write()
+    assert path.read_bytes() == lines[0]
+    assert str(path) in caplog.text
+
+
 def test_a_label_file_of_another_scan_is_refused(picked):
     picked.write()
     path = picked.folder / "08/labels/000011.label"
