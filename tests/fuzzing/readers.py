@@ -39,6 +39,7 @@ from salsanext_cli.io.formats import recordings
 from salsanext_cli.io.formats.captures import maker_of
 from salsanext_cli.io.formats.npy import read_array
 from salsanext_cli.io.formats.ply import write_ply
+from salsanext_cli.io.labelling_tools.registry import TOOLS
 from salsanext_cli.io.weights.published import read_published
 from salsanext_cli.io.weights.weights import read_weights, save_weights
 from salsanext_cli.runs.results.output_run import encode_array
@@ -199,6 +200,26 @@ def _recorded(path: Path) -> None:
         read_scan(scan.path)
 
 
+def _labels_of(tool: str) -> Callable[[Path], object]:
+    """Return the reader of labels that a tool saved."""
+    return lambda path: TOOLS[tool].read(path, make_scan(COUNT), label_space())
+
+
+def _objects() -> bytes:
+    """Return two objects and their points, as Segments.ai saves them."""
+    objects = [{"id": 1, "category_id": 10}, {"id": 2, "category_id": 40}]
+    return json.dumps(
+        {"annotations": objects, "point_annotations": [0, 1, 2] * (COUNT // 3)}
+    ).encode()
+
+
+def _figures() -> bytes:
+    """Return a figure of three points, as Supervisely saves it."""
+    points = {"geometryType": "point_cloud", "geometry": {"indices": [1, 2, 7]}}
+    objects = [{"key": "a", "classTitle": "car"}]
+    return json.dumps({"objects": objects, "figures": [{"objectKey": "a", **points}]}).encode()
+
+
 def _sensor() -> bytes:
     keys = {key: value for key, value in SMALL.to_dict().items() if value is not None}
     return "".join(f"{key} = {json.dumps(value)}\n" for key, value in keys.items()).encode()
@@ -233,6 +254,10 @@ READERS: dict[str, Callable[[Path], Reader]] = {
     "pts": lambda _: Reader("s.pts", leica(_table()), _scan),
     "csv": lambda _: Reader("s.csv", lines(_table(), ","), _scan),
     "xyz": lambda _: Reader("s.xyz", lines(_table(), " "), _scan),
+    "label of Segments.ai": lambda _: Reader("s.json", [_objects()], _labels_of("segments")),
+    "annotation of Supervisely": lambda _: Reader(
+        "s.pcd.json", [_figures()], _labels_of("supervisely")
+    ),
     "db3": _bag,
     "pcap": _pcap,
     "maker of a pcap": lambda folder: Reader("m.pcap", [_capture(folder)], maker_of),

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from salsanext_cli.core.classes.label_space import LabelSpace
-from salsanext_cli.core.errors import FormatError, LabelError
+from salsanext_cli.core.errors import LabelError
 from salsanext_cli.core.records import Scan
 from salsanext_cli.core.texts import counted, first_few
 from salsanext_cli.io.files.json_files import encode_json
-from salsanext_cli.io.files.reading import present, reading, refusing_damage
+from salsanext_cli.io.files.reading import present, refusing_damage
 from salsanext_cli.io.formats.label_scalars import CLASS_BITS, LabelIds, LabelledCloud
 from salsanext_cli.io.formats.pcd_writing import encode_pcd
 from salsanext_cli.io.labelling_tools.tool import (
@@ -19,6 +19,7 @@ from salsanext_cli.io.labelling_tools.tool import (
     LabelledPoints,
     LabellingTool,
     ToolLabels,
+    mentions,
     named_raw_ids,
     read_json_object,
     whole_numbers_of_json,
@@ -65,13 +66,7 @@ class Segments(LabellingTool):
 
     def recognises(self, path: Path) -> bool:
         """Return whether a JSON file has objects of points, also if it is damaged."""
-        if path.suffix.lower() != ".json":
-            return False
-        try:
-            with reading(path) as file:
-                return f'"{OBJECT_OF_POINT}"'.encode() in file.read()
-        except FormatError:
-            return False
+        return path.suffix.lower() == ".json" and mentions(path, f'"{OBJECT_OF_POINT}"')
 
     def lacks_labels(self, path: Path) -> bool:
         """Return whether a PCD file has its labels in a JSON file of the same name."""

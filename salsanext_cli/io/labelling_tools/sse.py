@@ -14,10 +14,12 @@ from salsanext_cli.io.labelling_tools.tool import (
     LabelledPoints,
     LabellingTool,
     ToolLabels,
+    mentions,
     pcd_fields,
 )
 
 SETTINGS = "settings.json"
+CLASS_SETS = "sets-of-classes"  # Key of the classes in it
 LABEL = "label"
 OBJECT = "object"  # Field that the editor adds: number of the object of a point, or -1
 
@@ -40,14 +42,17 @@ class SemanticSegmentationEditor(LabellingTool):
         ]
         settings = {
             "configuration": {"images-folder": "", "internal-folder": ""},
-            "sets-of-classes": [{"name": space.name, "objects": classes}],
+            CLASS_SETS: [{"name": space.name, "objects": classes}],
         }
         return {SETTINGS: encode_json(settings)}
 
     def recognises(self, path: Path) -> bool:
         """Return whether a PCD file has objects, or lies beside the settings of the editor."""
         fields = pcd_fields(path)
-        return LABEL in fields and (OBJECT in fields or present(path.with_name(SETTINGS)))
+        if LABEL not in fields:
+            return False
+        settings = path.with_name(SETTINGS)
+        return OBJECT in fields or (present(settings) and mentions(settings, f'"{CLASS_SETS}"'))
 
     def read(self, path: Path, scan: Scan, space: LabelSpace) -> ToolLabels:
         """Read a PCD file; the labels are train ids."""

@@ -107,6 +107,15 @@ def read_json_object(path: Path, expected: str) -> Json:
         return Json(json.load(file).items())
 
 
+def mentions(path: Path, word: str) -> bool:
+    """Return whether a file contains a word of ASCII; not if it cannot be read."""
+    try:
+        with reading(path) as file:
+            return word.encode("ascii") in file.read()
+    except FormatError:
+        return False
+
+
 def pcd_fields(path: Path) -> tuple[str, ...]:
     """Return the names of the fields of a PCD file; none of other and of damaged files."""
     if path.suffix.lower() != ".pcd":

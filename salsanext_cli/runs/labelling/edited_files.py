@@ -40,7 +40,8 @@ ROUNDED_M = 0.05  # Below it, coordinates were probably rounded; other scans are
 
 def find_edited(source: Path) -> list[Path]:
     """Return a file with labels, or all in and below a folder that are not hidden, sorted."""
-    expected = f"labels: {suffixes_in_words(LABEL_READER)}, {', '.join(LABEL_SUFFIXES)} files"
+    suffixes = f"{suffixes_in_words(LABEL_READER)}, {', '.join(LABEL_SUFFIXES)}"
+    expected = f"labels: {suffixes} files, or those of a labelling tool"
     if not present(source):
         raise NoInputError(source, "no such file or folder", expected)
     top = source.absolute()
@@ -51,7 +52,7 @@ def find_edited(source: Path) -> list[Path]:
         return [top]
     below = (path for path in top.rglob("*") if not path.is_dir())
     files = sorted(p for p in below if not any(n[0] == "." for n in p.relative_to(top).parts))
-    edited = [path for path in files if _is_edited(path)]
+    edited = [path for path in files if _is_edited(path) and not lacks_labels(path)]
     if not edited:
         others = f", but {counted_by_suffix(files)}" if files else ""
         raise NoInputError(source, f"contains no labels{others}", expected)
@@ -59,8 +60,6 @@ def find_edited(source: Path) -> list[Path]:
 
 
 def _is_edited(path: Path) -> bool:
-    if lacks_labels(path):
-        return False
     return path.suffix.lower() == LABEL_ARRAY or _has_points(path) or tool_of(path) is not None
 
 

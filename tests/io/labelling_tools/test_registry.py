@@ -32,6 +32,15 @@ def test_clouds_are_recognised_by_their_fields(tmp_path, name, scalars, tool):
     assert (found and found.name) == tool
 
 
+def test_labels_beside_the_settings_of_the_editor_are_indices(tmp_path):
+    path = write_pcd(tmp_path / "a.pcd", POINTS, {"label": LABELS})
+    settings = tmp_path / "settings.json"
+    for content, tool in (('{"theme": "dark"}', None), ('{"sets-of-classes": []}', "sse")):
+        settings.write_text(content)
+        found = tool_of(path)
+        assert (found and found.name) == tool
+
+
 def test_labels_with_a_file_of_their_names_are_of_supervisely(tmp_path):
     (tmp_path / "class_mapping.json").write_text("{}")
     for folder in (tmp_path, tmp_path / "08"):

@@ -91,6 +91,12 @@ def test_labels_edited_in_the_folder_of_the_tool_are_the_only_ones_imported(pick
     ]
 
 
+def test_a_named_cloud_without_labels_fails(picked):
+    cloud = picked.folder / f"{NAME}.pcd"
+    (failure,) = picked.import_from(cloud).failures
+    assert (failure.code, failure.files) == ("format", (str(cloud),))
+
+
 def test_categories_of_another_dataset_are_stated_by_a_map(picked, edited):
     path = saved(edited / f"{NAME}.json", np.arange(POINTS) % 3 + 500)
     (failure,) = picked.import_from(edited).failures

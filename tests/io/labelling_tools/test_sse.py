@@ -90,6 +90,14 @@ def test_an_index_beyond_the_classes_is_refused_unless_the_user_states_it(picked
     assert set(picked.labels(SCAN)) == {10}
 
 
+def test_a_named_field_has_raw_ids(picked, tmp_path):
+    columns = opened(picked.folder / "08_000011.pcd")
+    saved(tmp_path / "08_000011.pcd", columns, picked.corrected(SCAN))
+    found = picked.import_from(tmp_path / "08_000011.pcd", scalar="label")
+    assert found.failures == []
+    np.testing.assert_array_equal(picked.labels(SCAN), picked.corrected(SCAN))
+
+
 def test_a_damaged_file_fails_alone(picked, tmp_path):
     good = opened(picked.folder / "08_000011.pcd")
     saved(tmp_path / "edited/08_000011.pcd", good, [1] * POINTS)
