@@ -2,6 +2,7 @@
 """Copies of ROS bags with other clouds: all other messages are copied byte for byte."""
 
 import errno
+import logging
 import sqlite3
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
@@ -10,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from salsanext_cli.core.errors import FormatError
+from salsanext_cli.core.texts import with_hint
 from salsanext_cli.io.bag_index import compression_of, custom_data
 from salsanext_cli.io.files.reading import refusing_damage
 from salsanext_cli.io.formats.recordings import scan_name
@@ -19,6 +21,8 @@ from salsanext_cli.io.formats.ros.cloud_messages import POINT_CLOUD2
 VERSION = 8  # Of bags of ROS 2: Humble and all later releases read it
 Types = Mapping[str, Any]
 """Classes of messages by their type, such as ``sensor_msgs/msg/PointCloud2``."""
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,7 +65,7 @@ def copy_bag(bag: Bag, target: Path, changes: Mapping[str, CloudChange]) -> int:
     Raises
     ------
     FormatError
-        If the bag is damaged, or lacks the definition of a type of message.
+        If the bag is damaged, or lacks the definition of the messages of a changed topic.
     OSError
         If the copy cannot be written.
     """
@@ -188,7 +192,8 @@ class _BagCopy:
     def _add(self, connection: Any, topic: str, kind: str, store: Any) -> Any:
         """Return the connection of the copy for a topic, which is added at its first call.
 
-        The definition of its type is that of the bag, else that of a typestore of rosbags.
+        The definition of its type is that of the bag, else that of a typestore of rosbags. A topic
+        of ROS 2 that is only copied may lack it in both.
         """
         key = self._key(connection, topic, kind)
         if key in self.connections:
@@ -200,8 +205,13 @@ class _BagCopy:
             definition = ""
             digest = ""
         if (not definition or not digest) and kind not in store.fielddefs:
-            raise _without_definition(self.bag.path, topic, kind)
-        if not definition:
+            error = _without_definition(self.bag.path, topic, kind)
+            if connection.topic in self.changes or not is2:
+                raise error
+            text = f"{self.bag.path}: {error.problem}, and neither has its copy"
+            log.warning("%s", with_hint(text, error.hint))
+            digest = _hash_of_no_fields(kind)
+        elif not definition:
             definition = store.generate_msgdef(kind, ros_version=2 if is2 else 1)[0]
         if not digest:
             digest = store.hash_rihs01(kind) if is2 else store.generate_msgdef(kind)[1]
@@ -210,6 +220,15 @@ class _BagCopy:
             topic, kind, msgdef=definition, **{digest_name: digest}, **connection.ext._asdict()
         )
         return self.connections[key]
+
+
+def _hash_of_no_fields(kind: str) -> str:
+    """Return the hash of a type with an empty definition, with which rosbags compares it."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg("", kind))
+    return store.hash_rihs01(kind)
 
 
 def _without_definition(path: Path, topic: str, kind: str) -> FormatError:

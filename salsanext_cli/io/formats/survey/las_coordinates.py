@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Coordinate system of a LAS file: units of its axes, by its records of keys or of text."""
 
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,8 +37,40 @@ METRES_OF_CODE: Mapping[int, float] = {
 }
 """Metres per unit of length by its EPSG code: metre, foot, US survey foot, Clarke's foot,
 kilometre, yard."""
-UTM_CODES = (*range(32601, 32661), *range(32701, 32761), *range(25828, 25839), *range(26901, 26924))
-"""EPSG codes of systems in metres: UTM of WGS 84, north and south, of ETRS89 and of NAD83."""
+METRE_CODES = frozenset(
+    {
+        *range(32601, 32661),  # UTM of WGS 84, north
+        *range(32701, 32761),  # UTM of WGS 84, south
+        *range(25828, 25839),  # UTM of ETRS89
+        *range(26901, 26924),  # UTM of NAD83
+        *range(6339, 6349),  # UTM of NAD83(2011)
+        *range(31965, 31986),  # UTM of SIRGAS 2000
+        *range(28348, 28359),  # Australia, GDA94
+        *range(7846, 7860),  # Australia, GDA2020
+        *range(31466, 31470),  # Germany, Gauss-Kruger
+        *range(31254, 31260),  # Austria, Gauss-Kruger
+        *range(3006, 3025),  # Sweden, SWEREF99
+        *range(3942, 3951),  # France, conic by degree
+        *range(2176, 2181),  # Poland
+        *range(2945, 2963),  # Canada, MTM and UTM of NAD83(CSRS)
+        *range(2443, 2462),  # Japan, JGD2000
+        *range(6669, 6688),  # Japan, JGD2011
+        *range(5185, 5189),  # Korea
+        2056,  # Switzerland, LV95
+        21781,  # Switzerland, LV03
+        2154,  # France, Lambert-93
+        2193,  # New Zealand
+        27700,  # Great Britain
+        28992,  # Netherlands
+        31370,  # Belgium
+        3035,  # Europe, equal areas
+        3067,  # Finland
+        3763,  # Portugal
+        3857,  # Web Mercator
+        5514,  # Czechia and Slovakia
+    }
+)
+"""EPSG codes of systems whose unit is the metre."""
 PROJECTED_NODES = ("PROJCS", "PROJCRS", "PROJECTEDCRS", "DERIVEDPROJCRS")
 LOCAL_NODES = ("LOCAL_CS", "ENGCRS", "ENGINEERINGCRS")
 GEOCENTRIC_NODES = ("GEOCCS",)
@@ -69,7 +102,8 @@ class LengthUnits:
 def length_units(records: Mapping[int, bytes], header: Any, path: Path) -> LengthUnits:
     """Return the units of the coordinates of a LAS file; refuse degrees and unknown units.
 
-    A coordinate system without a unit counts as metres.
+    A text of a coordinate system without a unit counts as metres; a code counts if its system is
+    known to be in metres.
 
     Parameters
     ----------
@@ -126,12 +160,9 @@ def _units_of_keys(records: Mapping[int, bytes], header: Any, path: Path) -> Len
         horizontal = _metres_of_code(code, 1.0, path)
     vertical = _metres_of_code(values.get(HEIGHT_KEY, UNDEFINED), horizontal, path)
     system = values.get(SYSTEM_KEY, USER_DEFINED)
-    is_unknown = code == UNDEFINED and system not in (UNDEFINED, USER_DEFINED, *UTM_CODES)
-    return LengthUnits(
-        horizontal=horizontal,
-        vertical=vertical,
-        unknown_system=f"EPSG:{system}" if is_unknown else "",
-    )
+    if code == UNDEFINED and system not in {UNDEFINED, USER_DEFINED, *METRE_CODES}:
+        raise _without_unit(system, path)
+    return LengthUnits(horizontal=horizontal, vertical=vertical)
 
 
 def _whole_rows(content: bytes, dtype: str, columns: int) -> npt.NDArray[Any]:
@@ -202,6 +233,14 @@ def _unknown_unit(name: str, path: Path) -> FormatError:
     """Return the error of a unit whose metres are unknown."""
     hint = "project it to metres, with filters.reprojection of PDAL, or in QGIS"
     return FormatError(path, f"has coordinates in an unknown unit, {name}", EXPECTED, hint)
+
+
+def _without_unit(system: int, path: Path) -> FormatError:
+    """Return the error of a system by its EPSG code whose unit the file does not state."""
+    problem = f"states EPSG:{system} without its unit, which may be the foot"
+    options = f"--writers.las.minor_version=4 --writers.las.a_srs=EPSG:{system}"
+    hint = f"add the unit: `pdal translate {shlex.quote(path.name)} NEW.las {options}`"
+    return FormatError(path, problem, EXPECTED, hint)
 
 
 def _require_no_span_of_degrees(header: Any, path: Path) -> None:

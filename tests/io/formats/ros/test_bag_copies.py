@@ -244,16 +244,29 @@ def without_definitions(path):
     connection.close()
 
 
-def test_a_database_without_definitions_gets_those_of_rosbags_or_is_refused(tmp_path):
+def test_a_database_without_definitions_gets_those_of_rosbags(tmp_path):
     path = write_bag(tmp_path / "a", ".db3", messages(POINTS[:2]))
     without_definitions(path)
     bag = opened(path)
     copy_bag(bag, tmp_path / "new", {})
     old = [(c.topic, time, bytes(raw)) for c, time, raw in bag.reader.messages()]
     assert recorded(tmp_path / "new")[1] == old
-    path = write_bag(tmp_path / "b", ".db3", [*messages(POINTS[:1]), ("/own", START, text)])
+
+
+def test_a_type_without_a_definition_is_copied_but_not_changed(tmp_path, caplog):
+    path = write_bag(tmp_path, ".db3", [*messages(POINTS[:1]), ("/own", START, text)])
     without_definitions(path)
-    caught = refused(FormatError, path, copy_bag, opened(path), tmp_path / "other", {})
+    bag = opened(path)
+    old = [(c.topic, time, bytes(raw)) for c, time, raw in bag.reader.messages()]
+    change = CloudChange(topic=TOPIC, new_message=lambda path, message, types: message)
+    copy_bag(bag, tmp_path / "new", {TOPIC: change})
+    assert recorded(tmp_path / "new")[1] == old
+    (warning,) = caplog.messages
+    assert "own_msgs/msg/Own, the type of /own" in warning
+    copy_bag(opened(tmp_path / "new"), tmp_path / "third", {TOPIC: change})
+    assert recorded(tmp_path / "third")[1] == old
+    changes = {"/own": change}
+    caught = refused(FormatError, path, copy_bag, bag, tmp_path / "other", changes)
     assert "own_msgs" in caught.value.hint
 
 

@@ -129,22 +129,29 @@ def test_a_text_without_a_unit_is_read_as_metres_and_a_line_says_it(tmp_path, ca
 
 
 @pytest.mark.parametrize(
-    ("keys", "notices"),
+    ("keys", "factor"),
     [
-        (((1024, 1), (3072, 2263)), 1),  # New York in US survey feet
-        (((1024, 1), (3072, 2263), (3076, 9003)), 0),
-        (((1024, 1), (3072, 25832)), 0),  # UTM
-        (((1024, 1), (3072, 32767)), 0),
+        (((1024, 1), (3072, 2263), (3076, 9003)), US_FOOT),  # New York
+        (((1024, 1), (3072, 25832)), 1),  # UTM
+        (((1024, 1), (3072, 28992)), 1),  # Netherlands
+        (((1024, 1), (3072, 32767)), 1),
     ],
 )
-def test_a_system_that_is_only_a_code_is_read_as_metres_and_a_line_says_it(
-    tmp_path, caplog, keys, notices
+def test_a_system_by_its_code_has_the_stated_unit_or_is_known_to_be_in_metres(
+    tmp_path, keys, factor
 ):
-    log_once.cache_clear()
-    caplog.set_level(logging.INFO)
     path = write_las(tmp_path / "s.las", SCAN.points, records=[keys_record(*keys)])
-    read_scan(path)
-    assert sum("EPSG:2263 without a unit" in line for line in caplog.messages) == notices
+    assert np.abs(read_scan(path).points - SCAN.points * factor).max() < 0.6e-3
+
+
+@pytest.mark.parametrize("code", [2263, 2225, 32600, 32661, 2992])
+def test_a_system_that_is_only_a_code_and_may_be_in_feet_is_refused(tmp_path, code):
+    path = write_las(
+        tmp_path / "s.las", SCAN.points, records=[keys_record((1024, 1), (3072, code))]
+    )
+    error = refused(FormatError, path, read_scan, path).value
+    assert f"EPSG:{code}" in error.problem
+    assert f"a_srs=EPSG:{code}" in error.hint
 
 
 def test_degrees_without_a_record_are_recognised_by_span_and_resolution(tmp_path):
