@@ -27,8 +27,9 @@ LENGTH_SIZE_KEY = 3077  # Metres of a unit of x and y without a code
 HEIGHT_KEY = 4099  # Unit of z
 UNDEFINED = 0  # Value of a key that states nothing
 USER_DEFINED = 32767  # Value of a key that other keys describe
+METRE_UNIT = 9001
 METRES_OF_CODE: Mapping[int, float] = {
-    9001: 1.0,
+    METRE_UNIT: 1.0,
     9002: 0.3048,
     9003: 1200 / 3937,
     9005: 0.3047972654,
@@ -148,6 +149,8 @@ def _units_of_keys(records: Mapping[int, bytes], header: Any, path: Path) -> Len
     if values.get(MODEL_KEY) == GEOCENTRIC:
         raise _geocentric(path)
     code = values.get(LENGTH_KEY, UNDEFINED)
+    if code in METRE_CODES:  # Leica writes the code of the system there
+        code = METRE_UNIT
     numbers = _whole_rows(records.get(NUMBERS_RECORD, b""), "<f8", 1).ravel()
     sizes = [
         float(numbers[index])

@@ -171,3 +171,10 @@ def test_damaged_bounds_are_no_degrees(tmp_path):
     content[MIN_X:MAX_Y] = struct.pack("<d", np.inf)
     path.write_bytes(content)
     assert len(read_scan(path)) == len(SCAN)
+
+
+def test_the_code_of_a_system_in_metres_may_stand_for_the_unit(tmp_path):
+    """As programs of Leica write it."""
+    record = keys_record((1024, 1), (3076, 32632), (4099, 9001))
+    path = write_las(tmp_path / "s.las", SCAN.points, records=[record])
+    assert np.abs(read_scan(path).points - SCAN.points).max() < 0.6e-3
