@@ -14,6 +14,7 @@ REMOVERS = {
     "io/files/atomic.py": "gives complete files their names; unfinished files of killed runs",
     "io/files/locks.py": "lock files, temporary folders of killed runs, empty folders",
     "io/files/user_cache.py": "the files of the cache that were not used for the longest time",
+    "runs/loop/cluster/node_requirements.py": "the probe of a folder that it wrote",
     "runs/loop/finished_attempts.py": "a temporary folder of the run",
     "runs/results/owned_folder.py": "files of an output folder that salsanext wrote",
 }
@@ -21,6 +22,7 @@ REMOVERS = {
 LIBRARY_WRITERS = {
     "core/engines/graphs.py": "a model for OpenVINO, into a new temporary folder",
     "io/formats/ros/bag_copies.py": "a copy of a bag, under the name that its caller gives",
+    "runs/loop/cluster/node_requirements.py": "the probe of a folder, under a name of its own",
 }
 """Modules that may let a library write a file, and which."""
 REPLACING = {

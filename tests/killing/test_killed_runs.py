@@ -51,11 +51,14 @@ def fork(run: Run, folder: Path, step: int = 0) -> bool:
 
 
 def kills(run: Run, every: int, folder: Path) -> int:
-    """Kill runs at later and later steps, repeat and compare them; return the number of kills."""
-    expected = folder / "expected"
+    """Kill runs at later and later steps, repeat and compare them; return the number of kills.
+
+    The last two parts of their folders are the same, since the page of a training names them.
+    """
+    expected = folder / "expected/runs/out"
     assert fork(run, expected)
     killed = 0
-    while not fork(run, out := folder / f"out{killed}", (killed + 1) * every):
+    while not fork(run, out := folder / f"{killed}/runs/out", (killed + 1) * every):
         require_whole(out)
         assert fork(run, out)
         require_alike(expected, out)

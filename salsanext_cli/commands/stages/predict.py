@@ -149,7 +149,20 @@ def plan_prediction(
 ) -> PredictionPlan:
     """Return what `predict_scans` would do with the same arguments; write nothing into `out`.
 
-    The fit to the scans is that of the run, and what the run would refuse is refused.
+    Parameters
+    ----------
+    source, out, settings, knn, extras, reject, origin, selection, options
+        As for `predict_scans`.
+
+    Returns
+    -------
+    PredictionPlan
+        Scans, size of the results, and the sensor, whose fit to the scans is that of the run.
+
+    Raises
+    ------
+    SalsanextError
+        What the run would refuse.
     """
     prepared = prepare_prediction(
         source,
