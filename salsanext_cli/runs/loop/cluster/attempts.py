@@ -103,7 +103,9 @@ def attempts_of_cluster(
         )
         driver.send(assignment)
         messages = driver.messages()
-        joined = _joined(messages, address)
+        joined = _joined(driver, messages, address)
+        if not joined.workers:
+            log.warning("cluster %s: %s", address, no_room(has_gpu))
         queue = ChunkQueue(chunks(scans, max(1, joined.workers), most))
         yield from _attempts(driver, messages, queue, address)
 
@@ -159,7 +161,15 @@ def uses_gpu(task: Task) -> bool:
     return device != "cpu"
 
 
-def _joined(messages: Iterator[Any], address: str) -> Joined:
+def no_room(has_gpu: bool) -> str:
+    """Return what all nodes of a cluster lack, in words; `has_gpu`: whether a worker needs one."""
+    if not has_gpu:
+        return "no node has cores for a worker; the run waits until one comes"
+    setting = wording.setting("device", "cpu")
+    return f"no node has a GPU; the run waits until one comes; use {setting} to run without"
+
+
+def _joined(driver: DriverProcess, messages: Iterator[Any], address: str) -> Joined:
     """Return the answer of the driver, or raise why it could not join the cluster."""
     subject = wording.setting("cluster", address)
     match next(messages, None):
@@ -174,7 +184,7 @@ def _joined(messages: Iterator[Any], address: str) -> Joined:
             raise _not_joined(address, problem)
         case Crash(trace=trace):
             raise RuntimeError(trace)
-    raise _not_joined(address, "does not answer")
+    raise _not_joined(address, f"the driver {driver.ending()}")
 
 
 def _attempts(

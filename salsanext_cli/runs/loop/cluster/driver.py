@@ -5,9 +5,10 @@ The main thread makes all calls, which other threads put into a queue: for a mes
 arrived, and for a call of a worker that has ended.
 """
 
+import re
 import time
-from collections import deque
-from collections.abc import Callable
+from collections import Counter, deque
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -32,6 +33,8 @@ END_TIMEOUT_S = 2.0  # For workers to end, so that the main process can remove u
 MAX_FAILED_STARTS = 3  # Workers of a node that end while they open the task
 NODE_INTERVAL_S = 2.0  # Between looks at the nodes
 WAITING_AFTER_S = 15.0  # Without any worker
+CAUSE_OF_END = "The actor is dead because"  # Of Ray
+COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 
 Send = Callable[[object], None]
 Calls = SimpleQueue[Callable[[], None]]
@@ -73,17 +76,18 @@ class Driver:
         self.assignment = assignment
         self.send = send
         self.calls = calls
-        self.size = WorkerSize.fitting(cluster.nodes(), uses_gpu=assignment.uses_gpu)
+        self.size = self._fitting_size(cluster.nodes())
         self.names: dict[str, str] = {}  # Of nodes, by id
         self.members: list[Member] = []
         self.chunks: deque[PackedChunk] = deque()  # For which no worker has a place
         self.alone: deque[PackedChunk] = deque()  # For which no worker is idle
         self.requested = 0  # Number of chunks that were asked for and have not arrived
-        self.failed_starts: dict[str, int] = {}  # By id of the node
+        self.failed_starts: Counter[str] = Counter()  # By id of the node, "" where it is unknown
         self.unusable: set[str] = set()  # Ids of nodes
-        self.last_unusable: UnusableNode | None = None
         self.last_look = 0.0
         self.idle_since: float | None = time.monotonic()  # None while any worker is open
+        self.last_report = self.idle_since  # Time of the last report that no worker is open
+        self.has_opened = False  # Whether any worker has opened the task, which fixes `size`
         self.is_closed = False
 
     def begin(self) -> bool:
@@ -96,6 +100,8 @@ class Driver:
                 problem = checked.result(max(0.0, end - time.monotonic()))
             except TimeoutError:
                 problem = f"did not answer within {CHECK_TIMEOUT_S:.0f} s"
+            except self.cluster.RAISED as error:
+                problem = f"cannot be checked: {cause_line(error)}"
             except self.cluster.LOST:
                 continue  # The node has gone; a worker on one that comes back checks it.
             if problem:
@@ -154,16 +160,29 @@ class Driver:
             return
         self.last_look = now
         self._start_workers()
-        if self.idle_since is not None and now - self.idle_since > WAITING_AFTER_S:
+        if self.idle_since is None:
+            return
+        if now - max(self.idle_since, self.last_report) > WAITING_AFTER_S:
             self.send(Waiting(seconds=now - self.idle_since))
-            self.idle_since = now
+            self.last_report = now
+
+    def _fitting_size(self, nodes: Sequence[Node]) -> WorkerSize:
+        return WorkerSize.fitting(nodes, uses_gpu=self.assignment.uses_gpu)
+
+    def _fit_size(self, nodes: Sequence[Node]) -> None:
+        """Replace the workers that wait for room if those of another size fit on the nodes."""
+        size = self._fitting_size(nodes)
+        if size == self.size:
+            return
+        self.size = size
+        for member in [member for member in self.members if not member.node]:
+            self._remove(member)
 
     def _start_workers(self) -> None:
-        places = sum(map(self.size.places, self._nodes()))
-        if not places and self.last_unusable and not self._open_members():
-            self.send(replace(self.last_unusable, ends_run=True))
-            self.close()
-            return
+        nodes = self._nodes()
+        if not self.has_opened:
+            self._fit_size(nodes)
+        places = sum(map(self.size.places, nodes))
         # Workers that wait for room let a cluster grow that can, each time to twice its size.
         spare = 0 if self.requested else max(1, len(self._open_members()))
         target = min(self.assignment.scans, places + spare)
@@ -180,7 +199,7 @@ class Driver:
         try:
             member.node = located.result()
         except self.cluster.LOST as error:
-            self._fail_start(member, first_line(error))
+            self._fail_start(member, cause_line(error))
             return
         opening = self._call(member, "open", self.assignment.required)
         self._then(opening, partial(self._opened, member))
@@ -192,39 +211,53 @@ class Driver:
         try:
             problem = opening.result()
         except self.cluster.LOST as error:
-            self._fail_start(member, first_line(error))
+            self._fail_start(member, cause_line(error))
             return
         if problem:
             self._leave_out(member.node, problem)
             return
         member.is_open = True
+        self.has_opened = True
         self.idle_since = None
+        for node in (member.node, ""):
+            self.failed_starts.pop(node, None)
         self._hand_out()
 
     def _fail_start(self, member: Member, problem: str) -> None:
-        """Start another worker for one that ended before it could take chunks."""
+        """Start another worker for one that ended before it could take chunks.
+
+        After several on an unknown node, the run ends unless others work; the next start then waits
+        for the next look at the nodes.
+        """
         self._remove(member)
-        count = self.failed_starts.get(member.node, 0) + 1
-        self.failed_starts[member.node] = count
+        self.failed_starts[member.node] += 1
         text = f"ends workers while they start: {problem}"
-        if count < MAX_FAILED_STARTS:
+        if self.failed_starts[member.node] < MAX_FAILED_STARTS:
             self._start_workers()
         elif member.node:
             self._leave_out(member.node, text)
-        else:
+        elif not self._open_members():
             self.send(UnusableNode(node="of the cluster", problem=text, ends_run=True))
             self.close()
 
     def _leave_out(self, node: str, problem: str) -> None:
-        """Use a node no more; without any other one, the run ends."""
+        """Use a node no more; without any other one, the run ends.
+
+        A run whose last node goes waits for the next, also if it has left one out before.
+        """
         for member in [member for member in self.members if member.node == node]:
             if not member.is_open:
                 self._remove(member)
+        report = UnusableNode(node=self._name(node), problem=problem)
         if node not in self.unusable:
             self.unusable.add(node)
-            self.last_unusable = UnusableNode(node=self._name(node), problem=problem)
-            self.send(self.last_unusable)
-        self._start_workers()
+            self.send(report)
+        has_room = any(map(self.size.places, self._nodes()))
+        if has_room or self._open_members():
+            self._start_workers()
+        else:
+            self.send(replace(report, ends_run=True))
+            self.close()
 
     def _hand_out(self) -> None:
         """Give chunks to the workers that have fewest, and ask for as many as there are places.
@@ -290,6 +323,21 @@ class Driver:
     def _then(self, future: "Future[Any]", function: Callable[["Future[Any]"], None]) -> None:
         """Let the main thread call a function with a future when that is done."""
         future.add_done_callback(lambda done: self.calls.put(partial(function, done)))
+
+
+def cause_line(error: Exception) -> str:
+    """Return the line of an error of Ray that states its cause.
+
+    The cause of the end of a worker follows its ids. An exception of its code is the last line of
+    a traceback.
+    """
+    lines = [line.strip() for line in COLOUR.sub("", str(error)).splitlines() if line.strip()]
+    ends = [line for line in lines if line.startswith(CAUSE_OF_END)]
+    if ends:
+        return ends[0]
+    if any("Traceback" in line or line.startswith("ray::") for line in lines):
+        return lines[-1]
+    return lines[0] if lines else type(error).__name__
 
 
 def first_line(error: Exception) -> str:

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from tempfile import TemporaryFile
 from typing import IO, Any, cast
 
 from salsanext_cli.runs.loop.cluster.messages import messages_from
@@ -22,10 +23,13 @@ class DriverProcess:
     ----------
     process : Popen
         The process.
+    errors : BinaryIO
+        File of what it prints.
     """
 
-    def __init__(self, process: "subprocess.Popen[bytes]") -> None:
+    def __init__(self, process: "subprocess.Popen[bytes]", errors: IO[bytes]) -> None:
         self.process = process
+        self.errors = errors
         self.input = cast(IO[bytes], process.stdin)
         self.output = cast(IO[bytes], process.stdout)
 
@@ -39,25 +43,35 @@ class DriverProcess:
         """Yield the messages of the driver until it ends."""
         return messages_from(self.output)
 
+    def ending(self) -> str:
+        """Return how a driver ended that sends no more: its exit status, and its last line."""
+        with suppress(subprocess.TimeoutExpired):
+            self.process.wait(END_TIMEOUT_S)
+        self.errors.seek(0)
+        lines = self.errors.read().decode(errors="replace").strip().splitlines()
+        last_line = f": {lines[-1]}" if lines else ""
+        return f"ended with status {self.process.returncode}{last_line}"
+
 
 @contextmanager
 def driver_process() -> Iterator[DriverProcess]:
     """Start a driver, which ends with the body, and also if this process is killed."""
     # It imports the modules of this process; the folder that it starts in has none of its own.
     path = os.pathsep.join(os.path.abspath(entry) for entry in sys.path)  # noqa: PTH100 - texts
+    errors = TemporaryFile()  # noqa: SIM115 - closed below
     process = subprocess.Popen(
         [sys.executable, "-c", PROGRAM],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
+        stderr=errors,
         cwd=os.path.abspath(os.sep),  # noqa: PTH100 - the root
         env={**os.environ, "PYTHONPATH": path},
         # A signal of the terminal reaches only the main process, which ends the driver.
         start_new_session=True,
     )
-    with process:
+    with errors, process:
         try:
-            yield DriverProcess(process)
+            yield DriverProcess(process, errors)
         finally:
             _end(process)
 

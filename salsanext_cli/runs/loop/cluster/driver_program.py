@@ -30,7 +30,7 @@ JOIN_TIMEOUT_S = 15.0
 def main() -> None:
     """Run the driver of the main process that has started this one."""
     output = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
-    # Ray prints, and only messages may reach the main process, which discards the errors.
+    # Ray prints, and only messages may reach the main process, which keeps the errors.
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
 
     def send(message: object) -> None:

@@ -18,6 +18,8 @@ from salsanext_cli.runs.loop.cluster.worker_size import Node, WorkerSize
 NODE_LABEL = "ray.io/node-id"
 LOST = (ray.exceptions.RayError,)
 """Errors of calls whose worker, or result, is lost."""
+RAISED = (ray.exceptions.RayTaskError,)
+"""Errors among these of calls whose own code has raised an exception."""
 CONNECTION_LOST = (ConnectionError, ray.exceptions.RayError)
 """Errors of other calls after the loss of the cluster, if Ray does not end the process itself."""
 NOT_JOINED = (OSError, ImportError, RuntimeError, ValueError, ray.exceptions.RayError)

@@ -14,7 +14,7 @@ from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.core.errors import MissingDependency, UsageError
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.wording import spelled
-from salsanext_cli.runs.loop.cluster import attempts
+from salsanext_cli.runs.loop.cluster import attempts, driver_process
 from salsanext_cli.runs.loop.network_task import NetworkTask
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
@@ -74,6 +74,21 @@ def test_where_no_cluster_answers(tmp_path):
             UsageError, f"--cluster {address}", run, Write(tmp_path), scans_of("a"), cluster=address
         )
     assert f"ray start --address={address}" in caught.value.hint
+
+
+def test_the_end_of_a_driver_is_no_silence(tmp_path, monkeypatch):
+    pytest.importorskip("ray")
+    crash = "import sys; print('before', file=sys.stderr); sys.exit('out of threads')"
+    monkeypatch.setattr(driver_process, "PROGRAM", crash)
+    caught = refused(
+        UsageError, 'cluster="auto"', run, Write(tmp_path), scans_of("a"), cluster="auto"
+    )
+    assert "status 1: out of threads" in caught.value.problem
+
+
+def test_what_all_nodes_lack_is_named():
+    assert "GPU" in attempts.no_room(has_gpu=True)
+    assert "GPU" not in attempts.no_room(has_gpu=False)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,13 @@ from queue import SimpleQueue
 import pytest
 
 from salsanext_cli.runs.loop.cluster import driver as driver_module
-from salsanext_cli.runs.loop.cluster.driver import MAX_FAILED_STARTS, Driver, first_line, one_line
+from salsanext_cli.runs.loop.cluster.driver import (
+    MAX_FAILED_STARTS,
+    Driver,
+    cause_line,
+    first_line,
+    one_line,
+)
 from salsanext_cli.runs.loop.cluster.messages import (
     Assignment,
     FinishedChunk,
@@ -33,10 +39,15 @@ def node(number, cores):
     return Node(id=f"id{number}", name=f"node{number}", cores=cores, gpus=0)
 
 
+class RaisedError(LossError):
+    """Exception of the code of a call."""
+
+
 class CountingCluster:
     """Cluster whose calls end when the test says so."""
 
     LOST = (LossError,)
+    RAISED = (RaisedError,)
 
     def __init__(self, *cores):
         self.all = [
@@ -44,6 +55,7 @@ class CountingCluster:
         ]
         self.problems = {}
         self.without = []
+        self.sizes = []
         self.started = 0
         self.ended = set()
         self.pending = deque()  # Method, worker, arguments and future of each call
@@ -54,11 +66,16 @@ class CountingCluster:
     def check(self, checked, required):
         assert required is REQUIRED
         future = Future()
-        future.set_result(self.problems.get(checked.id, ""))
+        problem = self.problems.get(checked.id, "")
+        if isinstance(problem, Exception):
+            future.set_exception(problem)
+        else:
+            future.set_result(problem)
         return future
 
     def start_worker(self, size, work, without):
         assert work == b"work"
+        self.sizes.append(size.cores)
         self.without.append(set(without))
         self.started += 1
         return self.started
@@ -123,6 +140,16 @@ def test_the_run_does_not_begin_if_a_node_lacks_something():
     room.cluster.problems["id1"] = "cannot read /a"
     assert not room.driver.begin()
     assert room.sent == [UnusableNode(node="node1", problem="cannot read /a", ends_run=True)]
+
+
+def test_a_check_that_raises_is_a_problem_of_its_node_and_a_node_that_went_is_none():
+    room = Room(4, 4)
+    room.cluster.problems["id0"] = LossError()
+    assert room.driver.begin()
+    room.cluster.problems["id1"] = RaisedError("ray::check()\nImportError: no module")
+    assert not room.driver.begin()
+    assert room.sent[-1].problem == "cannot be checked: ImportError: no module"
+    assert room.sent[-1].ends_run
 
 
 def test_nodes_without_room_for_a_worker_need_nothing():
@@ -250,6 +277,84 @@ def test_a_node_whose_workers_end_while_they_start_is_left_out(located):
     assert room.driver.is_closed
     assert room.sent[-1].ends_run
     assert "killed" in room.sent[-1].problem
+
+
+def test_starts_that_fail_on_an_unknown_node_do_not_end_a_run_with_workers(monkeypatch):
+    monkeypatch.setattr(driver_module, "NODE_INTERVAL_S", 0.0)
+    room = Room(4)
+    room.start("id0")
+    room.take(1, 2)
+    for _ in range(MAX_FAILED_STARTS + 1):
+        room.answer("node", LossError("killed"))
+        room.start()  # The next start waits for a look at the nodes at the latest.
+    assert not room.driver.is_closed
+    # A worker that opens the task makes those before it forgotten.
+    room.cluster.all = [node(0, 8)]
+    room.start("id0")
+    assert not room.driver.failed_starts
+
+
+def test_a_run_whose_last_node_goes_waits_for_the_next(monkeypatch):
+    monkeypatch.setattr(driver_module, "NODE_INTERVAL_S", 0.0)
+    room = Room(4, 4)
+    room.start("id0")
+    room.take(1)
+    room.answer("node", "id1")
+    room.answer("open", "cannot begin: no weights")
+    room.cluster.all = room.cluster.all[1:]
+    room.answer("attempt", LossError(), worker=1)
+    room.start()
+    assert not room.driver.is_closed
+    room.cluster.all = [*room.cluster.all, node(2, 4)]
+    room.start("id2")
+    assert room.driver._open_members()
+
+
+def test_workers_that_wait_for_room_get_the_size_of_the_first_node(monkeypatch):
+    monkeypatch.setattr(driver_module, "NODE_INTERVAL_S", 0.0)
+    room = Room()
+    room.start()
+    assert room.cluster.sizes == [4]
+    room.cluster.all = [node(0, 2)]
+    room.start()
+    assert room.cluster.sizes == [4, 2, 2]
+    assert room.cluster.ended == {1}
+    room.answer("node", LossError("ended"), worker=1)
+    room.answer("node", "id0", worker=2)
+    room.answer("open", "", worker=2)
+    # The size is that of all workers from now on.
+    room.cluster.all = [node(0, 2), node(1, 1)]
+    room.start()
+    assert set(room.cluster.sizes[1:]) == {2}
+
+
+def test_a_run_that_waits_longer_says_so(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(driver_module.time, "monotonic", lambda: now[0])
+    room = Room()
+    for now[0] in (10.0, 16.0, 20.0, 32.0):
+        room.start()
+    assert [message.seconds for message in room.sent_of(Waiting)] == [16.0, 32.0]
+
+
+DEATH = """The actor died unexpectedly before finishing this task.
+\tclass_name: NodeWorker
+\tactor_id: 01
+The actor is dead because its worker process has died. Worker exit type: SYSTEM_ERROR
+"""
+FAILED_CREATION = """The actor died because of an error raised in its creation task, \
+\x1b[36mray::NodeWorker.__init__()\x1b[39m (pid=1, ip=127.0.0.1)
+  File "a.py", line 1, in b
+Traceback (most recent call last):
+ModuleNotFoundError: No module named 'numpy'
+"""
+
+
+def test_the_cause_of_an_error_is_told():
+    assert cause_line(LossError(DEATH)).startswith("The actor is dead because its worker process")
+    assert cause_line(LossError(FAILED_CREATION)) == "ModuleNotFoundError: No module named 'numpy'"
+    assert cause_line(LossError("\n  no room \nmore")) == "no room"
+    assert cause_line(LossError()) == "LossError"
 
 
 def test_a_run_without_workers_says_that_it_waits(monkeypatch):
