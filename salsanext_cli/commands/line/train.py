@@ -88,7 +88,8 @@ def train(
         show_default="as before in RUN, else the device if it is a GPU",
     ),
     jobs: int | None = arguments.jobs_option(
-        default=None, show_default="1; on a GPU one per core, up to 8"
+        default=None,
+        show_default="1, on a GPU one per core up to 8; one per core to read for the device",
     ),
     tensorboard: bool = running_option(
         "Also write event files for TensorBoard to RUN/events; needs the package tensorboard.",

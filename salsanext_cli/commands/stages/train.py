@@ -105,7 +105,8 @@ class NewTraining:
     weights: Path | None
     overwrite: bool
     samples: str  # Where samples are made: auto, device or workers
-    jobs: int  # Processes that prepare samples, or threads that read scans
+    jobs: int  # Processes that prepare samples
+    readers: int  # Threads that read scans into memory
     group: ProcessGroup
     device: torch.device
     tensorboard: bool  # Whether to write event files too
@@ -168,7 +169,7 @@ class NewTraining:
             device=self.device,
             group=self.group,
             workers=self.jobs if self.jobs > 1 else 0,
-            store=scan_store(recipe, data, room, self.jobs) if kind == DEVICE else None,
+            store=scan_store(recipe, data, room, self.readers) if kind == DEVICE else None,
             report=report,
             watch=EpochFiles(tensorboard=self.tensorboard),
         )
@@ -319,7 +320,7 @@ def train(
         that read scans for each batch. By default as before in this folder, else on a GPU.
     jobs : int, optional
         Number of processes that prepare samples, or of threads that read scans for the device; by
-        default up to eight on a GPU, else one.
+        default up to eight processes on a GPU, else one, and one thread per core.
     weights : Path, optional
         Initial weights, by default those of the recipe.
     overwrite : bool
@@ -347,6 +348,7 @@ def train(
             overwrite=overwrite,
             samples=samples,
             jobs=_workers(jobs, chosen.type),
+            readers=max(1, cores() // _workers_here()) if jobs is None else worker_count(jobs),
             group=group,
             device=chosen,
             tensorboard=tensorboard,

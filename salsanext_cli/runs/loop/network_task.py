@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from multiprocessing import current_process
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, TypeVar
 
 from salsanext_cli.core.compiled import thread_count
 from salsanext_cli.core.engines.batches import BatchSize
@@ -21,7 +21,8 @@ from salsanext_cli.runs.loop.job import Computed, Prepared, ScanJob
 from salsanext_cli.runs.loop.pipeline import Pipeline
 from salsanext_cli.runs.network_settings import NetworkSettings
 
-MAX_BATCH_SCANS = 16  # Scans computed together on a GPU, and sent to a worker
+MAX_BATCH_SCANS = 16  # Scans computed together on a GPU, and sent to a worker of a CPU
+CHUNK_BATCHES = 4  # Batches sent to a worker of a GPU, which prepares the next during the last
 MAX_READERS = 8  # Threads that prepare scans for a GPU
 
 Result = TypeVar("Result")
@@ -33,11 +34,17 @@ log = logging.getLogger(__name__)
 class NetworkTask:
     """Job of a network, opened once per worker."""
 
-    max_chunk_scans: ClassVar[int] = MAX_BATCH_SCANS
     job: Callable[[Network], ScanJob[Any, Any, Any]]  # Returns the job of a network; picklable
     settings: NetworkSettings  # Resolved: each worker loads the same network
     network: Network | None = field(default=None, compare=False)  # Of this process only
     batch: int | None = None  # Scans computed together; None for a number that suits the device
+
+    @property
+    def max_chunk_scans(self) -> int:
+        """Largest number of scans sent to a worker at once."""
+        if self.settings.device == "cpu":
+            return MAX_BATCH_SCANS
+        return CHUNK_BATCHES * (self.batch or MAX_BATCH_SCANS)
 
     def open(self) -> Pipeline[Any, Any, Any]:
         """Load the network, if this process has none."""

@@ -23,6 +23,7 @@ from salsanext_cli.training.distributed import SINGLE_PROCESS
 from salsanext_cli.training.fit import StepReport
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.recipe import Recipe, presets, recipe
+from salsanext_cli.training.setup import Setup
 
 TINY = Recipe(epochs=2, batch=2, samples_per_epoch=6, crop_width=32, mix=0.5, paste=0.5)
 
@@ -45,6 +46,27 @@ def go(dataset: Path, run: Path, recipe: Recipe = TINY, **changes: object) -> Tr
 def recorded(run: Path) -> str:
     kind: str = json.loads((run / "train.json").read_text())["settings"]["samples"]
     return kind
+
+
+@pytest.mark.parametrize(
+    ("jobs", "workers", "expected"), [(None, "1", 16), (None, "2", 8), (3, "1", 3), (-1, "1", 12)]
+)
+def test_threads_of_all_cores_read_unless_their_number_is_stated(
+    dataset, tmp_path, monkeypatch, jobs, workers, expected
+):
+    monkeypatch.setattr("salsanext_cli.commands.stages.train.cores", lambda: 16)
+    monkeypatch.setattr("salsanext_cli.runs.loop.run_options.cores", lambda: 12)
+    monkeypatch.setenv("LOCAL_WORLD_SIZE", workers)
+    stores = []
+
+    def end(self, files, validation):
+        stores.append(self.store)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Setup, "training", end)
+    with pytest.raises(KeyboardInterrupt):
+        go(dataset, tmp_path / "run", jobs=jobs)
+    assert [store.jobs for store in stores] == [expected]
 
 
 @pytest.mark.parametrize("name", presets())
@@ -161,6 +183,7 @@ def test_a_gpu_makes_samples_if_there_is_room(tmp_path, samples, device, has_roo
         overwrite=False,
         samples=samples,
         jobs=1,
+        readers=1,
         group=SINGLE_PROCESS,
         device=torch.device(device),
         tensorboard=False,

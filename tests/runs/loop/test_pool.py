@@ -6,13 +6,15 @@ import sys
 from itertools import pairwise
 from multiprocessing import current_process
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numbered_scans import scans_of
 
-from salsanext_cli.runs.loop.network_task import device_of_worker
+from salsanext_cli.runs.loop.network_task import NetworkTask, device_of_worker
 from salsanext_cli.runs.loop.pool import MAX_CHUNK_SCANS, MIN_CHUNKS_PER_WORKER, chunks
 from salsanext_cli.runs.loop.run_options import cores, worker_count
+from salsanext_cli.runs.network_settings import NetworkSettings
 
 
 def test_jobs():
@@ -70,3 +72,12 @@ def test_chunks_hold_every_scan_in_order_and_are_alike_within_a_sequence(lengths
         assert 1 <= len(chunk) <= MAX_CHUNK_SCANS
     for one, other in pairwise(found):
         assert one[0].sequence != other[0].sequence or abs(len(one) - len(other)) <= 1
+
+
+@pytest.mark.parametrize(
+    ("device", "batch", "expected"),
+    [("cpu", None, 16), ("cpu", 5, 16), ("cuda", None, 64), ("cuda:1", 5, 20)],
+)
+def test_a_worker_of_a_gpu_is_sent_several_batches(device, batch, expected):
+    settings = NetworkSettings(None, device)
+    assert NetworkTask(job=len, settings=settings, batch=batch).max_chunk_scans == expected
