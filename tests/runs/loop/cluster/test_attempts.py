@@ -22,7 +22,7 @@ from salsanext_cli.runs.network_settings import NetworkSettings
 HERE = "127.0.0.1"
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_the_bytes_are_those_of_one_process(tmp_path, full_weights, cluster, caplog, capfd):
     write_sequence(tmp_path / "sequences/00", ["000000"], seed=7)
     write_sequence(tmp_path / "sequences/08", ["000000", "000001", "000002"])
@@ -38,7 +38,7 @@ def test_the_bytes_are_those_of_one_process(tmp_path, full_weights, cluster, cap
     assert capfd.readouterr().out == ""
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_scan_that_kills_its_workers_has_failed_and_the_others_are_done(
     tmp_path, cluster, monkeypatch, caplog
 ):
