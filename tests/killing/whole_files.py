@@ -24,6 +24,7 @@ WHOLE: dict[str, Callable[[Path], Any]] = {
     ".yaml": lambda path: yaml.safe_load(path.read_text()),
     ".toml": lambda path: tomllib.loads(path.read_text()),
     ".txt": lambda path: path.read_text().endswith("\n"),
+    ".html": lambda path: path.read_text("utf-8").endswith("</html>\n"),
     ".png": lambda path: path.read_bytes().endswith(b"IEND\xaeB`\x82"),
     ".csv": lambda path: len({line.count(",") for line in path.read_text().splitlines()}) == 1,
     ".safetensors": load_file,
