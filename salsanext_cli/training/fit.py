@@ -161,6 +161,8 @@ class Training:
             self._write(state, row, card)
             if self.watch:
                 self._notify(self.watch, state)
+            # Last, so that a training that is killed before repeats the epoch with its pictures.
+            save_checkpoint(self.run / CHECKPOINT, self.learner, state)
         self._report(state, step, row)
 
     def _network(self) -> Network:
@@ -218,7 +220,7 @@ class Training:
         return values
 
     def _write(self, state: TrainingState, row: Row, card: WeightsCard) -> None:
-        """Write weights, log and, last, the checkpoint."""
+        """Write weights and log."""
         state.rows.append(row)
         scored = {k: v for k, v in row.items() if ("iou" in k or k == "accuracy") and v == v}
         written = OwnedFolder(self.run)
@@ -230,7 +232,6 @@ class Training:
             state.best = row.get("miou", state.best)
             written.write(self.run / BEST, weights, durable=True)
         write_log(self.run / LOG, state.rows)
-        save_checkpoint(self.run / CHECKPOINT, self.learner, state)
 
     def _report(self, state: TrainingState, step: int, row: Row | None = None) -> None:
         if self.learner.group.is_main:
