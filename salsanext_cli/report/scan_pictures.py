@@ -171,8 +171,8 @@ def _caption(sensor: Sensor, frame: Frame) -> list[str]:
         f"Range images: {sensor.height} rows of beams, from {view}, and {sensor.width} columns "
         "all around. Ahead is in the middle, left a quarter from the left edge, behind at both "
         "edges.",
-        "Colours: violet is low, yellow is high. 98 % of the values are between the ends of "
-        "the scale. Grey: no measurement.",
+        "Colours of values: violet is low, yellow is high. Values beyond an end of the scale have "
+        "its colour. Grey: no measurement.",
     ]
 
 

@@ -49,7 +49,7 @@ class CloudProgress:
         self._end_bag(clouds)
 
     def _end_bag(self, attempted: int) -> None:
-        """Count a number of clouds in the place of those of the unfinished bag."""
+        """Replace the count of clouds of the unfinished bag."""
         is_shown = self.clouds_of_copy == attempted
         self.clouds_of_bags += attempted
         self.clouds_of_copy = 0

@@ -132,11 +132,9 @@ def _numbers(outcome: "PictureOutcome") -> summary.StageNumbers:
         for colour, scale in outcome.scales.items()
     ]
     images = dict.fromkeys(image_text(member) for member in outcome.sensor.members)
-    lines = [
-        *(f"image: {image}" for image in images),
-        f"colours: {'; '.join(ends)}",
-        f"first picture: {outcome.first}",
-    ]
+    lines = [f"image: {image}" for image in images]
+    lines.append(f"colours: {'; '.join(ends)}")
+    lines.append(f"first picture: {outcome.first}")
     data = {
         "sensor": outcome.sensor.to_dict(NOISE),
         "scales": outcome.scales,
@@ -149,5 +147,5 @@ def _scale_text(colour: str, scale: Sequence[float], unit: str) -> str:
     """Describe the scale of a colour: ``height -1.9 to 3.2 m``."""
     low = scale[0]
     high = scale[-1]
-    values = f"{low:.3g} everywhere" if low == high else f"{low:.3g} to {high:.3g}"
+    values = f"{low:.3g} at most points" if low == high else f"{low:.3g} to {high:.3g}"
     return f"{colour} {values} {unit}".strip()

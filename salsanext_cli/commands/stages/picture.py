@@ -51,7 +51,7 @@ class PictureOutcome(Outcome):
 
     sensor: Sensor  # Sensor of the range images
     scales: Scales  # Values at equal steps along the colour map, by colour
-    first: Path  # Picture of the first scan
+    first: Path  # Picture of the first scan that has one
 
 
 def picture(
@@ -287,8 +287,13 @@ class PictureRun:
             replace(outcome, missing=chosen.missing),
             sensor=sensor,
             scales=scales,
-            first=output.path(chosen.scans[0], FOLDER),
+            first=_first_picture([output.path(scan, FOLDER) for scan in chosen.scans]),
         )
+
+
+def _first_picture(paths: Sequence[Path]) -> Path:
+    """Return the first picture that exists; the first path if none does."""
+    return next((path for path in paths if path.exists()), paths[0])
 
 
 def _draws_truth(chosen: ChosenResults, colours: Collection[str], sensor: Sensor) -> bool:

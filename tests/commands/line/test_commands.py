@@ -75,6 +75,13 @@ def test_scans_are_drawn_before_any_result(run, data, tmp_path):
     assert Path(printed["first"]).read_bytes() == b"picture"
 
 
+def test_the_picture_that_is_named_is_that_of_a_scan_that_did_not_fail(run, data, tmp_path):
+    (data / "sequences/08/velodyne/000000.bin").write_bytes(b"x")
+    printed = only_json(run("picture", data, tmp_path / "out", "--json", status=1))
+    assert Path(printed["first"]).name == "000001.png"
+    assert Path(printed["first"]).exists()
+
+
 def test_options_of_scans_are_refused_for_results(run, results, data):
     run("picture", results, status=0)
     for option in (("--columns", "x,y,z"), ("--origin", "0,0,1"), ("--sensor", "hdl64")):
