@@ -144,7 +144,7 @@ def test_a_hall_has_labels_of_low_confidence(real_data, tmp_path):
 
 @pytest.mark.real
 @on_each_device
-@pytest.mark.parametrize("width", [512, 1024])
+@pytest.mark.parametrize("width", [512, pytest.param(1024, marks=pytest.mark.slow)])
 def test_real_scans_are_labelled_on_a_device_as_by_the_kernels(
     real_data, tmp_path, monkeypatch, device, width
 ):

@@ -13,8 +13,6 @@ from scans import add_housing, write_sequence
 from typer.testing import Result
 from world import World
 
-from salsanext_cli.report import canvas
-
 ALONE = ("SALSANEXT_OUT", "SALSANEXT_DATASET")
 Run = Callable[..., Result]
 
@@ -63,7 +61,7 @@ def in_few_steps(one_step_fits: None, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(autouse=True)
-def undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Compute no pixels of figures, which takes tenths of a second, unless a test is `drawn`."""
+def undrawn_unless_marked(request: pytest.FixtureRequest) -> None:
+    """Compute no pixels of figures, unless a test is `drawn`."""
     if not request.node.get_closest_marker("drawn"):
-        monkeypatch.setattr(canvas, "png_of", lambda _: b"picture")
+        request.getfixturevalue("undrawn")

@@ -148,6 +148,7 @@ def test_a_second_predict_imports_no_library_that_it_does_not_compute_with(tmp_p
     outs = [tmp_path / "first", tmp_path / "second"]
     for out in outs:
         words = ["predict", str(tmp_path / "data"), str(out), "-q", "--error", "--device", "cpu"]
+        words += ["--width", "512"]
         ended = python(
             "import sys\n"
             "from salsanext_cli.commands.line.app import main\n"

@@ -46,6 +46,7 @@ def test_scans_without_labels_have_no_foreign_ones(world):
     assert not warn_of_foreign_labels(find_scans(world.data), SPACE, None)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_results_are_shown_without_foreign_labels(labelled):
     relabel(labelled, count=3)
     query = ResultQuery(labelled.data)
@@ -55,6 +56,7 @@ def test_results_are_shown_without_foreign_labels(labelled):
     assert (shown["scans"], shown["accuracy"]) == (3, None)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_who_asks_for_the_truth_is_refused(labelled):
     relabel(labelled, count=3)
     query = ResultQuery(labelled.data)
