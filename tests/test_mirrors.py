@@ -88,7 +88,6 @@ ELSEWHERE: dict[str, dict[str, str]] = {
         "runs/results/repeated_settings.py": "runs/results/test_making_commands.py",
         "runs/summary/run_comparison.py": "commands/stages/test_compare.py",
         "runs/summary/run_pair.py": "commands/stages/test_compare.py",
-        "report/run_changes.py": "commands/stages/test_compare.py",
         "report/run_change_tables.py": "commands/stages/test_compare.py",
         "runs/summary/comparison.py": "commands/stages/test_evaluate.py",
         "training/data/batch_source.py": "commands/stages/test_samples_of_device.py",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Picture of a drive from above: the labelled points of its scans, and the way of the sensor."""
+"""Top view of a drive: the labelled points of its scans, and the trajectory of the sensor."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ SPREAD_PX = 2
 
 
 def drive_map_picture(
-    heading: str, points: Float, colours: Colours, way: Double, legend: Legend
+    heading: str, points: Double, colours: Colours, trajectory: Double, legend: Legend
 ) -> bytes:
-    """Draw a drive from above as a PNG: x is up, y is left, and the start is a triangle.
+    """Draw the top view of a drive as a PNG: x is up, y is left, and the start is a triangle.
 
     Parameters
     ----------
     heading : str
         First line.
-    points : (N, 3) float32
-        Points in the frame of the drive, metres.
+    points : (N, 3) float64
+        Points in the frame of the drive, metres; they may be far from its origin.
     colours : (N, 3) uint8
         Their colours.
-    way : (S, 3) float64
+    trajectory : (S, 3) float64
         Positions of the sensor in the order of the drive, metres.
     legend : sequence of (str, colour)
         Names of the colours.
@@ -46,9 +46,9 @@ def drive_map_picture(
     bytes
         Content of a PNG file.
     """
-    middle = (way.min(axis=0) + way.max(axis=0)) / 2
-    relative = points - middle.astype(np.float32)
-    reach = _reach(relative, way - middle)
+    middle = (trajectory.min(axis=0) + trajectory.max(axis=0)) / 2
+    relative = (points - middle).astype(np.float32)
+    reach = _reach(relative, trajectory - middle)
     height = HEAD_PX + SIZE_PX + MARGIN_PX
     figure = canvas.new_picture(SIZE_PX + 2 * MARGIN_PX, height, legend, SIZE_PX)
     canvas.text_at(figure, MARGIN_PX, HEAD_PX // 2, heading, 18)
@@ -56,27 +56,27 @@ def drive_map_picture(
     axes.set_axis_off()
     picture = raster(relative, colours, reach, SIZE_PX, SPREAD_PX)
     axes.imshow(picture, extent=(reach, -reach, -reach, reach), interpolation="nearest")
-    _draw_way(axes, way - middle)
+    _draw_trajectory(axes, trajectory - middle)
     _draw_scale(axes, reach)
     axes.set_xlim(reach, -reach)
     axes.set_ylim(-reach, reach)
     return canvas.png_of(figure)
 
 
-def _reach(points: Float, way: Double) -> float:
-    """Return the distance from the middle to an edge, metres: all of the way, most points."""
-    farthest = float(np.abs(way[:, :2]).max()) + 10
+def _reach(points: Float, trajectory: Double) -> float:
+    """Return the distance from the middle to an edge, metres: the whole trajectory, most points."""
+    farthest = float(np.abs(trajectory[:, :2]).max()) + 10
     if len(points):
         distances = np.abs(points[:, :2]).max(axis=1)
         farthest = max(farthest, float(np.quantile(distances, SHARE_INSIDE)))
     return farthest
 
 
-def _draw_way(axes: Axes, way: Double) -> None:
-    """Draw the way of the sensor, and a triangle at its start."""
+def _draw_trajectory(axes: Axes, trajectory: Double) -> None:
+    """Draw the trajectory of the sensor, and a triangle at its start."""
     style = _outlined()
-    axes.plot(way[:, 1], way[:, 0], linewidth=1.6, **style)
-    axes.plot(way[0, 1], way[0, 0], marker="^", markersize=9, **style)
+    axes.plot(trajectory[:, 1], trajectory[:, 0], linewidth=1.6, **style)
+    axes.plot(trajectory[0, 1], trajectory[0, 0], marker="^", markersize=9, **style)
 
 
 def _draw_scale(axes: Axes, reach: float) -> None:

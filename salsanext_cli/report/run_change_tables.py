@@ -30,14 +30,14 @@ def comparison_tables(comparison: RunComparison) -> Group:
         tables.append(_score_table(comparison, scores))
     same = f"{percent(comparison.agreement)} % of the labels are the same"
     labels = f"{counted(comparison.scans, 'scan')}: {same}"
-    if not comparison.turns:
+    if not comparison.label_changes:
         return Group(*tables, labels)
-    turns = [
-        (turn.before, turn.after, f"{turn.points:,}", percent(turn.share))
-        for turn in comparison.turns
+    label_changes = [
+        (change.before, change.after, f"{change.points:,}", percent(change.share))
+        for change in comparison.label_changes
     ]
     headings = ("before", "after", "points", "of the class %")
-    tables.append(table_of(headings, turns, texts=["after"], title=labels))
+    tables.append(table_of(headings, label_changes, texts=["after"], title=labels))
     if comparison.scans > 1:
         tables.append(_scan_table(comparison))
     return Group(*tables)

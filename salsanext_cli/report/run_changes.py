@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Pictures and tables of what changed between two runs on the same scans."""
+"""Pictures of what changed between two runs on the same scans."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from salsanext_cli.core.measures.paired import Difference
 from salsanext_cli.core.texts import counted, printable, shortened
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.report import canvas
-from salsanext_cli.report.canvas import DARK
+from salsanext_cli.report.canvas import DARK, PALE
 from salsanext_cli.report.colours import Colours, legend_of, screen_colours
 from salsanext_cli.report.plots import GREEN, RED
 from salsanext_cli.report.scan_pictures import scan_picture
@@ -26,6 +26,7 @@ from salsanext_cli.runs.summary.run_pair import PairedLabels, RunPair
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
     from salsanext_cli.core.classes.label_space import LabelSpace, TrainIds
 
@@ -39,11 +40,19 @@ CHANGES = {
 ROW_PX = 26
 NAMES_PX = 190  # Width of the names of scores
 AXES_PX = 600
-NUMBERS_PX = 230  # Width of the changes in numbers
-ABOVE_PX = 100  # Height of the title and the legend
+SCORES_PX = 130  # Width of the scores before and after
+CHANGES_PX = 230  # Width of the changes in numbers
+GAP_PX = 18  # Distance of the numbers from the axes
+SCORES_LEFT = 1 + GAP_PX / AXES_PX  # As a share of the width of the axes
+CHANGES_LEFT = 1 + (GAP_PX + SCORES_PX) / AXES_PX
+SCORES_ABOVE_PX = 124  # Height of the title and the legend of scores
+AGREEMENT_ABOVE_PX = 80
+HEADINGS_PX = SCORES_ABOVE_PX - 14
 BELOW_PX = 60  # Height of the numbers and the label of the axis
 MAX_NAME = 40  # Longest name of a run in a legend
 UNCLEAR = "#8a8f98"
+MEANS = 2  # Number of scores of all classes, which come first
+LEAST_LIMIT = 1.0  # Least end of the axis, in percentage points
 
 
 def scores_by_name(comparison: RunComparison) -> dict[str, Difference]:
@@ -86,27 +95,68 @@ def comparison_picture(comparison: RunComparison) -> bytes:
 
 
 def _score_picture(comparison: RunComparison, scores: Mapping[str, Difference]) -> bytes:
-    """Draw each score of both runs on a line, and the change with its interval."""
-    title = f"Scores of two runs on {counted(comparison.scored, 'scan')} with labels"
-    figure, axes = _rows(title, [*scores], NUMBERS_PX)
+    """Draw a forest plot: the change of each score with its interval, around a line at zero."""
+    title = f"Changes of the scores on {counted(comparison.scored, 'scan')} with labels"
+    figure, axes = _rows(title, [*scores], SCORES_ABOVE_PX, SCORES_PX + CHANGES_PX)
+    axes.axvline(0, color=DARK, linewidth=1.2, zorder=1)
+    axes.axhline(MEANS - 0.5, color=PALE, linewidth=1.2, zorder=0)
     for row, difference in enumerate(scores.values()):
-        colour = UNCLEAR
-        if difference.is_clear:
-            colour = GREEN if difference.change > 0 else RED
-        ends = (100 * difference.before, 100 * difference.after)
-        axes.plot(ends, (row, row), color=colour, linewidth=2.5, zorder=1)
-        axes.plot(ends[0], row, "o", color=canvas.PAPER, markeredgecolor=DARK, markersize=7)
-        axes.plot(ends[1], row, "o", color=colour, markersize=8)
-        weight = "bold" if difference.is_clear else "normal"
-        style: dict[str, Any] = {"va": "center", "size": 9, "weight": weight, "color": DARK}
-        axes.text(103, row, change_text(difference), clip_on=False, **style)
-    axes.set_xlabel("%  (change in percentage points, with its 95 % interval; bold: it excludes 0)")
-    names = f"○ {run_name(comparison.before)}   ● {run_name(comparison.after)}"
-    marks = f"{names}   green: clearly better, orange: clearly worse, grey: not clear"
-    canvas.text_at(figure, 20, 56, marks, 14, DARK)
+        _draw_change(axes, row, difference)
+    farthest = max(_farthest(difference) for difference in scores.values())
+    limit = 1.08 * max(farthest, LEAST_LIMIT)
+    axes.set_xlim(-limit, limit)
+    axes.set_xlabel("change in percentage points, with its 95 % interval")
+    _head_columns(figure)
+    names = f"from {run_name(comparison.before)} to {run_name(comparison.after)}"
+    canvas.text_at(figure, 20, 52, names, 14, DARK)
+    marks = (
+        "filled: clear, the interval excludes 0 (green: better, orange: worse); hollow: not clear"
+    )
+    canvas.text_at(figure, 20, 76, marks, 12, DARK)
     if has_intervals(comparison):
-        canvas.text_at(figure, 20, 78, many_scores_text(comparison), 12, DARK)
+        canvas.text_at(figure, 20, 97, many_scores_text(comparison), 12, DARK)
     return canvas.png_of(figure)
+
+
+def _draw_change(axes: Axes, row: int, difference: Difference) -> None:
+    """Draw the interval and the change of a score on its row, and write its numbers beside it."""
+    colour = UNCLEAR
+    if difference.is_clear:
+        colour = GREEN if difference.change > 0 else RED
+    if difference.low is not None and difference.high is not None:
+        interval = (100 * difference.low, 100 * difference.high)
+        axes.plot(interval, (row, row), "|-", color=colour, linewidth=2.2, markersize=9, zorder=2)
+    inside = colour if difference.is_clear else canvas.PAPER
+    style: dict[str, Any] = {"markeredgecolor": colour, "markeredgewidth": 1.8, "markersize": 8}
+    axes.plot(100 * difference.change, row, "o", color=inside, zorder=3, **style)
+    weight = "bold" if difference.is_clear else "normal"
+    scores = f"{percent(difference.before)} → {percent(difference.after)}"
+    for left, text in ((SCORES_LEFT, scores), (CHANGES_LEFT, change_text(difference))):
+        axes.text(
+            left,
+            row,
+            text,
+            transform=axes.get_yaxis_transform(),
+            va="center",
+            size=9,
+            weight=weight,
+            color=DARK,
+            clip_on=False,
+        )
+
+
+def _farthest(difference: Difference) -> float:
+    """Return the largest distance from zero of a change and its interval, percentage points."""
+    ends = (difference.change, difference.low or 0.0, difference.high or 0.0)
+    return 100 * max(map(abs, ends))
+
+
+def _head_columns(figure: Figure) -> None:
+    """Write the headings of the numbers beside the rows."""
+    left = NAMES_PX + AXES_PX
+    canvas.text_at(figure, left + GAP_PX, HEADINGS_PX, "before → after, %", 12, DARK)
+    change = "change (interval)"
+    canvas.text_at(figure, left + GAP_PX + SCORES_PX, HEADINGS_PX, change, 12, DARK)
 
 
 def _agreement_picture(comparison: RunComparison) -> bytes:
@@ -114,7 +164,8 @@ def _agreement_picture(comparison: RunComparison) -> bytes:
     classes = [c for c in comparison.classes if c.same is not None]
     same = percent(comparison.agreement, 1, " %")
     title = f"The same label in both runs: {same} of the points"
-    figure, axes = _rows(title, [c.name for c in classes], NUMBERS_PX)
+    figure, axes = _rows(title, [c.name for c in classes], AGREEMENT_ABOVE_PX, CHANGES_PX)
+    axes.set_xlim(0, 100)
     for row, change in enumerate(classes):
         share = 100 * (change.same or 0.0)
         axes.barh(row, share, height=0.66, color=UNCLEAR)
@@ -127,16 +178,19 @@ def _agreement_picture(comparison: RunComparison) -> bytes:
     return canvas.png_of(figure)
 
 
-def _rows(title: str, names: Sequence[str], right: int) -> tuple[Any, Axes]:
-    """Return a figure and its axes in % with a named row for each name, the first at the top."""
+def _rows(title: str, names: Sequence[str], above: int, right: int) -> tuple[Figure, Axes]:
+    """Return a figure and its axes with a row for each name, the first at the top.
+
+    `above`, `right`: height above the axes and width beside them, in pixels.
+    """
     height = max(1, len(names)) * ROW_PX
     width = NAMES_PX + AXES_PX + right
-    place = (NAMES_PX, ABOVE_PX, AXES_PX, height)
-    figure, axes = canvas.new_plot(width, ABOVE_PX + height + BELOW_PX, place)
+    place = (NAMES_PX, above, AXES_PX, height)
+    figure, axes = canvas.new_plot(width, above + height + BELOW_PX, place)
     canvas.text_at(figure, 20, 25, title, 17, DARK)
     axes.set_yticks(range(len(names)), names, parse_math=False)
     axes.set_ylim(len(names) - 0.5, -0.5)
-    axes.set_xlim(0, 100)
+    axes.xaxis.label.set_color(DARK)
     canvas.plain_frame(axes, "x")
     return figure, axes
 

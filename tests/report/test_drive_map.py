@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The drive from above."""
+"""The top view of a drive."""
 
 import io
 
@@ -21,20 +21,25 @@ def shares(png, colour):
     return rows / SIZE_PX, columns / SIZE_PX
 
 
-def test_x_is_up_and_y_is_left_around_the_way():
+def test_x_is_up_and_y_is_left_around_the_trajectory_far_from_the_origin():
+    """Float32 would have steps of 8 m here."""
+    origin = 1e8
     rng = np.random.default_rng(0)
-    way = np.array([[900.0, 500, 0], [1100, 500, 0]])
+    trajectory = np.array([[900.0, 500, 0], [1100, 500, 0]]) + origin
     points = rng.uniform(-1, 1, (2000, 3)) * (20, 20, 1)
     points[:1000] += (1080, 520, 0)
     points[1000:] += (920, 480, 0)
+    points += origin
     colours = np.repeat(np.array([RED, GREEN], np.uint8), 1000, axis=0)
-    png = drive_map_picture("drive", points.astype(np.float32), colours, way, [])
+    png = drive_map_picture("drive", points, colours, trajectory, [])
     rows, columns = shares(png, RED)
     assert rows.max() < 0.3
     assert columns.max() < 0.52
     rows, columns = shares(png, GREEN)
     assert rows.min() > 0.7
     assert columns.min() > 0.48
+    # Rounded coordinates would leave most rows without a point.
+    assert len({*rows.tolist()}) > 100
 
 
 @pytest.mark.parametrize(

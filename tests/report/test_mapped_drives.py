@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A page shows the drive from above if `fuse` has recorded its poses."""
+"""A page shows the top view of a drive if `fuse` has recorded its poses."""
 
 import numpy as np
 import pytest
@@ -47,11 +47,11 @@ def run_of(world):
 
 
 @pytest.mark.parametrize("place", ["sequences/08", "fused/sequences/08"])
-def test_points_and_way_are_in_the_frame_of_the_drive(world, place):
+def test_points_and_trajectory_are_in_the_frame_of_the_drive(world, place):
     poses = write_drive(world.out / place, [0, 0, 1, 0])
     run = run_of(world)
     with calls_of(drive_map_picture) as calls:
-        (drawn,) = drive_maps(run)
+        (drawn,) = drive_maps(run).maps
     assert drawn.address.startswith("data:image/png;base64,")
     assert "3 scans" in drawn.description
     # The third scan is in another part, cars are movable, and the last point has no label.
@@ -63,19 +63,38 @@ def test_points_and_way_are_in_the_frame_of_the_drive(world, place):
     ]
     (call,) = calls
     np.testing.assert_allclose(call["points"], expected, atol=1e-4)
-    np.testing.assert_allclose(call["way"], poses[[0, 1, 3], :3, 3])
+    np.testing.assert_allclose(call["trajectory"], poses[[0, 1, 3], :3, 3])
     assert [name for name, _ in call["legend"]] == ["road"]
     assert SPACE.names.index("road") > 0
 
 
-def test_without_recorded_poses_there_is_no_map(world):
-    assert drive_maps(run_of(world)) == []
+def test_a_run_that_was_not_fused_has_neither_a_map_nor_a_problem(world):
+    drawn = drive_maps(run_of(world))
+    assert (drawn.maps, drawn.problems) == ([], [])
+
+
+def test_a_drive_without_a_map_has_its_reason_on_the_page(world, caplog):
     folder = world.out / "sequences/08"
+    poses = folder / "poses.txt"
+
+    def problem():
+        run = run_of(world)
+        drawn = drive_maps(run)
+        assert drawn.maps == []
+        (text,) = drawn.problems
+        assert caplog.records[-1].getMessage() == text
+        page = html_of(run, None, [], {}, [], {})
+        assert 'class="map"' not in page
+        assert "no top view of 08: " in page
+        return text
+
     write_drive(folder, [0, 1, 2, 3])
-    assert drive_maps(run_of(world)) == []
+    assert "has 1 scan with results" in problem()
     write_drive(folder, [0, 0, 0, 0])
-    (folder / "poses.txt").write_text("1 2 3\n")
-    assert drive_maps(run_of(world)) == []
+    poses.write_text("1 2 3\n")
+    assert str(poses) in problem()
+    poses.unlink()
+    assert f"{poses}: is missing" in problem()
 
 
 def test_the_map_is_on_the_page(world):
@@ -83,4 +102,4 @@ def test_the_map_is_on_the_page(world):
     run = run_of(world)
     page = html_of(run, None, [], {}, [], {})
     assert page.count('class="map"') == 1
-    assert "08 from above: 4 scans" in page
+    assert "Top view of 08: 4 scans" in page

@@ -3,6 +3,7 @@
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 
 import numpy as np
@@ -18,41 +19,71 @@ from salsanext_cli.io.formats.kitti import count_points
 from salsanext_cli.io.formats.kitti_labels import read_labels
 
 
+class ProblemKind(StrEnum):
+    """Why the benchmark would not accept predictions."""
+
+    MISSING = "predictions are missing"
+    UNREADABLE = "the file cannot be read"
+    COUNT = "numbers of labels and points differ"
+    WIDTH = "the labels do not have four bytes"
+    UNKNOWN = "unknown ids"
+    MOVING = "ids of moving classes"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KnownProblem:
+    """Error of one file or sequence, with its kind."""
+
+    kind: ProblemKind
+    error: SalsanextError
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProblemCase:
+    """One file or sequence that has a problem."""
+
+    subject: str
+    problem: str
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SubmissionProblem:
-    """Reason why the benchmark would not accept predictions, and all that it concerns."""
+    """All cases of one kind of problem that have the same remedy."""
 
-    subjects: tuple[str, ...]  # Files or sequences, at least one
-    problem: str
-    hint: str
+    kind: ProblemKind
     code: str
+    hint: str
+    cases: tuple[ProblemCase, ...]  # At least one
 
     @property
-    def texts(self) -> list[str]:
-        """Errors in words: one for each subject, or a single one for many."""
+    def text(self) -> str:
+        """The problem in words, with its number of cases and the first of them."""
+        cases = [f"{case.subject}: {case.problem}" for case in self.cases[:MAX_NAMES_SHOWN]]
         hint = printable(self.hint)
-        if len(self.subjects) > MAX_NAMES_SHOWN:
-            files = f"{counted(len(self.subjects), 'file')}: {self.problem}"
-            return [with_hint(printable(f"{files}: {first_few(self.subjects)}"), hint)]
-        return [
-            with_hint(printable(f"{subject}: {self.problem}"), hint) for subject in self.subjects
-        ]
+        if len(self.cases) == 1:
+            return with_hint(printable(cases[0]), hint)
+        listed = [f"  {printable(case)}" for case in cases]
+        if len(self.cases) > MAX_NAMES_SHOWN:
+            listed.append(f"  and {len(self.cases) - MAX_NAMES_SHOWN:,} more")
+        headline = f"{counted(len(self.cases), 'case')}: {self.kind}"
+        return with_hint("\n".join((headline, *listed)), hint)
 
 
-def grouped_problems(errors: Iterable[SalsanextError]) -> tuple[SubmissionProblem, ...]:
-    """Return the problems in errors, one for all files with the same problem."""
-    subjects: dict[tuple[str, str, str], list[str]] = {}
-    for error in errors:
+def grouped_problems(problems: Iterable[KnownProblem]) -> tuple[SubmissionProblem, ...]:
+    """Group problems by kind and remedy, in the order of the first of each."""
+    cases: dict[tuple[ProblemKind, str, str], list[ProblemCase]] = {}
+    for problem in problems:
+        error = problem.error
         expected = f" (expected {error.expected})" if error.expected else ""
-        key = (f"{error.problem}{expected}", error.hint, error.code)
-        subjects.setdefault(key, []).append(str(error.subject))
+        case = ProblemCase(subject=str(error.subject), problem=f"{error.problem}{expected}")
+        cases.setdefault((problem.kind, error.code, error.hint), []).append(case)
     return tuple(
-        SubmissionProblem(problem=problem, hint=hint, code=code, subjects=tuple(names))
-        for (problem, hint, code), names in subjects.items()
+        SubmissionProblem(kind=kind, code=code, hint=hint, cases=tuple(members))
+        for (kind, code, hint), members in cases.items()
     )
 
 
-def label_problems(path: Path, scan: Path | None, space: LabelSpace) -> Iterator[SalsanextError]:
+def label_problems(path: Path, scan: Path | None, space: LabelSpace) -> Iterator[KnownProblem]:
     """Yield every reason why the benchmark does not accept a label file.
 
     Parameters
@@ -68,23 +99,29 @@ def label_problems(path: Path, scan: Path | None, space: LabelSpace) -> Iterator
         raw = read_labels(path, _point_count(scan) if scan else None)
         with reading(path) as file:
             size = size_of(file)
+    except LabelError as error:
+        yield KnownProblem(kind=ProblemKind.COUNT, error=error)
+        return
     except SalsanextError as error:
-        yield error
+        yield KnownProblem(kind=ProblemKind.UNREADABLE, error=error)
         return
     if size != 4 * len(raw):
         problem = f"has {counted(size // len(raw), 'byte')} per label"
-        yield LabelError(path, problem, "4, one uint32 per point", "write the labels as uint32")
+        error = LabelError(path, problem, "4, one uint32 per point", "write the labels as uint32")
+        yield KnownProblem(kind=ProblemKind.WIDTH, error=error)
     ids = np.flatnonzero(np.bincount(raw & 0xFFFF, minlength=RAW_ID_COUNT)).tolist()
     unknown = [raw_id for raw_id in ids if raw_id not in space.learning_map]
     if unknown:
         hint = f"write raw ids, not train ids, or give {argument('space')}"
-        yield LabelError(path, f"has unknown ids {first_few(unknown)}", "", hint)
+        error = LabelError(path, f"has unknown ids {first_few(unknown)}", "", hint)
+        yield KnownProblem(kind=ProblemKind.UNKNOWN, error=error)
     names = {raw_id: space.labels.get(raw_id, "") for raw_id in ids}
     moving = [f"{raw_id} {name}" for raw_id, name in names.items() if name.startswith(MOVING)]
     if moving:
         problem = f"has ids of moving classes, {first_few(moving)}"
         hint = "write the ids of the classes at rest, such as 10 instead of 252"
-        yield LabelError(path, problem, "classes of single scans", hint)
+        error = LabelError(path, problem, "classes of single scans", hint)
+        yield KnownProblem(kind=ProblemKind.MOVING, error=error)
 
 
 def _point_count(scan: Path) -> int:

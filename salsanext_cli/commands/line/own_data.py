@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from salsanext_cli.commands.line.picked_labels import PickedLabels
     from salsanext_cli.core.sensors.sensor import Sensor
 
-MAX_PROBLEMS = 20  # Most problems that `submit` prints
 PICKED = 10  # Number of scans that `pick` picks by default
 
 
@@ -350,14 +349,12 @@ def submit(
         )
     written = str(target) if submission.is_packed else None
     output.result({"stage": "submit", **asdict(submission), "zip": written})
-    texts = [text for problem in submission.problems for text in problem.texts]
-    for text in texts[:MAX_PROBLEMS]:
-        print_line(f"error: {text}")
-    if len(texts) > MAX_PROBLEMS:
-        print_line(f"{len(texts) - MAX_PROBLEMS:,} more problems; --json lists all")
+    for problem in submission.problems:
+        print_line(f"error: {problem.text}")
     if submission.problems:
-        files = sum(len(problem.subjects) for problem in submission.problems)
-        counts = f"{counted(len(submission.problems), 'problem')} in {files:,} places"
+        cases = sum(len(problem.cases) for problem in submission.problems)
+        kinds = counted(len(submission.problems), "kind")
+        counts = f"{counted(cases, 'problem')} of {kinds}, listed in full by --json"
         output.print(f"submit: {counts}; nothing was packed")
     else:
         output.print(f"submit: {counted(submission.scans, 'scan')} → {target}")

@@ -11,12 +11,14 @@ from pathlib import Path, PurePosixPath
 from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
 from salsanext_cli.commands.jobs.label_checks import (
+    KnownProblem,
+    ProblemKind,
     SubmissionProblem,
     grouped_problems,
     label_problems,
 )
 from salsanext_cli.core.classes.label_space import LabelSpace
-from salsanext_cli.core.errors import LabelError, NoInputError, SalsanextError, UsageError
+from salsanext_cli.core.errors import LabelError, NoInputError, UsageError
 from salsanext_cli.core.texts import counted, first_few, with_hint
 from salsanext_cli.core.wording import argument, command, setting
 from salsanext_cli.io.files.atomic import require_target, writing
@@ -155,12 +157,12 @@ def submit(
             # Each file is checked and packed.
             progress(next(steps), 2 * len(required.names))
 
-    errors: list[SalsanextError] = [*required.missing]
+    found = [KnownProblem(kind=ProblemKind.MISSING, error=error) for error in required.missing]
     for name in required.names:
         if name in files:
-            errors += label_problems(files[name], clouds.get(name), space)
+            found += label_problems(files[name], clouds.get(name), space)
         advance()
-    problems = grouped_problems(errors)
+    problems = grouped_problems(found)
     if not problems:
         members = {} if description is None else {"description.txt": description}
         for name in required.names:
@@ -240,5 +242,6 @@ def _incomplete(
     hint = "predict the sequence"
     absent_scans = len({*missing} - {*at_hand}) if at_hand else 0
     if absent_scans:
-        hint = f"complete the data set: it lacks {counted(absent_scans, 'scan')}"
+        problem += f"; the data set lacks {counted(absent_scans, 'scan')} of it"
+        hint = "complete the data set, then predict the sequence"
     return NoInputError(f"sequence {sequence}", problem, hint=hint)

@@ -220,13 +220,13 @@ def widening(parts: int) -> float:
     return quantile / z * math.sqrt(parts / freedom)
 
 
-def agreement(turned: npt.NDArray[np.int64]) -> float:
+def agreement(transitions: npt.NDArray[np.int64]) -> float:
     """Return the share of points with the same label, 0…1, of those that either run labelled.
 
     Parameters
     ----------
-    turned : (C, C) int64
+    transitions : (C, C) int64
         Points by train id of the first run and of the second; 0 is no label.
     """
-    points = int(turned.sum() - turned[0, 0])
-    return int(turned.trace() - turned[0, 0]) / points if points else 1.0
+    points = int(transitions.sum() - transitions[0, 0])
+    return int(transitions.trace() - transitions[0, 0]) / points if points else 1.0

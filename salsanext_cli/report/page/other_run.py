@@ -21,8 +21,8 @@ from salsanext_cli.report.tables import percent
 from salsanext_cli.runs.summary.run_comparison import (
     CHANGED_SCAN,
     PICTURE,
+    LabelChange,
     RunComparison,
-    Turn,
     recorded_comparison,
 )
 
@@ -57,7 +57,7 @@ class OtherRun:
     summary: str
     scores: Sequence[ScoreRow]  # Empty without labels
     notes: Sequence[str]  # What limits the scores, in words
-    turns: Sequence[str]  # Most frequent changes of labels, in words
+    label_changes: Sequence[str]  # Most frequent changes of labels, in words
     figures: Sequence[ChangeFigure]
 
 
@@ -74,7 +74,7 @@ def other_run(out: Path) -> OtherRun | None:
         summary=_summary(comparison),
         scores=[_row(name, score) for name, score in scores.items()],
         notes=_notes(comparison),
-        turns=[_turn_text(turn) for turn in comparison.turns],
+        label_changes=[_change_text(change) for change in comparison.label_changes],
         figures=[
             ChangeFigure(description=title, address=_address(out / name))
             for name, title in pictures.items()
@@ -113,11 +113,11 @@ def _row(name: str, difference: Difference) -> ScoreRow:
     )
 
 
-def _turn_text(turn: Turn) -> str:
+def _change_text(change: LabelChange) -> str:
     """State how many points of a class have another label now."""
-    share = percent(turn.share, 1, " %")
-    points = counted(turn.points, "point")
-    return f"{turn.before} became {turn.after}: {points}, {share} of the class"
+    share = percent(change.share, 1, " %")
+    points = counted(change.points, "point")
+    return f"{change.before} became {change.after}: {points}, {share} of the class"
 
 
 def _address(path: Path) -> str:

@@ -45,12 +45,17 @@ def drive_record(drive: Drive, stems: Sequence[str]) -> dict[str, object]:
 def poses_of_largest_part(folder: Path) -> dict[str, Double]:
     """Return the poses (4, 4) of the scans of the largest part of a recorded drive, by stem.
 
-    Empty if the folder of the sequence has no recorded drive.
+    Raises
+    ------
+    OutputError
+        If the record or the poses are missing, damaged or changed.
     """
     drive = recorded_drive(folder)
     record = read_json(folder / DRIVE)
     if drive is None or record is None:
-        return {}
+        missing = folder / (DRIVE if record is None else POSES)
+        hint = f"fuse the sequence again with {setting('overwrite', True)}"
+        raise OutputError(missing, "is missing", hint=hint)
     largest = np.bincount(drive.parts).argmax()
     poses: dict[str, Double] = {}
     for stem, pose, part in zip(record["scans"], drive.poses, drive.parts, strict=True):

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Events of a run over scans: a file that gets one line of JSON for each scan that has ended."""
+"""Events of a run over scans: a file that gets a line of JSON for each scan that has ended."""
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -117,22 +117,33 @@ class EventLog:
         warnings : sequence of str
             Codes of the warnings about it.
         """
-        if self.append is None:
-            return
         self.count += 1
-        event: dict[str, object] = {
-            "schema": EVENT_SCHEMA,
-            "time": datetime.now(UTC).isoformat(timespec="milliseconds"),
-            "command": self.command,
+        values: dict[str, object] = {
             "scan": str(scan.path),
             "name": scan.name,
             "state": "failed" if error else "done",
-            "count": self.count,
-            "total": self.total,
             "warnings": list(warnings),
         }
         if error:
-            event |= {"reason": error.headline, "hint": error.hint, "code": error.code}
+            values |= {"reason": error.headline, "hint": error.hint, "code": error.code}
+        self._write(values)
+
+    def add_nothing(self) -> None:
+        """Append the line of a run without scans to work on, so that a reader does not wait."""
+        self._write({"scan": None, "name": None, "state": "none", "warnings": []})
+
+    def _write(self, values: Mapping[str, object]) -> None:
+        """Append a line with the time, the run and values of its own."""
+        if self.append is None:
+            return
+        event = {
+            "schema": EVENT_SCHEMA,
+            "time": datetime.now(UTC).isoformat(timespec="milliseconds"),
+            "command": self.command,
+            "count": self.count,
+            "total": self.total,
+            **values,
+        }
         self.append(f"{json.dumps(escaped(event))}\n".encode())
 
     @contextmanager
@@ -152,9 +163,14 @@ class EventLog:
 
 @contextmanager
 def opened_events(file: EventFile | None, total: int) -> Iterator[EventLog]:
-    """Open the events of a run over `total` scans; without a file, they go nowhere."""
-    if file is None or not total:
+    """Open the events of a run over `total` scans; without a file, they go nowhere.
+
+    A run without scans appends a line that states so.
+    """
+    if file is None:
         yield EventLog()
         return
     with file.opened(total) as events:
+        if not total:
+            events.add_nothing()
         yield events

@@ -40,7 +40,7 @@ UNKNOWN_SOURCES = {"truth": "labels", "before": "first run", "after": "second ru
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Turn:
+class LabelChange:
     """Points that have one label in the first run and another in the second."""
 
     before: str  # Name of a class
@@ -87,7 +87,7 @@ class RunComparison:
     accuracy: Difference | None  # None without true labels
     iou_mean: Difference | None
     classes: tuple[ClassChange, ...]  # Classes with points in the first run or in the truth
-    turns: tuple[Turn, ...]  # Most frequent changes of labels
+    label_changes: tuple[LabelChange, ...]  # Most frequent changes of labels
     most_changed: tuple[ScanChange, ...]  # Scans with the largest share of changed labels
     weights: tuple[str | None, str | None]  # SHA-256 of the weights of both runs
     # Digests of the settings of both runs, by stage
@@ -124,7 +124,7 @@ def run_comparison(pairs: Sequence[ScanPair], runs: RunPair) -> RunComparison:
     after = Manifest(runs.after)
     is_known = not any(recorded.missing for recorded in runs.trained_on)
     ious = differences.classes if differences else {}
-    turned: Counts = np.sum([pair.turned for pair in ordered], axis=0)
+    transitions: Counts = np.sum([pair.transitions for pair in ordered], axis=0)
     return RunComparison(
         before=str(runs.before),
         after=str(runs.after),
@@ -136,11 +136,11 @@ def run_comparison(pairs: Sequence[ScanPair], runs: RunPair) -> RunComparison:
         not_asked_for=runs.missing.not_asked_for,
         unknown_ids=_unknown_ids(ordered),
         parts=differences.parts if differences else 0,
-        agreement=agreement(turned),
+        agreement=agreement(transitions),
         accuracy=differences.accuracy if differences else None,
         iou_mean=differences.iou_mean if differences else None,
-        classes=_class_changes(turned, ious, space),
-        turns=_turns(turned, space),
+        classes=_class_changes(transitions, ious, space),
+        label_changes=_label_changes(transitions, space),
         most_changed=_most_changed(ordered),
         weights=(before.weights("predictions"), after.weights("predictions")),
         origins=(before.origins(PREDICTION_STAGES), after.origins(PREDICTION_STAGES)),
@@ -159,11 +159,11 @@ def _unknown_ids(pairs: Sequence[ScanPair]) -> dict[str, dict[str, int]]:
 
 
 def _class_changes(
-    turned: Counts, ious: Mapping[int, Difference], space: LabelSpace
+    transitions: Counts, ious: Mapping[int, Difference], space: LabelSpace
 ) -> tuple[ClassChange, ...]:
     """Return the classes with labels or with a score, in the order of the train ids."""
-    points = turned.sum(axis=1).tolist()
-    same = turned.diagonal().tolist()
+    points = transitions.sum(axis=1).tolist()
+    same = transitions.diagonal().tolist()
     return tuple(
         ClassChange(
             name=space.names[i],
@@ -176,17 +176,17 @@ def _class_changes(
     )
 
 
-def _turns(turned: Counts, space: LabelSpace) -> tuple[Turn, ...]:
+def _label_changes(transitions: Counts, space: LabelSpace) -> tuple[LabelChange, ...]:
     """Return the most frequent changes of labels, the largest first."""
-    points = turned.sum(axis=1).tolist()
+    points = transitions.sum(axis=1).tolist()
     return tuple(
-        Turn(
+        LabelChange(
             before=space.names[c.true],
             after=space.names[c.predicted],
             points=c.points,
             share=c.points / points[c.true],
         )
-        for c in largest_confusions(turned, MAX_LISTED)
+        for c in largest_confusions(transitions, MAX_LISTED)
     )
 
 
@@ -194,7 +194,7 @@ def _most_changed(pairs: Sequence[ScanPair]) -> tuple[ScanChange, ...]:
     """Return the scans with the largest share of changed labels, the largest first."""
     changes = [
         ScanChange(
-            scan=pair.file.name, changed=1 - agreement(pair.turned), accuracy=_gain(pair.sums)
+            scan=pair.file.name, changed=1 - agreement(pair.transitions), accuracy=_gain(pair.sums)
         )
         for pair in pairs
     ]

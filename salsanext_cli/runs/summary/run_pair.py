@@ -35,7 +35,7 @@ class ScanPair:
     """Labels of one scan by two runs, in numbers."""
 
     file: ScanFile
-    turned: Counts  # (C, C): points by label of the first run and of the second
+    transitions: Counts  # (C, C): points by label of the first run and of the second
     sums: Counts | None  # (2, 3, C): `class_sums` of both runs; None without true labels
     trained_on: bool  # Whether the weights of a run were trained on the scan
     unknown: Mapping[str, Mapping[int, int]]  # Points by unknown raw id: `truth`, `before`, `after`
@@ -156,11 +156,15 @@ class RunPair:
         """Count the points of a scan by the labels of both runs, and by the truth if there is."""
         labels = self.labels_of(file)
         classes = self.space.class_count
-        turned = confusion_matrix(labels.before, labels.after, classes)
+        transitions = confusion_matrix(labels.before, labels.after, classes)
         truth = self.truth_of(file, len(labels.before))
         if truth is None:
             return ScanPair(
-                file=file, turned=turned, sums=None, trained_on=False, unknown=labels.unknown
+                file=file,
+                transitions=transitions,
+                sums=None,
+                trained_on=False,
+                unknown=labels.unknown,
             )
         sums = [
             class_sums(scored_rows(confusion_matrix(truth.train, predicted, classes), self.space))
@@ -169,7 +173,7 @@ class RunPair:
         digests = frozenset[str]().union(*(recorded.digests for recorded in self.trained_on))
         return ScanPair(
             file=file,
-            turned=turned,
+            transitions=transitions,
             sums=np.array(sums),
             trained_on=is_among(
                 digests, len(truth.train), lambda: read_scan(file.path, self.sensor)

@@ -181,6 +181,7 @@ def test_a_submission_without_a_prediction_is_an_error(run, out, tmp_path):
     printed = only_json(result)
     assert (result.exit_code, printed["zip"]) == (1, None)
     assert [problem["code"] for problem in printed["problems"]] == ["no-input"]
+    assert [case["subject"] for case in printed["problems"][0]["cases"]] == ["sequence 12"]
     assert not (tmp_path / "a.zip").exists()
 
 

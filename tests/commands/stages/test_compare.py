@@ -5,6 +5,7 @@ from io import StringIO
 
 import numpy as np
 import pytest
+from calls import calls_of
 from evaluated import CAR, ROAD, SPACE, UNKNOWN, World
 from matplotlib.image import imread
 from rich.console import Console
@@ -17,7 +18,10 @@ from salsanext_cli.commands.stages.evaluate import evaluate
 from salsanext_cli.commands.stages.report import report
 from salsanext_cli.core.errors import LabelError, NoInputError, OutputError, UsageError
 from salsanext_cli.core.network.card import scan_digest
+from salsanext_cli.report.colours import screen_colours
 from salsanext_cli.report.run_change_tables import comparison_tables
+from salsanext_cli.report.run_changes import CHANGES
+from salsanext_cli.report.scan_pictures import scan_picture
 from salsanext_cli.runs.loop.cluster import attempts
 from salsanext_cli.runs.loop.run_folders import RunFolders
 from salsanext_cli.runs.loop.run_options import RunOptions
@@ -98,7 +102,7 @@ def test_changed_labels_are_those_of_a_slow_loop(runs):
                 name = f"{number:02}/0"
                 changed[name] = changed.get(name, 0) + 1
     names = SPACE.labels
-    assert {(names_of(turn)): turn.points for turn in found.turns} == {
+    assert {names_of(change): change.points for change in found.label_changes} == {
         (names[a], names[b]): count for (a, b), count in turns.items()
     }
     assert found.agreement == pytest.approx(same / points)
@@ -109,8 +113,8 @@ def test_changed_labels_are_those_of_a_slow_loop(runs):
     assert 0 < car.same < 1
 
 
-def names_of(turn):
-    return turn.before, turn.after
+def names_of(change):
+    return change.before, change.after
 
 
 def test_the_record_is_read_again_until_the_labels_change(runs):
@@ -146,7 +150,7 @@ def test_equal_runs_have_neither_changes_nor_a_changed_scan(runs):
     shutil.rmtree(runs[1].out / "sequences")
     shutil.copytree(runs[0].out / "sequences", runs[1].out / "sequences")
     found = compared(runs).comparison
-    assert (found.agreement, found.turns, found.most_changed) == (1, (), ())
+    assert (found.agreement, found.label_changes, found.most_changed) == (1, (), ())
     assert not found.accuracy.is_clear
     assert not (runs[1].out / "compare_scan.png").exists()
     text = printed(found)
@@ -297,13 +301,27 @@ def test_labels_of_other_lengths_fail_alone(runs):
 
 @pytest.mark.drawn
 @pytest.mark.parametrize("with_truth", [True, False])
-def test_pictures_show_both_runs(runs, with_truth):
+def test_the_most_changed_scan_is_drawn_by_what_changed(runs, with_truth):
+    """The truth of the points 0 to 5: road, road, car, car, road and none; 6 has another id."""
+    truth = [ROAD, ROAD, CAR, CAR, ROAD, 0, UNKNOWN]
+    before = [ROAD, CAR, CAR, TREE, CAR, CAR, CAR]
+    after = [ROAD, ROAD, ROAD, ROAD, TREE, ROAD, ROAD]
+    kinds = ["same label", "now right", "now wrong", *4 * ["other label"]]
+    runs[0].add("0", truth, before, sequence="05")
+    runs[1].add("0", None, after, sequence="05")
     if not with_truth:
         without_truth(runs)
-    compared(runs)
-    scores, scan = (imread(runs[1].out / name) for name in FILES[1:])
-    assert scores.shape[1] > 900
-    assert scan.shape[1] > 1800
+        kinds = ["same label", *6 * ["other label"]]
+    with calls_of(scan_picture) as calls:
+        compared(runs)
+    views = calls[0]["views"]
+    assert [*views] == ["first run", "second run", *["truth"] * with_truth, "changes"]
+    assert [tuple(colour) for colour in views["changes"]] == [CHANGES[kind] for kind in kinds]
+    colours = screen_colours(SPACE)
+    for title, raw in (("first run", before), ("second run", after)):
+        train = SPACE.to_train(np.array(raw, np.uint32))
+        np.testing.assert_array_equal(views[title], colours[train])
+    assert imread(runs[1].out / FILES[2]).shape[1] > 1800
 
 
 def test_the_page_of_a_run_has_the_changes(runs):

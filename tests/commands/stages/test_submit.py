@@ -9,6 +9,7 @@ from meanwhile import require_kept
 from scans import make_scan, refused, write_bin
 
 from salsanext_cli import label_space, write_labels
+from salsanext_cli.commands.jobs.label_checks import ProblemKind
 from salsanext_cli.commands.stages import submit as module
 from salsanext_cli.commands.stages.submit import SCANS_OF_TEST, Submission, submit
 from salsanext_cli.core.errors import FormatError, LabelError, OutputError
@@ -104,41 +105,55 @@ def test_a_file_that_was_written_meanwhile_is_kept(folders):
 
 
 def problems_by_subject(folders, **options):
-    """Return the problems of predictions that are not packed."""
+    """Return the problems of predictions that are not packed, with their cases."""
     before = folders.zip.read_bytes() if folders.zip.exists() else None
     made = folders.submit(**options)
     assert not made.is_packed
     assert (folders.zip.read_bytes() if folders.zip.exists() else None) == before
-    return {subject: problem for problem in made.problems for subject in problem.subjects}
+    return {case.subject: (problem, case) for problem in made.problems for case in problem.cases}
 
 
 def test_missing_predictions_are_one_problem(folders):
     for stem in ("000000", "000002"):
         folders.label("11", stem).unlink()
     folders.scan("11", "000000").unlink()
-    ((subject, problem),) = problems_by_subject(folders).items()
+    ((subject, (problem, case)),) = problems_by_subject(folders).items()
     assert (subject, problem.code) == ("sequence 11", "no-input")
-    assert "2 of 3 predictions: 000000, 000002" in problem.problem
-    assert "it lacks 1 scan" in problem.hint
+    assert "2 of 3 predictions: 000000, 000002" in case.problem
+    assert "lacks 1 scan of it" in case.problem
 
 
 def test_all_problems_are_listed_at_once(folders):
     folders.label("11", "000001").unlink()
     folders.label("13", "000000").unlink()
     folders.label("14", "000000").write_bytes(b"12345")
-    several = np.array([2, 252, 40, 10, 0, 0, 0], "<u2")
-    for sequence in ("15", "16", "17", "18"):
+    for sequence, unknown in (("15", 2), ("16", 3), ("17", 4), ("18", 2)):
+        several = np.array([unknown, 252, 40, 10, 0, 0, 0], "<u2")
         folders.label(sequence, "000000").write_bytes(several.tobytes())
-    found = folders.submit().problems
-    by_code = {}
-    for problem in found:
-        by_code.setdefault(problem.code, []).append(problem.subjects)
-    assert by_code["no-input"] == [("sequence 11",), ("sequence 13",)]
-    assert by_code["format"] == [(str(folders.label("14", "000000")),)]
-    # Each of the four files has three: bytes per label, unknown ids, moving classes.
-    four = tuple(str(folders.label(sequence, "000000")) for sequence in ("15", "16", "17", "18"))
-    assert by_code["label"] == [four, four, four]
-    assert [len(problem.texts) for problem in found] == [1, 1, 1, 1, 1, 1]
+    write_labels(folders.label("19", "000000"), np.full(POINTS + 2, 40))
+    problems = {problem.kind: problem for problem in folders.submit().problems}
+    subjects = {
+        kind: [case.subject for case in problem.cases] for kind, problem in problems.items()
+    }
+    four = [str(folders.label(sequence, "000000")) for sequence in ("15", "16", "17", "18")]
+    assert subjects == {
+        ProblemKind.MISSING: ["sequence 11", "sequence 13"],
+        ProblemKind.UNREADABLE: [str(folders.label("14", "000000"))],
+        ProblemKind.WIDTH: four,
+        ProblemKind.UNKNOWN: four,
+        ProblemKind.MOVING: four,
+        ProblemKind.COUNT: [str(folders.label("19", "000000"))],
+    }
+    unknown_ids = problems[ProblemKind.UNKNOWN]
+    first, *examples = unknown_ids.text.splitlines()
+    assert first == "4 cases: unknown ids"
+    assert examples == [
+        f"  {four[0]}: has unknown ids 2",
+        f"  {four[1]}: has unknown ids 3",
+        f"  {four[2]}: has unknown ids 4",
+        "  and 1 more",
+        f"hint: {unknown_ids.hint}",
+    ]
 
 
 def test_predictions_of_other_scans_are_named_and_not_packed(folders, caplog):
@@ -166,9 +181,10 @@ def test_a_wrong_file_is_a_problem_and_nothing_written(folders, content, kind, p
     write_labels(folders.label("16", "000000"), np.full(POINTS, 10 | 7 << 16))
     path = folders.label("21", "000001")
     path.write_bytes(bytes(content))
-    ((subject, found),) = problems_by_subject(folders).items()
+    ((subject, (found, case)),) = problems_by_subject(folders).items()
     assert (subject, found.code) == (str(path), kind.code)
-    assert problem in found.problem
+    assert problem in case.problem
+    assert found.text.startswith(f"{path}: ")
     assert not folders.zip.parent.exists() or list(folders.zip.parent.iterdir()) == []
 
 
@@ -178,7 +194,7 @@ def test_an_incomplete_data_set_is_noticed(folders):
         path.unlink()
     for with_data in (True, False):
         (problem,) = folders.submit(with_data=with_data).problems
-        assert problem.subjects == ("sequence 21",)
+        assert [case.subject for case in problem.cases] == ["sequence 21"]
         assert ("complete the data set" in problem.hint) == with_data
 
 
@@ -201,7 +217,7 @@ def test_another_label_space_needs_the_scans_of_its_test_split(folders):
     folders.label("11", "000002").unlink()
     only = replace(space, splits={"test": ("11",)})
     (problem,) = folders.submit(space=only).problems
-    assert "1 of 3 predictions: 000002" in problem.problem
+    assert "1 of 3 predictions: 000002" in problem.cases[0].problem
     assert folders.submit(space=only, with_data=False).scans == 2
 
 

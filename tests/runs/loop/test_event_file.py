@@ -38,13 +38,29 @@ def test_each_scan_gets_a_line_when_it_ends(tmp_path, options):
     assert failed["scan"] == "/scans/bad.bin"
     assert failed["reason"] == "/scans/bad.bin: cut off"
     assert (failed["code"], failed["hint"], failed["warnings"]) == ("format", "", [])
-    assert not {"reason", "hint", "code"} & lines[0].keys() or lines[0] is failed
+    for line in lines:
+        assert ({"reason", "hint", "code"} <= line.keys()) == (line is failed)
+        assert bool({"reason", "hint", "code"} & line.keys()) == (line is failed)
     # A second run appends the scans that it attempts.
     run(Write(tmp_path, peaceful=True), scans_of("a", "bad", "c", "d"), events=events, **options)
     added = lines_of(path)[3:]
     assert sorted(line["name"] for line in added) == ["s/bad", "s/d"]
-    run(Write(tmp_path), scans_of("a"), events=events, **options)
-    assert len(lines_of(path)) == 5
+    assert [(line["count"], line["total"]) for line in added] == [(1, 2), (2, 2)]
+
+
+def test_a_run_without_scans_to_work_on_has_a_line(tmp_path):
+    """Another program may wait for the file, or for a line about this run."""
+    path = tmp_path / "events.jsonl"
+    events = EventFile(path=path, command="predict")
+    run(Write(tmp_path), scans_of("a", "b"))
+    for lines in (1, 2):
+        assert run(Write(tmp_path), scans_of("a", "b"), events=events).skipped == 2
+        assert len(lines_of(path)) == lines
+    last = lines_of(path)[-1]
+    assert (last["scan"], last["name"], last["state"]) == (None, None, "none")
+    assert (last["count"], last["total"], last["command"]) == (0, 0, "predict")
+    run(Write(tmp_path), scans_of("c"), events=events)
+    assert [line["state"] for line in lines_of(path)] == ["none", "none", "done"]
 
 
 def test_the_result_of_a_scan_exists_before_its_line(tmp_path):
