@@ -80,7 +80,8 @@ def line_at(
     deviation = float(np.sqrt(np.mean(np.square(misses))))
     near = sum(abs(miss) <= 0.05 for miss in misses)
     inside = sum(abs(miss) <= HALF_WIDTH * deviation for miss in misses)
-    print(f"\n{near} of {len(misses)} within 5 points, {inside} inside the interval of a run;")
+    drives = f"{near} of {len(misses)} within 5 percentage points"
+    print(f"\n{drives}, {inside} inside the interval of a run;")
     print(f"root mean square {100 * deviation:.1f}", flush=True)
     return AccuracyLine(
         slope=round(float(slope), 4),

@@ -80,7 +80,7 @@ def _scan_table(comparison: RunComparison) -> Table:
         )
         for change in comparison.most_changed
     ]
-    headings = ("scan", "changed %", "change of accuracy")
+    headings = ("scan", "changed %", "change of accuracy, percentage points")
     return table_of(headings, rows, title="Most changed scans")
 
 

@@ -107,21 +107,21 @@ def label_problems(path: Path, scan: Path | None, space: LabelSpace) -> Iterator
         return
     if size != 4 * len(raw):
         problem = f"has {counted(size // len(raw), 'byte')} per label"
-        error = LabelError(path, problem, "4, one uint32 per point", "write the labels as uint32")
-        yield KnownProblem(kind=ProblemKind.WIDTH, error=error)
+        width = LabelError(path, problem, "4, one uint32 per point", "write the labels as uint32")
+        yield KnownProblem(kind=ProblemKind.WIDTH, error=width)
     ids = np.flatnonzero(np.bincount(raw & 0xFFFF, minlength=RAW_ID_COUNT)).tolist()
     unknown = [raw_id for raw_id in ids if raw_id not in space.learning_map]
     if unknown:
         hint = f"write raw ids, not train ids, or give {argument('space')}"
-        error = LabelError(path, f"has unknown ids {first_few(unknown)}", "", hint)
-        yield KnownProblem(kind=ProblemKind.UNKNOWN, error=error)
+        ids_error = LabelError(path, f"has unknown ids {first_few(unknown)}", "", hint)
+        yield KnownProblem(kind=ProblemKind.UNKNOWN, error=ids_error)
     names = {raw_id: space.labels.get(raw_id, "") for raw_id in ids}
     moving = [f"{raw_id} {name}" for raw_id, name in names.items() if name.startswith(MOVING)]
     if moving:
         problem = f"has ids of moving classes, {first_few(moving)}"
         hint = "write the ids of the classes at rest, such as 10 instead of 252"
-        error = LabelError(path, problem, "classes of single scans", hint)
-        yield KnownProblem(kind=ProblemKind.MOVING, error=error)
+        moving_error = LabelError(path, problem, "classes of single scans", hint)
+        yield KnownProblem(kind=ProblemKind.MOVING, error=moving_error)
 
 
 def _point_count(scan: Path) -> int:

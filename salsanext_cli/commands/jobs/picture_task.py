@@ -1,14 +1,23 @@
 # SPDX-License-Identifier: MIT
 """Task that draws scans, and the scales that all pictures of a run share."""
 
+import logging
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.sensors.sensor import Sensor
-from salsanext_cli.core.wording import argument
-from salsanext_cli.report.colours import CLASS_COLOURS, Scales, common_scales, require_colouring
+from salsanext_cli.core.texts import with_hint
+from salsanext_cli.core.wording import argument, setting
+from salsanext_cli.report.colours import (
+    CLASS_COLOURS,
+    Scale,
+    Scales,
+    common_scales,
+    require_colouring,
+)
 from salsanext_cli.report.scan_pictures import known_strips, known_views, picture_of_results
 from salsanext_cli.runs.records.stage_settings import PictureSettings
 from salsanext_cli.runs.results.output_run import OutputRun
@@ -17,6 +26,10 @@ from salsanext_cli.runs.results.result_folder import ResultFolder
 from salsanext_cli.runs.results.scan_results import PICTURE_COLOURS, picture_columns
 
 FOLDER = "pictures"
+LEAST_INSIDE = 0.5  # Share of the values of scans that a scale should contain
+LEAST_USED = 0.1  # Share of a scale that they should use
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,3 +130,30 @@ def picture_scales(
         scales = dict(continued.scales or {})
     unscaled = [colour for colour in values if colour not in scales]
     return scales | common_scales(results.root, scans, unscaled, space, sensor)
+
+
+def warn_of_unfit_scales(out: Path, scales: Scales, own_scales: Scales) -> None:
+    """Warn of scans whose values the scales of earlier pictures hardly show.
+
+    Parameters
+    ----------
+    out : Path
+        Folder of the pictures.
+    scales, own_scales : dict
+        Scales of the earlier pictures, and those that the scans alone would have, by colour.
+    """
+    for colour, scale in scales.items():
+        own = own_scales.get(colour, scale)
+        if not _fits(scale, own):
+            values = f"{colour} of these scans is {own[0]:.3g} to {own[-1]:.3g}"
+            problem = f"{values}, the earlier pictures have {scale[0]:.3g} to {scale[-1]:.3g}"
+            hint = f"draw them into another folder, or all again with {setting('overwrite', True)}"
+            log.warning("%s", with_hint(f"{out}: {problem}", hint))
+
+
+def _fits(scale: Scale, own: Scale) -> bool:
+    """Return whether a scale shows values whose own scale is another."""
+    span = own[-1] - own[0]
+    common = max(0.0, min(scale[-1], own[-1]) - max(scale[0], own[0]))
+    is_inside = common >= LEAST_INSIDE * span
+    return is_inside and span >= LEAST_USED * (scale[-1] - scale[0])

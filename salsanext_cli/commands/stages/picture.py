@@ -13,6 +13,7 @@ from salsanext_cli.commands.jobs.picture_task import (
     drawn_colours,
     picture_scales,
     require_drawable,
+    warn_of_unfit_scales,
 )
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.notices import NOTICE
@@ -111,8 +112,9 @@ def picture_scans(
 ) -> PictureOutcome:
     """Draw scans, which need no results, to `OUT/sequences/<seq>/pictures/*.png`.
 
-    A folder may collect the pictures of scans that have nothing in common: each call has scales and
-    a sensor of its own. So the record contains only what was requested.
+    All pictures of a folder have the same scales, so that they can be compared: those of the first
+    call. Scans with other values get a warning. Each call has a sensor of its own, so the record
+    contains only a requested one.
 
     Parameters
     ----------
@@ -167,9 +169,11 @@ def picture_scans(
         view=settings.fits_view,
         mounting=settings.fits_mounting,
     )
-    scales = run.scales(sensor, (HEIGHT, *COLOURINGS), None)
-    requested_scales: Scales = {} if scale is None else dict.fromkeys(run.colours, scale)
-    recorded = run.settings(requested_scales, requested, requested_space)
+    scales = run.scales(sensor, (HEIGHT, *COLOURINGS), run.continued)
+    if run.continued is not None and scale is None:
+        own_scales = run.scales(sensor, [*scales], None)
+        warn_of_unfit_scales(results.root, scales, own_scales)
+    recorded = run.settings(scales, requested, requested_space)
     return run.draw(recorded, scales, sensor, record_scans=True)
 
 

@@ -157,12 +157,12 @@ def submit(
             # Each file is checked and packed.
             progress(next(steps), 2 * len(required.names))
 
-    found = [KnownProblem(kind=ProblemKind.MISSING, error=error) for error in required.missing]
+    cases = [KnownProblem(kind=ProblemKind.MISSING, error=error) for error in required.missing]
     for name in required.names:
         if name in files:
-            found += label_problems(files[name], clouds.get(name), space)
+            cases += label_problems(files[name], clouds.get(name), space)
         advance()
-    problems = grouped_problems(found)
+    problems = grouped_problems(cases)
     if not problems:
         members = {} if description is None else {"description.txt": description}
         for name in required.names:

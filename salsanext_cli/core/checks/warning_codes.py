@@ -35,7 +35,7 @@ class WarningCode(StrEnum):
     INDOOR = "indoor", "small ranges, as in a room"
     NOT_MEASURED = "not-measured", "points without a measurement"
     OUT_OF_VIEW = "out-of-view", "points outside the field of view"
-    # Solid-state sensors, which only get this warning, had the estimate within 3 points.
+    # Solid-state sensors, which only get this warning, had the estimate within 3 percentage points.
     PART_OF_CIRCLE = "part-of-circle", "points in a part of the directions", False
     FEW_DIRECTIONS = "few-directions", "points in very few directions"
     SPARSE = "sparse", "few rows of the image have points"

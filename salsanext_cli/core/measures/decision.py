@@ -67,8 +67,8 @@ LEVELS = (
 With weights version 6, 60 real and simulated drives were divided by the estimate and the share of
 doubtful points (docs/experiments/default-weights.md). 85 % or more of the labels were right on the
 five of the first level, and of the coarse labels on 37 of the 39 of the second; on the 16 others 55
-to 81 % of the labels were right. A few labelled scans gained a median of 13.8 points where at most
-75 % were right before, and of 1.4 points where more were (`label_gains`).
+to 81 % of the labels were right. A few labelled scans gained a median of 13.8 percentage points
+where at most 75 % were right before, and of 1.4 where more were (`label_gains`).
 """
 UNSUITED_FOR = (WarningCode.DEPTH_IMAGE, WarningCode.INDOOR)
 """Warnings that the classes or the images of the weights do not suit the scans."""

@@ -102,7 +102,8 @@ class GainRange:
         """One line for people."""
         fewest = min(trial.scans for trial in self.trials)
         most = max(trial.scans for trial in self.trials)
-        gains = f"{self.worst:.1f} to {self.best:.1f} points of accuracy (median {self.median:.1f})"
+        span = f"{self.worst:.1f} to {self.best:.1f}"
+        gains = f"{span} percentage points of accuracy (median {self.median:.1f})"
         data_sets = _listed([trial.data_set for trial in self.trials])
         trials = f"{len(self.trials)} trials of {self._versions} on {data_sets}"
         same = sum(trial.same_drive for trial in self.trials)

@@ -178,7 +178,7 @@ def test_an_unknown_file_is_drawn_by_height_and_intensity(alone, tmp_path, name)
 
 
 @pytest.mark.usefixtures("plain")
-def test_scans_that_have_nothing_in_common_may_share_a_folder(alone, tmp_path):
+def test_all_pictures_of_a_folder_have_one_scale(alone, tmp_path, caplog):
     out, unfitted = tmp_path / "out", NetworkSettings(fit=False)
     near = alone("near.bin", make_scan().points)
     far = alone("far.bin", 4 * make_scan().points)
@@ -186,11 +186,19 @@ def test_scans_that_have_nothing_in_common_may_share_a_folder(alone, tmp_path):
     def drawn_in_out(path, **changes):
         return picture_scans(path, out, settings=unfitted, **changes)
 
-    scales = [drawn_in_out(path).scales["height"] for path in (near, far)]
-    assert scales[1] == pytest.approx(4 * np.array(scales[0]), rel=1e-5)
-    assert [drawn_in_out(path).skipped for path in (near, far)] == [1, 1]
+    like = alone("like.bin", 1.1 * make_scan().points)
+    scales = [drawn_in_out(path).scales for path in (near, like)]
+    assert scales[1] == scales[0]
+    assert not [record for record in caplog.records if record.levelname == "WARNING"]
+    assert drawn_in_out(far).scales == scales[0]
+    warnings = [r.getMessage() for r in caplog.records if r.levelname == "WARNING"]
+    colours = [text.removeprefix(f"{out}: ").partition(" of these scans")[0] for text in warnings]
+    assert colours == ["height", "range"]
+    assert [drawn_in_out(path).skipped for path in (near, like, far)] == [1, 1, 1]
     with refused(OutputError, out / "picture.json"):
         drawn_in_out(near, scale=(0, 1), colours=["height"])
+    redrawn = drawn_in_out(far, options=OVERWRITE).scales["height"]
+    assert redrawn == pytest.approx(4 * np.array(scales[0]["height"]), rel=1e-5)
 
 
 @pytest.mark.usefixtures("plain")

@@ -61,8 +61,9 @@ def test_the_text_has_worst_best_and_median():
     gains = GainRange(FIVE[1:])  # 2.0, 0.0 and 0.8 points with 27, 7 and 5 scans
     assert [gains.worst, gains.best, gains.median] == [0.0, 2.0, 0.8]
     assert gains.text == (
-        "5 to 27 labelled scans gained 0.0 to 2.0 points of accuracy (median 0.8) in 3 trials of "
-        "weights version 5 on SemanticKITTI that began with 80 to 86 % right labels where measured"
+        "5 to 27 labelled scans gained 0.0 to 2.0 percentage points of accuracy (median 0.8) in "
+        "3 trials of weights version 5 on SemanticKITTI that began with 80 to 86 % right labels "
+        "where measured"
     )
 
 
