@@ -54,6 +54,7 @@ ELSEWHERE: dict[str, dict[str, str]] = {
         "commands/jobs/pick_job.py": "commands/stages/test_pick.py",
         "commands/jobs/point_filter.py": "commands/stages/test_filter.py",
         "commands/jobs/predict_job.py": "commands/stages/test_predict.py",
+        "commands/jobs/prediction_plan.py": "commands/stages/test_predict.py",
         "commands/jobs/uncertainty_job.py": "commands/stages/test_uncertainty.py",
         "report/readable_scans.py": "commands/stages/test_report.py",
         "report/run_server.py": "commands/stages/test_report.py",

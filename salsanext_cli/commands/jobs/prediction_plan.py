@@ -1,35 +1,28 @@
 # SPDX-License-Identifier: MIT
-"""What `predict` decides before the first scan: network, scans, folders; and the plan of a run."""
+"""What `predict` decides before the first scan: network, scans, folders."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
-
 from salsanext_cli.commands.jobs.label_rejection import LabelRejection, label_rejection
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.records import Origin
-from salsanext_cli.core.sensors.sensor import NOISE, Sensor
 from salsanext_cli.core.uncertainty.error_features import error_model
 from salsanext_cli.core.wording import argument, setting
-from salsanext_cli.runs.fit.scan_sample import sample_of_files
 from salsanext_cli.runs.fit.sensor_fit import network_of_run, settings_of_network
 from salsanext_cli.runs.fit.stated_origin import origin_in_frame
 from salsanext_cli.runs.loop.recorded_names import with_recorded_names
 from salsanext_cli.runs.loop.run_origins import OriginsOfRun
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.records.stage_settings import PredictSettings
-from salsanext_cli.runs.results.output_run import OutputRun
-from salsanext_cli.runs.results.paths import ERROR, LEAST_CONFIDENCE, ORIGINS, ScanFile
+from salsanext_cli.runs.results.paths import ERROR, LEAST_CONFIDENCE, ScanFile
 from salsanext_cli.runs.results.recorded_origins import folders_of_origins
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.results.selection import choose, scans_of, space_of
-
-NPY_HEADER_BYTES = 128
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,77 +103,6 @@ def prepare_prediction(
         recorded=recorded,
         folders=_folders(out, network, extras),
     )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PredictionPlan:
-    """What a prediction would do.
-
-    Attributes
-    ----------
-    scans, done, todo : int
-        Number of scans of the source; of selected scans of the shard with and without results.
-    points_per_scan : int
-        Mean number of points of up to 16 scans, evenly spaced; 0 if none can be read.
-    bytes_per_scan : int
-        Estimated size of the results of a scan, without those of ``objects`` and ``votes``.
-    sensor, trained : Sensor
-        Sensor of the run, and that of the weights.
-    """
-
-    scans: int
-    done: int
-    todo: int
-    points_per_scan: int
-    bytes_per_scan: int
-    sensor: Sensor
-    trained: Sensor
-
-    @classmethod
-    def from_run(
-        cls, prepared: PreparedPrediction, run: OutputRun, scans: Sequence[ScanFile]
-    ) -> "PredictionPlan":
-        """Return the plan of a run over the scans of a shard."""
-        network = prepared.network
-        sample = sample_of_files(prepared.scans, network.sensor).scans
-        points = round(np.mean([len(scan) for scan in sample])) if sample else 0
-        sizes = _result_sizes(points, network)
-        todo = sum(1 for scan in scans if not run.is_done(scan))
-        return cls(
-            scans=len(prepared.listed),
-            done=len(scans) - todo,
-            todo=todo,
-            points_per_scan=points,
-            bytes_per_scan=sum(sizes.get(folder, 0) for folder in prepared.folders),
-            sensor=network.sensor,
-            trained=network.card.sensor,
-        )
-
-    def to_dict(self) -> dict[str, object]:
-        """Return plain data for JSON."""
-        return {
-            "dry_run": True,
-            "found": self.scans,
-            "complete": self.done,
-            "todo": self.todo,
-            "points_per_scan": self.points_per_scan,
-            "bytes": self.todo * self.bytes_per_scan,
-            "sensor": self.sensor.to_dict(NOISE),
-        }
-
-
-def _result_sizes(points: int, network: Network) -> dict[str, int]:
-    """Return the size of the results of a scan with so many points, in bytes, by folder."""
-    shape = network.sensor
-    classes = network.space.class_count
-    return {
-        "predictions": 4 * points,
-        LEAST_CONFIDENCE: NPY_HEADER_BYTES + 4 * points,
-        ERROR: NPY_HEADER_BYTES + 4 * points,
-        "probabilities": NPY_HEADER_BYTES + 2 * points * classes,
-        "pixel_labels": NPY_HEADER_BYTES + shape.height * shape.width,
-        ORIGINS: NPY_HEADER_BYTES + 24,
-    }
 
 
 def _recorded_settings(

@@ -121,6 +121,9 @@ jobs_option = partial(_option_of, RunOptions, "jobs")
 JOBS = jobs_option()
 CLUSTER = _option_of(RunOptions, "cluster")
 OVERWRITE = _option_of(RunOptions, "overwrite")
+DRY_RUN = running_option(
+    "Print the scans to do, the sensor and the size; compute nothing.", default=False
+)
 STRICT = running_option("Exit with status 1 after a warning about a scan.", default=False)
 Unsharded = Annotated[RunOptions, Without({"shard"})]
 """For results over all scans, which several runs cannot share."""

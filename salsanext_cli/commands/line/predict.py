@@ -12,6 +12,7 @@ from salsanext_cli.commands.line import arguments, console, summary
 from salsanext_cli.commands.line.jobs_option import MeasuredRunOptions
 from salsanext_cli.commands.line.next_command import command_on_labels
 from salsanext_cli.commands.line.option_fields import option, option_group, running_option
+from salsanext_cli.commands.line.printed_plan import print_plan
 from salsanext_cli.commands.line.progress import over_scans
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
@@ -23,7 +24,6 @@ from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.sensor_request import AUTO
 
 if TYPE_CHECKING:
-    from salsanext_cli.commands.jobs.prediction_plan import PredictionPlan
     from salsanext_cli.commands.stages.predict import PredictOutcome
     from salsanext_cli.core.records import Origin
 
@@ -107,9 +107,7 @@ def predict(
         show_default="1 on a CPU, several on a GPU",
     ),
     running: MeasuredRunOptions,
-    dry_run: bool = running_option(
-        "Print the scans to do, the sensor and the size; compute nothing.", default=False
-    ),
+    dry_run: bool = arguments.DRY_RUN,
     strict: bool = arguments.STRICT,
     output: console.Output,
 ) -> None:
@@ -147,7 +145,7 @@ def predict(
             selection=selection,
             options=running,
         )
-        _print_plan(plan, out, output)
+        print_plan("predict", plan, out, output)
         return
     with over_scans("predict", running, output.quiet) as options:
         if images is not None:
@@ -177,20 +175,6 @@ def predict(
     summary.print_summary_and_exit(
         "predict", outcome, out, output, following=following, numbers=numbers, strict=strict
     )
-
-
-def _print_plan(plan: "PredictionPlan", out: Path, output: console.Output) -> None:
-    """Print what a prediction would do."""
-    from salsanext_cli.core.fitting.sensor_texts import image_text
-
-    output.result({"stage": "predict", "out": str(out), **plan.to_dict()})
-    scans = counted(plan.scans, "scan")
-    output.print(f"predict: {scans} found, {plan.done:,} done already, {plan.todo:,} to do → {out}")
-    for text in dict.fromkeys(image_text(sensor, plan.trained) for sensor in plan.sensor.members):
-        output.print(f"image: {text}")
-    size = f"{plan.todo * plan.bytes_per_scan / 1e6:,.1f} MB"
-    points = f"scans of {plan.points_per_scan:,} points"
-    output.print(f"results: {size} for {points}; nothing was computed or written into {out}")
 
 
 def _numbers(

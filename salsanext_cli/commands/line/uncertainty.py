@@ -10,6 +10,7 @@ import typer
 from salsanext_cli.commands.line import arguments, console, summary
 from salsanext_cli.commands.line.next_command import next_command
 from salsanext_cli.commands.line.option_fields import option
+from salsanext_cli.commands.line.printed_plan import print_plan
 from salsanext_cli.commands.line.progress import over_scans
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.runs.loop.run_options import RunOptions
@@ -35,6 +36,7 @@ def uncertainty(
     settings: arguments.Network,
     knn: KnnParameters,
     running: RunOptions,
+    dry_run: bool = arguments.DRY_RUN,
     strict: bool = arguments.STRICT,
     output: console.Output,
 ) -> None:
@@ -42,19 +44,34 @@ def uncertainty(
 
     Example: salsanext uncertainty seq/velodyne out/ --samples 30
     """
+    from salsanext_cli.commands.stages.uncertainty import plan_uncertainty
     from salsanext_cli.commands.stages.uncertainty import uncertainty as stage
     from salsanext_cli.core.uncertainty.method import UncertaintyMethod
 
     places = arguments.scans_and_out(context, scans, out, dataset, topic)
     source = places.scans
     out = places.out
+    settings = replace(settings, classes=classes)
+    method = UncertaintyMethod(samples, seed, aleatoric)
+    if dry_run:
+        plan = plan_uncertainty(
+            source,
+            out,
+            settings=settings,
+            knn=knn,
+            method=method,
+            selection=selection,
+            options=running,
+        )
+        print_plan("uncertainty", plan, out, output)
+        return
     with over_scans("uncertainty", running, output.quiet) as options:
         outcome = stage(
             source,
             out,
-            settings=replace(settings, classes=classes),
+            settings=settings,
             knn=knn,
-            method=UncertaintyMethod(samples, seed, aleatoric),
+            method=method,
             selection=selection,
             options=options,
         )

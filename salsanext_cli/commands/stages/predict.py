@@ -10,7 +10,8 @@ from typing import Literal
 from salsanext_cli.commands.jobs.image_job import PredictImageJob
 from salsanext_cli.commands.jobs.label_rejection import LabelRejection
 from salsanext_cli.commands.jobs.predict_job import PredictJob
-from salsanext_cli.commands.jobs.prediction_plan import PredictionPlan, prepare_prediction
+from salsanext_cli.commands.jobs.prediction_plan import prepare_prediction
+from salsanext_cli.commands.jobs.run_plan import RunPlan
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.records import Origin
@@ -146,7 +147,7 @@ def plan_prediction(
     origin: Origin | None = None,
     selection: ScanSelection = ScanSelection(),
     options: RunOptions = RunOptions(),
-) -> PredictionPlan:
+) -> RunPlan:
     """Return what `predict_scans` would do with the same arguments; write nothing into `out`.
 
     Parameters
@@ -156,7 +157,7 @@ def plan_prediction(
 
     Returns
     -------
-    PredictionPlan
+    RunPlan
         Scans, size of the results, and the sensor, whose fit to the scans is that of the run.
 
     Raises
@@ -183,7 +184,14 @@ def plan_prediction(
         prepared.scans,
         overwrite=options.overwrite,
     )
-    return PredictionPlan.from_run(prepared, run, options.shard.select(prepared.scans))
+    return RunPlan.from_run(
+        run,
+        prepared.network,
+        listed=prepared.listed,
+        scans=prepared.scans,
+        scans_of_shard=options.shard.select(prepared.scans),
+        folders=prepared.folders,
+    )
 
 
 def _new_summary(

@@ -3,10 +3,11 @@
 
 import logging
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
+from salsanext_cli.commands.jobs.run_plan import RunPlan
 from salsanext_cli.commands.jobs.uncertainty_job import UncertaintyJob
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import OutputError
@@ -29,8 +30,8 @@ from salsanext_cli.runs.loop.run_origins import OriginsOfRun
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.records.stage_settings import StageSettings, UncertaintySettings
 from salsanext_cli.runs.results.manifest import Manifest
-from salsanext_cli.runs.results.output_run import output_run
-from salsanext_cli.runs.results.paths import ERROR
+from salsanext_cli.runs.results.output_run import foreseen_run, output_run
+from salsanext_cli.runs.results.paths import ERROR, ScanFile
 from salsanext_cli.runs.results.recorded_origins import folders_of_origins
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.results.selection import choose, scans_of, space_of
@@ -77,15 +78,130 @@ def uncertainty(
     -------
     Outcome
     """
+    prepared = _prepared(
+        source,
+        out,
+        settings=settings,
+        knn=knn,
+        method=method,
+        selection=selection,
+        overwrite=options.overwrite,
+    )
+    network = prepared.network
+    scans = prepared.scans
+    summary = RunSummary.from_network(network, scans)
+    run = output_run(
+        out,
+        "uncertainty",
+        prepared.recorded,
+        prepared.folders,
+        scans,
+        overwrite=options.overwrite,
+        weights=settings.named_path,
+        options=settings.named(),
+    )
+    with run as output, recorded_summary(summary, output, scans):
+        by_poses = prepared.origins.result_origins(output, scans, network.sensor)
+        job = partial(UncertaintyJob, knn=knn, method=method, output=output, origins=by_poses)
+        resolved = resolved_for(settings, network, scans)
+        if not is_unreadable(scans, network):
+            log.log(NOTICE, "each scan takes %s", method.passes_text)
+        task = NetworkTask(job=job, settings=resolved, network=network, batch=1)
+        return run_over_scans(
+            task, scans, options, is_done=output.is_done, summary=summary, writes=[out]
+        )
+
+
+def plan_uncertainty(
+    source: Path | Sequence[Path],
+    out: Path,
+    *,
+    settings: NetworkSettings = NetworkSettings(),
+    knn: KnnParameters = KnnParameters(),
+    method: UncertaintyMethod = UncertaintyMethod(),
+    selection: ScanSelection = ScanSelection(),
+    options: RunOptions = RunOptions(),
+) -> RunPlan:
+    """Return what `uncertainty` would do with the same arguments; write nothing into `out`.
+
+    Parameters
+    ----------
+    source, out, settings, knn, method, selection, options
+        As for `uncertainty`.
+
+    Returns
+    -------
+    RunPlan
+        Scans, size of the results, and the sensor, whose fit to the scans is that of the run.
+
+    Raises
+    ------
+    SalsanextError
+        What the run would refuse.
+    """
+    prepared = _prepared(
+        source,
+        out,
+        settings=settings,
+        knn=knn,
+        method=method,
+        selection=selection,
+        overwrite=options.overwrite,
+    )
+    run = foreseen_run(
+        out,
+        "uncertainty",
+        prepared.recorded,
+        prepared.folders,
+        prepared.scans,
+        overwrite=options.overwrite,
+    )
+    return RunPlan.from_run(
+        run,
+        prepared.network,
+        listed=prepared.listed,
+        scans=prepared.scans,
+        scans_of_shard=options.shard.select(prepared.scans),
+        folders=prepared.folders,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PreparedUncertainty:
+    """A run before its first scan."""
+
+    network: Network  # Fitted to the scans
+    listed: Sequence[ScanFile]  # All scans of the source
+    scans: Sequence[ScanFile]  # Those that were selected
+    origins: OriginsOfRun  # Origins of registered scans
+    recorded: UncertaintySettings  # Settings to record
+    folders: tuple[str, ...]  # Folders of the results
+
+
+def _prepared(
+    source: Path | Sequence[Path],
+    out: Path,
+    *,
+    settings: NetworkSettings,
+    knn: KnnParameters,
+    method: UncertaintyMethod,
+    selection: ScanSelection,
+    overwrite: bool,
+) -> PreparedUncertainty:
+    """Load and fit the network, and find the scans; arguments as of `uncertainty`."""
     network = settings.for_sampling().load()
     listed = with_recorded_names(scans_of(source), out)
     scans = choose(listed, selection, space_of(listed, network.card.space), source)
     # Labels of another stage stay, and so must the sensor with which they were made.
     labels_too = Manifest(out).owner("predictions") in (None, "uncertainty")
-    overwrite = options.overwrite and labels_too
-    origins = OriginsOfRun(out=out, stage="uncertainty", listed=listed, overwrite=options.overwrite)
+    origins = OriginsOfRun(out=out, stage="uncertainty", listed=listed, overwrite=overwrite)
     network = network_of_run(
-        settings, network, listed, out, overwrite=overwrite, origins_of=origins.sample_origins
+        settings,
+        network,
+        listed,
+        out,
+        overwrite=overwrite and labels_too,
+        origins_of=origins.sample_origins,
     )
     method.require(network)
     noise = network.sensor.require_noise() if method.is_noisy else None
@@ -100,27 +216,14 @@ def uncertainty(
     )
     folders = _folders(out, network, method, labels_too=labels_too)
     _require_network_of_labels(out, recorded)
-    summary = RunSummary.from_network(network, scans)
-    run = output_run(
-        out,
-        "uncertainty",
-        recorded,
-        folders,
-        scans,
-        overwrite=options.overwrite,
-        weights=settings.named_path,
-        options=settings.named(),
+    return PreparedUncertainty(
+        network=network,
+        listed=listed,
+        scans=scans,
+        origins=origins,
+        recorded=recorded,
+        folders=folders,
     )
-    with run as output, recorded_summary(summary, output, scans):
-        by_poses = origins.result_origins(output, scans, network.sensor)
-        job = partial(UncertaintyJob, knn=knn, method=method, output=output, origins=by_poses)
-        resolved = resolved_for(settings, network, scans)
-        if not is_unreadable(scans, network):
-            log.log(NOTICE, "each scan takes %s", method.passes_text)
-        task = NetworkTask(job=job, settings=resolved, network=network, batch=1)
-        return run_over_scans(
-            task, scans, options, is_done=output.is_done, summary=summary, writes=[out]
-        )
 
 
 def _folders(

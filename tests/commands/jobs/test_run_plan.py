@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The plan of a prediction states what the run then does, and changes nothing."""
+"""The plan of a run states what the run then does, and changes nothing."""
 
 import json
 
@@ -7,11 +7,17 @@ import pytest
 from command_line import only_json, subject
 from scans import files_below
 
+CALLS = {
+    "extras": ["predict", "--probabilities", "--pixel-labels"],
+    "uncertainty": ["uncertainty", "--samples", "2"],
+}
 
-@pytest.mark.parametrize("extras", [[], ["--probabilities", "--pixel-labels"]], ids=["", "extras"])
-def test_the_plan_is_what_the_run_does(run, data, weights, tmp_path, extras):
+
+@pytest.mark.parametrize("words", CALLS.values(), ids=CALLS)
+def test_the_plan_is_what_the_run_does(run, data, weights, tmp_path, words):
     out = tmp_path / "out"
-    call = ("predict", data, out, "--weights", weights, "--device", "cpu", *extras)
+    command, *extras = words
+    call = (command, data, out, "--weights", weights, "--device", "cpu", *extras)
     plan = only_json(run(*call, "--dry-run", "--json", status=0))
     assert not out.exists()
     assert [plan[key] for key in ("found", "complete", "todo")] == [2, 0, 2]
