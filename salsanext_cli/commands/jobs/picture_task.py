@@ -132,28 +132,28 @@ def picture_scales(
     return scales | common_scales(results.root, scans, unscaled, space, sensor)
 
 
-def warn_of_unfit_scales(out: Path, scales: Scales, own_scales: Scales) -> None:
+def warn_of_unfit_scales(out: Path, scales: Scales, scales_of_scans: Scales) -> None:
     """Warn of scans whose values the scales of earlier pictures hardly show.
 
     Parameters
     ----------
     out : Path
         Folder of the pictures.
-    scales, own_scales : dict
+    scales, scales_of_scans : dict
         Scales of the earlier pictures, and those that the scans alone would have, by colour.
     """
     for colour, scale in scales.items():
-        own = own_scales.get(colour, scale)
-        if not _fits(scale, own):
-            values = f"{colour} of these scans is {own[0]:.3g} to {own[-1]:.3g}"
-            problem = f"{values}, the earlier pictures have {scale[0]:.3g} to {scale[-1]:.3g}"
+        values = scales_of_scans.get(colour, scale)
+        if not _fits(scale, values):
+            text = f"{colour} of these scans is {values[0]:.3g} to {values[-1]:.3g}"
+            problem = f"{text}, the earlier pictures have {scale[0]:.3g} to {scale[-1]:.3g}"
             hint = f"draw them into another folder, or all again with {setting('overwrite', True)}"
             log.warning("%s", with_hint(f"{out}: {problem}", hint))
 
 
-def _fits(scale: Scale, own: Scale) -> bool:
-    """Return whether a scale shows values whose own scale is another."""
-    span = own[-1] - own[0]
-    common = max(0.0, min(scale[-1], own[-1]) - max(scale[0], own[0]))
+def _fits(scale: Scale, values: Scale) -> bool:
+    """Return whether a scale shows the values of scans whose scale is another."""
+    span = values[-1] - values[0]
+    common = max(0.0, min(scale[-1], values[-1]) - max(scale[0], values[0]))
     is_inside = common >= LEAST_INSIDE * span
     return is_inside and span >= LEAST_USED * (scale[-1] - scale[0])

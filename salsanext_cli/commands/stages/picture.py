@@ -171,8 +171,8 @@ def picture_scans(
     )
     scales = run.scales(sensor, (HEIGHT, *COLOURINGS), run.continued)
     if run.continued is not None and scale is None:
-        own_scales = run.scales(sensor, [*scales], None)
-        warn_of_unfit_scales(results.root, scales, own_scales)
+        scales_of_scans = run.scales(sensor, [*scales], None)
+        warn_of_unfit_scales(results.root, scales, scales_of_scans)
     recorded = run.settings(scales, requested, requested_space)
     return run.draw(recorded, scales, sensor, record_scans=True)
 
