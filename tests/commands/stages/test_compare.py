@@ -165,15 +165,17 @@ def printed(comparison):
 
 
 def test_tables_have_scores_changes_and_scans(runs):
-    text = printed(compared(runs).comparison)
-    for words in (
-        "accuracy",
-        "mean IoU, 3 classes",
-        "clear",
-        "Most changed scans",
-        "05/0",
-        "5 scores judged",
-    ):
+    found = compared(runs).comparison
+    text = printed(found)
+    row = next(line for line in text.splitlines() if line.strip().startswith("accuracy"))
+    accuracy = found.accuracy
+    numbers = [accuracy.before, accuracy.after, accuracy.change, accuracy.low, accuracy.high]
+    printed_numbers = [float(word) for word in row.split() if word[-1].isdigit()]
+    assert printed_numbers == pytest.approx(100 * np.array(numbers), abs=0.051)
+    assert row.split()[-1] == "clear"
+    scans = text.partition("Most changed scans")[2].split()
+    assert [word for word in scans if "/" in word] == [c.scan for c in found.most_changed]
+    for words in ("mean IoU, 3 classes", "5 scores judged"):
         assert words in text
 
 
