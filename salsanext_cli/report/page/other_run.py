@@ -74,7 +74,7 @@ def other_run(out: Path) -> OtherRun | None:
         summary=_summary(comparison),
         scores=[_row(name, score) for name, score in scores.items()],
         notes=_notes(comparison),
-        label_changes=[_change_text(change) for change in comparison.label_changes],
+        label_changes=[_label_change_text(change) for change in comparison.label_changes],
         figures=[
             ChangeFigure(description=title, address=_address(out / name))
             for name, title in pictures.items()
@@ -113,7 +113,7 @@ def _row(name: str, difference: Difference) -> ScoreRow:
     )
 
 
-def _change_text(change: LabelChange) -> str:
+def _label_change_text(change: LabelChange) -> str:
     """State how many points of a class have another label now."""
     share = percent(change.share, 1, " %")
     points = counted(change.points, "point")
