@@ -167,7 +167,7 @@ def printed(comparison):
 def test_tables_have_scores_changes_and_scans(runs):
     found = compared(runs).comparison
     text = printed(found)
-    row = next(line for line in text.splitlines() if line.strip().startswith("accuracy"))
+    row = next(line.strip("│ ") for line in text.splitlines() if line.strip("│ ")[:8] == "accuracy")
     accuracy = found.accuracy
     numbers = [accuracy.before, accuracy.after, accuracy.change, accuracy.low, accuracy.high]
     printed_numbers = [float(word) for word in row.split() if word[-1].isdigit()]
