@@ -16,6 +16,8 @@ class LabelRequest:
         Neighbourhood of the refinement.
     softmax : bool
         Whether the points have the probabilities of all classes.
+    half_softmax : bool
+        Whether these are float16, as files contain them, instead of float32.
     error : bool
         Whether the points have the probability that their label is wrong, which needs an error
         model in the weights.
@@ -23,4 +25,5 @@ class LabelRequest:
 
     knn: KnnParameters = KnnParameters()
     softmax: bool = False
+    half_softmax: bool = False
     error: bool = False

@@ -59,7 +59,10 @@ class Labeller(Protocol):
         """
 
     def compute(self, scans: Sequence[Any]) -> Sequence[Any]:
-        """Compute what `finish` needs of scans that `prepare` made ready, together."""
+        """Compute what `finish` needs of scans that `prepare` made ready, together.
+
+        A GPU may still compute when it returns; `finish` waits for it.
+        """
 
     def finish(self, scan: Any, computed: Any) -> LabelledScan:
         """Return the labelled scan, on any thread; `WeightsError` if a result is not finite."""
@@ -101,7 +104,8 @@ class KernelLabeller:
             unlabelled = np.eye(1, self.network.space.class_count)
             pixel_softmax = cast(Float, computed.softmax)
             softmax = points_from_pixels(pixel_softmax, image.pixel_of_point, unlabelled)
-            labelled = replace(labelled, softmax=softmax)
+            number_type = np.float16 if self.request.half_softmax else np.float32
+            labelled = replace(labelled, softmax=softmax.astype(number_type, copy=False))
         if self.request.error:
             pixel_softmax = cast(Float, computed.softmax)
             error = error_probability(scan.network, image, pixel_softmax, labelled.labels)

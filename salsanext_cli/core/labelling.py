@@ -104,7 +104,7 @@ class LabelledScan:
         Train ids of the pixels.
     mean_confidence : float
         Mean of the largest probabilities of the occupied pixels, 0…1; 1 without any.
-    softmax : (N, C) float32, optional
+    softmax : (N, C) float32 or float16, optional
         Probabilities of all classes of the pixel of each point, class 0 without a pixel.
     error : (N,) float32, optional
         Probability that each label is wrong; NaN without a pixel.

@@ -48,9 +48,13 @@ class PredictJob:
     @property
     def labeller(self) -> Labeller:
         """Way of the scans to the results."""
-        softmax = bool(NEED_SOFTMAX & {*self.output.folders})
-        error = ERROR in self.output.folders
-        request = LabelRequest(knn=self.knn, softmax=softmax, error=error)
+        readers = NEED_SOFTMAX & {*self.output.folders}
+        request = LabelRequest(
+            knn=self.knn,
+            softmax=bool(readers),
+            half_softmax=readers == {"probabilities"},
+            error=ERROR in self.output.folders,
+        )
         return labeller_for(self.network, request)
 
     def prepare(self, file: ScanFile) -> FileToLabel:
@@ -90,7 +94,8 @@ class PredictJob:
         if scan.softmax is None:
             return
         if "probabilities" in self.output.folders:
-            self.output.write_array(file, "probabilities", scan.softmax.astype(np.float16))
+            probabilities = scan.softmax.astype(np.float16, copy=False)
+            self.output.write_array(file, "probabilities", probabilities)
         if "votes" in self.output.folders:
             # Only labels that are to be fused need a part of `fusion`.
             from salsanext_cli.core.fusion.top_classes import top_classes

@@ -20,6 +20,7 @@ from salsanext_cli.core.engines.backend import LOGITS, Backend, PixelPrediction
 from salsanext_cli.core.engines.batches import BatchSize
 from salsanext_cli.core.engines.cuda_graphs import CudaGraphs
 from salsanext_cli.core.engines.device import MAX_BATCH_PIXELS
+from salsanext_cli.core.engines.device_copies import HostCopies, pinned
 from salsanext_cli.core.engines.dropout_passes import dropout_rates, rest_with_factors
 from salsanext_cli.core.engines.moments import SoftmaxSpread
 from salsanext_cli.core.network.dropout import random_masks
@@ -162,8 +163,7 @@ class TorchBackend(Backend):
 
     def tensor(self, images: Sequence[Float]) -> Tensor:
         """Return images (1, 5, H, W) as a tensor (B, 5, H, W) on the device."""
-        batch = torch.from_numpy(np.concatenate(images))
-        batch = batch.pin_memory() if self._on_gpu else batch
+        batch = pinned(torch.from_numpy(np.concatenate(images)), self.device)
         return batch.to(self.device, memory_format=torch.channels_last, non_blocking=True)
 
     def _logits(self, images: Tensor) -> Tensor:
@@ -191,20 +191,9 @@ class TorchBackend(Backend):
 
     def to_host(self, tensors: Sequence[Tensor]) -> list[Any]:
         """Return tensors as arrays, copied together; wait for the device once."""
-        arrays = self.staged(tensors)
+        arrays = HostCopies.of(tensors).arrays()
+        # Systems have little of the page-locked memory of the copies from a GPU.
         return [array.copy() for array in arrays] if self._on_gpu else arrays
-
-    def staged(self, tensors: Sequence[Tensor]) -> list[Any]:
-        """Return tensors as arrays as `to_host`, but on a GPU in page-locked memory.
-
-        Systems have little of it, so what is kept must be copied.
-        """
-        hosts = [torch.empty(t.shape, dtype=t.dtype, pin_memory=self._on_gpu) for t in tensors]
-        for host, tensor in zip(hosts, tensors, strict=True):
-            host.copy_(tensor, non_blocking=True)
-        if self._on_gpu:
-            torch.cuda.current_stream(self.device).synchronize()
-        return [host.numpy() for host in hosts]
 
     def _sums(
         self,

@@ -7,10 +7,10 @@ Sums have another order than those of the kernels, so that last bits differ.
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 from torch import Tensor
 
+from salsanext_cli.core.engines.device_copies import device_numbers
 from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.network.error_model import ErrorModel
 from salsanext_cli.core.on_device.projection import RangeImages
@@ -29,6 +29,7 @@ from salsanext_cli.core.uncertainty.error_features import (
 HEIGHT_CHANNEL = 3  # z
 FIXED_POINT = 2.0**40  # Unit of sums of integers, whose order changes no bit
 CHUNK_PIXELS = 1 << 24  # Most pixels of windows at once
+ROUNDS = 4  # Rounds of joining between checks, for which the host waits; real scans need 9 or 10
 MAX_LOGIT = 30.0  # As in `ErrorModel.probability`
 
 
@@ -103,9 +104,9 @@ def _modelled(model: ErrorModel, features: Tensor) -> Tensor:
     """Return the probability of an error (P,) of features (P, F)."""
     values = features
     for number, layer in enumerate(model.layers):
-        weight, bias = (torch.from_numpy(np.ascontiguousarray(part)) for part in layer)
+        weight, bias = (device_numbers(numbers, values.device) for numbers in layer)
         values = values.relu() if number else values
-        values = torch.addmm(bias.to(values.device), values, weight.to(values.device))
+        values = torch.addmm(bias, values, weight)
     return values[:, 0].clamp(-MAX_LOGIT, MAX_LOGIT).sigmoid()
 
 
@@ -131,7 +132,8 @@ def error_features(labelled: LabelledImages, labels: Tensor) -> Tensor:
     log_range = _log_range(images.point_range)
     features[:, Feature.LOG_RANGE_BEYOND_PIXEL] = log_range - features[:, Feature.LOG_RANGE]
     features[:, Feature.LOG_RANGE] = log_range
-    # Most points have the label of their pixel, and are described by it.
+    # Most points have the label of their pixel, and are described by it. The host waits for the
+    # number of the others, because windows around all points would take longer.
     other = torch.nonzero(has_pixel & (labels != labelled.classes[pixel]))[:, 0]
     features[other, Feature.LABEL_PROBABILITY] = labelled.softmax[pixel[other], labels[other]]
     features[other, Feature.LABEL_SUPPORT] = label_support(labelled, labels[other], pixel[other])
@@ -142,14 +144,14 @@ def _features_of_pixels(labelled: LabelledImages) -> Tensor:
     """Return the features (n, 9) of the nearest points of the pixels, with their labels."""
     softmax = labelled.softmax
     largest, second = softmax.topk(2, dim=1).values.unbind(dim=1)
-    occupied = torch.nonzero(labelled.ranges > 0)[:, 0]
+    pixels = torch.arange(len(softmax), device=softmax.device)
+    support = label_support(labelled, labelled.classes, pixels)
     table = softmax.new_zeros(len(softmax), len(FEATURES))
-    support = label_support(labelled, labelled.classes[occupied], occupied)
     table[:, Feature.LABEL_PROBABILITY] = largest
     table[:, Feature.LARGEST_PROBABILITY] = largest
     table[:, Feature.MARGIN] = largest - second
     table[:, Feature.ENTROPY] = torch.special.entr(softmax).sum(dim=1).clamp(min=0)
-    table[occupied, Feature.LABEL_SUPPORT] = support
+    table[:, Feature.LABEL_SUPPORT] = support.where(labelled.ranges > 0, 0)
     table[:, Feature.REGION_PROBABILITY] = region_means(labelled, largest)
     table[:, Feature.LOG_RANGE] = _log_range(labelled.ranges)
     table[:, Feature.HEIGHT] = labelled.images.channels[:, HEIGHT_CHANNEL].reshape(-1)
@@ -170,12 +172,12 @@ def label_support(labelled: LabelledImages, labels: Tensor, pixels: Tensor) -> T
     labels : (M,) int64
         Train ids.
     pixels : (M,) int64
-        Flat index of the occupied pixel of each label.
+        Flat index of the pixel of each label.
 
     Returns
     -------
     (M,) float32
-        Probabilities, 0…1.
+        Probabilities, 0…1; any number or NaN for an empty pixel.
     """
     height, width = labelled.size
     device = pixels.device
@@ -223,21 +225,32 @@ def region_means(labelled: LabelledImages, values: Tensor) -> Tensor:
 def _regions(labelled: LabelledImages) -> Tensor:
     """Return the lowest pixel of the region of each pixel, (n,) int64; of an empty one, itself."""
     pairs = torch.cat(list(_neighbours(labelled)), dim=1)
-    first, second = pairs
-    lowest = torch.arange(len(labelled.classes), device=first.device)
+    lowest = torch.arange(len(labelled.classes), device=pairs.device)
     while True:
-        joined = lowest.clone()
-        least = torch.minimum(lowest[first], lowest[second])
-        for ends in pairs:
-            joined.scatter_reduce_(0, lowest[ends], least, "amin")
-        joined = joined[joined]
-        if torch.equal(joined, lowest):
+        for _ in range(ROUNDS):
+            before = lowest
+            lowest = _joined(before, pairs)
+        if torch.equal(before, lowest):
             return lowest
-        lowest = joined
+
+
+def _joined(lowest: Tensor, pairs: Tensor) -> Tensor:
+    """Return the lowest pixels (n,) so far, after regions with neighbours (2, M) are joined."""
+    joined = lowest.clone()
+    roots = lowest[pairs]
+    least = roots.amin(dim=0)
+    for root, pixel in zip(roots, pairs, strict=True):
+        # What changes nothing goes to its pixel, because all writes to one root would queue.
+        target = root.where(root > least, pixel)
+        joined.scatter_reduce_(0, target, least, "amin")
+    return joined[joined]
 
 
 def _neighbours(labelled: LabelledImages) -> Iterator[Tensor]:
-    """Yield pairs (2, M) of flat indices of neighbours of one class."""
+    """Yield pairs (2, M) of flat indices of neighbours of one class; others pair with themselves.
+
+    So their number is known without their values.
+    """
     height, width = labelled.size
     occupied = (labelled.ranges > 0).view(-1, height, width)
     classes = labelled.classes.view(-1, height, width).where(occupied, -1)
@@ -247,4 +260,5 @@ def _neighbours(labelled: LabelledImages) -> Iterator[Tensor]:
         other_classes = classes[:, : height + rows].roll(-columns, dims=2)
         other_index = index[:, : height + rows].roll(-columns, dims=2)
         is_same = (classes[:, inside] == other_classes) & occupied[:, inside]
-        yield torch.stack([index[:, inside][is_same], other_index[is_same]])
+        first = index[:, inside]
+        yield torch.stack([first.flatten(), other_index.where(is_same, first).flatten()])

@@ -34,12 +34,11 @@ def sensor_points(batch: ScanBatch) -> SensorPoints:
     """Return the points of a batch in the frames of their sensors, those of vehicles at 0."""
     points = _upright(batch, _moved(batch))
     is_ego = _ego(batch, points)
-    counts = torch.zeros(len(batch.counts), dtype=torch.int64, device=points.device)
     if is_ego is None:
+        counts = torch.zeros(len(batch.counts), dtype=torch.int64, device=points.device)
         return SensorPoints(points=points, ego_counts=counts)
     return SensorPoints(
-        points=points.masked_fill(is_ego[:, None], 0),
-        ego_counts=counts.index_add_(0, batch.scan_of_point, is_ego.long()),
+        points=points.masked_fill(is_ego[:, None], 0), ego_counts=batch.sum_per_scan(is_ego)
     )
 
 

@@ -8,12 +8,11 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from salsanext_cli.core.engines.device_copies import device_numbers
 from salsanext_cli.core.geometry.knn import candidates
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.on_device.projection import RangeImages
 
-LABEL_BITS = 8  # Lowest bits of a candidate: its label
-PLACE_BITS = 24  # Next bits: its place in the window; the bits of the distance are above
 NO_LABEL = 256  # Above every label
 CHUNK_CANDIDATES = 1 << 24  # Most candidates at once, which bounds the memory of large windows
 
@@ -73,22 +72,23 @@ def knn_refine(images: RangeImages, pixel_labels: Tensor, parameters: KnnParamet
     labels = pixel_labels.long().where(occupied, 0)
     ranges = images.channels[:, 0].where(occupied, torch.inf)
     framed = FramedImages(ranges=_framed(ranges, half, torch.inf), labels=_framed(labels, half, 0))
-    pixel = images.pixel_of_point
-    has_pixel = pixel >= 0
-    label_of_pixel = labels.reshape(-1)[pixel.clamp(min=0)]
-    refined = label_of_pixel.where(has_pixel, 0)
-    is_mixed = _mixed(framed, labels, parameters.window).reshape(-1)
-    voting = torch.nonzero(has_pixel & is_mixed[pixel.clamp(min=0)])[:, 0]
-    row = torch.div(pixel, width, rounding_mode="floor")
+    centre = _places_in_frame(images.pixel_of_point.clamp(min=0), height, width, half)
+    window = window_of(parameters, width, str(centre.device))
+    size = max(1, CHUNK_CANDIDATES // max(len(window.offsets), parameters.k**2))
+    chunks = zip(torch.split(centre, size), torch.split(images.point_range, size), strict=True)
+    refined = [
+        majority(_voters(framed, places, ranges, window, parameters)) for places, ranges in chunks
+    ]
+    has_pixel = images.pixel_of_point >= 0
+    return torch.cat(refined).where(has_pixel, 0).to(torch.uint8)
+
+
+def _places_in_frame(pixels: Tensor, height: int, width: int, half: int) -> Tensor:
+    """Return the flat indices (N,) in framed images of pixels (N,) of images of a size."""
+    row = torch.div(pixels, width, rounding_mode="floor")
     scan = torch.div(row, height, rounding_mode="floor")
     framed_row = row + scan * (2 * half) + half
-    centre = framed_row * (width + 2 * half) + pixel % width + half
-    window = window_of(parameters, width, str(pixel.device))
-    size = max(1, CHUNK_CANDIDATES // max(len(window.offsets), parameters.k**2))
-    for points in torch.split(voting, size):
-        voters = _voters(framed, centre[points], images.point_range[points], window, parameters)
-        refined[points] = majority(voters)
-    return refined.to(torch.uint8)
+    return framed_row * (width + 2 * half) + pixels % width + half
 
 
 @lru_cache(maxsize=8)
@@ -96,8 +96,8 @@ def window_of(parameters: KnnParameters, width: int, device: str) -> Window:
     """Return the candidates of another pixel than that of the point, on a device."""
     offsets, weights = candidates(parameters, width)
     return Window(
-        offsets=torch.from_numpy(offsets).long().to(device),
-        weights=torch.from_numpy(weights).to(device),
+        offsets=device_numbers(offsets, device, torch.int64),
+        weights=device_numbers(weights, device),
     )
 
 
@@ -106,31 +106,6 @@ def _framed(images: Tensor, half: int, beyond: float) -> Tensor:
     width = images.shape[2]
     columns = torch.arange(-half, width + half, device=images.device) % width
     return F.pad(images[:, :, columns], (0, 0, half, half), value=beyond)
-
-
-def _mixed(framed: FramedImages, labels: Tensor, window: int) -> Tensor:
-    """Return whether the window of each pixel holds another label above 0.
-
-    Parameters
-    ----------
-    framed : FramedImages
-        B range images.
-    labels : (B, H, W) int64
-        The labels without their frame.
-    window : int
-        Side of the window in pixels.
-
-    Returns
-    -------
-    (B, H, W) bool
-    """
-    around = framed.labels.float()
-    highest = F.max_pool2d(around, window, stride=1)
-    inverted = (NO_LABEL - around).where(around > 0, 0)
-    lowest = NO_LABEL - F.max_pool2d(inverted, window, stride=1)
-    other_above = (highest > 0) & (highest != labels)
-    other_below = (lowest < NO_LABEL) & (lowest != labels)
-    return other_above | other_below
 
 
 def _voters(
@@ -142,7 +117,8 @@ def _voters(
 ) -> Tensor:
     """Return the labels of the nearest neighbours of points, 0 for those that do not vote.
 
-    A candidate is one integer, as in the kernel: distance, place in the window, label.
+    Few rounds that each take the nearest of the rest, the first in a tie, are faster on a GPU than
+    sorting.
 
     Parameters
     ----------
@@ -166,14 +142,17 @@ def _voters(
     others = min(parameters.k - 1, len(window.offsets))
     if others == 0:
         return label_of_pixel
-    neighbours = centre[:, None] + window.offsets
-    ranges = framed.ranges.reshape(-1)[neighbours]
+    ranges = framed.ranges.reshape(-1)[centre[:, None] + window.offsets]
     distance = (ranges - centre_range[:, None]).abs() * window.weights
-    labels = framed.labels.reshape(-1)[neighbours].where(distance <= parameters.cutoff, 0)
-    place = torch.arange(len(window.offsets), device=centre.device) << LABEL_BITS
-    bits = distance.view(torch.int32).long() << (LABEL_BITS + PLACE_BITS)
-    nearest = (bits | place | labels).topk(others, dim=1, largest=False, sorted=False).values
-    return torch.cat([label_of_pixel, nearest & ((1 << LABEL_BITS) - 1)], dim=1)
+    voters = [label_of_pixel]
+    for _ in range(others):
+        nearest, place = distance.min(dim=1, keepdim=True)
+        label = framed.labels.reshape(-1)[centre[:, None] + window.offsets[place]]
+        # Where all others are infinite, one that was taken comes again.
+        votes = (nearest <= parameters.cutoff) & nearest.isfinite()
+        voters.append(label.where(votes, 0))
+        distance.scatter_(1, place, torch.inf)
+    return torch.cat(voters, dim=1)
 
 
 def majority(voters: Tensor) -> Tensor:

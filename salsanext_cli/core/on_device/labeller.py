@@ -1,67 +1,28 @@
 # SPDX-License-Identifier: MIT
 """Labels of scans on a device: points are copied there once, and results of points back."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import cast
 
 import torch
 from torch import Tensor
 
-from salsanext_cli.core.classes.label_space import TrainIds
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.engines.torch_backend import TorchBackend, merged
 from salsanext_cli.core.label_request import LabelRequest
-from salsanext_cli.core.labelling import CheckedScan, LabelledScan, checked_scan
+from salsanext_cli.core.labelling import LabelledScan, checked_scan
 from salsanext_cli.core.on_device.error_probability import error_probability
+from salsanext_cli.core.on_device.host_points import HostPoints
 from salsanext_cli.core.on_device.knn import knn_refine
+from salsanext_cli.core.on_device.labelled_batch import LabelledBatch
 from salsanext_cli.core.on_device.network_input import network_inputs
 from salsanext_cli.core.on_device.projection import RangeImages, project
-from salsanext_cli.core.on_device.scan_batch import HostPoints, ScanBatch
-from salsanext_cli.core.records import Float, Origin, Scan
+from salsanext_cli.core.on_device.scan_batch import ScanBatch
+from salsanext_cli.core.on_device.scan_for_device import ScanForDevice
+from salsanext_cli.core.on_device.scan_of_batch import ScanOfBatch
+from salsanext_cli.core.records import Origin, Scan
 from salsanext_cli.core.sensors.sensor import Sensor
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ScanForDevice:
-    """Checked scan, and its points in memory that the device reads directly."""
-
-    checked: CheckedScan
-    points: HostPoints
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class DeviceLabels:
-    """Results of one scan of N points, copied from a device.
-
-    Attributes
-    ----------
-    labels : (N,) uint8
-        Train ids, refined by kNN.
-    least_confidence : (N,) float32
-        1 minus the largest probability of the pixel of each point; NaN without a pixel.
-    pixel_labels : (H, W) uint8
-        Train ids of the pixels.
-    mean_confidence : float
-        Mean of the largest probabilities of the occupied pixels; 1 without any.
-    is_finite : bool
-        Whether all largest probabilities are finite.
-    ego_count : int
-        Number of points on the sensor or its vehicle.
-    softmax : (N, C) float32, optional
-        Probabilities of all classes.
-    error : (N,) float32, optional
-        Probability that each label is wrong; NaN without a pixel.
-    """
-
-    labels: TrainIds
-    least_confidence: Float
-    pixel_labels: TrainIds
-    mean_confidence: float
-    is_finite: bool
-    ego_count: int
-    softmax: Float | None = None
-    error: Float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -89,8 +50,12 @@ class DeviceLabeller:
         return ScanForDevice(checked=checked, points=points)
 
     @torch.inference_mode()
-    def compute(self, scans: Sequence[ScanForDevice]) -> list[DeviceLabels]:
-        """Label the points of scans together."""
+    def compute(self, scans: Sequence[ScanForDevice]) -> list[ScanOfBatch]:
+        """Hand scans to the device together, and do not wait for their labels.
+
+        So the device has the next batch before the results of this one are back. Without `error`
+        the host reads nothing from the device.
+        """
         sensors = [scan.checked.sensor for scan in scans]
         points = [scan.points for scan in scans]
         batch = ScanBatch.on_device(points, sensors, self.network.device)
@@ -104,7 +69,7 @@ class DeviceLabeller:
             "least_confidence": _from_pixels(1 - confidence[:, None], images, torch.nan)[:, 0],
         }
         if self.request.softmax:
-            point_values["softmax"] = _softmax_of_points(softmax, images)
+            point_values["softmax"] = self._softmax_of_points(softmax, images)
         if self.request.error:
             card = self.network.card
             point_values["error"] = error_probability(images, softmax, labels, card)
@@ -112,12 +77,10 @@ class DeviceLabeller:
             "pixel_labels": pixel_labels,
             "mean_confidence": _mean_confidence(confidence, images),
             "is_finite": confidence.isfinite().flatten(1).all(dim=1),
-            "ego_count": images.ego_counts,
+            "ego_points": images.ego_counts,
         }
-        arrays = self._backend.staged([*point_values.values(), *scan_values.values()])
-        point_arrays = dict(zip(point_values, arrays, strict=False))
-        scan_arrays = dict(zip(scan_values, arrays[len(point_values) :], strict=True))
-        return _labels_of_scans(batch.counts, point_arrays, scan_arrays)
+        results = LabelledBatch.of(batch.counts, point_values, scan_values)
+        return [ScanOfBatch(batch=results, number=number) for number in range(len(scans))]
 
     @property
     def _backend(self) -> TorchBackend:
@@ -130,12 +93,19 @@ class DeviceLabeller:
         softmax = self._backend.softmax(inputs, network.card.temperature)
         return softmax if network.merging is None else merged(softmax, network.merging)
 
-    def finish(self, scan: ScanForDevice, labels: DeviceLabels) -> LabelledScan:
+    def _softmax_of_points(self, softmax: Tensor, images: RangeImages) -> Tensor:
+        """Return the softmax (B, C, H, W) of the pixels of points, (P, C); else class 0."""
+        rows = _from_pixels(softmax, images, 0.0)
+        rows[:, 0].masked_fill_(images.pixel_of_point < 0, 1)
+        return rows.half() if self.request.half_softmax else rows
+
+    def finish(self, scan: ScanForDevice, computed: ScanOfBatch) -> LabelledScan:
         """Return the labelled scan; `WeightsError` if a probability is not finite."""
+        labels = computed.labels()
         checked = scan.checked
         if not labels.is_finite:
             raise self.network.backend.not_finite(checked.source)
-        check = replace(checked.check, ego_points=int(labels.ego_count))
+        check = replace(checked.check, ego_points=int(labels.ego_points))
         return LabelledScan(
             checked=replace(checked, check=check),
             labels=labels.labels,
@@ -147,47 +117,11 @@ class DeviceLabeller:
         )
 
 
-def _labels_of_scans(
-    counts: Sequence[int], point_arrays: Mapping[str, Any], scan_arrays: Mapping[str, Any]
-) -> list[DeviceLabels]:
-    """Return the results of each scan of a batch, copied: no scan keeps the arrays of the batch.
-
-    Parameters
-    ----------
-    counts : sequence of int
-        Number of points of each scan, with sum P.
-    point_arrays : mapping of str to (P, …) array
-        Results of points by the attribute of `DeviceLabels`.
-    scan_arrays : mapping of str to (B, …) array
-        Results of scans.
-
-    Returns
-    -------
-    list of DeviceLabels
-    """
-    results = []
-    start = 0
-    for number, count in enumerate(counts):
-        points = slice(start, start + count)
-        parts = {name: values[points].copy() for name, values in point_arrays.items()}
-        parts |= {name: values[number].copy() for name, values in scan_arrays.items()}
-        results.append(DeviceLabels(**parts))
-        start += count
-    return results
-
-
 def _from_pixels(values: Tensor, images: RangeImages, empty: float) -> Tensor:
     """Return the values (B, K, H, W) of the pixels of points, (P, K); `empty` without a pixel."""
     rows = values.permute(0, 2, 3, 1).reshape(-1, values.shape[1])
     has_pixel = images.pixel_of_point >= 0
     return rows[images.pixel_of_point.clamp(min=0)].where(has_pixel[:, None], empty)
-
-
-def _softmax_of_points(softmax: Tensor, images: RangeImages) -> Tensor:
-    """Return the softmax (B, C, H, W) of the pixels of points, (P, C); class 0 without a pixel."""
-    rows = _from_pixels(softmax, images, 0.0)
-    rows[:, 0].masked_fill_(images.pixel_of_point < 0, 1)
-    return rows
 
 
 def _mean_confidence(confidence: Tensor, images: RangeImages) -> Tensor:

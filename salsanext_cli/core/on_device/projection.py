@@ -18,6 +18,7 @@ from salsanext_cli.core.records import CHANNELS, MAX_INTENSITY, MAX_RANGE_M
 
 TERMS_OF_ARCTAN = 13  # Of the series t − t³/3 + t⁵/5 − …
 INDEX_BITS = 32  # Of a candidate: the index of its point, below the bits of its range
+SPARE_PLACES = 1 << 12  # Places for points without a pixel, of which each delays those of its place
 NO_CANDIDATE = torch.iinfo(torch.int64).max
 
 
@@ -172,9 +173,9 @@ def _nearest_points(pixel_of_point: Tensor, point_range: Tensor, pixels: int) ->
     count = len(pixel_of_point)
     index = torch.arange(count, device=pixel_of_point.device)
     candidate = (point_range.view(torch.int32).long() << INDEX_BITS) | index
-    # The last place takes the points without a pixel.
-    target = pixel_of_point.where(pixel_of_point >= 0, pixels)
-    nearest = torch.full((pixels + 1,), NO_CANDIDATE, device=index.device)
+    spare = pixels + index % SPARE_PLACES
+    target = pixel_of_point.where(pixel_of_point >= 0, spare)
+    nearest = torch.full((pixels + SPARE_PLACES,), NO_CANDIDATE, device=index.device)
     nearest.scatter_reduce_(0, target, candidate, "amin")
     nearest = nearest[:pixels]
     point = nearest & ((1 << INDEX_BITS) - 1)

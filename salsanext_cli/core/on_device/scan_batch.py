@@ -3,40 +3,16 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 
-import numpy as np
+import numpy.typing as npt
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
-from salsanext_cli.core.compiled import argument
-from salsanext_cli.core.records import Scan
+from salsanext_cli.core.engines.device_copies import device_numbers
+from salsanext_cli.core.on_device.host_points import HostPoints
 from salsanext_cli.core.sensors.sensor import Sensor
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class HostPoints:
-    """Points of a scan in memory that a GPU reads directly.
-
-    Attributes
-    ----------
-    points : (N, 3) float32
-        Coordinates in metres, in the frame of their file.
-    intensity : (N,) float32
-        Intensity of each point.
-    """
-
-    points: Tensor
-    intensity: Tensor
-
-    @classmethod
-    def from_scan(cls, scan: Scan, device: str) -> "HostPoints":
-        """Return the points of a scan for a device; a GPU gets a copy in pinned memory."""
-        points = torch.from_numpy(argument(scan.points, np.float32))
-        intensity = torch.from_numpy(argument(scan.intensity, np.float32))
-        if device != "cpu":
-            points = points.pin_memory()
-            intensity = intensity.pin_memory()
-        return cls(points=points, intensity=intensity)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -86,6 +62,15 @@ class ScanBatch:
         """Return a value of each scan (B, …) for each of its points, (P, …)."""
         return values[self.scan_of_point]
 
-    def tensor(self, values: object, dtype: torch.dtype = torch.float32) -> Tensor:
-        """Return numbers as a tensor on the device of the points."""
-        return torch.tensor(values, dtype=dtype, device=self.points.device)
+    def sum_per_scan(self, values: Tensor) -> Tensor:
+        """Return the sums (B,) int64 of integers or flags (P,) of the points of each scan.
+
+        A running sum, because additions of all points to few numbers would wait for each other.
+        """
+        bounds = device_numbers([0, *accumulate(self.counts)], values.device, torch.int64)
+        totals = F.pad(values.cumsum(dim=0), (1, 0))
+        return totals[bounds].diff()
+
+    def tensor(self, values: npt.ArrayLike, dtype: torch.dtype = torch.float32) -> Tensor:
+        """Return numbers as a tensor on the device of the points, without waiting for it."""
+        return device_numbers(values, self.points.device, dtype)

@@ -32,7 +32,12 @@ ON_OTHER_DEVICE = torch.empty(2, 2, device="meta")
         lambda x: x.masked_select(x > 0),
         lambda x: x.unique(),
         lambda x: x.repeat_interleave(torch.tensor([1, 2]), dim=0),
+        lambda x: torch.where(x > 0),
+        lambda x: x.equal(x),
+        lambda x: 1.0 in x,
         lambda x: x.to("meta"),
+        lambda x: x.new_tensor([1.0], device="meta"),
+        lambda _: torch.tensor([1.0], device="meta"),
         lambda _: ON_OTHER_DEVICE.clone().copy_(X),
     ],
 )

@@ -12,6 +12,7 @@ from tiny_network import TinyNetwork
 from salsanext_cli import label_space
 from salsanext_cli.core.engines import torch_backend
 from salsanext_cli.core.engines.cuda_graphs import CudaGraphs
+from salsanext_cli.core.engines.device_copies import HostCopies
 from salsanext_cli.core.engines.memory import out_of_memory
 from salsanext_cli.core.engines.torch_backend import (
     Float32Convolution,
@@ -95,8 +96,8 @@ def test_what_leaves_the_library_is_not_page_locked(monkeypatch):
     """Arrays of the tests stand for page-locked memory."""
     staging = [np.arange(6.0), np.ones((2, 3), np.uint8)]
     monkeypatch.setattr(TorchBackend, "_on_gpu", True)
-    monkeypatch.setattr(TorchBackend, "staged", lambda *_: staging)
+    monkeypatch.setattr(HostCopies, "arrays", lambda _: staging)
     backend = TorchBackend(TinyNetwork, WeightsCard({}, label_space(), SMALL), (16, 128))
-    for array, source in zip(backend.to_host([]), staging, strict=True):
+    for array, source in zip(backend.to_host([torch.ones(1)]), staging, strict=True):
         np.testing.assert_array_equal(array, source)
         assert not np.shares_memory(array, source)

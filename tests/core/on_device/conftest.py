@@ -9,7 +9,8 @@ import pytest
 from scans import SMALL, make_scan, real_scans
 
 from salsanext_cli import Scan, Sensor, read_scan, sensor
-from salsanext_cli.core.on_device.scan_batch import HostPoints, ScanBatch
+from salsanext_cli.core.on_device.host_points import HostPoints
+from salsanext_cli.core.on_device.scan_batch import ScanBatch
 
 Batches = Callable[[Sequence[Scan], Sequence[Sensor]], ScanBatch]
 SPECIAL = np.float32([0, -0.0, 1, -1, 2, 1e-40, 1e30, -3e38, np.nan, np.inf, -np.inf])

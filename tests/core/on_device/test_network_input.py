@@ -12,7 +12,8 @@ from scans import SMALL
 from salsanext_cli import Scan, project
 from salsanext_cli.core.geometry.intensity import NO_INTENSITY
 from salsanext_cli.core.geometry.network_input import network_input
-from salsanext_cli.core.on_device.network_input import _interpolated, network_inputs
+from salsanext_cli.core.on_device.intensity import interpolated
+from salsanext_cli.core.on_device.network_input import network_inputs
 from salsanext_cli.core.on_device.projection import project as project_batch
 from salsanext_cli.core.sensors.sensor import INTENSITY_LEVELS
 
@@ -69,7 +70,7 @@ def test_interpolation_is_that_of_numpy(device):
     targets[0, -3:] = targets[0, -3]
     targets[1] = 0.75
     x = np.concatenate([random.uniform(-1, 2, 500), values[0]]).astype(np.float32)
-    found = _interpolated(
+    found = interpolated(
         torch.from_numpy(np.stack([x, x])).to(device),
         torch.from_numpy(values).to(device),
         torch.from_numpy(targets).to(device),

@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: MIT
+"""Copies to and from a device that run beside other work: the host waits when it needs a result.
+
+On the CPU they are the tensors themselves, and nothing waits.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+
+def pinned(tensor: Tensor, device: str | torch.device) -> Tensor:
+    """Return a tensor of the host in memory that a device reads directly; unchanged for a CPU."""
+    return tensor if torch.device(device).type == "cpu" else tensor.pin_memory()
+
+
+def device_numbers(
+    values: npt.ArrayLike, device: str | torch.device, dtype: torch.dtype = torch.float32
+) -> Tensor:
+    """Return numbers as a tensor on a device, without waiting for the device.
+
+    ``torch.tensor(values, device=device)`` waits until a GPU has computed all that it was given.
+
+    Parameters
+    ----------
+    values : array_like
+        Numbers of any shape.
+    device : str or torch.device
+        Device of the result.
+    dtype : torch.dtype
+        Number type of the result, to which the numbers are rounded.
+
+    Returns
+    -------
+    Tensor
+        Of the same shape.
+    """
+    host = torch.from_numpy(np.array(values)).to(dtype)
+    return pinned(host, device).to(device, non_blocking=True)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class HostCopies:
+    """Copies of tensors of one device on their way to the host.
+
+    Attributes
+    ----------
+    tensors : list of Tensor
+        On the host; for a GPU in page-locked memory, of which systems have little.
+    arrival : torch.cuda.Event, optional
+        Event after the last copy; None on the CPU.
+    """
+
+    tensors: list[Tensor]
+    arrival: torch.cuda.Event | None
+
+    @classmethod
+    def of(cls, tensors: Sequence[Tensor]) -> "HostCopies":
+        """Begin to copy tensors, without waiting for their device."""
+        device = tensors[0].device
+        if device.type == "cpu":
+            return cls(tensors=[tensor.contiguous() for tensor in tensors], arrival=None)
+        hosts = [torch.empty(t.shape, dtype=t.dtype, pin_memory=True) for t in tensors]
+        for host, tensor in zip(hosts, tensors, strict=True):
+            host.copy_(tensor, non_blocking=True)
+        # Who waits for a blocking event sleeps, and leaves the core to others.
+        arrival = torch.cuda.Event(blocking=True)  # type: ignore[no-untyped-call]
+        arrival.record(torch.cuda.current_stream(device))  # type: ignore[no-untyped-call]
+        return cls(tensors=hosts, arrival=arrival)
+
+    def arrays(self) -> list[Any]:
+        """Wait for the copies, on any thread; return them as arrays, which share their memory."""
+        if self.arrival is not None:
+            self.arrival.synchronize()  # type: ignore[no-untyped-call]
+        return [tensor.numpy() for tensor in self.tensors]
