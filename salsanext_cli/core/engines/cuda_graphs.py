@@ -97,7 +97,7 @@ def recorded_call(function: Function, inputs: tuple[Tensor, ...]) -> RecordedCal
                 for _ in range(WARM_UP_CALLS):
                     function(*own_inputs)
                 # A recording that fails can damage the allocator of torch 2.11 and older.
-                with HostUseRefused():  # type: ignore[no-untyped-call]
+                with HostUseRefused():
                     function(*own_inputs)
                 graph = torch.cuda.CUDAGraph()
                 # Other threads copy scans to pinned memory meanwhile.

@@ -70,11 +70,11 @@ class HostCopies:
             host.copy_(tensor, non_blocking=True)
         # Who waits for a blocking event sleeps, and leaves the core to others.
         arrival = torch.cuda.Event(blocking=True)  # type: ignore[no-untyped-call]
-        arrival.record(torch.cuda.current_stream(device))  # type: ignore[no-untyped-call]
+        arrival.record(torch.cuda.current_stream(device))
         return cls(tensors=hosts, arrival=arrival)
 
     def arrays(self) -> list[Any]:
         """Wait for the copies, on any thread; return them as arrays, which share their memory."""
         if self.arrival is not None:
-            self.arrival.synchronize()  # type: ignore[no-untyped-call]
+            self.arrival.synchronize()
         return [tensor.numpy() for tensor in self.tensors]

@@ -44,5 +44,5 @@ class DeviceTime:
         import torch
 
         event = torch.cuda.Event(enable_timing=True)  # type: ignore[no-untyped-call]
-        event.record(torch.cuda.current_stream(self.device))  # type: ignore[no-untyped-call]
+        event.record(torch.cuda.current_stream(self.device))
         return event
