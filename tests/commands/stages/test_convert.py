@@ -60,6 +60,7 @@ def test_clouds_without_points_or_measurements_fail_and_the_others_are_labelled(
     assert outcome.done == 1
 
 
+@pytest.mark.usefixtures("workers_in_process")
 def test_some_of_the_scans_and_later_the_rest(bag, tmp_path):
     folder = tmp_path / "data"
     assert convert(bag, folder, every=3).done == 2

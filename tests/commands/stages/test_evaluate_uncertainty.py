@@ -125,6 +125,7 @@ def test_a_bad_file_is_a_failure_and_the_other_scans_are_scored(world, folder):
     assert failure.reason.startswith(f"{path}: ")
 
 
+@pytest.mark.usefixtures("workers_in_process")
 def test_the_report_does_not_depend_on_jobs_or_order(world):
     """Float64 sums in the order of the results would differ in the last digit."""
     for i in range(5):

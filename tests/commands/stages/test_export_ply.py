@@ -223,6 +223,7 @@ def test_odd_points_are_exported(world):
     assert np.isnan(column(world, "least_confidence")[[0, 1, 3]]).all()
 
 
+@pytest.mark.usefixtures("workers_in_process")
 def test_a_continued_run_keeps_its_scale(predicted):
     export(predicted, colour="range", query=ResultQuery(selection=ScanSelection(limit=1)))
     export(predicted, colour="range", options=RunOptions(jobs=2))

@@ -191,6 +191,7 @@ def test_a_scan_without_remaining_points_is_a_warning(apply, tmp_path, caplog):
     assert not written.exists()
 
 
+@pytest.mark.usefixtures("workers_in_process")
 def test_shards_workers_and_restarts_write_the_same(apply, tmp_path):
     apply(drop=["car"])
     first = files_below(tmp_path / "to")

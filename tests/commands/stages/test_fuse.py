@@ -125,6 +125,7 @@ def test_fused_labels_are_a_folder_of_results_and_rejected_ones_are_not_fused(dr
     refused(OutputError, drive.out, fuse_results, drive.out)
 
 
+@pytest.mark.usefixtures("workers_in_process")
 def test_a_run_goes_on_with_the_same_bytes(drive, tmp_path):
     fuse_results(drive.out)
     before = files_below(fused_folder(drive))

@@ -19,11 +19,18 @@ from salsanext_cli.runs.loop.run import RunOptions, run_over_scans
 from salsanext_cli.runs.network_settings import NetworkSettings
 
 
+def predicted(data, out, weights, **options):
+    """Run `predict`, and return every file it leaves."""
+    network, batch = NetworkSettings(weights, "cpu"), RunOptions(**options)
+    predict_scans(data, out, settings=network, extras=("probabilities",), options=batch)
+    return files_below(out)
+
+
 def everything(data, out, weights, **options):
     """Run the stages that load a network, and return every file they leave."""
+    predicted(data, out, weights, **options)
     network, batch = NetworkSettings(weights, "cpu"), RunOptions(**options)
     method = UncertaintyMethod(samples=2, aleatoric="none")
-    predict_scans(data, out, settings=network, extras=("probabilities",), options=batch)
     uncertainty(data, out, settings=network, method=method, options=batch)
     return files_below(out)
 
@@ -38,16 +45,33 @@ def alone(tmp_path_factory, weights):
         return folder, everything(folder, folder / "out", weights)
 
 
-def test_the_bytes_do_not_depend_on_who_works(tmp_path, alone, weights, monkeypatch):
-    # One thread for each of two workers, whatever the machine.
+@pytest.fixture
+def two_cores(monkeypatch):
+    """Have one thread for each of two workers, whatever the machine."""
     monkeypatch.setenv("LOKY_MAX_CPU_COUNT", "2")
+
+
+@pytest.mark.usefixtures("two_cores")
+def test_the_bytes_of_predict_do_not_depend_on_who_works(tmp_path, alone, weights):
+    data, expected = alone
+    found = predicted(data, tmp_path / "out", weights, jobs=2)
+    assert len(found) == 4 * 3 + 2
+    assert found.items() <= expected.items()
+
+
+@pytest.mark.parametrize(
+    "workers", ["workers_in_process", pytest.param("two_cores", marks=pytest.mark.slow)]
+)
+def test_the_bytes_do_not_depend_on_who_works(tmp_path, alone, weights, workers, request):
+    """Copies in this process take the last scans first; processes of their own are slow."""
+    request.getfixturevalue(workers)
     data, expected = alone
     assert len(expected) == 4 * (3 + 3) + 3
     assert everything(data, tmp_path / "out", weights, jobs=2) == expected
 
 
-def test_cores_are_divided_among_the_workers(monkeypatch):
-    monkeypatch.setenv("LOKY_MAX_CPU_COUNT", "2")
+@pytest.mark.usefixtures("two_cores")
+def test_cores_are_divided_among_the_workers():
     seen = []
     with threads(2):
         run_over_scans(
