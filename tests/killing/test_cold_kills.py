@@ -104,10 +104,17 @@ def trials(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Trial]:
     return cache(lambda name: Trial(name, tmp_path_factory.mktemp(name)))
 
 
+def end_timeout_s() -> float:
+    """Return the time that a run has to end, which grows with the load of a shared machine."""
+    load = os.getloadavg()[0] / (os.cpu_count() or 1)
+    return END_TIMEOUT_S * max(1.0, load)
+
+
 def require_ended(process: subprocess.Popen[str], number: signal.Signals) -> None:
     """Fail if a process of a run is left, or if the run ended in another way than by the signal."""
-    output, _ = process.communicate(timeout=END_TIMEOUT_S)
-    end = time.monotonic() + END_TIMEOUT_S
+    timeout = end_timeout_s()
+    output, _ = process.communicate(timeout=timeout)
+    end = time.monotonic() + timeout
     while left := in_session(process.pid):
         assert time.monotonic() < end, left
         time.sleep(0.1)
