@@ -9,18 +9,20 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import yaml
-from scans import write_sequence
+from scans import SMALL, write_sequence
 
 from salsanext_cli import label_space, read_labels, read_scan
 from salsanext_cli.commands.stages.import_labels import import_labels
 from salsanext_cli.io.labelling_tools.registry import tool_named
 from salsanext_cli.runs.labelling.label_records import LabelImport
-from salsanext_cli.runs.labelling.picked_data_set import TOOL_FOLDER, PickedDataSet, PickedScan
-from salsanext_cli.runs.labelling.tool_files import write_for_tool
+from salsanext_cli.runs.labelling.picked_data_set import PickedDataSet, PickedScan
+from salsanext_cli.runs.labelling.tool_files import SensorPositions, write_for_tool
+from salsanext_cli.runs.results.layouts import TOOL_FOLDER
 
 SPACE = label_space()
 SEQUENCES = {"08": ("000010", "000011"), "09": ("000010",)}
 POINTS = 300  # Of a scan
+IN_SENSOR_FRAME = SensorPositions(sensor=SMALL)
 CHANGED = (3, 57, 240)
 """Points whose labels a person changes."""
 
@@ -45,7 +47,7 @@ class PickedForTool:
         }
         (self.root / "pick.json").write_text(json.dumps({"pre_labels": digests}))
 
-    def write(self) -> None:
+    def write(self, positions: SensorPositions = IN_SENSOR_FRAME) -> None:
         """Write the files for the tool."""
         data_set = PickedDataSet(self.root)
         picked = [
@@ -61,7 +63,7 @@ class PickedForTool:
             for rank, (sequence, stem) in enumerate(self.scans, start=1)
         ]
         with data_set.open():
-            write_for_tool(data_set, tool_named(self.tool), picked)
+            write_for_tool(data_set, tool_named(self.tool), picked, positions)
 
     def label_path(self, scan: tuple[str, str]) -> Path:
         """Return the path of the label file of a scan in the data set."""

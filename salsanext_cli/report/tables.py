@@ -2,6 +2,7 @@
 """Tables for a terminal: scores, tuning, sets of scans, imported labels."""
 
 import math
+from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from salsanext_cli.core.records import CHANNELS
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.texts import counted, first_few, percentage, printable
 from salsanext_cli.core.wording import share
+from salsanext_cli.io.labelling_tools.registry import TOOLS
 from salsanext_cli.runs.labelling.label_records import ImportedScan, LabelImport
 
 ABSENT = "–"
@@ -234,11 +236,20 @@ def imported_table(scans: Sequence[ImportedScan]) -> Table:
     return table_of(("scan", *IMPORTED, "from"), rows, totals=[all_scans], texts=["from"])
 
 
+def _files_of_tools(scans: Sequence[ImportedScan]) -> str:
+    """Return what was read, with the number of scans, by labelling tool."""
+    counts = sorted(Counter(scan.tool for scan in scans).items(), reverse=True)
+    saved = {tool: TOOLS[tool].saves if tool else "other files" for tool, _ in counts}
+    return ", ".join(f"{saved[tool]} ({counted(count, 'scan')})" for tool, count in counts)
+
+
 def imported_lines(made: LabelImport, dataset: Path) -> Iterator[str]:
     """Yield a line about the imported scans, and one about every group of other scans."""
     failed = sum(len(failure.files) for failure in made.failures)
     others = f", {counted(failed, 'file')} failed" if failed else ""
     yield f"import-labels: {counted(len(made.scans), 'scan')}{others} → {dataset}"
+    if made.scans:
+        yield f"read: {_files_of_tools(made.scans)}"
     shares = made.largest_classes()
     if shares:
         named = ", ".join(f"{name} {percentage(share)}" for name, share in shares.items())

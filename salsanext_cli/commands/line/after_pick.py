@@ -10,10 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from salsanext_cli.core.measures.label_gains import gains_of_trials
+from salsanext_cli.runs.results.layouts import TOOL_FOLDER
 
 if TYPE_CHECKING:
     from salsanext_cli.commands.line.picked_labels import PickedLabels
     from salsanext_cli.commands.stages.pick import Picking
+    from salsanext_cli.io.labelling_tools.tool import LabellingTool
     from salsanext_cli.runs.labelling.picked_data_set import UncertaintyScale
 
 
@@ -23,11 +25,11 @@ def lines_after_pick(
     labels: PickedLabels,
     weights: Path | str | None,
     labelled: Sequence[Path],
-    tool_folder: Path | None = None,
+    tool: LabellingTool | None = None,
 ) -> Iterator[str]:
     """Yield the lines about picked scans in a data set.
 
-    `labelled`: data sets that have labels; `tool_folder`: folder of the files of a labelling tool.
+    `labelled`: data sets that have labels; `tool`: labelling tool that the scans are written for.
     """
     scale = picking.scale
     if scale is not None and scale.least < scale.most:
@@ -39,21 +41,29 @@ def lines_after_pick(
     for gains in gains_of_trials(labels.accuracy):
         yield f"does it pay? {gains.text}"
     yield f"next: {shlex.join(['salsanext', 'report', str(out)])}"
-    commands = commands_after_pick(out, weights, labelled)
-    if tool_folder is not None:
-        yield f"for the labelling tool: {tool_folder}"
-    yield f"to label: save the corrected clouds in the folder edited, then {commands}"
+    edited = Path("edited")
+    saving = f"save the corrected clouds in the folder {edited}"
+    if tool is not None:
+        folder = out / TOOL_FOLDER / tool.name
+        yield f"for the labelling tool: {folder}"
+        saving = f"save what the tool returns in the folder {edited}"
+        if tool.edits_in_place:
+            edited = folder
+            saving = "open the scans in the tool and save them"
+    yield f"to label: {saving}, then {commands_after_pick(out, edited, weights, labelled)}"
 
 
-def commands_after_pick(out: Path, weights: Path | str | None, labelled: Sequence[Path]) -> str:
+def commands_after_pick(
+    out: Path, edited: Path, weights: Path | str | None, labelled: Sequence[Path]
+) -> str:
     """Return the commands that import corrected labels and train on them."""
-    edited = ["salsanext", "import-labels", "edited", str(out)]
+    importing = ["salsanext", "import-labels", str(edited), str(out)]
     training = ["salsanext", "train", str(out), "runs/mine", "--recipe", "finetune"]
     if weights:
         training += ["--weights", str(weights)]
     for dataset in labelled:
         training += ["--also", str(dataset)]
-    return f"`{shlex.join(edited)}`, then `{shlex.join(training)}`"
+    return f"`{shlex.join(importing)}`, then `{shlex.join(training)}`"
 
 
 def scale_text(scale: UncertaintyScale) -> str:

@@ -169,8 +169,9 @@ def pick(
     from salsanext_cli.commands.line.after_pick import lines_after_pick
     from salsanext_cli.commands.line.picked_labels import label_picked_scans
     from salsanext_cli.commands.stages.pick import pick as stage
+    from salsanext_cli.io.labelling_tools.registry import tool_named
     from salsanext_cli.report.picked import picked_table
-    from salsanext_cli.runs.labelling.picked_data_set import TOOL_FOLDER
+    from salsanext_cli.runs.results.layouts import TOOL_FOLDER
 
     if names and count is not None:
         raise UsageError("--count", "chooses scans, and so does --from", "one of both")
@@ -203,8 +204,9 @@ def pick(
     counts = ", ".join([numbers, *summary.skipped_and_failed_texts(picking.outcome)])
     output.print(f"pick: {counts} → {out}" if picking.picked else f"pick: {counts}")
     if labels is not None:
+        written_for = None if tool is None else tool_named(tool)
         lines = lines_after_pick(
-            out, picking, labels, settings.weights, labelled or (), tool_folder
+            out, picking, labels, settings.weights, labelled or (), written_for
         )
         for line in lines:
             output.print(line)

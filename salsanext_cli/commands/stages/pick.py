@@ -19,10 +19,12 @@ from salsanext_cli.core.measures.scan_choice import choose_scans, require_choice
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.plain_data import plain
 from salsanext_cli.core.records import Origin
+from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.texts import counted
 from salsanext_cli.core.uncertainty.monte_carlo import require_sampling
 from salsanext_cli.core.wording import argument
 from salsanext_cli.io.labelling_tools.registry import tool_named
+from salsanext_cli.io.labelling_tools.tool import LabellingTool
 from salsanext_cli.report.picked import picked_csv, picked_scans, scans_of_list
 from salsanext_cli.runs.fit.scan_sample import sample_of_files
 from salsanext_cli.runs.fit.sensor_fit import fit_scans, settings_of_network
@@ -38,7 +40,7 @@ from salsanext_cli.runs.labelling.picked_data_set import (
     UncertaintyScale,
 )
 from salsanext_cli.runs.labelling.scan_description import DescribeJob, ScanDescription
-from salsanext_cli.runs.labelling.tool_files import write_for_tool
+from salsanext_cli.runs.labelling.tool_files import SensorPositions, write_for_tool
 from salsanext_cli.runs.loop.network_task import NetworkTask
 from salsanext_cli.runs.loop.run import Failure, Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.loop.run_origins import OriginsOfSource
@@ -142,7 +144,7 @@ def pick(
         record = data_set.earlier(recorded, overwrite=options.overwrite)
         if record and data_set.is_complete(record):
             log_recorded(record.warnings)
-            write_for_tool(data_set, labelling_tool, record.picked)
+            _write_for_tool(data_set, labelling_tool, record, scans, network.sensor, by_poses)
             return _picking(record, scans)
         resolved = settings.resolved(network)
         origins = by_poses.scan_origins(scans, network.sensor)
@@ -157,7 +159,7 @@ def pick(
         task = NetworkTask(job=write, settings=resolved, network=network, batch=1)
         space = space if space.fits(network.space) else space_of([], network.space)
         outcome = _written(task, data_set, record, scans, options, space)
-        write_for_tool(data_set, labelling_tool, record.picked)
+        _write_for_tool(data_set, labelling_tool, record, scans, network.sensor, by_poses)
     return replace(_picking(record, scans), outcome=outcome)
 
 
@@ -291,6 +293,12 @@ def _scale(described: Sequence[ScanDescription], space: LabelSpace) -> Uncertain
     )
 
 
+def _files(record: PickRecord, scans: Sequence[ScanFile]) -> list[ScanFile]:
+    """Return the picked scans that are among those to choose from."""
+    files = {scan.name: scan for scan in scans}
+    return [files[scan.name] for scan in record.picked if scan.name in files]
+
+
 def _written(
     task: NetworkTask,
     data_set: PickedDataSet,
@@ -300,8 +308,7 @@ def _written(
     space: LabelSpace,
 ) -> Outcome:
     """Write the missing files of a data set of picked scans."""
-    files = {scan.name: scan for scan in scans}
-    picked = [files[scan.name] for scan in record.picked if scan.name in files]
+    picked = _files(record, scans)
     pre_labels: dict[ScanFile, bytes] = {}
     frames: dict[ScanFile, Origin] = {}
 
@@ -319,6 +326,21 @@ def _written(
     data_set.write_label_space(space, record.picked)
     data_set.write_missing(data_set.root / TABLE, picked_csv(record.picked))
     return replace(outcome, failures=(*_failures(record, scans), *outcome.failures))
+
+
+def _write_for_tool(
+    data_set: PickedDataSet,
+    tool: LabellingTool | None,
+    record: PickRecord,
+    scans: Sequence[ScanFile],
+    sensor: Sensor,
+    by_poses: OriginsOfSource,
+) -> None:
+    """Write the picked scans for a labelling tool, if any."""
+    if tool is None:
+        return
+    origins = by_poses.sample_origins(_files(record, scans), sensor)
+    write_for_tool(data_set, tool, record.picked, SensorPositions(sensor=sensor, origins=origins))
 
 
 def _failures(record: PickRecord, scans: Sequence[ScanFile]) -> tuple[Failure, ...]:

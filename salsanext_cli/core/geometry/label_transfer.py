@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -32,6 +32,18 @@ class LabelTransfer:
     unmatched: Double
     cloud_points: int  # Number of cloud points with finite coordinates
 
+    @classmethod
+    def in_order(cls, labels: Labels) -> Self:
+        """Return the labels (N,) uint32 of a cloud of the same points, in their order."""
+        every = np.ones(len(labels), bool)
+        return cls(
+            labels=labels,
+            has_label=every,
+            ambiguous=~every,
+            unmatched=np.empty(0),
+            cloud_points=len(labels),
+        )
+
     @property
     def missing(self) -> Mask:
         """Points without a copy in the cloud, (N,) bool."""
@@ -45,8 +57,10 @@ class LabelTransfer:
 def transfer_labels(points: Float, cloud: Float, labels: Labels) -> LabelTransfer:
     """Label each point as its copy in a cloud, whose points are in any order.
 
-    A copy has the same coordinates. Without one, all cloud points within `TOLERANCE_M` are copies.
-    A point whose copies have different labels has none.
+    In a cloud of the same points in the same order, the copy has the same number, so that points
+    at one place may have different labels. Otherwise a copy has the same coordinates. Without one,
+    all cloud points within `TOLERANCE_M` are copies. A point whose copies have different labels
+    has none.
 
     Parameters
     ----------
@@ -61,6 +75,8 @@ def transfer_labels(points: Float, cloud: Float, labels: Labels) -> LabelTransfe
     -------
     LabelTransfer
     """
+    if _are_in_order(points, cloud):
+        return LabelTransfer.in_order(labels)
     is_finite = np.isfinite(points).all(axis=1)
     finite_points = points[is_finite]
     in_cloud = np.isfinite(cloud).all(axis=1)
@@ -100,6 +116,20 @@ def transfer_labels(points: Float, cloud: Float, labels: Labels) -> LabelTransfe
         unmatched=unmatched,
         cloud_points=len(cloud),
     )
+
+
+def _are_in_order(points: Float, cloud: Float) -> bool:
+    """Return whether each cloud point is a copy of the point with its number.
+
+    Points without finite coordinates are copies of each other.
+    """
+    if len(points) != len(cloud):
+        return False
+    is_finite = np.isfinite(points).all(axis=1)
+    if (np.isfinite(cloud).all(axis=1) != is_finite).any():
+        return False
+    offsets = cloud[is_finite].astype(np.float64) - points[is_finite]
+    return bool((np.linalg.norm(offsets, axis=1) <= TOLERANCE_M).all())
 
 
 def _places(points: Float) -> Indices:

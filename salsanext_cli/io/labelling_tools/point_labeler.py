@@ -2,6 +2,7 @@
 """The point_labeler of SemanticKITTI: a folder of the odometry benchmark for each sequence."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,24 +24,39 @@ class PointLabeler(LabellingTool):
     """The tool that SemanticKITTI was labelled with."""
 
     name = "point-labeler"
+    saves = "label files"
+    edits_in_place = True
 
     def scan_files(self, scan: LabelledPoints, space: LabelSpace) -> Files:
-        """Return points and labels, as SemanticKITTI has them."""
+        """Return points and labels, as SemanticKITTI has them.
+
+        The tool hides points that are far from the origin, which becomes the sensor.
+        """
+        points = scan.scan
+        if scan.origin is not None:
+            seen_from_sensor = points.points.astype(np.float64) - np.array(scan.origin)
+            points = replace(points, points=seen_from_sensor.astype(np.float32))
+        stem = _stem_of_files(scan.stem)
         return {
-            f"{scan.sequence}/velodyne/{scan.stem}.bin": encode_bin(scan.scan),
-            f"{scan.sequence}/labels/{scan.stem}.label": encode_labels(scan.labels),
+            f"{scan.sequence}/velodyne/{stem}.bin": encode_bin(points),
+            f"{scan.sequence}/labels/{stem}.label": encode_labels(scan.labels),
         }
 
     def sequence_files(self, sequence: str, stems: Sequence[str], poses: Poses | None) -> Files:
         """Return the poses, and a calibration without rotation; the tool opens none without both.
 
-        Scans without poses are placed side by side, so that the tool shows each alone.
+        The tool has a tile for every part of the way from its origin in float32, and takes poses
+        in the order of the names of the files. Hence the first scan is at the origin. Scans
+        without poses are placed side by side, so that the tool shows each alone.
         """
         if poses is None:
             poses = np.tile(np.eye(4), (len(stems), 1, 1))
             poses[:, 0, 3] = APART_M * np.arange(len(stems))
+        files = [f"{_stem_of_files(stem)}.bin" for stem in stems]
+        ordered = poses[np.argsort(files)]
+        ordered[:, :3, 3] -= ordered[0, :3, 3]
         return {
-            f"{sequence}/{POSES}": encode_poses(poses),
+            f"{sequence}/{POSES}": encode_poses(ordered),
             f"{sequence}/{CALIBRATION}": NO_ROTATION.encode("ascii"),
         }
 
@@ -56,3 +72,8 @@ class PointLabeler(LabellingTool):
             meanings=LabelIds.from_space(space),
             is_in_order=True,
         )
+
+
+def _stem_of_files(stem: str) -> str:
+    """Return the name of the files of a scan; the tool cuts the names of label files at a dot."""
+    return stem.replace(".", "_")

@@ -2,6 +2,7 @@
 """Segments.ai: it opens PCD files, and has the labels of their points in JSON."""
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +37,7 @@ class Segments(LabellingTool):
     """The platform, by the JSON of its labels of point clouds."""
 
     name = "segments"
+    saves = "labels of segments"
 
     def scan_files(self, scan: LabelledPoints, space: LabelSpace) -> Files:
         """Return a binary PCD file, and a label that has an object for each class."""
@@ -78,7 +80,9 @@ class Segments(LabellingTool):
         with refusing_damage(path, EXPECTED):
             label = read_json_object(path, EXPECTED)
             attributes = label.get("attributes", label)
-            category_of = {entry["id"]: entry["category_id"] for entry in attributes[OBJECTS]}
+            entries = attributes[OBJECTS]
+            category_of = {entry["id"]: entry.get("category_id") for entry in entries}
+            _require_categories(path, category_of, len(entries))
             objects = whole_numbers_of_json(attributes[OBJECT_OF_POINT])
             numbers = whole_numbers_of_json([*category_of])
             categories = whole_numbers_of_json([*category_of.values()])
@@ -100,3 +104,15 @@ class Segments(LabellingTool):
             meanings=LabelIds.from_space(space),
             is_in_order=True,
         )
+
+
+def _require_categories(path: Path, category_of: Mapping[int, int | None], objects: int) -> None:
+    """Refuse objects without a category, and several of one number among all objects."""
+    without = [number for number, category in category_of.items() if category is None]
+    if without:
+        problem = f"has objects without a category: {first_few(without)}"
+        hint = "choose their categories in the tool, or delete them there"
+        raise LabelError(path, problem, "a category of each object", hint)
+    if len(category_of) < objects:
+        problem = f"has {objects - len(category_of):,} objects with the number of another one"
+        raise LabelError(path, problem, "a number for each object", "export the label again")

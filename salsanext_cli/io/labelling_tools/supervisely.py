@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Supervisely: it opens PCD files with names of their labels, and saves points of figures."""
 
+import logging
 from collections import defaultdict
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +12,7 @@ from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import FormatError, LabelError
 from salsanext_cli.core.plain_data import Json
 from salsanext_cli.core.records import Float, Scan
-from salsanext_cli.core.texts import counted, quoted
+from salsanext_cli.core.texts import counted, first_few, quoted
 from salsanext_cli.io.files.json_files import encode_json
 from salsanext_cli.io.files.reading import present, refusing_damage
 from salsanext_cli.io.formats.columns import coordinates
@@ -42,11 +44,14 @@ ANNOTATION = ".pcd.json"  # End of the name of an annotation
 POINTS = "point_cloud"  # Geometry of a figure that is a set of points
 EXPECTED = "an annotation of a point cloud"
 
+log = logging.getLogger(__name__)
+
 
 class Supervisely(LabellingTool):
     """The platform, by its format PCD Semantic Labels, and by its export of annotations."""
 
     name = "supervisely"
+    saves = "files of supervisely"
 
     def scan_files(self, scan: LabelledPoints, space: LabelSpace) -> Files:
         """Return a binary PCD file, with raw ids as labels."""
@@ -76,6 +81,7 @@ class Supervisely(LabellingTool):
         cloud = LabelledCloud.read(path, LABELS, scan.notes.frame)
         # As the platform does, it takes labels without a name for none.
         meanings = LabelIds.from_names(_read_mapping(mapping), space, mapping)
+        _warn_of_labels_without_name(path, mapping, meanings.unknown(cloud.ids), space)
         return ToolLabels(
             cloud=cloud, meanings=meanings.with_unlabelled(cloud.ids), is_in_order=False
         )
@@ -103,13 +109,27 @@ def _read_mapping(path: Path) -> dict[int, str]:
     return names
 
 
+def _warn_of_labels_without_name(
+    path: Path, mapping: Path, points: Mapping[int, int], space: LabelSpace
+) -> None:
+    """Warn of labels that a file of names lacks, but for that of points without a label.
+
+    `points`: number of the points of each label that the file lacks.
+    """
+    labels = sorted(points.keys() - {space.learning_map_inv[0]})
+    if labels:
+        count = counted(sum(points[label] for label in labels), "point")
+        problem = f"{count} have labels without a name in {mapping}: {first_few(labels)}"
+        log.warning("%s: %s; they become unlabelled", path, problem)
+
+
 def _read_annotation(path: Path, scan: Scan, space: LabelSpace) -> ToolLabels:
     """Read the labels of the points of figures; those of no figure are unlabelled."""
     cloud = path.parent.with_name(CLOUDS) / path.name.removesuffix(".json")
     is_exported = path.parent.name == ANNOTATIONS and present(cloud)
     points = coordinates(pcd_columns(cloud), cloud) if is_exported else scan.points
     with refusing_damage(path, EXPECTED):
-        indices_of_class = _indices_of_classes(read_json_object(path, EXPECTED))
+        indices_of_class = _indices_of_classes(read_json_object(path, EXPECTED), path)
     raw_ids = raw_ids_of_names(indices_of_class, space, path)
     ids = np.full(len(points), space.learning_map_inv[0], np.int64)
     figures = np.zeros(len(points), np.int64)
@@ -128,9 +148,17 @@ def _read_annotation(path: Path, scan: Scan, space: LabelSpace) -> ToolLabels:
     )
 
 
-def _indices_of_classes(annotation: Json) -> dict[str, Ids]:
-    """Return the sorted numbers of the points of each class, by its name, without repetitions."""
-    class_of = {entry["key"]: str(entry["classTitle"]) for entry in annotation["objects"]}
+def _indices_of_classes(annotation: Json, path: Path) -> dict[str, Ids]:
+    """Return the sorted numbers of the points of each class, by its name, without repetitions.
+
+    Refuse objects without a class; `path` is the file, in errors.
+    """
+    class_of = {entry["key"]: entry.get("classTitle") for entry in annotation["objects"]}
+    without = [key for key, name in class_of.items() if not isinstance(name, str) or not name]
+    if without:
+        problem = f"has objects without a class: {first_few(without)}"
+        hint = "choose their classes in the tool, or delete them there"
+        raise LabelError(path, problem, "the name of a class of each object", hint)
     indices: defaultdict[str, list[int]] = defaultdict(list)
     for figure in annotation["figures"]:
         if figure["geometryType"] == POINTS:

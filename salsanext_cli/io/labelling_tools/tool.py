@@ -15,7 +15,7 @@ from salsanext_cli.core.classes.label_space import LabelSpace, RawIds
 from salsanext_cli.core.errors import FormatError
 from salsanext_cli.core.plain_data import Json
 from salsanext_cli.core.poses import Poses
-from salsanext_cli.core.records import Scan
+from salsanext_cli.core.records import Origin, Scan
 from salsanext_cli.io.files.reading import reading, refusing_damage
 from salsanext_cli.io.formats.label_scalars import Ids, LabelIds, LabelledCloud
 from salsanext_cli.io.formats.pcd import read_header
@@ -31,6 +31,8 @@ class LabelledPoints:
     stem: str  # Of the file of the scan
     scan: Scan  # N points
     labels: RawIds  # (N,) uint32: raw ids
+    # Position of the sensor in metres, in the frame of the points, if they are registered to a map
+    origin: Origin | None = None
 
     @property
     def name(self) -> str:
@@ -56,6 +58,8 @@ class LabellingTool(ABC):
     """A tool to label scans with."""
 
     name: ClassVar[str]  # On the command line, and of its folder in a data set
+    saves: ClassVar[str]  # What it saves, in messages
+    edits_in_place: ClassVar[bool] = False  # Whether it saves into the files that it got
 
     @abstractmethod
     def scan_files(self, scan: LabelledPoints, space: LabelSpace) -> Files:

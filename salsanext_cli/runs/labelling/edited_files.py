@@ -26,7 +26,7 @@ from salsanext_cli.io.formats.label_scalars import (
 )
 from salsanext_cli.io.formats.npy import read_integers
 from salsanext_cli.io.labelling_tools.registry import lacks_labels, tool_of
-from salsanext_cli.io.labelling_tools.tool import ToolLabels
+from salsanext_cli.io.labelling_tools.tool import LabellingTool, ToolLabels
 from salsanext_cli.runs.labelling.label_records import ImportedScan
 from salsanext_cli.runs.labelling.las_classification import map_of_codes, unknown_codes
 from salsanext_cli.runs.results.paths import ScanFile
@@ -72,7 +72,7 @@ def scan_of_edited(path: Path, source: Path, scans: Sequence[ScanFile]) -> ScanF
     """Return the scan of an edited file: the only one, or the one named by its stem or by a word.
 
     `source` is the file or folder on the command line. If a folder above the file or a word of its
-    name is a sequence, only scans of that sequence count.
+    name is a sequence, only scans of that sequence count. A name may have `_` in place of dots.
     """
     if not is_folder(source) and len(scans) == 1:
         return scans[0]
@@ -81,6 +81,7 @@ def scan_of_edited(path: Path, source: Path, scans: Sequence[ScanFile]) -> ScanF
     words = _words(path.stem)
     fitting = [scan for scan in within if scan.stem == path.stem]
     fitting = fitting or [scan for scan in within if scan.stem in words]
+    fitting = fitting or [scan for scan in within if scan.stem.replace(".", "_") in words]
     if len(fitting) > 1:
         fitting = [scan for scan in fitting if scan.sequence in words] or fitting
     if len(fitting) == 1:
@@ -128,21 +129,16 @@ def read_edited(
     points.
     """
     points = cloud_of_scan.points
-    labels = _labels_of(path, cloud_of_scan, meanings, space, scalar)
+    tool = _tool_of(path, scalar)
+    labels = _labels_of(path, tool, cloud_of_scan, meanings, space, scalar)
     cloud = labels.cloud
     meanings = labels.meanings
     if unknown := meanings.unknown(cloud.ids):
         raise _unknown_ids(path, cloud, unknown, meanings, space)
     raw = meanings.to_raw(cloud.ids)
-    every = np.ones(len(points), bool)
-    transfer = LabelTransfer(
-        labels=raw,
-        has_label=every,
-        ambiguous=~every,
-        unmatched=np.empty(0),
-        cloud_points=len(points),
-    )
-    if not labels.is_in_order:
+    if labels.is_in_order:
+        transfer = LabelTransfer.in_order(raw)
+    else:
         transfer = transfer_labels(points, cloud.points, raw)
         _require_same_scan(path, transfer)
     raw = transfer.filled(meanings.unlabelled)
@@ -161,21 +157,31 @@ def read_edited(
         missing=int(transfer.missing.sum()),
         unmatched=len(transfer.unmatched),
         scalar=cloud.scalar,
+        tool="" if tool is None else tool.name,
     )
 
 
+def _tool_of(path: Path, scalar: str | None) -> LabellingTool | None:
+    """Return the tool that recognises a file; None if the scalar of a cloud is named."""
+    return None if scalar is not None and _has_points(path) else tool_of(path)
+
+
 def _labels_of(
-    path: Path, scan: Scan, meanings: LabelIds, space: LabelSpace, scalar: str | None
+    path: Path,
+    tool: LabellingTool | None,
+    scan: Scan,
+    meanings: LabelIds,
+    space: LabelSpace,
+    scalar: str | None,
 ) -> ToolLabels:
-    """Read a file by the tool that recognises it; a named scalar is that of any cloud.
+    """Read a file as its tool saves it; one of no tool is a cloud or an array.
 
     `meanings` are those of raw ids, or of the ids that the user stated.
     """
-    is_cloud = _has_points(path)
-    tool = None if is_cloud and scalar is not None else tool_of(path)
     if tool is not None:
         labels = tool.read(path, scan, space)
         return replace(labels, meanings=meanings) if meanings.is_stated else labels
+    is_cloud = _has_points(path)
     if is_cloud:
         cloud = LabelledCloud.read(path, scalar, scan.notes.frame)
     else:

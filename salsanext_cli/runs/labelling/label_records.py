@@ -52,6 +52,7 @@ class ImportedScan:
     missing: int  # Points of the scan that are not in the file
     unmatched: int  # Points of the file that are not in the scan
     scalar: str  # Name of the label scalar
+    tool: str = ""  # Labelling tool whose form the file has, if any
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -25,7 +25,7 @@ from salsanext_cli.io.frames import FRAMES, encode_frames, read_frames
 from salsanext_cli.io.poses import line_numbers
 from salsanext_cli.runs.labelling.label_records import IMPORTED
 from salsanext_cli.runs.records.stage_settings import ComputedSettings
-from salsanext_cli.runs.results.layouts import SCAN_FOLDER
+from salsanext_cli.runs.results.layouts import SCAN_FOLDER, TOOL_FOLDER
 from salsanext_cli.runs.results.manifest import require_same_settings, settings_json
 from salsanext_cli.runs.results.owned_folder import OwnedFolder, foreign_file
 from salsanext_cli.runs.results.paths import ScanFile, find_scans, output_path
@@ -36,7 +36,6 @@ STAGE = "pick"
 LABEL_SPACE = "labels.yaml"
 TABLE = "picked.csv"
 PREDICTED = "predicted"  # Folder of the results of the picked scans, for `report` and `eval`
-TOOL_FOLDER = "tools"  # Folder with a folder for each labelling tool
 CHOSEN = "both"  # Strategy that picks scans by uncertainty and distance
 NAMED = "named"  # Strategy that picks the scans of a list
 

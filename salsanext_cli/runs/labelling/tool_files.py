@@ -3,29 +3,49 @@
 
 import logging
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
 
+import numpy as np
+
 from salsanext_cli.core.errors import FormatError
+from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
 from salsanext_cli.core.poses import POSES, Poses
+from salsanext_cli.core.records import Origin, Origins, Scan
+from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.io.files.reading import filled, present
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.formats.kitti_labels import read_labels
 from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.io.labelling_tools.tool import Files, LabelledPoints, LabellingTool
 from salsanext_cli.io.poses import pose_readings
-from salsanext_cli.runs.labelling.picked_data_set import (
-    LABEL_SPACE,
-    TOOL_FOLDER,
-    PickedDataSet,
-    PickedScan,
-)
+from salsanext_cli.runs.labelling.picked_data_set import LABEL_SPACE, PickedDataSet, PickedScan
+from salsanext_cli.runs.results.layouts import TOOL_FOLDER
 
 log = logging.getLogger(__name__)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensorPositions:
+    """Positions of the sensor in scans that are registered to a map."""
+
+    sensor: Sensor  # Fitted to the scans
+    origins: Origins = field(default_factory=dict)  # By name of the scan, those by poses, metres
+
+    def position_in(self, name: str, scan: Scan) -> Origin | None:
+        """Return the position in the frame of a scan, metres; None if it is not registered."""
+        if not self.sensor.has_registered:
+            return None
+        member = sensor_of(scan, self.sensor, self.origins.get(name))
+        return member.origin if member.registered else None
+
+
 def write_for_tool(
-    data_set: PickedDataSet, tool: LabellingTool | None, picked: Sequence[PickedScan]
+    data_set: PickedDataSet,
+    tool: LabellingTool,
+    picked: Sequence[PickedScan],
+    positions: SensorPositions,
 ) -> None:
     """Write the missing files of picked scans for a labelling tool, with their present labels.
 
@@ -33,23 +53,32 @@ def write_for_tool(
     ----------
     data_set : PickedDataSet
         Data set with the scans; those that could not be written are skipped.
-    tool : LabellingTool, optional
-        The tool; None writes nothing.
+    tool : LabellingTool
+        The tool.
     picked : sequence of PickedScan
         The scans.
+    positions : SensorPositions
+        Positions of the sensor in the scans.
     """
     scans = [scan for scan in picked if _is_complete(data_set, scan)]
-    if tool is None or not scans:
+    if not scans:
         return
     folder = data_set.root / TOOL_FOLDER / tool.name
     space = label_space(data_set.root / LABEL_SPACE)
     _write_missing(data_set, folder, tool.common_files(space))
+    origins: dict[str, Origin] = {}
     for scan in scans:
-        _write_missing(data_set, folder, tool.scan_files(_labelled(data_set, scan), space))
+        labelled = _labelled(data_set, scan, positions)
+        if labelled.origin is not None:
+            origins[scan.name] = labelled.origin
+        _write_missing(data_set, folder, tool.scan_files(labelled, space))
     by_sequence = sorted(scans, key=lambda scan: (scan.sequence, scan.scan))
     for sequence, members in groupby(by_sequence, lambda scan: scan.sequence):
-        stems = [scan.scan for scan in members]
+        scans_of_sequence = list(members)
+        stems = [scan.scan for scan in scans_of_sequence]
         poses = _poses(data_set.root / "sequences" / sequence / POSES, stems)
+        if all(scan.name in origins for scan in scans_of_sequence):
+            poses = _translations([origins[scan.name] for scan in scans_of_sequence])
         _write_current(data_set, folder, tool.sequence_files(sequence, stems, poses))
 
 
@@ -59,12 +88,27 @@ def _is_complete(data_set: PickedDataSet, scan: PickedScan) -> bool:
     return filled(paths.points) and filled(paths.labels)
 
 
-def _labelled(data_set: PickedDataSet, picked: PickedScan) -> LabelledPoints:
+def _labelled(
+    data_set: PickedDataSet, picked: PickedScan, positions: SensorPositions
+) -> LabelledPoints:
     """Read a scan and its labels."""
     paths = data_set.paths(picked.sequence, picked.scan)
     scan = read_scan(paths.points)
     labels = read_labels(paths.labels, len(scan))
-    return LabelledPoints(sequence=picked.sequence, stem=picked.scan, scan=scan, labels=labels)
+    return LabelledPoints(
+        sequence=picked.sequence,
+        stem=picked.scan,
+        scan=scan,
+        labels=labels,
+        origin=positions.position_in(picked.name, scan),
+    )
+
+
+def _translations(origins: Sequence[Origin]) -> Poses:
+    """Return poses (N, 4, 4) float64 without rotation."""
+    poses = np.tile(np.eye(4), (len(origins), 1, 1))
+    poses[:, :3, 3] = origins
+    return poses
 
 
 def _poses(path: Path, stems: Sequence[str]) -> Poses | None:

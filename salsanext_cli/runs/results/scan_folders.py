@@ -23,7 +23,13 @@ from salsanext_cli.io.formats.unread import (
     folder_hint,
     unread_kind,
 )
-from salsanext_cli.runs.results.layouts import LABEL_FOLDER, SCAN_FOLDER, Layout, layout_of
+from salsanext_cli.runs.results.layouts import (
+    LABEL_FOLDER,
+    SCAN_FOLDER,
+    TOOL_FOLDER,
+    Layout,
+    layout_of,
+)
 
 OWN_TABLES = ("scores.txt", "log.csv", "picked.csv")
 """Tables of `eval`, `train` and `pick`, which are scans only if they are named."""
@@ -186,7 +192,8 @@ def _subfolders(folder: Path, *, is_root: bool = False) -> list[Path]:
     data_sets = [folder for folder in places if is_folder(folder)]
     if not is_root:
         return data_sets
-    return [other for other in others if other != sequences] + data_sets
+    copies = folder / TOOL_FOLDER  # Of picked scans, for labelling tools
+    return [other for other in others if other not in (sequences, copies)] + data_sets
 
 
 def usable(folders: Collection[ScanFolder]) -> list[ScanFolder]:

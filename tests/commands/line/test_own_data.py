@@ -213,9 +213,22 @@ def test_the_scale_of_the_uncertainties_is_that_of_the_scans_and_the_classes():
 
 
 def test_after_pick_the_training_uses_its_labelled_data_sets_and_weights():
-    following = commands_after_pick(Path("new"), "w.safetensors", [Path("a b"), Path("c")])
+    data_sets = [Path("a b"), Path("c")]
+    following = commands_after_pick(Path("new"), Path("edited"), "w.safetensors", data_sets)
+    importing = shlex.split(following.split("`")[1])
+    assert importing == ["salsanext", "import-labels", "edited", "new"]
     training = shlex.split(following.split("`")[3])
     assert training[:6] == ["salsanext", "train", "new", "runs/mine", "--recipe", "finetune"]
     assert training[6:8] == ["--weights", "w.safetensors"]
     assert training[8:] == ["--also", "a b", "--also", "c"]
-    assert "--also" not in commands_after_pick(Path("new"), None, [])
+    assert "--also" not in commands_after_pick(Path("new"), Path("edited"), None, [])
+
+
+@pytest.mark.parametrize("tool", [None, *TOOLS.values()])
+def test_after_pick_the_import_reads_what_the_tool_saves(tool):
+    labels = PickedLabels(folder=Path("new/predicted"), failures=(), accuracy=None, verdict=None)
+    outcome = Outcome(skipped=0, done=1, failures=())
+    picking = Picking(picked=(), scans=1, outcome=outcome, warnings=[])
+    (*_, last) = lines_after_pick(Path("new"), picking, labels, None, (), tool)
+    edited = "new/tools/point-labeler" if tool is TOOLS["point-labeler"] else "edited"
+    assert f"`salsanext import-labels {edited} new`" in last

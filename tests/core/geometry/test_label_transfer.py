@@ -62,10 +62,21 @@ def test_labels_equal_a_loop_over_all_pairs(seed, count, size, jitter, share):
     assert found.cloud_points == np.isfinite(cloud).all(axis=1).sum()
 
 
+def test_points_at_one_place_have_labels_of_their_own_in_a_cloud_of_the_same_order():
+    points = np.float32([[1, 2, 3], [1, 2, 3], [np.nan, 0, 0], [4, 5, 6]])
+    labels = np.array([10, 40, 50, 70], np.uint32)
+    assert as_listed(transfer_labels(points, points, labels)) == [10, 40, 50, 70]
+    rounded = points + np.float32([[0.0005, -0.0005, 0.0005]])
+    assert as_listed(transfer_labels(points, rounded, labels)) == [10, 40, 50, 70]
+    for order in ([3, 2, 1, 0], [0, 1, 3]):
+        found = transfer_labels(points, points[order], labels[order])
+        assert as_listed(found) == ["several", "several", None, 70]
+
+
 def test_points_at_one_place_take_no_more_time_and_those_beyond_anything_are_far_away():
     """A sensor without returns gives tens of thousands of zeros, and billions of pairs."""
     points = np.zeros((60_000, 3), np.float32)
-    found = transfer_labels(points, points - np.float32(1e-4), np.full(60_000, 9, np.uint32))
+    found = transfer_labels(points, points[1:] - np.float32(1e-4), np.full(59_999, 9, np.uint32))
     assert (found.labels == 9).all()
     points = np.zeros((2, 3), np.float32)
     found = transfer_labels(points, points - np.float32([[3e38]]), np.ones(2, "u4"))

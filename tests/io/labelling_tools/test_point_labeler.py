@@ -1,12 +1,16 @@
 # SPDX-License-Identifier: MIT
 """Folders of point_labeler, which edits label files in place."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from picked_for_tools import SEQUENCES, PickedForTool
-from scans import files_below
+from scans import SMALL, files_below
 
-from salsanext_cli.io.labelling_tools.point_labeler import APART_M
+from salsanext_cli import read_scan
+from salsanext_cli.io.labelling_tools.point_labeler import APART_M, PointLabeler
+from salsanext_cli.runs.labelling.tool_files import SensorPositions
 
 SCAN = ("08", "000011")
 
@@ -31,7 +35,7 @@ def opened_poses(folder):
 
 def test_each_sequence_is_a_folder_of_the_benchmark(picked):
     picked.write()
-    expected = [
+    names = [
         f"{sequence}/{name}"
         for sequence, stems in SEQUENCES.items()
         for name in (
@@ -41,7 +45,7 @@ def test_each_sequence_is_a_folder_of_the_benchmark(picked):
             *(f"velodyne/{stem}.bin" for stem in stems),
         )
     ]
-    assert sorted(files_below(picked.folder)) == sorted(expected)
+    assert sorted(files_below(picked.folder)) == sorted(names)
     for sequence, stem in picked.scans:
         for name in (f"velodyne/{stem}.bin", f"labels/{stem}.label"):
             original = picked.root / "sequences" / sequence / name
@@ -67,6 +71,61 @@ def test_poses_of_the_camera_are_those_of_the_lidar_to_the_tool(picked):
     first, second = opened_poses(picked.folder / "08")
     np.testing.assert_allclose(first, np.eye(4), atol=1e-12)
     np.testing.assert_allclose(second[:3, 3], [5, 0, 0], atol=1e-12)
+
+
+def test_the_way_begins_at_the_origin(picked):
+    """The tool has a tile for each 100 m from the origin, and single precision."""
+    rows = (
+        "0 -1 0 691234.5 1 0 0 5334567.25 0 0 1 510",
+        "1 0 0 691239.5 0 1 0 5334560.25 0 0 1 511",
+    )
+    (picked.root / "sequences/08/poses.txt").write_text("\n".join(rows))
+    picked.write()
+    first, second = opened_poses(picked.folder / "08")
+    np.testing.assert_array_equal(first, [[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    np.testing.assert_array_equal(second[:3, 3], [5, -7, 1])
+
+
+def test_registered_scans_are_seen_from_their_sensor_and_lie_where_they_are_in_the_map(picked):
+    """Their points are in the frame of the map already; the tool hides those beyond 50 m."""
+    origins = {"08/000010": (300.0, 20.0, 1.5), "08/000011": (310.0, 25.0, 1.5)}
+    origins["09/000010"] = (7.0, 0.0, 0.0)
+    (picked.root / "sequences/08/poses.txt").write_text("0 -1 0 300 1 0 0 20 0 0 1 1.5\n" * 2)
+    sensor = replace(SMALL, registered=True)
+    picked.write(SensorPositions(sensor=sensor, origins=origins))
+    poses = opened_poses(picked.folder / "08")
+    for (sequence, stem), pose in zip(picked.scans[:2], poses, strict=True):
+        points = read_scan(picked.folder / sequence / "velodyne" / f"{stem}.bin").points
+        in_map = picked.points((sequence, stem)) - np.float32(origins["08/000010"])
+        np.testing.assert_allclose(points @ pose[:3, :3].T + pose[:3, 3], in_map, atol=1e-4)
+        nearest = picked.points((sequence, stem)) - np.float32(origins[f"{sequence}/{stem}"])
+        np.testing.assert_allclose(points, nearest, atol=1e-4)
+
+
+def test_names_with_dots_have_files_that_the_tool_pairs(picked):
+    """It names the label file of a scan by the name up to its first dot."""
+    sequence = picked.root / "sequences/09"
+    for folder in ("velodyne", "labels"):
+        (path,) = (sequence / folder).iterdir()
+        path.rename(path.with_name(f"1700.25{path.suffix}"))
+    picked.scans[2] = scan = ("09", "1700.25")
+    picked.before[scan] = picked.labels(scan)
+    picked.write()
+    path = picked.folder / "09/labels/1700_25.label"
+    assert (picked.folder / "09/velodyne/1700_25.bin").is_file()
+    path.write_bytes(picked.corrected(scan).astype("<u4").tobytes())
+    found = picked.import_from(path, overwrite=True)
+    assert (found.failures, [entry.scan for entry in found.scans]) == ([], ["09/1700.25"])
+    np.testing.assert_array_equal(picked.labels(scan), picked.corrected(scan))
+
+
+def test_poses_are_in_the_order_of_the_files():
+    """`a-b.bin` comes before `a.bin`, but `a` before `a-b`."""
+    poses = np.tile(np.eye(4), (2, 1, 1))
+    poses[:, 0, 3] = [0, 5]
+    files = PointLabeler().sequence_files("08", ("a", "a-b"), poses)
+    rows = [line.split() for line in files["08/poses.txt"].decode().splitlines()]
+    assert [float(row[3]) for row in rows] == [0, -5]
 
 
 def test_unreadable_poses_are_skipped_with_a_warning(picked, caplog):

@@ -61,7 +61,8 @@ def test_three_changed_labels_come_back_exactly(picked, tmp_path):
         name = f"{'_'.join(scan)}.pcd"
         labels = SPACE.to_train(picked.corrected(scan))
         saved(edited / name, opened(picked.folder / name), labels)
-    assert picked.import_from(edited).failures == []
+    found = picked.import_from(edited)
+    assert (found.failures, [scan.tool for scan in found.scans]) == ([], ["sse"] * 3)
     for scan in picked.scans:
         np.testing.assert_array_equal(picked.labels(scan), picked.corrected(scan))
         assert (picked.labels(scan) != picked.before[scan]).sum() == 3
@@ -94,7 +95,43 @@ def test_a_named_field_has_raw_ids(picked, tmp_path):
     columns = opened(picked.folder / "08_000011.pcd")
     saved(tmp_path / "08_000011.pcd", columns, picked.corrected(SCAN))
     found = picked.import_from(tmp_path / "08_000011.pcd", scalar="label")
-    assert found.failures == []
+    assert (found.failures, found.scans[0].tool) == ([], "")
+    np.testing.assert_array_equal(picked.labels(SCAN), picked.corrected(SCAN))
+
+
+def test_a_scan_that_was_not_saved_in_the_editor_is_no_damaged_file(picked, tmp_path):
+    path = tmp_path / "edited/08_000011.pcd"
+    saved(path, opened(picked.folder / "08_000011.pcd"), [1] * POINTS)
+    header = path.read_text().partition("DATA ascii\n")[0]
+    path.write_text(f"{header}DATA ascii\nError while parsing labels file.")
+    (failure,) = picked.import_from(tmp_path / "edited").failures
+    assert (failure.code, failure.files) == ("label", (str(path),))
+
+
+@pytest.mark.parametrize(
+    ("cut", "stated", "codes"), [(40, 0, ["label"]), (40, -40, []), (0, 9, [])]
+)
+def test_a_download_that_was_cut_at_a_line_is_refused(picked, tmp_path, cut, stated, codes):
+    """Points that the user removed are missing in the header too."""
+    path = tmp_path / "edited/08_000011.pcd"
+    saved(path, opened(picked.folder / "08_000011.pcd"), [1] * POINTS)
+    content = path.read_text().replace(f"{POINTS}\n", f"{POINTS + stated}\n")
+    rows = content.splitlines(keepends=True)
+    path.write_text("".join(rows[: len(rows) - cut]))
+    failures = picked.import_from(tmp_path / "edited").failures
+    assert [failure.code for failure in failures] == codes
+
+
+def test_points_at_one_place_keep_their_labels(picked, tmp_path):
+    """The editor returns all points in their order."""
+    points = picked.root / "sequences/08/velodyne/000011.bin"
+    values = np.fromfile(points, "<f4").reshape(-1, 4)
+    values[:50, :3] = 0
+    values.tofile(points)
+    columns = dict(zip("xyz", values.T[:3], strict=True))
+    labels = SPACE.to_train(picked.corrected(SCAN))
+    saved(tmp_path / "edited/08_000011.pcd", columns, labels)
+    assert picked.import_from(tmp_path / "edited").failures == []
     np.testing.assert_array_equal(picked.labels(SCAN), picked.corrected(SCAN))
 
 

@@ -102,12 +102,13 @@ def test_three_changed_labels_of_pcd_files_come_back_exactly(picked):
     np.testing.assert_array_equal(picked.labels(SCAN), labels)
 
 
-def test_ranges_and_labels_without_a_name(picked, edited):
+def test_ranges_and_labels_without_a_name(picked, edited, caplog):
     labels = np.arange(POINTS) % 4
     write_pcd(edited / NAME, picked.points(SCAN), {"labels": labels.astype("i2")})
     mapping = edited / "class_mapping.json"
     mapping.write_text('{"-1": "person", "1-2": "car"}')
     assert picked.import_from(edited).failures == []
+    assert f"{POINTS // 4} points have labels without a name in {mapping}: 3;" in caplog.text
     np.testing.assert_array_equal(picked.labels(SCAN), np.where(np.isin(labels, [1, 2]), 10, 0))
     (edited / "map.yaml").write_text("0: 0\n1: road\n2: road\n3: road\n")
     assert picked.import_from(edited, ids=edited / "map.yaml").failures == []
@@ -143,6 +144,16 @@ def test_wrong_annotations_fail_and_change_nothing(picked, edited, classes, code
     (failure,) = picked.import_from(edited).failures
     assert (failure.code, failure.files) == (code, (str(path),))
     np.testing.assert_array_equal(picked.labels(SCAN), picked.before[SCAN])
+
+
+@pytest.mark.parametrize("title", [None, "", 7])
+def test_an_object_without_a_class_is_named(picked, edited, title):
+    path = exported(edited, NAME, {"car": [0, 1]})
+    annotation = json.loads(path.read_text())
+    annotation["objects"][0]["classTitle"] = title
+    path.write_text(json.dumps(annotation))
+    (failure,) = picked.import_from(edited).failures
+    assert (failure.code, "object 0" in failure.reason) == ("label", True)
 
 
 @pytest.mark.parametrize("content", ["[]", '{"objects": [], "figures": [{}]}', '{"objects"'])

@@ -61,6 +61,19 @@ def test_scans_that_are_not_used_are_named_with_a_command(tmp_path, caplog, used
     assert scan.path == tmp_path / unused / "1.bin"
 
 
+def test_copies_for_labelling_tools_are_no_other_scans(tmp_path, caplog):
+    make_empty(tmp_path, "sequences/08/velodyne/1.bin", ".salsanext.files/host.tsv")
+    make_empty(tmp_path, "tools/sse/08_1.pcd", "tools/point-labeler/08/velodyne/1.bin")
+    with caplog.at_level(NOTICE):
+        assert found(tmp_path) == ["08/1"]
+    assert caplog.messages == []
+    (tmp_path / ".salsanext.files/host.tsv").unlink()
+    (tmp_path / ".salsanext.files").rmdir()
+    with caplog.at_level(NOTICE):
+        assert found(tmp_path) == ["08/1"]
+    assert "tools/sse (1 .pcd)" in caplog.text
+
+
 @pytest.mark.parametrize(
     "others",
     [
