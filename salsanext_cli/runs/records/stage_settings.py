@@ -12,6 +12,7 @@ from salsanext_cli.core.fusion.reach import FusionReach
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.network.card import AccuracyLine, RiskThreshold
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.wording import setting
 from salsanext_cli.runs.records.digest_files import require_digests
 
 
@@ -88,6 +89,19 @@ class UncertaintySettings(ComputedSettings):
     samples: int | None = None
     seed: int | None = None
     noise: tuple[float, float] | None = None  # Of the sensor: metres, units of intensity
+
+    def sampling_as_typed(self) -> list[str]:
+        """Return the settings of the samples that a user gave, as `setting` spells them."""
+        from salsanext_cli.core.uncertainty.method import UncertaintyMethod
+
+        defaults = UncertaintyMethod()
+        names = [field.name for field in fields(UncertaintyMethod)]
+        values = {name: getattr(self, name) for name in names}
+        return [
+            setting(name, value)
+            for name, value in values.items()
+            if value not in (None, getattr(defaults, name))
+        ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

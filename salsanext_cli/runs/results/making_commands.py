@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from salsanext_cli.core.wording import command, setting
@@ -20,6 +20,7 @@ from salsanext_cli.runs.results.selection import data_set_of
 
 UNKNOWN_SCANS = "SCANS"
 """Word for scans that are not known, or in several folders."""
+WITHOUT_NOISE = "none"  # Value of `UncertaintyMethod.aleatoric`
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,6 +31,7 @@ class MakingCommand:
     extras: tuple[str, ...] = ()  # Further results of `predict`
     # Settings of the run that the command does not take, or must not repeat
     omitted: frozenset[str] = frozenset()
+    needs_noise: bool = False  # Whether a run without the noise of the sensor has no such results
 
     def text(
         self, out: Path, *files: ScanFile, target: Path | None = None, overwrite: bool = False
@@ -58,6 +60,12 @@ class MakingCommand:
             settings += settings_of_run(Manifest(out), self.omitted)
         if self.stage == "predict":
             settings += extras_of_run(Manifest(out), self.extras)
+        sampled = Manifest(out).settings("uncertainty") if self.stage == "uncertainty" else None
+        if sampled is not None and self.needs_noise and sampled.aleatoric == WITHOUT_NOISE:
+            sampled = replace(sampled, aleatoric=None)
+            overwrite = True
+        if sampled is not None:
+            settings += sampled.sampling_as_typed()
         if overwrite:
             settings.append(setting("overwrite", True))
         return command(shlex.join([*words, str(target or out)]), *settings)
@@ -77,12 +85,13 @@ PREDICT_UNMERGED_ERROR = MakingCommand(
 )
 PREDICT_VOTES = MakingCommand(stage="predict", extras=("votes",))
 UNCERTAINTY_STAGE = MakingCommand(stage="uncertainty", omitted=frozenset({"origin"}))
+UNCERTAINTY_OF_NOISE = replace(UNCERTAINTY_STAGE, needs_noise=True)
 FUSE = MakingCommand(stage="fuse")
 MADE_BY = {
     "error": PREDICT_ERROR,
     "epistemic": UNCERTAINTY_STAGE,
-    "aleatoric": UNCERTAINTY_STAGE,
-    "total": UNCERTAINTY_STAGE,
+    "aleatoric": UNCERTAINTY_OF_NOISE,
+    "total": UNCERTAINTY_OF_NOISE,
     "entropy": UNCERTAINTY_STAGE,
     "mutual_information": UNCERTAINTY_STAGE,
     "disagreement": FUSE,

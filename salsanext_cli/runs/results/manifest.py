@@ -326,7 +326,9 @@ class Manifest:
         labels = self.weights("predictions")
         space = self.label_space("predictions")
         words = f"salsanext uncertainty SCANS {self.root}"
-        hint = f"run `{command(words, setting('overwrite', True))}` with the"
+        sampled = self.settings("uncertainty")
+        settings = [] if sampled is None else sampled.sampling_as_typed()
+        hint = f"run `{command(words, *settings, setting('overwrite', True))}` with the"
         for folder in ("uncertainty/epistemic", ERROR):
             estimated = self.weights(folder)
             other = self.label_space(folder)

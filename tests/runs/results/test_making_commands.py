@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Commands in hints about missing results: followed as printed, they continue the same run."""
 
+import json
 import re
 import shlex
 from dataclasses import replace
@@ -65,6 +66,29 @@ def test_the_uncertainty_is_that_of_the_network_of_the_labels(run_with_options):
     assert "--objects" not in words
     called(*words[1:], "--samples", 2)
     assert len(find_outputs(world.out, "uncertainty/epistemic")) == 3
+
+
+@pytest.mark.parametrize(
+    ("typed", "kind", "repeated"),
+    [
+        (
+            "--samples 2 --seed 7 --aleatoric paper",
+            "total",
+            "--samples 2 --seed 7 --aleatoric paper",
+        ),
+        ("--samples 2 --aleatoric none", "entropy", "--samples 2 --aleatoric none"),
+        ("--samples 2 --aleatoric none", "aleatoric", "--samples 2 --overwrite"),
+    ],
+)
+def test_a_hint_about_the_uncertainty_repeats_its_samples(world, tmp_path, typed, kind, repeated):
+    record = {"stage": "uncertainty", "settings": {}}
+    options = dict(zip(typed.split()[::2], typed.split()[1::2], strict=True))
+    for option, value in options.items():
+        record["settings"][option[2:]] = int(value) if value.isdecimal() else value
+    (tmp_path / "uncertainty.json").write_text(json.dumps(record))
+    with spelled(CommandLine()):
+        hint = making_hint(kind, tmp_path)
+    assert hint.endswith(f" SCANS {tmp_path} {repeated}` first")
 
 
 def test_a_run_with_the_defaults_needs_no_options(world, tmp_path, monkeypatch):
