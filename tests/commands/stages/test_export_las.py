@@ -15,6 +15,7 @@ from salsanext_cli.commands.stages.export_las import export_las
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import NoInputError, OutputError
+from salsanext_cli.io.frames import FRAMES, encode_frames
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.paths import find_scans
@@ -103,6 +104,16 @@ def test_las_scans_in_a_map_keep_their_coordinates(tmp_path, world):
     np.testing.assert_array_equal(
         las["label"], read_labels(out / "sequences/drive/predictions/000000.label")
     )
+
+
+def test_scans_that_were_moved_out_of_a_map_are_written_in_it(predicted):
+    frame = (690_000.0, 5_330_000.0, 0.0)
+    path = predicted.scan().parent.with_name(FRAMES)
+    path.write_bytes(encode_frames({"000000": frame}))
+    export_las(predicted.out)
+    in_map = read_scan(predicted.scan()).points + np.array(frame)
+    np.testing.assert_allclose(cloud(predicted).xyz, in_map, atol=1e-4, rtol=0)
+    np.testing.assert_array_equal(cloud(predicted, stem="000001").header.offsets, 0)
 
 
 def codes_of(labels, codes):
