@@ -6,9 +6,10 @@ from __future__ import annotations
 from rich.console import Group
 from rich.table import Table
 
-from salsanext_cli.core.measures.paired import MIN_PARTS, MIN_SCANS, Difference
+from salsanext_cli.core.measures.paired import Difference
 from salsanext_cli.core.texts import counted
 from salsanext_cli.report.run_changes import (
+    FEW_PARTS,
     has_intervals,
     many_scores_text,
     run_name,
@@ -18,7 +19,6 @@ from salsanext_cli.report.tables import ABSENT, percent, table_of
 from salsanext_cli.runs.summary.run_comparison import RunComparison
 
 INTERVAL = "interval: paired bootstrap over {parts} drives or parts of drives; clear: without 0"
-FEW_PARTS = f"no intervals: fewer than {MIN_PARTS} drives, or parts of {MIN_SCANS} scans of a drive"
 MAYBE_TRAINED_ON = "the weights may have been trained on these scans"
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from salsanext_cli.core.geometry.sensor_frame import in_sensor_frame
-from salsanext_cli.core.measures.paired import Difference
+from salsanext_cli.core.measures.paired import MIN_PARTS, MIN_SCANS, Difference
 from salsanext_cli.core.texts import counted, printable, shortened
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.report import canvas
@@ -51,6 +51,7 @@ HEADINGS_PX = SCORES_ABOVE_PX - 14
 BELOW_PX = 60  # Height of the numbers and the label of the axis
 MAX_NAME = 40  # Longest name of a run in a legend
 UNCLEAR = "#8a8f98"
+FEW_PARTS = f"no intervals: fewer than {MIN_PARTS} drives, or parts of {MIN_SCANS} scans of a drive"
 MEANS = 2  # Number of scores of all classes, which come first
 LEAST_LIMIT = 1.0  # Least end of the axis, in percentage points
 
@@ -105,17 +106,24 @@ def _score_picture(comparison: RunComparison, scores: Mapping[str, Difference]) 
     farthest = max(_farthest(difference) for difference in scores.values())
     limit = 1.08 * max(farthest, LEAST_LIMIT)
     axes.set_xlim(-limit, limit)
-    axes.set_xlabel("change in percentage points, with its 95 % interval")
+    axes.set_xlabel("change in percentage points")
     _head_columns(figure)
     names = f"from {run_name(comparison.before)} to {run_name(comparison.after)}"
     canvas.text_at(figure, 20, 52, names, 14, DARK)
-    marks = (
-        "filled: clear, the interval excludes 0 (green: better, orange: worse); hollow: not clear"
-    )
-    canvas.text_at(figure, 20, 76, marks, 12, DARK)
-    if has_intervals(comparison):
-        canvas.text_at(figure, 20, 97, many_scores_text(comparison), 12, DARK)
+    for line, text in enumerate(_notes(comparison)):
+        canvas.text_at(figure, 20, 76 + 21 * line, text, 12, DARK)
     return canvas.png_of(figure)
+
+
+def _notes(comparison: RunComparison) -> list[str]:
+    """Explain the marks, and state what limits the scores, in words."""
+    if not has_intervals(comparison):
+        return [FEW_PARTS]
+    intervals = "lines: 95 % intervals; filled: clear, the interval excludes 0"
+    return [
+        f"{intervals} (green: better, orange: worse); hollow: not clear",
+        many_scores_text(comparison),
+    ]
 
 
 def _draw_change(axes: Axes, row: int, difference: Difference) -> None:

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """The picture of a comparison is a forest plot of the changes of the scores."""
 
+from dataclasses import replace
+
 import pytest
 from calls import calls_of
 from matplotlib.colors import to_hex
@@ -8,7 +10,7 @@ from matplotlib.colors import to_hex
 from salsanext_cli.core.measures.paired import Difference
 from salsanext_cli.report import canvas
 from salsanext_cli.report.plots import GREEN, RED
-from salsanext_cli.report.run_changes import UNCLEAR, comparison_picture
+from salsanext_cli.report.run_changes import FEW_PARTS, UNCLEAR, comparison_picture
 from salsanext_cli.runs.summary.run_comparison import ClassChange, RunComparison
 
 SCORES = {
@@ -77,6 +79,18 @@ def test_each_change_is_on_its_row_with_its_interval_around_zero(comparison):
     assert (left, right) == (-right, pytest.approx(1.08 * 40))
     zero = [line for line in axes.lines if list(line.get_xdata()) == [0, 0]]
     assert len(zero) == 1
+    notes = [text.get_text() for text in axes.figure.texts]
+    assert any("5 scores judged at once" in text for text in notes)
+    assert FEW_PARTS not in notes
     assert {"car", "90.0 → 80.0", "-10.0 (-15.0 … -5.0)", "+40.0"} <= {
         text.get_text() for text in (*axes.texts, *axes.get_yticklabels())
     }
+
+
+def test_few_scans_have_a_note_instead_of_intervals(comparison):
+    without = Difference(before=0.5, after=0.6, low=None, high=None)
+    few = replace(comparison, accuracy=without, iou_mean=without, classes=())
+    axes = axes_of(few)
+    notes = [text.get_text() for text in axes.figure.texts]
+    assert FEW_PARTS in notes
+    assert not any("judged at once" in text or "interval excludes" in text for text in notes)

@@ -10,8 +10,9 @@ from pathlib import Path
 
 from salsanext_cli.core.measures.paired import Difference
 from salsanext_cli.core.texts import counted
-from salsanext_cli.report.run_change_tables import FEW_PARTS, MAYBE_TRAINED_ON
+from salsanext_cli.report.run_change_tables import MAYBE_TRAINED_ON
 from salsanext_cli.report.run_changes import (
+    FEW_PARTS,
     change_text,
     has_intervals,
     many_scores_text,
