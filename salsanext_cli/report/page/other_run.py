@@ -27,6 +27,7 @@ from salsanext_cli.runs.summary.run_comparison import (
     recorded_comparison,
 )
 
+SCORES = {PICTURE: "Change of each score with its interval, around a line at zero"}
 AGREEMENT = {PICTURE: "Share of the points of each class with the same label in both runs"}
 CHANGES = {CHANGED_SCAN: "The most changed scan from above, by the labels of both runs"}
 
@@ -68,8 +69,7 @@ def other_run(out: Path) -> OtherRun | None:
     if comparison is None:
         return None
     scores = scores_by_name(comparison)
-    # With labels, the first picture shows what the table states.
-    pictures = CHANGES if scores else AGREEMENT | CHANGES
+    pictures = (SCORES if scores else AGREEMENT) | CHANGES
     return OtherRun(
         folder=comparison.before,
         summary=_summary(comparison),

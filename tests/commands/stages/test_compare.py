@@ -19,6 +19,7 @@ from salsanext_cli.commands.stages.report import report
 from salsanext_cli.core.errors import LabelError, NoInputError, OutputError, UsageError
 from salsanext_cli.core.network.card import scan_digest
 from salsanext_cli.report.colours import screen_colours
+from salsanext_cli.report.page.other_run import SCORES
 from salsanext_cli.report.run_change_tables import comparison_tables
 from salsanext_cli.report.run_changes import CHANGES
 from salsanext_cli.report.scan_pictures import scan_picture
@@ -336,6 +337,7 @@ def test_the_page_of_a_run_has_the_changes(runs):
     assert "clearly better" in text
     assert "car became road" in text
     assert "scores judged at once" in text
+    assert f'alt="{SCORES[FILES[1]]}"' in text
     record(runs[1], temperature=2.0)
     assert 'id="changes"' not in page(runs)
 
