@@ -166,10 +166,14 @@ def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def tiny_training(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Train a tiny network."""
+def tiny_training(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Train a tiny network; its epochs are drawn, which takes longer, if a test is `drawn`."""
     from tiny_network import TinyNetwork
 
+    from salsanext_cli.commands.jobs import epoch_files
     from salsanext_cli.core.network.registry import ARCHITECTURES
 
     monkeypatch.setitem(ARCHITECTURES, "salsanext", TinyNetwork)
+    if not request.node.get_closest_marker("drawn"):
+        monkeypatch.setattr(epoch_files, "curve_picture", lambda _: b"picture")
+        monkeypatch.setattr(epoch_files, "samples_picture", lambda *_: b"picture")

@@ -167,12 +167,13 @@ def screen_colours(space: LabelSpace) -> Colours:
     return np.array(chosen, np.uint8).reshape(-1, 3)
 
 
-def _spare_colours() -> list[tuple[int, ...]]:
+@cache
+def _spare_colours() -> tuple[tuple[int, ...], ...]:
     """Return different colours for a dark background: those of `PALETTE`, and then 1024 hues."""
     palette = np.frombuffer(PALETTE, np.uint8).reshape(-1, 3)
     hues = [hsv_to_rgb(GOLDEN_RATIO * n % 1, 0.3 + n % 3 * 0.3, 1.0) for n in range(1024)]
     colours = on_dark([*palette, *np.multiply(hues, 255)]).tolist()
-    return list(dict.fromkeys(tuple(rgb) for rgb in colours))
+    return tuple(dict.fromkeys(tuple(rgb) for rgb in colours))
 
 
 @cache
