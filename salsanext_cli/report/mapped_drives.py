@@ -71,10 +71,10 @@ def drive_maps(run: RunResults) -> DriveMaps:
             if drawn is not None:
                 maps.append(drawn)
         except SalsanextError as error:
-            headline = f"no top view of {sequence}: {error.headline}"
-            problem = with_hint(printable(headline), printable(error.hint))
-            log.warning("%s", problem)
-            problems.append(problem)
+            headline = printable(f"no top view of {sequence}: {error.headline}")
+            hint = printable(error.hint)
+            log.warning("%s", with_hint(headline, hint))
+            problems.append("; ".join(filter(None, (headline, hint))))
     return DriveMaps(maps=maps, problems=problems)
 
 
