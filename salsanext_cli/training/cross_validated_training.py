@@ -22,7 +22,7 @@ from salsanext_cli.training import run_folder
 from salsanext_cli.training.cross_validation import Expectation, Parts, expectation, held_out
 from salsanext_cli.training.data.dataset import SamplingPlan
 from salsanext_cli.training.data.sources import Source
-from salsanext_cli.training.fit import StepReport
+from salsanext_cli.training.fit import FinishedEpoch, StepReport
 from salsanext_cli.training.setup import Setup
 from salsanext_cli.training.tuning.error import (
     cross_validated,
@@ -106,11 +106,15 @@ class CrossValidatedTraining:
             steps = (count + 1) * step.steps
             self.setup.report(replace(step, step=done, steps=steps, fold=number))
 
+        def watch(epoch: FinishedEpoch) -> None:
+            self.setup.watch(replace(epoch, page_folder=self.setup.run, fold=number, folds=count))
+
         return replace(
             self.setup,
             run=run_folder.fold_folder(self.setup.run, number),
             settings=replace(self.setup.settings, held_out=run_folder.scans_digest(fold)),
             report=report,
+            watch=watch,
         )
 
     def _scores_before(self, folds: Sequence[Sequence[ScanFile]]) -> tuple[float, float]:

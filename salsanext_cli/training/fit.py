@@ -51,12 +51,15 @@ class StepReport:
 class FinishedEpoch:
     """Training after an epoch whose weights and log are written."""
 
-    run: Path
+    run: Path  # Folder of the training, or of a fold
+    page_folder: Path  # Folder of the page that shows the epoch, that of the training
     rows: Sequence[Row]  # The log so far; the last row is that of the epoch
     epochs: int  # Number of all epochs
     network: Network  # Network of the last weights
     scans: Source  # Validation scans; training scans if there are none
     is_validation: bool  # Whether these are validation scans
+    fold: int = 0  # Number of the fold of a cross-validation, from 1; 0 for the training itself
+    folds: int = 0  # Number of folds
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -188,6 +191,7 @@ class Training:
         """Return what can be shown of an epoch, with predictions of some scans."""
         return FinishedEpoch(
             run=self.run,
+            page_folder=self.run,
             rows=state.rows,
             epochs=self.learner.recipe.epochs,
             network=self._network(),

@@ -37,6 +37,7 @@ CURVE = "curve.png"
 SAMPLES = "samples.png"
 PAGE = "training.html"
 EVENTS = "events"  # Folder of event files for TensorBoard
+EVENT_FILE = "events.out.tfevents"  # Its name without the number of the epoch
 RECIPE = "recipe.toml"
 CLASS_COUNTS = "class_counts.json"
 FOLDS = "folds"
@@ -129,6 +130,11 @@ def fold_folder(run: Path, number: int) -> Path:
     return run / FOLDS / str(number)
 
 
+def event_file(run: Path, epoch: int) -> Path:
+    """Return the event file of an epoch, counted from 1; TensorBoard finds it by its name."""
+    return run / EVENTS / f"{EVENT_FILE}.{epoch:06d}"
+
+
 def resumption(run: Path) -> str:
     """State, in words, from where the training in a folder would resume."""
     if any((folder / CHECKPOINT).exists() for folder in _folders(run)):
@@ -167,7 +173,7 @@ def require_free(run: Path, settings: TrainingSettings, *, overwrite: bool) -> N
     require_writable(run)
     owned = OwnedFolder(run, STAGE)
     recorded = None if overwrite else recorded_settings(run)
-    owned.refuse_foreign([run / name for name in (*RESULTS, CLASS_COUNTS, RECIPE)])
+    owned.refuse_foreign([*_results(run), run / CLASS_COUNTS, run / RECIPE])
     has_results = any((folder / name).exists() for folder in _folders(run) for name in RESULTS)
     if recorded and has_results:
         before = _extended(recorded, settings).decisive
@@ -180,7 +186,7 @@ def record_start(run: Path, settings: TrainingSettings, *, overwrite: bool) -> N
     recorded = None if overwrite else recorded_settings(run)
     if not recorded or _extended(recorded, settings).decisive != settings.decisive:
         for folder in _folders(run):
-            OwnedFolder(folder).remove_written([folder / name for name in RESULTS])
+            OwnedFolder(folder).remove_written(_results(folder))
     owned.manifest.write(StageRecord(stage=STAGE, settings=settings_json(settings)))
     owned.write(run / RECIPE, settings.recipe.to_toml().encode())
 
@@ -188,6 +194,12 @@ def record_start(run: Path, settings: TrainingSettings, *, overwrite: bool) -> N
 def _folders(run: Path) -> list[Path]:
     """Return the run folder and the folders of its folds."""
     return [run, *run.glob(f"{FOLDS}/*")]
+
+
+def _results(folder: Path) -> list[Path]:
+    """Return the results of a training in a folder, which a new training removes."""
+    event_files = (folder / EVENTS).glob(f"{EVENT_FILE}.{6 * '[0-9]'}")
+    return [*(folder / name for name in RESULTS), *event_files]
 
 
 def _extended(recorded: TrainingSettings, requested: TrainingSettings) -> TrainingSettings:

@@ -59,10 +59,22 @@ def write_epoch_files(epoch: FinishedEpoch) -> None:
     ]
     picture = samples_picture(samples, epoch.network.space, heading)
     folder.write(epoch.run / SAMPLES, picture)
+    _write_page(epoch)
+
+
+def _write_page(epoch: FinishedEpoch) -> None:
+    """Write the page of a training, which also shows the fold that is trained now."""
+    below = epoch.run.relative_to(epoch.page_folder).as_posix()
+    prefix = "" if below == "." else f"{below}/"
+    pictures = {f"{prefix}{name}": text for name, text in PICTURES.items()}
+    is_last_epoch = int(epoch.rows[-1]["epoch"]) == epoch.epochs
     page = training_page(
-        _title(epoch.run), _state(epoch), PICTURES, is_running=number < epoch.epochs
+        _title(epoch.page_folder),
+        _state(epoch),
+        pictures,
+        is_running=epoch.fold > 0 or not is_last_epoch,
     )
-    folder.write(epoch.run / PAGE, page)
+    OwnedFolder(epoch.page_folder).write(epoch.page_folder / PAGE, page)
 
 
 def sample_labels(file: ScanFile, source: Source, network: Network) -> SampleLabels:
@@ -87,7 +99,8 @@ def _title(run: Path) -> str:
 def _state(epoch: FinishedEpoch) -> str:
     """Return the last epoch in words."""
     last = epoch.rows[-1]
-    text = f"epoch {int(last['epoch'])} of {epoch.epochs}, loss {last['loss']:.3f}"
+    fold = f"fold {epoch.fold} of {epoch.folds}, " if epoch.fold else ""
+    text = f"{fold}epoch {int(last['epoch'])} of {epoch.epochs}, loss {last['loss']:.3f}"
     for key, name in (("miou", "mean IoU"), ("accuracy", "accuracy")):
         scores = [row[key] for row in epoch.rows if key in row]
         if scores:

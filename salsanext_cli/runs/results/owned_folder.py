@@ -43,6 +43,8 @@ SUBFOLDERS = (
     "sequences/*/*/",
     "sequences/*/*/*/",
     "folds/*/",
+    "folds/*/events/",
+    "events/",
     "eval/*/",
     "tools/*/",
     "tools/*/*/*/",

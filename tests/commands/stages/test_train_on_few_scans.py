@@ -93,10 +93,25 @@ def go(data: Path, run: Path, recipe: Recipe = FEW, **changes: object) -> TrainR
 def test_the_folds_choose_the_epochs_and_all_scans_are_trained_on(data, tmp_path, monkeypatch):
     monkeypatch.setattr(cross_validated_training, "gains", lambda _: True)
     reports: list[StepReport] = []
+    pages: list[str] = []
     run = tmp_path / "run"
-    result = go(data, run, progress=reports.append)
+
+    def watch(report: StepReport) -> None:
+        reports.append(report)
+        if report.row:
+            pages.append((run / "training.html").read_text("utf-8"))
+
+    result = go(data, run, progress=watch)
     expected = result.expected
     assert expected.folds == 2
+    # The page of the run shows each fold, and is complete after the training itself.
+    for page, report in zip(pages, [r for r in reports if r.row], strict=True):
+        assert (f"fold {report.fold} of 2, epoch {report.epoch} of 3" in page) == (report.fold > 0)
+        folder = run / "folds" / str(report.fold) if report.fold else run
+        assert f'src="{(folder / "curve.png").relative_to(run).as_posix()}"' in page
+        assert (folder / "curve.png").exists()
+        is_last = report.fold == 0 and report.epoch == expected.epochs
+        assert ('http-equiv="refresh"' in page) != is_last
     assert [r.fold for r in reports if r.row] == [1] * 3 + [2] * 3 + [0] * expected.epochs
     steps = [(r.step, r.steps) for r in reports]
     assert [step for step, _ in steps] == list(range(1, len(steps) + 1))

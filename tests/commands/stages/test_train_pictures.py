@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: MIT
 """Files that show a training: after every epoch, and again after a new start."""
 
+import json
 import sys
 from dataclasses import replace
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
 from matplotlib.image import imread
-from scans import SMALL, files_below, write_sequence
+from scans import SMALL, files_below, refused, write_sequence
 
 from salsanext_cli.commands.jobs import epoch_files
 from salsanext_cli.commands.stages.predict import predict_scans
@@ -107,34 +108,63 @@ def test_tensorboard_must_be_installed(labelled, tmp_path, monkeypatch):
     assert not (tmp_path / "run").exists()
 
 
+@pytest.fixture
+def tensorboard(monkeypatch):
+    """Stand in for TensorBoard, which is large: events are lines of JSON."""
+
+    class Writer:
+        def __init__(self, file):
+            self.file = file
+
+        def write(self, record):
+            self.file.write(record + b"\n")
+
+    class Event(SimpleNamespace):
+        def SerializeToString(self):  # noqa: N802
+            return json.dumps(vars(self)).encode()
+
+    class Summary:
+        def __new__(cls, value):
+            return value
+
+        @staticmethod
+        def Value(tag, simple_value):  # noqa: N802
+            return tag, simple_value
+
+    modules = {
+        "tensorboard": {},
+        "tensorboard.compat.proto.event_pb2": {"Event": Event},
+        "tensorboard.compat.proto.summary_pb2": {"Summary": Summary},
+        "tensorboard.summary.writer.record_writer": {"RecordWriter": Writer},
+    }
+    for name, members in modules.items():
+        module = ModuleType(name)
+        vars(module).update(members)
+        monkeypatch.setitem(sys.modules, name, module)
+
+
 @tiny
-def test_events_have_the_rows_of_the_log(labelled, tmp_path, monkeypatch):
-    """Without TensorBoard, which is large: a stand-in lists the scalars."""
-    scalars = []
-
-    class SummaryWriter:
-        def __init__(self, folder, filename_suffix):
-            self.folder = folder
-
-        def __enter__(self):
-            return self
-
-        def __exit__(self, *_):
-            pass
-
-        def add_scalar(self, name, value, step):
-            scalars.append((self.folder, name, value, step))
-
-    module = ModuleType("torch.utils.tensorboard")
-    module.SummaryWriter = SummaryWriter
-    monkeypatch.setitem(sys.modules, "tensorboard", ModuleType("tensorboard"))
-    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", module)
+@pytest.mark.usefixtures("tensorboard")
+def test_events_have_the_rows_of_the_log(labelled, tmp_path):
+    """A new training removes those of the earlier one, and no file of the user."""
     run = tmp_path / "run"
-    result = train(labelled, run, recipe=RECIPE, sensor=SMALL, device="cpu", tensorboard=True)
-    assert {folder for folder, *_ in scalars} == {str(run / "events")}
-    logged = {(name, step): value for _, name, value, step in scalars}
+    settings = {"sensor": SMALL, "device": "cpu", "tensorboard": True}
+    result = train(labelled, run, recipe=RECIPE, **settings)
+    logged = {}
+    for path in (run / "events").iterdir():
+        assert "tfevents" in path.name
+        _, event = map(json.loads, path.read_text().splitlines())
+        logged |= {(tag, event["step"]): value for tag, value in event["summary"]}
     for row in result.rows:
         for key, value in row.items():
             if key != "epoch" and value == value:
                 assert logged.pop((key.replace("iou_", "iou/", 1), int(row["epoch"]))) == value
     assert not logged
+    (run / "events/notes.txt").write_text("mine")
+    fewer = RECIPE.with_changes(epochs=1)
+    train(labelled, run, recipe=fewer, overwrite=True, **settings)
+    names = [path.name for path in sorted((run / "events").iterdir())]
+    assert names == ["events.out.tfevents.000001", "notes.txt"]
+    (run / "events" / names[0]).write_text("mine")
+    with refused(OutputError, run / "events" / names[0]):
+        train(labelled, run, recipe=fewer, overwrite=True, **settings)
