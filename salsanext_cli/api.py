@@ -12,7 +12,13 @@ from typing import NamedTuple
 import numpy.typing as npt
 
 from salsanext_cli.commands.stages.fuse import require_fusable
-from salsanext_cli.core.api import PointLabels, fitted_to_scan, point_labels, scan_of_arrays
+from salsanext_cli.core.api import (
+    PointLabels,
+    around_sensor,
+    fitted_to_scan,
+    point_labels,
+    scan_of_arrays,
+)
 from salsanext_cli.core.classes.label_space import TrainIds
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import SalsanextError
@@ -37,6 +43,7 @@ def label(
     points: npt.ArrayLike,
     intensity: npt.ArrayLike | None = None,
     weights: Path | str | Network | None = None,
+    origin: npt.ArrayLike | None = None,
 ) -> PointLabels:
     """Label the points of one scan as `predict` does: fit the sensor, check, predict, refine.
 
@@ -45,12 +52,17 @@ def label(
     Parameters
     ----------
     points : (N, 3) numbers
-        x, y, z in metres around the sensor. Points that are NaN, infinite or zero get label 0.
+        x, y, z in metres, around the sensor unless there is an `origin`. Points that are NaN,
+        infinite or zero get label 0.
     intensity : (N,) numbers, optional
         Intensity on any scale.
     weights : Path, str or Network, optional
         Weights file, which is loaded and fitted to these points; by default that of the package. A
         network is used without fitting, which is faster for many scans: see `fit_network`.
+    origin : (3,) numbers, optional
+        Position of the sensor in the frame of the points, such as that of a map, in metres. No
+        poses are read here: without it, a network that is fitted to scans of a map takes the
+        position that the points show.
 
     Returns
     -------
@@ -68,9 +80,9 @@ def label(
     SalsanextError
         If the arrays are not points around a sensor, or the weights cannot be used.
     """
-    scan = scan_of_arrays(points, intensity)
+    scan = scan_of_arrays(points, intensity, origin)
     if isinstance(weights, Network):
-        return point_labels(scan, weights)
+        return point_labels(scan, weights if origin is None else around_sensor(weights))
     return point_labels(scan, fitted_to_scan(load_network(weights), scan))
 
 

@@ -117,6 +117,9 @@ def test_label_labels_as_the_command_line_does(other_sensor, tmp_path, caplog):
         assert sn.label_space().to_raw(labels).astype("<u4").tobytes() == expected
         np.testing.assert_array_equal(probabilities.astype(np.float16), np.load(softmax))
         assert error is None
+    elsewhere = scan.points + np.array([700_000.0, 5_300_000.0, 400.0])
+    of_map = sn.label(elsewhere, scan.intensity, fitted, origin=[700_000, 5_300_000, 400])
+    np.testing.assert_array_equal(of_map.labels, labels)
     lists = sn.label(scan.points.tolist(), scan.intensity.astype(int).tolist(), fitted)
     np.testing.assert_array_equal(lists.labels, labels)
     caplog.set_level("WARNING", "salsanext_cli")
@@ -146,6 +149,13 @@ def test_label_refuses_arrays_that_are_not_points(weights, points, intensity, su
     with pytest.raises(sn.SalsanextError) as caught:
         sn.label(points, intensity, sn.load_network(weights, "cpu", engine="torch"))
     assert caught.value.subject == subject
+
+
+@pytest.mark.parametrize("origin", [[1, 2], "here", [1, 2, np.nan]])
+def test_label_refuses_an_origin_that_is_no_position(weights, origin):
+    with pytest.raises(sn.SalsanextError) as caught:
+        sn.label(np.ones((9, 3)), None, sn.load_network(weights, "cpu", engine="torch"), origin)
+    assert caught.value.subject == "origin"
 
 
 def test_label_of_no_points_is_a_warning(weights, caplog):

@@ -2,7 +2,8 @@
 """Labels in memory: from the points of one scan to their labels."""
 
 import logging
-from typing import NamedTuple, cast
+from dataclasses import replace
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +18,8 @@ from salsanext_cli.core.fitting.scan_sample import ScanSample
 from salsanext_cli.core.label_request import LabelRequest
 from salsanext_cli.core.labellers import label_scan
 from salsanext_cli.core.labelling import LabelledScan
-from salsanext_cli.core.records import Float, Scan
+from salsanext_cli.core.records import Double, Float, Scan
+from salsanext_cli.core.sensors.sensor import ORIGIN
 from salsanext_cli.core.uncertainty.error_features import knows_error
 
 SOURCE = "points"  # Name of the scan in errors and warnings
@@ -33,7 +35,11 @@ class PointLabels(NamedTuple):
     error: Float | None
 
 
-def scan_of_arrays(points: npt.ArrayLike, intensity: npt.ArrayLike | None = None) -> Scan:
+def scan_of_arrays(
+    points: npt.ArrayLike,
+    intensity: npt.ArrayLike | None = None,
+    origin: npt.ArrayLike | None = None,
+) -> Scan:
     """Return the scan of checked arrays.
 
     Parameters
@@ -42,10 +48,13 @@ def scan_of_arrays(points: npt.ArrayLike, intensity: npt.ArrayLike | None = None
         x, y, z in metres around the sensor.
     intensity : (N,) numbers, optional
         Intensity on any scale; 0 without any.
+    origin : (3,) numbers, optional
+        Position of the sensor in metres, if the points are around another origin.
 
     Returns
     -------
     Scan
+        Points around the sensor.
 
     Raises
     ------
@@ -64,9 +73,30 @@ def scan_of_arrays(points: npt.ArrayLike, intensity: npt.ArrayLike | None = None
     if values.shape != coordinates.shape[:1] or values.dtype.kind not in "fiu":
         problem = f"an array {values.shape} of {values.dtype}"
         raise UsageError("intensity", problem, f"numbers ({len(coordinates)},), one per point")
+    if origin is not None:
+        coordinates = _around(coordinates, np.asarray(origin))
     # Numbers outside the range of float32 become infinite: no measurement.
     with np.errstate(over="ignore", invalid="ignore"):
         return Scan(coordinates.astype(np.float32), values.astype(np.float32))
+
+
+def _around(points: npt.NDArray[Any], origin: npt.NDArray[Any]) -> Double:
+    """Return points (N, 3) around an origin (3,); those at 0 are no measurements and stay."""
+    is_position = origin.shape == (3,) and origin.dtype.kind in "fiu"
+    if not (is_position and np.isfinite(origin).all()):
+        problem = f"is {origin.tolist()}"
+        raise UsageError("origin", problem, "three numbers: the position of the sensor, in metres")
+    is_measured = (points != 0).any(axis=1, keepdims=True)
+    # In float64, because the numbers of a map are large.
+    around: Double = np.where(is_measured, points - origin.astype(np.float64), 0)
+    return around
+
+
+def around_sensor(network: Network) -> Network:
+    """Return a network for points around the sensor, in the place of those around its origin."""
+    members = [replace(m, origin=ORIGIN, registered=False) for m in network.sensor.members]
+    first, *others = members
+    return network.for_sensor(replace(first, others=tuple(others)))
 
 
 def fitted_to_scan(network: Network, scan: Scan) -> Network:

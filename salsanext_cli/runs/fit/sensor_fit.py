@@ -14,7 +14,7 @@ from salsanext_cli.core.fitting.scan_sample import ScanSample
 from salsanext_cli.core.fitting.view_fit import fit_sensor
 from salsanext_cli.core.network.tuned_settings import KEY_OF
 from salsanext_cli.core.plain_data import as_json
-from salsanext_cli.core.records import Scan
+from salsanext_cli.core.records import Origins, Scan
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.runs.fit.scan_sample import MAX_SCANS, ImageOf, OriginsOf, sample_of_files
 from salsanext_cli.runs.network_settings import NetworkSettings
@@ -41,7 +41,9 @@ def fit_network(
         Network with the sensor of its weights.
     scans : Path, str or sequence of Scan
         A scan, a folder of scans, a sequence or a data set, or scans in memory. The fit reads up
-        to 16 of them, evenly spaced.
+        to 16 of them, evenly spaced. Scans of files that are registered to a map are seen from the
+        positions of a `poses.txt` beside them, if it agrees with their points, as in `predict`;
+        those in memory from where their points show the sensor.
     view : bool
         Whether to fit the field of view and the mounting; unknown bounds of housing and vehicle are
         always fitted.
@@ -61,10 +63,23 @@ def fit_network(
         If `intensity` is another word, or the weights do not state the intensity of training.
     """
     if isinstance(scans, Path | str):
-        sample = sample_of_files(find_scans(Path(scans)), network.sensor)
+        files = find_scans(Path(scans))
+        sample = sample_of_files(files, network.sensor, origins_of=_by_poses_beside(files))
     else:
         sample = ScanSample.from_scans(evenly_spaced(scans, MAX_SCANS))
     return fit_to_sample(network, sample, FitSettings(view=view, intensity=intensity))
+
+
+def _by_poses_beside(files: Sequence[ScanFile]) -> OriginsOf:
+    """Return a function of some scans of a source to their origins by the poses beside them."""
+
+    def origins_of(chosen: Sequence[ScanFile], sensor: Sensor) -> Origins:
+        # Only here, because only registered scans need it.
+        from salsanext_cli.runs.fit.pose_origins import origins_by_poses
+
+        return origins_by_poses(chosen, sensor, files).origins
+
+    return origins_of
 
 
 def resolved_for(

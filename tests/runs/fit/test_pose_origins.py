@@ -12,6 +12,7 @@ from narrow import narrow  # noqa: F401
 from scans import SMALL
 from street_scans import street
 
+from salsanext_cli import fit_network
 from salsanext_cli.commands.stages.fuse import fuse_results
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.runs.drives.poses_of_sequence import registered_drive
@@ -37,6 +38,8 @@ def test_poses_in_the_frame_of_the_scans_are_their_origins(map_drive, tmp_path, 
     predict_scans(tmp_path / "velodyne", out, settings=network, extras=("probabilities",))
     assert str(tmp_path / "poses.txt") in caplog.text
     results = ResultFolder(out)
+    fitted = fit_network(network.load(), tmp_path / "velodyne").sensor
+    assert fitted.without_noise() == results.manifest.sensor()
     for file, place in zip(results.scans(), WAY, strict=True):
         assert recorded_origin(out, file, results.manifest.sensor()) == place
     assert fuse_results(out).done == len(WAY)
