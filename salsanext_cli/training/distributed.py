@@ -4,7 +4,7 @@
 import logging
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import timedelta
@@ -47,17 +47,21 @@ class ProcessGroup:
             dist.all_reduce(tensor)
         return tensor
 
-    def gather(self, tensor: Tensor) -> list[Tensor]:
-        """Return the tensors of all workers by rank; their last dimension may differ."""
+    def gather(self, tensor: Tensor, lengths: Sequence[int] | None = None) -> list[Tensor]:
+        """Return the tensors of all workers by rank; their last dimension may differ.
+
+        Without its lengths, the workers exchange them first, and wait for their devices.
+        """
         if self.size == 1:
             return [tensor]
-        lengths = torch.zeros(self.size, dtype=torch.int64, device=tensor.device)
-        lengths[self.rank] = tensor.shape[-1]
-        dist.all_reduce(lengths)
-        padded = F.pad(tensor, (0, int(lengths.max()) - tensor.shape[-1])).contiguous()
+        if lengths is None:
+            own = torch.zeros(self.size, dtype=torch.int64, device=tensor.device)
+            own[self.rank] = tensor.shape[-1]
+            lengths = self.sum(own).tolist()
+        padded = F.pad(tensor, (0, max(lengths) - tensor.shape[-1])).contiguous()
         gathered = [torch.empty_like(padded) for _ in range(self.size)]
         dist.all_gather(gathered, padded)
-        return [part[..., :n] for part, n in zip(gathered, lengths.tolist(), strict=True)]
+        return [part[..., :length] for part, length in zip(gathered, lengths, strict=True)]
 
     def broadcast(self, tensors: Iterable[Tensor]) -> None:
         """Overwrite tensors with those of the main worker."""

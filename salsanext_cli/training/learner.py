@@ -78,7 +78,7 @@ class Learner:
         self.scaler = torch.amp.GradScaler(device.type, enabled=dtype is torch.float16)
 
     def step(self, images: Tensor, truth: Tensor, step: int, steps_per_epoch: int) -> Tensor:
-        """Learn from a worker's images (B, 5, H, W), and truth (B, H, W) uint8 on the CPU.
+        """Learn from a worker's images (B, 5, H, W), and truth (B, H, W) uint8.
 
         Return the loss of all workers, 0-d on the device, without waiting for it. It is NaN, and no
         weight changes, if loss or gradient is not finite. In float16 the scaler skips steps whose
@@ -92,9 +92,10 @@ class Learner:
         """Add up the gradient of a batch, part by part, and return its loss."""
         parts = min(self.recipe.accumulate, self.recipe.batch // self.group.size)
         total = None
+        # A batch of workers is in pinned memory, that of a device is there.
+        truth = truth.to(self.device, non_blocking=True)
         if parts * self.group.size > 1:
-            targets = truth.to(self.device, non_blocking=True).long()
-            total = self.group.sum(self.loss.weights[targets].sum())
+            total = self.group.sum(self.loss.weights[truth.long()].sum())
         losses = []
         self.module.train()
         # Seeded, every step is a function of its number, so that training can be resumed.
@@ -107,12 +108,23 @@ class Learner:
                 # Workers exchange gradients after the last part only.
                 no_sync = getattr(self.forward, "no_sync", nullcontext)
                 with no_sync() if number < parts else nullcontext():
+                    counts = self._images_of_workers(parts, number)
                     with self.autocast:
-                        loss = self.loss(self.forward(inputs), labels, total, parts, self.group)
+                        logits = self.forward(inputs)
+                        loss = self.loss(logits, labels, total, parts, self.group, counts)
                     # Gradients are averaged over the workers, but must be summed.
                     self.scaler.scale(loss * self.group.size).backward()
                 losses.append(loss.detach())
         return self.group.sum(torch.stack(losses).sum())
+
+    def _images_of_workers(self, parts: int, number: int) -> list[int]:
+        """Return how many images each worker has in the number-th part of a batch, from 1."""
+        counts = []
+        for rank in range(self.group.size):
+            images = len(range(rank, self.recipe.batch, self.group.size))
+            # `tensor_split` puts one image more into the first parts.
+            counts.append(images // parts + (number <= images % parts))
+        return counts
 
     def _update(self, loss: Tensor, step: int, steps_per_epoch: int) -> Tensor:
         """Update the weights if loss and gradient are finite; return whether they are, 0-d bool."""

@@ -6,6 +6,7 @@ gradient 0.
 """
 
 import math
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
@@ -36,7 +37,8 @@ def weighted_cross_entropy(
     -------
     0-d Tensor
     """
-    loss = F.nll_loss(log_probabilities, truth, weights, reduction="sum")
+    # torch adds up the losses of all pixels in a single block of a GPU.
+    loss = F.nll_loss(log_probabilities, truth, weights, reduction="none").sum()
     total = weights[truth].sum() if total_weight is None else total_weight
     return loss / total.clamp_min(torch.finfo(total.dtype).tiny)
 
@@ -53,17 +55,19 @@ def jaccard_gradient(errors: Tensor, foreground: Tensor) -> Tensor:
     errors : (K, P) float
         Error of each pixel for K classes.
     foreground : (K, P) bool
-        Pixels of each class, at least one.
+        Pixels of each class.
 
     Returns
     -------
     (K, P) float
+        0 for a class without pixels.
     """
     order = errors.argsort(dim=1, descending=True)
     belongs = foreground.gather(1, order)
-    hits = belongs.cumsum(1)
+    hits = belongs.cumsum(1, dtype=torch.int32)
     size = hits[:, -1:]
-    union = size + torch.arange(1, errors.shape[1] + 1, device=errors.device) - hits
+    rank = torch.arange(1, errors.shape[1] + 1, dtype=torch.int32, device=errors.device)
+    union = size + rank - hits
     # The growth in closed form, since differences of losses close to 1 would cancel. A miss reduces
     # the intersection by one, a false alarm increases the union by one.
     shrinks = (size - hits).to(errors.dtype)
@@ -73,7 +77,10 @@ def jaccard_gradient(errors: Tensor, foreground: Tensor) -> Tensor:
 
 
 def lovasz_softmax(
-    probabilities: Tensor, truth: Tensor, group: ProcessGroup = SINGLE_PROCESS
+    probabilities: Tensor,
+    truth: Tensor,
+    group: ProcessGroup = SINGLE_PROCESS,
+    pixels_of_workers: Sequence[int] | None = None,
 ) -> Tensor:
     """Return a worker's share of the Lovász-Softmax loss, a mean over the classes of the truth.
 
@@ -82,32 +89,42 @@ def lovasz_softmax(
     probabilities : (P, C) float
         Softmax of the pixels of the worker.
     truth : (P,) int64
-        True classes, on the CPU.
+        True classes; pixels of C and above do not count.
     group : ProcessGroup
         The workers.
+    pixels_of_workers : sequence of int, optional
+        P of each worker; by default they exchange it, and each waits for its device.
 
     Returns
     -------
     0-d Tensor
     """
-    counts = truth.bincount(minlength=probabilities.shape[1])
-    if group.size > 1:
-        counts = group.sum(counts.to(probabilities.device)).cpu()
-    present = counts.nonzero()[:, 0]
-    if not len(present):
-        return probabilities.sum()
-    present = to_device(present, probabilities.device)
-    foreground = to_device(truth, probabilities.device) == present[:, None]
-    predicted = probabilities.t()[present]
-    errors = torch.where(foreground, 1 - predicted, predicted)
+    classes = sorted_classes(truth, probabilities.shape[1], group)
+    is_counted = truth < probabilities.shape[1]
+    foreground = truth == classes[:, None]
+    predicted = probabilities.t().index_select(0, classes)
+    errors = torch.where(foreground, 1 - predicted, predicted).masked_fill(~is_counted, 0)
+    # Pixels that do not count come last, where their order and their ranks change nothing.
+    keys = errors.detach().masked_fill(~is_counted, -1)
     # The pixels of all workers are sorted together.
-    gathered_errors = group.gather(errors.detach())
-    gathered_foreground = torch.cat(group.gather(foreground.byte()), 1).bool()
-    gradients = jaccard_gradient(torch.cat(gathered_errors, 1), gathered_foreground)
-    pixels_of_workers = [errors_of_worker.shape[1] for errors_of_worker in gathered_errors]
-    gradients_of_workers = torch.split(gradients, pixels_of_workers, 1)
-    own_gradients = gradients_of_workers[group.rank]
-    return (errors * own_gradients).sum() / len(present)
+    keys_of_workers = group.gather(keys, pixels_of_workers)
+    foregrounds = group.gather(foreground.byte(), pixels_of_workers)
+    gathered_foreground = torch.cat(foregrounds, 1).bool()
+    gradients = jaccard_gradient(torch.cat(keys_of_workers, 1), gathered_foreground)
+    own = torch.split(gradients, [part.shape[1] for part in keys_of_workers], 1)[group.rank]
+    present_count = gathered_foreground.any(1).sum()
+    return (errors * own).sum() / present_count.clamp_min(1)
+
+
+def sorted_classes(truth: Tensor, class_count: int, group: ProcessGroup) -> Tensor:
+    """Return the classes whose pixels are sorted: those of the truth of all workers.
+
+    On a GPU they are all classes, since the host would wait for the truth.
+    """
+    if truth.device.type != "cpu":
+        return torch.arange(class_count, device=truth.device)
+    counts = truth.bincount(minlength=class_count)[:class_count]
+    return group.sum(counts).nonzero()[:, 0]
 
 
 class SegmentationLoss(nn.Module):
@@ -127,7 +144,8 @@ class SegmentationLoss(nn.Module):
         Classes of each set.
     """
 
-    weights: Tensor
+    weights: Tensor  # (T,) float
+    is_scored: Tensor  # (T,) bool
 
     def __init__(self, weights: Tensor, lovasz: float = 1.0, sets: ClassSets = ()) -> None:
         super().__init__()
@@ -135,7 +153,7 @@ class SegmentationLoss(nn.Module):
         smallest = [positive[list(classes)].min().nan_to_num(posinf=0.0) for classes in sets]
         weights_of_sets = [weight[None] for weight in smallest]
         self.register_buffer("weights", torch.cat([weights, *weights_of_sets]))
-        self.is_scored = self.weights > 0  # (T,) bool; stays on the CPU
+        self.register_buffer("is_scored", self.weights > 0)
         self.class_count = len(weights)
         self.lovasz = lovasz
         self.sets = sets
@@ -147,6 +165,7 @@ class SegmentationLoss(nn.Module):
         total_weight: Tensor | None = None,
         parts: int = 1,
         group: ProcessGroup = SINGLE_PROCESS,
+        images_of_workers: Sequence[int] | None = None,
     ) -> Tensor:
         """Return the loss of a batch, or the share of a part of it.
 
@@ -155,36 +174,63 @@ class SegmentationLoss(nn.Module):
         logits : (B, C, H, W) float
             Logits of the network.
         truth : (B, H, W) integers
-            Targets, on the CPU: it chooses the scored pixels, since reading them from a GPU would
-            wait.
+            Targets, on the device of the logits.
         total_weight : 0-d Tensor, optional
             Weight of the pixels of all parts, by which the cross-entropy of a part is divided.
         parts : int
             Number of parts of the batch, by which Lovász-Softmax is divided.
         group : ProcessGroup
             The workers.
+        images_of_workers : sequence of int, optional
+            B of each worker; by default they exchange the numbers of their pixels.
 
         Returns
         -------
         0-d Tensor
         """
-        truth = truth.flatten().long()
-        scored = self.is_scored[truth].nonzero()[:, 0]
-        truth = truth[scored]
-        device = logits.device
-        pixels = logits.movedim(1, -1).reshape(-1, logits.shape[1])[to_device(scored, device)]
-        precise = torch.promote_types(logits.dtype, torch.float32)
+        targets = truth.flatten().long()
+        pixels = logits.movedim(1, -1).reshape(-1, logits.shape[1])
+        if logits.device.type == "cpu":
+            # Fewer pixels to sort. The host of a GPU would wait for their number.
+            scored = self.is_scored[targets].nonzero()[:, 0]
+            return self.of_pixels(pixels[scored], targets[scored], total_weight, parts, group)
+        pixels_of_workers = None
+        if images_of_workers is not None:
+            pixels_of_image = logits.shape[2] * logits.shape[3]
+            pixels_of_workers = [count * pixels_of_image for count in images_of_workers]
+        return self.of_pixels(pixels, targets, total_weight, parts, group, pixels_of_workers)
+
+    def of_pixels(
+        self,
+        pixels: Tensor,
+        targets: Tensor,
+        total_weight: Tensor | None = None,
+        parts: int = 1,
+        group: ProcessGroup = SINGLE_PROCESS,
+        pixels_of_workers: Sequence[int] | None = None,
+    ) -> Tensor:
+        """Return the loss of the logits of pixels, (P, C) float, with targets (P,) int64.
+
+        Pixels that are not scored change nothing. The other parameters are as in `forward`, and P
+        of each worker.
+        """
+        precise = torch.promote_types(pixels.dtype, torch.float32)
         log_probabilities = F.log_softmax(pixels, 1, dtype=precise)
+        columns = self._of_targets(log_probabilities)
+        loss = weighted_cross_entropy(columns, targets, self.weights.to(precise), total_weight)
+        if not self.lovasz:
+            return loss
+        # The classes that are not scored do not count either, as targets of sets.
+        classes = targets.masked_fill(~self.is_scored[targets], self.class_count)
+        lovasz = lovasz_softmax(log_probabilities.exp(), classes, group, pixels_of_workers)
+        return loss + self.lovasz / parts * lovasz
+
+    def _of_targets(self, log_probabilities: Tensor) -> Tensor:
+        """Return the logarithms of the probabilities (P, T) of targets from those of classes."""
+        device = log_probabilities.device
         sets = [to_device(torch.tensor(classes), device) for classes in self.sets]
-        sums = [log_probabilities[:, classes].logsumexp(1, keepdim=True) for classes in sets]
-        columns = torch.cat([log_probabilities, *sums], 1) if sums else log_probabilities
-        weights = self.weights.to(precise)
-        loss = weighted_cross_entropy(columns, to_device(truth, device), weights, total_weight)
-        if self.lovasz:
-            if sums:
-                is_of_class = (truth < self.class_count).nonzero()[:, 0]
-                log_probabilities = log_probabilities[to_device(is_of_class, device)]
-                truth = truth[is_of_class]
-            lovasz = lovasz_softmax(log_probabilities.exp(), truth, group)
-            loss = loss + self.lovasz / parts * lovasz
-        return loss
+        sums = [
+            log_probabilities.index_select(1, classes).logsumexp(1, keepdim=True)
+            for classes in sets
+        ]
+        return torch.cat([log_probabilities, *sums], 1) if sums else log_probabilities

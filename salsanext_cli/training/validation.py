@@ -4,6 +4,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 import torch
@@ -13,19 +14,20 @@ from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.geometry.knn import knn_refine
 from salsanext_cli.core.geometry.projection import project
 from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
-from salsanext_cli.core.measures.scores import Counts, confusion_matrix, scores
+from salsanext_cli.core.labellers import computes_on_gpu
+from salsanext_cli.core.measures.scores import confusion_matrix, scores
 from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.network.error_model import TEMPERATURES
 from salsanext_cli.core.records import Float, RangeImage
-from salsanext_cli.runs.loop.job import Steps
+from salsanext_cli.runs.loop.job import ScanJob, Steps
 from salsanext_cli.runs.loop.network_task import network_pipeline
 from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.training.data.sources import Source, read_labelled
+from salsanext_cli.training.device_validation import DeviceValidation
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
 from salsanext_cli.training.run_folder import Row
 from salsanext_cli.training.tuning.temperature import best_temperature, with_temperature
-
-MAX_VALIDATED_POINTS = 200_000  # Points that the temperature is fitted to
+from salsanext_cli.training.validated_scan import ValidatedScan, sample_interval
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -35,15 +37,6 @@ class ProjectedTruth:
     network: Network  # For that sensor
     labels: TrainIds  # (N,) uint8
     image: RangeImage
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class ValidatedScan:
-    """Confusion of a validated scan, and a sample of its points."""
-
-    confusion: Counts  # (C, C)
-    logits: torch.Tensor  # (C, M) float32: of some points of scored classes
-    truth: torch.Tensor  # (M,) int64
 
 
 def validate_widths(
@@ -77,23 +70,12 @@ def validate(
     logits = [torch.empty(space.class_count, 0)]
     truth = [torch.empty(0, dtype=torch.int64)]
 
-    def read(file: ScanFile) -> ProjectedTruth:
-        fitted = network.for_sensor(source.sensor_of(file))
-        annotated = read_labelled(file, source.space, fitted.sensor)
-        fitted = fitted.for_sensor(sensor_of(annotated.scan, fitted.sensor))
-        image = project(annotated.scan, fitted.sensor)
-        return ProjectedTruth(network=fitted, labels=annotated.labels, image=image)
-
-    def logits_of(scans: Sequence[ProjectedTruth]) -> list[Float]:
-        return network.backend.logits([s.network.input(s.image.channels) for s in scans])
-
     def gathered(parts: Sequence[torch.Tensor]) -> torch.Tensor:
         """Return the points of all workers, on the CPU."""
         points = torch.cat(list(parts), dim=-1).to(network.device)
         return torch.cat(group.gather(points), dim=-1).cpu()
 
-    compare = partial(_compared, space=space, scans=len(source.files))
-    job = Steps(prepare=read, compute=logits_of, finish=compare)
+    job = validation_job(network, source)
     files = source.files[group.rank :: group.size]
     for scan in network_pipeline(job, network).results(files):
         confusion += scan.confusion
@@ -116,6 +98,25 @@ def validate(
     return row, card
 
 
+def validation_job(network: Network, source: Source) -> ScanJob[Any, Any, ValidatedScan]:
+    """Return the job of a scan of the validation: on a GPU of torch if the network is there."""
+    if computes_on_gpu(network):
+        return DeviceValidation(network=network, source=source)
+
+    def read(file: ScanFile) -> ProjectedTruth:
+        fitted = network.for_sensor(source.sensor_of(file))
+        annotated = read_labelled(file, source.space, fitted.sensor)
+        fitted = fitted.for_sensor(sensor_of(annotated.scan, fitted.sensor))
+        image = project(annotated.scan, fitted.sensor)
+        return ProjectedTruth(network=fitted, labels=annotated.labels, image=image)
+
+    def logits_of(scans: Sequence[ProjectedTruth]) -> list[Float]:
+        return network.backend.logits([s.network.input(s.image.channels) for s in scans])
+
+    compare = partial(_compared, space=network.card.space, scans=len(source.files))
+    return Steps(prepare=read, compute=logits_of, finish=compare)
+
+
 def _compared(
     scan: ProjectedTruth, logits_of_pixels: Float, space: LabelSpace, scans: int
 ) -> ValidatedScan:
@@ -124,8 +125,7 @@ def _compared(
     image = scan.image
     refined = knn_refine(image, logits_of_pixels.argmax(axis=0), space.class_count)
     usable = np.flatnonzero(space.scored[labels] & (image.pixel_of_point >= 0))
-    every = max(1, len(usable) * scans // MAX_VALIDATED_POINTS)
-    chosen = usable[::every]
+    chosen = usable[:: sample_interval(len(usable), scans)]
     columns = logits_of_pixels.reshape(space.class_count, -1)
     logits_of_points = columns[:, image.pixel_of_point[chosen]]
     return ValidatedScan(

@@ -156,7 +156,7 @@ def test_a_step_without_a_finite_loss_changes_no_weight(device, precision, optim
 @pytest.mark.filterwarnings("ignore:Synchronization debug mode")
 @pytest.mark.parametrize("precision", ["float32", "bfloat16", "float16"])
 def test_a_step_waits_for_nothing(precision: str) -> None:
-    """On the CPU `test_a_step_reads_nothing_from_the_device` says the same."""
+    """On the CPU `test_the_host_waits_for_nothing_in_a_step` says the same."""
     learning = learner("cuda", precision=precision, average=0.9, clip_gradient=1.0)
     images, truth = (each.pin_memory() for each in batch(0))
     learning.step(images, truth, 0, STEPS)

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: MIT
 import copy
 import math
+from collections.abc import Callable
 
 import pytest
 import torch
 from tiny_network import CLASS_WEIGHTS, TinyNetwork, batch, learner
 from torch import Tensor, nn
+from waiting import META, NoWaiting
 
 from salsanext_cli.training.learner import (
     Learner,
@@ -83,6 +85,7 @@ def test_a_fused_optimiser_learns_the_same(changes: dict[str, object]) -> None:
             torch.testing.assert_close(other.state_dict()[name], tensor, rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.parametrize("is_there", [False, True])
 @pytest.mark.parametrize(
     "changes",
     [
@@ -91,21 +94,43 @@ def test_a_fused_optimiser_learns_the_same(changes: dict[str, object]) -> None:
         {"optimiser": "adamw", "clip_gradient": 1.0, "average": 0.9},
     ],
 )
-def test_a_step_reads_nothing_from_the_device(changes: dict[str, object]) -> None:
-    """Tensors on the device "meta" have no values, so that reading one is an error."""
-    meta, recipe = torch.device("meta"), Recipe(batch=2).with_changes(**changes)
+def test_the_host_waits_for_nothing_in_a_step(changes: dict[str, object], is_there: bool) -> None:
+    """With a batch in pinned memory, and with one on the device."""
+    recipe = Recipe(batch=2).with_changes(**changes)
     learning = Learner(TinyNetwork(3), recipe, CLASS_WEIGHTS, CPU, sets=((1, 2),))
-    learning.device = meta
+    learning.device = META
     # A fused optimiser does not support this device, so its kernel is replaced.
-    learning.module = learning.forward = learning.module.to(meta)
-    learning.average = learning.average.to(meta) if recipe.average else learning.module
-    learning.loss.to(meta)
+    learning.module = learning.forward = learning.module.to(META)
+    learning.average = learning.average.to(META) if recipe.average else learning.module
+    learning.loss.to(META)
     learning.optimiser = build_optimiser(learning.module, recipe)
     learning.optimiser.defaults["fused"] = True
     learning.optimiser.step = lambda: None  # type: ignore[method-assign]
     images, truth = batch()
     truth[0, :4] = 3  # the set
-    assert learning.step(images, truth, 0, 10).device == meta
+    if is_there:
+        images = images.to(META)
+        truth = truth.to(META)
+    with NoWaiting(pinned=[images, truth]):
+        assert learning.step(images, truth, 0, 10).device == META
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda there: torch.tensor([1.0], device=META),
+        lambda there: there.new_tensor([1.0]),
+        lambda there: torch.ones(3).to(META, non_blocking=True),
+        lambda there: there[[0, 1]],
+        lambda there: there[torch.tensor([0, 1])],
+        lambda there: there[there > 0],
+        lambda there: there.sum().item(),
+    ],
+)
+def test_what_waits_is_seen(call: Callable[[Tensor], object]) -> None:
+    there = torch.ones(3, device=META)
+    with NoWaiting(), pytest.raises((AssertionError, RuntimeError, NotImplementedError)):
+        call(there)
 
 
 def test_clipping_bounds_the_gradient() -> None:

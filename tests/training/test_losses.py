@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch.nn import functional as F
 
+from salsanext_cli.training import losses
 from salsanext_cli.training.data.class_counts import class_weights
 from salsanext_cli.training.losses import SegmentationLoss, jaccard_gradient, lovasz_softmax
 
@@ -118,3 +119,20 @@ def test_class_weights_are_inverse_square_roots_of_shares() -> None:
     np.testing.assert_allclose(weights.numpy(), expected, rtol=1e-6)
     # 1/(f + 0.001), as published code has it, would stretch this far beyond √99.
     assert float(weights[1] / weights[2]) == pytest.approx(np.sqrt(99), rel=1e-6)
+
+
+def test_without_a_choice_of_pixels_and_classes_the_loss_is_the_same(monkeypatch):
+    """As on a GPU: all pixels and all classes are sorted, and those that do not count are last."""
+    random = torch.Generator().manual_seed(4)
+    logits = torch.randn(2, 5, 6, 7, dtype=torch.float64, generator=random, requires_grad=True)
+    # Class 0 is not scored, class 3 is absent, target 5 is a set.
+    truth = torch.tensor([0, 1, 2, 4, 5])[torch.randint(5, (2, 6, 7), generator=random)]
+    loss = SegmentationLoss(torch.tensor([0.0, 1.0, 2.0, 3.0, 4.0]), 0.7, ((1, 2),))
+    expected = loss(logits, truth)
+    (gradient,) = torch.autograd.grad(expected, logits)
+    pixels = logits.movedim(1, -1).reshape(-1, 5)
+    monkeypatch.setattr(losses, "sorted_classes", lambda *_: torch.arange(5))
+    found = loss.of_pixels(pixels, truth.flatten())
+    (other,) = torch.autograd.grad(found, logits)
+    torch.testing.assert_close(found, expected)
+    torch.testing.assert_close(other, gradient)

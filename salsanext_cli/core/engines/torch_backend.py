@@ -107,6 +107,11 @@ class TorchBackend(Backend):
         return list(logits)
 
     @torch.inference_mode()
+    def device_logits(self, images: Tensor) -> Tensor:
+        """Return the logits (B, C, H, W) float32 of inputs (B, 5, H, W) on the device."""
+        return self._logits(images)
+
+    @torch.inference_mode()
     def sample(
         self, image: Float, seeds: Sequence[int], merging: ClassMerging | None = None
     ) -> SoftmaxSpread:

@@ -6,6 +6,7 @@ the device, because torch multiplies by the rounded inverse of a number of the h
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -52,13 +53,18 @@ class RangeImages:
         return self.channels[:, 0] > 0
 
 
-def project(batch: ScanBatch) -> RangeImages:
+def project(
+    batch: ScanBatch, angle_of: Callable[[Tensor, Tensor], Tensor] | None = None
+) -> RangeImages:
     """Project the scans of a batch onto the range images of their sensors (paper eq. 1).
 
     Parameters
     ----------
     batch : ScanBatch
         B scans with P points in all.
+    angle_of : callable, optional
+        Function of y and x, float64, to their angle in radians; by default `arctan2`, with the bits
+        of the kernel. ``torch.atan2`` is one kernel of a GPU instead of sixty.
 
     Returns
     -------
@@ -67,7 +73,7 @@ def project(batch: ScanBatch) -> RangeImages:
     """
     in_frame = sensor_points(batch)
     points = in_frame.points
-    pixel_of_point, point_range = _pixels(batch, points)
+    pixel_of_point, point_range = _pixels(batch, points, angle_of or arctan2)
     size = (len(batch.counts), batch.sensors[0].height, batch.sensors[0].width)
     nearest = _nearest_points(pixel_of_point, point_range, math.prod(size))
     is_usable = batch.intensity.abs() <= float(MAX_INTENSITY)
@@ -84,7 +90,9 @@ def project(batch: ScanBatch) -> RangeImages:
     )
 
 
-def _pixels(batch: ScanBatch, points: Tensor) -> tuple[Tensor, Tensor]:
+def _pixels(
+    batch: ScanBatch, points: Tensor, angle_of: Callable[[Tensor, Tensor], Tensor]
+) -> tuple[Tensor, Tensor]:
     """Return the pixels and the ranges of points.
 
     Parameters
@@ -93,6 +101,8 @@ def _pixels(batch: ScanBatch, points: Tensor) -> tuple[Tensor, Tensor]:
         Batch of the points.
     points : (P, 3) float32
         Coordinates in the frames of the sensors, in metres.
+    angle_of : callable
+        As in `project`.
 
     Returns
     -------
@@ -113,7 +123,7 @@ def _pixels(batch: ScanBatch, points: Tensor) -> tuple[Tensor, Tensor]:
     distance = (a * a + b * b + c * c).sqrt().float()
     slope = (points[:, 2] / distance).double()
     level = ((1 - slope) * (1 + slope)).sqrt()
-    yaw, pitch = arctan2(torch.stack([b, slope]), torch.stack([a, level])).float()
+    yaw, pitch = angle_of(torch.stack([b, slope]), torch.stack([a, level])).float()
     u = 0.5 * (1 - yaw / torch.full((), float(PI), device=yaw.device)) * width
     elevation = pitch - batch.per_point(batch.tensor(down))
     v = (1 - elevation / batch.per_point(batch.tensor(extent))) * height

@@ -146,7 +146,8 @@ class BatchMaker:
         if recipe.holes:
             factors = random.host.uniform(0, other_sensors.MAX_HOLES, count)
             images = make_holes(images, factors * random.happens(recipe.holes, count), random)
-        is_filled = random.put([fills_rows(view, trained) for view in views], torch.bool)
+        fills = [fills_rows(view, trained) for view in views]
+        is_filled = random.put(fills, torch.bool)
         if recipe.fewer_beams:
             is_thinned = random.happens(recipe.fewer_beams, count)
             rows = drawn_rows(count, images.shape[2], random.host) | ~is_thinned[:, None]
@@ -154,7 +155,8 @@ class BatchMaker:
             if trained.row_gaps is not None:
                 has_gaps = row_gap_shares(images[:, 0]) > trained.row_gaps + MORE_GAPS
                 is_filled = has_gaps.where(random.put(is_thinned, torch.bool), is_filled)
-        images = fill_rows(images, is_filled)
+        if any(fills) or (recipe.fewer_beams and trained.row_gaps is not None):
+            images = fill_rows(images, is_filled)
         if recipe.no_intensity:
             is_without = random.put(random.happens(recipe.no_intensity, count), torch.bool)
             mean = float(np.mean(trained.intensity_quantiles))
@@ -208,7 +210,8 @@ def projected(points: ImagePoints, views: Sequence[Sensor]) -> Tensor:
             scan_of_point=points.image_of_point,
             counts=points.counts,
             sensors=views,
-        )
+        ),
+        torch.atan2,
     )
     # The last target is that of empty pixels.
     targets = torch.cat([batch.targets, batch.targets.new_zeros(1)])

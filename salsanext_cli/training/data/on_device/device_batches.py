@@ -58,7 +58,7 @@ class DeviceBatches:
     def batches(self, first_step: int) -> Iterator[Batch]:
         """Yield a worker's share of each batch, from a step of the whole training to its end.
 
-        Images are on the device, targets on the host, where the loss reads them.
+        Images and targets are on the device.
         """
         share = share_of(self.samples, self.group)
         maker = BatchMaker(

@@ -21,6 +21,7 @@ from salsanext_cli.training.data.other_sensors import (
     MIN_ROWS,
     RANGE_EDGES_M,
 )
+from salsanext_cli.training.transfer import to_device
 
 
 def hole_cells(ranges: Tensor) -> Tensor:
@@ -38,7 +39,7 @@ def hole_cells(ranges: Tensor) -> Tensor:
         steps.append(distance)
     near = torch.minimum(sides[0], sides[1])
     far = torch.maximum(sides[0], sides[1])
-    edges = torch.tensor(RANGE_EDGES_M, device=ranges.device)
+    edges = to_device(torch.tensor(RANGE_EDGES_M), ranges.device)
     # An edge belongs to the bin above it.
     cells = torch.bucketize(near, edges, right=True)
     cells += (far > EDGE_RATIO * near) * HOLE_SHARES.shape[1]
@@ -124,9 +125,9 @@ def window_columns(
         place = random.put(random.host.integers(width, size=count), torch.int64)
         is_wanted = random.put(random.happens(on_class, count), torch.bool)
         flat = truth.flatten(1).long()
-        points = torch.zeros(count, len(scored), dtype=torch.int64, device=truth.device)
-        points.scatter_add_(1, flat, torch.ones_like(flat))
-        is_present = (points > 0) & random.put(scored, torch.bool)
+        # All pixels of a class write the same value: none waits for another, as in a count.
+        is_present = torch.zeros(count, len(scored), dtype=torch.bool, device=truth.device)
+        is_present = is_present.scatter_(1, flat, True) & random.put(scored, torch.bool)
         # The largest of random numbers is drawn evenly.
         target = (random.uniform(*is_present.shape) + is_present).argmax(dim=1, keepdim=True)
         pixel = (random.uniform(*flat.shape) + (flat == target)).argmax(dim=1)

@@ -19,7 +19,7 @@ class BegunBatch:
     images : (B, 5, H, W) float32
         Images on the GPU.
     truth : (B, H, W) uint8
-        Targets, in pinned memory of the host.
+        Targets on the GPU.
     is_made : torch.cuda.Event
         Event after the last of them.
     """
@@ -42,13 +42,13 @@ def batches_ahead(makers: Iterable[Callable[[], Batch]], device: torch.device) -
     Yields
     ------
     Batch
-        Images on the device, targets on the host.
+        Images and targets on the device.
     """
     if device.type != "cuda":
         for make in makers:
             yield make()
         return
-    # Of high priority, so that the host waits little for a batch while the GPU learns.
+    # Of high priority, so that a batch is made before the GPU needs it.
     stream = torch.cuda.Stream(device, priority=-1)  # type: ignore[no-untyped-call]
     begun: BegunBatch | None = None
     for make in makers:
@@ -61,16 +61,17 @@ def batches_ahead(makers: Iterable[Callable[[], Batch]], device: torch.device) -
 
 
 def _begun(make: Callable[[], Batch], stream: torch.cuda.Stream) -> BegunBatch:
-    """Begin a batch on a stream, and the copy of its targets."""
+    """Begin a batch on a stream."""
     with torch.cuda.stream(stream):
-        images, on_device = make()
-        truth = torch.empty(on_device.shape, dtype=on_device.dtype, pin_memory=True)
-        truth.copy_(on_device, non_blocking=True)
+        images, truth = make()
         return BegunBatch(images=images, truth=truth, is_made=stream.record_event())
 
 
 def _made(begun: BegunBatch, device: torch.device) -> Batch:
-    """Wait for a batch, which the stream of the training uses from now on."""
-    begun.is_made.synchronize()
-    begun.images.record_stream(torch.cuda.current_stream(device))
+    """Return a batch, for which the stream of the training waits, but not the host."""
+    training = torch.cuda.current_stream(device)
+    training.wait_event(begun.is_made)
+    # Their memory is used again only after the step.
+    begun.images.record_stream(training)
+    begun.truth.record_stream(training)
     return begun.images, begun.truth

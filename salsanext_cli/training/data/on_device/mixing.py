@@ -20,7 +20,7 @@ from salsanext_cli.training.data.augment import (
 )
 from salsanext_cli.training.data.on_device.batch_random import BatchRandom
 from salsanext_cli.training.data.on_device.drawn_scans import DrawnScans
-from salsanext_cli.training.data.on_device.motion import turns
+from salsanext_cli.training.data.on_device.motion import turned, turns
 from salsanext_cli.training.data.on_device.point_batch import PointBatch, joined
 
 
@@ -71,9 +71,9 @@ class Checkerboards:
         flat = torch.hypot(x, y)
         odd = torch.zeros_like(x, dtype=torch.bool)
         for slope in random.put(self.slopes).unbind(dim=1):
-            odd ^= z > flat * slope[image_of_point]
+            odd ^= z > flat * slope.index_select(0, image_of_point)
         for plane in random.put(self.planes).unbind(dim=1):
-            cosine, sine = plane[image_of_point].unbind(dim=1)
+            cosine, sine = plane.index_select(0, image_of_point).unbind(dim=1)
             odd ^= y * cosine > x * sine
         return odd
 
@@ -125,6 +125,5 @@ def paste(batch: PointBatch, start: int, scans: int, random: BatchRandom) -> Poi
     copies = []
     for _ in range(PASTED_COPIES):
         turn = random.put(turns(random.host.uniform(-np.pi, np.pi, scans)))
-        points = (pasted.points[:, :, None] * pasted.per_point(turn)).sum(dim=1)
-        copies.append(replace(pasted, points=points))
+        copies.append(replace(pasted, points=turned(pasted, turn)))
     return joined([whole, *copies])

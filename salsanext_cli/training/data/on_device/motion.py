@@ -110,8 +110,14 @@ def mapped(batch: PointBatch, turn: Tensor, offset: Tensor) -> Tensor:
     -------
     (P, 3) float32
     """
-    turned = (batch.points[:, :, None] * batch.per_point(turn)).sum(dim=1)
-    return turned + batch.per_point(offset)
+    return turned(batch, turn) + batch.per_point(offset)
+
+
+def turned(batch: PointBatch, turn: Tensor) -> Tensor:
+    """Return the points of scans, (P, 3), under linear maps of row vectors, (S, 3, 3)."""
+    x, y, z = batch.points[:, None].unbind(dim=2)
+    of_x, of_y, of_z = batch.per_point(turn).unbind(dim=1)
+    return torch.addcmul(torch.addcmul(x * of_x, y, of_y), z, of_z)
 
 
 def change_intensity(

@@ -8,6 +8,8 @@ from typing import Self
 import torch
 from torch import Tensor
 
+from salsanext_cli.training.transfer import to_device
+
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class StoredScan:
@@ -58,21 +60,21 @@ class PointBatch:
         """Return the points of scans on a device, without waiting for copies from the host."""
         values = torch.cat([scan.values.to(device, non_blocking=True) for scan in scans]).float()
         targets = torch.cat([scan.targets.to(device, non_blocking=True) for scan in scans])
-        numbers = [
-            torch.full((len(scan),), number, device=device) for number, scan in enumerate(scans)
-        ]
+        counts = to_device(torch.tensor([len(scan) for scan in scans]), device)
+        numbers = torch.arange(len(scans), device=device)
         points = values[:, :3]
         return cls(
             points=points,
             intensity=values[:, 3],
             targets=targets,
-            scan_of_point=torch.cat(numbers),
+            # With their number, torch need not read the counts from the device.
+            scan_of_point=numbers.repeat_interleave(counts, output_size=len(targets)),
             is_shown=points.isfinite().all(dim=1) & (points != 0).any(dim=1),
         )
 
     def per_point(self, values: Tensor) -> Tensor:
         """Return a value of each scan (S, …) for each of its points, (P, …)."""
-        return values[self.scan_of_point]
+        return values.index_select(0, self.scan_of_point)
 
     def part(self, points: slice) -> "PointBatch":
         """Return the points of a slice; scans have the same numbers."""

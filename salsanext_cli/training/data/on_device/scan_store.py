@@ -80,6 +80,8 @@ class ScanStore:
         if not moving:
             return False
         require_host_room(sum(len(scans[key]) for scans, key in moving))
+        # A batch that was begun may still read them, on a stream of its own.
+        torch.cuda.synchronize(self.memory.device)
         self.memory.fill()
         for scans, key in moving:
             scans[key] = self.memory.put(scans[key].values, scans[key].targets)

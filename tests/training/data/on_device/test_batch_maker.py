@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import torch
 from scans import SMALL, real_scans, write_bin, write_sequence
 from stored import maker_of, round_to_half, with_statistics
+from waiting import META, NoWaiting
 
 from salsanext_cli import Scan, label_space
 from salsanext_cli import sensor as named_sensor
@@ -27,7 +27,6 @@ from salsanext_cli.training.recipe import Recipe
 SPACE = label_space()
 RARE = np.isin(SPACE.names, ["bicycle", "person", "pole"])
 PLAIN = Recipe(rotate=0.0, shift=0.0, flip=0.0, drop=0.0)
-META = torch.device("meta")
 COMPARED = 1000  # Samples of each path
 MOST_DEVIATIONS = 5.0  # Largest difference of two means in standard errors
 
@@ -164,17 +163,18 @@ class MetaRandom(BatchRandom):
     def seeded(cls, seed: Sequence[int], device: torch.device) -> Self:
         return cls(host=np.random.default_rng(seed), points=torch.Generator())
 
+    @property
+    def device(self) -> torch.device:
+        return META
+
     def uniform(self, *shape: int) -> torch.Tensor:
         return torch.rand(shape, device=META)
 
     def normal(self, *shape: int) -> torch.Tensor:
         return torch.randn(shape, device=META)
 
-    def put(self, values: npt.ArrayLike, dtype: torch.dtype = torch.float32) -> torch.Tensor:
-        return torch.from_numpy(np.array(values)).to(META, dtype)
 
-
-def test_no_step_reads_from_the_device_or_mixes_devices(files, monkeypatch) -> None:
+def test_the_host_waits_for_nothing_in_a_batch(files, monkeypatch) -> None:
     """A GPU makes a batch while its host goes on; `meta` refuses both, without a GPU."""
     monkeypatch.setattr(batch_maker, "BatchRandom", MetaRandom)
     chances = ("mix", "paste", "intensity", "mount", "view", "fewer_beams", "jitter", "holes")
@@ -194,7 +194,8 @@ def test_no_step_reads_from_the_device_or_mixes_devices(files, monkeypatch) -> N
             scans[key] = StoredScan(values=scan.values.to(META), targets=scan.targets.to(META))
     for position in range(4):
         keys = [(position, 0), (position + 1, 3)]
-        images, truth = replace(maker, device=META).make(keys)
+        with NoWaiting():
+            images, truth = replace(maker, device=META).make(keys)
         assert images.device == truth.device == META
         assert images.shape == (2, 5, SMALL.height, 32)
         assert (truth.shape, truth.dtype) == ((2, SMALL.height, 32), torch.uint8)

@@ -19,29 +19,28 @@ def events(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     events: list[str] = []
     begun = iter(range(100))
 
-    def record_event() -> SimpleNamespace:
-        number = next(begun)
-        return SimpleNamespace(synchronize=lambda: events.append(f"waited for {number}"))
+    def record_event() -> str:
+        return f"event {next(begun)}"
 
-    empty = torch.empty
+    def wait_event(event: str) -> None:
+        events.append(f"the step waits for {event}")
+
     stream = SimpleNamespace(record_event=record_event)
+    training = SimpleNamespace(wait_event=wait_event)
     monkeypatch.setattr(torch.cuda, "Stream", lambda *_, **__: stream)
     monkeypatch.setattr(torch.cuda, "stream", lambda _: nullcontext())
-    monkeypatch.setattr(torch.cuda, "current_stream", lambda _: "training")
-    monkeypatch.setattr(torch, "empty", lambda shape, dtype, pin_memory: empty(shape, dtype=dtype))
+    monkeypatch.setattr(torch.cuda, "current_stream", lambda _: training)
     return events
 
 
 def makers(count: int, events: list[str]) -> list:
+    """Return functions that note what becomes of the images; targets are alike."""
+
     def maker(number: int):
         def make():
             events.append(f"begun {number}")
-
-            def record(stream):
-                events.append(f"{number} is of {stream}")
-
-            truth = torch.full((2, 3), number, dtype=torch.uint8)
-            return SimpleNamespace(record_stream=record), truth
+            images = SimpleNamespace(record_stream=lambda _: events.append(f"{number} is used"))
+            return images, SimpleNamespace(record_stream=lambda _: None, number=number)
 
         return make
 
@@ -51,15 +50,15 @@ def makers(count: int, events: list[str]) -> list:
 @pytest.mark.parametrize("count", [0, 1, 3])
 def test_a_gpu_begins_each_batch_before_the_one_before_is_used(events, count) -> None:
     for number, (_, truth) in enumerate(batches_ahead(makers(count, events), CUDA)):
-        events.append(f"used {number}")
-        assert (truth == number).all()
+        events.append(f"step {number}")
+        assert truth.number == number
     expected = {
         0: [],
-        1: ["begun 0", "waited for 0", "0 is of training", "used 0"],
+        1: ["begun 0", "the step waits for event 0", "0 is used", "step 0"],
         3: [
-            *("begun 0", "begun 1", "waited for 0", "0 is of training", "used 0"),
-            *("begun 2", "waited for 1", "1 is of training", "used 1"),
-            *("waited for 2", "2 is of training", "used 2"),
+            *("begun 0", "begun 1", "the step waits for event 0", "0 is used", "step 0"),
+            *("begun 2", "the step waits for event 1", "1 is used", "step 1"),
+            *("the step waits for event 2", "2 is used", "step 2"),
         ],
     }
     assert events == expected[count]
@@ -68,5 +67,5 @@ def test_a_gpu_begins_each_batch_before_the_one_before_is_used(events, count) ->
 def test_a_cpu_makes_a_batch_when_it_is_used() -> None:
     events: list[str] = []
     for number, _ in enumerate(batches_ahead(makers(2, events), CPU)):
-        events.append(f"used {number}")
-    assert events == ["begun 0", "used 0", "begun 1", "used 1"]
+        events.append(f"step {number}")
+    assert events == ["begun 0", "step 0", "begun 1", "step 1"]
