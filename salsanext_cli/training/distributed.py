@@ -55,9 +55,9 @@ class ProcessGroup:
         if self.size == 1:
             return [tensor]
         if lengths is None:
-            own = torch.zeros(self.size, dtype=torch.int64, device=tensor.device)
-            own[self.rank] = tensor.shape[-1]
-            lengths = self.sum(own).tolist()
+            length = torch.zeros(self.size, dtype=torch.int64, device=tensor.device)
+            length[self.rank] = tensor.shape[-1]
+            lengths = self.sum(length).tolist()
         padded = F.pad(tensor, (0, max(lengths) - tensor.shape[-1])).contiguous()
         gathered = [torch.empty_like(padded) for _ in range(self.size)]
         dist.all_gather(gathered, padded)

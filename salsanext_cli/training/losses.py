@@ -111,9 +111,10 @@ def lovasz_softmax(
     foregrounds = group.gather(foreground.byte(), pixels_of_workers)
     gathered_foreground = torch.cat(foregrounds, 1).bool()
     gradients = jaccard_gradient(torch.cat(keys_of_workers, 1), gathered_foreground)
-    own = torch.split(gradients, [part.shape[1] for part in keys_of_workers], 1)[group.rank]
+    pixel_counts = [keys_of_worker.shape[1] for keys_of_worker in keys_of_workers]
+    gradients_of_workers = torch.split(gradients, pixel_counts, 1)
     present_count = gathered_foreground.any(1).sum()
-    return (errors * own).sum() / present_count.clamp_min(1)
+    return (errors * gradients_of_workers[group.rank]).sum() / present_count.clamp_min(1)
 
 
 def sorted_classes(truth: Tensor, class_count: int, group: ProcessGroup) -> Tensor:
@@ -193,14 +194,14 @@ class SegmentationLoss(nn.Module):
         if logits.device.type == "cpu":
             # Fewer pixels to sort. The host of a GPU would wait for their number.
             scored = self.is_scored[targets].nonzero()[:, 0]
-            return self.of_pixels(pixels[scored], targets[scored], total_weight, parts, group)
+            return self.pixel_loss(pixels[scored], targets[scored], total_weight, parts, group)
         pixels_of_workers = None
         if images_of_workers is not None:
             pixels_of_image = logits.shape[2] * logits.shape[3]
             pixels_of_workers = [count * pixels_of_image for count in images_of_workers]
-        return self.of_pixels(pixels, targets, total_weight, parts, group, pixels_of_workers)
+        return self.pixel_loss(pixels, targets, total_weight, parts, group, pixels_of_workers)
 
-    def of_pixels(
+    def pixel_loss(
         self,
         pixels: Tensor,
         targets: Tensor,

@@ -132,7 +132,7 @@ def test_without_a_choice_of_pixels_and_classes_the_loss_is_the_same(monkeypatch
     (gradient,) = torch.autograd.grad(expected, logits)
     pixels = logits.movedim(1, -1).reshape(-1, 5)
     monkeypatch.setattr(losses, "sorted_classes", lambda *_: torch.arange(5))
-    found = loss.of_pixels(pixels, truth.flatten())
+    found = loss.pixel_loss(pixels, truth.flatten())
     (other,) = torch.autograd.grad(found, logits)
     torch.testing.assert_close(found, expected)
     torch.testing.assert_close(other, gradient)

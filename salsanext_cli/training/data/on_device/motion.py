@@ -116,8 +116,8 @@ def mapped(batch: PointBatch, turn: Tensor, offset: Tensor) -> Tensor:
 def turned(batch: PointBatch, turn: Tensor) -> Tensor:
     """Return the points of scans, (P, 3), under linear maps of row vectors, (S, 3, 3)."""
     x, y, z = batch.points[:, None].unbind(dim=2)
-    of_x, of_y, of_z = batch.per_point(turn).unbind(dim=1)
-    return torch.addcmul(torch.addcmul(x * of_x, y, of_y), z, of_z)
+    x_row, y_row, z_row = batch.per_point(turn).unbind(dim=1)
+    return torch.addcmul(torch.addcmul(x * x_row, y, y_row), z, z_row)
 
 
 def change_intensity(
