@@ -144,7 +144,7 @@ ELSEWHERE: dict[str, dict[str, str]] = {
         "core/on_device/scan_of_batch.py": "core/on_device/test_labeller.py",
         "runs/results/query.py": "commands/stages/test_report.py",
         "training/data/on_device/point_batch.py": "training/data/on_device/test_motion.py",
-        "training/validated_scan.py": "training/test_device_validation.py",
+        "training/scoring/validated_scan.py": "training/scoring/test_device_validation.py",
         "runs/results/scan_selection.py": "runs/results/test_selection.py",
     },
     WHOLE_RUN_ON_CLUSTER: {

@@ -51,7 +51,7 @@ from salsanext_cli.training.initial_network import initial_network
 from salsanext_cli.training.learner import Learner, learning_rate
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.run_folder import CLASS_COUNTS, LAST, LOG, Row, write_log
-from salsanext_cli.training.validation import validate
+from salsanext_cli.training.scoring.validation import validate
 
 MODULE, SCORES = "module.safetensors", "scores.json"
 CHANGES = {"batch": 32, "warm_up": 0.05, "crop_width": 0}

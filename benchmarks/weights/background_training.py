@@ -41,7 +41,7 @@ from salsanext_cli.training.initial_network import initial_network
 from salsanext_cli.training.learner import Learner, fastest_precision
 from salsanext_cli.training.recipe import Recipe, recipe
 from salsanext_cli.training.run_folder import CHECKPOINT, CLASS_COUNTS, Row, write_log
-from salsanext_cli.training.validation import validate_widths
+from salsanext_cli.training.scoring.validation import validate_widths
 
 CHANGES: Json = {
     "widths": "1024,512,1024,2048",

@@ -23,6 +23,7 @@ from salsanext_cli.training.cross_validation import Expectation, Parts, expectat
 from salsanext_cli.training.data.dataset import SamplingPlan
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.fit import FinishedEpoch, StepReport
+from salsanext_cli.training.scoring.validation import validate
 from salsanext_cli.training.setup import Setup
 from salsanext_cli.training.tuning.error import (
     cross_validated,
@@ -34,7 +35,6 @@ from salsanext_cli.training.tuning.error import (
 )
 from salsanext_cli.training.tuning.error_training import JudgedPoints
 from salsanext_cli.training.tuning.scans import LabelledImage, read_labelled_image
-from salsanext_cli.training.validation import validate
 
 log = logging.getLogger(__name__)
 

@@ -27,7 +27,7 @@ from salsanext_cli.training.data.dataset import Batch, SamplingPlan
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.learner import Learner, learning_rate
 from salsanext_cli.training.run_folder import BEST, CHECKPOINT, LAST, LOG, Row, write_log
-from salsanext_cli.training.validation import validate_widths
+from salsanext_cli.training.scoring.validation import validate_widths
 
 SAVE_INTERVAL_S = 600.0  # Seconds between two checkpoints within an epoch
 CHECK_INTERVALS = {"cpu": 1, "cuda": 16}  # Steps between two reads of losses, which wait

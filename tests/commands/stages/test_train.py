@@ -47,8 +47,8 @@ from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.memory import Memory
 from salsanext_cli.training.recipe import Recipe, recipe
 from salsanext_cli.training.run_folder import resumption
+from salsanext_cli.training.scoring.validation import validate
 from salsanext_cli.training.setup import Setup
-from salsanext_cli.training.validation import validate
 
 TINY = Recipe(
     epochs=3,

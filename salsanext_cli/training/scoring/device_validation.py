@@ -21,8 +21,8 @@ from salsanext_cli.core.on_device.scan_batch import HostPoints, ScanBatch
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.training.data.sources import Source, read_labelled
+from salsanext_cli.training.scoring.validated_scan import MAX_VALIDATED_POINTS, ValidatedScan
 from salsanext_cli.training.transfer import to_device
-from salsanext_cli.training.validated_scan import MAX_VALIDATED_POINTS, ValidatedScan
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

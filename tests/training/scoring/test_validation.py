@@ -13,7 +13,7 @@ from salsanext_cli import Scan, knn_refine, load_network, project, read_labels, 
 from salsanext_cli.core.measures.scores import scores
 from salsanext_cli.runs.results.paths import find_scans
 from salsanext_cli.training.data.sources import Source
-from salsanext_cli.training.validation import validate
+from salsanext_cli.training.scoring.validation import validate
 
 
 def test_scores_count_points_after_knn(tmp_path: Path, weights: Path) -> None:

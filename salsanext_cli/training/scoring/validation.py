@@ -23,11 +23,11 @@ from salsanext_cli.runs.loop.job import ScanJob, Steps
 from salsanext_cli.runs.loop.network_task import network_pipeline
 from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.training.data.sources import Source, read_labelled
-from salsanext_cli.training.device_validation import DeviceValidation
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
 from salsanext_cli.training.run_folder import Row
+from salsanext_cli.training.scoring.device_validation import DeviceValidation
+from salsanext_cli.training.scoring.validated_scan import ValidatedScan, sample_interval
 from salsanext_cli.training.tuning.temperature import best_temperature, with_temperature
-from salsanext_cli.training.validated_scan import ValidatedScan, sample_interval
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -15,9 +15,9 @@ from waiting import META, NoWaiting
 from salsanext_cli import load_network
 from salsanext_cli.runs.loop.network_task import network_pipeline
 from salsanext_cli.runs.results.paths import find_scans
-from salsanext_cli.training import device_validation, validated_scan, validation
 from salsanext_cli.training.data.sources import Source
-from salsanext_cli.training.device_validation import sampled_points
+from salsanext_cli.training.scoring import device_validation, validated_scan, validation
+from salsanext_cli.training.scoring.device_validation import sampled_points
 
 
 @pytest.mark.parametrize("most", [300, 10**6])

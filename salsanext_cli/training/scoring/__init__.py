@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Validation of a network in training, by the CPU kernels or on its GPU."""
