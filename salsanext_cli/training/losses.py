@@ -12,9 +12,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from salsanext_cli.core.engines.device_copies import device_numbers
 from salsanext_cli.training.data.targets import ClassSets
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
-from salsanext_cli.training.transfer import to_device
 
 
 def weighted_cross_entropy(
@@ -229,7 +229,7 @@ class SegmentationLoss(nn.Module):
     def _of_targets(self, log_probabilities: Tensor) -> Tensor:
         """Return the logarithms of the probabilities (P, T) of targets from those of classes."""
         device = log_probabilities.device
-        sets = [to_device(torch.tensor(classes), device) for classes in self.sets]
+        sets = [device_numbers(classes, device, torch.int64) for classes in self.sets]
         sums = [
             log_probabilities.index_select(1, classes).logsumexp(1, keepdim=True)
             for classes in sets

@@ -10,19 +10,20 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from salsanext_cli.core.engines.device_copies import device_numbers, pinned
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.engines.torch_backend import TorchBackend
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
+from salsanext_cli.core.on_device.host_points import HostPoints
 from salsanext_cli.core.on_device.knn import knn_refine
 from salsanext_cli.core.on_device.network_input import network_inputs
 from salsanext_cli.core.on_device.projection import project
-from salsanext_cli.core.on_device.scan_batch import HostPoints, ScanBatch
+from salsanext_cli.core.on_device.scan_batch import ScanBatch
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.training.data.sources import Source, read_labelled
 from salsanext_cli.training.scoring.validated_scan import MAX_VALIDATED_POINTS, ValidatedScan
-from salsanext_cli.training.transfer import to_device
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -92,13 +93,14 @@ class DeviceValidation:
         device = torch.device(self.network.device)
         sensors = [scan.sensor for scan in scans]
         batch = ScanBatch.on_device([scan.points for scan in scans], sensors, str(device))
-        truth = to_device(torch.cat([scan.truth for scan in scans]), device).long()
+        host_truth = pinned(torch.cat([scan.truth for scan in scans]), device)
+        truth = host_truth.to(device, non_blocking=True).long()
         images = project(batch)
         inputs = network_inputs(images, sensors, self.network.card.sensor)
         logits = backend.device_logits(inputs)
         labels = knn_refine(images, logits.argmax(dim=1).to(torch.uint8), KnnParameters())
         space = self.network.card.space
-        is_scored = to_device(torch.from_numpy(space.scored), device)[truth]
+        is_scored = device_numbers(space.scored, device, torch.bool)[truth]
         is_usable = is_scored & (images.pixel_of_point >= 0)
         sample = sampled_points(is_usable, batch.counts, len(self.source.files))
         pixel = images.pixel_of_point[sample.point].clamp(min=0) % logits[0, 0].numel()
@@ -171,7 +173,7 @@ def sampled_points(is_usable: Tensor, counts: Sequence[int], scans: int) -> Samp
     """
     device = is_usable.device
     rank = is_usable.cumsum(dim=0)
-    bounds = to_device(torch.tensor([0, *accumulate(counts)]), device)
+    bounds = device_numbers([0, *accumulate(counts)], device, torch.int64)
     before = F.pad(rank, (1, 0))[bounds]
     usable = before.diff()
     interval = (usable * scans // MAX_VALIDATED_POINTS).clamp(min=1)

@@ -14,8 +14,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from salsanext_cli.core.engines.device_copies import device_numbers
 from salsanext_cli.core.records import Mask
-from salsanext_cli.training.transfer import to_device
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -60,4 +60,4 @@ class BatchRandom:
 
     def put(self, values: npt.ArrayLike, dtype: torch.dtype = torch.float32) -> Tensor:
         """Return numbers of the host on the device."""
-        return to_device(torch.from_numpy(np.array(values)).to(dtype), self.device)
+        return device_numbers(values, self.device, dtype)

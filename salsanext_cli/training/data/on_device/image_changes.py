@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from salsanext_cli.core.engines.device_copies import device_numbers
 from salsanext_cli.core.geometry.row_gaps import BEYOND, FILLED_ROWS, MAX_GAP
 from salsanext_cli.core.records import Double, Mask
 from salsanext_cli.training.data.on_device.batch_random import BatchRandom
@@ -21,7 +22,6 @@ from salsanext_cli.training.data.other_sensors import (
     MIN_ROWS,
     RANGE_EDGES_M,
 )
-from salsanext_cli.training.transfer import to_device
 
 
 def hole_cells(ranges: Tensor) -> Tensor:
@@ -39,7 +39,7 @@ def hole_cells(ranges: Tensor) -> Tensor:
         steps.append(distance)
     near = torch.minimum(sides[0], sides[1])
     far = torch.maximum(sides[0], sides[1])
-    edges = to_device(torch.tensor(RANGE_EDGES_M), ranges.device)
+    edges = device_numbers(RANGE_EDGES_M, ranges.device)
     # An edge belongs to the bin above it.
     cells = torch.bucketize(near, edges, right=True)
     cells += (far > EDGE_RATIO * near) * HOLE_SHARES.shape[1]

@@ -8,7 +8,7 @@ from typing import Self
 import torch
 from torch import Tensor
 
-from salsanext_cli.training.transfer import to_device
+from salsanext_cli.core.engines.device_copies import device_numbers
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -60,7 +60,7 @@ class PointBatch:
         """Return the points of scans on a device, without waiting for copies from the host."""
         values = torch.cat([scan.values.to(device, non_blocking=True) for scan in scans]).float()
         targets = torch.cat([scan.targets.to(device, non_blocking=True) for scan in scans])
-        counts = to_device(torch.tensor([len(scan) for scan in scans]), device)
+        counts = device_numbers([len(scan) for scan in scans], device, torch.int64)
         numbers = torch.arange(len(scans), device=device)
         points = values[:, :3]
         return cls(
