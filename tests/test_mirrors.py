@@ -160,7 +160,6 @@ ELSEWHERE: dict[str, dict[str, str]] = {
         "core/engines/openvino_runtime.py": "core/engines/test_graphs.py",
         "io/user_caches.py": "core/test_caches.py",
         "training/failure_watch.py": "training/test_distributed.py",
-        "training/transfer.py": "training/test_losses.py",
         "training/fused_step.py": "training/test_learner.py",
     },
 }
