@@ -17,7 +17,7 @@ from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.records import Origin
 from salsanext_cli.runs.fit.range_images import projected_sensor, range_image, sensor_of_images
 from salsanext_cli.runs.fit.sensor_fit import (
-    fitted_view,
+    fitted_members,
     network_of_run,
     resolved_for,
     settings_of_network,
@@ -234,7 +234,7 @@ def predict_range_images(
     """
     network = settings.load()
     projected = projected_sensor(folder)
-    fitted = fitted_view(
+    fitted = fitted_members(
         [], network.sensor, projected, view=settings.fits_view, mounting=settings.fits_mounting
     )
     network = network.for_sensor(sensor_of_images(folder, projected, fitted))

@@ -9,7 +9,7 @@ from salsanext_cli.core.labelling import ProjectedScan, project_scan
 from salsanext_cli.core.records import Origins
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.runs.fit.scan_reading import read_measured
-from salsanext_cli.runs.fit.sensor_fit import fitted_view
+from salsanext_cli.runs.fit.sensor_fit import fitted_members
 from salsanext_cli.runs.loop.recorded_names import with_recorded_names
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.loop.run_origins import OriginsOfRun
@@ -106,7 +106,7 @@ def project_scans(
     scans = choose(listed, selection, space_of(listed), source)
     recorded = None if options.overwrite else Manifest(out).settings("project")
     earlier = recorded.sensor if recorded else None
-    sensor = fitted_view(listed, sensor, earlier, view=fit, mounting=fit_mounting)
+    sensor = fitted_members(listed, sensor, earlier, view=fit, mounting=fit_mounting)
     settings = ProjectSettings(sensor=sensor)
     summary = RunSummary(sensor=sensor, scans=scans)
     folders = (*FOLDERS, *folders_of_origins(out, "project", sensor))

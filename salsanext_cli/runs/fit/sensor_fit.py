@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.fitting.network_fit import FitSettings, fit_to_sample, intensity_method
 from salsanext_cli.core.fitting.scan_sample import ScanSample
-from salsanext_cli.core.fitting.view_fit import fit_sensor
+from salsanext_cli.core.fitting.view_fit import fit_sensor, fit_views
 from salsanext_cli.core.network.tuned_settings import KEY_OF
 from salsanext_cli.core.plain_data import as_json
 from salsanext_cli.core.records import Origins, Scan
@@ -123,6 +123,22 @@ def fitted_view(
     """Return the sensor fitted to a sample of scans by `fit_sensor`."""
     sample = sample_of_files(files, sensor)
     return fit_sensor(sample, sensor, earlier, view=view, mounting=mounting)
+
+
+def fitted_members(
+    files: Sequence[ScanFile],
+    sensor: Sensor,
+    earlier: Sensor | None = None,
+    *,
+    view: bool = True,
+    mounting: bool = True,
+) -> Sensor:
+    """Return the sensor fitted to a sample of scans by `fit_views`.
+
+    Sensors of equal views stay apart, because their intensities may differ.
+    """
+    sample = sample_of_files(files, sensor)
+    return fit_views(sample, sensor, earlier, view=view, mounting=mounting)
 
 
 def labels_depend_on(settings: NetworkSettings, network: Network) -> dict[str, object]:

@@ -102,6 +102,16 @@ def test_parts_steps_workers_and_batches_give_the_same(mixed, network, apart, tm
     assert files_below(parts)[name] == files_below(batched)[name]
 
 
+def test_sensors_of_one_view_have_their_own_intensities_in_steps_too(mixed, network, tmp_path):
+    fixed = replace(TRAINED, min_range=0.0, ego_box=())
+    settings = replace(network, sensor=fixed)
+    predict_scans(mixed, tmp_path / "out", settings=settings)
+    project_scans(mixed, tmp_path / "steps", sensor=fixed)
+    predict_range_images(tmp_path / "steps", tmp_path / "steps", settings=settings)
+    knn_refine_scans(tmp_path / "steps")
+    assert labels_below(tmp_path / "steps") == labels_below(tmp_path / "out")
+
+
 def test_later_stages_use_the_sensor_of_each_scan(mixed, network, tmp_path):
     """By their height: seen upright, hardly a point is below the ground."""
     predict_scans(mixed, tmp_path / "out", settings=network)
