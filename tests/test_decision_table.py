@@ -78,7 +78,7 @@ def test_the_gains_quoted_are_those_of_the_trials():
     for gains in (many, few):
         scans = [trial.scans for trial in gains.trials]
         assert f"{min(scans)} to {max(scans)} labelled scans" in text
-        quoted = f"{gains.worst:.1f} to {gains.best:.1f} points"
+        quoted = f"{gains.worst:.1f} to {gains.best:.1f} percentage points"
         assert quoted in text
         assert f"(median {gains.median:.1f})" in text
     assert {trial.version for trial in many.trials} == {5}
