@@ -2,9 +2,10 @@
 """Speed of a run on a Ray cluster, and what its driver costs in time and memory.
 
 The cluster is on this machine: one node of one core for each worker. `predict` labels the scans by
-workers of it, and by as many processes, in turns. Then two workers do nothing with many names.
+workers of it, and by as many processes, in turns. Then two workers do nothing with many names, if
+any are requested.
 
-Run: python -m benchmarks.speed.cluster velodyne/ [2 workers] [3 rounds] [1000000 names]
+Run: python -m benchmarks.speed.cluster velodyne/ [2 workers] [3 rounds] [1000000 names, or 0]
 """
 
 import os
@@ -67,18 +68,23 @@ def labelled(scans: Path, **workers: Any) -> tuple[float, float]:
 
 def compare(scans: Path, address: str, workers: int, rounds: int) -> None:
     """Print the speed of `predict` by workers of a cluster and by processes, in turns."""
-    ratios = []
+    speeds_by_cluster = []
+    speeds_by_jobs = []
     for number in range(rounds):
         by_cluster, cluster_seconds = labelled(scans, cluster=address)
         by_jobs, jobs_seconds = labelled(scans, jobs=workers)
-        ratios.append(by_cluster / by_jobs)
+        speeds_by_cluster.append(by_cluster)
+        speeds_by_jobs.append(by_jobs)
         print(
             f"round {number}: {by_cluster:.2f} scans/s on the cluster ({cluster_seconds:.1f} s in "
-            f"all), {by_jobs:.2f} with --jobs {workers} ({jobs_seconds:.1f} s)"
+            f"all), {by_jobs:.2f} with --jobs {workers} ({jobs_seconds:.1f} s)",
+            flush=True,
         )
+    median_by_cluster = statistics.median(speeds_by_cluster)
+    median_by_jobs = statistics.median(speeds_by_jobs)
     print(
-        f"{statistics.median(ratios):.3f} times the speed of --jobs "
-        f"({min(ratios):.3f} to {max(ratios):.3f})"
+        f"medians: {median_by_cluster:.2f} scans/s on the cluster, {median_by_jobs:.2f} with "
+        f"--jobs {workers}: {median_by_cluster / median_by_jobs:.3f} times its speed"
     )
 
 
@@ -142,7 +148,7 @@ def main(scans: str, workers: str = "2", rounds: str = "3", names: str = "100000
     with local_cluster(int(workers)) as cluster:
         if int(rounds):
             compare(Path(scans), cluster.address, int(workers), int(rounds))
-        for part in (*SMALLER_RUNS, 1):
+        for part in (*SMALLER_RUNS, 1) if int(names) else ():
             do_nothing(int(names) // part, cluster.address)
 
 
