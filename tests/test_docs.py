@@ -187,9 +187,20 @@ def test_the_python_of_its_page_runs():
     assert names["evaluation"].counts.scans == 2
 
 
-def has_a_pod_for_each_shard(body: str) -> bool:
-    """Return whether the variable of a job of Kubernetes has the number of its pods."""
-    spec = yaml.safe_load(body)["spec"]
+def has_pods_that_find_their_scans(body: str) -> bool:
+    """Return whether a job has a pod for each shard, or all pods of a cluster have one volume."""
+    resource = yaml.safe_load(body)
+    spec = resource["spec"]
+    if resource["kind"] == "RayCluster":
+        head = spec["headGroupSpec"]
+        pods = [group["template"]["spec"] for group in (head, *spec["workerGroupSpecs"])]
+        first = pods[0]
+        shared = {"image", "volumeMounts"}
+        return head["rayStartParams"]["num-cpus"] == "0" and all(
+            pod["volumes"] == first["volumes"]
+            and all(pod["containers"][0][key] == first["containers"][0][key] for key in shared)
+            for pod in pods
+        )
     (container,) = spec["template"]["spec"]["containers"]
     variables = {variable["name"]: variable["value"] for variable in container["env"]}
     shard = shard_of_kubernetes({"JOB_COMPLETION_INDEX": "0", **variables})
@@ -226,7 +237,7 @@ READERS: dict[tuple[str, str], Callable[[str], object]] = {
     ("automate.md", "json"): json.loads,
     ("automate.md", "toml"): has_only_options,
     ("json.md", "json"): json.loads,
-    ("many-scans.md", "yaml"): has_a_pod_for_each_shard,
+    ("many-scans.md", "yaml"): has_pods_that_find_their_scans,
     ("plug-ins.md", "toml"): lambda body: tomllib.loads(body)["project"]["entry-points"],
 }
 

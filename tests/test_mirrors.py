@@ -132,6 +132,7 @@ ELSEWHERE: dict[str, dict[str, str]] = {
         "runs/summary/scan_warnings.py": "runs/summary/test_scan_summary.py",
     },
     RECORD: {
+        "runs/loop/cluster/members.py": "runs/loop/cluster/test_driver.py",
         "core/checks/finding.py": "runs/summary/test_scan_summary.py",
         "core/errors.py": "core/test_wording.py",
         "core/fusion/drive.py": "core/fusion/test_fuse_drive.py",
@@ -148,8 +149,6 @@ ELSEWHERE: dict[str, dict[str, str]] = {
         "runs/results/scan_selection.py": "runs/results/test_selection.py",
     },
     WHOLE_RUN_ON_CLUSTER: {
-        "runs/loop/cluster/driver_process.py": "runs/loop/cluster/test_attempts.py",
-        "runs/loop/cluster/driver_program.py": "runs/loop/cluster/test_attempts.py",
         "runs/loop/cluster/ray_cluster.py": "runs/loop/cluster/test_nodes.py",
         "runs/loop/cluster/work.py": "runs/loop/cluster/test_node_code.py",
     },

@@ -137,8 +137,11 @@ def test_ray_sends_the_code_of_a_module_instead_of_its_name(monkeypatch):
     # As on a node without the package.
     monkeypatch.setitem(sys.modules, node_code.__name__, None)
     function, kind = cloudpickle.loads(content)
-    lacking = node_code.NodeRequirements(versions={"salsanext": "none"}, current="/")
-    assert "salsanext" in function(lacking)
+    lacking = node_code.NodeRequirements(versions={"salsanext": "none"})
+    # The result is sent back in the same way.
+    problem = cloudpickle.loads(cloudpickle.dumps(function(lacking)))
+    assert "salsanext" in problem.text
+    assert problem.hint == node_code.VERSIONS_HINT
     assert kind(b"", 1).packed == b""
 
 

@@ -193,9 +193,20 @@ def opened_once(task: Task, process: WorkerProcess) -> AttemptFunction:
     wording.use(process.spelling)
     if process.run_id not in _OPENED:
         _OPENED.clear()
-        os.chdir(process.folder)
+        _enter(process.folder)
         _OPENED[process.run_id] = opened(task)
     return _OPENED[process.run_id]
+
+
+def _enter(folder: Path) -> None:
+    """Make a folder the current one, or the root where it is missing, as on a node of a cluster.
+
+    Names that are relative to the folder then lead to no other file.
+    """
+    try:
+        os.chdir(folder)
+    except OSError:
+        os.chdir(os.path.abspath(os.sep))  # noqa: PTH100 - the root
 
 
 @contextmanager

@@ -26,6 +26,7 @@ from salsanext_cli.runs.loop.cluster.bug import Bug
 from salsanext_cli.runs.loop.cluster.chunk_queue import ChunkQueue
 from salsanext_cli.runs.loop.cluster.driver_process import DriverProcess, driver_process
 from salsanext_cli.runs.loop.cluster.messages import (
+    Alive,
     Assignment,
     Crash,
     FinishedChunk,
@@ -50,6 +51,7 @@ from salsanext_cli.runs.results.paths import ScanFile
 ADDRESS = re.compile(r"auto|(?P<client>ray://)?(?P<host>[^\s/:]+|\[[^\s/]+\]):(?P<port>\d{1,5})")
 CONNECT_TIMEOUT_S = 15.0
 MAX_PROBLEM_CHARACTERS = 300  # Of what Ray says; its mismatch of versions takes 200
+UNUSED_GPUS = "its GPUs are not used: workers get the device of this machine, which is cpu"
 EXPECTED_ADDRESS = "auto, HOST:PORT or ray://HOST:PORT"
 
 log = logging.getLogger(__name__)
@@ -106,6 +108,8 @@ def attempts_of_cluster(
         joined = _joined(driver, messages, address)
         if not joined.workers:
             log.warning("cluster %s: %s", address, no_room(has_gpu))
+        if joined.unused_gpus and isinstance(task, NetworkTask):
+            log.log(NOTICE, "cluster %s: %s", address, UNUSED_GPUS)
         queue = ChunkQueue(chunks(scans, max(1, joined.workers), most))
         yield from _attempts(driver, messages, queue, address)
 
@@ -132,7 +136,14 @@ def require_listener(address: str) -> None:
 def _not_joined(address: str, problem: str) -> UsageError:
     subject = wording.setting("cluster", address)
     text = shortened(problem, MAX_PROBLEM_CHARACTERS)
-    return UsageError(subject, text, "a running Ray cluster", starting_hint(address))
+    return UsageError(subject, text, "a running Ray cluster", joining_hint(address, problem))
+
+
+def joining_hint(address: str, problem: str) -> str:
+    """Return what to do about a cluster that cannot be joined, by what Ray says of it."""
+    if "version" in problem.lower():
+        return "install the same versions of Ray and Python on all machines"
+    return starting_hint(address)
 
 
 def starting_hint(address: str) -> str:
@@ -164,7 +175,7 @@ def uses_gpu(task: Task) -> bool:
 def no_room(has_gpu: bool) -> str:
     """Return what all nodes of a cluster lack, in words; `has_gpu`: whether a worker needs one."""
     if not has_gpu:
-        return "no node has cores for a worker; the run waits until one comes"
+        return "no node has the cores and memory for a worker; the run waits until one comes"
     setting = wording.setting("device", "cpu")
     return f"no node has a GPU; the run waits until one comes; use {setting} to run without"
 
@@ -177,8 +188,7 @@ def _joined(driver: DriverProcess, messages: Iterator[Any], address: str) -> Joi
             text = f"{counted(joined.workers, 'worker')} on {counted(joined.nodes, 'node')}"
             log.log(NOTICE, "cluster %s: room for %s", address, text)
             return joined
-        case UnusableNode(node=node, problem=problem):
-            hint = "give all nodes the same versions, and the same folders under the same paths"
+        case UnusableNode(node=node, problem=problem, hint=hint):
             raise UsageError(subject, f"node {node} {problem}", hint=hint)
         case NotJoined(problem=problem):
             raise _not_joined(address, problem)
@@ -221,9 +231,10 @@ def unpacked(content: bytes) -> list[Attempt[Any]]:
 
 def failed_attempts(queue: ChunkQueue, lost: LostWorker) -> Iterator[Attempt[Any]]:
     """Let the chunks of a lost worker wait again; yield the attempt of a scan that has failed."""
-    log.warning("node %s: a worker ended; other workers get its scans", lost.node)
+    lost_part = "the node was lost" if lost.is_node_lost else "a worker ended"
+    log.warning("node %s: %s; other workers get its scans", lost.node, lost_part)
     for number in reversed(lost.chunks):
-        scan = queue.lose(number)
+        scan = queue.lose(number, is_node_lost=lost.is_node_lost)
         if scan is not None:
             hint = f"it may need more memory; try it alone with {wording.setting('jobs', 1)}"
             error = WorkersLost(scan.path, "ended its worker twice", hint=hint)
@@ -234,8 +245,9 @@ def _report(message: object, address: str) -> None:
     """Log what the driver says of the nodes; raise what ends the run."""
     subject = wording.setting("cluster", address)
     match message:
-        case UnusableNode(node=node, problem=problem, ends_run=True):
-            hint = "no node is left; give all nodes the same versions and folders"
+        case Alive():
+            pass
+        case UnusableNode(node=node, problem=problem, hint=hint, ends_run=True):
             raise WorkersLost(subject, f"node {node} {problem}", hint=hint)
         case UnusableNode(node=node, problem=problem):
             log.warning("node %s %s; the run goes on without it", node, problem)

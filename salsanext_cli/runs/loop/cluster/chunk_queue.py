@@ -68,8 +68,15 @@ class ChunkQueue:
         """Forget a chunk that was attempted."""
         del self._sent[number]
 
-    def lose(self, number: int) -> ScanFile | None:
+    def lose(self, number: int, *, is_node_lost: bool = False) -> ScanFile | None:
         """Let a chunk of a lost worker wait again: alone, and after a second loss in scans.
+
+        Parameters
+        ----------
+        number : int
+            Number under which the chunk was sent.
+        is_node_lost : bool
+            Whether the node of the worker is lost, which is no fault of a chunk.
 
         Returns
         -------
@@ -79,6 +86,8 @@ class ChunkQueue:
         chunk = self._sent.pop(number)
         if not chunk.is_alone:
             self._waiting.appendleft(replace(chunk, is_alone=True))
+        elif is_node_lost:
+            self._waiting.appendleft(chunk)
         elif len(chunk.scans) > 1:
             alone = [replace(chunk, scans=(scan,)) for scan in chunk.scans]
             self._waiting.extendleft(reversed(alone))

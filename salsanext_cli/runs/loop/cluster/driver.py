@@ -5,17 +5,19 @@ The main thread makes all calls, which other threads put into a queue: for a mes
 arrived, and for a call of a worker that has ended.
 """
 
-import re
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from queue import Empty, SimpleQueue
 from typing import Any
 
+from salsanext_cli.runs.loop.cluster.error_lines import cause_line
+from salsanext_cli.runs.loop.cluster.members import Member, SuspectedLoss
 from salsanext_cli.runs.loop.cluster.messages import (
+    Alive,
     Assignment,
     FinishedChunk,
     FreePlaces,
@@ -25,39 +27,26 @@ from salsanext_cli.runs.loop.cluster.messages import (
     UnusableNode,
     Waiting,
 )
+from salsanext_cli.runs.loop.cluster.node_code import VERSIONS_HINT, NodeProblem
 from salsanext_cli.runs.loop.cluster.worker_size import Node, WorkerSize
 
 CHECK_TIMEOUT_S = 60.0  # For all nodes to say what they lack
-CHUNKS_IN_FLIGHT = 2  # Chunks sent per worker, so that the next is ready when one is done
-END_TIMEOUT_S = 2.0  # For workers to end, so that the main process can remove unfinished files
 MAX_FAILED_STARTS = 3  # Workers of a node that end while they open the task
 NODE_INTERVAL_S = 2.0  # Between looks at the nodes
+OPEN_TIMEOUT_S = 600.0  # For a worker to open the task, which may compile a network
 WAITING_AFTER_S = 15.0  # Without any worker
-CAUSE_OF_END = "The actor is dead because"  # Of Ray
-COLOUR = re.compile(r"\x1b\[[0-9;]*m")
+WORKERS_END_TIMEOUT_S = 2.0
+"""For workers to end, so that the main process can remove unfinished files."""
+
+CHECK_HINT = "see the state of the cluster with: ray status"
+START_HINT = "it may lack memory; Ray writes its logs to /tmp/ray/session_latest/logs"
 
 Send = Callable[[object], None]
 Calls = SimpleQueue[Callable[[], None]]
 
 
-@dataclass(slots=True, kw_only=True, eq=False)
-class Member:
-    """Worker that was started, or waits for room on a node."""
-
-    handle: Any
-    node: str = ""  # Id of its node, once it has started
-    is_open: bool = False  # Whether it has opened the task
-    chunks: list[int] = field(default_factory=list)  # Numbers
-    is_taken: bool = False  # Whether it gets no other chunk beside the one that it has
-
-    @property
-    def places(self) -> int:
-        """Number of further chunks that it can take."""
-        return CHUNKS_IN_FLIGHT - len(self.chunks) if self.is_open and not self.is_taken else 0
-
-
 class Driver:
-    """Workers of a run on a cluster that was joined.
+    """Workers of a run on a cluster, which is joined before `begin`.
 
     Parameters
     ----------
@@ -76,9 +65,10 @@ class Driver:
         self.assignment = assignment
         self.send = send
         self.calls = calls
-        self.size = self._fitting_size(cluster.nodes())
+        self.size = self._fitting_size(())
         self.names: dict[str, str] = {}  # Of nodes, by id
         self.members: list[Member] = []
+        self.losses: list[SuspectedLoss] = []
         self.chunks: deque[PackedChunk] = deque()  # For which no worker has a place
         self.alone: deque[PackedChunk] = deque()  # For which no worker is idle
         self.requested = 0  # Number of chunks that were asked for and have not arrived
@@ -88,27 +78,35 @@ class Driver:
         self.idle_since: float | None = time.monotonic()  # None while any worker is open
         self.last_report = self.idle_since  # Time of the last report that no worker is open
         self.has_opened = False  # Whether any worker has opened the task, which fixes `size`
+        self.has_begun = False  # Whether workers may run
         self.is_closed = False
 
     def begin(self) -> bool:
         """Check all nodes with room for workers; return whether the run can begin."""
-        usable = [node for node in self._nodes() if self.size.places(node)]
-        checks = {node: self.cluster.check(node, self.assignment.required) for node in usable}
+        nodes = self._nodes()
+        self.size = self._fitting_size(nodes)
+        usable = [node for node in nodes if self.size.places(node)]
+        checks = {node: self._check(node.id) for node in usable}
         end = time.monotonic() + CHECK_TIMEOUT_S
         for node, checked in checks.items():
             try:
                 problem = checked.result(max(0.0, end - time.monotonic()))
             except TimeoutError:
-                problem = f"did not answer within {CHECK_TIMEOUT_S:.0f} s"
-            except self.cluster.RAISED as error:
-                problem = f"cannot be checked: {cause_line(error)}"
-            except self.cluster.LOST:
+                text = f"did not answer within {CHECK_TIMEOUT_S:.0f} s"
+                problem = NodeProblem(text=text, hint=CHECK_HINT)
+            except self.cluster.RAISED_ERRORS as error:
+                text = f"cannot be checked: {cause_line(error)}"
+                problem = NodeProblem(text=text, hint=VERSIONS_HINT)
+            except self.cluster.LOSS_ERRORS:
                 continue  # The node has gone; a worker on one that comes back checks it.
             if problem:
-                self.send(UnusableNode(node=node.name, problem=problem, ends_run=True))
+                report = self._report(node.id, problem)
+                self.send(replace(report, ends_run=True))
                 return False
         places = sum(map(self.size.places, usable))
-        self.send(Joined(nodes=len(usable), workers=places))
+        self.has_begun = True
+        gpus = 0 if self.size.gpus else sum(node.gpus for node in nodes)
+        self.send(Joined(nodes=len(usable), workers=places, unused_gpus=gpus))
         return True
 
     def run(self) -> None:
@@ -136,7 +134,7 @@ class Driver:
         running = [self._call(member, "node") for member in self.members if member.is_open]
         for member in self.members:
             self.cluster.end(member.handle)
-        end = time.monotonic() + END_TIMEOUT_S
+        end = time.monotonic() + WORKERS_END_TIMEOUT_S
         for future in running:
             try:
                 future.exception(max(0.0, end - time.monotonic()))
@@ -153,13 +151,22 @@ class Driver:
         """Return the name of a node by its id, also of one that is no more."""
         return self.names.get(node, node)
 
+    def _check(self, node: str) -> "Future[NodeProblem | None]":
+        return self.cluster.check(node, self.assignment.required)
+
+    def _report(self, node: str, problem: NodeProblem) -> UnusableNode:
+        return UnusableNode(node=self._name(node), problem=problem.text, hint=problem.hint)
+
     def _look_at_nodes(self) -> None:
         """Start workers for which nodes have room, and some that wait for more nodes."""
         now = time.monotonic()
         if now - self.last_look < NODE_INTERVAL_S:
             return
         self.last_look = now
+        self._report_losses()
+        self._end_late_starts()
         self._start_workers()
+        self.send(Alive())
         if self.idle_since is None:
             return
         if now - max(self.idle_since, self.last_report) > WAITING_AFTER_S:
@@ -198,19 +205,20 @@ class Driver:
             return
         try:
             member.node = located.result()
-        except self.cluster.LOST as error:
+        except self.cluster.LOSS_ERRORS as error:
             self._fail_start(member, cause_line(error))
             return
+        member.located_at = time.monotonic()
         opening = self._call(member, "open", self.assignment.required)
         self._then(opening, partial(self._opened, member))
 
-    def _opened(self, member: Member, opening: Future[str]) -> None:
+    def _opened(self, member: Member, opening: "Future[NodeProblem | None]") -> None:
         """Let a worker take chunks, or leave its node out."""
         if member not in self.members:
             return
         try:
             problem = opening.result()
-        except self.cluster.LOST as error:
+        except self.cluster.LOSS_ERRORS as error:
             self._fail_start(member, cause_line(error))
             return
         if problem:
@@ -232,15 +240,26 @@ class Driver:
         self._remove(member)
         self.failed_starts[member.node] += 1
         text = f"ends workers while they start: {problem}"
+        failure = NodeProblem(text=text, hint=START_HINT)
         if self.failed_starts[member.node] < MAX_FAILED_STARTS:
             self._start_workers()
         elif member.node:
-            self._leave_out(member.node, text)
+            self._leave_out(member.node, failure)
         elif not self._open_members():
-            self.send(UnusableNode(node="of the cluster", problem=text, ends_run=True))
+            report = self._report("of the cluster", failure)
+            self.send(replace(report, ends_run=True))
             self.close()
 
-    def _leave_out(self, node: str, problem: str) -> None:
+    def _end_late_starts(self) -> None:
+        """End workers that have not opened the task in time."""
+        now = time.monotonic()
+        starting = [member for member in self.members if member.node and not member.is_open]
+        for member in starting:
+            # The end of one may leave out the node of others.
+            if member in self.members and now - member.located_at > OPEN_TIMEOUT_S:
+                self._fail_start(member, f"one was not ready within {OPEN_TIMEOUT_S:.0f} s")
+
+    def _leave_out(self, node: str, problem: NodeProblem) -> None:
         """Use a node no more; without any other one, the run ends.
 
         A run whose last node goes waits for the next, also if it has left one out before.
@@ -248,7 +267,7 @@ class Driver:
         for member in [member for member in self.members if member.node == node]:
             if not member.is_open:
                 self._remove(member)
-        report = UnusableNode(node=self._name(node), problem=problem)
+        report = self._report(node, problem)
         if node not in self.unusable:
             self.unusable.add(node)
             self.send(report)
@@ -292,7 +311,7 @@ class Driver:
             return  # The loss of its worker was noticed by another call.
         try:
             attempts = attempting.result()
-        except self.cluster.LOST:
+        except self.cluster.LOSS_ERRORS:
             self._lose(member)
             return
         member.chunks.remove(number)
@@ -305,10 +324,33 @@ class Driver:
         chunks = tuple(member.chunks)
         member.chunks.clear()
         self._remove(member)
-        self.send(LostWorker(node=self._name(member.node), chunks=chunks))
+        if member.is_taken:
+            end = time.monotonic() + CHECK_TIMEOUT_S
+            answer = self._check(member.node)
+            loss = SuspectedLoss(node=member.node, chunks=chunks, answer=answer, end=end)
+            self.losses.append(loss)
+            self._then(answer, lambda _: self._report_losses())
+        else:
+            self.send(LostWorker(node=self._name(member.node), chunks=chunks))
         if not self._open_members():
             self.idle_since = time.monotonic()
         self._start_workers()
+
+    def _report_losses(self) -> None:
+        """Report the losses whose nodes have answered, or had the time to."""
+        now = time.monotonic()
+        for loss in [loss for loss in self.losses if loss.answer.done() or now > loss.end]:
+            self.losses.remove(loss)
+            is_lost = not (loss.answer.done() and self._lives(loss.answer))
+            name = self._name(loss.node)
+            self.send(LostWorker(node=name, chunks=loss.chunks, is_node_lost=is_lost))
+
+    def _lives(self, answer: "Future[NodeProblem | None]") -> bool:
+        """Return whether the check of a node has an answer, even a bad one."""
+        error = answer.exception()
+        return not isinstance(error, self.cluster.LOSS_ERRORS) or isinstance(
+            error, self.cluster.RAISED_ERRORS
+        )
 
     def _remove(self, member: Member) -> None:
         self.members.remove(member)
@@ -323,29 +365,3 @@ class Driver:
     def _then(self, future: "Future[Any]", function: Callable[["Future[Any]"], None]) -> None:
         """Let the main thread call a function with a future when that is done."""
         future.add_done_callback(lambda done: self.calls.put(partial(function, done)))
-
-
-def cause_line(error: Exception) -> str:
-    """Return the line of an error of Ray that states its cause.
-
-    The cause of the end of a worker follows its ids. An exception of its code is the last line of
-    a traceback.
-    """
-    lines = [line.strip() for line in COLOUR.sub("", str(error)).splitlines() if line.strip()]
-    ends = [line for line in lines if line.startswith(CAUSE_OF_END)]
-    if ends:
-        return ends[0]
-    if any("Traceback" in line or line.startswith("ray::") for line in lines):
-        return lines[-1]
-    return lines[0] if lines else type(error).__name__
-
-
-def first_line(error: Exception) -> str:
-    """Return the first line of the text of an error that is not empty."""
-    lines = (line.strip() for line in str(error).splitlines())
-    return next(filter(None, lines), type(error).__name__)
-
-
-def one_line(error: Exception) -> str:
-    """Return the text of an error on one line, such as two versions that Ray lists below it."""
-    return " ".join(str(error).split()) or type(error).__name__

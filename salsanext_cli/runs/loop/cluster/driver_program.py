@@ -8,6 +8,7 @@ import os
 import pickle
 import sys
 import threading
+import time
 import traceback
 from collections.abc import Iterator
 from contextlib import suppress
@@ -15,7 +16,8 @@ from functools import partial
 from queue import SimpleQueue
 from typing import Any
 
-from salsanext_cli.runs.loop.cluster.driver import Calls, Driver, Send, first_line, one_line
+from salsanext_cli.runs.loop.cluster.driver import Calls, Driver, Send
+from salsanext_cli.runs.loop.cluster.error_lines import first_line, one_line
 from salsanext_cli.runs.loop.cluster.messages import (
     Assignment,
     Crash,
@@ -24,6 +26,7 @@ from salsanext_cli.runs.loop.cluster.messages import (
     messages_from,
 )
 
+MAIN_THREAD_TIMEOUT_S = 8.0  # For the main thread to end the workers after the last message
 JOIN_TIMEOUT_S = 15.0
 
 
@@ -51,16 +54,16 @@ def drive(messages: Iterator[Any], send: Send) -> None:
     assignment: Assignment = next(messages)
     from salsanext_cli.runs.loop.cluster import ray_cluster
 
+    calls: Calls = SimpleQueue()
+    driver = Driver(ray_cluster, assignment, send, calls)
+    threading.Thread(target=read, args=(messages, driver, calls), daemon=True).start()
     if not _joined(ray_cluster, assignment.address, send):
         return
     try:
-        calls: Calls = SimpleQueue()
-        driver = Driver(ray_cluster, assignment, send, calls)
         if driver.begin():
-            threading.Thread(target=_read, args=(messages, driver, calls), daemon=True).start()
             driver.run()
             driver.end()
-    except ray_cluster.CONNECTION_LOST as error:
+    except ray_cluster.CONNECTION_ERRORS as error:
         send(LostCluster(problem=first_line(error)))
 
 
@@ -72,10 +75,11 @@ def _joined(cluster: Any, address: str, send: Send) -> bool:
         os._exit(1)  # noqa: TID251
 
     timer = threading.Timer(JOIN_TIMEOUT_S, give_up)
+    timer.daemon = True
     timer.start()
     try:
         cluster.join(address)
-    except cluster.NOT_JOINED as error:
+    except cluster.JOIN_ERRORS as error:
         send(NotJoined(problem=one_line(error)))
         return False
     finally:
@@ -83,8 +87,17 @@ def _joined(cluster: Any, address: str, send: Send) -> bool:
     return True
 
 
-def _read(messages: Iterator[Any], driver: Driver, calls: Calls) -> None:
-    """Let the main thread take the chunks that arrive, and end after the last message."""
-    for chunk in messages:
-        calls.put(partial(driver.take, chunk))
-    calls.put(driver.close)
+def read(messages: Iterator[Any], driver: Driver, calls: Calls) -> None:
+    """Let the main thread take the chunks that arrive, and end this process after the last message.
+
+    Before the run has begun there is no worker to end. Later the main thread gets some time to end
+    them; it may wait for a cluster that is lost.
+    """
+    try:
+        for chunk in messages:
+            calls.put(partial(driver.take, chunk))
+    finally:
+        if driver.has_begun:
+            calls.put(driver.close)
+            time.sleep(MAIN_THREAD_TIMEOUT_S)
+        os._exit(0)  # noqa: TID251

@@ -53,6 +53,7 @@ class Joined:
 
     nodes: int
     workers: int  # Number of workers that the nodes have room for, which may be 0
+    unused_gpus: int = 0  # Number of GPUs of the cluster that no worker gets
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,13 +73,21 @@ class UnusableNode:
         Name of the node.
     problem : str
         What it lacks, in words.
+    hint : str
+        What to do about it.
     ends_run : bool
         Whether the run cannot begin; otherwise the other nodes go on.
     """
 
     node: str
     problem: str
+    hint: str = ""
     ends_run: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Alive:
+    """The driver goes on, and its cluster answers: sent every few seconds during a run."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -113,10 +122,14 @@ class LostWorker:
         Name of its node.
     chunks : tuple of int
         Numbers of its chunks. It may have attempted any of them.
+    is_node_lost : bool
+        Whether its node is lost, too, as far as that matters: a chunk that was sent alone is not
+        the cause then.
     """
 
     node: str
     chunks: tuple[int, ...]
+    is_node_lost: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -17,6 +17,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+FOLDERS_HINT = "let all nodes see the same folders under the same paths"
 PACKAGE = "salsanext"
 THREAD_VARIABLES = (
     "LOKY_MAX_CPU_COUNT",
@@ -25,6 +26,7 @@ THREAD_VARIABLES = (
     "OMP_NUM_THREADS",
     "OPENBLAS_NUM_THREADS",
 )
+VERSIONS_HINT = "install the same versions on all nodes"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,6 +55,14 @@ class SharedFolder:
 
 
 @dataclass(frozen=True, kw_only=True)
+class NodeProblem:
+    """What a node lacks, and what to do about it."""
+
+    text: str  # Predicate of a sentence about the node
+    hint: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
 class NodeRequirements:
     """What each node needs to attempt the scans of a run.
 
@@ -60,8 +70,6 @@ class NodeRequirements:
     ----------
     versions : dict
         Version of the package and of each library, by name.
-    current : str
-        Current folder of the main process, to which names are relative.
     files : tuple of ReadableFile
         Files that a node must see as the main process does.
     folders : tuple of SharedFolder
@@ -69,7 +77,6 @@ class NodeRequirements:
     """
 
     versions: dict[str, str]
-    current: str
     files: tuple[ReadableFile, ...] = ()
     folders: tuple[SharedFolder, ...] = ()
 
@@ -88,23 +95,21 @@ def installed_versions(libraries: Iterable[str]) -> dict[str, str]:
     return versions
 
 
-def node_problem(required: NodeRequirements) -> str:
-    """Return what this node lacks, in words; an empty text if it lacks nothing."""
+def node_problem(required: NodeRequirements) -> NodeProblem | None:
+    """Return what this node lacks; None if it lacks nothing."""
     libraries = [name for name in required.versions if name != PACKAGE]
-    problem = version_problem(required.versions, installed_versions(libraries))
-    if problem:
-        return problem
-    if not Path(required.current).is_dir():
-        return f"does not see the current folder {required.current}"
+    text = version_problem(required.versions, installed_versions(libraries))
+    if text:
+        return NodeProblem(text=text, hint=VERSIONS_HINT)
     for file in required.files:
-        problem = reading_problem(file)
-        if problem:
-            return problem
+        text = reading_problem(file)
+        if text:
+            return NodeProblem(text=text, hint=FOLDERS_HINT)
     for folder in required.folders:
-        problem = sharing_problem(folder)
-        if problem:
-            return problem
-    return ""
+        text = sharing_problem(folder)
+        if text:
+            return NodeProblem(text=text, hint=FOLDERS_HINT)
+    return None
 
 
 def version_problem(required: dict[str, str], installed: dict[str, str]) -> str:
@@ -183,8 +188,8 @@ class NodeWorker:
 
         return str(ray.get_runtime_context().get_node_id())
 
-    def open(self, required: NodeRequirements) -> str:
-        """Open the task; return why this node cannot, in words, or an empty text."""
+    def open(self, required: NodeRequirements) -> NodeProblem | None:
+        """Open the task; return why this node cannot, or None."""
         problem = node_problem(required)
         if problem:
             return problem
@@ -192,9 +197,11 @@ class NodeWorker:
             self.work = pickle.loads(self.packed)  # noqa: S301 - of the driver of this worker
             self.work.open()
         except Exception as error:  # noqa: BLE001 - any error concerns this node only
-            text = str(error).replace("\n", "; ")
-            return f"cannot begin: {text or type(error).__name__}"
-        return ""
+            # One that the user can correct has both.
+            text = str(getattr(error, "headline", error)).replace("\n", "; ")
+            hint = str(getattr(error, "hint", ""))
+            return NodeProblem(text=f"cannot begin: {text or type(error).__name__}", hint=hint)
+        return None
 
     def attempt(self, number: int, scans: bytes) -> bytes:
         """Attempt a pickled chunk with a number; return the pickled attempts, or a `Bug`."""

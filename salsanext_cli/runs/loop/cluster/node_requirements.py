@@ -5,6 +5,7 @@ A folder has a probe: a file of random content, by which a node shows that it se
 """
 
 import os
+import threading
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -22,6 +23,7 @@ from salsanext_cli.runs.loop.run_folders import RunFolders
 from salsanext_cli.runs.results.paths import ScanFile
 
 PROBE_BYTES = 16
+RENEWAL_INTERVAL_S = 3600.0
 
 
 @contextmanager
@@ -53,7 +55,6 @@ def node_requirements(scans: Sequence[ScanFile], folders: RunFolders) -> Iterato
         ]
         yield NodeRequirements(
             versions=installed_versions(library_packages()),
-            current=str(Path.cwd()),
             files=(_readable(existing(scans[0].path)),),
             folders=tuple(shared),
         )
@@ -74,10 +75,28 @@ def probe_of(folder: Path) -> Iterator[Probe | None]:
         yield _record_of(folder)
         return
     try:
-        yield Probe(path=str(path), content=content)
+        with _kept_recent(path):
+            yield Probe(path=str(path), content=content)
     finally:
         with suppress(OSError):
             path.unlink()
+
+
+@contextmanager
+def _kept_recent(path: Path) -> Iterator[None]:
+    """Renew the time of a file during the body: other runs remove unfinished files after a day."""
+    ended = threading.Event()
+
+    def renew() -> None:
+        while not ended.wait(RENEWAL_INTERVAL_S):
+            with suppress(OSError):
+                os.utime(path)
+
+    threading.Thread(target=renew, name="probe", daemon=True).start()
+    try:
+        yield
+    finally:
+        ended.set()
 
 
 def _record_of(folder: Path) -> Probe | None:

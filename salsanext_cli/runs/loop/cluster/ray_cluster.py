@@ -12,22 +12,27 @@ import ray
 from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
 from salsanext_cli.runs.loop.cluster import node_code
-from salsanext_cli.runs.loop.cluster.node_code import NodeRequirements, NodeWorker, node_problem
-from salsanext_cli.runs.loop.cluster.worker_size import Node, WorkerSize
+from salsanext_cli.runs.loop.cluster.node_code import (
+    NodeProblem,
+    NodeRequirements,
+    NodeWorker,
+    node_problem,
+)
+from salsanext_cli.runs.loop.cluster.worker_size import WORKER_MEMORY_BYTES, Node, WorkerSize
 
 NODE_LABEL = "ray.io/node-id"
-LOST = (ray.exceptions.RayError,)
+LOSS_ERRORS = (ray.exceptions.RayError,)
 """Errors of calls whose worker, or result, is lost."""
-RAISED = (ray.exceptions.RayTaskError,)
+RAISED_ERRORS = (ray.exceptions.RayTaskError,)
 """Errors among these of calls whose own code has raised an exception."""
-CONNECTION_LOST = (ConnectionError, ray.exceptions.RayError)
+CONNECTION_ERRORS = (ConnectionError, ray.exceptions.RayError)
 """Errors of other calls after the loss of the cluster, if Ray does not end the process itself."""
-NOT_JOINED = (OSError, ImportError, RuntimeError, ValueError, ray.exceptions.RayError)
+JOIN_ERRORS = (OSError, ImportError, RuntimeError, ValueError, ray.exceptions.RayError)
 """Errors of `join`."""
 
 
 def join(address: str) -> None:
-    """Join a running cluster, or raise one of `NOT_JOINED`."""
+    """Join a running cluster, or raise one of `JOIN_ERRORS`."""
     # A node without the package must be able to load the code of its check.
     ray.cloudpickle.register_pickle_by_value(node_code)
     ray.init(address=address, log_to_driver=False, logging_level=logging.CRITICAL)
@@ -41,15 +46,16 @@ def nodes() -> list[Node]:
             name=f"{node['NodeManagerHostname']} ({node['NodeManagerAddress']})",
             cores=int(node["Resources"].get("CPU", 0)),
             gpus=int(node["Resources"].get("GPU", 0)),
+            memory=int(node["Resources"].get("memory", 0)),
         )
         for node in ray.nodes()
         if node["Alive"]
     ]
 
 
-def check(node: Node, required: NodeRequirements) -> "Future[str]":
-    """Check a node by a task that needs no free core; its result is that of `node_problem`."""
-    place = NodeAffinitySchedulingStrategy(node.id, soft=False)
+def check(node: str, required: NodeRequirements) -> "Future[NodeProblem | None]":
+    """Check a node, by its id, in a task that needs no core; the result is of `node_problem`."""
+    place = NodeAffinitySchedulingStrategy(node, soft=False)
     options = {"num_cpus": 0, "max_retries": 0, "scheduling_strategy": place}
     return ray.remote(**options)(node_problem).remote(required).future()
 
@@ -59,6 +65,7 @@ def start_worker(size: WorkerSize, work: bytes, without: set[str]) -> Any:
     options: dict[str, Any] = {
         "num_cpus": size.cores,
         "num_gpus": size.gpus,
+        "memory": WORKER_MEMORY_BYTES,
         "max_restarts": 0,
         "max_task_retries": 0,
         "scheduling_strategy": "SPREAD",

@@ -8,6 +8,11 @@ MAX_CORES_PER_WORKER = 4
 """Cores of a worker without a GPU; with more, a network gains less than further workers."""
 MAX_CORES_PER_GPU = 8
 """Cores of a worker with a GPU, which read and project its scans."""
+MIN_SHARE_OF_CORES = 0.75
+"""Share of the cores of a cluster that its workers use: small nodes do not make all workers small.
+"""
+WORKER_MEMORY_BYTES = 1_000_000_000
+"""Memory that Ray reserves for a worker; it needs about 0.6 GB at the default width."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -18,6 +23,7 @@ class Node:
     name: str
     cores: int
     gpus: int
+    memory: int  # Bytes that Ray gives to workers
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,14 +35,18 @@ class WorkerSize:
 
     @classmethod
     def fitting(cls, nodes: Sequence[Node], *, uses_gpu: bool) -> "WorkerSize":
-        """Return a size that fits on each node with a GPU, or with cores."""
+        """Return a size that fits on each node with a GPU, or uses most cores of the nodes."""
         if uses_gpu:
             shares = [node.cores // node.gpus for node in nodes if node.gpus]
             return cls(cores=max(1, min([MAX_CORES_PER_GPU, *shares])), gpus=1)
-        cores = [node.cores for node in nodes if node.cores]
-        return cls(cores=min([MAX_CORES_PER_WORKER, *cores]), gpus=0)
+        enough = MIN_SHARE_OF_CORES * sum(node.cores for node in nodes)
+        sizes = range(MAX_CORES_PER_WORKER, 0, -1)
+        cores = next(
+            size for size in sizes if sum(node.cores // size * size for node in nodes) >= enough
+        )
+        return cls(cores=cores, gpus=0)
 
     def places(self, node: Node) -> int:
         """Return the number of workers that a node has room for."""
-        by_cores = node.cores // self.cores
-        return min(by_cores, node.gpus) if self.gpus else by_cores
+        places = min(node.cores // self.cores, node.memory // WORKER_MEMORY_BYTES)
+        return min(places, node.gpus) if self.gpus else places

@@ -67,7 +67,6 @@ def closed_port():
 
 
 def test_where_no_cluster_answers(tmp_path):
-    pytest.importorskip("ray")
     address = f"{HERE}:{closed_port()}"
     with spelled(CommandLine()):
         caught = refused(
@@ -77,7 +76,7 @@ def test_where_no_cluster_answers(tmp_path):
 
 
 def test_the_end_of_a_driver_is_no_silence(tmp_path, monkeypatch):
-    pytest.importorskip("ray")
+    monkeypatch.setattr(attempts, "find_spec", lambda name: name)
     crash = "import sys; print('before', file=sys.stderr); sys.exit('out of threads')"
     monkeypatch.setattr(driver_process, "PROGRAM", crash)
     caught = refused(
@@ -105,6 +104,12 @@ def test_the_hint_says_how_to_start_a_cluster():
         ("ray://node1:10001", "on node1: ray start --head --ray-client-server-port=10001"),
     ):
         assert command in attempts.starting_hint(address)
+
+
+def test_the_hint_about_other_versions_of_ray_is_to_install_the_same_ones():
+    problem = "Version mismatch: The cluster was started with: Ray: 2.51"
+    assert "same versions" in attempts.joining_hint("auto", problem)
+    assert "ray start" in attempts.joining_hint("auto", "Could not find any running Ray instance")
 
 
 def test_a_missing_package_is_named(tmp_path, monkeypatch):

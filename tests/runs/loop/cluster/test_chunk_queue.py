@@ -39,6 +39,15 @@ def test_the_chunk_of_a_lost_worker_is_sent_alone_and_then_its_scans_one_by_one(
     assert queue.send().scans == tuple(SCANS[2:])
 
 
+def test_a_chunk_whose_node_is_lost_is_sent_again_as_it_was():
+    queue = ChunkQueue([tuple(SCANS[:2])])
+    queue.lose(queue.send().number)
+    for _ in range(MAX_LOSSES + 1):
+        chunk = queue.send()
+        assert (chunk.scans, chunk.is_alone, chunk.losses) == (tuple(SCANS[:2]), True, 0)
+        assert queue.lose(chunk.number, is_node_lost=True) is None
+
+
 @given(st.sets(st.sampled_from(SCANS)), st.integers(1, 5), st.randoms(use_true_random=False))
 def test_exactly_the_deadly_scans_fail(deadly, size, draw):
     """Workers have two chunks unless one is alone. Some die without a reason, with no chunk alone.

@@ -8,13 +8,7 @@ from queue import SimpleQueue
 import pytest
 
 from salsanext_cli.runs.loop.cluster import driver as driver_module
-from salsanext_cli.runs.loop.cluster.driver import (
-    MAX_FAILED_STARTS,
-    Driver,
-    cause_line,
-    first_line,
-    one_line,
-)
+from salsanext_cli.runs.loop.cluster.driver import MAX_FAILED_STARTS, Driver
 from salsanext_cli.runs.loop.cluster.messages import (
     Assignment,
     FinishedChunk,
@@ -25,10 +19,13 @@ from salsanext_cli.runs.loop.cluster.messages import (
     UnusableNode,
     Waiting,
 )
-from salsanext_cli.runs.loop.cluster.node_code import NodeRequirements
+from salsanext_cli.runs.loop.cluster.node_code import NodeProblem, NodeRequirements
 from salsanext_cli.runs.loop.cluster.worker_size import Node
 
-REQUIRED = NodeRequirements(versions={}, current="/")
+REQUIRED = NodeRequirements(versions={})
+GIB = 2**30
+LACK = NodeProblem(text="cannot read /a", hint="mount it")
+NO_WEIGHTS = NodeProblem(text="cannot begin: no weights")
 
 
 class LossError(Exception):
@@ -36,7 +33,7 @@ class LossError(Exception):
 
 
 def node(number, cores):
-    return Node(id=f"id{number}", name=f"node{number}", cores=cores, gpus=0)
+    return Node(id=f"id{number}", name=f"node{number}", cores=cores, gpus=0, memory=64 * GIB)
 
 
 class RaisedError(LossError):
@@ -46,13 +43,11 @@ class RaisedError(LossError):
 class CountingCluster:
     """Cluster whose calls end when the test says so."""
 
-    LOST = (LossError,)
-    RAISED = (RaisedError,)
+    LOSS_ERRORS = (LossError,)
+    RAISED_ERRORS = (RaisedError,)
 
     def __init__(self, *cores):
-        self.all = [
-            Node(id=f"id{n}", name=f"node{n}", cores=c, gpus=0) for n, c in enumerate(cores)
-        ]
+        self.all = [node(number, count) for number, count in enumerate(cores)]
         self.problems = {}
         self.without = []
         self.sizes = []
@@ -66,7 +61,7 @@ class CountingCluster:
     def check(self, checked, required):
         assert required is REQUIRED
         future = Future()
-        problem = self.problems.get(checked.id, "")
+        problem = self.problems.get(checked)
         if isinstance(problem, Exception):
             future.set_exception(problem)
         else:
@@ -104,7 +99,7 @@ class Room:
         self.driver._look_at_nodes()
         for node in nodes:
             self.answer("node", node)
-            self.answer("open", "")
+            self.answer("open", None)
 
     def answer(self, method, result, worker=None):
         """End the first call of a method, by its result or by an error."""
@@ -114,9 +109,12 @@ class Room:
             call[3].set_exception(result)
         else:
             call[3].set_result(result)
+        self.make_calls()
+        return call[1]
+
+    def make_calls(self):
         while not self.calls.empty():
             self.calls.get()()
-        return call[1]
 
     def take(self, *numbers):
         for number in numbers:
@@ -137,9 +135,11 @@ def test_the_run_begins_when_all_nodes_have_what_it_needs():
 
 def test_the_run_does_not_begin_if_a_node_lacks_something():
     room = Room(8, 4)
-    room.cluster.problems["id1"] = "cannot read /a"
+    room.cluster.problems["id1"] = LACK
     assert not room.driver.begin()
-    assert room.sent == [UnusableNode(node="node1", problem="cannot read /a", ends_run=True)]
+    assert room.sent == [
+        UnusableNode(node="node1", problem=LACK.text, hint="mount it", ends_run=True)
+    ]
 
 
 def test_a_check_that_raises_is_a_problem_of_its_node_and_a_node_that_went_is_none():
@@ -154,7 +154,7 @@ def test_a_check_that_raises_is_a_problem_of_its_node_and_a_node_that_went_is_no
 
 def test_nodes_without_room_for_a_worker_need_nothing():
     room = Room(4, 0)
-    room.cluster.problems["id1"] = "cannot read /a"
+    room.cluster.problems["id1"] = LACK
     assert room.driver.begin()
 
 
@@ -209,6 +209,52 @@ def test_a_chunk_that_is_sent_alone_waits_for_an_idle_worker():
     assert sum(message.count for message in room.sent_of(FreePlaces)) == 6 + 2
 
 
+@pytest.mark.parametrize(
+    ("answer", "is_node_lost"),
+    [(None, False), (LACK, False), (RaisedError(), False), (LossError(), True)],
+)
+def test_a_chunk_that_is_alone_is_lost_with_its_worker_or_with_the_node(answer, is_node_lost):
+    room = Room(4)
+    room.start("id0")
+    room.driver.take(PackedChunk(number=1, scans=b"scans", is_alone=True))
+    room.cluster.problems["id0"] = answer
+    room.answer("attempt", LossError())
+    (lost,) = room.sent_of(LostWorker)
+    assert lost == LostWorker(node="node0", chunks=(1,), is_node_lost=is_node_lost)
+
+
+def test_a_node_that_does_not_answer_in_time_is_lost(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(driver_module.time, "monotonic", lambda: now[0])
+    room = Room(4)
+    now[0] = 10.0
+    room.start("id0")
+    room.driver.take(PackedChunk(number=1, scans=b"scans", is_alone=True))
+    room.cluster.check = lambda node, required: Future()
+    room.answer("attempt", LossError())
+    for now[0], count in ((30.0, 0), (80.0, 1)):
+        room.start()
+        assert len(room.sent_of(LostWorker)) == count
+    assert room.sent_of(LostWorker)[0].is_node_lost
+
+
+def test_a_worker_that_is_not_ready_in_time_is_replaced(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(driver_module.time, "monotonic", lambda: now[0])
+    room = Room(4)
+    for now[0] in (10.0, 620.0, 1230.0):
+        assert not room.driver.is_closed
+        room.start()
+        room.answer("node", "id0")
+    assert room.cluster.ended == {1, 2}
+    # Another one on the node, which is left out with the first.
+    room.answer("node", "id0")
+    now[0] = 1900.0
+    room.start()
+    assert room.driver.is_closed
+    assert "not ready within 600 s" in room.sent_of(UnusableNode)[-1].problem
+
+
 def test_workers_start_where_there_is_room_and_more_when_nodes_come(monkeypatch):
     monkeypatch.setattr(driver_module, "NODE_INTERVAL_S", 0.0)
     room = Room(8)
@@ -241,13 +287,13 @@ def test_a_node_that_cannot_open_the_task_is_left_out_and_the_run_goes_on():
     room.start("id0")
     room.take(1, 2)
     room.answer("node", "id1")
-    room.answer("open", "cannot begin: no weights")
+    room.answer("open", NO_WEIGHTS)
     assert room.sent[-1] == UnusableNode(node="node1", problem="cannot begin: no weights")
     assert not room.driver.is_closed
     # Another worker that was started before reports nothing new; the next starts elsewhere.
     count = len(room.sent)
     room.answer("node", "id1")
-    room.answer("open", "cannot begin: no weights")
+    room.answer("open", NO_WEIGHTS)
     assert len(room.sent) == count
     assert room.cluster.without[-1] == {"id1"}
 
@@ -256,7 +302,7 @@ def test_the_run_ends_when_no_node_is_left():
     room = Room(4)
     room.start()
     room.answer("node", "id0")
-    room.answer("open", "cannot begin: no weights")
+    room.answer("open", NO_WEIGHTS)
     assert room.sent[-1] == UnusableNode(
         node="node0", problem="cannot begin: no weights", ends_run=True
     )
@@ -300,7 +346,7 @@ def test_a_run_whose_last_node_goes_waits_for_the_next(monkeypatch):
     room.start("id0")
     room.take(1)
     room.answer("node", "id1")
-    room.answer("open", "cannot begin: no weights")
+    room.answer("open", NO_WEIGHTS)
     room.cluster.all = room.cluster.all[1:]
     room.answer("attempt", LossError(), worker=1)
     room.start()
@@ -321,7 +367,7 @@ def test_workers_that_wait_for_room_get_the_size_of_the_first_node(monkeypatch):
     assert room.cluster.ended == {1}
     room.answer("node", LossError("ended"), worker=1)
     room.answer("node", "id0", worker=2)
-    room.answer("open", "", worker=2)
+    room.answer("open", None, worker=2)
     # The size is that of all workers from now on.
     room.cluster.all = [node(0, 2), node(1, 1)]
     room.start()
@@ -337,26 +383,6 @@ def test_a_run_that_waits_longer_says_so(monkeypatch):
     assert [message.seconds for message in room.sent_of(Waiting)] == [16.0, 32.0]
 
 
-DEATH = """The actor died unexpectedly before finishing this task.
-\tclass_name: NodeWorker
-\tactor_id: 01
-The actor is dead because its worker process has died. Worker exit type: SYSTEM_ERROR
-"""
-FAILED_CREATION = """The actor died because of an error raised in its creation task, \
-\x1b[36mray::NodeWorker.__init__()\x1b[39m (pid=1, ip=127.0.0.1)
-  File "a.py", line 1, in b
-Traceback (most recent call last):
-ModuleNotFoundError: No module named 'numpy'
-"""
-
-
-def test_the_cause_of_an_error_is_told():
-    assert cause_line(LossError(DEATH)).startswith("The actor is dead because its worker process")
-    assert cause_line(LossError(FAILED_CREATION)) == "ModuleNotFoundError: No module named 'numpy'"
-    assert cause_line(LossError("\n  no room \nmore")) == "no room"
-    assert cause_line(LossError()) == "LossError"
-
-
 def test_a_run_without_workers_says_that_it_waits(monkeypatch):
     monkeypatch.setattr(driver_module, "NODE_INTERVAL_S", 0.0)
     monkeypatch.setattr(driver_module, "WAITING_AFTER_S", 0.0)
@@ -368,10 +394,3 @@ def test_a_run_without_workers_says_that_it_waits(monkeypatch):
     count = len(room.sent_of(Waiting))
     room.start()
     assert len(room.sent_of(Waiting)) == count
-
-
-def test_an_error_is_told_by_its_first_line_or_on_one_line():
-    assert one_line(LossError("versions:\n  2.51\n  2.60")) == "versions: 2.51 2.60"
-    assert one_line(LossError()) == "LossError"
-    assert first_line(LossError("\n  the worker died. \nmore")) == "the worker died."
-    assert first_line(LossError()) == "LossError"

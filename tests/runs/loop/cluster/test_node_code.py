@@ -38,7 +38,6 @@ def required(tmp_path):
     scan.write_bytes(b"1234")
     return NodeRequirements(
         versions=installed_versions(library_packages()),
-        current=str(tmp_path),
         files=(ReadableFile(path=str(scan), size=4), ReadableFile(path=str(tmp_path), size=None)),
         folders=(SharedFolder(path=str(tmp_path), is_written=True),),
     )
@@ -53,7 +52,7 @@ def test_only_the_standard_library_is_imported_before_a_function_runs():
 
 
 def test_a_node_like_this_one_lacks_nothing(required, tmp_path):
-    assert node_problem(required) == ""
+    assert node_problem(required) is None
     assert [path.name for path in tmp_path.iterdir()] == ["scan.bin"]
 
 
@@ -74,14 +73,17 @@ def test_another_version_is_named():
 def test_what_cannot_be_read_or_written_is_named(required, tmp_path):
     absent = tmp_path / "absent"
     cases = (
-        (replace(required, current=str(absent)), absent),
         (replace(required, files=(ReadableFile(path=str(absent), size=4),)), absent),
         (replace(required, files=(ReadableFile(path=str(absent), size=None),)), absent),
         (replace(required, folders=(SharedFolder(path=str(absent)),)), absent),
         (replace(required, files=(replace(required.files[0], size=5),)), tmp_path / "scan.bin"),
     )
     for required_here, path in cases:
-        assert str(path) in node_problem(required_here)
+        problem = node_problem(required_here)
+        assert str(path) in problem.text
+        assert problem.hint == node_code.FOLDERS_HINT
+    problem = node_problem(replace(required, versions={"salsanext": "2.0"}))
+    assert problem.hint == node_code.VERSIONS_HINT
 
 
 @pytest.fixture
@@ -91,9 +93,9 @@ def worker(tmp_path, monkeypatch):
         monkeypatch.setenv(name, os.environ.get(name, "1"))
     monkeypatch.chdir(tmp_path)
 
-    def made(task):
+    def made(task, folder=tmp_path):
         process = WorkerProcess(
-            run_id=str(id(task)), mark=MARK.get(), folder=tmp_path, spelling=wording.used()
+            run_id=str(id(task)), mark=MARK.get(), folder=folder, spelling=wording.used()
         )
         work = Work(task=task, process=process, stop=False)
         return NodeWorker(pickle.dumps(work), 1)
@@ -103,7 +105,7 @@ def worker(tmp_path, monkeypatch):
 
 def test_a_worker_attempts_chunks(worker, required, tmp_path):
     made = worker(Write(tmp_path))
-    assert made.open(required) == ""
+    assert made.open(required) is None
     chunk = pickle.loads(made.attempt(7, pickle.dumps(tuple(scans_of("a", "bad", "b")))))
     assert chunk.number == 7
     assert [attempt.result for attempt in chunk.attempts] == ["a", None, "b"]
@@ -111,9 +113,22 @@ def test_a_worker_attempts_chunks(worker, required, tmp_path):
     assert (tmp_path / "s/b").read_bytes() == b"b"
 
 
+def test_a_worker_needs_the_current_folder_only_for_names_relative_to_it(
+    worker, required, tmp_path, monkeypatch
+):
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    made = worker(Write(tmp_path), folder=elsewhere)
+    elsewhere.rmdir()
+    assert made.open(required) is None
+    assert Path.cwd() == Path("/").absolute()
+    pickle.loads(made.attempt(1, pickle.dumps(tuple(scans_of("a")))))
+    assert (tmp_path / "s/a").read_bytes() == b"a"
+
+
 def test_an_exception_of_a_worker_is_sent_with_its_traceback(worker, required, tmp_path):
     made = worker(Write(tmp_path))
-    assert made.open(required) == ""
+    assert made.open(required) is None
     bug = pickle.loads(made.attempt(1, pickle.dumps(tuple(scans_of("bug")))))
     assert isinstance(bug, Bug)
     error = bug.noted()
@@ -131,10 +146,11 @@ class Closed:
 
 
 def test_a_worker_says_why_it_cannot_begin(worker, required):
-    assert node_problem(required) == ""
-    assert "weights: cut off" in worker(Closed()).open(required)
+    assert node_problem(required) is None
+    problem = worker(Closed()).open(required)
+    assert (problem.text, problem.hint) == ("cannot begin: weights: cut off", "copy it again")
     torn = NodeWorker(b"no pickle", 1)
-    assert torn.open(required).startswith("cannot begin: ")
+    assert torn.open(required).text.startswith("cannot begin: ")
     folder = SharedFolder(path="/nowhere/at/all", is_written=True)
     absent = replace(required, folders=(folder,))
-    assert "/nowhere/at/all" in worker(Closed()).open(absent)
+    assert "/nowhere/at/all" in worker(Closed()).open(absent).text

@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: MIT
 """What a run needs of each node: versions, the first scan, and folders with a probe."""
 
+import os
+import time
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from salsanext_cli.runs.loop.cluster import node_requirements as node_requirements_module
 from salsanext_cli.runs.loop.cluster.node_code import node_problem
 from salsanext_cli.runs.loop.cluster.node_requirements import node_requirements, probe_of
 from salsanext_cli.runs.loop.run_folders import RunFolders
@@ -29,7 +32,7 @@ def test_nodes_need_the_first_scan_and_the_folders(tmp_path, scans):
         assert [(file.path, file.size) for file in required.files] == [(str(scans[0].path), 4)]
         found = [(folder.path, folder.is_written) for folder in required.folders]
         assert found == [(str(before), False), (str(out), True)]
-        assert node_problem(required) == ""
+        assert node_problem(required) is None
     assert not [*out.iterdir(), *before.iterdir()]
 
 
@@ -49,11 +52,11 @@ def test_a_node_with_another_folder_lacks_it(tmp_path, scans):
     with node_requirements(scans, RunFolders(reads=(out,))) as required:
         (probe,) = out.iterdir()
         probe.write_bytes(bytes(probe.stat().st_size))
-        assert f"has another {out}" in node_problem(required)
+        assert f"has another {out}" in node_problem(required).text
         probe.unlink()
-        assert f"has another {out}" in node_problem(required)
+        assert f"has another {out}" in node_problem(required).text
         out.rmdir()
-        assert f"cannot read {out}" in node_problem(required)
+        assert f"cannot read {out}" in node_problem(required).text
 
 
 def test_files_of_other_runs_in_the_folder_may_change(tmp_path, scans):
@@ -61,9 +64,20 @@ def test_files_of_other_runs_in_the_folder_may_change(tmp_path, scans):
     lock.write_bytes(b"")
     with node_requirements(scans, RunFolders(writes=(tmp_path,))) as required:
         lock.write_bytes(b"longer")
-        assert node_problem(required) == ""
+        assert node_problem(required) is None
         lock.unlink()
-        assert node_problem(required) == ""
+        assert node_problem(required) is None
+
+
+def test_a_probe_stays_recent_during_a_long_run(tmp_path, monkeypatch):
+    monkeypatch.setattr(node_requirements_module, "RENEWAL_INTERVAL_S", 0.001)
+    with probe_of(tmp_path) as probe:
+        path = Path(probe.path)
+        os.utime(path, (0, 0))
+        end = time.monotonic() + 20.0
+        while path.stat().st_mtime == 0:
+            assert time.monotonic() < end
+    assert not path.exists()
 
 
 def test_the_probe_of_a_folder_that_is_read_only_is_its_record(tmp_path, scans, monkeypatch):
@@ -77,9 +91,9 @@ def test_the_probe_of_a_folder_that_is_read_only_is_its_record(tmp_path, scans, 
     with node_requirements(scans, RunFolders(reads=(tmp_path,))) as required:
         (folder,) = required.folders
         assert folder.probe.path == str(record)
-        assert node_problem(required) == ""
+        assert node_problem(required) is None
         other = replace(folder, probe=replace(folder.probe, content=b"[]"))
-        assert f"has another {tmp_path}" in node_problem(replace(required, folders=(other,)))
+        assert f"has another {tmp_path}" in node_problem(replace(required, folders=(other,))).text
     record.unlink()
     with probe_of(tmp_path) as probe:
         assert probe is None

@@ -6,22 +6,30 @@ import pytest
 from salsanext_cli.runs.loop.cluster.worker_size import (
     MAX_CORES_PER_GPU,
     MAX_CORES_PER_WORKER,
+    WORKER_MEMORY_BYTES,
     Node,
     WorkerSize,
 )
 
 
-def node(cores, gpus=0):
-    return Node(id="id", name="name", cores=cores, gpus=gpus)
+def node(cores, gpus=0, memory=1000):
+    """Return a node; `memory`: in that of a worker."""
+    size = int(memory * WORKER_MEMORY_BYTES)
+    return Node(id="id", name="name", cores=cores, gpus=gpus, memory=size)
 
 
 @pytest.mark.parametrize(
     ("nodes", "places"),
     [
         ([node(16), node(64)], [4, 16]),
-        # A head without cores has no workers, and a small node decides for all.
-        ([node(0), node(2), node(9)], [0, 1, 4]),
+        # A head without cores has no workers, and a small node does not decide for all.
+        ([node(0), node(2), node(9)], [0, 0, 3]),
         ([node(4, 2), node(3)], [1, 1]),
+        ([node(1), node(1), node(2)], [1, 1, 2]),
+        ([node(1), node(64)], [0, 16]),
+        ([node(6), node(6)], [2, 2]),
+        # Memory bounds them too.
+        ([node(16, memory=2.5), node(16, memory=0.5)], [2, 0]),
     ],
 )
 def test_workers_without_a_gpu_share_the_cores(nodes, places):
@@ -36,6 +44,7 @@ def test_each_gpu_has_a_worker_with_its_share_of_the_cores():
     size = WorkerSize.fitting(nodes, uses_gpu=True)
     assert size == WorkerSize(cores=4, gpus=1)
     assert [size.places(node) for node in nodes] == [8, 4, 0]
+    assert size.places(node(64, 8, memory=3)) == 3
 
 
 def test_a_cluster_that_has_no_nodes_yet_gets_the_largest_workers():
