@@ -83,7 +83,7 @@ def label(
     scan = scan_of_arrays(points, intensity, origin)
     if isinstance(weights, Network):
         return point_labels(scan, weights if origin is None else around_sensor(weights))
-    return point_labels(scan, fitted_to_scan(load_network(weights), scan))
+    return point_labels(scan, fitted_to_scan(load_network(weights, precision="auto"), scan))
 
 
 class FusedScan(NamedTuple):
@@ -118,7 +118,8 @@ def label_drive(folder: Path | str, weights: Path | str | None = None) -> Iterat
     source = Path(folder)
     options = RunOptions()
     require_fusable(source, Path(), options)
-    settings = NetworkSettings(weights=None if weights is None else Path(weights))
+    path = None if weights is None else Path(weights)
+    settings = NetworkSettings(weights=path, precision="auto")
     labelled = label_in_memory(source, scans_of(source), settings)
     space = labelled.network.space
     warn_without_movable_classes(space)

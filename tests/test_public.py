@@ -106,12 +106,13 @@ def test_python_labels_as_the_command_line_does(other_sensor, tmp_path):
 def test_label_labels_as_the_command_line_does(other_sensor, tmp_path, caplog):
     options = ["--weights", "weights.safetensors", "--device", "cpu", "--quiet", "--probabilities"]
     (first, *_) = sorted(other_sensor.iterdir())
-    called("predict", first, "out", *options)
+    called("predict", first, "out", *options, "--precision", "auto")
     (expected,) = labels_below(tmp_path / "out").values()
     (softmax,) = (tmp_path / "out").glob("sequences/*/probabilities/*.npy")
 
     scan = sn.read_scan(first)
-    fitted = sn.fit_network(sn.load_network("weights.safetensors", "cpu"), [scan])
+    network = sn.load_network("weights.safetensors", "cpu", precision="auto")
+    fitted = sn.fit_network(network, [scan])
     for weights in ("weights.safetensors", fitted):
         labels, probabilities, error = sn.label(scan.points, scan.intensity, weights)
         assert sn.label_space().to_raw(labels).astype("<u4").tobytes() == expected

@@ -5,7 +5,6 @@ import contextlib
 import os
 import platform
 import statistics
-import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -16,9 +15,10 @@ import torch
 
 from salsanext_cli.io.files.json_files import write_json
 
-UTILISATION_INTERVAL_S = 0.2
+NETWORK = "network"  # Kind of calls by which the time of others is expected
 WARM_UP = {"cpu": 1, "cuda": 3}  # Calls before those that are timed
 MAX_SECONDS = 6.0  # Of the calls that are timed, after the first
+RESERVE_S = 2.0  # Time that stays to write the figures
 
 
 @dataclass
@@ -29,6 +29,7 @@ class Figures:
     device: str
     deadline: float  # By `time.monotonic`
     rows: list[dict[str, Any]] = field(default_factory=list)
+    paces: dict[str, float] = field(default_factory=dict)  # Seconds of a call per pixel, by kind
     machine: dict[str, Any] = field(default_factory=dict)
 
     def add(self, name: str, value: float | str, unit: str = "") -> None:
@@ -47,28 +48,69 @@ class Figures:
 
     def has_time_for(self, name: str, seconds: float = 0.0) -> bool:
         """Return whether so many seconds are left; say what is skipped if not."""
-        if self.left() > seconds:
+        left = self.left() - RESERVE_S
+        if left > seconds:
             return True
-        self.add(name, "skipped: no time is left")
+        needed = f"needs about {seconds:.0f} s of {max(left, 0):.0f}" if left > 0 else "no time"
+        self.add(name, f"skipped: {needed} left")
         return False
+
+    def has_time_for_calls(self, name: str, kind: str, pixels: int, passes: float = 1.0) -> bool:
+        """Return whether there is time for calls of a kind; say what is skipped if not.
+
+        Parameters
+        ----------
+        name : str
+            Name of the figure.
+        kind : str
+            Kind of calls, whose time is proportional to their pixels.
+        pixels : int
+            Pixels of a call.
+        passes : float
+            Passes of the network that take as long, for a kind that was not measured yet.
+
+        Returns
+        -------
+        bool
+        """
+        calls = WARM_UP[torch.device(self.device).type] + 1
+        return self.has_time_for(name, calls * self.expected(kind, pixels, passes))
+
+    def expected(self, kind: str, pixels: int, passes: float = 1.0) -> float:
+        """Return the expected time of a call in seconds, 0 before any is known."""
+        pace = self.paces.get(kind, passes * self.paces.get(NETWORK, 0.0))
+        return pace * pixels
 
     def wait(self) -> None:
         """Wait until the device has computed all that it was given."""
         if self.device != "cpu":
             torch.cuda.synchronize(self.device)
 
+    def seconds_of(
+        self, kind: str, pixels: int, work: Callable[[], object], repetitions: int
+    ) -> float:
+        """Return the median time of a call of a kind in seconds, and note its pace."""
+        seconds = self.seconds(work, repetitions)
+        self.paces[kind] = seconds / pixels
+        return seconds
+
     def seconds(self, work: Callable[[], object], repetitions: int) -> float:
         """Return the median time of a call in seconds, after some calls that warm up."""
         times: list[float] = []
         for _ in range(WARM_UP[torch.device(self.device).type]):
             work()
-        while len(times) < repetitions and sum(times) < MAX_SECONDS:
+        while not times or self._has_time_for_more(times, repetitions):
             self.wait()
             start = time.perf_counter()
             work()
             self.wait()
             times.append(time.perf_counter() - start)
         return statistics.median(times)
+
+    def _has_time_for_more(self, times: list[float], repetitions: int) -> bool:
+        """Return whether a call is to be timed again."""
+        is_enough = len(times) >= repetitions or sum(times) >= MAX_SECONDS
+        return not is_enough and self.left() - RESERVE_S > max(times)
 
     @contextlib.contextmanager
     def peak_memory(self) -> Iterator[Callable[[], str]]:
@@ -105,35 +147,3 @@ def machine(device: str) -> dict[str, Any]:
             "memory_gb": round(properties.total_memory / 1e9, 1),
         }
     return found
-
-
-@contextlib.contextmanager
-def utilisation(device: str) -> Iterator[list[float]]:
-    """Yield a list that fills with the share of time in which the GPU computed, in %.
-
-    It stays empty without a GPU, or without nvidia-ml-py.
-    """
-    samples: list[float] = []
-    ended = threading.Event()
-
-    def watch() -> None:
-        while not ended.wait(UTILISATION_INTERVAL_S):
-            try:
-                samples.append(float(torch.cuda.utilization(device)))
-            except (ImportError, RuntimeError):  # ModuleNotFoundError without nvidia-ml-py
-                return
-
-    thread = threading.Thread(target=watch, daemon=True)
-    if device != "cpu":
-        thread.start()
-    try:
-        yield samples
-    finally:
-        ended.set()
-        if device != "cpu":
-            thread.join()
-
-
-def mean_text(samples: list[float]) -> float | str:
-    """Return the mean of samples, or that there are none."""
-    return statistics.fmean(samples) if samples else "unknown"

@@ -2,22 +2,24 @@
 """Speed of the way of points on a device: projection, kNN, labels and errors, by batch."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
 import torch
 
 import salsanext_cli as sn
-from benchmarks.gpu.gpu_measures import Figures
+from benchmarks.gpu.gpu_measures import NETWORK, Figures
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.label_request import LabelRequest
 from salsanext_cli.core.labellers import labeller_for
+from salsanext_cli.core.labelling import LabelledScan
 from salsanext_cli.core.on_device.knn import knn_refine
 from salsanext_cli.core.on_device.labeller import DeviceLabeller
 from salsanext_cli.core.on_device.network_input import network_inputs
 from salsanext_cli.core.on_device.projection import project
 from salsanext_cli.core.on_device.scan_batch import ScanBatch
+from salsanext_cli.core.on_device.scan_for_device import ScanForDevice
 from salsanext_cli.core.records import Scan
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.uncertainty.error_features import knows_error
@@ -45,28 +47,31 @@ def measure_points(figures: Figures, weights: Path, sensor: Sensor, path: Path) 
     """
     logging.getLogger("salsanext_cli").addHandler(logging.NullHandler())  # Of equal warnings
     size = f"{sensor.height}×{sensor.width}"
-    if not figures.has_time_for(f"{size} on the device"):
+    pixels = sensor.height * sensor.width
+    if not figures.has_time_for_calls(f"{size} on the device", NETWORK, 3 * pixels):
         return
     network = load_network(weights, figures.device, sensor, "auto", ENGINE)
     scan = read_scan(path, sensor)
-    for batch in BATCHES[torch.device(figures.device).type]:
-        with torch.inference_mode():
-            steps = steps_of_batch(network, scan, batch)
-            for step, call in steps.items():
-                name = f"{size} on the device, batch {batch}: {step}"
-                if not figures.has_time_for(name):
-                    return
-                with figures.peak_memory() as peak:
-                    seconds = figures.seconds(call, REPETITIONS)
-                    figures.add(name, 1e3 * seconds / batch, f"ms a scan{peak()}")
     on_host: dict[str, Callable[[], object]] = {
         "check of a scan": partial(labeller_for(network, LabelRequest()).prepare, scan),
         "sn.label of a scan in memory": partial(sn.label, scan.points, scan.intensity, network),
     }
     for step, call in on_host.items():
         name = f"{size} {step}"
-        if figures.has_time_for(name):
-            figures.add(name, 1e3 * figures.seconds(call, REPETITIONS), "ms")
+        if figures.has_time_for_calls(name, step, pixels, passes=2.0):
+            figures.add(name, 1e3 * figures.seconds_of(step, pixels, call, REPETITIONS), "ms")
+    for batch in BATCHES[torch.device(figures.device).type]:
+        name = f"{size} on the device, batch {batch}"
+        if not figures.has_time_for_calls(name, NETWORK, batch * pixels):
+            return
+        with torch.inference_mode():
+            for step, call in steps_of_batch(network, scan, batch).items():
+                name = f"{size} on the device, batch {batch}: {step}"
+                if not figures.has_time_for_calls(name, step, batch * pixels, passes=2.0):
+                    continue
+                with figures.peak_memory() as peak:
+                    seconds = figures.seconds_of(step, batch * pixels, call, REPETITIONS)
+                    figures.add(name, 1e3 * seconds / batch, f"ms a scan{peak()}")
 
 
 def steps_of_batch(network: sn.Network, scan: Scan, batch: int) -> dict[str, Callable[[], object]]:
@@ -85,9 +90,15 @@ def steps_of_batch(network: sn.Network, scan: Scan, batch: int) -> dict[str, Cal
         "projection": partial(project, scans),
         "input of the network": partial(network_inputs, images, sensors, trained),
         "kNN of random labels": partial(knn_refine, images, labels.byte(), KnnParameters()),
-        "points to labels": partial(labels_only.compute, prepared),
+        "points to labels": partial(labelled, labels_only, prepared),
     }
     if knows_error(network):
         with_error = DeviceLabeller(network=network, request=LabelRequest(error=True))
-        steps["points to labels and errors"] = partial(with_error.compute, prepared)
+        steps["points to labels and errors"] = partial(labelled, with_error, prepared)
     return steps
+
+
+def labelled(labeller: DeviceLabeller, scans: Sequence[ScanForDevice]) -> list[LabelledScan]:
+    """Return labelled scans, whose results have come back."""
+    computed = labeller.compute(scans)
+    return [labeller.finish(*pair) for pair in zip(scans, computed, strict=True)]

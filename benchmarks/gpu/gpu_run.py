@@ -24,13 +24,16 @@ import traceback
 from pathlib import Path
 from typing import Any, TextIO
 
+from benchmarks.gpu import tests_in_time
 from benchmarks.processes import ROOT, script_command, script_environment
 
 SHARES = {"tests": 4.0, "speed": 3.0, "training": 2.5, "train": 5.0}
 """Parts in their order, and their shares of the time; what one leaves, later ones get."""
 TESTS = ("tests/cuda", "tests/core/on_device", "tests/core/engines/test_cuda_graphs.py")
 """Tests that run on a GPU; those of `predict` need packages that such a machine may lack."""
-GRACE_S = 20.0  # Time after its end in which a part may still write
+SHARE_OF_STARTED_TESTS = 0.7  # Of the time of the tests; the last of them ends in the rest
+GRACE_S = 20.0  # Time in which a part may still write, at the end of its own
+GRACE_SHARE = 0.2  # Of the time of a short part
 KILLED = 124
 
 
@@ -65,7 +68,8 @@ def run_part(
     given: argparse.Namespace, part: str, seconds: float, figures: Path, log: TextIO
 ) -> int:
     """Run a part in a process of its own, and log what it prints; return its exit status."""
-    end = time.monotonic() + seconds  # By the clock of all processes
+    grace = min(GRACE_S, GRACE_SHARE * seconds)
+    end = time.monotonic() + seconds - grace  # By the clock of all processes
     words = ["--part", part, "--deadline", f"{end:.3f}", "--figures", str(figures)]
     words += ["--parent", str(os.getpid())]
     command = script_command("benchmarks.gpu.gpu_run", *given.words, *words)
@@ -80,14 +84,14 @@ def run_part(
         stderr=subprocess.STDOUT,
         text=True,
     ) as process:
-        killer = threading.Timer(seconds + GRACE_S, os.killpg, (process.pid, signal.SIGKILL))
+        killer = threading.Timer(seconds, os.killpg, (process.pid, signal.SIGKILL))
         killer.start()
         for line in process.stdout or ():
             tell(log, line)
         killed = process.wait() and not killer.is_alive()
         killer.cancel()
     if killed:
-        tell(log, f"{part} was killed {GRACE_S:g} s after its time was over\n")
+        tell(log, f"{part} was killed {grace:.0f} s after its time was over\n")
     return KILLED if killed else process.returncode
 
 
@@ -102,7 +106,9 @@ def summary_of(report: dict[str, Any]) -> str:
     """Return the figures of all parts as a table."""
     lines = ["", "== summary", json.dumps(report.get("machine"))]
     for part, found in report["parts"].items():
-        ended = "" if not found["status"] else f", FAILED with status {found['status']}"
+        status = found["status"]
+        ended = f", FAILED with status {status}" if status else ""
+        ended = ", ended by its time: the rest is missing" if status == KILLED else ended
         lines.append(f"-- {part}{ended}")
         for row in found["figures"]:
             value = row["value"]
@@ -115,6 +121,7 @@ def work(given: argparse.Namespace) -> int:
     """Do one part in this process; return the exit status."""
     # Only here: the whole run needs no torch.
     from benchmarks.gpu.gpu_measures import Figures, machine
+    from benchmarks.gpu.gpu_use import mean_text, utilisation
     from salsanext_cli.core.engines.device import choose_device
     from salsanext_cli.io.weights.card_file import default_weights
     from salsanext_cli.runs.loop.pool import end_with_parent
@@ -123,42 +130,60 @@ def work(given: argparse.Namespace) -> int:
     figures = Figures(given.figures, choose_device(given.device), given.deadline)
     figures.machine = machine(figures.device)
     figures.write()
-    weights, scratch = given.weights or default_weights(), given.figures.parent
-    try:
-        if given.part == "tests":
-            return run_tests(figures)
-        if given.part == "speed":
-            from benchmarks.gpu import gpu_speed
+    weights = given.weights or default_weights()
+    with utilisation(figures.device) as used:
+        try:
+            status = measure(given, figures, weights)
+        except Exception:  # noqa: BLE001 - whatever it is, the log has it
+            traceback.print_exc()
+            status = 1
+    figures.add(f"GPU used by the part {given.part}", mean_text(used), "%")
+    return status
 
-            gpu_speed.measure(figures, weights, small=given.small)
-        elif given.part == "training":
-            from benchmarks.gpu import gpu_training
 
-            gpu_training.measure(figures, weights, scratch, small=given.small)
-        else:
-            from benchmarks.gpu import gpu_train
+def measure(given: argparse.Namespace, figures: Any, weights: Path) -> int:
+    """Measure one part in this process; return the exit status."""
+    scratch = given.figures.parent
+    if given.part == "tests":
+        return run_tests(figures)
+    if given.part == "speed":
+        from benchmarks.gpu import gpu_speed
 
-            how = {"pack": given.pack, "changes": given.set, "small": given.small}
-            gpu_train.train(figures, given.out, scratch, weights, seed=given.seed, **how)
-    except Exception:  # noqa: BLE001 - whatever it is, the log has it
-        traceback.print_exc()
-        return 1
+        gpu_speed.measure(figures, weights, small=given.small)
+    elif given.part == "training":
+        from benchmarks.gpu import gpu_training
+
+        gpu_training.measure(figures, weights, scratch, small=given.small)
+    else:
+        from benchmarks.gpu import gpu_train
+
+        how = {"pack": given.pack, "changes": given.set, "small": given.small}
+        gpu_train.train(figures, given.out, scratch, weights, seed=given.seed, **how)
     return 0
 
 
 def run_tests(figures: Any) -> int:
-    """Run the tests of the GPU or, on a CPU, the same tests of the CPU."""
+    """Run the tests of the GPU or, on a CPU, the same tests of the CPU; skip what has no time."""
     chosen = ("-k", "cpu") if figures.device == "cpu" else ("-m", "cuda")
-    words = ("-q", "-rfE", "--color=no", "-p", "no:cacheprovider", *TESTS, *chosen)
-    command = [sys.executable, "-m", "pytest", *words]
+    words = ("-q", "-rfE", "--color=no", "-p", "no:cacheprovider", "-p", tests_in_time.__name__)
+    command = [sys.executable, "-m", "pytest", *words, *TESTS, *chosen]
+    end = time.monotonic() + SHARE_OF_STARTED_TESTS * figures.left()
+    environment = {**os.environ, tests_in_time.END: str(end)}
     try:
         done = subprocess.run(
-            command, cwd=ROOT, capture_output=True, text=True, timeout=figures.left(), check=False
+            command,
+            cwd=ROOT,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=figures.left(),
+            check=False,
         )
     except subprocess.TimeoutExpired as error:
-        sys.stdout.write((error.stdout or b"").decode())
-        figures.add("tests", "not complete in time")
-        return 1
+        printed = (error.stdout or b"").decode()
+        sys.stdout.write(printed)
+        figures.add("tests", f"about {printed.count('.')} passed; the next does not end in time")
+        return int("F" in printed or "E" in printed)
     sys.stdout.write(done.stdout + done.stderr)
     figures.add("tests", (done.stdout.strip() or done.stderr).splitlines()[-1])
     return done.returncode

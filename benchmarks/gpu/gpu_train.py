@@ -20,8 +20,9 @@ from pathlib import Path
 
 import torch
 
-from benchmarks.gpu.gpu_measures import Figures, mean_text, utilisation
+from benchmarks.gpu.gpu_measures import Figures
 from benchmarks.gpu.gpu_training import STEPS, gpu_recipe, small_weights
+from benchmarks.gpu.gpu_use import mean_text, utilisation
 from benchmarks.weights.default_weights import (
     LABEL_SPACES,
     SIMULATED,

@@ -12,7 +12,9 @@ from typing import Any
 
 import torch
 
-from benchmarks.gpu.gpu_measures import Figures, mean_text, utilisation
+from benchmarks.gpu.gpu_measures import Figures
+from benchmarks.gpu.gpu_store import SCANS, measure_store
+from benchmarks.gpu.gpu_use import mean_text, utilisation
 from benchmarks.speed.training_speed import Laps
 from benchmarks.weights.scene_pool import KINDS, ScenePool
 from salsanext_cli.core.network.card import WeightsCard
@@ -75,6 +77,12 @@ def measure(figures: Figures, weights: Path, scratch: Path, *, small: bool = Fal
             batch_of_device = min(sizes[-1], BATCH_OF_DEVICE)
             how = learning(pool, weights, device, batch_of_device, 0, **changes)
             measure_device_samples(figures, name, *how, seconds)
+    name = "store of a whole training"
+    if figures.has_time_for(name, 6 * seconds):
+        changes = next(iter(SMALL_SAMPLES.values())) if small else {"widths": "2048"}
+        batch_of_device = min(sizes[-1], BATCH_OF_DEVICE)
+        how = learning(pool, weights, device, batch_of_device, 0, **changes, **PAPER_ALONE)
+        measure_store(figures, how[1], scratch / "store", 4 if small else SCANS)
     for loaders in (1,) if small else (cores // 4, cores // 2, cores - 2):
         for width in widths:
             name = f"{loaders} loaders, width {width or sensor.width}"

@@ -142,6 +142,9 @@ def test_every_part_runs_on_a_cpu(tmp_path):
     assert [*figures] == ["tests", "speed", "training", "train"]
     assert "passed" in figures["tests"]["tests"]
     assert figures["speed"]["16×64 network, times as fast"] > 0
+    assert figures["speed"]["16×64 predict, --batch auto --jobs auto, the later scans"] > 0
+    assert figures["speed"]["16×64 sn.label of a scan in memory"] > 0
+    assert figures["training"]["store of 4 of 4 scans, batches"] > 0
     assert figures["training"]["step on the device, width 64, batch 2"] > 0
     assert figures["train"]["steps"] > 0
     assert simulated_scans(out) > 0

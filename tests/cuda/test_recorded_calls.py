@@ -38,6 +38,15 @@ assert recorded_call(lambda x: (x * x,), (x,)) is not None
 """
 
 
+ADDITIONS = 100  # So many that launching them takes longer than computing
+
+
+def add_often(x: torch.Tensor) -> tuple[torch.Tensor]:
+    for _ in range(ADDITIONS):
+        x = x + 1
+    return (x,)
+
+
 @pytest.fixture(scope="module")
 def images() -> list[RangeImage]:
     return [project(make_scan(2000, seed), SMALL) for seed in range(3)]
@@ -100,8 +109,15 @@ def test_each_gpu_replays_calls_of_its_own() -> None:
     for device in ("cuda:0", "cuda:1"):
         graphs = CudaGraphs()
         for value in (2.0, 3.0):
-            (result,) = graphs.call(
-                "square", lambda x: (x * x,), torch.full((4,), value).to(device)
-            )
-            assert result.tolist() == [value * value] * 4
+            (result,) = graphs.call("add", add_often, torch.full((4,), value).to(device))
+            assert result.tolist() == [value + ADDITIONS] * 4
         assert any(graphs._calls.values())
+
+
+def test_only_calls_that_are_faster_are_replayed() -> None:
+    graphs = CudaGraphs()
+    large = torch.randn(2048, 2048, device="cuda")
+    (product,) = graphs.call("product", lambda x: (x @ x,), large)
+    torch.testing.assert_close(product, large @ large)
+    graphs.call("add", add_often, torch.zeros(4, device="cuda"))
+    assert [call is not None for call in graphs._calls.values()] == [False, True]

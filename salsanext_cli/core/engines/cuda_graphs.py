@@ -2,12 +2,16 @@
 """Calls on a GPU that are recorded as CUDA graphs, so that a small one is a single launch.
 
 A network launches hundreds of kernels. For few pixels, launching them takes longer than computing.
+A graph costs the memory of a call, and copies of its inputs and outputs. So it is kept only if
+replaying it is measurably faster on this GPU.
 """
 
 import logging
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import torch
@@ -16,6 +20,8 @@ from torch import Tensor
 from salsanext_cli.core.engines.host_use import HostUseRefused
 
 MAX_GRAPHS = 8  # Graphs of a network: each keeps the memory of a call
+TIMED_CALLS = 3  # Of which the fastest counts
+MOST_OF_PLAIN = 0.9  # Largest share of the time of a plain call that a graph may take
 WARM_UP_CALLS = 3  # Calls before the recording, in which libraries allocate what they need
 Function = Callable[..., tuple[Tensor, ...]]
 
@@ -46,7 +52,7 @@ class CudaGraphs:
         self._lock = threading.Lock()
 
     def call(self, name: str, function: Function, *inputs: Tensor) -> tuple[Tensor, ...]:
-        """Return ``function(*inputs)``, replayed unless it cannot be recorded.
+        """Return ``function(*inputs)``, replayed if that is possible and faster.
 
         Parameters
         ----------
@@ -64,11 +70,38 @@ class CudaGraphs:
         key = (name, *((tensor.shape, tensor.dtype) for tensor in inputs))
         with self._lock:
             if key not in self._calls and len(self._calls) < MAX_GRAPHS:
-                self._calls[key] = recorded_call(function, inputs)
+                self._calls[key] = faster_call(function, inputs)
             call = self._calls.get(key)
             if call is not None:
                 return call.replayed(inputs)
         return function(*inputs)
+
+
+def faster_call(function: Function, inputs: tuple[Tensor, ...]) -> RecordedCall | None:
+    """Record a call; return None if it cannot be recorded, or is about as fast without."""
+    call = recorded_call(function, inputs)
+    if call is None:
+        return None
+    device = inputs[0].device
+    plain = least_seconds(partial(function, *inputs), device)
+    replayed = least_seconds(partial(call.replayed, inputs), device)
+    if replayed < MOST_OF_PLAIN * plain:
+        return call
+    text = "not replayed as a CUDA graph, which takes %.2f ms instead of %.2f ms"
+    log.debug(text, 1e3 * replayed, 1e3 * plain)
+    return None
+
+
+def least_seconds(call: Callable[[], object], device: torch.device) -> float:
+    """Return the least time of some calls in seconds, each until the device has ended its work."""
+    seconds = []
+    for _ in range(TIMED_CALLS):
+        torch.cuda.synchronize(device)
+        start = time.perf_counter()
+        call()
+        torch.cuda.synchronize(device)
+        seconds.append(time.perf_counter() - start)
+    return min(seconds)
 
 
 def recorded_call(function: Function, inputs: tuple[Tensor, ...]) -> RecordedCall | None:

@@ -416,7 +416,8 @@ def test_two_that_predict_and_fuse_one_folder_both_succeed(world, monkeypatch):
 def test_python_labels_a_drive_as_the_command_line_does(world, caplog, monkeypatch):
     folder, weights = write_drive(world, 3), world.network.weights
     (folder / "velodyne/000001.bin").write_bytes(b"damaged")
-    predict_scans(folder, world.out, settings=NetworkSettings(weights), extras=("votes",))
+    settings = NetworkSettings(weights, precision="auto")
+    predict_scans(folder, world.out, settings=settings, extras=("votes",))
     fuse_results(world.out)
     single = [world.labels(stem=stem) for stem in ("000000", "000002")]
     caplog.clear()

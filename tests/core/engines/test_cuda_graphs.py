@@ -4,6 +4,8 @@
 `tests/cuda` compares recorded calls with plain ones.
 """
 
+from itertools import cycle
+
 import pytest
 import torch
 
@@ -13,6 +15,9 @@ from salsanext_cli.core.engines.cuda_graphs import MAX_GRAPHS, CudaGraphs
 
 def squares(x):
     return x * x, x.sum()
+
+
+TIMES = cycle([1.0, 0.8])  # Of a plain call, and of a replayed one
 
 
 class Replay:
@@ -35,6 +40,7 @@ def recordings(monkeypatch):
         return Replay(function)
 
     monkeypatch.setattr(cuda_graphs, "recorded_call", record)
+    monkeypatch.setattr(cuda_graphs, "least_seconds", lambda *_: next(TIMES))
     return shapes
 
 
@@ -62,3 +68,13 @@ def test_a_call_that_cannot_be_recorded_is_plain_and_tried_once(monkeypatch):
     for _ in range(3):
         assert graphs.call("name", squares, torch.ones(4))[1] == 4
     assert tried == [1]
+
+
+def test_a_call_that_is_about_as_fast_when_replayed_is_plain(recordings, monkeypatch):
+    times = iter([1.0, 0.95])
+    monkeypatch.setattr(cuda_graphs, "least_seconds", lambda *_: next(times))
+    graphs = CudaGraphs()
+    for _ in range(2):
+        assert graphs.call("name", squares, torch.ones(4))[1] == 4
+    assert recordings == [(4,)]
+    assert not any(graphs._calls.values())
