@@ -302,9 +302,14 @@ def tune_int8(
 
     from salsanext_cli.runs.fit.scan_reading import read_prepared
     from salsanext_cli.training.tuning.int8 import int8_inputs
+    from salsanext_cli.training.tuning.scans import FitOfScans
 
-    network = replace(settings, device="cpu", precision="float32").load()
-    inputs = [read_prepared(file, network).scan.input for file in files]
+    exact = replace(settings, device="cpu", precision="float32")
+    network = exact.load()
+    fit = FitOfScans.from_files(files, source, exact, network)
+    inputs = [
+        read_prepared(file, fit.network, fit.origins.get(file.name)).scan.input for file in files
+    ]
     int8 = int8_inputs(network.module, inputs)
     if not int8:
         raise WeightsError(settings.path, "has no hidden layer that int8 can compute")

@@ -24,6 +24,7 @@ BFLOAT16_ISA = {
     "bf16": ("BF16", "FP16", "AMX", "AVX10", "ALL", "DEFAULT"),
 }
 """x86 and ARM flags of bfloat16 multiplication, with the `ISA_VARIABLES` values that allow it."""
+BYTE_TILES = "amx_int8"  # x86 flag; the values that allow it are those of `amx_bf16`
 
 
 def choose_device(name: str) -> str:
@@ -118,10 +119,25 @@ def bfloat16_instructions() -> list[str]:
     return [f for f in BFLOAT16_ISA if f in flags() and any(p in limit for p in BFLOAT16_ISA[f])]
 
 
+def multiplies_tiles_of_bytes() -> bool:
+    """Return whether the CPU multiplies tiles of bytes (AMX) and the environment allows it."""
+    return BYTE_TILES in flags() and any(p in _isa_limit() for p in BFLOAT16_ISA["amx_bf16"])
+
+
 def _isa_limit() -> str:
     """Return the instruction set to which the environment limits the libraries, else "ALL"."""
     named = (os.environ.get(variable) for variable in ISA_VARIABLES)
     return next(filter(None, named), "ALL").upper()
+
+
+def float_of_precision(precision: str) -> str:
+    """Return the float in which a CPU computes the layers that a precision leaves in floats.
+
+    Beside layers in 8-bit integers, it is bfloat16 where the CPU multiplies it.
+    """
+    if precision != "int8":
+        return precision
+    return "bfloat16" if bfloat16_instructions() else "float32"
 
 
 def processor() -> str:

@@ -8,6 +8,7 @@ import hashlib
 import re
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from io import BytesIO
 from typing import Any
 
@@ -15,7 +16,7 @@ import numpy as np
 
 from salsanext_cli.core import caches
 from salsanext_cli.core.engines.backend import LOGITS
-from salsanext_cli.core.engines.device import processor
+from salsanext_cli.core.engines.device import float_of_precision, processor
 from salsanext_cli.core.engines.memory import out_of_memory
 from salsanext_cli.core.engines.openvino_runtime import openvino_core
 from salsanext_cli.core.errors import OutputError, WeightsError
@@ -24,8 +25,8 @@ from salsanext_cli.core.records import CHANNELS, Float
 from salsanext_cli.core.texts import error_text
 from salsanext_cli.version import __version__
 
-GRAPH_VERSION = 1  # Raise it when the network or the code that makes graphs changes
-HINTS = {"float32": "f32", "bfloat16": "bf16", "int8": "f32"}  # Of layers without ranges
+GRAPH_VERSION = 2  # Raise it when the network or the code that makes graphs changes
+HINTS = {"float32": "f32", "bfloat16": "bf16"}
 PRECISE = "precise_0"  # Mark of a layer that stays float32
 NO_LAYERS = ("Constant", "Parameter", "Result")
 OF_LOGITS = re.compile(rf"[./]{LOGITS}/")  # In the names of its layers
@@ -33,7 +34,7 @@ PREFIX = "__module.module."  # Of the names of layers in a converted graph
 WEIGHT_LEVELS = 255  # Symmetric
 HEADROOM = 127 / 64
 """Weights have integers up to 64. CPUs without VNNI add products in pairs and clip the sums to 16
-bits, which 2 · 255 · 64 does not exceed, so that all CPUs compute the same."""
+bits, which 2 · 255 · 64 does not exceed. With AMX, weights have integers up to 127."""
 _COMPILING = threading.Lock()  # For one thread at a time, because tracing has global state
 
 
@@ -76,7 +77,8 @@ def compiled_graph(
 ) -> Any:
     """Return a compiled model, from the cache if possible.
 
-    The layers of the range image and of the logits compute in float32 in any precision.
+    The layers of the range image and of the logits compute in float32 in any precision. In int8,
+    other layers without ranges compute in the float of `float_of_precision`.
 
     Parameters
     ----------
@@ -97,8 +99,9 @@ def compiled_graph(
     """
     import openvino
 
+    float_type = float_of_precision(precision)
     hints = {
-        "INFERENCE_PRECISION_HINT": HINTS[precision],
+        "INFERENCE_PRECISION_HINT": HINTS[float_type],
         "INFERENCE_NUM_THREADS": threads,
         "NUM_STREAMS": streams,
     }
@@ -106,13 +109,13 @@ def compiled_graph(
 
     def compile_model() -> bytes:
         model = make()
-        if precision == "bfloat16":
+        if float_type == "bfloat16":
             model = partly_float32(core, model)
         blob: BytesIO = core.compile_model(model, "CPU", hints).export_model()
         return blob.getvalue()
 
     versions = (__version__, GRAPH_VERSION, openvino.__version__)
-    depends = repr((key, precision, *versions, processor()))
+    depends = repr((key, precision, float_type, *versions, processor()))
     name = f"graphs/{hashlib.sha256(depends.encode()).hexdigest()[:32]}.blob"
     with _COMPILING:
         content = caches.used().cached(name, compile_model)
@@ -153,7 +156,50 @@ def partly_float32(core: Any, model: Any) -> Any:
         raise OutputError("folder for temporary files", problem, hint=hint) from error
 
 
-def quantised(model: Any, inputs: Mapping[str, Int8Input], source: object) -> Any:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InputBytes:
+    """Bytes of the input of a layer in a graph: x = steps · (q - zero)."""
+
+    steps: Float  # (1, C, 1, 1) float32
+    lowest: int  # Of the 256 values of q
+    zero: int = 0  # Which the graph takes back after the layer
+
+    @classmethod
+    def from_layer(cls, layer: Int8Input, *, tiles: bool, pads: bool) -> "InputBytes":
+        """Return the bytes of a layer.
+
+        Parameters
+        ----------
+        layer : Int8Input
+            Quantisation of its input.
+        tiles : bool
+            Whether the CPU multiplies tiles of bytes. It does so fast if the byte of 0 is 0.
+        pads : bool
+            Whether the layer pads its input, for which the byte of 0 must be 0.
+
+        Returns
+        -------
+        InputBytes
+        """
+        steps = layer.steps.reshape(1, -1, 1, 1)
+        if not tiles:
+            return cls(steps=steps, lowest=-layer.zero)
+        if not pads:
+            return cls(steps=steps, lowest=0, zero=layer.zero)
+        highest = LEVELS // 2 - 1
+        wider = max(layer.zero / (LEVELS // 2), (LEVELS - 1 - layer.zero) / highest)
+        return cls(steps=steps * np.float32(wider), lowest=-LEVELS // 2)
+
+    def quantise(self, value: Any) -> Any:
+        """Return q of an output of a graph, (1, C, H, W), as an output."""
+        integers = (self.lowest, self.lowest + LEVELS - 1)
+        limits = tuple((integer - self.zero) * self.steps for integer in integers)
+        return _rounded(value, limits, integers, LEVELS)
+
+
+def quantised(
+    model: Any, inputs: Mapping[str, Int8Input], source: object, *, tiles: bool = False
+) -> Any:
     """Quantise inputs and weights of the layers of a converted graph.
 
     Parameters
@@ -164,6 +210,8 @@ def quantised(model: Any, inputs: Mapping[str, Int8Input], source: object) -> An
         Quantisation of the inputs by name of the layer.
     source : object
         Name of the weights in errors.
+    tiles : bool
+        Whether the CPU multiplies tiles of bytes. The bits depend on it.
 
     Returns
     -------
@@ -175,49 +223,60 @@ def quantised(model: Any, inputs: Mapping[str, Int8Input], source: object) -> An
     WeightsError
         If the graph does not have one of the layers.
     """
-    from openvino import opset13 as ops
-
-    def constant(limit: Any) -> Any:
-        return ops.constant(np.asarray(limit, np.float32))
-
-    def rounded(value: Any, limits: tuple[Float, Float], integers: tuple[Any, Any], n: int) -> Any:
-        quantised_value = ops.fake_quantize(
-            value,
-            constant(limits[0]),
-            constant(limits[1]),
-            constant(integers[0]),
-            constant(integers[1]),
-            n,
-        )
-        return quantised_value.output(0)
-
-    inputs_in_bytes: dict[Any, Any] = {}  # By value: several layers may have the same input
+    quantised_values: dict[Any, Any] = {}  # Several layers may have the same input
     changed: set[str] = set()
     for node in model.get_ordered_ops():
         name = node.get_friendly_name().partition("/")[0].removeprefix(PREFIX)
         if node.get_type_name() != "Convolution" or name not in inputs:
             continue
         layer = inputs[name]
-        value = node.input(0).get_source_output()
         weights = node.input(1).get_source_output().get_node().get_data()
         if len(layer.shifts) != weights.shape[1]:
             break
-        key = (value.get_node().get_friendly_name(), value.get_index(), layer)
-        steps = layer.steps.reshape(1, -1, 1, 1)
-        integers = (-layer.zero, LEVELS - 1 - layer.zero)
-        if key not in inputs_in_bytes:
-            limits = (integers[0] * steps, integers[1] * steps)
-            inputs_in_bytes[key] = rounded(value, limits, integers, LEVELS)
-        scaled = weights * steps
-        most = HEADROOM * np.abs(scaled).max(axis=(1, 2, 3), keepdims=True)
-        most = np.maximum(most, np.finfo(np.float32).tiny)
-        limits = (-most, most)
-        node.input(0).replace_source_output(inputs_in_bytes[key])
-        weights = rounded(ops.constant(scaled), limits, limits, WEIGHT_LEVELS)
-        node.input(1).replace_source_output(weights)
+        pads = any(node.get_attributes()["pads_begin"])
+        in_bytes = InputBytes.from_layer(layer, tiles=tiles, pads=pads)
+        value = node.input(0).get_source_output()
+        key = (value.get_node().get_friendly_name(), value.get_index(), layer, pads and tiles)
+        if key not in quantised_values:
+            quantised_values[key] = in_bytes.quantise(value)
+        node.input(0).replace_source_output(quantised_values[key])
+        _quantise_weights(node, weights * in_bytes.steps, 1 if tiles else HEADROOM, in_bytes.zero)
         changed.add(name)
     missing = sorted(inputs.keys() - changed)
     if missing:
         problem = f"has int8 ranges of another network, such as of layer {missing[0]}"
         raise WeightsError(source, problem, hint="fit them again with `salsanext tune int8`")
     return model
+
+
+def _quantise_weights(node: Any, weights: Float, headroom: float, zero: int) -> None:
+    """Give a convolution weights (O, C, h, w) that are rounded; take the byte of 0 back."""
+    from openvino import opset13 as ops
+
+    most = headroom * np.abs(weights).max(axis=(1, 2, 3), keepdims=True)
+    most = np.maximum(most, np.finfo(np.float32).tiny)
+    limits = (-most, most)
+    rounded = _rounded(ops.constant(weights), limits, limits, WEIGHT_LEVELS)
+    node.input(1).replace_source_output(rounded)
+    if not zero:
+        return
+    step = most / (WEIGHT_LEVELS // 2)
+    sums = (np.rint(weights / step) * step).sum(axis=(1, 2, 3)).reshape(1, -1, 1, 1)
+    targets = node.output(0).get_target_inputs()
+    shifted = ops.subtract(node.output(0), _constant(zero * sums))
+    for target in targets:
+        target.replace_source_output(shifted.output(0))
+
+
+def _constant(values: Any) -> Any:
+    from openvino import opset13 as ops
+
+    return ops.constant(np.asarray(values, np.float32))
+
+
+def _rounded(value: Any, limits: Sequence[Any], integers: Sequence[Any], levels: int) -> Any:
+    """Return an output rounded to levels between limits, which become the integers."""
+    from openvino import opset13 as ops
+
+    ends = map(_constant, (*limits, *integers))
+    return ops.fake_quantize(value, *ends, levels).output(0)

@@ -12,6 +12,7 @@ from salsanext_cli.core.classes.merging import ClassMerging
 from salsanext_cli.core.compiled import thread_count
 from salsanext_cli.core.engines.backend import Backend, PixelPrediction
 from salsanext_cli.core.engines.conversion import converted
+from salsanext_cli.core.engines.device import multiplies_tiles_of_bytes
 from salsanext_cli.core.engines.graphs import Graph, compiled_graph, quantised
 from salsanext_cli.core.engines.moments import Moments, SoftmaxSpread
 from salsanext_cli.core.records import CHANNELS, Float
@@ -123,8 +124,9 @@ class OpenVinoBackend(Backend):
             import torch
 
             model = converted(self.module, function, list(map(torch.from_numpy, images)))
-            is_int8 = precision == "int8"
-            return quantised(model, self.card.int8, self.name) if is_int8 else model
+            if precision != "int8":
+                return model
+            return quantised(model, self.card.int8, self.name, tiles=multiplies_tiles_of_bytes())
 
         return self._compiled(name, make, precision)
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Scans that one part of the weights is fitted to, and their labels point by point."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -41,11 +41,38 @@ class Tuned(Generic[Fit]):
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class _FitOfScans:
+class FitOfScans:
     """Network that is fitted to scans, and the origins of those that are registered."""
 
     network: Network
     origins: Origins
+
+    @classmethod
+    def from_files(
+        cls, files: Sequence[ScanFile], source: Path, settings: NetworkSettings, loaded: Network
+    ) -> "FitOfScans":
+        """Fit a network to a source as `predict` does, by poses where there are any.
+
+        Parameters
+        ----------
+        files : sequence of ScanFile
+            Scans whose origins are needed.
+        source : Path
+            Their source, to whose scans the sensor is fitted.
+        settings : NetworkSettings
+            What to fit.
+        loaded : Network
+            Network as it is in its file.
+
+        Returns
+        -------
+        FitOfScans
+        """
+        by_poses = OriginsOfSource(listed=find_scans(source))
+        sample = sample_of_files(by_poses.listed, loaded.sensor, origins_of=by_poses.sample_origins)
+        fitted = fit_scans(settings, loaded, sample)
+        settings.announce(fitted)
+        return cls(network=fitted, origins=by_poses.scan_origins(files, fitted.sensor))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -70,15 +97,8 @@ class TuningScans:
         return self._fit.origins
 
     @cached_property
-    def _fit(self) -> _FitOfScans:
-        by_poses = OriginsOfSource(listed=find_scans(self.source))
-        sample = sample_of_files(
-            by_poses.listed, self.loaded.sensor, origins_of=by_poses.sample_origins
-        )
-        fitted = fit_scans(self.settings, self.loaded, sample)
-        self.settings.announce(fitted)
-        origins = by_poses.scan_origins(self.files, fitted.sensor)
-        return _FitOfScans(network=fitted, origins=origins)
+    def _fit(self) -> FitOfScans:
+        return FitOfScans.from_files(self.files, self.source, self.settings, self.loaded)
 
     def read(self, file: ScanFile) -> "LabelledImage":
         """Read and project a scan with its labels."""

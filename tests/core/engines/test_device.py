@@ -50,7 +50,10 @@ def test_bfloat16_where_the_cpu_multiplies_it(fresh, tmp_path, monkeypatch, flag
         name, value = limit.split("=") if "=" in limit else (device.ISA_VARIABLES[0], limit)
         monkeypatch.setenv(name, value)
     assert " ".join(device.bfloat16_instructions()) == expected
-    assert choose_precision("auto", "cpu", "openvino") == ("bfloat16" if expected else "float32")
+    fastest = "bfloat16" if expected else "float32"
+    assert choose_precision("auto", "cpu", "openvino") == fastest
+    assert device.float_of_precision("int8") == fastest
+    assert device.float_of_precision("float32") == "float32"
     assert choose_precision("float32", "cpu", "openvino") == "float32"
     if expected:
         assert choose_precision("bfloat16", "cpu", "openvino") == "bfloat16"
@@ -59,6 +62,21 @@ def test_bfloat16_where_the_cpu_multiplies_it(fresh, tmp_path, monkeypatch, flag
             choose_precision("bfloat16", "cpu", "openvino")
         expected = ("precision", "float32 or int8")
         assert (caught.value.subject, caught.value.expected) == expected
+
+
+@pytest.mark.parametrize(
+    ("flags", "limit", "expected"),
+    [
+        ("avx512_bf16 amx_bf16 amx_int8", "", True),
+        ("avx512_bf16 amx_bf16 amx_int8", "avx512_core_bf16", False),
+        ("avx512_vnni avx512_bf16", "", False),
+    ],
+)
+def test_tiles_of_bytes_where_the_cpu_multiplies_them(monkeypatch, flags, limit, expected):
+    monkeypatch.setattr(device, "flags", lambda: frozenset(flags.split()))
+    for variable in device.ISA_VARIABLES:
+        monkeypatch.setenv(variable, limit)
+    assert device.multiplies_tiles_of_bytes() == expected
 
 
 @pytest.mark.parametrize("capability", [(6, 1), (7, 0), (9, 0)])

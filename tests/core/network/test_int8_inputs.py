@@ -2,6 +2,7 @@
 """8-bit integers: quantised inputs, and graphs that compute what a quantised torch module does."""
 
 import copy
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +15,9 @@ from scans import SMALL, make_scan, refused, write_weights
 from torch import nn
 
 from salsanext_cli import label_space, load_network, project, sample
+from salsanext_cli.core.engines import graphs
 from salsanext_cli.core.engines.conversion import converted
+from salsanext_cli.core.engines.device import float_of_precision, multiplies_tiles_of_bytes
 from salsanext_cli.core.engines.graphs import Graph, compiled_graph, quantised
 from salsanext_cli.core.engines.openvino_backend import OpenVinoBackend
 from salsanext_cli.core.errors import UsageError, WeightsError
@@ -69,36 +72,54 @@ def image(seed: int = 4) -> torch.Tensor:
     return torch.randn(*SIZE, generator=torch.Generator().manual_seed(seed))
 
 
-def in_bytes(module: SalsaNext, inputs: dict[str, Int8Input]) -> SalsaNext:
+def in_bytes(module: SalsaNext, inputs: dict[str, Int8Input], *, tiles: bool) -> SalsaNext:
     """Return a module that rounds inputs and weights of its layers, in float64."""
     module = copy.deepcopy(module).double()
     for name, layer in inputs.items():
         convolution = module.get_submodule(name)
         steps = torch.from_numpy(layer.steps).double().view(1, -1, 1, 1)
+        zero = layer.zero
+        if tiles and convolution.padding != (0, 0):
+            steps *= max(zero / 128, (255 - zero) / 127)
+            zero = 128
 
-        def rounded(_, arguments, steps=steps, zero=layer.zero):
+        def rounded(_, arguments, steps=steps, zero=zero):
             return ((arguments[0] / steps).round().clamp(-zero, 255 - zero),)
 
         convolution.register_forward_pre_hook(rounded)
         weight = convolution.weight.data * steps
-        step = weight.abs().amax(dim=(1, 2, 3), keepdim=True) / 64
+        step = weight.abs().amax(dim=(1, 2, 3), keepdim=True) / (127 if tiles else 64)
         convolution.weight.data = (weight / step).round() * step
     return module
 
 
-def compiled(module, inputs: dict[str, Int8Input], x: torch.Tensor, **options) -> Graph:
+def compiled(
+    module, inputs: dict[str, Int8Input], x: torch.Tensor, *, tiles: bool = False, **options
+) -> Graph:
     def make():
-        return quantised(converted(module, lambda m, values: m(values), [x]), inputs, "test")
+        model = converted(module, lambda m, values: m(values), [x])
+        return quantised(model, inputs, "test", tiles=tiles)
 
-    return Graph(compiled_graph(make, ("test", inputs), "int8", **options))
+    return Graph(compiled_graph(make, ("test", inputs, tiles), "int8", **options))
 
 
-def test_a_graph_computes_as_a_module_with_rounded_inputs_and_weights():
+@pytest.fixture
+def float32_beside_bytes(monkeypatch):
+    """Let layers without ranges compute in float32 on any CPU."""
+    monkeypatch.setattr(graphs, "float_of_precision", lambda precision: "float32")
+
+
+WITH_AMX = pytest.mark.skipif(not multiplies_tiles_of_bytes(), reason="a CPU without AMX")
+
+
+@pytest.mark.parametrize("tiles", [False, pytest.param(True, marks=WITH_AMX)])
+@pytest.mark.usefixtures("float32_beside_bytes")
+def test_a_graph_computes_as_a_module_with_rounded_inputs_and_weights(tiles):
     module, x = network(), image()
     inputs = int8_inputs(module, [image(seed).numpy() for seed in range(3)])
-    (logits,) = compiled(module, inputs, x)(x.numpy())
+    (logits,) = compiled(module, inputs, x, tiles=tiles)(x.numpy())
     with torch.inference_mode():
-        expected = in_bytes(module, inputs)(x.double()).numpy()
+        expected = in_bytes(module, inputs, tiles=tiles)(x.double()).numpy()
         exact = module(x).numpy()
     scale = np.abs(exact).mean()
     # Rounded the other way, a value at half a step changes the values after it.
@@ -108,19 +129,25 @@ def test_a_graph_computes_as_a_module_with_rounded_inputs_and_weights():
     assert 1e-3 < np.abs(logits - exact).mean() / scale < 0.1
 
 
-def test_hidden_layers_multiply_bytes_and_the_ends_are_float32():
+def test_hidden_layers_multiply_bytes_and_the_others_are_floats():
+    """Those of the image and of the logits are float32, the context is in the fastest float."""
     module, x = network(), image()
     graph = compiled(module, int8_inputs(module, [x.numpy()]), x)
-    kinds = {"f32": 0, "u8": 0}
+    fastest = graphs.HINTS[float_of_precision("int8")]
+    numbers = Counter()
     for op in graph.compiled.get_runtime_model().get_ordered_ops():
         info = op.get_rt_info()
         if info["layerType"].astype(str) == "Convolution":
             kind, name = info["runtimePrecision"].astype(str), op.get_friendly_name()
-            kinds[kind] += 1
-            assert (kind == "f32") == ("context" in name or ".logits/" in name), name
-    assert kinds == {"f32": 10, "u8": len(int8_layers(module))}
+            is_end = ".logits/" in name or ".context.0.shortcut." in name
+            hidden = fastest if ".context." in name else "u8"
+            assert kind == ("f32" if is_end else hidden), name
+            numbers[kind] += 1
+    assert numbers["u8"] == len(int8_layers(module))
+    assert numbers.total() == len(int8_layers(module)) + 10
 
 
+@pytest.mark.usefixtures("float32_beside_bytes")
 def test_sums_of_products_do_not_saturate():
     """Without room in 16 bits, CPUs without VNNI would clip pairs of the largest products."""
     module = nn.Sequential(nn.Conv2d(64, 8, 3, bias=False)).eval()

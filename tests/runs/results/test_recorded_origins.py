@@ -13,13 +13,14 @@ from map_drives import WAY, drive, write_poses
 from scans import SMALL, labels_below, write_bin, write_weights
 from street_scans import HEIGHT, low_street, moved, street
 
-from salsanext_cli import Scan, label_space, read_scan
+from salsanext_cli import Scan, read_scan
 from salsanext_cli.commands.stages.fuse import fuse_results
 from salsanext_cli.commands.stages.knn_refine import knn_refine_scans
 from salsanext_cli.commands.stages.pick import pick
 from salsanext_cli.commands.stages.picture import picture
 from salsanext_cli.commands.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.commands.stages.project import project_scans
+from salsanext_cli.commands.stages.tune import tune_int8
 from salsanext_cli.commands.stages.uncertainty import uncertainty
 from salsanext_cli.core.checks.scan_checks import check_scan
 from salsanext_cli.core.errors import FormatError
@@ -37,7 +38,7 @@ from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.paths import ORIGINS, find_scans, output_path
 from salsanext_cli.runs.results.recorded_origins import recorded_origin
 from salsanext_cli.runs.results.result_folder import ResultFolder
-from salsanext_cli.training.tuning.scans import TuningScans
+from salsanext_cli.runs.results.scan_selection import ScanSelection
 
 DOWN = np.diag([1.0, -1, -1])
 
@@ -203,20 +204,13 @@ def test_pick_and_tune_see_scans_from_the_poses_that_predict_uses(map_drive, tmp
     network = NetworkSettings(map_drive / "w.safetensors", "cpu", engine="torch")
     scans = find_scans(tmp_path / "velodyne")
     expected = dict(zip([scan.name for scan in scans], map(tuple, places.tolist()), strict=True))
-    tuning = TuningScans(
-        source=tmp_path / "velodyne",
-        files=scans,
-        space=label_space(),
-        settings=network,
-        loaded=network.load(),
-    )
-    assert tuning.origins.keys() == expected.keys()
-    for name, origin in tuning.origins.items():
-        assert origin == pytest.approx(expected[name])
     with calls_of(read_prepared) as prepared:
+        one = ScanSelection(limit=1)
+        target = tmp_path / "int8.safetensors"
+        tune_int8(tmp_path / "velodyne", target, settings=network, selection=one)
         pick(tmp_path / "velodyne", tmp_path / "picked", count=1, settings=network)
-    # All scans are described, and one of them is written.
-    assert len(prepared) == len(scans) + 1
+    # Int8 is fitted to one scan. All are described, and one of them is written.
+    assert len(prepared) == 1 + len(scans) + 1
     for call in prepared:
         assert call["origin"] == pytest.approx(expected[call["file"].name])
 
