@@ -145,10 +145,20 @@ def small_slices(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Compute no pixels of figures, which takes tenths of a second."""
-    from salsanext_cli.report import canvas
+    """Draw no plots of an evaluation and no pixels of figures, which take tenths of a second."""
+    from salsanext_cli.commands import evaluation
+    from salsanext_cli.report import canvas, plots
+    from salsanext_cli.report.page import labelled_scans
 
-    monkeypatch.setattr(canvas, "png_of", lambda _: b"picture")
+    for module, name in (
+        (canvas, "png_of"),
+        (evaluation, "confusion_picture"),
+        (evaluation, "iou_picture"),
+        (labelled_scans, "iou_picture"),
+        (plots, "reliability_diagram"),
+        (plots, "risk_coverage"),
+    ):
+        monkeypatch.setattr(module, name, lambda *_: b"picture")
 
 
 @pytest.fixture

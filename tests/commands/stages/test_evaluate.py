@@ -115,6 +115,7 @@ def test_distance_bands(world):
     assert [band.points for band in bands.values()] == [2, 0, 0, 2, 0, 0]
 
 
+@pytest.mark.drawn
 def test_files_are_complete_and_replace_earlier_ones(world):
     world.add("000000", [CAR], [CAR])
     world.evaluate(by_distance=True)

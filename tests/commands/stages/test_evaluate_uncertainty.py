@@ -138,6 +138,7 @@ def test_the_report_does_not_depend_on_jobs_or_order(world):
     assert list(report_of(world)["uncertainty"]) == list(EVALUATED_KINDS)
 
 
+@pytest.mark.drawn
 def test_the_error_is_scored_as_an_uncertainty_and_as_a_probability(world):
     """Half of the points with an error of 1/2 are wrong, and none of those with 1/8."""
     world.add("000000", [CAR, CAR, CAR, 0], [CAR, ROAD, CAR, CAR])
