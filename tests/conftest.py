@@ -145,9 +145,9 @@ def small_slices(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Draw no plots of an evaluation and no pixels of figures, which take tenths of a second."""
+    """Draw no plots of results and no pixels of figures, which take tenths of a second."""
     from salsanext_cli.commands import evaluation
-    from salsanext_cli.report import canvas, plots
+    from salsanext_cli.report import canvas, plots, run_changes
     from salsanext_cli.report.page import labelled_scans
 
     for module, name in (
@@ -157,8 +157,9 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
         (labelled_scans, "iou_picture"),
         (plots, "reliability_diagram"),
         (plots, "risk_coverage"),
+        (run_changes, "scan_picture"),
     ):
-        monkeypatch.setattr(module, name, lambda *_: b"picture")
+        monkeypatch.setattr(module, name, lambda *_, **__: b"picture")
 
 
 @pytest.fixture

@@ -62,6 +62,6 @@ def in_few_steps(one_step_fits: None, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(autouse=True)
 def undrawn_unless_marked(request: pytest.FixtureRequest) -> None:
-    """Draw no plots of an evaluation and no pixels of figures, unless a test is `drawn`."""
+    """Draw no plots of results and no pixels of figures, unless a test is `drawn`."""
     if not request.node.get_closest_marker("drawn"):
         request.getfixturevalue("undrawn")

@@ -17,6 +17,7 @@ def test_the_page_has_every_command():
     assert {name for name in every_command() if not documented_keys(name)} == set()
 
 
+@pytest.mark.usefixtures("in_few_steps")
 @pytest.mark.parametrize(
     "words",
     [
