@@ -146,20 +146,9 @@ def small_slices(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Draw no plots of results and no pixels of figures, which take tenths of a second."""
-    from salsanext_cli.commands import evaluation
-    from salsanext_cli.report import canvas, plots, run_changes
-    from salsanext_cli.report.page import labelled_scans
+    from undrawn import draw_no_results
 
-    for module, name in (
-        (canvas, "png_of"),
-        (evaluation, "confusion_picture"),
-        (evaluation, "iou_picture"),
-        (labelled_scans, "iou_picture"),
-        (plots, "reliability_diagram"),
-        (plots, "risk_coverage"),
-        (run_changes, "scan_picture"),
-    ):
-        monkeypatch.setattr(module, name, lambda *_, **__: b"picture")
+    draw_no_results(monkeypatch)
 
 
 @pytest.fixture
@@ -180,11 +169,10 @@ def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def tiny_training(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Train a tiny network; its epochs are drawn, which takes longer, if a test is `drawn`."""
     from tiny_network import TinyNetwork
+    from undrawn import draw_no_epochs
 
-    from salsanext_cli.commands.jobs import epoch_files
     from salsanext_cli.core.network.registry import ARCHITECTURES
 
     monkeypatch.setitem(ARCHITECTURES, "salsanext", TinyNetwork)
     if not request.node.get_closest_marker("drawn"):
-        monkeypatch.setattr(epoch_files, "curve_picture", lambda _: b"picture")
-        monkeypatch.setattr(epoch_files, "samples_picture", lambda *_: b"picture")
+        draw_no_epochs(monkeypatch)
