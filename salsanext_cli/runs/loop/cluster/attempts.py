@@ -233,11 +233,12 @@ def failed_attempts(queue: ChunkQueue, lost: LostWorker) -> Iterator[Attempt[Any
     """Let the chunks of a lost worker wait again; yield the attempt of a scan that has failed."""
     lost_part = "the node was lost" if lost.is_node_lost else "a worker ended"
     log.warning("node %s: %s; other workers get its scans", lost.node, lost_part)
+    fault = "lost its node three times" if lost.is_node_lost else "ended its worker twice"
     for number in reversed(lost.chunks):
         scan = queue.lose(number, is_node_lost=lost.is_node_lost)
         if scan is not None:
             hint = f"it may need more memory; try it alone with {wording.setting('jobs', 1)}"
-            error = WorkersLost(scan.path, "ended its worker twice", hint=hint)
+            error = WorkersLost(scan.path, fault, hint=hint)
             yield Attempt(file=scan, error=error)
 
 

@@ -11,6 +11,8 @@ from salsanext_cli.runs.results.paths import ScanFile
 
 MAX_LOSSES = 2
 """Lost workers that had only one scan after which that scan fails."""
+MAX_LOST_NODES = 3
+"""Lost nodes whose worker had only one chunk after which the chunk may be the cause."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,12 +29,15 @@ class SentChunk:
         Whether its worker gets no other chunk meanwhile, so that a loss has one cause.
     losses : int
         Number of workers that were lost with this chunk alone.
+    lost_nodes : int
+        Number of nodes that were lost while a worker had this chunk alone.
     """
 
     number: int
     scans: Chunk
     is_alone: bool = False
     losses: int = 0
+    lost_nodes: int = 0
 
 
 class ChunkQueue:
@@ -76,22 +81,23 @@ class ChunkQueue:
         number : int
             Number under which the chunk was sent.
         is_node_lost : bool
-            Whether the node of the worker is lost, which is no fault of a chunk.
+            Whether the node of the worker is lost, which is no fault of a chunk until it happens
+            again and again.
 
         Returns
         -------
         ScanFile, optional
-            The scan that has ended its workers, which does not wait again.
+            The scan that has ended its workers or nodes, which does not wait again.
         """
         chunk = self._sent.pop(number)
         if not chunk.is_alone:
             self._waiting.appendleft(replace(chunk, is_alone=True))
-        elif is_node_lost:
-            self._waiting.appendleft(chunk)
+        elif is_node_lost and chunk.lost_nodes + 1 < MAX_LOST_NODES:
+            self._waiting.appendleft(replace(chunk, lost_nodes=chunk.lost_nodes + 1))
         elif len(chunk.scans) > 1:
-            alone = [replace(chunk, scans=(scan,)) for scan in chunk.scans]
+            alone = [replace(chunk, scans=(scan,), lost_nodes=0) for scan in chunk.scans]
             self._waiting.extendleft(reversed(alone))
-        elif chunk.losses + 1 < MAX_LOSSES:
+        elif not is_node_lost and chunk.losses + 1 < MAX_LOSSES:
             self._waiting.appendleft(replace(chunk, losses=chunk.losses + 1))
         else:
             return chunk.scans[0]

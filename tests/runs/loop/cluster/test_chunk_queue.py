@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: MIT
 """Chunks of lost workers: every scan is attempted or has failed, whatever is lost."""
 
+from collections import Counter
+
 from hypothesis import given
 from hypothesis import strategies as st
 from numbered_scans import scans_of
 
-from salsanext_cli.runs.loop.cluster.chunk_queue import MAX_LOSSES, ChunkQueue
+from salsanext_cli.runs.loop.cluster.chunk_queue import MAX_LOSSES, MAX_LOST_NODES, ChunkQueue
 from salsanext_cli.runs.loop.pool import chunks
 
 SCANS = scans_of(("00", number) for number in range(12))
@@ -42,10 +44,28 @@ def test_the_chunk_of_a_lost_worker_is_sent_alone_and_then_its_scans_one_by_one(
 def test_a_chunk_whose_node_is_lost_is_sent_again_as_it_was():
     queue = ChunkQueue([tuple(SCANS[:2])])
     queue.lose(queue.send().number)
-    for _ in range(MAX_LOSSES + 1):
+    for _ in range(MAX_LOST_NODES):
         chunk = queue.send()
         assert (chunk.scans, chunk.is_alone, chunk.losses) == (tuple(SCANS[:2]), True, 0)
         assert queue.lose(chunk.number, is_node_lost=True) is None
+
+
+def test_a_scan_that_brings_its_nodes_down_fails():
+    """Its chunk is sent in scans after some nodes; those of the other scans live."""
+    deadly, harmless = SCANS[:2]
+    queue = ChunkQueue([(deadly, harmless)])
+    sent = Counter()
+    failed = []
+    while queue:
+        chunk = queue.send()
+        if deadly not in chunk.scans:
+            queue.finish(chunk.number)
+            continue
+        sent[len(chunk.scans)] += 1
+        failed.append(queue.lose(chunk.number, is_node_lost=True))
+    assert sent == {2: 1 + MAX_LOST_NODES, 1: MAX_LOST_NODES}
+    assert failed[-1] == deadly
+    assert set(failed[:-1]) == {None}
 
 
 @given(st.sets(st.sampled_from(SCANS)), st.integers(1, 5), st.randoms(use_true_random=False))
