@@ -21,6 +21,16 @@ def on_both(*of_cuda: str) -> pytest.MarkDecorator:
 
 
 @contextmanager
+def waits_refused() -> Iterator[None]:
+    """Let calls fail for which the host would wait for a GPU."""
+    torch.cuda.set_sync_debug_mode("error")
+    try:
+        yield
+    finally:
+        torch.cuda.set_sync_debug_mode("default")
+
+
+@contextmanager
 def threads(count: int) -> Iterator[None]:
     """Set the number of threads of torch and of kernels."""
     settings, of_torch = vars(numba.config), torch.get_num_threads()

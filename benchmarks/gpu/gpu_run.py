@@ -29,8 +29,13 @@ from benchmarks.processes import ROOT, script_command, script_environment
 
 SHARES = {"tests": 4.0, "speed": 3.0, "training": 2.5, "train": 5.0}
 """Parts in their order, and their shares of the time; what one leaves, later ones get."""
-TESTS = ("tests/cuda", "tests/core/on_device", "tests/core/engines/test_cuda_graphs.py")
-"""Tests that run on a GPU; those of `predict` need packages that such a machine may lack."""
+TESTS = (
+    "tests/core/on_device",
+    *(f"tests/core/engines/test_{name}.py" for name in ("device_copies", "device_time")),
+    "tests/core/engines/test_cuda_graphs.py",
+    "tests/cuda",
+)
+"""Tests that run on a GPU, quick ones first; others need packages that such a machine may lack."""
 SHARE_OF_STARTED_TESTS = 0.7  # Of the time of the tests; the last of them ends in the rest
 GRACE_S = 20.0  # Time in which a part may still write, at the end of its own
 GRACE_SHARE = 0.2  # Of the time of a short part
@@ -165,8 +170,9 @@ def measure(given: argparse.Namespace, figures: Any, weights: Path) -> int:
 def run_tests(figures: Any) -> int:
     """Run the tests of the GPU or, on a CPU, the same tests of the CPU; skip what has no time."""
     chosen = ("-k", "cpu") if figures.device == "cpu" else ("-m", "cuda")
-    words = ("-q", "-rfE", "--color=no", "-p", "no:cacheprovider", "-p", tests_in_time.__name__)
-    command = [sys.executable, "-m", "pytest", *words, *TESTS, *chosen]
+    words = ("-q", "-rfEs", "--color=no", "--continue-on-collection-errors")
+    plug_ins = ("-p", "no:cacheprovider", "-p", tests_in_time.__name__)
+    command = [sys.executable, "-m", "pytest", *words, *plug_ins, *TESTS, *chosen]
     end = time.monotonic() + SHARE_OF_STARTED_TESTS * figures.left()
     environment = {**os.environ, tests_in_time.END: str(end)}
     try:

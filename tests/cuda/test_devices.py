@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F
-from devices import on_both
+from devices import on_both, waits_refused
 from scans import SMALL, make_scan, share_alike, write_sequence
 from shallow import shallow, weights  # noqa: F401
 from tiny_network import CLASS_WEIGHTS, batch, learner
@@ -160,11 +160,8 @@ def test_a_step_waits_for_nothing(precision: str) -> None:
     learning = learner("cuda", precision=precision, average=0.9, clip_gradient=1.0)
     images, truth = (each.pin_memory() for each in batch(0))
     learning.step(images, truth, 0, STEPS)
-    torch.cuda.set_sync_debug_mode("error")
-    try:
+    with waits_refused():
         learning.step(images, truth, 1, STEPS)
-    finally:
-        torch.cuda.set_sync_debug_mode("default")
 
 
 @on_both("float32", "float16")

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
-from devices import CUDA, on_both
+from devices import CUDA, on_both, waits_refused
 from error_models import layers
 from scans import SMALL, make_scan, write_sequence
 from shallow import shallow, weights  # noqa: F401
+from unlike_sensors import for_unlike_sensor
 
 from salsanext_cli import Network, load_network
 from salsanext_cli.commands.stages.predict import predict_scans
@@ -51,15 +51,12 @@ def test_batches_in_flight_have_the_labels_of_single_ones(weights, device, preci
 @pytest.mark.filterwarnings("ignore:Synchronization debug mode")
 def test_a_batch_waits_for_nothing(weights, device):
     """On the CPU `core/on_device/test_waits.py` says the same."""
-    network = load_network(weights, device, SMALL, "float16", "torch")
+    network = for_unlike_sensor(load_network(weights, device, SMALL, "float16", "torch"))
     labeller = DeviceLabeller(network=network, request=LabelRequest(softmax=True))
     scans = [labeller.prepare(scan) for scan in BATCHES[0]]
     first = labeller.compute(scans)  # Graphs are recorded, and constants copied
-    torch.cuda.set_sync_debug_mode("error")
-    try:
+    with waits_refused():
         second = labeller.compute(scans)
-    finally:
-        torch.cuda.set_sync_debug_mode("default")
     for scan, one, other in zip(scans, first, second, strict=True):
         one_labels = labeller.finish(scan, one).labels
         np.testing.assert_array_equal(one_labels, labeller.finish(scan, other).labels)

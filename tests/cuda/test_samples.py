@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from devices import on_both
+from devices import CUDA, on_both, waits_refused
 from scans import SMALL, write_sequence
 from stored import maker_of, round_to_half, with_statistics
 
@@ -61,6 +61,18 @@ def test_images_are_those_of_workers(files, device, precision):
         is_same = np.isclose(images[number].cpu().numpy(), image, atol=1e-5).all(axis=0)
         assert is_same.mean() > 0.999
         assert (truth[number].cpu().numpy() == targets).mean() > 0.999
+
+
+@pytest.mark.parametrize("device", [pytest.param("cuda", marks=CUDA)])
+@pytest.mark.filterwarnings("ignore:Synchronization debug mode")
+def test_a_batch_waits_for_nothing(files, device):
+    """On the CPU `test_the_host_waits_for_nothing_in_a_batch` says the same."""
+    maker = maker_of(samples(files, EVERYTHING), torch.device(device))
+    first = maker.make([(0, 1), (1, 3)])
+    with waits_refused():
+        second = maker.make([(0, 1), (1, 3)])
+    for one, other in zip(first, second, strict=True):
+        assert torch.equal(one, other)
 
 
 @on_both("float32")

@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from salsanext_cli.core.engines.host_use import HostUseRefused
+from salsanext_cli.core.engines.memory import out_of_memory
 
 MAX_GRAPHS = 8  # Graphs of a network: each keeps the memory of a call
 TIMED_CALLS = 3  # Of which the fastest counts
@@ -78,13 +79,22 @@ class CudaGraphs:
 
 
 def faster_call(function: Function, inputs: tuple[Tensor, ...]) -> RecordedCall | None:
-    """Record a call; return None if it cannot be recorded, or is about as fast without."""
+    """Record a call; return None if it cannot be recorded, or is about as fast without.
+
+    Nor is it kept if memory runs out while it is compared: without it, the call may fit.
+    """
     call = recorded_call(function, inputs)
     if call is None:
         return None
     device = inputs[0].device
-    plain = least_seconds(partial(function, *inputs), device)
-    replayed = least_seconds(partial(call.replayed, inputs), device)
+    try:
+        plain = least_seconds(partial(function, *inputs), device)
+        replayed = least_seconds(partial(call.replayed, inputs), device)
+    except RuntimeError as error:
+        if not out_of_memory(error):
+            raise
+        log.debug("not replayed as a CUDA graph: %s", error)
+        return None
     if replayed < MOST_OF_PLAIN * plain:
         return call
     text = "not replayed as a CUDA graph, which takes %.2f ms instead of %.2f ms"

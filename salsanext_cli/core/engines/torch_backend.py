@@ -6,6 +6,7 @@ are metres. So do the logits.
 """
 
 import copy
+import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, partial
@@ -32,6 +33,8 @@ MAX_GRAPH_PIXELS = 4 * 64 * 2048
 
 On an H200, launching a network takes 4.7 ms. In float16, so do 2.5 images of 64 × 2048 pixels.
 """
+NEWER_SETTINGS = "Please use the new API settings to control TF32"
+"""Beginning of a warning of torch 2.9 and 2.10."""
 
 
 @cache
@@ -40,6 +43,8 @@ def set_up_cuda() -> None:
     # Threads share these settings, so a context for each call would affect other threads.
     torch.backends.cudnn.benchmark = False
     torch.backends.cudnn.deterministic = True
+    # Some versions of torch name newer settings here, after which `cudnn.flags` raises an error.
+    warnings.filterwarnings("ignore", NEWER_SETTINGS)
     torch.backends.cudnn.allow_tf32 = False
     torch.backends.cuda.matmul.allow_tf32 = False
 

@@ -78,3 +78,30 @@ def test_a_call_that_is_about_as_fast_when_replayed_is_plain(recordings, monkeyp
         assert graphs.call("name", squares, torch.ones(4))[1] == 4
     assert recordings == [(4,)]
     assert not any(graphs._calls.values())
+
+
+@pytest.mark.parametrize("fitting", [0, 1])
+def test_a_graph_for_which_memory_runs_out_is_dropped(recordings, monkeypatch, fitting):
+    """While the plain call or the replayed one is timed."""
+    times = iter([1.0] * fitting)
+
+    def least_seconds(*_):
+        for seconds in times:
+            return seconds
+        raise torch.OutOfMemoryError("no room")
+
+    monkeypatch.setattr(cuda_graphs, "least_seconds", least_seconds)
+    graphs = CudaGraphs()
+    for _ in range(2):
+        assert graphs.call("name", squares, torch.ones(4))[1] == 4
+    assert recordings == [(4,)]
+    assert not any(graphs._calls.values())
+
+
+def test_other_errors_of_a_timed_call_are_raised(recordings, monkeypatch):
+    def fail(*_):
+        raise RuntimeError("an illegal memory access")
+
+    monkeypatch.setattr(cuda_graphs, "least_seconds", fail)
+    with pytest.raises(RuntimeError, match="illegal"):
+        CudaGraphs().call("name", squares, torch.ones(4))

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """What the backends share: reduction of a softmax, float32 ends, settings of CUDA."""
 
+import warnings
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -53,6 +54,8 @@ def test_settings_of_cuda_are_those_of_the_process_whatever_its_threads_do():
             with ThreadPoolExecutor(2) as pool:
                 assert len([*pool.map(make, range(4))]) == 4
             assert (cudnn.benchmark, cudnn.deterministic, cudnn.allow_tf32) == (False, True, False)
+            assert not torch.backends.cuda.matmul.allow_tf32
+            warnings.warn(f"{torch_backend.NEWER_SETTINGS} behavior.", UserWarning, stacklevel=1)
         finally:
             set_up_cuda.cache_clear()
 

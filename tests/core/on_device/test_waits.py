@@ -5,26 +5,20 @@
 import copy
 from dataclasses import replace
 
-import numpy as np
 import pytest
 import torch
-from error_models import layers
 from scans import SMALL, make_scan
 from shallow import shallow, weights  # noqa: F401
 from torch.overrides import TorchFunctionMode
+from unlike_sensors import for_unlike_sensor
 
 from salsanext_cli import load_network
 from salsanext_cli.core.engines.device_copies import HostCopies
 from salsanext_cli.core.engines.host_use import FROM_NUMBERS, HostUseRefused, depends_on_values
 from salsanext_cli.core.engines.torch_backend import TorchBackend
 from salsanext_cli.core.label_request import LabelRequest
-from salsanext_cli.core.network.error_model import ErrorModel
 from salsanext_cli.core.on_device.labeller import DeviceLabeller
-from salsanext_cli.core.sensors.sensor import INTENSITY_LEVELS
-from salsanext_cli.core.uncertainty.error_features import FEATURES
 
-RISING = tuple(np.linspace(0, 1, INTENSITY_LEVELS).tolist())
-SQUARES = tuple(np.square(np.linspace(0, 3, INTENSITY_LEVELS)).tolist())
 SCANS = [make_scan(2000), make_scan(1500, 2)]
 
 
@@ -59,20 +53,7 @@ def names_device(values):
 
 @pytest.fixture
 def network(weights):
-    """Return a network for tilted sensors of a vehicle whose gaps and intensities are changed."""
-    network = load_network(weights, "cpu", SMALL, "float32", "torch")
-    trained = replace(SMALL, intensity_quantiles=SQUARES, row_gaps=0.1)
-    model = ErrorModel(features=FEATURES, layers=layers(9, 6, 1))
-    card = replace(network.card, sensor=trained, error=model)
-    sensor = replace(
-        SMALL,
-        origin=(0.0, 0.0, 0.5),
-        up=(0.1, -0.2, 1.0),
-        ego_box=(-7.0, -6.0, -3.0, 7.0, 6.0, 1.0),
-        intensity_quantiles=RISING,
-        row_gaps=0.5,
-    )
-    return replace(network, backend=replace(network.backend, card=card), sensor=sensor)
+    return for_unlike_sensor(load_network(weights, "cpu", SMALL, "float32", "torch"))
 
 
 @pytest.mark.slow
