@@ -99,7 +99,13 @@ def convert(
         outcome = run_over_scans(
             task, chosen, options, is_done=is_done, on_result=converted.append, writes=[folder]
         )
-        written = {number: scan for number, scan in enumerate(listed) if is_done(scan)}
+        # For a minute, a network file system may hide files that other machines have just written.
+        with_points = {scan.stem for scan in converted if not scan.is_empty}
+        written = {
+            number: scan
+            for number, scan in enumerate(listed)
+            if scan.stem in with_points or is_done(scan)
+        }
         _write_files_of_sequence(owned, folder / sequence, file, written)
         if kind_of(file).may_be_map:
             _add_frames(owned, folder / sequence / FRAMES, converted, [*written.values()])

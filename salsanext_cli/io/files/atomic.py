@@ -18,6 +18,8 @@ from salsanext_cli.io.files.reading import present, reason
 
 MARK: ContextVar[str] = ContextVar("MARK", default=uuid.uuid4().hex)
 """Prefix of the temporary names of a run, by which `sweep` removes those of killed workers."""
+GUARD: ContextVar[Callable[[], object]] = ContextVar("GUARD", default=lambda: None)
+"""Called before a complete file gets its name; it raises an exception if the file may not."""
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 TEMPORARY = re.compile(r"\.(?:[0-9a-f]{32}){1,2}\.part")  # Names of unfinished files
 STALE_AFTER_S = 24 * 3600.0  # Age of a temporary file whose writer must have ended
@@ -69,6 +71,7 @@ def writing(
             before_rename(temporary.stat())
         if not overwrite:
             require_absent(path, overwrite)
+        GUARD.get()()
         temporary.replace(path)
         if durable:
             _sync_names(path.parent)

@@ -265,4 +265,5 @@ def _with_missing(lost: WorkersLost, missing: Sequence[ScanFile], count: int) ->
     """Return the error about lost workers, with the scans of `count` that are missing."""
     names = first_few([scan.name for scan in missing])
     problem = f"{lost.problem}; {len(missing)} of {count} scans are missing: {names}"
-    return WorkersLost(lost.subject, problem, hint=f"{lost.hint}; run again for the rest")
+    hints = filter(None, [lost.hint, "run again for the rest"])
+    return WorkersLost(lost.subject, problem, hint="; ".join(hints))

@@ -61,6 +61,13 @@ def test_clouds_without_points_or_measurements_fail_and_the_others_are_labelled(
 
 
 @pytest.mark.usefixtures("workers_in_process")
+def test_scans_that_the_file_system_does_not_show_yet_have_times(bag, tmp_path, monkeypatch):
+    """A network file system may hide for a while what a worker on another machine has written."""
+    monkeypatch.setattr("salsanext_cli.commands.stages.convert.filled", lambda path: False)
+    convert(bag, tmp_path / "data", limit=2)
+    assert sequence(tmp_path / "data")[1] == SECONDS[:2]
+
+
 def test_some_of_the_scans_and_later_the_rest(bag, tmp_path):
     folder = tmp_path / "data"
     assert convert(bag, folder, every=3).done == 2

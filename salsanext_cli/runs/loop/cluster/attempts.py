@@ -7,6 +7,7 @@ scan that was then lost twice has failed. The other scans go on, and nodes may c
 """
 
 import logging
+import os
 import pickle
 import re
 import socket
@@ -49,6 +50,7 @@ from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.results.paths import ScanFile
 
 ADDRESS = re.compile(r"auto|(?P<client>ray://)?(?P<host>[^\s/:]+|\[[^\s/]+\]):(?P<port>\d{1,5})")
+ADDRESS_VARIABLE = "RAY_ADDRESS"  # Of Ray
 CONNECT_TIMEOUT_S = 15.0
 MAX_PROBLEM_CHARACTERS = 300  # Of what Ray says; its mismatch of versions takes 200
 UNUSED_GPUS = "its GPUs are not used: workers get the device of this machine, which is cpu"
@@ -115,9 +117,15 @@ def attempts_of_cluster(
 
 
 def require_address(address: str) -> None:
-    """Refuse what is no address of a cluster."""
+    """Refuse what is no address of a cluster; `auto` is that of a variable of Ray, if it is set.
+
+    Ray would start a cluster of its own for some values.
+    """
+    subject = wording.argument("cluster")
+    if address == "auto" and os.environ.get(ADDRESS_VARIABLE):
+        subject = ADDRESS_VARIABLE
+        address = os.environ[ADDRESS_VARIABLE]
     if not ADDRESS.fullmatch(address):
-        subject = wording.argument("cluster")
         raise UsageError(subject, f"is {address!r}", EXPECTED_ADDRESS, starting_hint("auto"))
 
 
@@ -190,7 +198,7 @@ def _joined(driver: DriverProcess, messages: Iterator[Any], address: str) -> Joi
             return joined
         case UnusableNode(node=node, problem=problem, hint=hint):
             raise UsageError(subject, f"node {node} {problem}", hint=hint)
-        case NotJoined(problem=problem):
+        case NotJoined(problem=problem) | LostCluster(problem=problem):
             raise _not_joined(address, problem)
         case Crash(trace=trace):
             raise RuntimeError(trace)
@@ -203,7 +211,7 @@ def _attempts(
     """Send all chunks of a queue to the driver, and yield their attempts."""
     free_places = 0
     while queue:
-        message = next(messages, LostCluster(problem="the cluster does not answer any more"))
+        message = next(messages, None) or LostCluster(problem=f"the driver {driver.ending()}")
         match message:
             case FreePlaces(count=count):
                 free_places += count
@@ -248,6 +256,8 @@ def _report(message: object, address: str) -> None:
     match message:
         case Alive():
             pass
+        case UnusableNode(node=node, trace=trace, ends_run=True) if trace:
+            raise RuntimeError(f"node {node}: {trace}")
         case UnusableNode(node=node, problem=problem, hint=hint, ends_run=True):
             raise WorkersLost(subject, f"node {node} {problem}", hint=hint)
         case UnusableNode(node=node, problem=problem):

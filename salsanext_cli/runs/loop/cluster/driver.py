@@ -155,7 +155,9 @@ class Driver:
         return self.cluster.check(node, self.assignment.required)
 
     def _report(self, node: str, problem: NodeProblem) -> UnusableNode:
-        return UnusableNode(node=self._name(node), problem=problem.text, hint=problem.hint)
+        return UnusableNode(
+            node=self._name(node), problem=problem.text, hint=problem.hint, trace=problem.trace
+        )
 
     def _look_at_nodes(self) -> None:
         """Start workers for which nodes have room, and some that wait for more nodes."""

@@ -138,7 +138,8 @@ def driver_process() -> Iterator[DriverProcess]:
         stdout=subprocess.PIPE,
         stderr=errors,
         cwd=os.path.abspath(os.sep),  # noqa: PTH100 - the root
-        env={**os.environ, "PYTHONPATH": path},
+        # Under `uv run`, Ray would start the workers by uv, too, which the nodes may lack.
+        env={**os.environ, "PYTHONPATH": path, "RAY_ENABLE_UV_RUN_RUNTIME_ENV": "0"},
         # A signal of the terminal reaches only the main process, which ends the driver.
         start_new_session=True,
     )

@@ -60,9 +60,10 @@ def drive(messages: Iterator[Any], send: Send) -> None:
     if not _joined(ray_cluster, assignment.address, send):
         return
     try:
-        if driver.begin():
-            driver.run()
-            driver.end()
+        with suppress(BrokenPipeError):  # The main process has ended; the workers must end, too.
+            if driver.begin():
+                driver.run()
+        driver.end()
     except ray_cluster.CONNECTION_ERRORS as error:
         send(LostCluster(problem=first_line(error)))
 

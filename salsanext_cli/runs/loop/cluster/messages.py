@@ -75,6 +75,8 @@ class UnusableNode:
         What it lacks, in words.
     hint : str
         What to do about it.
+    trace : str
+        Traceback of a problem that no user can correct.
     ends_run : bool
         Whether the run cannot begin; otherwise the other nodes go on.
     """
@@ -82,6 +84,7 @@ class UnusableNode:
     node: str
     problem: str
     hint: str = ""
+    trace: str = ""
     ends_run: bool = False
 
 

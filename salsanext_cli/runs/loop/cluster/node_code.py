@@ -60,6 +60,7 @@ class NodeProblem:
 
     text: str  # Predicate of a sentence about the node
     hint: str = ""
+    trace: str = ""  # Traceback of a problem that no user can correct
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -181,6 +182,7 @@ class NodeWorker:
             os.environ[name] = str(threads)
         self.packed = work
         self.work: Any = None
+        self.probes: list[Probe] = []  # Of the folders that it writes into
 
     def node(self) -> str:
         """Return the id of the node."""
@@ -193,6 +195,8 @@ class NodeWorker:
         problem = node_problem(required)
         if problem:
             return problem
+        written = [folder for folder in required.folders if folder.is_written]
+        self.probes = [folder.probe for folder in written if folder.probe]
         try:
             self.work = pickle.loads(self.packed)  # noqa: S301 - of the driver of this worker
             self.work.open()
@@ -200,15 +204,32 @@ class NodeWorker:
             # One that the user can correct has both.
             text = str(getattr(error, "headline", error)).replace("\n", "; ")
             hint = str(getattr(error, "hint", ""))
-            return NodeProblem(text=f"cannot begin: {text or type(error).__name__}", hint=hint)
+            is_correctable = hasattr(error, "headline") or isinstance(error, ImportError | OSError)
+            return NodeProblem(
+                text=f"cannot begin: {text or type(error).__name__}",
+                hint=hint,
+                trace="" if is_correctable else traceback.format_exc(),
+            )
         return None
 
     def attempt(self, number: int, scans: bytes) -> bytes:
-        """Attempt a pickled chunk with a number; return the pickled attempts, or a `Bug`."""
+        """Attempt a pickled chunk with a number; return the pickled attempts, or a `Bug`.
+
+        This process ends if the run has ended, so that it writes into no folder of a later run.
+        """
+        from salsanext_cli.io.files.atomic import GUARD
         from salsanext_cli.runs.loop.cluster.bug import Bug
 
+        GUARD.set(self.require_run)
         try:
             chunk = pickle.loads(scans)  # noqa: S301 - of the driver of this worker
             return pickle.dumps(self.work.attempt(chunk, number))
+        except SystemExit:
+            os._exit(1)  # noqa: TID251
         except Exception as error:  # noqa: BLE001 - the main process raises it
             return Bug.packed(error, traceback.format_exc())
+
+    def require_run(self) -> None:
+        """Raise `SystemExit` if the main process has removed a probe, which ends the run."""
+        if not all(map(contains, self.probes)):
+            raise SystemExit("the run has ended")

@@ -70,11 +70,11 @@ def probe_of(folder: Path) -> Iterator[Probe | None]:
     # If this process is killed, a later run removes the file, as it does unfinished ones.
     path = folder / f".{uuid4().hex}.part"
     try:
-        path.write_bytes(content)
-    except OSError:
-        yield _record_of(folder)
-        return
-    try:
+        try:
+            path.write_bytes(content)
+        except OSError:
+            yield _record_of(folder)
+            return
         with _kept_recent(path):
             yield Probe(path=str(path), content=content)
     finally:

@@ -11,10 +11,12 @@ from works import Write, run, scans_of
 
 from salsanext_cli.commands.line.option_names import CommandLine
 from salsanext_cli.commands.stages.predict import predict_scans
-from salsanext_cli.core.errors import MissingDependency, UsageError
+from salsanext_cli.core.errors import MissingDependency, UsageError, WorkersLost
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.wording import spelled
 from salsanext_cli.runs.loop.cluster import attempts, driver_process
+from salsanext_cli.runs.loop.cluster.chunk_queue import ChunkQueue
+from salsanext_cli.runs.loop.cluster.messages import LostCluster, UnusableNode
 from salsanext_cli.runs.loop.network_task import NetworkTask
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
@@ -83,6 +85,48 @@ def test_the_end_of_a_driver_is_no_silence(tmp_path, monkeypatch):
         UsageError, 'cluster="auto"', run, Write(tmp_path), scans_of("a"), cluster="auto"
     )
     assert "status 1: out of threads" in caught.value.problem
+
+
+class Answers:
+    """Driver that has sent some messages before it ended."""
+
+    def __init__(self, *messages):
+        self.answers = iter(messages)
+
+    def messages(self):
+        return self.answers
+
+    def ending(self):
+        return "ended with status 1: out of memory"
+
+
+def test_the_end_of_a_driver_and_the_loss_of_the_cluster_are_told_apart(tmp_path):
+    queue = ChunkQueue([tuple(scans_of("a"))])
+    for messages, problem in (([], "ended with status 1"), ([LostCluster(problem="gone")], "gone")):
+        driver = Answers(*messages)
+        with pytest.raises(WorkersLost, match=problem):
+            next(attempts._attempts(driver, driver.messages(), queue, "auto"))
+        driver = Answers(*messages)
+        with pytest.raises(UsageError, match=problem):
+            attempts._joined(driver, driver.messages(), "auto")
+
+
+@pytest.mark.parametrize(
+    ("trace", "error", "shown"),
+    [("", WorkersLost, "cannot begin"), ("in open", RuntimeError, "in open")],
+)
+def test_a_bug_at_the_last_node_shows_its_traceback(trace, error, shown):
+    left_out = UnusableNode(node="n", problem="cannot begin: bug", trace=trace, ends_run=True)
+    with pytest.raises(error, match=shown):
+        attempts._report(left_out, "auto")
+
+
+def test_the_address_of_a_variable_is_checked_too(tmp_path, monkeypatch):
+    """Ray would start a cluster of its own."""
+    monkeypatch.setenv("RAY_ADDRESS", "local")
+    refused(UsageError, "RAY_ADDRESS", run, Write(tmp_path), scans_of("a"), cluster="auto")
+    monkeypatch.setenv("RAY_ADDRESS", "host:6379")
+    attempts.require_address("auto")
 
 
 def test_what_all_nodes_lack_is_named():

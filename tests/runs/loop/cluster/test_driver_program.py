@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: MIT
 """The end of a driver whose main process has ended, which no wait of its main thread can delay."""
 
+import sys
 from queue import SimpleQueue
 from types import SimpleNamespace
 
 import pytest
 
+from salsanext_cli.runs.loop import cluster
 from salsanext_cli.runs.loop.cluster import driver_program
 from salsanext_cli.runs.loop.cluster.messages import PackedChunk
 
@@ -27,6 +29,32 @@ def slept(monkeypatch):
     monkeypatch.setattr(driver_program.os, "_exit", end)
     monkeypatch.setattr(driver_program.time, "sleep", seconds.append)
     return seconds
+
+
+def test_a_main_process_that_has_ended_ends_the_workers(monkeypatch):
+    """A message that nobody reads is no loss of the cluster."""
+
+    class Driven:
+        begin = staticmethod(lambda: True)
+        ended = 0
+
+        def __init__(self, *_):
+            pass
+
+        def run(self):
+            raise BrokenPipeError
+
+        def end(self):
+            Driven.ended += 1
+
+    ray = SimpleNamespace(join=print, JOIN_ERRORS=(), CONNECTION_ERRORS=(ConnectionError,))
+    monkeypatch.setitem(sys.modules, f"{cluster.__name__}.ray_cluster", ray)
+    monkeypatch.setattr(cluster, "ray_cluster", ray, raising=False)
+    monkeypatch.setattr(driver_program, "read", lambda *_: None)
+    monkeypatch.setattr(driver_program, "Driver", Driven)
+    sent = []
+    driver_program.drive(iter([SimpleNamespace(address="auto")]), sent.append)
+    assert (sent, Driven.ended) == ([], 1)
 
 
 @pytest.mark.parametrize("has_begun", [False, True])

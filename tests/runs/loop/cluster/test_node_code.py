@@ -14,12 +14,13 @@ from works import Write, scans_of
 from salsanext_cli.core import wording
 from salsanext_cli.core.engines.registry import library_packages
 from salsanext_cli.core.errors import FormatError
-from salsanext_cli.io.files.atomic import MARK
+from salsanext_cli.io.files.atomic import GUARD, MARK
 from salsanext_cli.runs.loop.cluster import node_code
 from salsanext_cli.runs.loop.cluster.bug import Bug
 from salsanext_cli.runs.loop.cluster.node_code import (
     NodeRequirements,
     NodeWorker,
+    Probe,
     ReadableFile,
     SharedFolder,
     installed_versions,
@@ -136,6 +137,33 @@ def test_an_exception_of_a_worker_is_sent_with_its_traceback(worker, required, t
     assert "in __call__" in error.__notes__[0]
 
 
+def test_a_worker_ends_before_it_names_a_file_after_the_run(
+    worker, required, tmp_path, monkeypatch
+):
+    """Its probe is gone then; the unfinished file is removed."""
+
+    def end(status):
+        raise EndError(status)
+
+    monkeypatch.setattr(node_code.os, "_exit", end)
+    probe = Probe(path=str(tmp_path / "probe"), content=b"probe")
+    folder = SharedFolder(path=str(tmp_path), probe=probe, is_written=True)
+    Path(probe.path).write_bytes(probe.content)
+    made = worker(Write(tmp_path))
+    assert made.open(replace(required, folders=(folder,))) is None
+    token = GUARD.set(GUARD.get())
+    made.attempt(1, pickle.dumps(tuple(scans_of("a"))))
+    Path(probe.path).unlink()
+    with pytest.raises(EndError):
+        made.attempt(2, pickle.dumps(tuple(scans_of("b"))))
+    GUARD.reset(token)
+    assert [path.name for path in (tmp_path / "s").iterdir()] == ["a"]
+
+
+class EndError(BaseException):
+    """End of the process."""
+
+
 class Closed:
     """Task that cannot be opened."""
 
@@ -149,8 +177,11 @@ def test_a_worker_says_why_it_cannot_begin(worker, required):
     assert node_problem(required) is None
     problem = worker(Closed()).open(required)
     assert (problem.text, problem.hint) == ("cannot begin: weights: cut off", "copy it again")
+    assert not problem.trace
     torn = NodeWorker(b"no pickle", 1)
-    assert torn.open(required).text.startswith("cannot begin: ")
+    problem = torn.open(required)
+    assert problem.text.startswith("cannot begin: ")
+    assert "UnpicklingError" in problem.trace
     folder = SharedFolder(path="/nowhere/at/all", is_written=True)
     absent = replace(required, folders=(folder,))
     assert "/nowhere/at/all" in worker(Closed()).open(absent).text

@@ -85,7 +85,8 @@ def test_the_probe_of_a_folder_that_is_read_only_is_its_record(tmp_path, scans, 
     record.write_bytes(b"{}")
 
     def refuse(path, content):
-        raise PermissionError(13, "Permission denied", str(path))
+        path.touch()  # The disk may become full halfway.
+        raise OSError(28, "No space left on device", str(path))
 
     monkeypatch.setattr(Path, "write_bytes", refuse)
     with node_requirements(scans, RunFolders(reads=(tmp_path,))) as required:
@@ -97,3 +98,4 @@ def test_the_probe_of_a_folder_that_is_read_only_is_its_record(tmp_path, scans, 
     record.unlink()
     with probe_of(tmp_path) as probe:
         assert probe is None
+    assert not [*tmp_path.glob(".*")]
