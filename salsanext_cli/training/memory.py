@@ -57,9 +57,11 @@ def memory_of(device: str, system: SystemFiles = SYSTEM) -> Memory | None:
     if device.startswith("cuda"):
         import torch
 
-        free, total = torch.cuda.mem_get_info(device)
-        # Blocks that torch keeps for later tensors are not free for the driver.
-        unused = torch.cuda.memory_reserved(device) - torch.cuda.memory_allocated(device)
+        # Old versions of torch take no device without a number here.
+        with torch.cuda.device(device):
+            free, total = torch.cuda.mem_get_info()
+            # Blocks that torch keeps for later tensors are not free for the driver.
+            unused = torch.cuda.memory_reserved() - torch.cuda.memory_allocated()
         return Memory(total=total, available=free + unused)
     if device != "cpu" or not system.meminfo.exists():
         return None

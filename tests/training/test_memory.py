@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Memory of the machine, and the limit of a control group, from the files of Linux."""
 
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -76,10 +77,20 @@ def test_a_control_group_limits_it_and_its_cached_files_are_free(system, groups,
 
 
 def test_that_of_a_gpu_is_stated_by_its_driver_and_includes_what_torch_keeps(monkeypatch):
-    for name, values in (("mem_get_info", (3, 80)), ("memory_reserved", 50)):
-        monkeypatch.setattr(f"torch.cuda.{name}", lambda device, v=values: {"cuda:1": v}[device])
-    monkeypatch.setattr("torch.cuda.memory_allocated", lambda device: {"cuda:1": 40}[device])
-    assert memory_of("cuda:1") == Memory(total=80, available=13)
+    """Also where torch asks for the number of a device that it is not told to use."""
+    used = []
+
+    @contextmanager
+    def on_device(device):
+        used.append(device)
+        yield
+        used.pop()
+
+    monkeypatch.setattr("torch.cuda.device", on_device)
+    monkeypatch.setattr("torch.cuda.mem_get_info", lambda: {"cuda": (3, 80)}[used[-1]])
+    monkeypatch.setattr("torch.cuda.memory_reserved", lambda: {"cuda": 50}[used[-1]])
+    monkeypatch.setattr("torch.cuda.memory_allocated", lambda: {"cuda": 40}[used[-1]])
+    assert memory_of("cuda") == Memory(total=80, available=13)
 
 
 def test_it_is_unknown_elsewhere(system, tmp_path):

@@ -51,9 +51,17 @@ def set_up_cuda() -> None:
 
 @dataclass(frozen=True, eq=False)
 class TorchBackend(Backend):
-    """Weights as a torch module. Results are reduced on the device and copied to the host once."""
+    """Weights as a torch module. Results are reduced on the device and copied to the host once.
+
+    Attributes
+    ----------
+    records : bool
+        Whether calls of few pixels on a GPU are recorded as CUDA graphs.
+    """
 
     library: ClassVar[str] = "torch"
+
+    records: bool = True
 
     def __post_init__(self) -> None:
         if self._on_gpu:
@@ -197,7 +205,7 @@ class TorchBackend(Backend):
         """
         call = partial(function, module)
         pixels = len(inputs[0]) * self.size[0] * self.size[1]
-        if self._on_gpu and pixels <= MAX_GRAPH_PIXELS:
+        if self._on_gpu and self.records and pixels <= MAX_GRAPH_PIXELS:
             return self._graphs.call(name, call, *inputs)
         outputs: tuple[Tensor, ...] = call(*inputs)
         return outputs

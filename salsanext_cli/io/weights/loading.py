@@ -96,11 +96,16 @@ def _number_type(precision: str, device: str, library: str, file: Path, card: We
 
 
 def network_of_module(module: "SegmentationNetwork", card: WeightsCard, device: str) -> Network:
-    """Return the network of a torch module that is on the device already."""
+    """Return the network of a torch module in training that is on the device already.
+
+    Its calls are not recorded as CUDA graphs: an epoch later, the recordings are of no use.
+    """
     from salsanext_cli.core.engines.torch_backend import TorchBackend
 
     size = (card.sensor.height, card.sensor.width)
-    backend = TorchBackend(load_module=lambda: module, card=card, size=size, device=device)
+    backend = TorchBackend(
+        load_module=lambda: module, card=card, size=size, device=device, records=False
+    )
     return Network(backend, card.sensor)
 
 

@@ -3,6 +3,7 @@
 
 import warnings
 from concurrent.futures import ThreadPoolExecutor
+from typing import cast
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from salsanext_cli.core.engines.torch_backend import (
     set_up_cuda,
 )
 from salsanext_cli.core.network.card import WeightsCard
+from salsanext_cli.io.weights.loading import network_of_module
 
 
 def test_ends_in_float32_have_the_weights_of_the_layers_that_they_replace():
@@ -75,10 +77,11 @@ def test_allocations_that_fail_on_a_gpu_are_memory_that_runs_out(text):
     assert not out_of_memory(RuntimeError("CUDA error: an illegal memory access"))
 
 
-def test_batches_of_few_pixels_are_recorded_on_a_gpu(monkeypatch):
-    backend = TorchBackend(
-        lambda: TinyNetwork().eval(), WeightsCard({}, label_space(), SMALL), (16, 128)
-    )
+def test_batches_of_few_pixels_are_recorded_on_a_gpu_unless_their_network_trains(monkeypatch):
+    module = TinyNetwork().eval()
+    card = WeightsCard({}, label_space(), SMALL)
+    backend = TorchBackend(lambda: module, card, (16, 128))
+    in_training = cast(TorchBackend, network_of_module(module, card, "cpu").backend)
     images = [torch.ones(count, 5, 16, 128) for count in (1, 4, 5)]
     expected = [backend.softmax(batch, 2.0) for batch in images]
     recorded = []
@@ -92,6 +95,7 @@ def test_batches_of_few_pixels_are_recorded_on_a_gpu(monkeypatch):
     monkeypatch.setattr(CudaGraphs, "call", call)
     for batch, softmax in zip(images, expected, strict=True):
         torch.testing.assert_close(backend.softmax(batch, 2.0), softmax)
+        torch.testing.assert_close(in_training.softmax(batch, 2.0), softmax)
     assert recorded == [("logits", 1), ("logits", 4)]
 
 
