@@ -24,8 +24,12 @@ class PointLabeler(LabellingTool):
     """The tool that SemanticKITTI was labelled with."""
 
     name = "point-labeler"
-    saves = "label files"
+    saves = "label files of point-labeler"
     edits_in_place = True
+
+    def place_of(self, sequence: str, stem: str) -> str:
+        """Return the name of the files of a scan in the folder of its sequence."""
+        return f"{sequence}/{_stem_of_files(stem)}"
 
     def scan_files(self, scan: LabelledPoints, space: LabelSpace) -> Files:
         """Return points and labels, as SemanticKITTI has them.
@@ -45,9 +49,9 @@ class PointLabeler(LabellingTool):
     def sequence_files(self, sequence: str, stems: Sequence[str], poses: Poses | None) -> Files:
         """Return the poses, and a calibration without rotation; the tool opens none without both.
 
-        The tool has a tile for every part of the way from its origin in float32, and takes poses
-        in the order of the names of the files. Hence the first scan is at the origin. Scans
-        without poses are placed side by side, so that the tool shows each alone.
+        The tool has tiles around the trajectory, which it computes in float32 from its origin, and
+        takes poses in the order of the names of the files. Hence the first scan is at the origin.
+        Scans without poses are placed side by side, so that the tool shows each alone.
         """
         if poses is None:
             poses = np.tile(np.eye(4), (len(stems), 1, 1))
@@ -63,6 +67,10 @@ class PointLabeler(LabellingTool):
     def recognises(self, path: Path) -> bool:
         """Return whether a file is a label file; the tool saves what it got."""
         return path.suffix.lower() == ".label"
+
+    def is_sure_of(self, path: Path) -> bool:
+        """Return whether a label file lies in a folder of the tool; others save such, too."""
+        return any(folder.name == self.name for folder in path.parents)
 
     def read(self, path: Path, scan: Scan, space: LabelSpace) -> ToolLabels:
         """Read a label file: raw ids, with instances."""

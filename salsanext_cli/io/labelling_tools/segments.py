@@ -50,9 +50,10 @@ class Segments(LabellingTool):
         is_labelled = np.isin(raw_ids, classes)
         object_of_point = np.where(is_labelled, np.searchsorted(classes, raw_ids) + 1, 0)
         label = {**VERSION, OBJECTS: objects, OBJECT_OF_POINT: object_of_point.tolist()}
+        name = self.place_of(scan.sequence, scan.stem)
         return {
-            f"{scan.name}.pcd": encode_pcd(scan.columns()),
-            f"{scan.name}.json": json.dumps(label, separators=(",", ":")).encode("ascii"),
+            f"{name}.pcd": encode_pcd(scan.columns()),
+            f"{name}.json": json.dumps(label, separators=(",", ":")).encode("ascii"),
         }
 
     def common_files(self, space: LabelSpace) -> Files:

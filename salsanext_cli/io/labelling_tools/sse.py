@@ -36,8 +36,9 @@ class SemanticSegmentationEditor(LabellingTool):
 
     def scan_files(self, scan: LabelledPoints, space: LabelSpace) -> Files:
         """Return an ascii PCD file, with train ids as labels."""
-        columns = scan.columns() | {LABEL: space.to_train(scan.labels, source=scan.name)}
-        return {f"{scan.name}.pcd": encode_pcd(columns, text=True)}
+        name = self.place_of(scan.sequence, scan.stem)
+        columns = scan.columns() | {LABEL: space.to_train(scan.labels, source=name)}
+        return {f"{name}.pcd": encode_pcd(columns, text=True)}
 
     def common_files(self, space: LabelSpace) -> Files:
         """Return the settings of the editor, with the classes in the order of their train ids."""

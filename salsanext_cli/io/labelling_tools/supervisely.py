@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Supervisely: it opens PCD files with names of their labels, and saves points of figures."""
 
-import logging
 from collections import defaultdict
 from collections.abc import Mapping
 from pathlib import Path
@@ -44,8 +43,6 @@ ANNOTATION = ".pcd.json"  # End of the name of an annotation
 POINTS = "point_cloud"  # Geometry of a figure that is a set of points
 EXPECTED = "an annotation of a point cloud"
 
-log = logging.getLogger(__name__)
-
 
 class Supervisely(LabellingTool):
     """The platform, by its format PCD Semantic Labels, and by its export of annotations."""
@@ -56,7 +53,8 @@ class Supervisely(LabellingTool):
     def scan_files(self, scan: LabelledPoints, space: LabelSpace) -> Files:
         """Return a binary PCD file, with raw ids as labels."""
         raw_ids = (scan.labels & CLASS_BITS).astype(np.uint16)
-        return {f"{scan.name}.pcd": encode_pcd(scan.columns() | {LABELS: raw_ids})}
+        name = self.place_of(scan.sequence, scan.stem)
+        return {f"{name}.pcd": encode_pcd(scan.columns() | {LABELS: raw_ids})}
 
     def common_files(self, space: LabelSpace) -> Files:
         """Return the names of all raw ids but that of points without a label."""
@@ -81,9 +79,11 @@ class Supervisely(LabellingTool):
         cloud = LabelledCloud.read(path, LABELS, scan.notes.frame)
         # As the platform does, it takes labels without a name for none.
         meanings = LabelIds.from_names(_read_mapping(mapping), space, mapping)
-        _warn_of_labels_without_name(path, mapping, meanings.unknown(cloud.ids), space)
         return ToolLabels(
-            cloud=cloud, meanings=meanings.with_unlabelled(cloud.ids), is_in_order=False
+            cloud=cloud,
+            meanings=meanings.with_unlabelled(cloud.ids),
+            is_in_order=False,
+            doubt=_labels_without_name(mapping, meanings.unknown(cloud.ids), space),
         )
 
 
@@ -109,18 +109,18 @@ def _read_mapping(path: Path) -> dict[int, str]:
     return names
 
 
-def _warn_of_labels_without_name(
-    path: Path, mapping: Path, points: Mapping[int, int], space: LabelSpace
-) -> None:
-    """Warn of labels that a file of names lacks, but for that of points without a label.
+def _labels_without_name(mapping: Path, point_counts: Mapping[int, int], space: LabelSpace) -> str:
+    """Return the doubt about labels that a file of names lacks, "" for none.
 
-    `points`: number of the points of each label that the file lacks.
+    `point_counts`: number of the points of each such label. That of points without a label needs
+    no name.
     """
-    labels = sorted(points.keys() - {space.learning_map_inv[0]})
-    if labels:
-        count = counted(sum(points[label] for label in labels), "point")
-        problem = f"{count} have labels without a name in {mapping}: {first_few(labels)}"
-        log.warning("%s: %s; they become unlabelled", path, problem)
+    labels = sorted(point_counts.keys() - {space.learning_map_inv[0]})
+    if not labels:
+        return ""
+    count = counted(sum(point_counts[label] for label in labels), "point")
+    problem = f"{count} have labels without a name in {mapping}: {first_few(labels)}"
+    return f"{problem}; they become unlabelled"
 
 
 def _read_annotation(path: Path, scan: Scan, space: LabelSpace) -> ToolLabels:

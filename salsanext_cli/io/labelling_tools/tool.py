@@ -34,11 +34,6 @@ class LabelledPoints:
     # Position of the sensor in metres, in the frame of the points, if they are registered to a map
     origin: Origin | None = None
 
-    @property
-    def name(self) -> str:
-        """Name in a folder of scans of all sequences; its words name the scan."""
-        return f"{self.sequence}_{self.stem}"
-
     def columns(self) -> dict[str, npt.NDArray[Any]]:
         """Return coordinates in metres and intensity, (N,) float32 each, as tools name them."""
         coordinates = dict(zip("xyz", self.scan.points.T, strict=True))
@@ -52,6 +47,7 @@ class ToolLabels:
     cloud: LabelledCloud  # Of M points
     meanings: LabelIds  # Of the ids in the cloud
     is_in_order: bool  # Whether the points are those of the scan, in their order
+    doubt: str = ""  # Why the meanings may be wrong, in words
 
 
 class LabellingTool(ABC):
@@ -60,6 +56,13 @@ class LabellingTool(ABC):
     name: ClassVar[str]  # On the command line, and of its folder in a data set
     saves: ClassVar[str]  # What it saves, in messages
     edits_in_place: ClassVar[bool] = False  # Whether it saves into the files that it got
+
+    def place_of(self, sequence: str, stem: str) -> str:
+        """Return the path of the files of a scan in the folder of the tool, without a suffix.
+
+        Its words name the scan. Two scans may have one place, such as `08_1_5`.
+        """
+        return f"{sequence}_{stem}"
 
     @abstractmethod
     def scan_files(self, scan: LabelledPoints, space: LabelSpace) -> Files:
@@ -80,6 +83,10 @@ class LabellingTool(ABC):
     @abstractmethod
     def recognises(self, path: Path) -> bool:
         """Return whether the tool saved a file with labels, or got it."""
+
+    def is_sure_of(self, path: Path) -> bool:
+        """Return whether a file that the tool recognises can be of no other program."""
+        return True
 
     def lacks_labels(self, path: Path) -> bool:
         """Return whether a point cloud is of the tool, which has the labels in another file."""

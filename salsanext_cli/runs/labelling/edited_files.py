@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -36,6 +37,8 @@ LABEL_ARRAY = ".npy"  # Suffix of a file with one label per point and no coordin
 LABEL_SUFFIXES = (".label", LABEL_ARRAY)  # In messages
 MAX_UNMATCHED = 0.01  # Largest share of the points of a cloud that are not in the scan
 ROUNDED_M = 0.05  # Below it, coordinates were probably rounded; other scans are farther away
+
+log = logging.getLogger(__name__)
 
 
 def find_edited(source: Path) -> list[Path]:
@@ -72,18 +75,16 @@ def scan_of_edited(path: Path, source: Path, scans: Sequence[ScanFile]) -> ScanF
     """Return the scan of an edited file: the only one, or the one named by its stem or by a word.
 
     `source` is the file or folder on the command line. If a folder above the file or a word of its
-    name is a sequence, only scans of that sequence count. A name may have `_` in place of dots.
+    name is a sequence, only scans of that sequence count. A name may have `_` in place of dots. A
+    whole name comes before its words, since scans may be named `1` and `1.5`.
     """
     if not is_folder(source) and len(scans) == 1:
         return scans[0]
     sequence = _sequence_of(path, source, {scan.sequence for scan in scans})
     within = [scan for scan in scans if sequence in (None, scan.sequence)]
-    words = _words(path.stem)
     fitting = [scan for scan in within if scan.stem == path.stem]
-    fitting = fitting or [scan for scan in within if scan.stem in words]
-    fitting = fitting or [scan for scan in within if scan.stem.replace(".", "_") in words]
-    if len(fitting) > 1:
-        fitting = [scan for scan in fitting if scan.sequence in words] or fitting
+    fitting = fitting or [scan for scan in within if path.stem in _names_in_tools(scan)]
+    fitting = fitting or _named_by_words(within, _words(path.stem))
     if len(fitting) == 1:
         return fitting[0]
     where = "" if sequence is None else f" in sequence {sequence}"
@@ -105,6 +106,21 @@ def _sequence_of(path: Path, source: Path, sequences: set[str]) -> str | None:
         if folder.name in sequences and (folder == top or top in folder.parents):
             return folder.name
     return None
+
+
+def _names_in_tools(scan: ScanFile) -> set[str]:
+    """Return the names that tools give the files of a scan, but for the stem of the scan itself."""
+    without_dots = scan.stem.replace(".", "_")
+    names = {without_dots, f"{scan.sequence}_{scan.stem}", f"{scan.sequence}_{without_dots}"}
+    return names - {scan.stem}
+
+
+def _named_by_words(scans: Sequence[ScanFile], words: set[str]) -> list[ScanFile]:
+    """Return the scans that a word names, those of a named sequence if any are."""
+    fitting = [scan for scan in scans if words & {scan.stem, scan.stem.replace(".", "_")}]
+    if len(fitting) == 1:
+        return fitting
+    return [scan for scan in fitting if scan.sequence in words] or fitting
 
 
 def _words(text: str) -> set[str]:
@@ -157,7 +173,7 @@ def read_edited(
         missing=int(transfer.missing.sum()),
         unmatched=len(transfer.unmatched),
         scalar=cloud.scalar,
-        tool="" if tool is None else tool.name,
+        tool=tool.name if tool is not None and tool.is_sure_of(path) else "",
     )
 
 
@@ -180,7 +196,11 @@ def _labels_of(
     """
     if tool is not None:
         labels = tool.read(path, scan, space)
-        return replace(labels, meanings=meanings) if meanings.is_stated else labels
+        if meanings.is_stated:
+            return replace(labels, meanings=meanings)
+        if labels.doubt:
+            log.warning("%s: %s", path, labels.doubt)
+        return labels
     is_cloud = _has_points(path)
     if is_cloud:
         cloud = LabelledCloud.read(path, scalar, scan.notes.frame)

@@ -9,11 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from salsanext_cli.core.errors import FormatError
+from salsanext_cli.core.errors import FormatError, UsageError
 from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
 from salsanext_cli.core.poses import POSES, Poses
 from salsanext_cli.core.records import Origin, Origins, Scan
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.core.wording import argument
 from salsanext_cli.io.files.reading import filled, present
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.formats.kitti_labels import read_labels
@@ -63,6 +64,7 @@ def write_for_tool(
     scans = [scan for scan in picked if _is_complete(data_set, scan)]
     if not scans:
         return
+    _require_places(tool, scans)
     folder = data_set.root / TOOL_FOLDER / tool.name
     space = label_space(data_set.root / LABEL_SPACE)
     _write_missing(data_set, folder, tool.common_files(space))
@@ -80,6 +82,19 @@ def write_for_tool(
         if all(scan.name in origins for scan in scans_of_sequence):
             poses = _translations([origins[scan.name] for scan in scans_of_sequence])
         _write_current(data_set, folder, tool.sequence_files(sequence, stems, poses))
+
+
+def _require_places(tool: LabellingTool, scans: Sequence[PickedScan]) -> None:
+    """Refuse scans that have one place in the folder of a tool."""
+    scan_at: dict[str, PickedScan] = {}
+    for scan in scans:
+        place = tool.place_of(scan.sequence, scan.scan)
+        other = scan_at.setdefault(place, scan)
+        if other is not scan:
+            problem = f"would write {other.name} and {scan.name} to the same files"
+            expected = f"one scan for {tool.name}/{place}"
+            hint = "choose another tool, or rename one of the scans and pick again"
+            raise UsageError(f"{argument('tool')} {tool.name}", problem, expected, hint)
 
 
 def _is_complete(data_set: PickedDataSet, scan: PickedScan) -> bool:

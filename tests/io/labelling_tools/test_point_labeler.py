@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from picked_for_tools import SEQUENCES, PickedForTool
-from scans import SMALL, files_below
+from scans import SMALL, files_below, refused
 
 from salsanext_cli import read_scan
+from salsanext_cli.core.errors import UsageError
 from salsanext_cli.io.labelling_tools.point_labeler import APART_M, PointLabeler
 from salsanext_cli.runs.labelling.tool_files import SensorPositions
 
@@ -117,6 +118,48 @@ def test_names_with_dots_have_files_that_the_tool_pairs(picked):
     found = picked.import_from(path, overwrite=True)
     assert (found.failures, [entry.scan for entry in found.scans]) == ([], ["09/1700.25"])
     np.testing.assert_array_equal(picked.labels(scan), picked.corrected(scan))
+
+
+def rename(picked, number, stem):
+    """Give a scan of the data set another stem."""
+    sequence, old = picked.scans[number]
+    for suffix, folder in ((".bin", "velodyne"), (".label", "labels")):
+        path = picked.root / "sequences" / sequence / folder / f"{old}{suffix}"
+        path.rename(path.with_name(f"{stem}{suffix}"))
+    picked.scans[number] = (sequence, stem)
+    picked.before[sequence, stem] = picked.before.pop((sequence, old))
+
+
+def test_labels_come_back_to_the_scan_with_a_dot_beside_one_without(picked):
+    """Both have as many points, so that only the names tell them apart."""
+    rename(picked, 0, "1")
+    rename(picked, 1, "1.5")
+    picked.write()
+    scan = ("08", "1.5")
+    path = picked.folder / "08/labels/1_5.label"
+    path.write_bytes(picked.corrected(scan).astype("<u4").tobytes())
+    found = picked.import_from(picked.folder, overwrite=True)
+    assert "08/1.5" in {entry.scan for entry in found.scans}
+    np.testing.assert_array_equal(picked.labels(scan), picked.corrected(scan))
+    np.testing.assert_array_equal(picked.labels(("08", "1")), picked.before["08", "1"])
+
+
+def test_scans_with_one_name_in_the_tool_are_refused_before_a_file_is_written(picked):
+    rename(picked, 0, "a.b")
+    rename(picked, 1, "a_b")
+    refused(UsageError, "tool point-labeler", picked.write)
+    assert not picked.folder.exists()
+
+
+def test_label_files_are_of_the_tool_only_in_its_folder(picked, tmp_path):
+    picked.write()
+    path = picked.folder / "08/labels/000011.label"
+    elsewhere = tmp_path / "edited/08/000011.label"
+    elsewhere.parent.mkdir(parents=True)
+    elsewhere.write_bytes(picked.corrected(SCAN).astype("<u4").tobytes())
+    for edited, tool in ((elsewhere, ""), (path, "point-labeler")):
+        (scan,) = picked.import_from(edited, overwrite=True).scans
+        assert scan.tool == tool
 
 
 def test_poses_are_in_the_order_of_the_files():

@@ -111,7 +111,9 @@ def test_ranges_and_labels_without_a_name(picked, edited, caplog):
     assert f"{POINTS // 4} points have labels without a name in {mapping}: 3;" in caplog.text
     np.testing.assert_array_equal(picked.labels(SCAN), np.where(np.isin(labels, [1, 2]), 10, 0))
     (edited / "map.yaml").write_text("0: 0\n1: road\n2: road\n3: road\n")
+    caplog.clear()
     assert picked.import_from(edited, ids=edited / "map.yaml").failures == []
+    assert "without a name" not in caplog.text, "the map names all labels"
     np.testing.assert_array_equal(picked.labels(SCAN), np.where(labels == 0, 0, 40))
 
 

@@ -49,6 +49,35 @@ def test_names_and_folders_determine_the_scan(edited):
         assert belongs(edited / name, edited) == expected
 
 
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("08/1_5.label", "08/1.5"),
+        ("08_1_5.label", "08/1.5"),
+        ("08_1.5.pcd", "08/1.5"),
+        ("08/1.label", "08/1"),
+        ("08_1.pcd", "08/1"),
+    ],
+)
+def test_a_whole_name_with_lines_in_place_of_dots_comes_before_its_words(edited, name, expected):
+    assert belongs(edited / name, edited, scans_of("08/1", "08/1.5")) == expected
+
+
+@pytest.mark.parametrize(
+    ("name", "scans"),
+    [
+        ("1_5.pcd", ("08/1.5", "1/5")),
+        ("1_5.label", ("08/1.5", "1/1.5")),
+        ("08/1_5_9.label", ("08/1.5_9", "08/1_5.9")),
+        ("my 1_5.pcd", ("08/1", "08/1.5")),
+        ("08_1_5.pcd", ("08/1_5", "08_1/5")),
+    ],
+)
+def test_a_whole_name_of_several_scans_is_an_error(edited, name, scans):
+    with pytest.raises(LabelError):
+        belongs(edited / name, edited, scans_of(*scans))
+
+
 def test_a_name_of_no_scan_or_several_is_an_error(edited):
     for name, scans in (
         ("000010.ply", "00/000010, 08/000010"),
