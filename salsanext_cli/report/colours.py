@@ -94,6 +94,7 @@ def common_scales(
     -------
     dict
         The fixed scale of a colour, or the range of its values over `SCANS_FOR_SCALE` scans.
+        Colours without a value have none.
     """
     folder = ResultFolder(out)
     scales = dict[str, Scale]()
@@ -113,7 +114,11 @@ def common_scales(
             columns = picture_columns(folder.read(file, sensor), space)
             for colour in colours_of_values:
                 values[colour].append(columns[colour])
-    return scales | {name: value_range(np.concatenate(arrays)) for name, arrays in values.items()}
+    for name, arrays in values.items():
+        joined = np.concatenate(arrays)
+        if np.isfinite(joined).any():
+            scales[name] = value_range(joined)
+    return scales
 
 
 def require_colouring(

@@ -10,7 +10,7 @@ from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.texts import with_hint
-from salsanext_cli.core.wording import argument, setting
+from salsanext_cli.core.wording import argument
 from salsanext_cli.report.colours import (
     CLASS_COLOURS,
     Scale,
@@ -30,6 +30,14 @@ LEAST_INSIDE = 0.5  # Share of the values of scans that a scale should contain
 LEAST_USED = 0.1  # Share of a scale that they should use
 
 log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PictureScales:
+    """Scales of the pictures of a run by colour, and what its scans contain."""
+
+    used: Scales  # Values at equal steps along the colour map
+    ranges: Scales  # Ends of the values of the scans to draw; their fixed scale if there is one
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,7 +101,7 @@ def picture_scales(
     continued: PictureSettings | None,
     space: LabelSpace,
     sensor: Sensor,
-) -> Scales:
+) -> PictureScales:
     """Return the scale of each colour of values: requested, as recorded, or common to all scans.
 
     Parameters
@@ -115,40 +123,39 @@ def picture_scales(
 
     Returns
     -------
-    dict
-        Values at equal steps along the colour map, by colour.
+    PictureScales
     """
     values = [
         colour
         for colour in colours
         if colour not in CLASS_COLOURS and results.with_column(colour, scans)
     ]
-    scales: Scales = {}
+    ranges = common_scales(results.root, scans, values, space, sensor)
+    # A value that does not vary has no scale yet: pictures of other scans may need one.
+    used = {colour: ends for colour, ends in ranges.items() if ends[0] < ends[-1]}
     if scale is not None:
-        scales = dict.fromkeys(values, scale)
+        used = dict.fromkeys(colours, scale)
     elif continued is not None:
-        scales = dict(continued.scales or {})
-    unscaled = [colour for colour in values if colour not in scales]
-    return scales | common_scales(results.root, scans, unscaled, space, sensor)
+        used |= continued.scales or {}
+    return PictureScales(used=used, ranges=ranges)
 
 
-def warn_of_unfit_scales(out: Path, scales: Scales, scales_of_scans: Scales) -> None:
+def warn_of_unfit_scales(out: Path, scales: PictureScales) -> None:
     """Warn of scans whose values the scales of earlier pictures hardly show.
 
     Parameters
     ----------
     out : Path
         Folder of the pictures.
-    scales, scales_of_scans : dict
-        Scales of the earlier pictures, and those that the scans alone would have, by colour.
+    scales : PictureScales
+        Scales of the earlier pictures, and the ranges of the values of the scans.
     """
-    for colour, scale in scales.items():
-        values = scales_of_scans.get(colour, scale)
-        if not _fits(scale, values):
+    for colour, scale in scales.used.items():
+        values = scales.ranges.get(colour, scale)
+        if values[0] < values[-1] and not _fits(scale, values):
             text = f"{colour} of these scans is {values[0]:.3g} to {values[-1]:.3g}"
             problem = f"{text}, the earlier pictures have {scale[0]:.3g} to {scale[-1]:.3g}"
-            hint = f"draw them into another folder, or all again with {setting('overwrite', True)}"
-            log.warning("%s", with_hint(f"{out}: {problem}", hint))
+            log.warning("%s", with_hint(f"{out}: {problem}", "draw them into another folder"))
 
 
 def _fits(scale: Scale, values: Scale) -> bool:

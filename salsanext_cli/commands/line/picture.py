@@ -128,8 +128,10 @@ def _numbers(outcome: "PictureOutcome") -> summary.StageNumbers:
     from salsanext_cli.report.scan_pictures import UNITS
 
     ends = [
-        _scale_text(colour, scale, UNITS.get(colour, ""))
-        for colour, scale in outcome.scales.items()
+        _scale_text(
+            outcome.ranges.get(colour), outcome.scales.get(colour), colour, UNITS.get(colour, "")
+        )
+        for colour in outcome.ranges | outcome.scales
     ]
     images = dict.fromkeys(image_text(member) for member in outcome.sensor.members)
     lines = [f"image: {image}" for image in images]
@@ -138,14 +140,28 @@ def _numbers(outcome: "PictureOutcome") -> summary.StageNumbers:
     data = {
         "sensor": outcome.sensor.to_dict(NOISE),
         "scales": outcome.scales,
+        "ranges": outcome.ranges,
         "first": str(outcome.first),
     }
     return summary.StageNumbers(data=data, lines=lines if outcome.has_results else ())
 
 
-def _scale_text(colour: str, scale: Sequence[float], unit: str) -> str:
-    """Describe the scale of a colour: ``height -1.9 to 3.2 m``."""
-    low = scale[0]
-    high = scale[-1]
+def _scale_text(
+    values: Sequence[float] | None, scale: Sequence[float] | None, colour: str, unit: str
+) -> str:
+    """Describe the values of a colour, and its scale if that differs from their range.
+
+    ``height -1.9 to 3.2 m``, or ``height -1.9 to 3.2 m (scale 0 to 12 m)``.
+    """
+    texts = [_range_text(ends, unit) for ends in (values, scale) if ends is not None]
+    if len({*texts}) == 1:
+        return f"{colour} {texts[0]}"
+    return f"{colour} {texts[0]} (scale {texts[1]})"
+
+
+def _range_text(ends: Sequence[float], unit: str) -> str:
+    """Describe the ends of a range of values with their unit."""
+    low = ends[0]
+    high = ends[-1]
     values = f"{low:.3g} at most points" if low == high else f"{low:.3g} to {high:.3g}"
-    return f"{colour} {values} {unit}".strip()
+    return f"{values} {unit}".strip()

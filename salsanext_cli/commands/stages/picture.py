@@ -9,6 +9,7 @@ from typing import Final
 
 from salsanext_cli.commands.jobs.picture_task import (
     FOLDER,
+    PictureScales,
     PictureTask,
     drawn_colours,
     picture_scales,
@@ -28,8 +29,8 @@ from salsanext_cli.runs.loop.recorded_names import with_recorded_names
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.records.stage_settings import PictureSettings
-from salsanext_cli.runs.results.output_run import output_run
-from salsanext_cli.runs.results.paths import COLOURINGS, PREDICTION_STAGES
+from salsanext_cli.runs.results.output_run import OutputRun, output_run
+from salsanext_cli.runs.results.paths import COLOURINGS, PREDICTION_STAGES, ScanFile
 from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.results.result_folder import ChosenResults, ResultFolder
 from salsanext_cli.runs.results.scan_results import HEIGHT
@@ -52,6 +53,7 @@ class PictureOutcome(Outcome):
 
     sensor: Sensor  # Sensor of the range images
     scales: Scales  # Values at equal steps along the colour map, by colour
+    ranges: Scales  # Ends of the values of the drawn scans, by colour
     first: Path  # Picture of the first scan that has one
 
 
@@ -94,8 +96,8 @@ def picture(
         options=options,
     )
     sensor = run.recorded_sensor or fitted_view(chosen.scans, named_sensor("hdl64"))
-    scales = run.scales(sensor, COLOURINGS, run.continued)
-    settings = run.settings(scales, sensor, chosen.space)
+    scales = run.scales(sensor, COLOURINGS)
+    settings = run.settings(scales.used, sensor, chosen.space)
     return run.draw(settings, scales, sensor, record_scans=False)
 
 
@@ -112,9 +114,9 @@ def picture_scans(
 ) -> PictureOutcome:
     """Draw scans, which need no results, to `OUT/sequences/<seq>/pictures/*.png`.
 
-    All pictures of a folder have the same scales, so that they can be compared: those of the first
-    call. Scans with other values get a warning. Each call has a sensor of its own, so the record
-    contains only a requested one.
+    All pictures of a folder have the same scales, so that they can be compared. The scale of a
+    value is recorded when the value first varies. Scans with other values get a warning. Each call
+    has a sensor of its own, so the record contains only a requested one.
 
     Parameters
     ----------
@@ -169,11 +171,10 @@ def picture_scans(
         view=settings.fits_view,
         mounting=settings.fits_mounting,
     )
-    scales = run.scales(sensor, (HEIGHT, *COLOURINGS), run.continued)
+    scales = run.scales(sensor, (HEIGHT, *COLOURINGS))
     if run.continued is not None and scale is None:
-        scales_of_scans = run.scales(sensor, [*scales], None)
-        warn_of_unfit_scales(results.root, scales, scales_of_scans)
-    recorded = run.settings(scales, requested, requested_space)
+        warn_of_unfit_scales(results.root, scales)
+    recorded = run.settings(scales.used, requested, requested_space)
     return run.draw(recorded, scales, sensor, record_scans=True)
 
 
@@ -215,19 +216,24 @@ class PictureRun:
     def _origins(self) -> dict[str, str]:
         return self.results.manifest.origins(PREDICTION_STAGES)
 
-    def scales(
-        self, sensor: Sensor, possible: Sequence[str], continued: PictureSettings | None
-    ) -> Scales:
+    def _to_do(self) -> list[ScanFile]:
+        """Return the scans without a picture that this run continues."""
+        if self.continued is None:
+            return [*self.chosen.scans]
+        earlier = OutputRun(self.results.root, STAGE, folders=(FOLDER,))
+        return [scan for scan in self.chosen.scans if not earlier.is_done(scan)]
+
+    def scales(self, sensor: Sensor, possible: Sequence[str]) -> PictureScales:
         """Return the scales of the pictures, as of `picture_scales`.
 
         `possible`: colours that the pictures may have if none was requested.
         """
         return picture_scales(
             self.results,
-            self.chosen.scans,
+            self._to_do(),
             self.colours or possible,
             scale=self.scale,
-            continued=continued,
+            continued=self.continued,
             space=self.chosen.space,
             sensor=sensor,
         )
@@ -245,7 +251,12 @@ class PictureRun:
         )
 
     def draw(
-        self, settings: PictureSettings, scales: Scales, sensor: Sensor, *, record_scans: bool
+        self,
+        settings: PictureSettings,
+        scales: PictureScales,
+        sensor: Sensor,
+        *,
+        record_scans: bool,
     ) -> PictureOutcome:
         """Draw the scans.
 
@@ -253,8 +264,8 @@ class PictureRun:
         ----------
         settings : PictureSettings
             Settings to record.
-        scales : dict
-            Values at equal steps along the colour map, by colour.
+        scales : PictureScales
+            Scales of the pictures, and the ranges of the values of the scans.
         sensor : Sensor
             Sensor of the range images.
         record_scans : bool
@@ -276,7 +287,7 @@ class PictureRun:
         with run as output:
             task = PictureTask(
                 colours=colours,
-                scales=scales,
+                scales=scales.used,
                 space=chosen.space,
                 sensor=sensor,
                 output=output,
@@ -290,7 +301,8 @@ class PictureRun:
         return PictureOutcome.from_run(
             replace(outcome, missing=chosen.missing),
             sensor=sensor,
-            scales=scales,
+            scales=scales.used,
+            ranges=scales.ranges,
             first=_first_picture([output.path(scan, FOLDER) for scan in chosen.scans]),
         )
 

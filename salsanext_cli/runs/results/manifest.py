@@ -370,5 +370,5 @@ def require_same_settings(
     changed = differences(with_names(recorded), with_names(settings))
     if changed:
         overwrite = setting("overwrite", True)
-        hint = f"use another output folder, or {overwrite} to replace all its results"
+        hint = f"use another output folder, or {overwrite}, which first removes all its results"
         raise OutputError(path, f"was made with other settings: {changed}", hint=hint)

@@ -36,6 +36,7 @@ from salsanext_cli.runs.results.paths import (
     find_outputs,
     output_path,
 )
+from salsanext_cli.runs.results.setting_differences import with_new_scales
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -223,7 +224,7 @@ class OutputRun(OwnedFolder):
         `continued`: the earlier record with the same settings, which may hold the digests itself.
         """
         if continued and not names_files(continued.settings):
-            return continued.settings
+            return with_new_scales(continued.settings, new.settings)
         settings = with_files(new.settings, self.root)
         return continued.settings if continued else settings
 

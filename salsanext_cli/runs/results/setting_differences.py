@@ -37,13 +37,34 @@ DERIVED = ("accuracy", "guarantee", "inherited", "reject_by", "temperature", "tr
 
 
 def differences(recorded: Mapping[str, object], settings: Mapping[str, object]) -> str:
-    """Describe how recorded settings differ from others, arguments first; empty if they do not."""
+    """Describe how recorded settings differ from others, arguments first; empty if they do not.
+
+    Scales of values that only one of both has are no difference: they extend the record.
+    """
     before = dict(_flat(recorded))
     after = dict(_flat(settings))
-    changed = sorted(key for key in before.keys() | after if before.get(key) != after.get(key))
+    common = before.keys() & after.keys()
+    compared = [key for key in before.keys() | after if key in common or not _is_scale(key)]
+    changed = sorted(key for key in compared if before.get(key) != after.get(key))
     causes = [key for key in changed if key.partition(".")[0] not in DERIVED] or changed
     ordered = sorted(causes, key=lambda key: (key not in ARGUMENT_OF and key != "objects", key))
     return first_few([_difference(key, before.get(key), after.get(key)) for key in ordered])
+
+
+def with_new_scales(
+    recorded: Mapping[str, object], settings: Mapping[str, object]
+) -> Mapping[str, object]:
+    """Return recorded settings with the scales of values that had none before."""
+    scales = settings.get("scales")
+    if not isinstance(scales, dict):
+        return recorded
+    earlier = recorded.get("scales")
+    return {**recorded, "scales": scales | (earlier if isinstance(earlier, dict) else {})}
+
+
+def _is_scale(key: str) -> bool:
+    """Return whether a setting is the scale of one of several values."""
+    return key.startswith("scales.")
 
 
 def _difference(key: str, before: Any, after: Any) -> str:

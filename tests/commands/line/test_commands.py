@@ -75,6 +75,20 @@ def test_scans_are_drawn_before_any_result(run, data, tmp_path):
     assert Path(printed["first"]).read_bytes() == b"picture"
 
 
+def test_pictures_state_the_values_of_their_scans_and_the_scale(run, data, tmp_path):
+    first, second = sorted((data / "sequences/08/velodyne").iterdir())[:2]
+    points = np.fromfile(second, np.float32).reshape(-1, 4)
+    points[:, 2] = np.linspace(0, 1, len(points))
+    points[:, 3] = 0
+    points.tofile(second)
+    run("picture", first, tmp_path / "out", status=0)
+    drawn = run("picture", second, tmp_path / "out", status=0)
+    line = next(s for s in drawn.stderr.splitlines() if s.startswith("colours: "))
+    height, intensity = line.split("; ")[:2]
+    assert re.search(r"height 0\.01 to 0\.99 m \(scale -\S+ to \S+ m\)$", height)
+    assert re.fullmatch(r"intensity 0 at most points \(scale 0\S* to \S+\)", intensity)
+
+
 def test_the_picture_that_is_named_is_that_of_a_scan_that_did_not_fail(run, data, tmp_path):
     (data / "sequences/08/velodyne/000000.bin").write_bytes(b"x")
     printed = only_json(run("picture", data, tmp_path / "out", "--json", status=1))

@@ -202,6 +202,54 @@ def test_all_pictures_of_a_folder_have_one_scale(alone, tmp_path, caplog):
 
 
 @pytest.mark.usefixtures("plain")
+def test_a_scale_is_recorded_when_its_value_first_varies(tmp_path):
+    points = make_scan().points
+    intensities = {"without": 0 * points[:, 0], "low": points[:, 0] ** 2, "high": points[:, 1] ** 4}
+    for name, intensity in intensities.items():
+        write_scan(tmp_path / f"scans/{name}.bin", points, intensity)
+    outcomes = {
+        name: picture_scans(tmp_path / f"scans/{name}.bin", tmp_path / "out")
+        for name in intensities
+    }
+    assert "intensity" not in outcomes["without"].scales
+    assert outcomes["without"].ranges["intensity"] == (0, 0)
+    ends = {name: np.percentile(values, (1, 99)) for name, values in intensities.items()}
+    for name in ("low", "high"):
+        assert outcomes[name].scales["intensity"] == pytest.approx(ends["low"], rel=1e-5)
+        assert outcomes[name].ranges["intensity"] == pytest.approx(ends[name], rel=1e-5)
+    recorded = json.loads((tmp_path / "out/picture.json").read_text())["settings"]["scales"]
+    assert recorded == {name: [*scale] for name, scale in outcomes["high"].scales.items()}
+
+
+@pytest.mark.usefixtures("plain")
+def test_a_further_value_extends_the_scales_of_a_folder(labelled):
+    draw(labelled, selection=ONE)
+    path = labelled.result("uncertainty/entropy", "08", "000001")
+    write_array(path, np.linspace(0, 1, 1500, dtype=np.float32))
+    before = json.loads((labelled.out / "picture.json").read_text())["settings"]["scales"]
+    assert draw(labelled, selection=TWO).done == 2
+    after = json.loads((labelled.out / "picture.json").read_text())["settings"]["scales"]
+    assert after == before | {"entropy": pytest.approx([0.01, 0.99], abs=0.002)}
+
+
+@pytest.mark.usefixtures("plain")
+def test_scans_that_have_pictures_are_not_read_for_scales(alone, tmp_path, monkeypatch):
+    paths = [alone(name, make_scan().points) for name in ("a.bin", "b.bin")]
+    picture_scans(paths[0], tmp_path / "out")
+    measured = []
+    of_scans = task.common_scales
+
+    def noted(out, scans, *arguments):
+        measured.append([scan.stem for scan in scans])
+        return of_scans(out, scans, *arguments)
+
+    monkeypatch.setattr(task, "common_scales", noted)
+    for scans in (paths, paths):
+        picture_scans(scans, tmp_path / "out")
+    assert measured == [["b"], []]
+
+
+@pytest.mark.usefixtures("plain")
 def test_scans_have_the_sensor_that_is_requested(alone, tmp_path):
     path = alone("scan.bin", make_scan().points)
     narrow = NetworkSettings(width=256)
