@@ -94,6 +94,17 @@ def load_plug_ins(
     return accepted
 
 
+def plug_in_packages() -> list[str]:
+    """Return the names of all distributions with plug-ins, sorted, also of unusable ones."""
+    from importlib.metadata import entry_points
+
+    groups = [group for group in entry_points().groups if group.startswith("salsanext.")]
+    distributions: list[Any] = [
+        point.dist for group in groups for point in entry_points(group=group)
+    ]
+    return sorted({distribution.name for distribution in distributions})
+
+
 class _UnusablePlugInError(Exception):
     """A plug-in cannot be used; the text states why."""
 

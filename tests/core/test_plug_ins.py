@@ -20,6 +20,7 @@ from salsanext_cli.core.errors import FormatError, UsageError, WeightsError
 from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.network.registry import build, described, plugged_networks
 from salsanext_cli.core.notices import warn_once
+from salsanext_cli.core.plug_ins import plug_in_packages
 from salsanext_cli.io.formats import plugged_formats
 from salsanext_cli.io.formats.kitti_labels import read_labels
 from salsanext_cli.io.label_spaces import plugged_label_spaces
@@ -132,6 +133,10 @@ def test_a_format_of_40_lines_is_read_predicted_filtered_and_labelled(weights, t
     options = ("--label-space", "radian-two", "--json")
     called("import-labels", tmp_path / "edited", tmp_path / "rad", *options)
     np.testing.assert_array_equal(read_labels(tmp_path / "rad/labels/0.label"), edited)
+
+
+def test_the_packages_of_plug_ins_are_those_of_their_entry_points(plugged):
+    assert "radian-lidar" in plug_in_packages()
 
 
 def test_damage_belongs_to_one_scan(weights, tmp_path):

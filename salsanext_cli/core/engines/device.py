@@ -140,6 +140,12 @@ def float_of_precision(precision: str) -> str:
     return "bfloat16" if bfloat16_instructions() else "float32"
 
 
+def int8_arithmetic() -> str:
+    """Return in words what labels in int8 depend on, beside the network: they differ among CPUs."""
+    tiles = "tiles of bytes" if multiplies_tiles_of_bytes() else "no tiles of bytes"
+    return f"{float_of_precision('int8')} and {tiles}"
+
+
 def processor() -> str:
     """Return a text that identifies the instructions available to compiled code."""
     return f"{platform.machine()} {sorted(flags())} {_isa_limit()}"

@@ -12,12 +12,14 @@ import pickle
 import re
 import socket
 from collections.abc import Generator, Iterator, Sequence
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
 from salsanext_cli.core import wording
+from salsanext_cli.core.engines.device import int8_arithmetic
 from salsanext_cli.core.errors import UsageError, WorkersLost
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.optional_packages import import_extra
@@ -94,10 +96,12 @@ def attempts_of_cluster(
     process = WorkerProcess(
         run_id=uuid4().hex, mark=MARK.get(), folder=Path.cwd(), spelling=wording.used()
     )
+    has_gpu = uses_gpu(task)
+    task = task_of_nodes(task)
     work = Work(task=task, process=process, stop=options.on_error == "stop")
     most = task.max_chunk_scans if isinstance(task, OpenableTask) else MAX_CHUNK_SCANS
-    has_gpu = uses_gpu(task)
-    with node_requirements(scans, folders) as required, driver_process() as driver:
+    arithmetic = int8_arithmetic() if computes_int8(task) else ""
+    with node_requirements(scans, folders, arithmetic) as required, driver_process() as driver:
         assignment = Assignment(
             address=address,
             work=pickle.dumps(work),
@@ -178,6 +182,18 @@ def uses_gpu(task: Task) -> bool:
         hint = f"use {wording.setting('device', 'cuda')}; each worker gets a GPU"
         raise UsageError(subject, "names a GPU of one machine", hint=hint)
     return device != "cpu"
+
+
+def task_of_nodes(task: Task) -> Task:
+    """Return a task whose workers need a GPU if the network of this machine is on one."""
+    if not (isinstance(task, NetworkTask) and uses_gpu(task)):
+        return task
+    return replace(task, settings=replace(task.settings, device="cuda"))
+
+
+def computes_int8(task: Task) -> bool:
+    """Return whether a network computes in int8."""
+    return isinstance(task, NetworkTask) and task.settings.precision == "int8"
 
 
 def no_room(has_gpu: bool) -> str:

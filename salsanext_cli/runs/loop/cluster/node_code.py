@@ -17,6 +17,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+ARITHMETIC_HINT = "use nodes with CPUs of one kind, or another precision than int8"
 FOLDERS_HINT = "let all nodes see the same folders under the same paths"
 PACKAGE = "salsanext"
 THREAD_VARIABLES = (
@@ -75,11 +76,14 @@ class NodeRequirements:
         Files that a node must see as the main process does.
     folders : tuple of SharedFolder
         Folders of results.
+    int8_arithmetic : str
+        How the CPU of the main process computes int8; empty for other number types.
     """
 
     versions: dict[str, str]
     files: tuple[ReadableFile, ...] = ()
     folders: tuple[SharedFolder, ...] = ()
+    int8_arithmetic: str = ""
 
 
 def installed_versions(libraries: Iterable[str]) -> dict[str, str]:
@@ -102,6 +106,9 @@ def node_problem(required: NodeRequirements) -> NodeProblem | None:
     text = version_problem(required.versions, installed_versions(libraries))
     if text:
         return NodeProblem(text=text, hint=VERSIONS_HINT)
+    text = arithmetic_problem(required.int8_arithmetic)
+    if text:
+        return NodeProblem(text=text, hint=ARITHMETIC_HINT)
     for file in required.files:
         text = reading_problem(file)
         if text:
@@ -121,6 +128,16 @@ def version_problem(required: dict[str, str], installed: dict[str, str]) -> str:
             owned = f"{name} {actual}" if actual else f"no {name}"
             return f"has {owned}, not {expected or 'none'} as here"
     return ""
+
+
+def arithmetic_problem(required: str) -> str:
+    """Return in which other way the CPU of this node computes int8, in words."""
+    if not required:
+        return ""
+    from salsanext_cli.core.engines.device import int8_arithmetic
+
+    actual = int8_arithmetic()
+    return "" if actual == required else f"computes int8 with {actual}, not {required} as here"
 
 
 def reading_problem(file: ReadableFile) -> str:

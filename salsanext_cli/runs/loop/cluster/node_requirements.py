@@ -12,6 +12,7 @@ from pathlib import Path
 from uuid import uuid4
 
 from salsanext_cli.core.engines.registry import library_packages
+from salsanext_cli.core.plug_ins import plug_in_packages
 from salsanext_cli.runs.loop.cluster.node_code import (
     NodeRequirements,
     Probe,
@@ -27,7 +28,9 @@ RENEWAL_INTERVAL_S = 3600.0
 
 
 @contextmanager
-def node_requirements(scans: Sequence[ScanFile], folders: RunFolders) -> Iterator[NodeRequirements]:
+def node_requirements(
+    scans: Sequence[ScanFile], folders: RunFolders, arithmetic: str = ""
+) -> Iterator[NodeRequirements]:
     """Write the probes of a run, which are removed at the end of the body.
 
     Parameters
@@ -36,11 +39,13 @@ def node_requirements(scans: Sequence[ScanFile], folders: RunFolders) -> Iterato
         Scans to attempt, at least one.
     folders : RunFolders
         Folders that all nodes must share.
+    arithmetic : str
+        How all nodes must compute int8, as `NodeRequirements` has it.
 
     Yields
     ------
     NodeRequirements
-        Versions, the first scan, and the folders.
+        Versions, the first scan, the folders, and how int8 is computed.
     """
     written = {existing(folder) for folder in folders.writes}
     read = {existing(folder) for folder in folders.reads}
@@ -54,9 +59,10 @@ def node_requirements(scans: Sequence[ScanFile], folders: RunFolders) -> Iterato
             for folder in sorted(written | read)
         ]
         yield NodeRequirements(
-            versions=installed_versions(library_packages()),
+            versions=installed_versions([*library_packages(), *plug_in_packages()]),
             files=(_readable(existing(scans[0].path)),),
             folders=tuple(shared),
+            int8_arithmetic=arithmetic,
         )
 
 

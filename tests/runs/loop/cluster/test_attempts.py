@@ -171,3 +171,18 @@ def test_workers_of_a_network_on_gpus_get_one_each():
     assert attempts.uses_gpu(of("cuda"))
     assert attempts.uses_gpu(of("auto"))
     refused(UsageError, 'device="cuda:1"', attempts.uses_gpu, of("cuda:1"))
+    # A node whose torch finds no GPU cannot open the task, instead of computing on its CPU.
+    for device, expected in (("auto", "cuda"), ("cuda", "cuda"), ("cpu", "cpu")):
+        assert attempts.task_of_nodes(of(device)).settings.device == expected
+    assert attempts.task_of_nodes(len) is len
+
+
+def test_only_networks_in_int8_need_cpus_of_one_kind():
+    def of(precision):
+        return NetworkTask(job=len, settings=NetworkSettings(precision=precision))
+
+    assert [attempts.computes_int8(task) for task in (of("int8"), of("bfloat16"), len)] == [
+        True,
+        False,
+        False,
+    ]

@@ -12,6 +12,7 @@ import pytest
 from works import Write, scans_of
 
 from salsanext_cli.core import wording
+from salsanext_cli.core.engines import device
 from salsanext_cli.core.engines.registry import library_packages
 from salsanext_cli.core.errors import FormatError
 from salsanext_cli.io.files.atomic import GUARD, MARK
@@ -85,6 +86,21 @@ def test_what_cannot_be_read_or_written_is_named(required, tmp_path):
         assert problem.hint == node_code.FOLDERS_HINT
     problem = node_problem(replace(required, versions={"salsanext": "2.0"}))
     assert problem.hint == node_code.VERSIONS_HINT
+
+
+def test_another_arithmetic_of_int8_is_named(required, monkeypatch):
+    here = device.int8_arithmetic()
+    assert node_problem(replace(required, int8_arithmetic=here)) is None
+    others = set()
+    for floats, tiles in (([], False), (["avx512_bf16"], False), (["amx_bf16"], True)):
+        monkeypatch.setattr(device, "bfloat16_instructions", lambda floats=floats: floats)
+        monkeypatch.setattr(device, "multiplies_tiles_of_bytes", lambda tiles=tiles: tiles)
+        others.add(device.int8_arithmetic())
+        assert node_problem(required) is None
+        problem = node_problem(replace(required, int8_arithmetic="other"))
+        assert device.int8_arithmetic() in problem.text
+        assert problem.hint == node_code.ARITHMETIC_HINT
+    assert len(others) == 3
 
 
 @pytest.fixture

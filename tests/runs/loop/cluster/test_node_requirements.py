@@ -59,6 +59,14 @@ def test_a_node_with_another_folder_lacks_it(tmp_path, scans):
         assert f"cannot read {out}" in node_problem(required).text
 
 
+def test_nodes_need_the_plug_ins(scans, monkeypatch):
+    monkeypatch.setattr(node_requirements_module, "plug_in_packages", lambda: ["radian-lidar"])
+    with node_requirements(scans, RunFolders()) as required:
+        assert "radian-lidar" in required.versions
+        versions = {**required.versions, "radian-lidar": "1.0"}
+    assert "has no radian-lidar" in node_problem(replace(required, versions=versions)).text
+
+
 def test_files_of_other_runs_in_the_folder_may_change(tmp_path, scans):
     lock = tmp_path / ".lock"
     lock.write_bytes(b"")
