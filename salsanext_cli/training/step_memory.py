@@ -71,6 +71,11 @@ class StepMemory:
         """Estimated memory in bytes."""
         return self._bytes(self.images * self.columns)
 
+    @property
+    def room(self) -> int:
+        """Memory that should be available for a step, in bytes: more than the estimate."""
+        return math.ceil(self.needed / USED_SHARE)
+
     def _bytes(self, columns: int) -> int:
         """Return the estimate for all columns of the images together, and all sharing workers."""
         per_pixel = BYTES_PER_PIXEL[self.device, self.recipe.precision]

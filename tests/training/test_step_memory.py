@@ -76,4 +76,5 @@ def test_memory_that_others_use_is_a_warning(caplog):
     assert "use accumulate=4 " in caplog.text
     caplog.clear()
     step().require_fits(Memory(total=100 * GB, available=64 * GB))
+    step().require_fits(Memory(total=100 * GB, available=step().room))
     assert not caplog.text

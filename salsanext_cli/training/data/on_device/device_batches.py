@@ -72,7 +72,7 @@ class DeviceBatches:
         return batches_ahead(makers, self.device)
 
     def _made(self, maker: BatchMaker, keys: Sequence[SampleKey]) -> Batch:
-        """Return a batch; if the device is full, the scans leave it."""
+        """Return a batch; while the device is too full, scans leave it."""
         try:
             return maker.make(keys)
         except torch.OutOfMemoryError as error:
@@ -81,14 +81,14 @@ class DeviceBatches:
                 hint = f"use {setting('samples', 'workers')}, or set batch lower"
                 raise TrainingError("samples", problem, hint=hint) from error
         # The error, which holds memory, is gone here.
-        return maker.make(keys)
+        return self._made(maker, keys)
 
     def _scans_leave(self) -> bool:
-        """Move the scans from a GPU to its host; return whether there were any."""
+        """Move half of the scans from a GPU to its host; return whether there were any."""
         return self.device.type == "cuda" and self.store.move_to_host()
 
     def free_device(self) -> bool:
-        """Move the scans to the host; return whether they were on the device.
+        """Move half of the scans to the host; return whether there were any on the device.
 
         Workers that share a batch keep them, since the others cannot repeat the step.
         """

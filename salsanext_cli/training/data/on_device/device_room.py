@@ -60,7 +60,7 @@ class DeviceRoom:
         """Bytes of the device that stay free for steps and samples: half for unknown steps."""
         if self.step is not None:
             images = math.ceil(self.step.recipe.batch / self.workers)
-            return self.step.needed + images * BYTES_PER_IMAGE
+            return self.step.room + images * BYTES_PER_IMAGE
         memory = memory_of(str(self.device))
         return memory.total // 2 if memory else 0
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Labelled scans of a training, read once and kept in memory with 16-bit values."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -64,21 +65,24 @@ class ScanStore:
         return keys
 
     def move_to_host(self) -> bool:
-        """Move the scans from a GPU to its host; return whether there were any.
+        """Move half of the scans from a GPU to its host; return whether there were any.
+
+        Memory is free only when the last scan of a block has left it, so whole blocks move.
 
         Raises
         ------
         TrainingError
-            If the host has no room for all of them; then none has moved.
+            If the host has no room for them; then none has moved.
         """
-        moving = [
+        on_device = [
             (scans, key)
             for scans in (self.whole, self.pasted)
             for key, scan in scans.items()
             if scan.values.device.type != "cpu"
         ]
-        if not moving:
+        if not on_device:
             return False
+        moving = [on_device[i] for i in half_of_blocks([scans[key] for scans, key in on_device])]
         require_host_room(sum(len(scans[key]) for scans, key in moving))
         # A batch that was begun may still read them, on a stream of its own.
         torch.cuda.synchronize(self.memory.device)
@@ -93,6 +97,14 @@ class ScanStore:
         if self.rare is not None:
             is_rare = torch.from_numpy(self.rare)[scan.targets.long()]
             self.pasted[key] = self.memory.put(scan.values[is_rare], scan.targets[is_rare])
+
+
+def half_of_blocks(scans: Sequence[StoredScan]) -> list[int]:
+    """Return the indices of the scans in half of their blocks of memory, at least in one."""
+    block_of_scan = [scan.values.untyped_storage().data_ptr() for scan in scans]
+    blocks = [*dict.fromkeys(block_of_scan)]
+    chosen = {*blocks[: math.ceil(len(blocks) / 2)]}
+    return [i for i, block in enumerate(block_of_scan) if block in chosen]
 
 
 def half_scan(source: Source, file: ScanFile, sets: ClassSets) -> StoredScan:

@@ -61,7 +61,7 @@ def test_scans_may_fill_four_fifths_of_device_and_host(
     monkeypatch.setattr(device_room, "BYTES_PER_IMAGE", 10)
     monkeypatch.setattr(device_room, "bytes_of_scans", needed.get)
     # Each of two workers makes three images.
-    step = SimpleNamespace(needed=reserve - 30, recipe=Recipe(batch=5))
+    step = SimpleNamespace(room=reserve - 30, recipe=Recipe(batch=5))
     room = DeviceRoom(device=device, step=step, workers=2, workers_here=workers_here)
     assert room.has_room_for("first")
     assert not caplog.messages
@@ -80,5 +80,5 @@ def test_steps_have_what_they_need_or_half_of_the_device() -> None:
     step = StepMemory.from_recipe(Recipe(), SMALL, "cuda")
     assert step is not None
     images = DeviceRoom(device=CUDA, step=step, workers=5)
-    assert images.reserve == step.needed + 5 * device_room.BYTES_PER_IMAGE
+    assert images.reserve == step.room + 5 * device_room.BYTES_PER_IMAGE
     assert DeviceRoom(device=CUDA, step=None).reserve == 250

@@ -20,7 +20,7 @@ from salsanext_cli.training.data.on_device.scan_memory import (
     LEAST_HOST_RESERVE,
     ScanMemory,
 )
-from salsanext_cli.training.data.on_device.scan_store import ScanStore, half_values
+from salsanext_cli.training.data.on_device.scan_store import ScanStore, half_of_blocks, half_values
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.memory import Memory
 
@@ -89,6 +89,20 @@ def test_scans_that_the_host_cannot_hold_stay_on_the_device(monkeypatch) -> None
     refused(TrainingError, "memory", store.move_to_host)
     assert not store.memory.is_full
     assert {*store.whole.values(), *store.pasted.values()} == {stored}
+
+
+def test_half_of_the_blocks_leave_a_device_with_all_their_scans(monkeypatch) -> None:
+    monkeypatch.setattr(scan_memory, "BLOCK_POINTS", 10)
+    memory = ScanMemory(device=CPU)
+
+    def scan(count: int) -> StoredScan:
+        return memory.put(torch.zeros(count, 4).half(), torch.zeros(count, dtype=torch.uint8))
+
+    blocks = [[scan(4), scan(6)], [scan(7)], [scan(8), scan(1), scan(1)]]
+    for left, expected in ((3, 3), (2, 1), (1, 3)):
+        scans = [each for block in blocks[-left:] for each in block]
+        assert half_of_blocks(scans) == [*range(expected)]
+    assert half_of_blocks([]) == []
 
 
 def test_values_beyond_float16_are_no_measurements() -> None:
