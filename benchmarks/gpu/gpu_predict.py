@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Speed of whole runs of `predict` on a GPU, from files to label files, while there is time."""
 
+import math
 import os
 import tempfile
 import time
@@ -13,6 +14,7 @@ from benchmarks.gpu.gpu_measures import Figures
 from benchmarks.gpu.gpu_use import mean_text, utilisation
 from salsanext_cli.commands.stages.predict import PredictOutcome, predict_scans
 from salsanext_cli.core.sensors.sensor import Sensor
+from salsanext_cli.runs.loop.measured_workers import FIRST_SCANS
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
 
@@ -21,20 +23,32 @@ SECONDS_OF_RUN = 12.0  # Least time that is left for a run
 SHARE_OF_RUN = 0.5  # Largest share of the time that is left for the scans of a run
 SCANS_OF_WORKER = 256
 WORKERS_BY_DEFAULT = 8  # For which a run has scans whose workers are chosen by measurement
+WARM_SHARE = 4  # One of so many scans is not counted, since the network is loaded meanwhile
 FEWEST_SCANS = 8
 KIND = "predict, toolkit"  # Calls by which the time of a scan is expected
 
 
 class TimeOverError(Exception):
-    """No time is left for the scans of a run."""
+    """No time is left for the other scans of a run."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FolderRun:
-    """Run of `predict` over a folder: size of the batch and workers, None for the defaults."""
+    """Run of `predict` over a folder.
+
+    Attributes
+    ----------
+    batch : int, optional
+        Scans of a batch; None for the default.
+    jobs : int, optional
+        Workers; None for the default.
+    most_seconds : float
+        Seconds after which the run is ended.
+    """
 
     batch: int | None = None
     jobs: int | None = None
+    most_seconds: float = math.inf
 
     def name(self, sensor: Sensor) -> str:
         """Return the name of its figures."""
@@ -43,16 +57,22 @@ class FolderRun:
 
 
 class Countdown(FinishedScans[float]):
-    """Progress that notes when scans are finished, and ends a run when the time is over."""
+    """Progress that notes when scans are finished, and ends a run when the time is over.
 
-    def __init__(self, figures: Figures) -> None:
+    Parameters
+    ----------
+    end : float
+        End of the time, by `time.monotonic`.
+    """
+
+    def __init__(self, end: float) -> None:
         super().__init__(time.monotonic)
-        self.figures = figures
+        self.end = end
 
     def __call__(self, finished: int, scans: int) -> None:
         """Note the time; raise `TimeOverError` if none is left."""
         super().__call__(finished, scans)
-        if self.figures.left() < 0:
+        if time.monotonic() > self.end:
             raise TimeOverError
 
 
@@ -103,7 +123,8 @@ def measure_run(
     figures: Figures, name: str, settings: NetworkSettings, folder: Path, run: FolderRun
 ) -> float:
     """Measure a run over a folder; return the scans a second once it has started, 0 if none."""
-    finished = Countdown(figures)
+    end = min(figures.deadline, time.monotonic() + run.most_seconds)
+    finished = Countdown(end)
     options = RunOptions(jobs=run.jobs, progress=finished)
     outcome: PredictOutcome | None = None
     with tempfile.TemporaryDirectory() as out, utilisation(figures.device) as used:
@@ -122,9 +143,18 @@ def measure_run(
         figures.add(f"{name}, workers", outcome.workers or run.jobs or 1)
     figures.add(f"{name}, with its start", len(times) / elapsed, f"scans/s of {len(times)}")
     figures.add(f"{name}, GPU used", mean_text(used), "%")
-    warm = len(times) // 4  # Whole batches, which pay for loading the network
+    warm = len(times) // WARM_SHARE  # Whole batches
+    if outcome is not None and outcome.workers:
+        warm = FIRST_SCANS + 1  # The first scan of the workers tells that they have started.
+        start_s = times[FIRST_SCANS] - times[FIRST_SCANS - 1]
+        figures.add(f"{name}, start of the workers", start_s, "s")
     if warm == 0:
         return 0.0
-    rate = (len(times) - warm) / max(times[-1] - times[warm - 1], 1e-9)
+    rate = rate_after(times, warm)
     figures.add(f"{name}, the later scans", rate, "scans/s")
     return rate
+
+
+def rate_after(times: Sequence[float], warm: int) -> float:
+    """Return the scans a second after some that warm up, by the times of all in seconds."""
+    return (len(times) - warm) / max(times[-1] - times[warm - 1], 1e-9)

@@ -21,7 +21,7 @@ from pathlib import Path
 import torch
 
 from benchmarks.gpu.gpu_measures import Figures
-from benchmarks.gpu.gpu_training import STEPS, gpu_recipe, small_weights
+from benchmarks.gpu.gpu_training import STEPS, small_weights, street_recipe
 from benchmarks.gpu.gpu_use import mean_text, utilisation
 from benchmarks.weights.default_weights import (
     LABEL_SPACES,
@@ -159,7 +159,7 @@ def train(
     """Train weights until the figures' deadline, which includes all that comes before."""
     start, device, cores = time.monotonic(), torch.device(figures.device), os.cpu_count() or 1
     own = CHANGES | ({"batch": 2} if small else {}) | read_overrides(changes)
-    recipe = gpu_recipe(device, **own)
+    recipe = street_recipe(device, **own)
     weights = small_weights(scratch / "small.safetensors", weights) if small else weights
     sensor = read_card(weights).sensor
     module, card = initial_network(weights, label_space(), recipe, sensor)

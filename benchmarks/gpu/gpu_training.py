@@ -4,7 +4,7 @@
 import os
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import repeat
 from pathlib import Path
@@ -33,7 +33,6 @@ from salsanext_cli.training.learner import Learner, fastest_precision
 from salsanext_cli.training.recipe import Recipe, recipe
 
 WINDOWS = (256, 0)  # Columns of a window, 0 for the full circle
-BATCHES = (4, 16, 32, 64)
 SCENES = 4
 STEPS = 100_000
 """Steps of an epoch, more than any run takes."""
@@ -48,47 +47,103 @@ PAPER_ALONE = {
 }
 """Chances of the augmentations of the paper, without others."""
 DEVICE_SAMPLES: dict[str, dict[str, Any]] = {
-    "samples of the device, street, 64×512": {},
-    "samples of the device, street, 64×2048": {"widths": "2048"},
     "samples of the device, paper, 64×2048": {"widths": "2048", **PAPER_ALONE},
+    "samples of the device, street, 64×2048": {"widths": "2048"},
+    "samples of the device, street, 64×512": {},
 }
-"""Changes of the recipe `street` by name."""
+"""Changes of the recipe `street` by name, the most important first."""
 SMALL_SAMPLES: dict[str, dict[str, Any]] = {"samples of the device, small": {}}
 
 
+@dataclass(frozen=True, kw_only=True)
+class StepSize:
+    """Size of a step: windows of a batch, and columns of a window, 0 for the full circle."""
+
+    batch: int
+    width: int
+
+
+STEP_SIZES = (StepSize(batch=BATCH_OF_DEVICE, width=0), StepSize(batch=32, width=256))
+SMALL_STEP_SIZES = (StepSize(batch=2, width=0),)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Training:
+    """What learns, and the samples that it learns from."""
+
+    learner: Learner
+    samples: Samples
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trainings:
+    """Trainings with the recipe `street` on simulated scans.
+
+    Attributes
+    ----------
+    pool : ScenePool
+        The scans.
+    weights : Path
+        Weights that a training begins with.
+    device : torch.device
+        Device of the trainings.
+    """
+
+    pool: ScenePool
+    weights: Path
+    device: torch.device
+
+    def started(self, *, batch: int, width: int, **changes: Any) -> Training:
+        """Return a training with a batch, a width of windows, and other changes of the recipe."""
+        recipe = street_recipe(self.device, batch=batch, crop_width=width, **changes)
+        sources = [self.pool.source(kind) for kind in KINDS]
+        counts = count_classes(sources[0]).points.sum(axis=0)
+        scored = label_space().scored
+        module, card = initial_network(self.weights, label_space(), recipe, self.pool.sensor)
+        class_weight = class_weights(counts, scored, recipe.class_weight)
+        rare = rare_classes(counts, scored)
+        return Training(
+            learner=Learner(module, recipe, class_weight, self.device),
+            samples=Samples(sources=sources, sensor=card.sensor, recipe=recipe, rare=rare),
+        )
+
+
 def measure(figures: Figures, weights: Path, scratch: Path, *, small: bool = False) -> None:
-    """Measure steps on batches that are ready, loaders alone, and both together."""
+    """Measure samples of the device, a whole store, steps, and loaders alone and beside steps.
+
+    What was never measured comes first, since the time may end before the rest.
+    """
     device = torch.device(figures.device)
     weights = small_weights(scratch / "small.safetensors", weights) if small else weights
     sensor = read_card(weights).sensor
     pool = ScenePool(scratch / "training", sensor, scans=2 if small else 8, validation=0)
     for number in range(2 if small else SCENES):
         pool.make(number)
-    widths, sizes = ((0,), (2,)) if small else (WINDOWS, BATCHES)
-    for width in widths:
-        for batch in sizes:
-            name = f"step on the device, width {width or sensor.width}, batch {batch}"
-            if figures.has_time_for(name, 3):
-                measure_steps(figures, name, learning(pool, weights, device, batch, width))
-    cores, batch = os.cpu_count() or 1, min(sizes[-1], BATCH_OF_LOADERS)
+    trainings = Trainings(pool=pool, weights=weights, device=device)
     seconds = 1.0 if small else SECONDS_OF_LOADERS
+    batch_of_device = 2 if small else BATCH_OF_DEVICE
     for name, changes in (SMALL_SAMPLES if small else DEVICE_SAMPLES).items():
         if figures.has_time_for(name, 4 * seconds):
-            batch_of_device = min(sizes[-1], BATCH_OF_DEVICE)
-            how = learning(pool, weights, device, batch_of_device, 0, **changes)
-            measure_device_samples(figures, name, *how, seconds)
-    name = "store of a whole training"
-    if figures.has_time_for(name, 6 * seconds):
-        changes = next(iter(SMALL_SAMPLES.values())) if small else {"widths": "2048"}
-        batch_of_device = min(sizes[-1], BATCH_OF_DEVICE)
-        how = learning(pool, weights, device, batch_of_device, 0, **changes, **PAPER_ALONE)
-        measure_store(figures, how[1], scratch / "store", 4 if small else SCANS)
+            training = trainings.started(batch=batch_of_device, width=0, **changes)
+            measure_device_samples(figures, name, training, seconds)
+    if figures.has_time_for("store of a whole training", 6 * seconds):
+        full_width = {} if small else {"widths": "2048"}
+        changes = {**full_width, **PAPER_ALONE}
+        training = trainings.started(batch=batch_of_device, width=0, **changes)
+        measure_store(figures, training.samples, scratch / "store", 4 if small else SCANS)
+    for size in SMALL_STEP_SIZES if small else STEP_SIZES:
+        name = f"step on the device, width {size.width or sensor.width}, batch {size.batch}"
+        if figures.has_time_for(name, 3):
+            training = trainings.started(batch=size.batch, width=size.width)
+            measure_steps(figures, name, training)
+    cores = os.cpu_count() or 1
+    batch_of_loaders = 2 if small else BATCH_OF_LOADERS
     for loaders in (1,) if small else (cores // 4, cores // 2, cores - 2):
-        for width in widths:
+        for width in (0,) if small else WINDOWS:
             name = f"{loaders} loaders, width {width or sensor.width}"
             if figures.has_time_for(name, 4 * seconds):
-                how = learning(pool, weights, device, batch, width)
-                measure_loaders(figures, name, *how, loaders, seconds)
+                training = trainings.started(batch=batch_of_loaders, width=width)
+                measure_loaders(figures, name, training, loaders, seconds)
 
 
 def small_weights(path: Path, weights: Path) -> Path:
@@ -101,33 +156,19 @@ def small_weights(path: Path, weights: Path) -> Path:
     return path
 
 
-def learning(
-    pool: ScenePool, weights: Path, device: torch.device, batch: int, width: int, **changes: Any
-) -> tuple[Learner, Samples]:
-    """Return what the recipe `street` trains with, and its samples."""
-    how = gpu_recipe(device, batch=batch, crop_width=width, **changes)
-    sources = [pool.source(kind) for kind in KINDS]
-    counts = count_classes(sources[0]).points.sum(axis=0)
-    scored = label_space().scored
-    module, card = initial_network(weights, label_space(), how, pool.sensor)
-    learner = Learner(module, how, class_weights(counts, scored, how.class_weight), device)
-    return learner, Samples(
-        sources=sources, sensor=card.sensor, recipe=how, rare=rare_classes(counts, scored)
-    )
-
-
-def gpu_recipe(device: torch.device, **changes: Any) -> Recipe:
+def street_recipe(device: torch.device, **changes: Any) -> Recipe:
     """Return the recipe `street` as one epoch of `STEPS` steps, with some changes."""
-    how = recipe("street").with_changes(**changes)
-    whole = {"epochs": 1, "samples_per_epoch": STEPS * how.batch}
-    precision = fastest_precision(device) if how.precision == "auto" else how.precision
-    return how.with_changes(**whole, precision=precision)
+    street = recipe("street").with_changes(**changes)
+    is_automatic = street.precision == "auto"
+    precision = fastest_precision(device) if is_automatic else street.precision
+    samples = STEPS * street.batch
+    return street.with_changes(epochs=1, samples_per_epoch=samples, precision=precision)
 
 
-def measure_steps(figures: Figures, name: str, how: tuple[Learner, Samples]) -> None:
+def measure_steps(figures: Figures, name: str, training: Training) -> None:
     """Measure steps on one batch: windows a second, and milliseconds of each part of a step."""
-    learner, samples = how
-    images, truth = next(batches(samples, 0, pinned=figures.device != "cpu"))
+    learner = training.learner
+    images, truth = next(batches(training.samples, 0, pinned=figures.device != "cpu"))
     steps = iter(range(STEPS))
 
     def step() -> None:
@@ -162,11 +203,11 @@ def measure_steps(figures: Figures, name: str, how: tuple[Learner, Samples]) -> 
 
 
 def measure_loaders(
-    figures: Figures, name: str, learner: Learner, samples: Samples, loaders: int, seconds: float
+    figures: Figures, name: str, training: Training, loaders: int, seconds: float
 ) -> None:
     """Measure windows a second that loaders deliver, and those that are learnt from beside."""
     pinned = figures.device != "cpu"
-    stream = batches(samples, 0, loaders, pinned=pinned)
+    stream = batches(training.samples, 0, loaders, pinned=pinned)
     windows = len(next(stream)[0])
     for _ in range(2 * loaders):  # Those that are ready
         next(stream)
@@ -175,25 +216,25 @@ def measure_loaders(
     with utilisation(figures.device) as used:
 
         def step(number: int, batch: Batch) -> None:
-            learner.step(batch[0], batch[1], number, STEPS)
+            training.learner.step(batch[0], batch[1], number, STEPS)
 
         rate = windows * rate_of(figures, stream, seconds, step)
     figures.add(f"{name}, training", rate, "windows/s")
     figures.add(f"{name}, GPU used", mean_text(used), "%")
 
 
-def measure_device_samples(
-    figures: Figures, name: str, learner: Learner, samples: Samples, seconds: float
-) -> None:
+def measure_device_samples(figures: Figures, name: str, training: Training, seconds: float) -> None:
     """Measure images a second that the device makes, those that it makes and learns from.
 
     The last figure is the share of the speed on batches that are ready.
     """
+    learner, samples = training.learner, training.samples
     memory = ScanMemory(device=learner.device)
     store = ScanStore(memory=memory, rare=samples.rare, jobs=os.cpu_count() or 1)
     begun = time.monotonic()
     keys = store.read(samples.sources)
-    figures.add(f"{name}, scans read", len(keys) / (time.monotonic() - begun), "scans/s")
+    elapsed = time.monotonic() - begun
+    figures.add(f"{name}, scans read", len(keys) / elapsed, "scans/s")
     source = DeviceBatches(samples=samples, store=store, device=learner.device)
     stream = source.batches(0)
     ready = next(stream)

@@ -9,11 +9,13 @@ import time
 
 import pytest
 
-from benchmarks.gpu import tests_in_time
+from benchmarks.gpu import gpu_predict, tests_in_time
 from benchmarks.gpu.gpu_measures import NETWORK, Figures
-from benchmarks.gpu.gpu_predict import Countdown, TimeOverError
+from benchmarks.gpu.gpu_predict import Countdown, FolderRun, TimeOverError
 from benchmarks.gpu.gpu_use import mean_text, read_numbers, started, utilisation
 from benchmarks.processes import ROOT
+from salsanext_cli.commands.stages.predict import PredictOutcome
+from salsanext_cli.runs.loop.measured_workers import FIRST_SCANS
 
 TESTS = "def test_first():\n    raise AssertionError\n"
 
@@ -45,14 +47,32 @@ def test_a_call_is_timed_once_when_no_time_is_left(tmp_path):
     assert found.paces["kind"] == pytest.approx(0.01 / 4, rel=1.0)
 
 
-def test_a_run_over_a_folder_ends_with_its_time(tmp_path):
-    countdown = Countdown(figures(tmp_path, 60.0))
+def test_a_run_over_a_folder_ends_with_its_time():
+    countdown = Countdown(time.monotonic() + 60.0)
     countdown(0, 9)
     countdown(1, 9)
-    countdown.figures.deadline = 0.0
+    countdown.end = 0.0
     with pytest.raises(TimeOverError):
         countdown(2, 9)
     assert countdown.counts == [1, 2]
+
+
+def test_the_rate_of_workers_is_without_their_start(tmp_path, monkeypatch):
+    """100 scans a second in one process, a start of 11 s, then 500 a second."""
+    alone = [0.01 * number for number in range(1, FIRST_SCANS + 1)]
+    times = alone + [alone[-1] + 11 + 0.002 * number for number in range(500)]
+
+    def predict_scans(*_, options, **__):
+        options.progress.readings += times
+        return PredictOutcome(skipped=0, failures=(), done=len(times), workers=8)
+
+    monkeypatch.setattr(gpu_predict, "predict_scans", predict_scans)
+    measured = figures(tmp_path, 60.0)
+    rate = gpu_predict.measure_run(measured, "run", None, tmp_path, FolderRun())
+    assert rate == pytest.approx(500)
+    values = {row["name"]: row["value"] for row in measured.rows}
+    assert values["run, workers"] == 8
+    assert values["run, start of the workers"] == pytest.approx(11)
 
 
 @pytest.mark.slow
