@@ -4,7 +4,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-MAX_NAMES_SHOWN = 3  # Files or scans that a message names
+MAX_LISTED_NAMES = 3  # Files or scans that a message names
 LIKE = 0.6  # Least likeness of two words, as `difflib` measures it, of which one may mean the other
 SHOWN_CHARACTERS = 100  # Longest text of a wrong value in an error
 UNDECODED = {code: f"\\x{code & 0xFF:02x}" for code in range(0xDC80, 0xDD00)}
@@ -59,9 +59,9 @@ def percentage(share: float, decimals: int = 1, *, figures: int | None = None) -
 
 
 def first_few(names: Sequence[object]) -> str:
-    """Return the first `MAX_NAMES_SHOWN` names and the number of further ones."""
-    more = len(names) - MAX_NAMES_SHOWN
-    listed = ", ".join(map(str, names[:MAX_NAMES_SHOWN]))
+    """Return the first `MAX_LISTED_NAMES` names and the number of further ones."""
+    more = len(names) - MAX_LISTED_NAMES
+    listed = ", ".join(map(str, names[:MAX_LISTED_NAMES]))
     return f"{listed} and {more} more" if more > 0 else listed
 
 

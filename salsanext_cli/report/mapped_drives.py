@@ -67,7 +67,11 @@ def drive_maps(run: RunResults) -> DriveMaps:
     problems: list[str] = []
     for sequence, members in groupby(files, lambda file: file.sequence):
         try:
-            drawn = _drive_map(run.reader, sequence, list(members))
+            with_results = list(members)
+            missing = [file for file in run.missing.scans if file.sequence == sequence]
+            if len(with_results) + len(missing) < LEAST_SCANS:
+                continue  # A view of so few scans was not asked for
+            drawn = _drive_map(run.reader, sequence, with_results)
             if drawn is not None:
                 maps.append(drawn)
         except SalsanextError as error:
@@ -91,7 +95,7 @@ def _drive_map(reader: ScanComparison, sequence: str, files: Sequence[ScanFile])
         return None
     chosen = evenly_spaced([file for file in files if file.stem in poses], MAP_SCANS)
     if len(chosen) < LEAST_SCANS:
-        problem = f"has {counted(len(chosen), 'scan')} with results"
+        problem = f"has results of only {counted(len(chosen), 'scan')}"
         raise NoInputError(
             "the largest part whose poses connect", problem, f"at least {LEAST_SCANS}"
         )

@@ -107,7 +107,7 @@ def _score_picture(comparison: RunComparison, scores: Mapping[str, Difference]) 
     limit = 1.08 * max(farthest, LEAST_LIMIT)
     axes.set_xlim(-limit, limit)
     axes.set_xlabel("change in percentage points")
-    _head_columns(figure)
+    _head_columns(figure, with_intervals=has_intervals(comparison))
     names = f"from {run_name(comparison.before)} to {run_name(comparison.after)}"
     canvas.text_at(figure, 20, 52, names, 14, DARK)
     for line, text in enumerate(_notes(comparison)):
@@ -159,11 +159,11 @@ def _farthest(difference: Difference) -> float:
     return 100 * max(map(abs, ends))
 
 
-def _head_columns(figure: Figure) -> None:
+def _head_columns(figure: Figure, *, with_intervals: bool) -> None:
     """Write the headings of the numbers beside the rows."""
     left = NAMES_PX + AXES_PX
     canvas.text_at(figure, left + GAP_PX, HEADINGS_PX, "before → after, %", 12, DARK)
-    change = "change (interval)"
+    change = "change (interval)" if with_intervals else "change"
     canvas.text_at(figure, left + GAP_PX + SCORES_PX, HEADINGS_PX, change, 12, DARK)
 
 

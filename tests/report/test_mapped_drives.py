@@ -16,6 +16,7 @@ from salsanext_cli.report.mapped_drives import drive_maps
 from salsanext_cli.report.page.html import html_of
 from salsanext_cli.runs.drives.drive_record import drive_record
 from salsanext_cli.runs.results.query import ResultQuery
+from salsanext_cli.runs.results.scan_selection import ScanSelection
 
 STEMS = ("a", "b", "c", "d")
 PREDICTED = [CAR, ROAD, ROAD, 0]
@@ -89,12 +90,23 @@ def test_a_drive_without_a_map_has_its_reason_on_the_page(world, caplog):
         return text
 
     write_drive(folder, [0, 1, 2, 3])
-    assert "has 1 scan with results" in problem()
+    assert "has results of only 1 scan" in problem()
     write_drive(folder, [0, 0, 0, 0])
     poses.write_text("1 2 3\n")
     assert str(poses) in problem()
     poses.unlink()
     assert f"{poses}: is missing" in problem()
+
+
+def test_a_single_selected_scan_of_a_drive_has_neither_a_map_nor_a_problem(world):
+    write_drive(world.out / "sequences/08", [0, 0, 0, 0])
+    query = ResultQuery(world.dataset, ScanSelection(limit=1))
+    drawn = drive_maps(read_run(world.out, query=query)[0])
+    assert (drawn.maps, drawn.problems) == ([], [])
+    for path in sorted(world.out.rglob("*.label"))[1:]:
+        path.unlink()
+    (problem,) = drive_maps(run_of(world)).problems
+    assert "has results of only 1 scan" in problem
 
 
 def test_the_map_is_on_the_page(world):

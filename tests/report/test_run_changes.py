@@ -93,4 +93,6 @@ def test_few_scans_have_a_note_instead_of_intervals(comparison):
     axes = axes_of(few)
     notes = [text.get_text() for text in axes.figure.texts]
     assert FEW_PARTS in notes
+    assert "change" in notes
+    assert "change (interval)" not in notes
     assert not any("judged at once" in text or "interval excludes" in text for text in notes)

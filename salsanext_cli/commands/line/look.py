@@ -149,8 +149,8 @@ def view(
 def results_in(folder: Path) -> Path:
     """Return a folder of results; in a data set of `pick`, that of the picked scans."""
     from salsanext_cli.io.files.reading import is_folder, present
-    from salsanext_cli.runs.labelling.label_records import PICKED
     from salsanext_cli.runs.labelling.picked_data_set import PREDICTED
+    from salsanext_cli.runs.results.layouts import PICKED
 
     predicted = folder / PREDICTED
     return predicted if present(folder / PICKED) and is_folder(predicted) else folder

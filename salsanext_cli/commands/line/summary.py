@@ -10,7 +10,7 @@ import typer
 
 from salsanext_cli.commands.line.console import DONE, FAILED, Output, print_line
 from salsanext_cli.commands.line.progress import duration_text
-from salsanext_cli.core.texts import MAX_NAMES_SHOWN, counted, first_few, percentage, with_hint
+from salsanext_cli.core.texts import MAX_LISTED_NAMES, counted, first_few, percentage, with_hint
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -170,7 +170,7 @@ def print_failures(failures: tuple[Failure, ...]) -> None:
         problem = failure.reason.removeprefix(f"{failure.scan.path}: ")
         groups.setdefault((problem, failure.hint), []).append(failure)
     for (problem, hint), group in groups.items():
-        if len(group) > MAX_NAMES_SHOWN:
+        if len(group) > MAX_LISTED_NAMES:
             names_its_scan = problem != group[0].reason
             if names_its_scan:
                 # The path of a single scan was removed, so the scans are named.

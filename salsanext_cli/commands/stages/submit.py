@@ -11,7 +11,7 @@ from pathlib import Path, PurePosixPath
 from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
 from salsanext_cli.commands.jobs.label_checks import (
-    KnownProblem,
+    ClassifiedError,
     ProblemKind,
     SubmissionProblem,
     grouped_problems,
@@ -157,7 +157,7 @@ def submit(
             # Each file is checked and packed.
             progress(next(steps), 2 * len(required.names))
 
-    cases = [KnownProblem(kind=ProblemKind.MISSING, error=error) for error in required.missing]
+    cases = [ClassifiedError(kind=ProblemKind.MISSING, error=error) for error in required.missing]
     for name in required.names:
         if name in files:
             cases += label_problems(files[name], clouds.get(name), space)

@@ -26,14 +26,13 @@ from salsanext_cli.core.texts import counted
 from salsanext_cli.io.files.atomic import append_line
 from salsanext_cli.io.files.json_files import read_json
 from salsanext_cli.io.files.reading import fingerprint, present, reading
-from salsanext_cli.runs.results.layouts import SCAN_FOLDER
+from salsanext_cli.runs.results.layouts import PICKED, SCAN_FOLDER
 from salsanext_cli.runs.results.owned_folder import OwnedFolder, States
 from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.runs.results.selection import data_set_of
 from salsanext_cli.runs.summary.scan_summary import largest_classes
 from salsanext_cli.version import __version__
 
-PICKED = "pick.json"  # Record of `pick`
 PRE_LABELS = ("guesses", "pre_labels")  # Keys of the digests in it, of older versions and this one
 STAGE = "import-labels"
 IMPORTED = (f"{STAGE}.json", f"{STAGE}.jsonl")  # Record of older versions, and of this one

@@ -11,8 +11,8 @@ from operator import attrgetter
 from pathlib import Path
 
 from salsanext_cli.core.errors import FormatError, NoInputError
-from salsanext_cli.core.texts import MAX_NAMES_SHOWN, first_few
-from salsanext_cli.io.files.reading import is_folder
+from salsanext_cli.core.texts import MAX_LISTED_NAMES, first_few
+from salsanext_cli.io.files.reading import is_folder, present
 from salsanext_cli.io.formats import SCAN_SUFFIXES, is_table, scan_suffix, suffixes_in_words
 from salsanext_cli.io.formats.recording_kinds import RECORDING_SUFFIXES
 from salsanext_cli.io.formats.recordings import is_recording
@@ -23,8 +23,10 @@ from salsanext_cli.io.formats.unread import (
     folder_hint,
     unread_kind,
 )
+from salsanext_cli.io.labelling_tools.registry import TOOLS
 from salsanext_cli.runs.results.layouts import (
     LABEL_FOLDER,
+    PICKED,
     SCAN_FOLDER,
     TOOL_FOLDER,
     Layout,
@@ -184,6 +186,9 @@ def _subfolders(folder: Path, *, is_root: bool = False) -> list[Path]:
     """
     sequences = folder / "sequences"
     others = [folder / name for name in folders_in(folder) if name != LABEL_FOLDER]
+    if folder.name == TOOL_FOLDER and present(folder.parent / PICKED):
+        # Copies of the picked scans
+        others = [other for other in others if other.name not in TOOLS]
     if not is_folder(folder / FILE_LISTS):
         return others
     # Results of stages are no scans, but `convert`, `filter` and `synth` write data sets.
@@ -192,8 +197,7 @@ def _subfolders(folder: Path, *, is_root: bool = False) -> list[Path]:
     data_sets = [folder for folder in places if is_folder(folder)]
     if not is_root:
         return data_sets
-    copies = folder / TOOL_FOLDER  # Of picked scans, for labelling tools
-    return [other for other in others if other not in (sequences, copies)] + data_sets
+    return [other for other in others if other != sequences] + data_sets
 
 
 def usable(folders: Collection[ScanFolder]) -> list[ScanFolder]:
@@ -285,7 +289,7 @@ def _commands(source: Path, root: Path, folders: Iterable[ScanFolder]) -> str:
         if folder.path == root:
             word = f"{word}/*{min(folder.suffixes.values())}"
         words.append(f"salsanext predict {word} out")
-    return f"give one as SCANS: {'; or '.join(words[:MAX_NAMES_SHOWN])}"
+    return f"give one as SCANS: {'; or '.join(words[:MAX_LISTED_NAMES])}"
 
 
 def other_files_below(source: Path, search: FolderSearch) -> NoInputError | None:

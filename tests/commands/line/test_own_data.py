@@ -180,8 +180,8 @@ def test_a_submission_without_a_prediction_is_an_error(run, out, tmp_path):
     result = run("submit", "out", "a.zip", "--json")
     printed = only_json(result)
     assert (result.exit_code, printed["zip"]) == (1, None)
-    assert [problem["code"] for problem in printed["problems"]] == ["no-input"]
-    assert [case["subject"] for case in printed["problems"][0]["cases"]] == ["sequence 12"]
+    (problem,) = printed["problems"]
+    assert [(c["subject"], c["code"]) for c in problem["cases"]] == [("sequence 12", "no-input")]
     assert not (tmp_path / "a.zip").exists()
 
 

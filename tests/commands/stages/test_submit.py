@@ -117,8 +117,8 @@ def test_missing_predictions_are_one_problem(folders):
     for stem in ("000000", "000002"):
         folders.label("11", stem).unlink()
     folders.scan("11", "000000").unlink()
-    ((subject, (problem, case)),) = problems_by_subject(folders).items()
-    assert (subject, problem.code) == ("sequence 11", "no-input")
+    ((subject, (_, case)),) = problems_by_subject(folders).items()
+    assert (subject, case.code) == ("sequence 11", "no-input")
     assert "2 of 3 predictions: 000000, 000002" in case.problem
     assert "lacks 1 scan of it" in case.problem
 
@@ -151,9 +151,23 @@ def test_all_problems_are_listed_at_once(folders):
         f"  {four[0]}: has unknown ids 2",
         f"  {four[1]}: has unknown ids 3",
         f"  {four[2]}: has unknown ids 4",
+        f"hint: {unknown_ids.cases[0].hint}",
         "  and 1 more",
-        f"hint: {unknown_ids.hint}",
     ]
+
+
+def test_every_incomplete_sequence_is_listed_with_its_remedy(folders):
+    folders.scan("11", "000002").unlink()
+    for sequence in COUNTS:
+        folders.label(sequence, f"{COUNTS[sequence] - 1:06d}").unlink()
+    (problem,) = folders.submit().problems
+    first, *lines = problem.text.splitlines()
+    assert first == f"{len(COUNTS)} cases: predictions are missing"
+    assert [line.split(":")[0] for line in lines if not line.startswith("hint: ")] == [
+        f"  sequence {sequence}" for sequence in sorted(COUNTS)
+    ]
+    # The first sequence lacks a scan, too.
+    assert ["complete the data set" in line for line in (lines[1], lines[-1])] == [True, False]
 
 
 def test_predictions_of_other_scans_are_named_and_not_packed(folders, caplog):
@@ -182,7 +196,7 @@ def test_a_wrong_file_is_a_problem_and_nothing_written(folders, content, kind, p
     path = folders.label("21", "000001")
     path.write_bytes(bytes(content))
     ((subject, (found, case)),) = problems_by_subject(folders).items()
-    assert (subject, found.code) == (str(path), kind.code)
+    assert (subject, case.code) == (str(path), kind.code)
     assert problem in case.problem
     assert found.text.startswith(f"{path}: ")
     assert not folders.zip.parent.exists() or list(folders.zip.parent.iterdir()) == []
@@ -195,7 +209,7 @@ def test_an_incomplete_data_set_is_noticed(folders):
     for with_data in (True, False):
         (problem,) = folders.submit(with_data=with_data).problems
         assert [case.subject for case in problem.cases] == ["sequence 21"]
-        assert ("complete the data set" in problem.hint) == with_data
+        assert ("complete the data set" in problem.cases[0].hint) == with_data
 
 
 def test_nothing_is_replaced_unasked(folders):

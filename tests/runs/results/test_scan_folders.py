@@ -62,16 +62,25 @@ def test_scans_that_are_not_used_are_named_with_a_command(tmp_path, caplog, used
 
 
 def test_copies_for_labelling_tools_are_no_other_scans(tmp_path, caplog):
-    make_empty(tmp_path, "sequences/08/velodyne/1.bin", ".salsanext.files/host.tsv")
+    make_empty(tmp_path, "sequences/08/velodyne/1.bin", ".salsanext.files/host.tsv", "pick.json")
     make_empty(tmp_path, "tools/sse/08_1.pcd", "tools/point-labeler/08/velodyne/1.bin")
     with caplog.at_level(NOTICE):
         assert found(tmp_path) == ["08/1"]
     assert caplog.messages == []
-    (tmp_path / ".salsanext.files/host.tsv").unlink()
-    (tmp_path / ".salsanext.files").rmdir()
+    make_empty(tmp_path, "tools/mine/1.pcd")
+    with caplog.at_level(NOTICE):
+        assert found(tmp_path) == ["08/1"]
+    assert "tools/mine (1 .pcd)" in caplog.text
+    assert "tools/sse" not in caplog.text
+    (tmp_path / "pick.json").unlink()
     with caplog.at_level(NOTICE):
         assert found(tmp_path) == ["08/1"]
     assert "tools/sse (1 .pcd)" in caplog.text
+
+
+def test_scans_in_a_folder_of_tools_beside_results_are_scans(tmp_path):
+    make_empty(tmp_path, "tools/1.pcd", ".salsanext.files/host.tsv", "sequences/08/ply/1.ply")
+    assert found(tmp_path) == ["tools/1"]
 
 
 @pytest.mark.parametrize(
