@@ -231,9 +231,8 @@ def _attempts(
         match message:
             case FreePlaces(count=count):
                 free_places += count
-            case FinishedChunk(number=number, attempts=attempts):
-                queue.finish(number)
-                yield from unpacked(attempts)
+            case FinishedChunk():
+                yield from unpacked(queue, message)
             case LostWorker():
                 yield from failed_attempts(queue, message)
             case _:
@@ -242,24 +241,40 @@ def _attempts(
             free_places -= 1
             chunk = queue.send()
             scans = pickle.dumps(chunk.scans)
-            driver.send(PackedChunk(number=chunk.number, scans=scans, is_alone=chunk.is_alone))
+            packed = PackedChunk(
+                number=chunk.number,
+                scans=scans,
+                is_alone=chunk.is_alone,
+                owns_node=chunk.owns_node,
+                lost_on=chunk.lost_on,
+            )
+            driver.send(packed)
 
 
-def unpacked(content: bytes) -> list[Attempt[Any]]:
-    """Return the attempts of a worker; raise the exception that no user can correct."""
-    result = pickle.loads(content)  # noqa: S301 - of a worker of this run
-    if isinstance(result, Bug):
+def unpacked(queue: ChunkQueue, finished: FinishedChunk) -> list[Attempt[Any]]:
+    """Return the attempts of a worker.
+
+    After an exception that no user can correct, the chunk waits again, for another node if there
+    is one; a second one is raised.
+    """
+    result = pickle.loads(finished.attempts)  # noqa: S301 - of a worker of this run
+    if not isinstance(result, Bug):
+        queue.finish(finished.number)
+        return list(result.attempts)
+    if not queue.retry(finished.number, finished.node):
         raise result.noted()
-    return list(result.attempts)
+    error = type(result.error).__name__
+    log.warning("node %s: %s; another worker gets its scans", finished.node, error)
+    return []
 
 
 def failed_attempts(queue: ChunkQueue, lost: LostWorker) -> Iterator[Attempt[Any]]:
     """Let the chunks of a lost worker wait again; yield the attempt of a scan that has failed."""
-    lost_part = "the node was lost" if lost.is_node_lost else "a worker ended"
+    lost_part = "it cannot go on" if lost.is_node_lost else "a worker ended"
     log.warning("node %s: %s; other workers get its scans", lost.node, lost_part)
     fault = "lost its node three times" if lost.is_node_lost else "ended its worker twice"
     for number in reversed(lost.chunks):
-        scan = queue.lose(number, is_node_lost=lost.is_node_lost)
+        scan = queue.lose(number, is_node_lost=lost.is_node_lost, node=lost.node)
         if scan is not None:
             hint = f"it may need more memory; try it alone with {wording.setting('jobs', 1)}"
             error = WorkersLost(scan.path, fault, hint=hint)

@@ -12,7 +12,7 @@ from salsanext_cli.runs.results.paths import ScanFile
 MAX_LOSSES = 2
 """Lost workers that had only one scan after which that scan fails."""
 MAX_LOST_NODES = 3
-"""Lost nodes whose worker had only one chunk after which the chunk may be the cause."""
+"""Lost nodes whose worker had only one scan after which that scan fails."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,7 +30,13 @@ class SentChunk:
     losses : int
         Number of workers that were lost with this chunk alone.
     lost_nodes : int
-        Number of nodes that were lost while a worker had this chunk alone.
+        Number of nodes that were lost while a worker had this scan alone.
+    owns_node : bool
+        Whether no other worker of its node gets a chunk alone meanwhile: it may bring nodes down.
+    lost_on : str
+        Name of the node on which it was last lost or had an unexpected exception.
+    has_bug : bool
+        Whether it has had an unexpected exception.
     """
 
     number: int
@@ -38,6 +44,9 @@ class SentChunk:
     is_alone: bool = False
     losses: int = 0
     lost_nodes: int = 0
+    owns_node: bool = False
+    lost_on: str = ""
+    has_bug: bool = False
 
 
 class ChunkQueue:
@@ -73,7 +82,19 @@ class ChunkQueue:
         """Forget a chunk that was attempted."""
         del self._sent[number]
 
-    def lose(self, number: int, *, is_node_lost: bool = False) -> ScanFile | None:
+    def retry(self, number: int, node: str) -> bool:
+        """Let a chunk with an unexpected exception wait again; return False after a second one.
+
+        `node`: name of the node.
+        """
+        chunk = self._sent.pop(number)
+        if chunk.has_bug:
+            return False
+        again = replace(chunk, is_alone=True, lost_on=node, has_bug=True)
+        self._waiting.appendleft(again)
+        return True
+
+    def lose(self, number: int, *, is_node_lost: bool = False, node: str = "") -> ScanFile | None:
         """Let a chunk of a lost worker wait again: alone, and after a second loss in scans.
 
         Parameters
@@ -81,22 +102,25 @@ class ChunkQueue:
         number : int
             Number under which the chunk was sent.
         is_node_lost : bool
-            Whether the node of the worker is lost, which is no fault of a chunk until it happens
+            Whether the node of the worker is lost, which is no fault of a scan until it happens
             again and again.
+        node : str
+            Name of the node.
 
         Returns
         -------
         ScanFile, optional
             The scan that has ended its workers or nodes, which does not wait again.
         """
-        chunk = self._sent.pop(number)
+        chunk = replace(self._sent.pop(number), lost_on=node)
         if not chunk.is_alone:
             self._waiting.appendleft(replace(chunk, is_alone=True))
-        elif is_node_lost and chunk.lost_nodes + 1 < MAX_LOST_NODES:
-            self._waiting.appendleft(replace(chunk, lost_nodes=chunk.lost_nodes + 1))
         elif len(chunk.scans) > 1:
-            alone = [replace(chunk, scans=(scan,), lost_nodes=0) for scan in chunk.scans]
-            self._waiting.extendleft(reversed(alone))
+            owned = replace(chunk, owns_node=is_node_lost)
+            self._waiting.extendleft(replace(owned, scans=(scan,)) for scan in chunk.scans[::-1])
+        elif is_node_lost and chunk.lost_nodes + 1 < MAX_LOST_NODES:
+            again = replace(chunk, lost_nodes=chunk.lost_nodes + 1, owns_node=True)
+            self._waiting.appendleft(again)
         elif not is_node_lost and chunk.losses + 1 < MAX_LOSSES:
             self._waiting.appendleft(replace(chunk, losses=chunk.losses + 1))
         else:

@@ -15,7 +15,7 @@ from queue import Empty, SimpleQueue
 from typing import Any
 
 from salsanext_cli.runs.loop.cluster.error_lines import cause_line
-from salsanext_cli.runs.loop.cluster.members import Member, SuspectedLoss
+from salsanext_cli.runs.loop.cluster.members import Member, SuspectedLoss, idle_member
 from salsanext_cli.runs.loop.cluster.messages import (
     Alive,
     Assignment,
@@ -31,6 +31,7 @@ from salsanext_cli.runs.loop.cluster.node_code import VERSIONS_HINT, NodeProblem
 from salsanext_cli.runs.loop.cluster.worker_size import Node, WorkerSize
 
 CHECK_TIMEOUT_S = 60.0  # For all nodes to say what they lack
+MAX_LOSSES_OF_NODE = 4  # Workers that it loses without a finished chunk in between
 MAX_FAILED_STARTS = 3  # Workers of a node that end while they open the task
 NODE_INTERVAL_S = 2.0  # Between looks at the nodes
 OPEN_TIMEOUT_S = 600.0  # For a worker to open the task, which may compile a network
@@ -73,6 +74,7 @@ class Driver:
         self.alone: deque[PackedChunk] = deque()  # For which no worker is idle
         self.requested = 0  # Number of chunks that were asked for and have not arrived
         self.failed_starts: Counter[str] = Counter()  # By id of the node, "" where it is unknown
+        self.losses_of_node: Counter[str] = Counter()  # Since its last finished chunk, by id
         self.unusable: set[str] = set()  # Ids of nodes
         self.last_look = 0.0
         self.idle_since: float | None = time.monotonic()  # None while any worker is open
@@ -86,7 +88,8 @@ class Driver:
         nodes = self._nodes()
         self.size = self._fitting_size(nodes)
         usable = [node for node in nodes if self.size.places(node)]
-        checks = {node: self._check(node.id) for node in usable}
+        required = self.assignment.required
+        checks = {node: self.cluster.check(node.id, required) for node in usable}
         end = time.monotonic() + CHECK_TIMEOUT_S
         for node, checked in checks.items():
             try:
@@ -147,12 +150,13 @@ class Driver:
         self.names.update((node.id, node.name) for node in nodes)
         return nodes
 
+    def _listed(self) -> frozenset[str]:
+        """Return the ids of the live nodes."""
+        return frozenset(node.id for node in self.cluster.nodes())
+
     def _name(self, node: str) -> str:
         """Return the name of a node by its id, also of one that is no more."""
         return self.names.get(node, node)
-
-    def _check(self, node: str) -> "Future[NodeProblem | None]":
-        return self.cluster.check(node, self.assignment.required)
 
     def _report(self, node: str, problem: NodeProblem) -> UnusableNode:
         return UnusableNode(
@@ -197,7 +201,7 @@ class Driver:
         target = min(self.assignment.scans, places + spare)
         while len(self.members) < target:
             handle = self.cluster.start_worker(self.size, self.assignment.work, self.unusable)
-            member = Member(handle=handle)
+            member = Member(handle=handle, nodes=frozenset(node.id for node in nodes))
             self.members.append(member)
             self._then(self._call(member, "node"), partial(self._started, member))
 
@@ -209,6 +213,10 @@ class Driver:
             member.node = located.result()
         except self.cluster.LOSS_ERRORS as error:
             self._fail_start(member, cause_line(error))
+            return
+        if member.node in self.unusable:  # It was started before its node was left out.
+            self._remove(member)
+            self._start_workers()
             return
         member.located_at = time.monotonic()
         opening = self._call(member, "open", self.assignment.required)
@@ -237,9 +245,14 @@ class Driver:
         """Start another worker for one that ended before it could take chunks.
 
         After several on an unknown node, the run ends unless others work; the next start then waits
-        for the next look at the nodes.
+        for the next look at the nodes. A start on a node that is lost does not count, nor one on an
+        unknown node if any is lost.
         """
         self._remove(member)
+        places = {member.node} if member.node else member.nodes
+        if places - self._listed():
+            self._start_workers()
+            return
         self.failed_starts[member.node] += 1
         text = f"ends workers while they start: {problem}"
         failure = NodeProblem(text=text, hint=START_HINT)
@@ -286,10 +299,13 @@ class Driver:
         While a chunk waits for an idle worker, no other one is given, so that workers become idle.
         """
         members = self._open_members()
-        for member in members:
-            if self.alone and not member.chunks:
-                member.is_taken = True
-                self._give(member, self.alone.popleft())
+        for chunk in [*self.alone]:
+            idle = idle_member(members, chunk, self._name)
+            if idle:
+                self.alone.remove(chunk)
+                idle.is_taken = True
+                idle.owns_node = chunk.owns_node
+                self._give(idle, chunk)
         if self.alone:
             return
         while self.chunks and members:
@@ -307,7 +323,9 @@ class Driver:
         attempting = self._call(member, "attempt", chunk.number, chunk.scans)
         self._then(attempting, partial(self._attempted, member, chunk.number))
 
-    def _attempted(self, member: Member, number: int, attempting: Future[bytes]) -> None:
+    def _attempted(
+        self, member: Member, number: int, attempting: "Future[bytes | NodeProblem]"
+    ) -> None:
         """Pass on the attempts of a chunk, or the loss of its worker."""
         if number not in member.chunks:
             return  # The loss of its worker was noticed by another call.
@@ -316,43 +334,55 @@ class Driver:
         except self.cluster.LOSS_ERRORS:
             self._lose(member)
             return
+        if isinstance(attempts, NodeProblem):
+            self._lose(member, attempts)
+            return
         member.chunks.remove(number)
-        member.is_taken = False
-        self.send(FinishedChunk(number=number, attempts=attempts))
+        member.is_taken = member.owns_node = False
+        self.losses_of_node.pop(member.node, None)
+        name = self._name(member.node)
+        self.send(FinishedChunk(number=number, attempts=attempts, node=name))
         self._hand_out()
 
-    def _lose(self, member: Member) -> None:
-        """Report the loss of a worker and of its chunks, and start another one."""
+    def _lose(self, member: Member, problem: NodeProblem | None = None) -> None:
+        """Report the loss of a worker and of its chunks, and start another one.
+
+        `problem`: what its node lacks, so that the worker must not go on.
+        """
         chunks = tuple(member.chunks)
         member.chunks.clear()
         self._remove(member)
-        if member.is_taken:
+        self.losses_of_node[member.node] += 1
+        if problem:
+            name = self._name(member.node)
+            self.send(LostWorker(node=name, chunks=chunks, is_node_lost=True))
+        elif member.is_taken:
             end = time.monotonic() + CHECK_TIMEOUT_S
-            answer = self._check(member.node)
+            answer = self.cluster.check(member.node, self.assignment.required)
             loss = SuspectedLoss(node=member.node, chunks=chunks, answer=answer, end=end)
             self.losses.append(loss)
             self._then(answer, lambda _: self._report_losses())
         else:
             self.send(LostWorker(node=self._name(member.node), chunks=chunks))
-        if not self._open_members():
+        others = self._open_members()
+        if not others:
             self.idle_since = time.monotonic()
-        self._start_workers()
+        is_fatal = self.losses_of_node[member.node] >= MAX_LOSSES_OF_NODE
+        if is_fatal and any(other.node != member.node for other in others):
+            problem = NodeProblem(text="ends its workers", hint=START_HINT)
+        if problem:
+            self._leave_out(member.node, problem)
+        else:
+            self._start_workers()
 
     def _report_losses(self) -> None:
         """Report the losses whose nodes have answered, or had the time to."""
         now = time.monotonic()
         for loss in [loss for loss in self.losses if loss.answer.done() or now > loss.end]:
             self.losses.remove(loss)
-            is_lost = not (loss.answer.done() and self._lives(loss.answer))
             name = self._name(loss.node)
+            is_lost = loss.is_node_lost(self.cluster, self._listed())
             self.send(LostWorker(node=name, chunks=loss.chunks, is_node_lost=is_lost))
-
-    def _lives(self, answer: "Future[NodeProblem | None]") -> bool:
-        """Return whether the check of a node has an answer, even a bad one."""
-        error = answer.exception()
-        return not isinstance(error, self.cluster.LOSS_ERRORS) or isinstance(
-            error, self.cluster.RAISED_ERRORS
-        )
 
     def _remove(self, member: Member) -> None:
         self.members.remove(member)

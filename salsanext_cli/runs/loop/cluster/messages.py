@@ -45,6 +45,8 @@ class PackedChunk:
     number: int
     scans: bytes  # Pickled tuple of scans
     is_alone: bool = False  # Whether its worker gets no other chunk meanwhile
+    owns_node: bool = False  # Whether no other worker of its node gets a chunk alone meanwhile
+    lost_on: str = ""  # Name of a node that does not get it while there are others
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -113,6 +115,7 @@ class FinishedChunk:
 
     number: int
     attempts: bytes  # Pickled `AttemptedChunk` or `Bug`
+    node: str = ""  # Name
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,8 +129,7 @@ class LostWorker:
     chunks : tuple of int
         Numbers of its chunks. It may have attempted any of them.
     is_node_lost : bool
-        Whether its node is lost, too, as far as that matters: a chunk that was sent alone is not
-        the cause then.
+        Whether its node is lost or lacks something, which is found out if it had a chunk alone.
     """
 
     node: str

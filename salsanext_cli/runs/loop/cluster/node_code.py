@@ -199,6 +199,7 @@ class NodeWorker:
             os.environ[name] = str(threads)
         self.packed = work
         self.work: Any = None
+        self.required: NodeRequirements | None = None
         self.probes: list[Probe] = []  # Of the folders that it writes into
 
     def node(self) -> str:
@@ -212,6 +213,7 @@ class NodeWorker:
         problem = node_problem(required)
         if problem:
             return problem
+        self.required = required
         written = [folder for folder in required.folders if folder.is_written]
         self.probes = [folder.probe for folder in written if folder.probe]
         try:
@@ -229,10 +231,11 @@ class NodeWorker:
             )
         return None
 
-    def attempt(self, number: int, scans: bytes) -> bytes:
+    def attempt(self, number: int, scans: bytes) -> bytes | NodeProblem:
         """Attempt a pickled chunk with a number; return the pickled attempts, or a `Bug`.
 
-        This process ends if the run has ended, so that it writes into no folder of a later run.
+        After a failure, return what this node lacks by now, which may be the cause. This process
+        ends if the run has ended, so that it writes into no folder of a later run.
         """
         from salsanext_cli.io.files.atomic import GUARD
         from salsanext_cli.runs.loop.cluster.bug import Bug
@@ -240,7 +243,12 @@ class NodeWorker:
         GUARD.set(self.require_run)
         try:
             chunk = pickle.loads(scans)  # noqa: S301 - of the driver of this worker
-            return pickle.dumps(self.work.attempt(chunk, number))
+            attempted = self.work.attempt(chunk, number)
+            if self.required and any(attempt.error for attempt in attempted.attempts):
+                problem = node_problem(self.required)
+                if problem:
+                    return problem
+            return pickle.dumps(attempted)
         except SystemExit:
             os._exit(1)  # noqa: TID251
         except Exception as error:  # noqa: BLE001 - the main process raises it

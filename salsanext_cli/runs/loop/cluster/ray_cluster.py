@@ -25,6 +25,8 @@ LOSS_ERRORS = (ray.exceptions.RayError,)
 """Errors of calls whose worker, or result, is lost."""
 RAISED_ERRORS = (ray.exceptions.RayTaskError,)
 """Errors among these of calls whose own code has raised an exception."""
+NODE_ERRORS = (ray.exceptions.NodeDiedError, ray.exceptions.TaskUnschedulableError)
+"""Errors among these of calls on a node that is lost."""
 CONNECTION_ERRORS = (ConnectionError, ray.exceptions.RayError)
 """Errors of other calls after the loss of the cluster, if Ray does not end the process itself."""
 JOIN_ERRORS = (OSError, ImportError, RuntimeError, ValueError, ray.exceptions.RayError)

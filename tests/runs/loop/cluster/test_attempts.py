@@ -15,8 +15,9 @@ from salsanext_cli.core.errors import MissingDependency, UsageError, WorkersLost
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.wording import spelled
 from salsanext_cli.runs.loop.cluster import attempts, driver_process
+from salsanext_cli.runs.loop.cluster.bug import Bug
 from salsanext_cli.runs.loop.cluster.chunk_queue import ChunkQueue
-from salsanext_cli.runs.loop.cluster.messages import LostCluster, UnusableNode
+from salsanext_cli.runs.loop.cluster.messages import FinishedChunk, LostCluster, UnusableNode
 from salsanext_cli.runs.loop.network_task import NetworkTask
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
@@ -109,6 +110,16 @@ def test_the_end_of_a_driver_and_the_loss_of_the_cluster_are_told_apart(tmp_path
         driver = Answers(*messages)
         with pytest.raises(UsageError, match=problem):
             attempts._joined(driver, driver.messages(), "auto")
+
+
+def test_a_bug_of_one_node_is_no_bug_of_the_next_and_is_raised_if_it_is():
+    queue = ChunkQueue([tuple(scans_of("a"))])
+    bug = Bug.packed(ZeroDivisionError("of a node"), "in attempt")
+    queue.send()
+    assert attempts.unpacked(queue, FinishedChunk(number=1, attempts=bug, node="n")) == []
+    assert queue.send().lost_on == "n"
+    with pytest.raises(ZeroDivisionError, match="of a node"):
+        attempts.unpacked(queue, FinishedChunk(number=2, attempts=bug, node="m"))
 
 
 @pytest.mark.parametrize(

@@ -41,13 +41,27 @@ def test_the_chunk_of_a_lost_worker_is_sent_alone_and_then_its_scans_one_by_one(
     assert queue.send().scans == tuple(SCANS[2:])
 
 
-def test_a_chunk_whose_node_is_lost_is_sent_again_as_it_was():
+def test_the_scans_of_a_chunk_whose_node_is_lost_are_sent_each_to_a_node_of_its_own():
     queue = ChunkQueue([tuple(SCANS[:2])])
-    queue.lose(queue.send().number)
-    for _ in range(MAX_LOST_NODES):
+    assert not queue.send().owns_node
+    queue.lose(1, node="a")
+    chunk = queue.send()
+    assert (chunk.is_alone, chunk.owns_node, chunk.lost_on) == (True, False, "a")
+    queue.lose(chunk.number, is_node_lost=True, node="b")
+    for scan in SCANS[:2]:
         chunk = queue.send()
-        assert (chunk.scans, chunk.is_alone, chunk.losses) == (tuple(SCANS[:2]), True, 0)
-        assert queue.lose(chunk.number, is_node_lost=True) is None
+        assert (chunk.scans, chunk.owns_node, chunk.lost_on) == ((scan,), True, "b")
+        assert (chunk.losses, chunk.lost_nodes) == (0, 0)
+
+
+def test_a_chunk_with_an_unexpected_exception_is_sent_again_once():
+    queue = ChunkQueue([tuple(SCANS[:2]), tuple(SCANS[2:])])
+    first = queue.send()
+    assert queue.retry(first.number, "a")
+    again = queue.send()
+    assert (again.scans, again.is_alone, again.lost_on) == (first.scans, True, "a")
+    assert not queue.retry(again.number, "b")
+    assert queue.send().scans == tuple(SCANS[2:])
 
 
 def test_a_scan_that_brings_its_nodes_down_fails():
@@ -63,7 +77,7 @@ def test_a_scan_that_brings_its_nodes_down_fails():
             continue
         sent[len(chunk.scans)] += 1
         failed.append(queue.lose(chunk.number, is_node_lost=True))
-    assert sent == {2: 1 + MAX_LOST_NODES, 1: MAX_LOST_NODES}
+    assert sent == {2: 2, 1: MAX_LOST_NODES}
     assert failed[-1] == deadly
     assert set(failed[:-1]) == {None}
 

@@ -8,7 +8,7 @@ from queue import SimpleQueue
 import pytest
 
 from salsanext_cli.runs.loop.cluster import driver as driver_module
-from salsanext_cli.runs.loop.cluster.driver import MAX_FAILED_STARTS, Driver
+from salsanext_cli.runs.loop.cluster.driver import MAX_FAILED_STARTS, MAX_LOSSES_OF_NODE, Driver
 from salsanext_cli.runs.loop.cluster.messages import (
     Assignment,
     FinishedChunk,
@@ -40,11 +40,16 @@ class RaisedError(LossError):
     """Exception of the code of a call."""
 
 
+class NodeError(LossError):
+    """Loss of a node."""
+
+
 class CountingCluster:
     """Cluster whose calls end when the test says so."""
 
     LOSS_ERRORS = (LossError,)
     RAISED_ERRORS = (RaisedError,)
+    NODE_ERRORS = (NodeError,)
 
     def __init__(self, *cores):
         self.all = [node(number, count) for number, count in enumerate(cores)]
@@ -165,7 +170,8 @@ def test_each_worker_has_two_chunks_and_gets_the_next_when_one_ends():
     room.take(1, 2, 3, 4)
     assert sorted(room.running()) == [(1, 1), (1, 3), (2, 2), (2, 4)]
     room.answer("attempt", b"attempts", worker=2)
-    assert room.sent[-2:] == [FinishedChunk(number=2, attempts=b"attempts"), FreePlaces(count=1)]
+    finished = FinishedChunk(number=2, attempts=b"attempts", node="node1")
+    assert room.sent[-2:] == [finished, FreePlaces(count=1)]
     room.take(5)
     assert (2, 5) in room.running()
 
@@ -211,12 +217,22 @@ def test_a_chunk_that_is_sent_alone_waits_for_an_idle_worker():
 
 @pytest.mark.parametrize(
     ("answer", "is_node_lost"),
-    [(None, False), (LACK, False), (RaisedError(), False), (LossError(), True)],
+    [
+        (None, False),
+        (LACK, False),
+        (RaisedError(), False),
+        (LossError("no memory for the check"), False),
+        (NodeError(), True),
+        ("gone", True),
+    ],
 )
 def test_a_chunk_that_is_alone_is_lost_with_its_worker_or_with_the_node(answer, is_node_lost):
     room = Room(4)
     room.start("id0")
     room.driver.take(PackedChunk(number=1, scans=b"scans", is_alone=True))
+    if answer == "gone":
+        room.cluster.all = []
+        answer = LossError()
     room.cluster.problems["id0"] = answer
     room.answer("attempt", LossError())
     (lost,) = room.sent_of(LostWorker)
@@ -232,10 +248,82 @@ def test_a_node_that_does_not_answer_in_time_is_lost(monkeypatch):
     room.driver.take(PackedChunk(number=1, scans=b"scans", is_alone=True))
     room.cluster.check = lambda node, required: Future()
     room.answer("attempt", LossError())
+    room.cluster.all = []
     for now[0], count in ((30.0, 0), (80.0, 1)):
         room.start()
         assert len(room.sent_of(LostWorker)) == count
     assert room.sent_of(LostWorker)[0].is_node_lost
+
+
+def test_a_lost_chunk_goes_to_another_node_and_one_that_owns_a_node_is_there_alone():
+    room = Room(8, 4)
+    room.start("id0", "id0", "id1")
+    alone = {"scans": b"scans", "is_alone": True}
+    room.driver.take(PackedChunk(number=1, **alone, lost_on="node0"))
+    assert room.running() == [(3, 1)]
+    room.driver.take(PackedChunk(number=2, **alone, lost_on="node1", owns_node=True))
+    room.driver.take(PackedChunk(number=3, **alone))
+    room.driver.take(PackedChunk(number=4, **alone, owns_node=True))
+    # The second worker of the first node gets nothing beside the chunk that owns it.
+    assert room.running() == [(3, 1), (1, 2)]
+    room.answer("attempt", b"", worker=1)
+    # The third chunk is alone on it now, and the fourth waits for a whole node.
+    assert room.running() == [(3, 1), (1, 3)]
+    room.answer("attempt", b"", worker=3)
+    assert room.running() == [(1, 3), (3, 4)]
+
+
+def test_a_chunk_returns_to_the_node_that_lost_it_if_there_is_no_other():
+    room = Room(4)
+    room.start("id0")
+    room.driver.take(PackedChunk(number=1, scans=b"", is_alone=True, lost_on="node0"))
+    assert room.running() == [(1, 1)]
+
+
+def test_a_node_that_lacks_something_after_a_failure_is_left_out_with_its_chunks():
+    room = Room(4, 4)
+    room.start("id0", "id1")
+    room.take(1, 2, 3, 4)
+    room.answer("attempt", LACK, worker=1)
+    assert room.sent_of(LostWorker) == [LostWorker(node="node0", chunks=(1, 3), is_node_lost=True)]
+    assert room.sent[-1] == UnusableNode(node="node0", problem=LACK.text, hint=LACK.hint)
+    assert room.driver.unusable == {"id0"}
+    room.answer("attempt", LACK, worker=2)
+    assert room.sent[-1].ends_run
+
+
+def test_a_node_that_ends_worker_after_worker_is_left_out_if_others_work(monkeypatch):
+    monkeypatch.setattr(driver_module, "NODE_INTERVAL_S", 0.0)
+    for finishes, lost in ((False, True), (True, False)):
+        room = Room(4, 4)
+        room.start("id1", "id0")
+        for number in range(1, MAX_LOSSES_OF_NODE + 1):
+            # Either worker has one.
+            room.take(2 * number - 1, 2 * number)
+            worker = max(worker for worker, _ in room.running())
+            if finishes and number == 2:
+                room.answer("attempt", b"", worker=worker)
+                room.take(100)
+            room.answer("attempt", LossError(), worker=worker)
+            if not room.sent_of(UnusableNode):
+                room.start()
+                room.answer("node", "id0")
+                room.answer("open", None)
+        assert [message.node for message in room.sent_of(UnusableNode)] == ["node0"] * lost
+        assert not room.driver.is_closed
+
+
+@pytest.mark.parametrize("located", [True, False])
+def test_workers_that_are_lost_with_their_node_while_they_start_are_no_fault(located):
+    room = Room(4)
+    room.start()
+    for number in range(MAX_FAILED_STARTS + 1):
+        if located:
+            room.answer("node", f"id{number}")
+        room.cluster.all = [node(number + 1, 4)]
+        room.answer("open" if located else "node", LossError("killed"))
+    assert not room.driver.is_closed
+    assert not room.driver.failed_starts
 
 
 def test_a_worker_that_is_not_ready_in_time_is_replaced(monkeypatch):
@@ -290,10 +378,10 @@ def test_a_node_that_cannot_open_the_task_is_left_out_and_the_run_goes_on():
     room.answer("open", NO_WEIGHTS)
     assert room.sent[-1] == UnusableNode(node="node1", problem="cannot begin: no weights")
     assert not room.driver.is_closed
-    # Another worker that was started before reports nothing new; the next starts elsewhere.
+    # Another worker that was started before opens nothing; the next starts elsewhere.
     count = len(room.sent)
-    room.answer("node", "id1")
-    room.answer("open", NO_WEIGHTS)
+    worker = room.answer("node", "id1")
+    assert worker in room.cluster.ended
     assert len(room.sent) == count
     assert room.cluster.without[-1] == {"id1"}
 

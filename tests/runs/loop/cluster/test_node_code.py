@@ -153,6 +153,14 @@ def test_an_exception_of_a_worker_is_sent_with_its_traceback(worker, required, t
     assert "in __call__" in error.__notes__[0]
 
 
+def test_a_node_that_lacks_something_after_a_failure_attempts_nothing(worker, required, tmp_path):
+    made = worker(Write(tmp_path))
+    assert made.open(required) is None
+    Path(required.files[0].path).unlink()
+    assert isinstance(made.attempt(1, pickle.dumps(tuple(scans_of("a")))), bytes)
+    assert required.files[0].path in made.attempt(2, pickle.dumps(tuple(scans_of("bad")))).text
+
+
 def test_a_worker_ends_before_it_names_a_file_after_the_run(
     worker, required, tmp_path, monkeypatch
 ):
