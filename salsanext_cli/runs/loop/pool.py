@@ -34,10 +34,9 @@ from salsanext_cli.runs.loop.finished_attempts import (
 )
 from salsanext_cli.runs.loop.job import Attempt, OpenableTask, Task
 from salsanext_cli.runs.loop.pipeline import AttemptFunction, opened
-from salsanext_cli.runs.loop.run_options import RunOptions, cores
+from salsanext_cli.runs.loop.run_options import CHUNKS_IN_FLIGHT, RunOptions, cores
 from salsanext_cli.runs.results.paths import ScanFile
 
-CHUNKS_IN_FLIGHT = 2  # Chunks sent per worker, so that the next is ready when one is done
 HARMLESS_WARNINGS = (
     # The user has stopped the run, perhaps after its last task.
     ".*tasks which were still being processed",

@@ -17,6 +17,8 @@ class Sortable(Protocol):
         """Return whether it comes before another."""
 
 
+CHUNKS_IN_FLIGHT = 2  # Chunks sent per worker, so that the next is ready when one is done
+
 Unit = TypeVar("Unit", bound=Sortable)
 Progress = Callable[[int, int], None]  # Called with the numbers of scans done and to do
 

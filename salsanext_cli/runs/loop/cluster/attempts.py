@@ -26,7 +26,7 @@ from salsanext_cli.core.optional_packages import import_extra
 from salsanext_cli.core.texts import counted, shortened
 from salsanext_cli.io.files.atomic import MARK
 from salsanext_cli.runs.loop.cluster.bug import Bug
-from salsanext_cli.runs.loop.cluster.chunk_queue import ChunkQueue
+from salsanext_cli.runs.loop.cluster.chunk_queue import MAX_LOSSES, MAX_LOST_NODES, ChunkQueue
 from salsanext_cli.runs.loop.cluster.driver_process import DriverProcess, driver_process
 from salsanext_cli.runs.loop.cluster.messages import (
     Alive,
@@ -54,7 +54,7 @@ from salsanext_cli.runs.results.paths import ScanFile
 ADDRESS = re.compile(r"auto|(?P<client>ray://)?(?P<host>[^\s/:]+|\[[^\s/]+\]):(?P<port>\d{1,5})")
 ADDRESS_VARIABLE = "RAY_ADDRESS"  # Of Ray
 CONNECT_TIMEOUT_S = 15.0
-MAX_PROBLEM_CHARACTERS = 300  # Of what Ray says; its mismatch of versions takes 200
+MAX_PROBLEM_CHARACTERS = 300  # Of an error of Ray; its mismatch of versions takes 200
 UNUSED_GPUS = "its GPUs are not used: workers get the device of this machine, which is cpu"
 EXPECTED_ADDRESS = "auto, HOST:PORT or ray://HOST:PORT"
 
@@ -152,7 +152,7 @@ def _not_joined(address: str, problem: str) -> UsageError:
 
 
 def joining_hint(address: str, problem: str) -> str:
-    """Return what to do about a cluster that cannot be joined, by what Ray says of it."""
+    """Return what to do about a cluster that cannot be joined, by the error of Ray."""
     if "version" in problem.lower():
         return "install the same versions of Ray and Python on all machines"
     return starting_hint(address)
@@ -207,7 +207,11 @@ def no_room(has_gpu: bool) -> str:
 def _joined(driver: DriverProcess, messages: Iterator[Any], address: str) -> Joined:
     """Return the answer of the driver, or raise why it could not join the cluster."""
     subject = wording.setting("cluster", address)
-    match next(messages, None):
+    message = next(messages, None)
+    while isinstance(message, UnusableNode) and not message.ends_run:
+        _report(message, address)
+        message = next(messages, None)
+    match message:
         case Joined() as joined:
             text = f"{counted(joined.workers, 'worker')} on {counted(joined.nodes, 'node')}"
             log.log(NOTICE, "cluster %s: room for %s", address, text)
@@ -272,12 +276,12 @@ def failed_attempts(queue: ChunkQueue, lost: LostWorker) -> Iterator[Attempt[Any
     """Let the chunks of a lost worker wait again; yield the attempt of a scan that has failed."""
     lost_part = "it cannot go on" if lost.is_node_lost else "a worker ended"
     log.warning("node %s: %s; other workers get its scans", lost.node, lost_part)
-    fault = "lost its node three times" if lost.is_node_lost else "ended its worker twice"
+    deaths = counted(MAX_LOST_NODES, "node") if lost.is_node_lost else counted(MAX_LOSSES, "worker")
     for number in reversed(lost.chunks):
         scan = queue.lose(number, is_node_lost=lost.is_node_lost, node=lost.node)
         if scan is not None:
             hint = f"it may need more memory; try it alone with {wording.setting('jobs', 1)}"
-            error = WorkersLost(scan.path, fault, hint=hint)
+            error = WorkersLost(scan.path, f"was alone on {deaths} that died", hint=hint)
             yield Attempt(file=scan, error=error)
 
 
@@ -293,8 +297,9 @@ def _report(message: object, address: str) -> None:
             raise WorkersLost(subject, f"node {node} {problem}", hint=hint)
         case UnusableNode(node=node, problem=problem):
             log.warning("node %s %s; the run goes on without it", node, problem)
-        case Waiting(seconds=seconds):
-            log.log(NOTICE, "cluster %s: no free worker for %.0f s; waiting", address, seconds)
+        case Waiting(seconds=seconds, room=room):
+            text = "no free worker for %.0f s; waiting for a node with %s"
+            log.log(NOTICE, f"cluster %s: {text}", address, seconds, room)
         case LostCluster(problem=problem):
             raise WorkersLost(subject, problem, hint=starting_hint(address))
         case Crash(trace=trace):

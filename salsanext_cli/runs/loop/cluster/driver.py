@@ -30,14 +30,13 @@ from salsanext_cli.runs.loop.cluster.messages import (
 from salsanext_cli.runs.loop.cluster.node_code import VERSIONS_HINT, NodeProblem
 from salsanext_cli.runs.loop.cluster.worker_size import Node, WorkerSize
 
-CHECK_TIMEOUT_S = 60.0  # For all nodes to say what they lack
+CHECK_TIMEOUT_S = 60.0  # For the checks of all nodes
 MAX_LOSSES_OF_NODE = 4  # Workers that it loses without a finished chunk in between
 MAX_FAILED_STARTS = 3  # Workers of a node that end while they open the task
 NODE_INTERVAL_S = 2.0  # Between looks at the nodes
 OPEN_TIMEOUT_S = 600.0  # For a worker to open the task, which may compile a network
 WAITING_AFTER_S = 15.0  # Without any worker
-WORKERS_END_TIMEOUT_S = 2.0
-"""For workers to end, so that the main process can remove unfinished files."""
+WORKERS_END_TIMEOUT_S = 2.0  # For workers to end, before their unfinished files are removed
 
 CHECK_HINT = "see the state of the cluster with: ray status"
 START_HINT = "it may lack memory; Ray writes its logs to /tmp/ray/session_latest/logs"
@@ -79,7 +78,6 @@ class Driver:
         self.last_look = 0.0
         self.idle_since: float | None = time.monotonic()  # None while any worker is open
         self.last_report = self.idle_since  # Time of the last report that no worker is open
-        self.has_opened = False  # Whether any worker has opened the task, which fixes `size`
         self.has_begun = False  # Whether workers may run
         self.is_closed = False
 
@@ -97,6 +95,10 @@ class Driver:
             except TimeoutError:
                 text = f"did not answer within {CHECK_TIMEOUT_S:.0f} s"
                 problem = NodeProblem(text=text, hint=CHECK_HINT)
+                self.unusable.add(node.id)
+                if len(self.unusable) < len(usable):
+                    self.send(self._report(node.id, problem))
+                    continue
             except self.cluster.RAISED_ERRORS as error:
                 text = f"cannot be checked: {cause_line(error)}"
                 problem = NodeProblem(text=text, hint=VERSIONS_HINT)
@@ -106,6 +108,7 @@ class Driver:
                 report = self._report(node.id, problem)
                 self.send(replace(report, ends_run=True))
                 return False
+        usable = [node for node in usable if node.id not in self.unusable]
         places = sum(map(self.size.places, usable))
         self.has_begun = True
         gpus = 0 if self.size.gpus else sum(node.gpus for node in nodes)
@@ -172,11 +175,12 @@ class Driver:
         self._report_losses()
         self._end_late_starts()
         self._start_workers()
+        self._hand_out()
         self.send(Alive())
         if self.idle_since is None:
             return
         if now - max(self.idle_since, self.last_report) > WAITING_AFTER_S:
-            self.send(Waiting(seconds=now - self.idle_since))
+            self.send(Waiting(seconds=now - self.idle_since, room=str(self.size)))
             self.last_report = now
 
     def _fitting_size(self, nodes: Sequence[Node]) -> WorkerSize:
@@ -193,7 +197,7 @@ class Driver:
 
     def _start_workers(self) -> None:
         nodes = self._nodes()
-        if not self.has_opened:
+        if not self._open_members():
             self._fit_size(nodes)
         places = sum(map(self.size.places, nodes))
         # Workers that wait for room let a cluster grow that can, each time to twice its size.
@@ -214,7 +218,7 @@ class Driver:
         except self.cluster.LOSS_ERRORS as error:
             self._fail_start(member, cause_line(error))
             return
-        if member.node in self.unusable:  # It was started before its node was left out.
+        if member.node in self.unusable:  # It was started before its node was excluded.
             self._remove(member)
             self._start_workers()
             return
@@ -223,7 +227,7 @@ class Driver:
         self._then(opening, partial(self._opened, member))
 
     def _opened(self, member: Member, opening: "Future[NodeProblem | None]") -> None:
-        """Let a worker take chunks, or leave its node out."""
+        """Let a worker take chunks, or exclude its node."""
         if member not in self.members:
             return
         try:
@@ -232,10 +236,9 @@ class Driver:
             self._fail_start(member, cause_line(error))
             return
         if problem:
-            self._leave_out(member.node, problem)
+            self._exclude(member.node, problem)
             return
         member.is_open = True
-        self.has_opened = True
         self.idle_since = None
         for node in (member.node, ""):
             self.failed_starts.pop(node, None)
@@ -254,12 +257,11 @@ class Driver:
             self._start_workers()
             return
         self.failed_starts[member.node] += 1
-        text = f"ends workers while they start: {problem}"
-        failure = NodeProblem(text=text, hint=START_HINT)
+        failure = NodeProblem(text=f"ends workers while they start: {problem}", hint=START_HINT)
         if self.failed_starts[member.node] < MAX_FAILED_STARTS:
             self._start_workers()
         elif member.node:
-            self._leave_out(member.node, failure)
+            self._exclude(member.node, failure)
         elif not self._open_members():
             report = self._report("of the cluster", failure)
             self.send(replace(report, ends_run=True))
@@ -270,14 +272,14 @@ class Driver:
         now = time.monotonic()
         starting = [member for member in self.members if member.node and not member.is_open]
         for member in starting:
-            # The end of one may leave out the node of others.
+            # The end of one may exclude the node of others.
             if member in self.members and now - member.located_at > OPEN_TIMEOUT_S:
                 self._fail_start(member, f"one was not ready within {OPEN_TIMEOUT_S:.0f} s")
 
-    def _leave_out(self, node: str, problem: NodeProblem) -> None:
-        """Use a node no more; without any other one, the run ends.
+    def _exclude(self, node: str, problem: NodeProblem) -> None:
+        """Exclude a node from the run, which ends without any other one.
 
-        A run whose last node goes waits for the next, also if it has left one out before.
+        A run whose last node goes waits for the next, also if it has excluded one before.
         """
         for member in [member for member in self.members if member.node == node]:
             if not member.is_open:
@@ -334,14 +336,13 @@ class Driver:
         except self.cluster.LOSS_ERRORS:
             self._lose(member)
             return
-        if isinstance(attempts, NodeProblem):
+        if not isinstance(attempts, bytes):
             self._lose(member, attempts)
             return
         member.chunks.remove(number)
         member.is_taken = member.owns_node = False
         self.losses_of_node.pop(member.node, None)
-        name = self._name(member.node)
-        self.send(FinishedChunk(number=number, attempts=attempts, node=name))
+        self.send(FinishedChunk(number=number, attempts=attempts, node=self._name(member.node)))
         self._hand_out()
 
     def _lose(self, member: Member, problem: NodeProblem | None = None) -> None:
@@ -369,9 +370,9 @@ class Driver:
             self.idle_since = time.monotonic()
         is_fatal = self.losses_of_node[member.node] >= MAX_LOSSES_OF_NODE
         if is_fatal and any(other.node != member.node for other in others):
-            problem = NodeProblem(text="ends its workers", hint=START_HINT)
+            problem = problem or NodeProblem(text="ends its workers", hint=START_HINT)
         if problem:
-            self._leave_out(member.node, problem)
+            self._exclude(member.node, problem)
         else:
             self._start_workers()
 

@@ -8,8 +8,7 @@ from typing import Any
 
 from salsanext_cli.runs.loop.cluster.messages import PackedChunk
 from salsanext_cli.runs.loop.cluster.node_code import NodeProblem
-
-CHUNKS_IN_FLIGHT = 2  # Chunks sent per worker, so that the next is ready when one is done
+from salsanext_cli.runs.loop.run_options import CHUNKS_IN_FLIGHT
 
 
 @dataclass(slots=True, kw_only=True, eq=False)

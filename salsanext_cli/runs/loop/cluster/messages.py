@@ -100,6 +100,7 @@ class Waiting:
     """No worker has been free for some time."""
 
     seconds: float
+    room: str = ""  # What a worker needs, in words
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -125,8 +125,9 @@ def version_problem(required: dict[str, str], installed: dict[str, str]) -> str:
     for name, expected in required.items():
         actual = installed[name]
         if actual != expected:
-            owned = f"{name} {actual}" if actual else f"no {name}"
-            return f"has {owned}, not {expected or 'none'} as here"
+            if not actual:
+                return f"lacks {name}, which is {expected} here"
+            return f"has {name} {actual}, which is {expected or 'missing'} here"
     return ""
 
 

@@ -4,13 +4,15 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from salsanext_cli.core.texts import counted
+
 MAX_CORES_PER_WORKER = 4
 """Cores of a worker without a GPU; with more, a network gains less than further workers."""
 MAX_CORES_PER_GPU = 8
 """Cores of a worker with a GPU, which read and project its scans."""
-MIN_SHARE_OF_CORES = 0.75
-"""Share of the cores of a cluster that its workers use: small nodes do not make all workers small.
-"""
+MIN_SHARE = 0.75
+"""Share of the GPUs, or else of the cores, of a cluster that its workers use: small nodes do not
+make all workers small."""
 WORKER_MEMORY_BYTES = 1_000_000_000
 """Memory that Ray reserves for a worker; it needs about 0.6 GB at the default width."""
 
@@ -35,16 +37,27 @@ class WorkerSize:
 
     @classmethod
     def fitting(cls, nodes: Sequence[Node], *, uses_gpu: bool) -> "WorkerSize":
-        """Return a size that fits on each node with a GPU, or uses most cores of the nodes."""
+        """Return the largest size that uses most GPUs, or else most cores, of the nodes."""
         if uses_gpu:
-            shares = [node.cores // node.gpus for node in nodes if node.gpus]
-            return cls(cores=max(1, min([MAX_CORES_PER_GPU, *shares])), gpus=1)
-        enough = MIN_SHARE_OF_CORES * sum(node.cores for node in nodes)
+            enough = MIN_SHARE * sum(node.gpus for node in nodes)
+            sizes = range(MAX_CORES_PER_GPU, 1, -1)
+            fitting = (
+                size
+                for size in sizes
+                if sum(min(node.gpus, node.cores // size) for node in nodes) >= enough
+            )
+            return cls(cores=next(fitting, 1), gpus=1)
+        enough = MIN_SHARE * sum(node.cores for node in nodes)
         sizes = range(MAX_CORES_PER_WORKER, 0, -1)
         cores = next(
             size for size in sizes if sum(node.cores // size * size for node in nodes) >= enough
         )
         return cls(cores=cores, gpus=0)
+
+    def __str__(self) -> str:
+        gpu = "a GPU, " if self.gpus else ""
+        memory = f"{WORKER_MEMORY_BYTES / 1e9:.0f} GB of memory"
+        return f"{gpu}{counted(self.cores, 'core')} and {memory}"
 
     def places(self, node: Node) -> int:
         """Return the number of workers that a node has room for."""

@@ -17,7 +17,12 @@ from salsanext_cli.core.wording import spelled
 from salsanext_cli.runs.loop.cluster import attempts, driver_process
 from salsanext_cli.runs.loop.cluster.bug import Bug
 from salsanext_cli.runs.loop.cluster.chunk_queue import ChunkQueue
-from salsanext_cli.runs.loop.cluster.messages import FinishedChunk, LostCluster, UnusableNode
+from salsanext_cli.runs.loop.cluster.messages import (
+    FinishedChunk,
+    Joined,
+    LostCluster,
+    UnusableNode,
+)
 from salsanext_cli.runs.loop.network_task import NetworkTask
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
@@ -138,6 +143,13 @@ def test_the_address_of_a_variable_is_checked_too(tmp_path, monkeypatch):
     refused(UsageError, "RAY_ADDRESS", run, Write(tmp_path), scans_of("a"), cluster="auto")
     monkeypatch.setenv("RAY_ADDRESS", "host:6379")
     attempts.require_address("auto")
+
+
+def test_nodes_that_the_run_skips_come_before_the_others(caplog):
+    skipped = UnusableNode(node="n", problem="did not answer within 60 s")
+    driver = Answers(skipped, Joined(nodes=1, workers=2))
+    assert attempts._joined(driver, driver.messages(), "auto").workers == 2
+    assert "n did not answer" in caplog.text
 
 
 def test_what_all_nodes_lack_is_named():

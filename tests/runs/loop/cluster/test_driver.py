@@ -157,6 +157,31 @@ def test_a_check_that_raises_is_a_problem_of_its_node_and_a_node_that_went_is_no
     assert room.sent[-1].ends_run
 
 
+def test_a_node_that_does_not_answer_is_skipped(monkeypatch):
+    monkeypatch.setattr(driver_module, "CHECK_TIMEOUT_S", 0.0)
+    room = Room(4, 4)
+    check = room.cluster.check
+    room.cluster.check = lambda node, required: Future() if node == "id0" else check(node, required)
+    assert room.driver.begin()
+    assert room.sent_of(UnusableNode)[0].node == "node0"
+    assert room.sent[-1] == Joined(nodes=1, workers=1)
+    room.cluster.check = lambda node, required: Future()
+    room.driver.unusable.clear()
+    assert not room.driver.begin()
+    assert [message.ends_run for message in room.sent_of(UnusableNode)] == [False, False, True]
+
+
+def test_workers_fit_on_smaller_nodes_that_come_when_all_others_have_gone(monkeypatch):
+    monkeypatch.setattr(driver_module, "NODE_INTERVAL_S", 0.0)
+    room = Room(4)
+    room.start("id0")
+    room.take(1, 2)
+    room.cluster.all = [node(1, 2)]
+    room.answer("attempt", LossError())
+    room.start()
+    assert room.cluster.sizes[-1] == 2
+
+
 def test_nodes_without_room_for_a_worker_need_nothing():
     room = Room(4, 0)
     room.cluster.problems["id1"] = LACK
@@ -273,11 +298,17 @@ def test_a_lost_chunk_goes_to_another_node_and_one_that_owns_a_node_is_there_alo
     assert room.running() == [(1, 3), (3, 4)]
 
 
-def test_a_chunk_returns_to_the_node_that_lost_it_if_there_is_no_other():
-    room = Room(4)
-    room.start("id0")
-    room.driver.take(PackedChunk(number=1, scans=b"", is_alone=True, lost_on="node0"))
-    assert room.running() == [(1, 1)]
+def test_a_chunk_returns_to_the_node_that_lost_it_if_there_is_no_other(monkeypatch):
+    monkeypatch.setattr(driver_module, "NODE_INTERVAL_S", 0.0)
+    room = Room(4, 4)
+    room.start("id0", "id1")
+    for number in (1, 2):
+        room.driver.take(PackedChunk(number=number, scans=b"", is_alone=True, lost_on="node0"))
+    assert room.running() == [(2, 1)]
+    del room.cluster.all[1]
+    room.answer("attempt", LossError(), worker=2)
+    room.start()
+    assert room.running() == [(1, 2)]
 
 
 def test_a_node_that_lacks_something_after_a_failure_is_left_out_with_its_chunks():

@@ -64,7 +64,7 @@ def test_nodes_need_the_plug_ins(scans, monkeypatch):
     with node_requirements(scans, RunFolders()) as required:
         assert "radian-lidar" in required.versions
         versions = {**required.versions, "radian-lidar": "1.0"}
-    assert "has no radian-lidar" in node_problem(replace(required, versions=versions)).text
+    assert "lacks radian-lidar" in node_problem(replace(required, versions=versions)).text
 
 
 def test_files_of_other_runs_in_the_folder_may_change(tmp_path, scans):

@@ -39,12 +39,17 @@ def test_workers_without_a_gpu_share_the_cores(nodes, places):
     assert [size.places(node) for node in nodes] == places
 
 
-def test_each_gpu_has_a_worker_with_its_share_of_the_cores():
+def test_most_gpus_have_a_worker_with_their_share_of_the_cores():
     nodes = [node(64, 8), node(16, 4), node(8)]
     size = WorkerSize.fitting(nodes, uses_gpu=True)
-    assert size == WorkerSize(cores=4, gpus=1)
-    assert [size.places(node) for node in nodes] == [8, 4, 0]
+    assert size == WorkerSize(cores=8, gpus=1)
+    assert [size.places(node) for node in nodes] == [8, 2, 0]
     assert size.places(node(64, 8, memory=3)) == 3
+    assert str(size) == "a GPU, 8 cores and 1 GB of memory"
+    # A small node does not decide for all, unless it has more than a quarter of the GPUs.
+    for nodes, cores in (([node(64, 8), node(1, 1)], 8), ([node(32, 8), node(8, 8)], 2)):
+        assert WorkerSize.fitting(nodes, uses_gpu=True).cores == cores
+    assert WorkerSize.fitting([node(0, 2)], uses_gpu=True).cores == 1
 
 
 def test_a_cluster_that_has_no_nodes_yet_gets_the_largest_workers():
