@@ -19,6 +19,20 @@ def pinned(tensor: Tensor, device: str | torch.device) -> Tensor:
     return tensor if torch.device(device).type == "cpu" else tensor.pin_memory()
 
 
+def pinned_array(values: npt.NDArray[Any], device: str | torch.device) -> Tensor:
+    """Return an array as a tensor in memory that a device reads directly.
+
+    For a GPU it is a copy by NumPy, in this thread. ``pin_memory()`` copies with as many threads
+    as torch has, and each thread that calls it starts its own.
+    """
+    source = torch.from_numpy(values)
+    if torch.device(device).type != "cuda":
+        return source
+    host = torch.empty(source.shape, dtype=source.dtype, pin_memory=True)
+    np.copyto(host.numpy(), values)
+    return host
+
+
 def device_numbers(
     values: npt.ArrayLike, device: str | torch.device, dtype: torch.dtype = torch.float32
 ) -> Tensor:

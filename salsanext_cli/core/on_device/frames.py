@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from salsanext_cli.core.geometry.sensor_frame import upright_rotation
-from salsanext_cli.core.on_device.scan_batch import ScanBatch
+from salsanext_cli.core.on_device.scan_batch import PointsOfScans
 from salsanext_cli.core.sensors.sensor import ORIGIN, UP
 
 NO_BOX = ((np.inf,) * 3, (-np.inf,) * 3)  # No point lies in it
@@ -22,27 +22,24 @@ class SensorPoints:
     ----------
     points : (P, 3) float32
         Coordinates in metres; 0 for points of the vehicle.
-    ego_counts : (B,) int64
-        Number of points of each scan on its sensor or vehicle.
+    is_ego : (P,) bool, optional
+        Whether a point is on its sensor or vehicle; None if no sensor knows such points.
     """
 
     points: Tensor
-    ego_counts: Tensor
+    is_ego: Tensor | None
 
 
-def sensor_points(batch: ScanBatch) -> SensorPoints:
+def sensor_points(batch: PointsOfScans) -> SensorPoints:
     """Return the points of a batch in the frames of their sensors, those of vehicles at 0."""
     points = _upright(batch, _moved(batch))
     is_ego = _ego(batch, points)
-    if is_ego is None:
-        counts = torch.zeros(len(batch.counts), dtype=torch.int64, device=points.device)
-        return SensorPoints(points=points, ego_counts=counts)
-    return SensorPoints(
-        points=points.masked_fill(is_ego[:, None], 0), ego_counts=batch.sum_per_scan(is_ego)
-    )
+    if is_ego is not None:
+        points = points.masked_fill(is_ego[:, None], 0)
+    return SensorPoints(points=points, is_ego=is_ego)
 
 
-def _moved(batch: ScanBatch) -> Tensor:
+def _moved(batch: PointsOfScans) -> Tensor:
     """Return the points (P, 3) around their sensors; points at 0 are no measurements and stay."""
     points = batch.points
     origins = [sensor.origin for sensor in batch.sensors]
@@ -52,7 +49,7 @@ def _moved(batch: ScanBatch) -> Tensor:
     return (points - batch.per_point(batch.tensor(origins))).masked_fill(is_zero, 0)
 
 
-def _upright(batch: ScanBatch, points: Tensor) -> Tensor:
+def _upright(batch: PointsOfScans, points: Tensor) -> Tensor:
     """Return points (P, 3) with the `up` of their sensors along z."""
     tilted = [sensor.up != UP for sensor in batch.sensors]
     if not any(tilted):
@@ -65,7 +62,7 @@ def _upright(batch: ScanBatch, points: Tensor) -> Tensor:
     return torch.where(is_tilted[:, None], turned.float(), points)
 
 
-def _ego(batch: ScanBatch, points: Tensor) -> Tensor | None:
+def _ego(batch: PointsOfScans, points: Tensor) -> Tensor | None:
     """Return which points (P, 3) lie on a sensor or its vehicle, (P,) bool; None without any."""
     nearest = [sensor.min_range or 0.0 for sensor in batch.sensors]
     boxes = [np.array(sensor.ego_box or NO_BOX).reshape(2, 3) for sensor in batch.sensors]

@@ -4,11 +4,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from salsanext_cli.core.compiled import argument
-from salsanext_cli.core.engines.device_copies import pinned
+from salsanext_cli.core.engines.device_copies import pinned_array
 from salsanext_cli.core.records import Scan
 
 
@@ -30,6 +29,7 @@ class HostPoints:
     @classmethod
     def from_scan(cls, scan: Scan, device: str) -> "HostPoints":
         """Return the points of a scan for a device; a GPU gets a copy in pinned memory."""
-        points = torch.from_numpy(argument(scan.points, np.float32))
-        intensity = torch.from_numpy(argument(scan.intensity, np.float32))
-        return cls(points=pinned(points, device), intensity=pinned(intensity, device))
+        return cls(
+            points=pinned_array(argument(scan.points, np.float32), device),
+            intensity=pinned_array(argument(scan.intensity, np.float32), device),
+        )

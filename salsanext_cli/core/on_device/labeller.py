@@ -77,7 +77,7 @@ class DeviceLabeller:
             "pixel_labels": pixel_labels,
             "mean_confidence": _mean_confidence(confidence, images),
             "is_finite": confidence.isfinite().flatten(1).all(dim=1),
-            "ego_points": images.ego_counts,
+            "ego_points": _ego_counts(batch, images),
         }
         results = LabelledBatch.of(batch.counts, point_values, scan_values)
         return [ScanOfBatch(batch=results, number=number) for number in range(len(scans))]
@@ -130,3 +130,10 @@ def _mean_confidence(confidence: Tensor, images: RangeImages) -> Tensor:
     total = confidence.double().where(occupied, 0).flatten(1).sum(dim=1)
     count = occupied.flatten(1).sum(dim=1)
     return (total / count).where(count > 0, 1)
+
+
+def _ego_counts(batch: ScanBatch, images: RangeImages) -> Tensor:
+    """Return the number of points of each scan on its sensor or vehicle, (B,) int64."""
+    if images.is_ego is None:
+        return torch.zeros(len(batch.counts), dtype=torch.int64, device=batch.points.device)
+    return batch.sum_per_scan(images.is_ego)

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from salsanext_cli.core.geometry.projection import PI, TAN_22_5
 from salsanext_cli.core.on_device.frames import sensor_points
-from salsanext_cli.core.on_device.scan_batch import ScanBatch
+from salsanext_cli.core.on_device.scan_batch import PointsOfScans
 from salsanext_cli.core.records import CHANNELS, MAX_INTENSITY, MAX_RANGE_M
 
 TERMS_OF_ARCTAN = 13  # Of the series t − t³/3 + t⁵/5 − …
@@ -37,15 +37,15 @@ class RangeImages:
         Distance of every point from its sensor in metres; 0 for points without a pixel.
     point_of_pixel : (B, H, W) int64
         Index of the nearest point of every pixel, P where empty.
-    ego_counts : (B,) int64
-        Number of points of each scan on its sensor or vehicle.
+    is_ego : (P,) bool, optional
+        Whether a point is on its sensor or vehicle; None if no sensor knows such points.
     """
 
     channels: Tensor
     pixel_of_point: Tensor
     point_range: Tensor
     point_of_pixel: Tensor
-    ego_counts: Tensor
+    is_ego: Tensor | None
 
     @property
     def occupied(self) -> Tensor:
@@ -54,13 +54,13 @@ class RangeImages:
 
 
 def project(
-    batch: ScanBatch, angle_of: Callable[[Tensor, Tensor], Tensor] | None = None
+    batch: PointsOfScans, angle_of: Callable[[Tensor, Tensor], Tensor] | None = None
 ) -> RangeImages:
     """Project the scans of a batch onto the range images of their sensors (paper eq. 1).
 
     Parameters
     ----------
-    batch : ScanBatch
+    batch : PointsOfScans
         B scans with P points in all.
     angle_of : callable, optional
         Function of y and x, float64, to their angle in radians; by default `arctan2`, with the bits
@@ -74,7 +74,7 @@ def project(
     in_frame = sensor_points(batch)
     points = in_frame.points
     pixel_of_point, point_range = _pixels(batch, points, angle_of or arctan2)
-    size = (len(batch.counts), batch.sensors[0].height, batch.sensors[0].width)
+    size = (len(batch.sensors), batch.sensors[0].height, batch.sensors[0].width)
     nearest = _nearest_points(pixel_of_point, point_range, math.prod(size))
     is_usable = batch.intensity.abs() <= float(MAX_INTENSITY)
     intensity = batch.intensity.where(is_usable, 0)
@@ -86,18 +86,18 @@ def project(
         pixel_of_point=pixel_of_point,
         point_range=point_range,
         point_of_pixel=nearest.view(size),
-        ego_counts=in_frame.ego_counts,
+        is_ego=in_frame.is_ego,
     )
 
 
 def _pixels(
-    batch: ScanBatch, points: Tensor, angle_of: Callable[[Tensor, Tensor], Tensor]
+    batch: PointsOfScans, points: Tensor, angle_of: Callable[[Tensor, Tensor], Tensor]
 ) -> tuple[Tensor, Tensor]:
     """Return the pixels and the ranges of points.
 
     Parameters
     ----------
-    batch : ScanBatch
+    batch : PointsOfScans
         Batch of the points.
     points : (P, 3) float32
         Coordinates in the frames of the sensors, in metres.

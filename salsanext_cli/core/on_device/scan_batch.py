@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Points of several scans on a device, copied there once."""
+"""Points of several scans on a device."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,8 +16,8 @@ from salsanext_cli.core.sensors.sensor import Sensor
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ScanBatch:
-    """Points of B scans on a device; those that `on_device` copies lie one scan after the other.
+class PointsOfScans:
+    """Points of B scans on a device, in any order.
 
     Attributes
     ----------
@@ -27,8 +27,6 @@ class ScanBatch:
         Intensity of each point.
     scan_of_point : (P,) int64
         Number of the scan of each point.
-    counts : list of int
-        Number of points of each scan, with sum P.
     sensors : sequence of Sensor
         Sensor of each scan; their images have one size.
     """
@@ -36,8 +34,28 @@ class ScanBatch:
     points: Tensor
     intensity: Tensor
     scan_of_point: Tensor
-    counts: list[int]
     sensors: Sequence[Sensor]
+
+    def per_point(self, values: Tensor) -> Tensor:
+        """Return a value of each scan (B, …) for each of its points, (P, …)."""
+        return values[self.scan_of_point]
+
+    def tensor(self, values: npt.ArrayLike, dtype: torch.dtype = torch.float32) -> Tensor:
+        """Return numbers as a tensor on the device of the points, without waiting for it."""
+        return device_numbers(values, self.points.device, dtype)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ScanBatch(PointsOfScans):
+    """Points of B scans on a device, one scan after the other, copied there once.
+
+    Attributes
+    ----------
+    counts : list of int
+        Number of points of each scan, with sum P.
+    """
+
+    counts: list[int]
 
     @classmethod
     def on_device(
@@ -58,10 +76,6 @@ class ScanBatch:
             sensors=sensors,
         )
 
-    def per_point(self, values: Tensor) -> Tensor:
-        """Return a value of each scan (B, …) for each of its points, (P, …)."""
-        return values[self.scan_of_point]
-
     def sum_per_scan(self, values: Tensor) -> Tensor:
         """Return the sums (B,) int64 of integers or flags (P,) of the points of each scan.
 
@@ -70,7 +84,3 @@ class ScanBatch:
         bounds = device_numbers([0, *accumulate(self.counts)], values.device, torch.int64)
         totals = F.pad(values.cumsum(dim=0), (1, 0))
         return totals[bounds].diff()
-
-    def tensor(self, values: npt.ArrayLike, dtype: torch.dtype = torch.float32) -> Tensor:
-        """Return numbers as a tensor on the device of the points, without waiting for it."""
-        return device_numbers(values, self.points.device, dtype)

@@ -30,6 +30,7 @@ class Pace:
         Time of a scan in seconds.
     busy_share : float
         Share of it for which the device needs to compute the scan, 0…1; for the rest it waits.
+        It is an upper bound, as the times of `DeviceTime`.
     """
 
     seconds_per_scan: float

@@ -5,7 +5,12 @@ import numpy as np
 import torch
 from devices import on_each_device
 
-from salsanext_cli.core.engines.device_copies import HostCopies, device_numbers, pinned
+from salsanext_cli.core.engines.device_copies import (
+    HostCopies,
+    device_numbers,
+    pinned,
+    pinned_array,
+)
 
 
 @on_each_device
@@ -35,3 +40,7 @@ def test_copies_are_contiguous_and_of_the_values_at_their_call(device):
 @on_each_device
 def test_memory_is_pinned_for_a_gpu(device):
     assert pinned(torch.ones(2), device).is_pinned() == (device != "cpu")
+    values = np.arange(12, dtype=np.float32).reshape(4, 3)[:, ::2]
+    found = pinned_array(values, device)
+    assert found.is_pinned() == (device != "cpu")
+    np.testing.assert_array_equal(found.numpy(), values)

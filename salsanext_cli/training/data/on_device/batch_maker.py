@@ -15,11 +15,10 @@ from torch import Tensor
 from salsanext_cli.core.geometry.intensity import bright_intensity
 from salsanext_cli.core.geometry.row_gaps import MORE_GAPS, fills_rows
 from salsanext_cli.core.on_device.projection import project
-from salsanext_cli.core.on_device.scan_batch import ScanBatch
+from salsanext_cli.core.on_device.scan_batch import PointsOfScans
 from salsanext_cli.core.records import CHANNELS, Indices
 from salsanext_cli.core.sensors.sensor import ORIGIN, UP, Sensor
 from salsanext_cli.training.data import other_sensors
-from salsanext_cli.training.data.augment import PASTED_COPIES
 from salsanext_cli.training.data.dataset import Batch, SampleKey, Samples
 from salsanext_cli.training.data.on_device.batch_random import BatchRandom
 from salsanext_cli.training.data.on_device.drawn_scans import draw_scans
@@ -56,13 +55,10 @@ class ImagePoints:
         P points.
     image_of_point : (P,) int64
         Number of the image of each point.
-    counts : list of int
-        Number of points of each image.
     """
 
     batch: PointBatch
     image_of_point: Tensor
-    counts: list[int]
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -134,9 +130,7 @@ class BatchMaker:
         batch = mix(batch, drawn, sensor, random)
         batch = paste(batch, sum(map(len, whole)), drawn.count, random)
         images = random.put(drawn.image_of_scan, torch.int64)
-        sizes = [*map(len, whole), *(PASTED_COPIES * len(scan) for scan in pasted)]
-        counts = np.bincount(drawn.image_of_scan, sizes, len(index)).astype(int).tolist()
-        return ImagePoints(batch=batch, image_of_point=batch.per_point(images), counts=counts)
+        return ImagePoints(batch=batch, image_of_point=batch.per_point(images))
 
     def _changed(self, images: Tensor, views: Sequence[Sensor], random: BatchRandom) -> Tensor:
         """Return images (B, 6, H, W) with lost pixels and rows, filled gaps, without intensity."""
@@ -202,13 +196,12 @@ def projected(points: ImagePoints, views: Sequence[Sensor]) -> Tensor:
     """
     batch = points.batch
     # Points at the origin have no pixel.
-    shown = batch.points.masked_fill(~batch.is_shown[:, None], 0)
+    visible = batch.points.masked_fill(~batch.is_shown[:, None], 0)
     images = project(
-        ScanBatch(
-            points=shown,
+        PointsOfScans(
+            points=visible,
             intensity=batch.intensity,
             scan_of_point=points.image_of_point,
-            counts=points.counts,
             sensors=views,
         ),
         torch.atan2,
