@@ -191,7 +191,7 @@ def pick(
     failures = picking.outcome.failures
     labels = None
     if picking.picked:
-        with over_scans("predict", running, output.quiet) as options:
+        with over_scans("pick", running, output.quiet) as options:
             labels = label_picked_scans(out, settings, options)
         failures = (*failures, *labels.failures)
     tool_folder = None if tool is None or not picking.picked else out / TOOL_FOLDER / tool

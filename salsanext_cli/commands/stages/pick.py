@@ -41,6 +41,7 @@ from salsanext_cli.runs.labelling.picked_data_set import (
 )
 from salsanext_cli.runs.labelling.scan_description import DescribeJob, ScanDescription
 from salsanext_cli.runs.labelling.tool_files import SensorPositions, write_for_tool
+from salsanext_cli.runs.loop.event_file import opened_events
 from salsanext_cli.runs.loop.network_task import NetworkTask
 from salsanext_cli.runs.loop.run import Failure, Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.loop.run_origins import OriginsOfSource
@@ -139,13 +140,15 @@ def pick(
         by_poses = OriginsOfSource(listed=listed)
         sample = sample_of_files(listed, network.sensor, origins_of=by_poses.sample_origins)
         network = fit_scans(settings, network, sample)
-        labels = done if labelled else None
-        recorded = _settings(network, count, seed, scans, labels, is_list=names is not None)
+        recorded = _settings(
+            network, count, seed, scans, done if labelled else None, is_list=names is not None
+        )
         record = data_set.earlier(recorded, overwrite=options.overwrite)
         if record and data_set.is_complete(record):
             log_recorded(record.warnings)
             _write_for_tool(data_set, labelling_tool, record, scans, network.sensor, by_poses)
-            return _picking(record, scans)
+            with opened_events(options.events, 0):
+                return _picking(record, scans)
         resolved = settings.resolved(network)
         origins = by_poses.scan_origins(scans, network.sensor)
         if record is None:

@@ -75,7 +75,11 @@ def test_pick_names_the_folder_of_a_labelling_tool(run, data, tmp_path, weights)
     assert (wrong.exit_code, subject(wrong)) == (2, "--for point_labeler")
     text = " ".join(run("pick", "--help", status=0).stdout.split())
     assert all(name in text for name in TOOLS)
-    result = only_json(run(*picking, "--for", "sse", "--json"))
+    events = tmp_path / "events.jsonl"
+    result = only_json(run(*picking, "--for", "sse", "--json", "--events", events))
+    lines = [json.loads(line) for line in events.read_text().splitlines()]
+    series = [(line["command"], line["count"], line["total"]) for line in lines]
+    assert series == [("pick", 1, 2), ("pick", 2, 2), ("pick", 1, 1), ("pick", 1, 1)]
     assert result["tool_folder"] == str(tmp_path / "out/tools/sse")
     assert len([*(tmp_path / "out/tools/sse").glob("*.pcd")]) == 1
     again = run(*picking, status=0)
