@@ -225,25 +225,29 @@ def region_means(labelled: LabelledImages, values: Tensor) -> Tensor:
 def _regions(labelled: LabelledImages) -> Tensor:
     """Return the lowest pixel of the region of each pixel, (n,) int64; of an empty one, itself."""
     pairs = torch.cat(list(_neighbours(labelled)), dim=1)
-    lowest = torch.arange(len(labelled.classes), device=pairs.device)
+    # A GPU has an instruction for the least of 32 bits in memory, and loops for 64.
+    lowest = torch.arange(len(labelled.classes), dtype=torch.int32, device=pairs.device)
     while True:
         for _ in range(ROUNDS):
             before = lowest
             lowest = _joined(before, pairs)
         if torch.equal(before, lowest):
-            return lowest
+            return lowest.long()
 
 
 def _joined(lowest: Tensor, pairs: Tensor) -> Tensor:
-    """Return the lowest pixels (n,) so far, after regions with neighbours (2, M) are joined."""
+    """Return the lowest pixels (n,) so far, after regions with neighbours (2, M) are joined.
+
+    Pixels are int32, neighbours int64.
+    """
     joined = lowest.clone()
     roots = lowest[pairs]
     least = roots.amin(dim=0)
     for root, pixel in zip(roots, pairs, strict=True):
         # What changes nothing goes to its pixel, because all writes to one root would queue.
-        target = root.where(root > least, pixel)
+        target = root.long().where(root > least, pixel)
         joined.scatter_reduce_(0, target, least, "amin")
-    return joined[joined]
+    return joined[joined.long()]
 
 
 def _neighbours(labelled: LabelledImages) -> Iterator[Tensor]:
