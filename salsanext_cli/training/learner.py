@@ -101,7 +101,7 @@ class Learner:
         # Seeded, every step is a function of its number, so that training can be resumed.
         with torch.random.fork_rng([self.device] if self.device.type == "cuda" else []):
             source = np.random.SeedSequence((self.recipe.seed, DROPOUT, step, self.group.rank))
-            torch.manual_seed(int(source.generate_state(1)[0]))  # noqa: TID251
+            seed_dropout(int(source.generate_state(1)[0]), self.device)
             pairs = zip(images.tensor_split(parts), truth.tensor_split(parts), strict=True)
             for number, (part_images, labels) in enumerate(pairs, 1):
                 inputs = part_images.to(self.device, memory_format=self.layout, non_blocking=True)
@@ -146,6 +146,16 @@ class Learner:
                 update_average(self.average, self.module, self.recipe.average, step)
         self.scaler.update()
         return finite
+
+
+def seed_dropout(seed: int, device: torch.device) -> None:
+    """Seed the generators that dropout uses on a device.
+
+    ``torch.manual_seed`` also formats the stack of calls, for devices that do not exist here.
+    """
+    torch.default_generator.manual_seed(seed)
+    if device.type == "cuda":
+        torch.cuda.manual_seed_all(seed)
 
 
 def build_optimiser(module: nn.Module, recipe: Recipe, *, fused: bool = False) -> Optimizer:

@@ -102,7 +102,10 @@ def lovasz_softmax(
     classes = sorted_classes(truth, probabilities.shape[1], group)
     is_counted = truth < probabilities.shape[1]
     foreground = truth == classes[:, None]
-    predicted = probabilities.t().index_select(0, classes)
+    columns = probabilities.t()
+    # On a GPU a selection adds its gradient with atomic operations.
+    is_all = len(classes) == len(columns)
+    predicted = columns.contiguous() if is_all else columns.index_select(0, classes)
     errors = torch.where(foreground, 1 - predicted, predicted).masked_fill(~is_counted, 0)
     # Pixels that do not count come last, where their order and their ranks change nothing.
     keys = errors.detach().masked_fill(~is_counted, -1)

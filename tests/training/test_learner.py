@@ -14,6 +14,7 @@ from salsanext_cli.training.learner import (
     build_optimiser,
     fastest_precision,
     learning_rate,
+    seed_dropout,
     update_average,
 )
 from salsanext_cli.training.losses import SegmentationLoss
@@ -33,6 +34,14 @@ def test_a_step_is_a_function_of_its_number_and_leaves_the_global_generator_alon
         states.append(learning.module.state_dict())
     for one, other in zip(states[0].values(), states[1].values(), strict=True):
         assert torch.equal(one, other)
+
+
+def test_dropout_has_the_numbers_of_the_global_seed() -> None:
+    with torch.random.fork_rng([]):
+        torch.manual_seed(2**32 - 1)
+        expected = torch.rand(4)
+        seed_dropout(2**32 - 1, CPU)
+        assert torch.equal(torch.rand(4), expected)
 
 
 def fused(learning: Learner) -> Learner:

@@ -10,7 +10,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from salsanext_cli.core.engines.device_copies import device_numbers, pinned
+from salsanext_cli.core.engines.device_copies import HostCopies, device_numbers, pinned
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.engines.torch_backend import TorchBackend
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
@@ -62,6 +62,32 @@ class SampledPoints:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ComputedScan:
+    """Scan whose results are on their way from the device.
+
+    Attributes
+    ----------
+    batch : HostCopies
+        Of B scans: confusions (B, C, C), logits (B, C, K) and truth (B, K) of sampled points, and
+        the number of these points (B,).
+    number : int
+        Number of the scan in the batch.
+    """
+
+    batch: HostCopies
+    number: int
+
+    def validated(self) -> ValidatedScan:
+        """Wait for the results, and return copies of those of the scan."""
+        confusion, logits, truth, count = (array[self.number] for array in self.batch.arrays())
+        return ValidatedScan(
+            confusion=confusion.copy(),
+            logits=torch.from_numpy(logits[:, :count].copy()),
+            truth=torch.from_numpy(truth[:count].copy()),
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class DeviceValidation:
     """Job that validates the scans of a source on the device of a network in torch.
 
@@ -87,8 +113,11 @@ class DeviceValidation:
         )
 
     @torch.inference_mode()
-    def compute(self, scans: Sequence[LabelledPoints]) -> list[ValidatedScan]:
-        """Label the points of scans together, and compare the labels with the truth."""
+    def compute(self, scans: Sequence[LabelledPoints]) -> list[ComputedScan]:
+        """Label the points of scans together, and compare the labels with the truth.
+
+        The host does not wait, so that the device has the next batch before this one is back.
+        """
         backend = cast(TorchBackend, self.network.backend)
         device = torch.device(self.network.device)
         sensors = [scan.sensor for scan in scans]
@@ -105,7 +134,7 @@ class DeviceValidation:
         sample = sampled_points(is_usable, batch.counts, len(self.source.files))
         pixel = images.pixel_of_point[sample.point].clamp(min=0) % logits[0, 0].numel()
         index = pixel[:, None].expand(-1, logits.shape[1], -1)
-        arrays = backend.to_host(
+        results = HostCopies.of(
             [
                 confusions(truth, labels, batch, space.class_count),
                 logits.flatten(2).gather(2, index),
@@ -113,20 +142,11 @@ class DeviceValidation:
                 sample.count,
             ]
         )
-        results = []
-        for confusion, logits_of_points, truth_of_points, count in zip(*arrays, strict=True):
-            results.append(
-                ValidatedScan(
-                    confusion=confusion,
-                    logits=torch.from_numpy(logits_of_points[:, :count]),
-                    truth=torch.from_numpy(truth_of_points[:count]),
-                )
-            )
-        return results
+        return [ComputedScan(batch=results, number=number) for number in range(len(scans))]
 
-    def finish(self, scan: LabelledPoints, computed: ValidatedScan) -> ValidatedScan:
-        """Return what was computed."""
-        return computed
+    def finish(self, scan: LabelledPoints, computed: ComputedScan) -> ValidatedScan:
+        """Wait for the results of a scan."""
+        return computed.validated()
 
 
 def confusions(truth: Tensor, labels: Tensor, batch: ScanBatch, class_count: int) -> Tensor:

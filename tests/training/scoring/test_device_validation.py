@@ -37,8 +37,10 @@ def test_a_device_validates_as_the_kernels_do(tmp_path: Path, weights: Path, mon
     monkeypatch.setattr(validation, "computes_on_gpu", lambda _: True)
     job = validation.validation_job(network, source)
     assert isinstance(job, device_validation.DeviceValidation)
-    found = job.compute([job.prepare(file) for file in files])
+    prepared = [job.prepare(file) for file in files]
+    found = [*map(job.finish, prepared, job.compute(prepared))]
     for one, other in zip(found, expected, strict=True):
+        assert one.logits.shape[1] == len(one.truth)
         np.testing.assert_array_equal(one.confusion, other.confusion)
         assert one.truth.tolist() == other.truth.tolist()
         torch.testing.assert_close(one.logits, other.logits, rtol=1e-5, atol=1e-5)

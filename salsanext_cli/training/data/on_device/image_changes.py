@@ -123,7 +123,7 @@ def window_columns(
     start = random.put(random.host.integers(whole, size=count), torch.int64)
     if on_class:
         place = random.put(random.host.integers(width, size=count), torch.int64)
-        is_wanted = random.put(random.happens(on_class, count), torch.bool)
+        contains_class = random.put(random.happens(on_class, count), torch.bool)
         flat = truth.flatten(1).long()
         # All pixels of a class write the same value: none waits for another, as in a count.
         is_present = torch.zeros(count, len(scored), dtype=torch.bool, device=truth.device)
@@ -132,7 +132,7 @@ def window_columns(
         target = (random.uniform(*is_present.shape) + is_present).argmax(dim=1, keepdim=True)
         pixel = (random.uniform(*flat.shape) + (flat == target)).argmax(dim=1)
         on_target = pixel % whole - place
-        start = torch.where(is_wanted & is_present.any(dim=1), on_target, start)
+        start = torch.where(contains_class & is_present.any(dim=1), on_target, start)
     columns = start[:, None] + torch.arange(width, device=truth.device)
     return columns % whole
 

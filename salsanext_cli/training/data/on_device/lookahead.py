@@ -52,23 +52,23 @@ def batches_ahead(makers: Iterable[Callable[[], Batch]], device: torch.device) -
     stream = torch.cuda.Stream(device, priority=-1)  # type: ignore[no-untyped-call]
     begun: BegunBatch | None = None
     for make in makers:
-        following = _begun(make, stream)
+        following = _begin(make, stream)
         if begun is not None:
-            yield _made(begun, device)
+            yield _wait_for(begun, device)
         begun = following
     if begun is not None:
-        yield _made(begun, device)
+        yield _wait_for(begun, device)
 
 
-def _begun(make: Callable[[], Batch], stream: torch.cuda.Stream) -> BegunBatch:
+def _begin(make: Callable[[], Batch], stream: torch.cuda.Stream) -> BegunBatch:
     """Begin a batch on a stream."""
     with torch.cuda.stream(stream):
         images, truth = make()
         return BegunBatch(images=images, truth=truth, is_made=stream.record_event())
 
 
-def _made(begun: BegunBatch, device: torch.device) -> Batch:
-    """Return a batch, for which the stream of the training waits, but not the host."""
+def _wait_for(begun: BegunBatch, device: torch.device) -> Batch:
+    """Let the stream of the training wait for a batch, but not the host; return the batch."""
     training = torch.cuda.current_stream(device)
     training.wait_event(begun.is_made)
     # Their memory is used again only after the step.

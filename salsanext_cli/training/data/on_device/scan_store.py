@@ -23,6 +23,14 @@ MAX_HALF = float(np.finfo(np.float16).max)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ReadScan:
+    """Scan on the host, and its points of rare targets if those are pasted."""
+
+    whole: StoredScan
+    pasted: StoredScan | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ScanStore:
     """Scans in memory.
 
@@ -57,7 +65,8 @@ class ScanStore:
             return keys
         run = joblib.Parallel(self.jobs, backend="threading", return_as="generator")
         calls = [
-            joblib.delayed(half_scan)(sources[number], file, self.sets) for number, file in missing
+            joblib.delayed(read_half)(sources[number], file, self.sets, self.rare)
+            for number, file in missing
         ]
         scans = with_progress(run(calls), len(missing))
         for key, scan in zip(missing, scans, strict=True):
@@ -92,11 +101,10 @@ class ScanStore:
         torch.cuda.empty_cache()
         return True
 
-    def _put(self, key: ScanKey, scan: StoredScan) -> None:
-        self.whole[key] = self.memory.put(scan.values, scan.targets)
-        if self.rare is not None:
-            is_rare = torch.from_numpy(self.rare)[scan.targets.long()]
-            self.pasted[key] = self.memory.put(scan.values[is_rare], scan.targets[is_rare])
+    def _put(self, key: ScanKey, scan: ReadScan) -> None:
+        self.whole[key] = self.memory.put(scan.whole.values, scan.whole.targets)
+        if scan.pasted is not None:
+            self.pasted[key] = self.memory.put(scan.pasted.values, scan.pasted.targets)
 
 
 def half_of_blocks(scans: Sequence[StoredScan]) -> list[int]:
@@ -107,13 +115,19 @@ def half_of_blocks(scans: Sequence[StoredScan]) -> list[int]:
     return [i for i, block in enumerate(block_of_scan) if block in chosen]
 
 
-def half_scan(source: Source, file: ScanFile, sets: ClassSets) -> StoredScan:
-    """Read a scan and its targets as they are stored, on the host."""
+def read_half(source: Source, file: ScanFile, sets: ClassSets, rare: Mask | None) -> ReadScan:
+    """Read a scan and its targets as they are stored, on the host, with its rare targets."""
     annotated = source.read(file, sets)
-    return StoredScan(
-        values=torch.from_numpy(half_values(annotated.scan)),
-        targets=torch.from_numpy(annotated.labels),
+    values = half_values(annotated.scan)
+    targets = annotated.labels
+    whole = StoredScan(values=torch.from_numpy(values), targets=torch.from_numpy(targets))
+    if rare is None:
+        return ReadScan(whole=whole)
+    is_rare = rare[targets]
+    pasted = StoredScan(
+        values=torch.from_numpy(values[is_rare]), targets=torch.from_numpy(targets[is_rare])
     )
+    return ReadScan(whole=whole, pasted=pasted)
 
 
 def half_values(scan: Scan) -> npt.NDArray[np.float16]:
